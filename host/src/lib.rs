@@ -1,0 +1,2 @@
+//! The learning side of Eupnea.
+#![forbid(unsafe_code)]
