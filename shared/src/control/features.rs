@@ -1,0 +1,397 @@
+//! What the residual's network sees: the recent past of error and command, leaky averages of both, the time
+//! since the breath started and its pressures, each scaled to about one.
+//!
+//! | index | feature |
+//! |---|---|
+//! | 0..8 | error, at the ticks of [`FeatureSpec::error_taps`] ago |
+//! | 8..14 | command, at the ticks of [`FeatureSpec::command_taps`] ago |
+//! | 14..16 | error, leaky averages |
+//! | 16..18 | command, leaky averages |
+//! | 18 | integral part of the PID |
+//! | 19..22 | time since the start of the breath: `t / (t + tau)` for three `tau` |
+//! | 22 | PIP |
+//! | 23 | PEEP |
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::Observation;
+use crate::breath::period_s;
+use crate::math;
+
+/// Number of error taps.
+pub const ERROR_TAPS: usize = 8;
+/// Number of command taps.
+pub const COMMAND_TAPS: usize = 6;
+/// Number of leaky averages of each signal.
+pub const AVERAGES: usize = 2;
+/// Number of time features.
+pub const TIMES: usize = 3;
+/// Length of the feature vector.
+pub const FEATURES: usize = ERROR_TAPS + COMMAND_TAPS + 2 * AVERAGES + 1 + TIMES + 2;
+/// Longest tap, ticks.
+pub const TAP_MAX: u8 = (HISTORY - 1) as u8;
+
+/// Entries of a history; a power of two, so that the ring's index is a mask.
+const HISTORY: usize = 128;
+
+/// Error that counts as one, cmH2O.
+pub const ERROR_SCALE: f32 = 10.0;
+/// Command that counts as one, percent.
+pub const COMMAND_SCALE: f32 = 50.0;
+/// PIP that counts as zero, and the distance from it that counts as one, cmH2O.
+pub const PIP_SCALE: (f32, f32) = (20.0, 15.0);
+/// PEEP that counts as zero, and the distance from it that counts as one, cmH2O.
+pub const PEEP_SCALE: (f32, f32) = (5.0, 5.0);
+
+/// Which past the network sees; part of the weights, since they mean nothing without it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FeatureSpec {
+    /// Ages of the errors, ticks; 0 is the present one.
+    pub error_taps: [u8; ERROR_TAPS],
+    /// Ages of the commands, ticks; 1 is the last one applied.
+    pub command_taps: [u8; COMMAND_TAPS],
+    /// Time constants of the error's leaky averages, s.
+    pub error_averages: [f32; AVERAGES],
+    /// Time constants of the command's leaky averages, s.
+    pub command_averages: [f32; AVERAGES],
+    /// Time constants of the time features, s.
+    pub times: [f32; TIMES],
+}
+
+impl Default for FeatureSpec {
+    /// For a control period of 1 ms: the taps reach back over the dead time and the valve's lag.
+    fn default() -> Self {
+        Self {
+            error_taps: [0, 1, 2, 4, 8, 16, 32, 64],
+            command_taps: [1, 2, 4, 8, 16, 32],
+            error_averages: [0.02, 0.1],
+            command_averages: [0.05, 0.3],
+            times: [0.02, 0.1, 0.5],
+        }
+    }
+}
+
+/// What makes a [`FeatureSpec`] unusable.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum FeatureError {
+    /// A tap reaches further back than the history.
+    #[error("a tap of {0} ticks is outside 0 to {TAP_MAX} (commands: 1 to {TAP_MAX})")]
+    Tap(u8),
+    /// A time constant is not a positive number.
+    #[error("a time constant of {0} s is not positive")]
+    TimeConstant(f32),
+}
+
+impl FeatureSpec {
+    /// The default for 1 ms; consecutive ticks for periods so long that taps would coincide.
+    pub fn for_period(period_us: u32) -> Self {
+        let spec = Self::default();
+        if period_us <= 2000 {
+            return spec;
+        }
+        Self {
+            error_taps: [0, 1, 2, 3, 4, 5, 6, 8],
+            command_taps: [1, 2, 3, 4, 5, 6],
+            ..spec
+        }
+    }
+
+    /// Checks taps and time constants.
+    ///
+    /// # Errors
+    /// The first one out of range.
+    pub fn validate(&self) -> Result<(), FeatureError> {
+        let taps = self.error_taps.iter().chain(&self.command_taps);
+        if let Some(tap) = taps.chain(&[]).find(|tap| **tap > TAP_MAX) {
+            return Err(FeatureError::Tap(*tap));
+        }
+        if self.command_taps.contains(&0) {
+            return Err(FeatureError::Tap(0));
+        }
+        let constants = self
+            .error_averages
+            .iter()
+            .chain(&self.command_averages)
+            .chain(&self.times);
+        match constants
+            .into_iter()
+            .find(|tau| !(**tau > 0.0 && tau.is_finite()))
+        {
+            Some(tau) => Err(FeatureError::TimeConstant(*tau)),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Built form of a [`FeatureSpec`]: smoothing factors per tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Features {
+    spec: FeatureSpec,
+    period: f32,
+    error_factors: [f32; AVERAGES],
+    command_factors: [f32; AVERAGES],
+}
+
+/// The past of one signal: a ring of its last values and their leaky averages.
+#[derive(Clone, Debug, PartialEq)]
+struct History {
+    ring: [f32; HISTORY],
+    averages: [f32; AVERAGES],
+}
+
+impl History {
+    const fn new() -> Self {
+        Self {
+            ring: [0.0; HISTORY],
+            averages: [0.0; AVERAGES],
+        }
+    }
+
+    fn fill(&mut self, value: f32) {
+        self.ring = [value; HISTORY];
+        self.averages = [value; AVERAGES];
+    }
+
+    fn push(&mut self, at: u32, value: f32, factors: &[f32; AVERAGES]) {
+        self.ring[at as usize % HISTORY] = value;
+        for (average, factor) in self.averages.iter_mut().zip(factors) {
+            *average += factor * (value - *average);
+        }
+    }
+
+    fn ago(&self, at: u32, tap: u8) -> f32 {
+        self.ring[at.wrapping_sub(u32::from(tap)) as usize % HISTORY]
+    }
+}
+
+/// Histories of error and command, both in scaled units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeatureState {
+    errors: History,
+    commands: History,
+    tick: u32,
+}
+
+impl FeatureState {
+    /// Empty histories.
+    pub const fn new() -> Self {
+        Self {
+            errors: History::new(),
+            commands: History::new(),
+            tick: 0,
+        }
+    }
+
+    /// Forgets the last breath: no error so far, the valve stood at `command` percent.
+    pub fn start_breath(&mut self, command: f32) {
+        self.errors.fill(0.0);
+        self.commands.fill(command / COMMAND_SCALE);
+        self.tick = 0;
+    }
+}
+
+impl Default for FeatureState {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Features {
+    /// Builds the features for a control period in microseconds.
+    ///
+    /// # Errors
+    /// What [`FeatureSpec::validate`] finds.
+    pub fn new(spec: FeatureSpec, period_us: u32) -> Result<Self, FeatureError> {
+        spec.validate()?;
+        let period = period_s(period_us);
+        let factors = |taus: [f32; AVERAGES]| taus.map(|tau| math::lag_factor(tau, period));
+        Ok(Self {
+            spec,
+            period,
+            error_factors: factors(spec.error_averages),
+            command_factors: factors(spec.command_averages),
+        })
+    }
+
+    /// What was built.
+    pub fn spec(&self) -> &FeatureSpec {
+        &self.spec
+    }
+
+    /// Smoothing factors per tick of the error's leaky averages.
+    pub fn error_factors(&self) -> &[f32; AVERAGES] {
+        &self.error_factors
+    }
+
+    /// Smoothing factors per tick of the command's leaky averages.
+    pub fn command_factors(&self) -> &[f32; AVERAGES] {
+        &self.command_factors
+    }
+
+    /// Takes in this tick's observation and gives the feature vector; `integral` is the PID's, percent.
+    pub fn step(&self, state: &mut FeatureState, seen: &Observation, integral: f32) -> [f32; FEATURES] {
+        let error = (seen.target - seen.pressure) / ERROR_SCALE;
+        state.errors.push(state.tick, error, &self.error_factors);
+        let error_taps = self
+            .spec
+            .error_taps
+            .iter()
+            .map(|tap| state.errors.ago(state.tick, *tap));
+        let command_taps = self
+            .spec
+            .command_taps
+            .iter()
+            .map(|tap| state.commands.ago(state.tick, *tap));
+        let rest = self.clocked(seen, integral);
+        let mut features = [0.0; FEATURES];
+        let all = error_taps
+            .chain(command_taps)
+            .chain(state.errors.averages)
+            .chain(state.commands.averages)
+            .chain(rest);
+        for (feature, value) in features.iter_mut().zip(all) {
+            *feature = value;
+        }
+        features
+    }
+
+    /// Features that need no history: integral, times, PIP, PEEP.
+    fn clocked(&self, seen: &Observation, integral: f32) -> [f32; 3 + TIMES] {
+        let times = self.times(seen.tick);
+        [
+            integral / COMMAND_SCALE,
+            times[0],
+            times[1],
+            times[2],
+            (seen.pip - PIP_SCALE.0) / PIP_SCALE.1,
+            (seen.peep - PEEP_SCALE.0) / PEEP_SCALE.1,
+        ]
+    }
+
+    /// The time features at a tick of the breath.
+    pub fn times(&self, tick: u32) -> [f32; TIMES] {
+        let time = tick as f32 * self.period;
+        self.spec.times.map(|tau| time / (time + tau))
+    }
+
+    /// Records the command applied in this tick, percent, and ends the tick.
+    pub fn applied(&self, state: &mut FeatureState, command: f32) {
+        state
+            .commands
+            .push(state.tick, command / COMMAND_SCALE, &self.command_factors);
+        state.tick = state.tick.wrapping_add(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::DEFAULT_PERIOD_US;
+    use proptest::prelude::*;
+
+    fn features() -> Features {
+        Features::new(FeatureSpec::default(), DEFAULT_PERIOD_US).unwrap()
+    }
+
+    fn seen(error: f32, tick: u32) -> Observation {
+        Observation {
+            pressure: 20.0 - error,
+            target: 20.0,
+            pip: 20.0,
+            peep: 5.0,
+            tick,
+        }
+    }
+
+    /// Runs `n` ticks with error = tick and command = 2 x tick; gives the last tick's features.
+    fn ramp(n: u32) -> [f32; FEATURES] {
+        let (features, mut state) = (features(), FeatureState::new());
+        state.start_breath(0.0);
+        let mut last = [0.0; FEATURES];
+        for tick in 0..n {
+            last = features.step(&mut state, &seen(tick as f32, tick), 0.0);
+            features.applied(&mut state, 2.0 * tick as f32);
+        }
+        last
+    }
+
+    #[test]
+    fn taps_look_back_by_their_age() {
+        let last = ramp(300);
+        for (index, tap) in FeatureSpec::default().error_taps.iter().enumerate() {
+            assert!((last[index] * ERROR_SCALE - (299.0 - f32::from(*tap))).abs() < 1e-3);
+        }
+        for (index, tap) in FeatureSpec::default().command_taps.iter().enumerate() {
+            assert!(
+                (last[ERROR_TAPS + index] * COMMAND_SCALE - 2.0 * (299.0 - f32::from(*tap))).abs() < 1e-3
+            );
+        }
+    }
+
+    #[test]
+    fn a_new_breath_knows_nothing_of_the_last() {
+        let (features, mut state) = (features(), FeatureState::new());
+        let fresh = |state: &mut FeatureState| {
+            state.start_breath(5.0);
+            features.step(state, &seen(15.0, 0), 0.0)
+        };
+        let first = fresh(&mut state);
+        for tick in 0..200 {
+            features.step(&mut state, &seen(3.0, tick), 7.0);
+            features.applied(&mut state, 40.0);
+        }
+        assert_eq!(fresh(&mut state), first);
+    }
+
+    #[test]
+    fn leaky_averages_settle_on_a_constant() {
+        let (features, mut state) = (features(), FeatureState::new());
+        state.start_breath(0.0);
+        for tick in 0..3000 {
+            features.step(&mut state, &seen(5.0, tick), 0.0);
+            features.applied(&mut state, 25.0);
+        }
+        let last = features.step(&mut state, &seen(5.0, 3000), 0.0);
+        let averages = &last[ERROR_TAPS + COMMAND_TAPS..];
+        assert!((averages[0] - 0.5).abs() < 1e-3 && (averages[1] - 0.5).abs() < 1e-3);
+        assert!((averages[2] - 0.5).abs() < 1e-3 && (averages[3] - 0.5).abs() < 1e-2);
+    }
+
+    #[test]
+    fn a_spec_beyond_the_history_is_refused() {
+        let spec = FeatureSpec {
+            error_taps: [0, 1, 2, 4, 8, 16, 32, 200],
+            ..FeatureSpec::default()
+        };
+        assert_eq!(spec.validate(), Err(FeatureError::Tap(200)));
+        let spec = FeatureSpec {
+            command_taps: [0, 2, 4, 8, 16, 32],
+            ..FeatureSpec::default()
+        };
+        assert_eq!(
+            spec.validate(),
+            Err(FeatureError::Tap(0)),
+            "the present command is not known yet"
+        );
+        let spec = FeatureSpec {
+            times: [0.1, f32::NAN, 0.2],
+            ..FeatureSpec::default()
+        };
+        assert!(matches!(spec.validate(), Err(FeatureError::TimeConstant(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn features_are_finite_and_about_one(errors in prop::collection::vec(-40.0f32..40.0, 1..200)) {
+            let (features, mut state) = (features(), FeatureState::new());
+            state.start_breath(5.0);
+            for (tick, error) in errors.iter().enumerate() {
+                let vector = features.step(&mut state, &seen(*error, tick as u32), 50.0);
+                prop_assert!(vector.iter().all(|x| x.abs() <= 4.0));
+                features.applied(&mut state, 100.0);
+            }
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! PID control of the inspiratory valve: parallel form, derivative on the filtered measurement, anti-windup by
+//! conditional integration, and [`Pid::observe`] for bumpless hand-over.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::{COMMAND_MAX, Observation};
+use crate::breath::period_s;
+use crate::math;
+
+/// Time constant of the derivative's filter, s: longer than the noise, shorter than the valve's lag.
+pub const DERIVATIVE_LAG: f32 = 0.01;
+
+/// Gains in physical units, as searched and stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PidGains {
+    /// Proportional gain, percent per cmH2O.
+    pub p: f32,
+    /// Integral gain, percent per cmH2O and second.
+    pub i: f32,
+    /// Derivative gain, percent per cmH2O/s.
+    pub d: f32,
+}
+
+/// Largest gains accepted; far beyond what is stable, so that nothing overflows.
+pub const GAINS_MAX: PidGains = PidGains {
+    p: 100.0,
+    i: 10_000.0,
+    d: 10.0,
+};
+
+/// A gain that is negative, too large or no number.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("PID gain {name} is {value}, allowed are 0 to {max}")]
+pub struct GainError {
+    /// `p`, `i` or `d`.
+    pub name: &'static str,
+    /// Value asked for.
+    pub value: f32,
+    /// Largest accepted value.
+    pub max: f32,
+}
+
+/// Built form: gains per tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pid {
+    gains: PidGains,
+    integral_step: f32,
+    derivative_scale: f32,
+    derivative_factor: f32,
+}
+
+/// What a PID remembers from tick to tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PidState {
+    /// Integral part of the command, percent.
+    pub integral: f32,
+    /// Derivative part of the command, percent.
+    pub derivative: f32,
+    /// Last pressure, cmH2O; none at the start of a breath.
+    pub pressure: Option<f32>,
+}
+
+impl PidState {
+    /// State at the start of a breath.
+    pub const fn new() -> Self {
+        Self {
+            integral: 0.0,
+            derivative: 0.0,
+            pressure: None,
+        }
+    }
+}
+
+impl Default for PidState {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Pid {
+    /// Builds a PID for a control period in microseconds.
+    ///
+    /// # Errors
+    /// A gain that is negative, above [`GAINS_MAX`] or no number.
+    pub fn new(gains: PidGains, period_us: u32) -> Result<Self, GainError> {
+        let checks = [
+            ("p", gains.p, GAINS_MAX.p),
+            ("i", gains.i, GAINS_MAX.i),
+            ("d", gains.d, GAINS_MAX.d),
+        ];
+        for (name, value, max) in checks {
+            if !(value >= 0.0 && value <= max) {
+                return Err(GainError { name, value, max });
+            }
+        }
+        let period = period_s(period_us);
+        Ok(Self {
+            gains,
+            integral_step: gains.i * period,
+            derivative_scale: gains.d / period,
+            derivative_factor: math::lag_factor(DERIVATIVE_LAG, period),
+        })
+    }
+
+    /// Gains as given.
+    pub fn gains(&self) -> PidGains {
+        self.gains
+    }
+
+    /// Integral gain per tick, percent per cmH2O.
+    pub fn integral_step(&self) -> f32 {
+        self.integral_step
+    }
+
+    /// Derivative part per cmH2O of change in one tick, before the filter, percent per cmH2O.
+    pub fn derivative_scale(&self) -> f32 {
+        self.derivative_scale
+    }
+
+    /// Smoothing factor of the derivative's filter per tick.
+    pub fn derivative_factor(&self) -> f32 {
+        self.derivative_factor
+    }
+
+    /// One tick with `extra` percent added (the residual): the limited command, percent.
+    ///
+    /// The integral is frozen while the whole command is saturated and the error would drive it further.
+    #[inline]
+    pub fn step(&self, state: &mut PidState, seen: &Observation, extra: f32) -> f32 {
+        let error = seen.target - seen.pressure;
+        let change = state.pressure.map_or(0.0, |last| seen.pressure - last);
+        state.pressure = Some(seen.pressure);
+        state.derivative += self.derivative_factor * (-self.derivative_scale * change - state.derivative);
+        let wanted = self.gains.p * error + state.integral + state.derivative + extra;
+        let winds_up = (wanted >= COMMAND_MAX && error > 0.0) || (wanted <= 0.0 && error < 0.0);
+        if !winds_up {
+            state.integral = math::limit(
+                state.integral + self.integral_step * error,
+                -COMMAND_MAX,
+                COMMAND_MAX,
+            );
+        }
+        math::limit(wanted, 0.0, COMMAND_MAX)
+    }
+
+    /// Sets the integral so that the PID's own command, at this observation, is `command` percent: who takes
+    /// over from another controller goes on where that one stood.
+    pub fn observe(&self, state: &mut PidState, seen: &Observation, command: f32) {
+        let error = seen.target - seen.pressure;
+        state.pressure = Some(seen.pressure);
+        let others = self.gains.p * error + state.derivative;
+        state.integral = math::limit(command - others, -COMMAND_MAX, COMMAND_MAX);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::DEFAULT_PERIOD_US;
+    use proptest::prelude::*;
+
+    fn pid(p: f32, i: f32, d: f32) -> Pid {
+        Pid::new(PidGains { p, i, d }, DEFAULT_PERIOD_US).unwrap()
+    }
+
+    fn seen(pressure: f32, target: f32) -> Observation {
+        Observation {
+            pressure,
+            target,
+            pip: target,
+            peep: 5.0,
+            tick: 0,
+        }
+    }
+
+    #[test]
+    fn the_proportional_part_follows_the_error() {
+        let command = pid(2.0, 0.0, 0.0).step(&mut PidState::new(), &seen(10.0, 20.0), 0.0);
+        assert!((command - 20.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_integral_grows_by_gain_times_error_times_time() {
+        let (pid, mut state) = (pid(0.0, 10.0, 0.0), PidState::new());
+        for _ in 0..1000 {
+            pid.step(&mut state, &seen(18.0, 20.0), 0.0);
+        }
+        assert!(
+            (state.integral - 20.0).abs() < 1e-2,
+            "10 %/(cmH2O s) x 2 cmH2O x 1 s = 20 %"
+        );
+    }
+
+    #[test]
+    fn the_integral_does_not_wind_up_while_the_command_is_saturated() {
+        let (pid, mut state) = (pid(10.0, 100.0, 0.0), PidState::new());
+        for _ in 0..500 {
+            assert!((pid.step(&mut state, &seen(5.0, 35.0), 0.0) - 100.0).abs() < 1e-6);
+        }
+        assert!(state.integral.abs() < 1e-6, "integral {}", state.integral);
+    }
+
+    #[test]
+    fn the_derivative_brakes_a_rise_after_its_lag() {
+        let (pid, mut state) = (pid(0.0, 0.0, 0.05), PidState::new());
+        let mut pressure = 5.0;
+        for _ in 0..100 {
+            pressure += 0.1;
+            pid.step(&mut state, &seen(pressure, 30.0), 0.0);
+        }
+        assert!(
+            (state.derivative + 5.0).abs() < 0.1,
+            "-0.05 % s/cmH2O x 100 cmH2O/s = -5 %"
+        );
+    }
+
+    #[test]
+    fn a_target_step_gives_no_derivative_kick() {
+        let (pid, mut state) = (pid(0.0, 0.0, 1.0), PidState::new());
+        pid.step(&mut state, &seen(5.0, 5.0), 0.0);
+        pid.step(&mut state, &seen(5.0, 35.0), 0.0);
+        assert!(state.derivative.abs() < 1e-9);
+    }
+
+    #[test]
+    fn bad_gains_are_refused_by_name() {
+        let refused = Pid::new(
+            PidGains {
+                p: 1.0,
+                i: f32::NAN,
+                d: 0.0,
+            },
+            DEFAULT_PERIOD_US,
+        );
+        assert!(matches!(refused, Err(GainError { name: "i", .. })));
+    }
+
+    proptest! {
+        #[test]
+        fn hand_over_is_bumpless(p in 0.1f32..3.0, i in 0.0f32..100.0, error in -3.0f32..3.0, command in 10.0f32..90.0) {
+            let (pid, mut state) = (pid(p, i, 0.0), PidState::new());
+            let seen = seen(20.0 - error, 20.0);
+            pid.observe(&mut state, &seen, command);
+            prop_assert!((pid.step(&mut state, &seen, 0.0) - command).abs() < 1e-3);
+        }
+
+        #[test]
+        fn commands_stay_in_range_whatever_is_measured(pressure in prop::num::f32::ANY) {
+            let (pid, mut state) = (pid(5.0, 50.0, 0.05), PidState::new());
+            for _ in 0..3 {
+                let command = pid.step(&mut state, &seen(pressure, 20.0), 0.0);
+                prop_assert!((0.0..=100.0).contains(&command));
+            }
+        }
+    }
+}

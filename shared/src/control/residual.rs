@@ -1,0 +1,239 @@
+//! The learned controller: PID plus a network's correction scaled by lambda (Suo et al. 2021, section 5).
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::features::{FeatureError, FeatureSpec, FeatureState, Features};
+use super::network::Network;
+use super::pid::{GainError, Pid, PidGains, PidState};
+use super::{COMMAND_MAX, Controller, Observation};
+use crate::math;
+
+/// Everything about a learned controller but the network's numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResidualSpec {
+    /// Control period the controller was trained for, microseconds.
+    pub period_us: u32,
+    /// Gains of the PID underneath.
+    pub gains: PidGains,
+    /// Scale of the residual, 0 to 1: 0 is the PID alone, 1 lets a network output of one open the valve fully.
+    pub lambda: f32,
+    /// Largest magnitude of the residual, percent.
+    pub authority: f32,
+    /// What the network sees.
+    pub features: FeatureSpec,
+}
+
+/// Why a learned controller cannot be built.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ResidualError {
+    /// A gain of the base is out of range.
+    #[error(transparent)]
+    Gain(#[from] GainError),
+    /// The features are unusable.
+    #[error(transparent)]
+    Features(#[from] FeatureError),
+    /// Lambda or the authority is out of range.
+    #[error("{name} is {value}, allowed are 0 to {max}")]
+    OutOfBounds {
+        /// `lambda` or `authority`.
+        name: &'static str,
+        /// Value asked for.
+        value: f32,
+        /// Largest accepted value.
+        max: f32,
+    },
+    /// A weight is no number or absurdly large.
+    #[error("the network holds a weight that is not finite or beyond the bound; train or transfer it again")]
+    Weights,
+}
+
+/// Built form of the learned controller.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Residual {
+    spec: ResidualSpec,
+    pid: Pid,
+    features: Features,
+    network: Network,
+}
+
+/// State of the learned controller.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ResidualState {
+    pub(super) pid: PidState,
+    features: FeatureState,
+}
+
+impl ResidualState {
+    /// State before the first breath.
+    pub const fn new() -> Self {
+        Self {
+            pid: PidState::new(),
+            features: FeatureState::new(),
+        }
+    }
+
+    pub(super) fn start_breath(&mut self, command: f32) {
+        self.pid = PidState::new();
+        self.features.start_breath(command);
+    }
+
+    pub(super) fn applied(&mut self, controller: &Controller, command: f32) {
+        if let Controller::Residual(residual) = controller {
+            residual.features.applied(&mut self.features, command);
+        }
+    }
+}
+
+impl Residual {
+    /// Builds a learned controller.
+    ///
+    /// # Errors
+    /// Whatever is out of range in `spec` or `network`.
+    pub fn new(spec: ResidualSpec, network: Network) -> Result<Self, ResidualError> {
+        for (name, value, max) in [
+            ("lambda", spec.lambda, 1.0),
+            ("authority", spec.authority, COMMAND_MAX),
+        ] {
+            if !(value >= 0.0 && value <= max) {
+                return Err(ResidualError::OutOfBounds { name, value, max });
+            }
+        }
+        if !network.is_bounded() {
+            return Err(ResidualError::Weights);
+        }
+        let pid = Pid::new(spec.gains, spec.period_us)?;
+        let features = Features::new(spec.features, spec.period_us)?;
+        Ok(Self {
+            spec,
+            pid,
+            features,
+            network,
+        })
+    }
+
+    /// What was built.
+    pub fn spec(&self) -> &ResidualSpec {
+        &self.spec
+    }
+
+    /// The PID underneath.
+    pub fn pid(&self) -> &Pid {
+        &self.pid
+    }
+
+    /// The features.
+    pub fn features(&self) -> &Features {
+        &self.features
+    }
+
+    /// The network.
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// One tick: the command wanted, percent, limited to `0..=100`.
+    pub fn step(&self, state: &mut ResidualState, seen: &Observation) -> f32 {
+        let features = self.features.step(&mut state.features, seen, state.pid.integral);
+        let residual = self.correction(self.network.forward(&features));
+        self.pid.step(&mut state.pid, seen, residual)
+    }
+
+    /// A network output as percent of the valve: scaled by lambda, limited to the authority.
+    pub fn correction(&self, output: f32) -> f32 {
+        math::limit(
+            self.spec.lambda * COMMAND_MAX * output,
+            -self.spec.authority,
+            self.spec.authority,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::DEFAULT_PERIOD_US;
+    use crate::control::ControllerState;
+
+    fn spec(lambda: f32) -> ResidualSpec {
+        ResidualSpec {
+            period_us: DEFAULT_PERIOD_US,
+            gains: PidGains {
+                p: 2.0,
+                i: 20.0,
+                d: 0.0,
+            },
+            lambda,
+            authority: 40.0,
+            features: FeatureSpec::default(),
+        }
+    }
+
+    fn constant(output: f32) -> Network {
+        let mut network = Network::zero();
+        network.output.bias[0] = output;
+        network
+    }
+
+    fn run(controller: &Controller, ticks: u32) -> f32 {
+        let mut state = ControllerState::new();
+        controller.start_breath(&mut state, 5.0);
+        let mut command = 0.0;
+        for tick in 0..ticks {
+            let seen = Observation {
+                pressure: 12.0,
+                target: 20.0,
+                pip: 20.0,
+                peep: 5.0,
+                tick,
+            };
+            command = controller.step(&mut state, &seen);
+            controller.applied(&mut state, command);
+        }
+        command
+    }
+
+    #[test]
+    fn lambda_zero_is_the_pid_alone() {
+        let residual = Residual::new(spec(0.0), constant(0.7)).unwrap();
+        let pid = Controller::Pid(*residual.pid());
+        assert!((run(&Controller::Residual(residual), 200) - run(&pid, 200)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn lambda_scales_the_network() {
+        let at = |lambda| {
+            run(
+                &Controller::Residual(Residual::new(spec(lambda), constant(0.2)).unwrap()),
+                1,
+            )
+        };
+        assert!((at(0.5) - at(0.0) - 10.0).abs() < 1e-4);
+        assert!((at(1.0) - at(0.0) - 20.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_residual_cannot_exceed_its_authority() {
+        let residual = Residual::new(spec(1.0), constant(900.0)).unwrap();
+        assert!((residual.correction(900.0) - 40.0).abs() < 1e-6);
+        assert!((residual.correction(-900.0) + 40.0).abs() < 1e-6);
+        assert!(
+            (residual.correction(f32::NAN) + 40.0).abs() < 1e-6,
+            "a NaN can only close the valve"
+        );
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_refused() {
+        let too_much = Residual::new(spec(1.5), Network::zero());
+        assert!(matches!(
+            too_much,
+            Err(ResidualError::OutOfBounds { name: "lambda", .. })
+        ));
+        assert_eq!(
+            Residual::new(spec(1.0), constant(f32::NAN)),
+            Err(ResidualError::Weights)
+        );
+    }
+}

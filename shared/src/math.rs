@@ -1,0 +1,68 @@
+//! The only module that defines or names a mathematical function.
+//!
+//! Everything here is built from additions, multiplications, divisions and comparisons, which IEEE 754 defines
+//! to the last bit, so host and chip agree exactly.
+
+/// Limits `x` to `lo..=hi`; a NaN gives `lo`, so that a broken value can only mean *less*.
+///
+/// (`f32::clamp` would let the NaN through.)
+#[inline]
+pub fn limit(x: f32, lo: f32, hi: f32) -> f32 {
+    if x >= lo { if x <= hi { x } else { hi } } else { lo }
+}
+
+/// The hidden layers' activation, `x / (1 + |x|)`: smooth, bounded to ±1, and four instructions long where a
+/// hyperbolic tangent takes a hundred.
+#[inline]
+pub fn softsign(x: f32) -> f32 {
+    x / (1.0 + x.abs())
+}
+
+/// Smoothing factor of a first-order lag: `step / (tau + step)`, both in seconds. A lag of zero or less passes
+/// everything.
+#[inline]
+pub fn lag_factor(tau: f32, step: f32) -> f32 {
+    if tau > 0.0 { step / (tau + step) } else { 1.0 }
+}
+
+/// Seconds as a number of ticks of `tick_us` microseconds, rounded to the nearest.
+#[inline]
+pub fn ticks(seconds: f32, tick_us: u32) -> u32 {
+    // In f64, since 1 us in a minute is beyond the resolution of f32.
+    let exact = f64::from(seconds) * 1.0e6 / f64::from(tick_us.max(1));
+    (exact + 0.5) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_nan_is_limited_to_the_lower_bound() {
+        assert!((limit(f32::NAN, -3.0, 7.0) + 3.0).abs() < f32::EPSILON);
+    }
+
+    #[test]
+    fn ticks_round_to_the_nearest() {
+        assert_eq!(ticks(1.0, 1000), 1000);
+        assert_eq!(ticks(1.0, 30_000), 33);
+        assert_eq!(ticks(0.0014, 1000), 1);
+        assert_eq!(ticks(-1.0, 1000), 0);
+    }
+
+    proptest! {
+        #[test]
+        fn limited_values_lie_within(x in prop::num::f32::ANY, lo in -50.0f32..0.0, width in 0.0f32..50.0) {
+            let y = limit(x, lo, lo + width);
+            prop_assert!(y >= lo && y <= lo + width);
+        }
+
+        #[test]
+        fn softsign_is_odd_bounded_and_increasing(x in -1.0e6f32..1.0e6, step in 0.01f32..10.0) {
+            prop_assert!(softsign(x).abs() <= 1.0);
+            prop_assert_eq!(softsign(-x).to_bits(), (-softsign(x)).to_bits());
+            prop_assert!(softsign(x + step) >= softsign(x));
+        }
+    }
+}

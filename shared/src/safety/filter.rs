@@ -1,0 +1,58 @@
+//! The safety filter: the only maker of valve commands.
+
+use crate::control::COMMAND_MAX;
+use crate::math;
+
+/// What goes to the valves. Its fields are private and only the safety filter makes one, so no controller can
+/// reach a valve past it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ValveCommand {
+    u_in: f32,
+    u_out: bool,
+}
+
+impl ValveCommand {
+    /// Inspiratory valve closed, expiratory valve open: pressure can only fall.
+    pub const SAFE: Self = Self {
+        u_in: 0.0,
+        u_out: true,
+    };
+
+    /// The command for a wish: limited to the valve's range, a NaN closes it.
+    pub(super) fn limited(u_in: f32, u_out: bool) -> Self {
+        Self {
+            u_in: math::limit(u_in, 0.0, COMMAND_MAX),
+            u_out,
+        }
+    }
+
+    /// Inspiratory valve, percent of full opening.
+    pub fn u_in(&self) -> f32 {
+        self.u_in
+    }
+
+    /// Expiratory valve: open?
+    pub fn u_out(&self) -> bool {
+        self.u_out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn no_wish_leaves_the_valves_range(wish in prop::num::f32::ANY, u_out: bool) {
+            let command = ValveCommand::limited(wish, u_out);
+            prop_assert!((0.0..=100.0).contains(&command.u_in()));
+            prop_assert_eq!(command.u_out(), u_out);
+        }
+    }
+
+    #[test]
+    fn a_nan_closes_the_inspiratory_valve() {
+        assert!(ValveCommand::limited(f32::NAN, false).u_in().abs() < f32::EPSILON);
+    }
+}

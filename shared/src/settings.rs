@@ -1,0 +1,247 @@
+//! What an operator may set: names, units, bounds and defaults of every setting, once for firmware, command
+//! line and documents.
+//!
+//! [`Settings`] is what was typed or received; [`crate::breath::Breath`] is the validated, built form that the
+//! control loop sees.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Settings of pressure-controlled ventilation as typed or received, not yet validated.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Settings {
+    /// Peak inspiratory pressure, cmH2O.
+    pub pip: f32,
+    /// Positive end-expiratory pressure, cmH2O.
+    pub peep: f32,
+    /// Breaths per minute.
+    pub rate: f32,
+    /// Inspiratory time, s.
+    pub inspiratory_time: f32,
+    /// Time of the linear rise from PEEP to PIP, s; 0 is the square rise of the paper.
+    pub rise_time: f32,
+    /// Time of the linear fall from PIP to PEEP after the inspiration, s.
+    pub fall_time: f32,
+    /// Command of the inspiratory valve while the expiratory valve is open, percent.
+    pub expiratory_bias: f32,
+    /// Airway pressure above which the ventilator goes to its safe state, cmH2O.
+    pub pressure_limit: f32,
+}
+
+/// One setting's place in the schema.
+#[derive(Clone, Copy, Debug)]
+pub struct Field {
+    /// Name as in [`Settings`].
+    pub name: &'static str,
+    /// Unit, as printed.
+    pub unit: &'static str,
+    /// Lowest accepted value.
+    pub min: f32,
+    /// Highest accepted value.
+    pub max: f32,
+    /// Value of a new device, from the paper's protocol.
+    pub default: f32,
+    get: fn(&Settings) -> f32,
+}
+
+impl Field {
+    /// This setting's value in `settings`.
+    pub fn value(&self, settings: &Settings) -> f32 {
+        (self.get)(settings)
+    }
+}
+
+macro_rules! fields {
+    ($($name:ident, $unit:literal, $min:literal ..= $max:literal, $default:literal;)*) => {
+        /// Every setting with unit, bounds and default.
+        pub const FIELDS: &[Field] = &[$(Field {
+            name: stringify!($name), unit: $unit, min: $min, max: $max, default: $default, get: |s| s.$name,
+        }),*];
+
+        impl Default for Settings {
+            fn default() -> Self {
+                Self { $($name: $default),* }
+            }
+        }
+    };
+}
+
+fields! {
+    pip,              "cmH2O", 5.0 ..= 50.0,  20.0;
+    peep,             "cmH2O", 0.0 ..= 20.0,  5.0;
+    rate,             "1/min", 4.0 ..= 80.0,  20.0;
+    inspiratory_time, "s",     0.2 ..= 5.0,   1.0;
+    rise_time,        "s",     0.0 ..= 1.0,   0.0;
+    fall_time,        "s",     0.0 ..= 2.0,   0.5;
+    expiratory_bias,  "%",     0.0 ..= 20.0,  5.0;
+    pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0;
+}
+
+/// Why settings were refused.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum SettingsError {
+    /// A value lies outside its bounds (or is no number).
+    #[error("{name} is {value} {unit}, allowed are {min} to {max} {unit}")]
+    OutOfBounds {
+        /// Setting's name.
+        name: &'static str,
+        /// Value that was asked for.
+        value: f32,
+        /// Lowest accepted value.
+        min: f32,
+        /// Highest accepted value.
+        max: f32,
+        /// Unit of all three.
+        unit: &'static str,
+    },
+    /// PIP lies below PEEP.
+    #[error("PIP ({pip} cmH2O) lies below PEEP ({peep} cmH2O); raise pip or lower peep")]
+    PipBelowPeep {
+        /// PIP asked for, cmH2O.
+        pip: f32,
+        /// PEEP asked for, cmH2O.
+        peep: f32,
+    },
+    /// The pressure limit leaves no room above PIP.
+    #[error("pressure limit ({limit} cmH2O) must lie at least {margin} cmH2O above PIP ({pip} cmH2O)")]
+    LimitTooLow {
+        /// Limit asked for, cmH2O.
+        limit: f32,
+        /// PIP asked for, cmH2O.
+        pip: f32,
+        /// Distance required, cmH2O.
+        margin: f32,
+    },
+    /// Inspiration and fall do not fit into the breath.
+    #[error(
+        "inspiration and fall take {inspiration} s of a breath of {breath} s; lower the rate or shorten them"
+    )]
+    BreathTooShort {
+        /// Inspiratory and fall time together, s.
+        inspiration: f32,
+        /// Length of a breath at the rate asked for, s.
+        breath: f32,
+    },
+    /// The control period cannot resolve the breath.
+    #[error("control period of {period_us} us is outside 250 to 50000 us")]
+    Period {
+        /// Period asked for, microseconds.
+        period_us: u32,
+    },
+}
+
+/// Room that the pressure limit must leave above PIP, cmH2O.
+pub const LIMIT_MARGIN: f32 = 5.0;
+
+impl Settings {
+    /// Checks every bound and what the settings demand of each other.
+    ///
+    /// # Errors
+    /// The first violated rule, with what would be allowed.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        for field in FIELDS {
+            let value = field.value(self);
+            if !(value >= field.min && value <= field.max) {
+                let Field {
+                    name, unit, min, max, ..
+                } = *field;
+                return Err(SettingsError::OutOfBounds {
+                    name,
+                    value,
+                    min,
+                    max,
+                    unit,
+                });
+            }
+        }
+        if self.pip < self.peep {
+            return Err(SettingsError::PipBelowPeep {
+                pip: self.pip,
+                peep: self.peep,
+            });
+        }
+        if self.pressure_limit < self.pip + LIMIT_MARGIN {
+            let (limit, pip, margin) = (self.pressure_limit, self.pip, LIMIT_MARGIN);
+            return Err(SettingsError::LimitTooLow { limit, pip, margin });
+        }
+        let breath = 60.0 / self.rate;
+        let inspiration = self.inspiratory_time + self.fall_time;
+        if inspiration > breath {
+            return Err(SettingsError::BreathTooShort { inspiration, breath });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_defaults_are_valid() {
+        assert_eq!(Settings::default().validate(), Ok(()));
+    }
+
+    #[test]
+    fn every_default_lies_within_its_bounds() {
+        for field in FIELDS {
+            assert!(
+                field.default >= field.min && field.default <= field.max,
+                "{}",
+                field.name
+            );
+        }
+    }
+
+    #[test]
+    fn a_nan_is_refused_by_name() {
+        let settings = Settings {
+            peep: f32::NAN,
+            ..Settings::default()
+        };
+        assert!(matches!(
+            settings.validate(),
+            Err(SettingsError::OutOfBounds { name: "peep", .. })
+        ));
+    }
+
+    #[test]
+    fn the_limit_must_leave_room_above_pip() {
+        let settings = Settings {
+            pip: 40.0,
+            pressure_limit: 44.0,
+            ..Settings::default()
+        };
+        assert!(matches!(
+            settings.validate(),
+            Err(SettingsError::LimitTooLow { .. })
+        ));
+    }
+
+    #[test]
+    fn a_breath_must_hold_its_inspiration() {
+        let settings = Settings {
+            rate: 60.0,
+            ..Settings::default()
+        };
+        assert!(matches!(
+            settings.validate(),
+            Err(SettingsError::BreathTooShort { .. })
+        ));
+    }
+
+    proptest! {
+        #[test]
+        fn accepted_settings_lie_within_all_bounds(
+            pip in -10.0f32..80.0, peep in -5.0f32..40.0, rate in 0.0f32..100.0, inspiratory_time in 0.0f32..6.0,
+        ) {
+            let settings = Settings { pip, peep, rate, inspiratory_time, ..Settings::default() };
+            if settings.validate().is_ok() {
+                prop_assert!(FIELDS.iter().all(|f| f.value(&settings) >= f.min && f.value(&settings) <= f.max));
+                prop_assert!(pip >= peep);
+            }
+        }
+    }
+}

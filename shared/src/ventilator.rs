@@ -1,0 +1,431 @@
+//! The ventilator: the pure state machine around controller and safety, one [`Ventilator::step`] per control
+//! tick.
+//!
+//! # Modes
+//! *Standby*: valves safe, no breath runs. *Ventilating*: breath after breath. *Fault*: latched safe state,
+//! left only by [`VentilatorState::acknowledge`], which leads to standby.
+//!
+//! # Breath
+//! Settings sent while ventilating wait and take effect when the next breath starts. The controller works during
+//! the inspiration; in fall and expiration the expiratory valve is open, the mechanical PEEP valve holds PEEP,
+//! and the inspiratory valve is closed (fall) or at its bias (expiration).
+//!
+//! # Order of a tick
+//! supervisor checks the reading -> controller -> exploration -> safety filter -> controller learns what was
+//! applied.
+
+use serde::{Deserialize, Serialize};
+
+use crate::breath::{Breath, Phase};
+use crate::control::{Controller, ControllerState, Observation};
+use crate::explore::{Exploration, Perturbation};
+use crate::safety::filter::ValveCommand;
+use crate::safety::supervisor::{Fault, Supervisor};
+use crate::settings::{Settings, SettingsError};
+
+/// What the ventilator is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Mode {
+    /// Valves safe, waiting for a start.
+    Standby,
+    /// Breathing.
+    Ventilating,
+    /// Latched safe state.
+    Fault(Fault),
+}
+
+/// What a tick did, for telemetry and recordings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Number of the breath since the start of ventilation, from 0.
+    pub breath: u32,
+    /// Tick within the breath.
+    pub tick: u32,
+    /// Phase of the breath.
+    pub phase: Phase,
+    /// Target, cmH2O.
+    pub target: f32,
+    /// Pressure as read, cmH2O.
+    pub pressure: f32,
+    /// Command sent to the inspiratory valve, percent.
+    pub u_in: f32,
+    /// Expiratory valve open?
+    pub u_out: bool,
+    /// Part of `u_in`'s wish that exploration added, percent.
+    pub explore: f32,
+}
+
+/// What a tick gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Output {
+    /// For the valves.
+    pub command: ValveCommand,
+    /// Mode after the tick.
+    pub mode: Mode,
+    /// The tick's sample; none outside of ventilation.
+    pub sample: Option<Sample>,
+}
+
+/// The configuration of a ventilator: control period, controller, exploration. Replacing it leaves the state,
+/// and with it the running breath, alone.
+#[derive(Clone, Debug)]
+pub struct Ventilator {
+    period_us: u32,
+    controller: Controller,
+    exploration: Option<Exploration>,
+}
+
+/// Everything that changes from tick to tick.
+#[derive(Clone, Debug)]
+pub struct VentilatorState {
+    mode: Mode,
+    breath: Breath,
+    pending: Option<Breath>,
+    number: u32,
+    tick: u32,
+    last_command: f32,
+    perturbation: Perturbation,
+    controller: ControllerState,
+    supervisor: Supervisor,
+}
+
+impl Ventilator {
+    /// A ventilator with a control period in microseconds.
+    pub fn new(period_us: u32, controller: Controller) -> Self {
+        Self {
+            period_us,
+            controller,
+            exploration: None,
+        }
+    }
+
+    /// The same, exploring.
+    #[must_use]
+    pub fn with_exploration(mut self, exploration: Option<Exploration>) -> Self {
+        self.exploration = exploration;
+        self
+    }
+
+    /// Control period, microseconds.
+    pub fn period_us(&self) -> u32 {
+        self.period_us
+    }
+
+    /// The controller.
+    pub fn controller(&self) -> &Controller {
+        &self.controller
+    }
+
+    /// A state in standby.
+    ///
+    /// # Errors
+    /// Settings that are refused.
+    pub fn standby(&self, settings: &Settings) -> Result<VentilatorState, SettingsError> {
+        Ok(VentilatorState {
+            mode: Mode::Standby,
+            breath: Breath::new(settings, self.period_us)?,
+            pending: None,
+            number: 0,
+            tick: 0,
+            last_command: 0.0,
+            perturbation: Perturbation::default(),
+            controller: ControllerState::new(),
+            supervisor: Supervisor::new(),
+        })
+    }
+
+    /// Accepts settings for the next breath (in standby: for the first one).
+    ///
+    /// # Errors
+    /// Settings that are refused; those in force stay.
+    pub fn apply(&self, state: &mut VentilatorState, settings: &Settings) -> Result<(), SettingsError> {
+        state.pending = Some(Breath::new(settings, self.period_us)?);
+        Ok(())
+    }
+
+    /// One control tick with the pressure reading in cmH2O.
+    #[inline]
+    pub fn step(&self, state: &mut VentilatorState, reading: f32) -> Output {
+        let believed = state.supervisor.check(reading, &state.breath);
+        if let Some(fault) = state.supervisor.fault() {
+            state.mode = Mode::Fault(fault);
+        }
+        match (state.mode, believed) {
+            (Mode::Ventilating, Some(pressure)) => self.breathe(state, reading, pressure),
+            (mode, _) => {
+                state.last_command = 0.0;
+                Output {
+                    command: ValveCommand::SAFE,
+                    mode,
+                    sample: None,
+                }
+            }
+        }
+    }
+
+    /// One tick of a breath; `pressure` is the reading or, for a moment, what replaces it.
+    fn breathe(&self, state: &mut VentilatorState, reading: f32, pressure: f32) -> Output {
+        if state.tick == 0 {
+            self.start_breath(state);
+        }
+        let (tick, breath) = (state.tick, state.breath);
+        let (phase, target) = (breath.phase(tick), breath.target(tick));
+        let settings = breath.settings();
+        let (wish, explore) = match phase {
+            Phase::Inspiration => {
+                let seen = Observation {
+                    pressure,
+                    target,
+                    pip: settings.pip,
+                    peep: settings.peep,
+                    tick,
+                };
+                let explore = state.perturbation.at(tick, self.period_us);
+                (
+                    self.controller.step(&mut state.controller, &seen) + explore,
+                    explore,
+                )
+            }
+            Phase::Fall => (0.0, 0.0),
+            Phase::Expiration => (settings.expiratory_bias, 0.0),
+        };
+        let command = state.supervisor.command(wish, phase != Phase::Inspiration);
+        if phase == Phase::Inspiration {
+            self.controller.applied(&mut state.controller, command.u_in());
+        }
+        state.last_command = command.u_in();
+        let sample = Sample {
+            breath: state.number,
+            tick,
+            phase,
+            target,
+            pressure: reading,
+            u_in: command.u_in(),
+            u_out: command.u_out(),
+            explore,
+        };
+        state.tick += 1;
+        if state.tick >= breath.total_ticks() {
+            state.tick = 0;
+            state.number = state.number.wrapping_add(1);
+        }
+        Output {
+            command,
+            mode: state.mode,
+            sample: Some(sample),
+        }
+    }
+
+    fn start_breath(&self, state: &mut VentilatorState) {
+        if let Some(breath) = state.pending.take() {
+            state.breath = breath;
+        }
+        state.perturbation = match &self.exploration {
+            Some(exploration) => exploration.perturbation(&state.breath, state.number),
+            None => Perturbation::default(),
+        };
+        self.controller
+            .start_breath(&mut state.controller, state.last_command);
+    }
+}
+
+impl VentilatorState {
+    /// What the ventilator is doing.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The breath in force.
+    pub fn breath(&self) -> &Breath {
+        &self.breath
+    }
+
+    /// Number of the running breath.
+    pub fn breath_number(&self) -> u32 {
+        self.number
+    }
+
+    /// Tick within the running breath; 0 means that the next step starts a breath.
+    pub fn tick(&self) -> u32 {
+        self.tick
+    }
+
+    /// The controller's state.
+    pub fn controller(&self) -> &ControllerState {
+        &self.controller
+    }
+
+    /// From standby, starts the first breath at the next tick. A latched fault must be acknowledged first.
+    pub fn start(&mut self) {
+        if self.mode == Mode::Standby {
+            (self.mode, self.number, self.tick) = (Mode::Ventilating, 0, 0);
+        }
+    }
+
+    /// Goes to standby; a latched fault stays.
+    pub fn stop(&mut self) {
+        if self.mode == Mode::Ventilating {
+            self.mode = Mode::Standby;
+        }
+    }
+
+    /// Leaves the latched safe state for standby.
+    pub fn acknowledge(&mut self) {
+        if let Mode::Fault(_) = self.mode {
+            self.supervisor.clear();
+            self.mode = Mode::Standby;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use crate::control::pid::{Pid, PidGains};
+    use proptest::prelude::*;
+
+    fn ventilator() -> Ventilator {
+        let pid = Pid::new(
+            PidGains {
+                p: 2.0,
+                i: 20.0,
+                d: 0.0,
+            },
+            DEFAULT_PERIOD_US,
+        )
+        .unwrap();
+        Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid))
+    }
+
+    fn started(ventilator: &Ventilator) -> VentilatorState {
+        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+        state.start();
+        state
+    }
+
+    fn run(ventilator: &Ventilator, state: &mut VentilatorState, ticks: u32, pressure: f32) -> Output {
+        for _ in 1..ticks {
+            ventilator.step(state, pressure);
+        }
+        ventilator.step(state, pressure)
+    }
+
+    #[test]
+    fn standby_holds_the_valves_safe() {
+        let ventilator = ventilator();
+        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+        let output = run(&ventilator, &mut state, 100, 5.0);
+        assert_eq!(
+            (output.command, output.mode, output.sample),
+            (ValveCommand::SAFE, Mode::Standby, None)
+        );
+    }
+
+    #[test]
+    fn a_breath_runs_through_its_phases() {
+        let ventilator = ventilator();
+        let mut state = started(&ventilator);
+        let sample = |output: Output| output.sample.unwrap();
+        let first = sample(run(&ventilator, &mut state, 1, 5.0));
+        assert_eq!(
+            (first.phase, first.u_out, first.breath, first.tick),
+            (Phase::Inspiration, false, 0, 0)
+        );
+        assert!(first.u_in > 0.0);
+        let fall = sample(run(&ventilator, &mut state, 1000, 15.0));
+        assert_eq!((fall.phase, fall.u_out), (Phase::Fall, true));
+        assert!(fall.u_in.abs() < f32::EPSILON);
+        let rest = sample(run(&ventilator, &mut state, 500, 5.0));
+        assert_eq!((rest.phase, rest.u_out), (Phase::Expiration, true));
+        assert!((rest.u_in - 5.0).abs() < f32::EPSILON, "the bias");
+        let next = sample(run(&ventilator, &mut state, 1500, 5.0));
+        assert_eq!((next.breath, next.tick, next.phase), (1, 0, Phase::Inspiration));
+    }
+
+    #[test]
+    fn settings_wait_for_the_next_breath() {
+        let ventilator = ventilator();
+        let mut state = started(&ventilator);
+        run(&ventilator, &mut state, 10, 5.0);
+        ventilator.apply(&mut state, &paper_settings(30.0)).unwrap();
+        let before = run(&ventilator, &mut state, 990, 5.0).sample.unwrap();
+        assert!((before.target - 20.0).abs() < f32::EPSILON);
+        let after = run(&ventilator, &mut state, 2001, 5.0).sample.unwrap();
+        assert_eq!(after.tick, 0);
+        assert!((after.target - 30.0).abs() < f32::EPSILON);
+    }
+
+    #[test]
+    fn refused_settings_leave_those_in_force() {
+        let ventilator = ventilator();
+        let mut state = started(&ventilator);
+        assert!(ventilator.apply(&mut state, &paper_settings(f32::NAN)).is_err());
+        let next = run(&ventilator, &mut state, 3001, 5.0).sample.unwrap();
+        assert!((next.target - 20.0).abs() < f32::EPSILON);
+    }
+
+    #[test]
+    fn a_high_pressure_latches_until_acknowledged() {
+        let ventilator = ventilator();
+        let mut state = started(&ventilator);
+        let output = run(&ventilator, &mut state, 10, 61.0);
+        assert_eq!(
+            (output.command, output.mode),
+            (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure))
+        );
+        state.start();
+        let output = run(&ventilator, &mut state, 10_000, 5.0);
+        assert_eq!(
+            (output.command, output.mode),
+            (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure))
+        );
+        state.acknowledge();
+        assert_eq!(state.mode(), Mode::Standby);
+        state.start();
+        assert_eq!(run(&ventilator, &mut state, 1, 5.0).mode, Mode::Ventilating);
+    }
+
+    #[test]
+    fn exploration_adds_to_the_command_and_is_recorded() {
+        let quiet = ventilator();
+        let exploring = ventilator().with_exploration(Some(Exploration {
+            boundary_probability: 1.0,
+            boundary_height: (10.0, 10.0),
+            ..Exploration::default()
+        }));
+        let first = |v: &Ventilator| run(v, &mut started(v), 1, 15.0).sample.unwrap();
+        assert!((first(&exploring).u_in - first(&quiet).u_in - 10.0).abs() < 1e-4);
+        assert!((first(&exploring).explore - 10.0).abs() < 1e-6);
+    }
+
+    proptest! {
+        /// Whatever is read and asked for, and in whatever order: the command stays in range, the expiratory
+        /// valve is open unless an inspiration runs, and a fault stays until it is acknowledged.
+        #[test]
+        fn no_sequence_of_events_leaves_the_state_machine(
+            events in prop::collection::vec((0u8..12, prop::num::f32::ANY, -20.0f32..80.0), 1..400),
+        ) {
+            let ventilator = ventilator();
+            let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+            for (kind, wild, tame) in events {
+                let before = state.mode();
+                match kind {
+                    0 => state.start(),
+                    1 => state.stop(),
+                    2 => state.acknowledge(),
+                    3 => { let _ = ventilator.apply(&mut state, &paper_settings(tame)); }
+                    _ => {
+                        let output = ventilator.step(&mut state, if kind == 4 { wild } else { tame });
+                        prop_assert!((0.0..=100.0).contains(&output.command.u_in()));
+                        let inspiring = output.sample.is_some_and(|s| s.phase == Phase::Inspiration);
+                        prop_assert_eq!(output.command.u_out(), !inspiring);
+                    }
+                }
+                if let Mode::Fault(_) = before {
+                    prop_assert!(kind == 2 || state.mode() == before);
+                }
+            }
+        }
+    }
+}
