@@ -1,0 +1,90 @@
+//! Hidden layers' activations on lanes: softsign as on the chip, and the two of the authors' networks.
+
+use serde::{Deserialize, Serialize};
+use shared::math;
+
+use super::Lane;
+
+/// An activation function.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Activation {
+    /// `x / (1 + |x|)`.
+    Softsign,
+    /// Hyperbolic tangent (the authors' boundary networks).
+    Tanh,
+    /// Scaled exponential linear unit (the authors' default network).
+    Selu,
+}
+
+/// Constants of the scaled exponential linear unit (Klambauer et al. 2017).
+const SELU_SCALE: f32 = 1.050_701;
+const SELU_ALPHA: f32 = 1.673_263_2;
+
+impl Activation {
+    /// Replaces each value by its activation.
+    pub fn forward(self, values: &mut [Lane]) {
+        match self {
+            Self::Softsign => apply(values, math::softsign),
+            Self::Tanh => apply(values, f32::tanh),
+            Self::Selu => apply(values, |x| {
+                SELU_SCALE * if x > 0.0 { x } else { SELU_ALPHA * x.exp_m1() }
+            }),
+        }
+    }
+
+    /// Multiplies each gradient by the slope, found from the activation's *output*.
+    pub fn backward(self, outputs: &[Lane], gradients: &mut [Lane]) {
+        match self {
+            Self::Softsign => scale(outputs, gradients, |y| {
+                let rest = 1.0 - y.abs();
+                rest * rest
+            }),
+            Self::Tanh => scale(outputs, gradients, |y| 1.0 - y * y),
+            Self::Selu => scale(outputs, gradients, |y| {
+                if y > 0.0 { SELU_SCALE } else { y + SELU_SCALE * SELU_ALPHA }
+            }),
+        }
+    }
+}
+
+#[inline(always)]
+fn apply(values: &mut [Lane], f: impl Fn(f32) -> f32) {
+    for lane in values {
+        for value in &mut lane.0 {
+            *value = f(*value);
+        }
+    }
+}
+
+#[inline(always)]
+fn scale(outputs: &[Lane], gradients: &mut [Lane], slope: impl Fn(f32) -> f32) {
+    for (output, gradient) in outputs.iter().zip(gradients) {
+        for (output, gradient) in output.0.iter().zip(&mut gradient.0) {
+            *gradient *= slope(*output);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slopes_agree_with_finite_differences() {
+        for activation in [Activation::Softsign, Activation::Tanh, Activation::Selu] {
+            let at = |x: f32| {
+                let mut lane = [Lane::splat(x)];
+                activation.forward(&mut lane);
+                lane
+            };
+            for x in [-3.0, -0.7, -0.1, 0.2, 1.1, 4.0] {
+                let mut slope = [Lane::splat(1.0)];
+                activation.backward(&at(x), &mut slope);
+                let step = 1e-2;
+                let numeric = (at(x + step)[0][0] - at(x - step)[0][0]) / (2.0 * step);
+                assert!((slope[0][0] - numeric).abs() < 2e-3, "{activation:?} at {x}");
+            }
+        }
+    }
+}

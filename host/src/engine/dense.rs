@@ -1,0 +1,166 @@
+//! A fully connected layer over lanes: `y = W x + b`, forward, backward and its gradient.
+
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Uniform};
+
+use super::lane::{multiply_add, outer_add};
+use super::Lane;
+
+/// Shape and place of a layer's parameters within a flat parameter vector: weights row by row (one row per
+/// output), then biases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Dense {
+    /// Inputs.
+    pub inputs: usize,
+    /// Outputs.
+    pub outputs: usize,
+    /// Index of the first parameter.
+    pub offset: usize,
+}
+
+/// Parameters of a layer, ready for both directions.
+#[derive(Clone, Debug)]
+pub struct DenseWeights {
+    shape: Dense,
+    /// `[outputs][inputs]`: for the backward pass.
+    by_output: Vec<f32>,
+    /// `[inputs][outputs]`: for the forward pass.
+    by_input: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+impl Dense {
+    /// Lays out layers one after the other: `(inputs, outputs)` each. Gives the layers and the total length.
+    pub fn layout<const N: usize>(shapes: [(usize, usize); N]) -> ([Self; N], usize) {
+        let mut offset = 0;
+        let layers = shapes.map(|(inputs, outputs)| {
+            let layer = Self { inputs, outputs, offset };
+            offset += layer.parameters();
+            layer
+        });
+        (layers, offset)
+    }
+
+    /// Number of parameters.
+    pub fn parameters(&self) -> usize {
+        (self.inputs + 1) * self.outputs
+    }
+
+    /// Draws weights uniformly, scaled by `gain / sqrt(inputs)`; biases zero.
+    pub fn initialise(&self, parameters: &mut [f32], gain: f32, rng: &mut ChaCha8Rng) {
+        let bound = gain * (3.0 / self.inputs as f32).sqrt();
+        let (weights, bias) = self.slice_mut(parameters).split_at_mut(self.inputs * self.outputs);
+        match Uniform::new(-bound, bound) {
+            Ok(uniform) => weights.iter_mut().for_each(|w| *w = uniform.sample(rng)),
+            Err(_) => weights.fill(0.0),
+        }
+        bias.fill(0.0);
+    }
+
+    /// This layer's part of the parameter vector.
+    pub fn slice<'a>(&self, parameters: &'a [f32]) -> &'a [f32] {
+        &parameters[self.offset..self.offset + self.parameters()]
+    }
+
+    /// This layer's part of the parameter vector, to be written.
+    pub fn slice_mut<'a>(&self, parameters: &'a mut [f32]) -> &'a mut [f32] {
+        &mut parameters[self.offset..self.offset + self.parameters()]
+    }
+
+    /// Takes this layer's parameters out of the vector.
+    pub fn load(&self, parameters: &[f32]) -> DenseWeights {
+        let (by_output, bias) = self.slice(parameters).split_at(self.inputs * self.outputs);
+        let by_input = (0..self.inputs)
+            .flat_map(|i| by_output.iter().skip(i).step_by(self.inputs))
+            .copied()
+            .collect();
+        DenseWeights { shape: *self, by_output: by_output.to_vec(), by_input, bias: bias.to_vec() }
+    }
+
+    /// Adds the gradient by the parameters, summed over rollouts and steps.
+    ///
+    /// Shapes: `dy` steps times outputs, `x` steps times inputs.
+    pub fn gradient(&self, dy: &[Lane], x: &[Lane], gradient: &mut [f32]) {
+        let (weights, bias) = self.slice_mut(gradient).split_at_mut(self.inputs * self.outputs);
+        outer_add(dy, x, self.outputs, self.inputs, weights);
+        for step in dy.chunks_exact(self.outputs) {
+            for (bias, dy) in bias.iter_mut().zip(step) {
+                *bias += dy.sum();
+            }
+        }
+    }
+}
+
+impl DenseWeights {
+    /// `y = W x + b`.
+    pub fn forward(&self, x: &[Lane], y: &mut [Lane]) {
+        for (y, bias) in y.iter_mut().zip(&self.bias) {
+            *y = Lane::splat(*bias);
+        }
+        multiply_add(&self.by_input, x, y);
+    }
+
+    /// `y += W x`, without the bias.
+    pub fn forward_add(&self, x: &[Lane], y: &mut [Lane]) {
+        multiply_add(&self.by_input, x, y);
+    }
+
+    /// `dx += W^T dy`.
+    pub fn backward(&self, dy: &[Lane], dx: &mut [Lane]) {
+        multiply_add(&self.by_output, dy, dx);
+    }
+
+    /// Shape of the layer.
+    pub fn shape(&self) -> &Dense {
+        &self.shape
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_chacha::rand_core::SeedableRng;
+
+    /// A scalar function of a layer's output: `sum of y^2 / 2`, so that `dy = y`.
+    fn loss(layer: &Dense, parameters: &[f32], x: &[Lane]) -> f32 {
+        let mut y = vec![Lane::ZERO; layer.outputs];
+        layer.load(parameters).forward(x, &mut y);
+        y.iter().map(|y| y.zip(y, |a, b| 0.5 * a * b).sum()).sum()
+    }
+
+    #[test]
+    fn gradients_agree_with_finite_differences() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let ([_, layer], total) = Dense::layout([(2, 3), (5, 9)]);
+        let mut parameters = vec![0.0; total];
+        layer.initialise(&mut parameters, 1.0, &mut rng);
+        let mut x: Vec<Lane> = (0..5).map(|i| Lane::from_fn(|l| ((i * 5 + l) as f32).sin())).collect();
+
+        let weights = layer.load(&parameters);
+        let mut y = vec![Lane::ZERO; layer.outputs];
+        weights.forward(&x, &mut y);
+        let (mut dx, mut gradient) = (vec![Lane::ZERO; layer.inputs], vec![0.0; total]);
+        weights.backward(&y, &mut dx);
+        layer.gradient(&y, &x, &mut gradient);
+
+        let step = 1e-2;
+        for n in 0..total {
+            let kept = parameters[n];
+            parameters[n] = kept + step;
+            let above = loss(&layer, &parameters, &x);
+            parameters[n] = kept - step;
+            let numeric = (above - loss(&layer, &parameters, &x)) / (2.0 * step);
+            parameters[n] = kept;
+            assert!((numeric - gradient[n]).abs() < 0.02 * (1.0 + gradient[n].abs()), "parameter {n}");
+        }
+        for (i, l) in [(0, 0), (3, 15), (4, 7)] {
+            let kept = x[i][l];
+            x[i][l] = kept + step;
+            let above = loss(&layer, &parameters, &x);
+            x[i][l] = kept - step;
+            let numeric = (above - loss(&layer, &parameters, &x)) / (2.0 * step);
+            x[i][l] = kept;
+            assert!((numeric - dx[i][l]).abs() < 0.02 * (1.0 + dx[i][l].abs()), "input {i} of rollout {l}");
+        }
+    }
+}

@@ -1,0 +1,257 @@
+//! Lanes, and the three matrix kernels that all layers are made of.
+//!
+//! The kernels pick the widest vector unit at run time. They are exact per element (a fused multiply-add per
+//! term, in the order of the inputs) on every machine that has such a unit.
+
+use std::ops::{Index, IndexMut};
+
+use pulp::{Arch, Simd, WithSimd};
+
+/// Rollouts per shard.
+pub const LANES: usize = 16;
+
+/// One quantity of all rollouts of a shard.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(64))]
+pub struct Lane(pub [f32; LANES]);
+
+impl Lane {
+    /// All zero.
+    pub const ZERO: Self = Self([0.0; LANES]);
+
+    /// The same value for all rollouts.
+    pub const fn splat(value: f32) -> Self {
+        Self([value; LANES])
+    }
+
+    /// Values by rollout.
+    pub fn from_fn(f: impl FnMut(usize) -> f32) -> Self {
+        Self(std::array::from_fn(f))
+    }
+
+    /// `f` of each value.
+    #[inline(always)]
+    #[must_use]
+    pub fn map(self, f: impl FnMut(f32) -> f32) -> Self {
+        Self(self.0.map(f))
+    }
+
+    /// `f` of both values of each rollout.
+    #[inline(always)]
+    #[must_use]
+    pub fn zip(self, other: &Self, mut f: impl FnMut(f32, f32) -> f32) -> Self {
+        Self(std::array::from_fn(|l| f(self.0[l], other.0[l])))
+    }
+
+    /// Adds `scale * other`.
+    #[inline(always)]
+    pub fn add_scaled(&mut self, scale: f32, other: &Self) {
+        for (a, b) in self.0.iter_mut().zip(&other.0) {
+            *a += scale * b;
+        }
+    }
+
+    /// Sum over the rollouts.
+    pub fn sum(&self) -> f32 {
+        self.0.iter().sum()
+    }
+}
+
+impl Default for Lane {
+    fn default() -> Self {
+        Self::ZERO
+    }
+}
+
+impl Index<usize> for Lane {
+    type Output = f32;
+
+    fn index(&self, rollout: usize) -> &f32 {
+        &self.0[rollout]
+    }
+}
+
+impl IndexMut<usize> for Lane {
+    fn index_mut(&mut self, rollout: usize) -> &mut f32 {
+        &mut self.0[rollout]
+    }
+}
+
+/// Outputs that one pass over the inputs keeps in registers.
+const TILE: usize = 8;
+
+/// `y += w^T x` for every rollout, with `w` stored input by input: `w[i][o]` at `i * y.len() + o`.
+///
+/// Shapes: `x` inputs, `y` outputs, `w` inputs times outputs.
+pub fn multiply_add(w: &[f32], x: &[Lane], y: &mut [Lane]) {
+    assert_eq!(w.len(), x.len() * y.len(), "weights must have inputs x outputs entries");
+    Arch::new().dispatch(MultiplyAdd { w, x, y });
+}
+
+struct MultiplyAdd<'a> {
+    w: &'a [f32],
+    x: &'a [Lane],
+    y: &'a mut [Lane],
+}
+
+impl WithSimd for MultiplyAdd<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let outputs = self.y.len();
+        let tiled = outputs - outputs % TILE;
+        for v in 0..LANES / S::F32_LANES {
+            for first in (0..tiled).step_by(TILE) {
+                multiply_tile::<S, TILE>(simd, self.w, self.x, self.y, first, v);
+            }
+            for first in tiled..outputs {
+                multiply_tile::<S, 1>(simd, self.w, self.x, self.y, first, v);
+            }
+        }
+    }
+}
+
+/// Vector `v` of outputs `first..first + N`.
+#[inline(always)]
+fn multiply_tile<S: Simd, const N: usize>(
+    simd: S,
+    w: &[f32],
+    x: &[Lane],
+    y: &mut [Lane],
+    first: usize,
+    v: usize,
+) {
+    let outputs = y.len();
+    let mut sums: [S::f32s; N] = std::array::from_fn(|o| vector::<S>(&y[first + o], v));
+    for (x, row) in x.iter().zip(w.chunks_exact(outputs)) {
+        let x = vector::<S>(x, v);
+        for (sum, w) in sums.iter_mut().zip(&row[first..first + N]) {
+            *sum = simd.mul_add_e_f32s(simd.splat_f32s(*w), x, *sum);
+        }
+    }
+    for (y, sum) in y[first..first + N].iter_mut().zip(sums) {
+        S::as_mut_simd_f32s(&mut y.0).0[v] = sum;
+    }
+}
+
+#[inline(always)]
+fn vector<S: Simd>(lane: &Lane, v: usize) -> S::f32s {
+    S::as_simd_f32s(&lane.0).0[v]
+}
+
+/// `dw[o][i] += sum over steps and rollouts of dy[t][o] x[t][i]`, with `dw[o][i]` at `o * inputs + i`.
+///
+/// Shapes: `dy` steps times outputs, `x` steps times inputs.
+pub fn outer_add(dy: &[Lane], x: &[Lane], outputs: usize, inputs: usize, dw: &mut [f32]) {
+    assert_eq!(dw.len(), outputs * inputs, "gradient must have outputs x inputs entries");
+    assert_eq!(dy.len() * inputs, x.len() * outputs, "both must cover the same steps");
+    Arch::new().dispatch(OuterAdd { dy, x, outputs, inputs, dw });
+}
+
+struct OuterAdd<'a> {
+    dy: &'a [Lane],
+    x: &'a [Lane],
+    outputs: usize,
+    inputs: usize,
+    dw: &'a mut [f32],
+}
+
+impl WithSimd for OuterAdd<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let mut work = self;
+        let (rows, columns) = (work.outputs - work.outputs % 4, work.inputs - work.inputs % 2);
+        for o in (0..rows).step_by(4) {
+            for i in (0..columns).step_by(2) {
+                outer_tile::<S, 4, 2>(simd, &mut work, o, i);
+            }
+            for i in columns..work.inputs {
+                outer_tile::<S, 4, 1>(simd, &mut work, o, i);
+            }
+        }
+        for o in rows..work.outputs {
+            for i in (0..columns).step_by(2) {
+                outer_tile::<S, 1, 2>(simd, &mut work, o, i);
+            }
+            for i in columns..work.inputs {
+                outer_tile::<S, 1, 1>(simd, &mut work, o, i);
+            }
+        }
+    }
+}
+
+/// Gradient of outputs `first_o..+O` by inputs `first_i..+I`.
+#[inline(always)]
+fn outer_tile<S: Simd, const O: usize, const I: usize>(
+    simd: S,
+    work: &mut OuterAdd<'_>,
+    first_o: usize,
+    first_i: usize,
+) {
+    let mut sums = [[simd.splat_f32s(0.0); I]; O];
+    for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
+        let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
+        for v in 0..LANES / S::F32_LANES {
+            let x: [S::f32s; I] = std::array::from_fn(|i| vector::<S>(&x[i], v));
+            for (sums, dy) in sums.iter_mut().zip(dy) {
+                let dy = vector::<S>(dy, v);
+                for (sum, x) in sums.iter_mut().zip(x) {
+                    *sum = simd.mul_add_e_f32s(dy, x, *sum);
+                }
+            }
+        }
+    }
+    for (o, sums) in sums.into_iter().enumerate() {
+        for (i, sum) in sums.into_iter().enumerate() {
+            work.dw[(first_o + o) * work.inputs + first_i + i] += simd.reduce_sum_f32s(sum);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers without a pattern that tiles could hide.
+    fn number(seed: usize) -> f32 {
+        ((seed * 7919 + 13) % 101) as f32 / 50.0 - 1.0
+    }
+
+    fn lanes(count: usize, seed: usize) -> Vec<Lane> {
+        (0..count).map(|n| Lane::from_fn(|l| number(seed + n * LANES + l))).collect()
+    }
+
+    #[test]
+    fn multiply_add_is_a_matrix_product_for_every_shape() {
+        for (inputs, outputs) in [(1, 1), (3, 8), (24, 32), (7, 13), (16, 1), (5, 2)] {
+            let w: Vec<f32> = (0..inputs * outputs).map(number).collect();
+            let x = lanes(inputs, 5);
+            let start = lanes(outputs, 99);
+            let mut y = start.clone();
+            multiply_add(&w, &x, &mut y);
+            for (o, l) in (0..outputs).flat_map(|o| (0..LANES).map(move |l| (o, l))) {
+                let expected =
+                    start[o][l] + (0..inputs).map(|i| w[i * outputs + o] * x[i][l]).sum::<f32>();
+                assert!((y[o][l] - expected).abs() < 1e-4, "{inputs}x{outputs} at {o},{l}");
+            }
+        }
+    }
+
+    #[test]
+    fn outer_add_sums_over_steps_and_rollouts() {
+        for (inputs, outputs, steps) in [(1, 1, 1), (24, 32, 10), (7, 5, 3), (16, 1, 4), (3, 6, 2)] {
+            let (dy, x) = (lanes(outputs * steps, 3), lanes(inputs * steps, 11));
+            let mut dw = vec![0.5; inputs * outputs];
+            outer_add(&dy, &x, outputs, inputs, &mut dw);
+            for (o, i) in (0..outputs).flat_map(|o| (0..inputs).map(move |i| (o, i))) {
+                let expected: f32 = (0..steps)
+                    .map(|t| dy[t * outputs + o].zip(&x[t * inputs + i], |a, b| a * b).sum())
+                    .sum();
+                assert!((dw[o * inputs + i] - 0.5 - expected).abs() < 1e-3, "{o},{i}");
+            }
+        }
+    }
+}
