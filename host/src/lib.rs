@@ -1,2 +1,4 @@
 //! The learning side of Eupnea.
 #![forbid(unsafe_code)]
+
+pub mod bench;
