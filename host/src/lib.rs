@@ -1,4 +1,5 @@
-//! The learning side of Eupnea.
+//! The learning side of Eupnea: virtual bench, data, learned simulator, controller training, evaluation.
 #![forbid(unsafe_code)]
 
+pub mod bench;
 pub mod engine;

@@ -1,0 +1,128 @@
+//! Breathing circuit: compliance of the tubing, leak, mechanical relief valve.
+
+use super::branch::{Branch, parabolic_conductance};
+use super::config::CircuitConfig;
+
+/// Pressure at which the leak is stated, cmH2O.
+const LEAK_STATED_AT_CMH2O: f64 = 30.0;
+/// Share of the leak's stated pressure that is lost in laminar flow; it keeps the leak's slope finite at zero.
+const LEAK_LAMINAR_SHARE: f64 = 0.02;
+
+/// The tubing with its state, the airway pressure.
+#[derive(Clone, Debug)]
+pub(super) struct Circuit {
+    pressure: f64,
+    /// Compliance over the duration of a sub-step, L/(s cmH2O).
+    storage: f64,
+    /// Leak at the stated pressure, L/s.
+    leak: f64,
+    relief_opening: f64,
+    relief_conductance: f64,
+}
+
+impl Circuit {
+    /// A circuit at rest at `pressure`.
+    pub(super) fn new(config: &CircuitConfig, pressure: f64, sub_step_s: f64) -> Self {
+        Self {
+            pressure,
+            storage: config.compliance_ml_per_cmh2o * 1e-3 / sub_step_s,
+            leak: config.leak_l_per_s_at_30_cmh2o,
+            relief_opening: config.relief_opening_cmh2o,
+            relief_conductance: config.relief_conductance_l_per_s_per_cmh2o,
+        }
+    }
+
+    pub(super) fn pressure(&self) -> f64 {
+        self.pressure
+    }
+
+    pub(super) fn set_pressure(&mut self, pressure: f64) {
+        self.pressure = pressure;
+    }
+
+    /// The compliance as a branch to the present pressure.
+    pub(super) fn storage(&self) -> Branch {
+        Branch {
+            conductance: self.storage,
+            source: self.pressure,
+        }
+    }
+
+    /// The leak as a branch to the room.
+    pub(super) fn leak(&self) -> Branch {
+        // A parabola through one unit of flow at the stated pressure; the leak scales it, down to none.
+        let linear = LEAK_LAMINAR_SHARE * LEAK_STATED_AT_CMH2O;
+        let quadratic = (1.0 - LEAK_LAMINAR_SHARE) * LEAK_STATED_AT_CMH2O;
+        let unit = parabolic_conductance(linear, quadratic, self.pressure);
+        Branch {
+            conductance: self.leak * unit,
+            source: 0.0,
+        }
+    }
+
+    /// The relief valve as a branch to its opening pressure; closed below.
+    pub(super) fn relief(&self) -> Branch {
+        let conductance = if self.pressure > self.relief_opening {
+            self.relief_conductance
+        } else {
+            0.0
+        };
+        Branch {
+            conductance,
+            source: self.relief_opening,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SUB_STEP_S: f64 = 0.000_25;
+
+    fn at(pressure: f64) -> Circuit {
+        Circuit::new(&CircuitConfig::default(), pressure, SUB_STEP_S)
+    }
+
+    fn leak(pressure: f64) -> f64 {
+        -at(pressure).leak().flow(pressure)
+    }
+
+    #[test]
+    fn leak_is_an_orifice_with_the_stated_flow() {
+        let stated = CircuitConfig::default().leak_l_per_s_at_30_cmh2o;
+        assert!((leak(30.0) - stated).abs() < 1e-12);
+        assert!(
+            (leak(7.5) / stated - 0.5).abs() < 0.02,
+            "a quarter of the pressure, half the flow"
+        );
+        assert!((leak(-30.0) + stated).abs() < 1e-12);
+    }
+
+    #[test]
+    fn no_leak_means_no_flow() {
+        let config = CircuitConfig {
+            leak_l_per_s_at_30_cmh2o: 0.0,
+            ..CircuitConfig::default()
+        };
+        for pressure in [0.0, 20.0] {
+            let circuit = Circuit::new(&config, pressure, SUB_STEP_S);
+            assert!(circuit.leak().flow(pressure).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn relief_valve_opens_at_its_pressure() {
+        let flow = |pressure| -at(pressure).relief().flow(pressure);
+        assert!(flow(69.9).abs() < 1e-12);
+        let expected = CircuitConfig::default().relief_conductance_l_per_s_per_cmh2o;
+        assert!((flow(72.0) - 2.0 * expected).abs() < 1e-9);
+    }
+
+    #[test]
+    fn storage_takes_the_compliance_in_millilitres() {
+        let circuit = at(10.0);
+        let volume_ml = -circuit.storage().flow(12.0) * SUB_STEP_S * 1e3;
+        assert!((volume_ml - 2.0 * 1.5).abs() < 1e-9);
+    }
+}

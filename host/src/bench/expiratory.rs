@@ -1,0 +1,112 @@
+//! Expiratory on/off valve with a mechanical PEEP valve behind it.
+
+use super::branch::{Branch, parabolic_conductance};
+use super::config::ExpiratoryConfig;
+use super::lag::Lag;
+
+/// The two valves with their state.
+#[derive(Clone, Debug)]
+pub(super) struct Expiratory {
+    opening: Lag,
+    linear: f64,
+    quadratic: f64,
+    peep: f64,
+}
+
+impl Expiratory {
+    /// An open valve.
+    pub(super) fn new(config: &ExpiratoryConfig, peep: f64, sub_step_s: f64) -> Self {
+        Self {
+            opening: Lag::new(config.lag_ms * 1e-3, sub_step_s, 1.0),
+            linear: config.laminar_resistance_cmh2o_per_l_s,
+            quadratic: config.orifice_l_per_s_per_sqrt_cmh2o.powi(-2),
+            peep,
+        }
+    }
+
+    pub(super) fn set_peep(&mut self, peep: f64) {
+        self.peep = peep;
+    }
+
+    /// Moves the valve by one sub-step towards open (`u_out`) or closed.
+    pub(super) fn advance(&mut self, u_out: bool) {
+        self.opening.advance(if u_out { 1.0 } else { 0.0 });
+    }
+
+    /// The valves as a branch towards PEEP while the airway is at `pressure`; closed below PEEP.
+    pub(super) fn branch(&self, pressure: f64) -> Branch {
+        let above = pressure - self.peep;
+        let conductance = if above > 0.0 {
+            self.opening.output() * parabolic_conductance(self.linear, self.quadratic, above)
+        } else {
+            0.0
+        };
+        Branch {
+            conductance,
+            source: self.peep,
+        }
+    }
+
+    /// Share of the full opening, 0 to 1.
+    pub(super) fn opening(&self) -> f64 {
+        self.opening.output()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SUB_STEP_S: f64 = 0.000_25;
+
+    fn open() -> Expiratory {
+        Expiratory::new(&ExpiratoryConfig::default(), 5.0, SUB_STEP_S)
+    }
+
+    fn outflow(valve: &Expiratory, pressure: f64) -> f64 {
+        -valve.branch(pressure).flow(pressure)
+    }
+
+    #[test]
+    fn flow_grows_with_the_square_root_above_peep() {
+        let config = ExpiratoryConfig {
+            laminar_resistance_cmh2o_per_l_s: 0.01,
+            ..ExpiratoryConfig::default()
+        };
+        let valve = Expiratory::new(&config, 5.0, SUB_STEP_S);
+        let expected = config.orifice_l_per_s_per_sqrt_cmh2o;
+        assert!((outflow(&valve, 6.0) / expected - 1.0).abs() < 0.01);
+        assert!((outflow(&valve, 30.0) / (5.0 * expected) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn nothing_leaves_at_or_below_peep() {
+        let valve = open();
+        for pressure in [5.0, 4.9, 0.0, -20.0] {
+            assert!(outflow(&valve, pressure).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_peep_setting_moves_the_threshold() {
+        let mut valve = open();
+        valve.set_peep(10.0);
+        assert!(outflow(&valve, 9.0).abs() < 1e-12);
+        assert!(outflow(&valve, 11.0) > 0.1);
+    }
+
+    #[test]
+    fn closes_and_opens_with_its_lag() {
+        let mut valve = open();
+        let open_flow = outflow(&valve, 20.0);
+        for _ in 0..60 {
+            valve.advance(false);
+        }
+        let after_one_lag = (-1.0_f64).exp();
+        assert!((outflow(&valve, 20.0) / open_flow - after_one_lag).abs() < 1e-9);
+        for _ in 0..60 {
+            valve.advance(true);
+        }
+        assert!((valve.opening() - (1.0 - after_one_lag * (1.0 - after_one_lag))).abs() < 1e-9);
+    }
+}

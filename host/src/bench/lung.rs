@@ -1,0 +1,219 @@
+//! Test lung: one or two compartments in parallel, each a parabolic resistor and a compliance that stiffens.
+
+use super::branch::{Branch, parabolic_conductance};
+use super::config::{CompartmentConfig, LungConfig};
+
+/// One compartment with its state, the volume above the volume at rest.
+#[derive(Clone, Debug)]
+struct Compartment {
+    resistance: f64,
+    turbulence: f64,
+    compliance_ml: f64,
+    inflection: f64,
+    stiffening: f64,
+    volume_ml: f64,
+    sub_step_s: f64,
+}
+
+impl Compartment {
+    fn new(config: &CompartmentConfig, pressure: f64, sub_step_s: f64) -> Self {
+        let mut compartment = Self {
+            resistance: config.resistance_cmh2o_per_l_s,
+            turbulence: config.turbulence_s_per_l,
+            compliance_ml: config.compliance_ml_per_cmh2o,
+            inflection: config.upper_inflection_cmh2o,
+            stiffening: config.stiffening_cmh2o,
+            volume_ml: 0.0,
+            sub_step_s,
+        };
+        compartment.volume_ml = compartment.volume_at(pressure);
+        compartment
+    }
+
+    /// How far the linear law `V / C` is beyond the inflection, cmH2O.
+    fn beyond_inflection(&self) -> f64 {
+        (self.volume_ml / self.compliance_ml - self.inflection).max(0.0)
+    }
+
+    /// `V / C`, and above the inflection a parabola on top.
+    fn recoil(&self) -> f64 {
+        let beyond = self.beyond_inflection();
+        self.volume_ml / self.compliance_ml + beyond * beyond / (2.0 * self.stiffening)
+    }
+
+    /// Slope of the recoil, cmH2O/L.
+    fn elastance(&self) -> f64 {
+        1e3 / self.compliance_ml * (1.0 + self.beyond_inflection() / self.stiffening)
+    }
+
+    /// Volume in mL at which the recoil is `pressure`.
+    fn volume_at(&self, pressure: f64) -> f64 {
+        let above = pressure - self.inflection;
+        let linear = if above > 0.0 {
+            let w = self.stiffening;
+            self.inflection + (w * w + 2.0 * w * above).sqrt() - w
+        } else {
+            pressure
+        };
+        linear * self.compliance_ml
+    }
+
+    /// Resistance with the rise of the recoil during the sub-step folded in, so that the volume is implicit too.
+    fn branch(&self, airway_pressure: f64, muscle_pressure: f64) -> Branch {
+        let source = self.recoil() - muscle_pressure;
+        let linear = self.resistance + self.elastance() * self.sub_step_s;
+        let quadratic = self.resistance * self.turbulence;
+        Branch {
+            conductance: parabolic_conductance(linear, quadratic, airway_pressure - source),
+            source,
+        }
+    }
+}
+
+/// The lung with its state.
+#[derive(Clone, Debug)]
+pub(super) struct Lung {
+    first: Compartment,
+    second: Option<Compartment>,
+}
+
+impl Lung {
+    /// A lung at rest at `pressure`.
+    pub(super) fn new(config: &LungConfig, pressure: f64, sub_step_s: f64) -> Self {
+        Self {
+            first: Compartment::new(&config.first, pressure, sub_step_s),
+            second: config
+                .second
+                .as_ref()
+                .map(|second| Compartment::new(second, pressure, sub_step_s)),
+        }
+    }
+
+    /// Compartments as branches towards their alveolar pressure; one that is absent has no conductance.
+    pub(super) fn branches(&self, airway_pressure: f64, muscle_pressure: f64) -> [Branch; 2] {
+        let second = self.second.as_ref();
+        [
+            self.first.branch(airway_pressure, muscle_pressure),
+            second.map_or(Branch::default(), |second| {
+                second.branch(airway_pressure, muscle_pressure)
+            }),
+        ]
+    }
+
+    /// Moves the volumes by one sub-step of `flows`, in L/s.
+    pub(super) fn advance(&mut self, flows: [f64; 2]) {
+        self.first.volume_ml += 1e3 * self.first.sub_step_s * flows[0];
+        if let Some(second) = &mut self.second {
+            second.volume_ml += 1e3 * second.sub_step_s * flows[1];
+        }
+    }
+
+    /// Multiplies resistance and compliance. The volumes are counted anew so that the recoil does not jump:
+    /// a stiffer lung at the same pressure, not gas squeezed out of it.
+    pub(super) fn change(&mut self, resistance_factor: f64, compliance_factor: f64) {
+        for compartment in std::iter::once(&mut self.first).chain(&mut self.second) {
+            compartment.resistance *= resistance_factor;
+            compartment.compliance_ml *= compliance_factor;
+            compartment.volume_ml *= compliance_factor;
+        }
+    }
+
+    /// Volume above the volume at rest, mL.
+    pub(super) fn volume_ml(&self) -> f64 {
+        self.first.volume_ml + self.second.as_ref().map_or(0.0, |second| second.volume_ml)
+    }
+
+    /// Recoil less muscle pressure, weighted by volume compliance, cmH2O.
+    pub(super) fn alveolar_pressure(&self, muscle_pressure: f64) -> f64 {
+        let (mut weighted, mut compliance) = (0.0, 0.0);
+        for compartment in std::iter::once(&self.first).chain(&self.second) {
+            weighted += compartment.compliance_ml * compartment.recoil();
+            compliance += compartment.compliance_ml;
+        }
+        weighted / compliance - muscle_pressure
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SUB_STEP_S: f64 = 0.000_25;
+
+    fn compartment(pressure: f64) -> Compartment {
+        Compartment::new(&CompartmentConfig::default(), pressure, SUB_STEP_S)
+    }
+
+    #[test]
+    fn compliance_is_linear_below_the_inflection() {
+        let lung = compartment(20.0);
+        assert!((lung.volume_ml - 400.0).abs() < 1e-9);
+        assert!((lung.recoil() - 20.0).abs() < 1e-9);
+        assert!((lung.elastance() - 50.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn stiffens_smoothly_above_the_inflection() {
+        let config = CompartmentConfig::default();
+        let mut lung = compartment(0.0);
+        let knee_ml = config.upper_inflection_cmh2o * config.compliance_ml_per_cmh2o;
+        lung.volume_ml = knee_ml + config.stiffening_cmh2o * config.compliance_ml_per_cmh2o;
+        assert!(
+            (lung.elastance() / 50.0 - 2.0).abs() < 1e-9,
+            "elastance doubles over the stiffening width"
+        );
+        for volume_ml in [knee_ml - 1.0, knee_ml + 1.0, knee_ml + 200.0] {
+            lung.volume_ml = volume_ml + 1e-3;
+            let above = lung.recoil();
+            lung.volume_ml = volume_ml - 1e-3;
+            let slope = (above - lung.recoil()) / 2e-6;
+            lung.volume_ml = volume_ml;
+            assert!(
+                (slope / lung.elastance() - 1.0).abs() < 1e-5,
+                "elastance is the slope of the recoil"
+            );
+        }
+    }
+
+    #[test]
+    fn volume_inverts_the_recoil() {
+        for pressure in [-5.0, 0.0, 20.0, 34.9, 35.1, 60.0, 120.0] {
+            assert!(
+                (compartment(pressure).recoil() - pressure).abs() < 1e-9,
+                "{pressure} cmH2O"
+            );
+        }
+    }
+
+    #[test]
+    fn resistor_is_parabolic() {
+        let lung = Compartment {
+            sub_step_s: 0.0,
+            ..compartment(0.0)
+        };
+        let config = CompartmentConfig::default();
+        for flow in [0.05_f64, 0.5, 1.0] {
+            let drop = config.resistance_cmh2o_per_l_s * flow * (1.0 + config.turbulence_s_per_l * flow);
+            assert!((lung.branch(drop, 0.0).flow(drop) + flow).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn muscle_pressure_lowers_the_alveolar_pressure() {
+        let lung = Lung::new(&LungConfig::default(), 5.0, SUB_STEP_S);
+        assert!((lung.alveolar_pressure(3.0) - 2.0).abs() < 1e-9);
+        assert!(
+            lung.branches(5.0, 3.0)[0].flow(5.0) < 0.0,
+            "gas goes into the lung"
+        );
+    }
+
+    #[test]
+    fn a_change_of_compliance_keeps_the_pressure() {
+        let mut lung = Lung::new(&LungConfig::default(), 40.0, SUB_STEP_S);
+        let before = lung.volume_ml();
+        lung.change(1.0, 0.5);
+        assert!((lung.alveolar_pressure(0.0) - 40.0).abs() < 1e-9);
+        assert!((lung.volume_ml() - 0.5 * before).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,153 @@
+//! Pressure sensor: lag, offset with drift, Gaussian noise, 12-bit converter.
+
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::config::SensorConfig;
+use super::lag::Lag;
+
+/// Converter reading at no pressure: a quarter of the range is left for pressures below that of the room.
+const ZERO_CODE: f64 = 1024.0;
+/// Largest reading of the converter.
+const LAST_CODE: f64 = 4095.0;
+
+/// The sensor with its state.
+#[derive(Clone, Debug)]
+pub(super) struct Sensor {
+    lag: Lag,
+    noise_sd: f64,
+    quantum: f64,
+    rng: ChaCha8Rng,
+}
+
+impl Sensor {
+    /// A sensor at rest at `pressure`, whose noise comes from `rng`.
+    pub(super) fn new(config: &SensorConfig, pressure: f64, sub_step_s: f64, rng: ChaCha8Rng) -> Self {
+        Self {
+            lag: Lag::new(config.lag_ms * 1e-3, sub_step_s, pressure),
+            noise_sd: config.noise_sd_cmh2o,
+            quantum: config.quantum_cmh2o,
+            rng,
+        }
+    }
+
+    /// One sub-step at the airway pressure `pressure`.
+    pub(super) fn advance(&mut self, pressure: f64) {
+        self.lag.advance(pressure);
+    }
+
+    /// Lagged pressure, cmH2O.
+    pub(super) fn lagged(&self) -> f64 {
+        self.lag.output()
+    }
+
+    /// One sample in cmH2O of a sensor that is off by `offset`.
+    pub(super) fn sample(&mut self, offset: f64) -> f32 {
+        let normal: f64 = StandardNormal.sample(&mut self.rng);
+        let analogue = self.lag.output() + offset + self.noise_sd * normal;
+        // Zero is the only step that the configuration allows outside the positive numbers.
+        if self.quantum <= 0.0 {
+            return analogue as f32;
+        }
+        // Adding a half and cutting off rounds as a converter does, and is quicker than `round`.
+        let code = (analogue / self.quantum + ZERO_CODE + 0.5).clamp(0.0, LAST_CODE) as u32;
+        ((f64::from(code) - ZERO_CODE) * self.quantum) as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_chacha::rand_core::SeedableRng;
+
+    const SUB_STEP_S: f64 = 0.000_25;
+
+    fn sensor(config: &SensorConfig, pressure: f64) -> Sensor {
+        Sensor::new(config, pressure, SUB_STEP_S, ChaCha8Rng::seed_from_u64(3))
+    }
+
+    fn mean_and_sd(samples: &[f64]) -> (f64, f64) {
+        let n = samples.len() as f64;
+        let mean = samples.iter().sum::<f64>() / n;
+        (
+            mean,
+            (samples.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt(),
+        )
+    }
+
+    #[test]
+    fn noise_has_the_stated_sd_and_no_bias() {
+        let config = SensorConfig {
+            quantum_cmh2o: 0.0,
+            ..SensorConfig::default()
+        };
+        let mut sensor = sensor(&config, 17.0);
+        let samples: Vec<f64> = (0..40_000).map(|_| f64::from(sensor.sample(0.3))).collect();
+        let (mean, sd) = mean_and_sd(&samples);
+        // Standard errors: 0.0005 of the mean, 0.35 % of the sd; the bounds are five of them.
+        assert!((mean - 17.3).abs() < 0.0025, "{mean}");
+        assert!((sd / 0.1 - 1.0).abs() < 0.018, "{sd}");
+    }
+
+    #[test]
+    fn noise_is_white() {
+        let config = SensorConfig {
+            quantum_cmh2o: 0.0,
+            ..SensorConfig::default()
+        };
+        let mut sensor = sensor(&config, 0.0);
+        let samples: Vec<f64> = (0..40_000).map(|_| f64::from(sensor.sample(0.0))).collect();
+        let products: f64 = samples.windows(2).map(|pair| pair[0] * pair[1]).sum();
+        let correlation = products / samples.iter().map(|x| x * x).sum::<f64>();
+        assert!(correlation.abs() < 0.025, "{correlation}");
+    }
+
+    #[test]
+    fn samples_stand_on_the_grid_of_the_converter() {
+        let config = SensorConfig::default();
+        let mut sensor = sensor(&config, 12.34);
+        let mut codes: Vec<i64> = Vec::new();
+        for _ in 0..1_000 {
+            let code = f64::from(sensor.sample(0.0)) / config.quantum_cmh2o;
+            assert!((code - code.round()).abs() < 1e-4, "{code}");
+            codes.push(code.round() as i64);
+        }
+        codes.sort_unstable();
+        codes.dedup();
+        assert!(codes.len() >= 6, "noise of 0.1 reaches several quanta: {codes:?}");
+    }
+
+    #[test]
+    fn rounds_to_the_nearest_quantum() {
+        let config = SensorConfig {
+            noise_sd_cmh2o: 0.0,
+            quantum_cmh2o: 0.5,
+            ..SensorConfig::default()
+        };
+        for (pressure, expected) in [(5.2, 5.0), (5.3, 5.5), (-5.2, -5.0), (-5.3, -5.5)] {
+            assert!(
+                (sensor(&config, pressure).sample(0.0) - expected).abs() < 1e-6,
+                "{pressure}"
+            );
+        }
+    }
+
+    #[test]
+    fn saturates_at_the_ends_of_twelve_bits() {
+        let config = SensorConfig::default();
+        assert!((sensor(&config, 1e4).sample(0.0) - 3071.0 * 0.07).abs() < 1e-3);
+        assert!((sensor(&config, -1e4).sample(0.0) + 1024.0 * 0.07).abs() < 1e-3);
+    }
+
+    #[test]
+    fn lags_behind_the_airway() {
+        let mut sensor = sensor(&SensorConfig::default(), 0.0);
+        for _ in 0..16 {
+            sensor.advance(10.0);
+        }
+        assert!(
+            (sensor.lagged() - 10.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-9,
+            "4 ms"
+        );
+    }
+}

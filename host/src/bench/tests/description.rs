@@ -1,0 +1,138 @@
+//! The parameter file and the names of lungs.
+
+use super::all_lungs;
+use crate::bench::{Bench, BenchConfig, BenchError, CompartmentConfig};
+
+fn refused(text: &str) -> String {
+    BenchConfig::from_toml(text).unwrap_err().to_string()
+}
+
+#[test]
+fn every_preset_is_valid_and_round_trips() {
+    for mut config in all_lungs() {
+        config.lung.second = Some(CompartmentConfig {
+            turbulence_s_per_l: 0.25,
+            ..config.lung.first
+        });
+        config.unit.number = u32::MAX;
+        assert_eq!(BenchConfig::from_toml(&config.to_toml()).unwrap(), config);
+    }
+}
+
+#[test]
+fn what_is_absent_has_its_default() {
+    assert_eq!(BenchConfig::from_toml("").unwrap(), BenchConfig::default());
+    let config = BenchConfig::from_toml("[lung.first]\nresistance_cmh2o_per_l_s = 7.0").unwrap();
+    assert!((config.lung.first.resistance_cmh2o_per_l_s - 7.0).abs() < 1e-12);
+    assert!((config.lung.first.compliance_ml_per_cmh2o - 20.0).abs() < 1e-12);
+}
+
+#[test]
+fn unknown_fields_are_refused_by_name() {
+    let tables = [
+        "",
+        "[valve]",
+        "[expiratory]",
+        "[circuit]",
+        "[lung]",
+        "[lung.first]",
+        "[sensor]",
+        "[unit]",
+        "[patient]",
+    ];
+    for table in tables {
+        let message = refused(&format!("{table}\nspeling = 1.0"));
+        assert!(message.contains("speling"), "{table}: {message}");
+    }
+}
+
+/// Every number of the description, by its path.
+fn numbers(prefix: &str, table: &toml::Table, found: &mut Vec<String>) {
+    for (key, value) in table {
+        match value {
+            toml::Value::Table(inner) => numbers(&format!("{prefix}{key}."), inner, found),
+            toml::Value::Float(_) => found.push(format!("{prefix}{key}")),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn every_value_has_bounds_and_the_error_names_the_field() {
+    let mut config = BenchConfig::default();
+    config.lung.second = Some(CompartmentConfig::default());
+    let table: toml::Table = toml::from_str(&config.to_toml()).unwrap();
+    let mut fields = Vec::new();
+    numbers("", &table, &mut fields);
+    assert!(fields.len() > 35, "{fields:?}");
+    for field in &fields {
+        for bad in ["nan", "inf", "-1e9", "1e9"] {
+            let mut table = table.clone();
+            let (path, key) = field.rsplit_once('.').unwrap();
+            let inner = path
+                .split('.')
+                .fold(&mut table, |t, part| t[part].as_table_mut().unwrap());
+            inner.insert(key.to_owned(), toml::Value::Float(bad.parse().unwrap()));
+            let message = refused(&table.to_string());
+            assert!(
+                message.contains(field.as_str()) && message.contains(" to "),
+                "{field} = {bad}: {message}"
+            );
+        }
+    }
+}
+
+#[test]
+fn too_few_sub_steps_are_refused() {
+    assert!(refused("sub_steps = 3").contains("sub_steps = 3 is outside 4 to 64"));
+}
+
+#[test]
+fn a_peep_the_valve_cannot_be_set_to_is_refused() {
+    for peep in [-1.0, 51.0, f32::NAN] {
+        let error = Bench::new(&BenchConfig::default(), peep, 1).unwrap_err();
+        assert!(error.to_string().starts_with("peep = "), "{error}");
+    }
+}
+
+#[test]
+fn names_find_their_lungs() {
+    let rc = |config: &BenchConfig| {
+        (
+            config.lung.first.resistance_cmh2o_per_l_s,
+            config.lung.first.compliance_ml_per_cmh2o,
+        )
+    };
+    assert_eq!(BenchConfig::preset("paper").unwrap().len(), 9);
+    assert_eq!(BenchConfig::preset("iso").unwrap().len(), 21);
+    assert_eq!(rc(&BenchConfig::from_name("R12.5C0.5").unwrap()), (12.5, 0.5));
+    assert_eq!(rc(&BenchConfig::from_name("iso-07").unwrap()), (50.0, 10.0));
+    assert_eq!(rc(&BenchConfig::preset("iso-21").unwrap()[0]), (200.0, 0.5));
+    for config in all_lungs() {
+        assert_eq!(BenchConfig::from_name(&config.name).unwrap(), config);
+    }
+}
+
+#[test]
+fn names_that_mean_nothing_are_refused() {
+    for name in [
+        "paper", "iso", "", "R20", "C20", "R20C", "RxC2", "iso-0", "iso-22", "r20c20",
+    ] {
+        let error = BenchConfig::from_name(name).unwrap_err();
+        assert!(matches!(error, BenchError::UnknownName(_)), "{name}: {error}");
+    }
+    for name in ["R0C20", "R20Cinf", "RnanC20", "R-5C20"] {
+        let error = BenchConfig::from_name(name).unwrap_err();
+        assert!(matches!(error, BenchError::OutOfRange { .. }), "{name}: {error}");
+    }
+}
+
+#[test]
+fn files_are_read_and_missing_ones_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bench.toml");
+    std::fs::write(&path, BenchConfig::paper(50.0, 10.0).to_toml()).unwrap();
+    assert_eq!(BenchConfig::load(&path).unwrap().name, "R50C10");
+    let missing = BenchConfig::load(folder.path().join("none.toml")).unwrap_err();
+    assert!(missing.to_string().contains("none.toml"));
+}

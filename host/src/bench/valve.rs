@@ -1,0 +1,297 @@
+//! Inspiratory proportional valve: dead time, lag, play of the stem, dead zone, curved characteristic,
+//! back-pressure.
+
+use super::branch::Branch;
+use super::config::ValveConfig;
+use super::lag::Lag;
+
+/// Intervals of the tabulated characteristic: `x^1.3` between the points is then off by less than 1e-5.
+const CURVE_INTERVALS: usize = 1024;
+/// Below this difference to the supply, in cmH2O, the square root of the flow gives way to a straight line.
+const LEAST_DRIVE_CMH2O: f64 = 1.0;
+
+/// Commands under way, newest last: a ring as long as the dead time.
+#[derive(Clone, Debug)]
+struct DeadTime {
+    ring: Vec<f64>,
+    newest: usize,
+    /// Sub-steps of a step in which the older of the two commands is still in force.
+    remainder: u32,
+}
+
+impl DeadTime {
+    fn new(dead_time_ms: f64, sub_steps: u32) -> Self {
+        let total = (dead_time_ms * f64::from(sub_steps)).round() as u32;
+        let whole_steps = (total / sub_steps) as usize;
+        Self {
+            ring: vec![0.0; whole_steps + 2],
+            newest: 0,
+            remainder: total % sub_steps,
+        }
+    }
+
+    fn push(&mut self, command: f64) {
+        self.newest = (self.newest + 1) % self.ring.len();
+        self.ring[self.newest] = command;
+    }
+
+    fn delayed(&self, sub_step: u32) -> f64 {
+        let age = if sub_step < self.remainder { 1 } else { 2 };
+        self.ring[(self.newest + age) % self.ring.len()]
+    }
+}
+
+/// Where the play between actuator and stem leaves the stem, in percent. Opening, the actuator carries the
+/// stem; closing, the stem stays behind by the play. Near the seat the closing spring takes the play up, so
+/// that no command means no flow.
+fn follow_with_play(stem: f64, actuator: f64, play: f64) -> f64 {
+    stem.max(actuator).min(actuator + play.min(actuator))
+}
+
+/// Flow through the stem over its travel, as a share of the full flow: dead zone, then a power law.
+#[derive(Clone, Debug)]
+struct Characteristic {
+    dead_zone: f64,
+    /// Table places per percent of travel beyond the dead zone.
+    scale: f64,
+    table: Vec<f64>,
+}
+
+impl Characteristic {
+    fn new(dead_zone_percent: f64, exponent: f64) -> Self {
+        let intervals = CURVE_INTERVALS as f64;
+        // One point more than needed, so that interpolation at full travel has a right neighbour.
+        let table = (0..=CURVE_INTERVALS + 1)
+            .map(|i| (i as f64 / intervals).powf(exponent))
+            .collect();
+        Self {
+            dead_zone: dead_zone_percent,
+            scale: intervals / (100.0 - dead_zone_percent),
+            table,
+        }
+    }
+
+    fn share(&self, stem_percent: f64) -> f64 {
+        let place = ((stem_percent - self.dead_zone) * self.scale).clamp(0.0, CURVE_INTERVALS as f64);
+        let index = place as usize;
+        let (left, right) = (self.table[index], self.table[index + 1]);
+        left + (right - left) * (place - index as f64)
+    }
+}
+
+/// The valve with its state.
+#[derive(Clone, Debug)]
+pub(super) struct Valve {
+    dead_time: DeadTime,
+    actuator: Lag,
+    play: f64,
+    stem: f64,
+    characteristic: Characteristic,
+    full_flow_l_s: f64,
+    supply: f64,
+}
+
+impl Valve {
+    /// A closed valve. `dead_time_ms` and `gain` (on the flow) are those of the unit.
+    pub(super) fn new(
+        config: &ValveConfig,
+        dead_time_ms: f64,
+        gain: f64,
+        sub_steps: u32,
+        sub_step_s: f64,
+    ) -> Self {
+        Self {
+            dead_time: DeadTime::new(dead_time_ms, sub_steps),
+            actuator: Lag::new(config.lag_ms * 1e-3, sub_step_s, 0.0),
+            play: config.backlash_percent,
+            stem: 0.0,
+            characteristic: Characteristic::new(config.dead_zone_percent, config.curve_exponent),
+            full_flow_l_s: config.max_flow_l_per_s * gain,
+            supply: config.supply_pressure_cmh2o,
+        }
+    }
+
+    /// Takes the command of a new step, in percent. What no driver can output is limited; what is no
+    /// number leaves the valve without current.
+    pub(super) fn command(&mut self, u_in: f32) {
+        let percent = if u_in.is_finite() {
+            u_in.clamp(0.0, 100.0)
+        } else {
+            0.0
+        };
+        self.dead_time.push(f64::from(percent));
+    }
+
+    /// Moves actuator and stem by one sub-step.
+    pub(super) fn advance(&mut self, sub_step: u32) {
+        let actuator = self.actuator.advance(self.dead_time.delayed(sub_step));
+        self.stem = follow_with_play(self.stem, actuator, self.play);
+    }
+
+    /// The valve as a branch towards its supply while the airway is at `pressure`: the flow falls with the
+    /// square root of the pressure left across the valve.
+    pub(super) fn branch(&self, pressure: f64) -> Branch {
+        let free_flow = self.full_flow_l_s * self.characteristic.share(self.stem);
+        let drive = (self.supply - pressure).max(LEAST_DRIVE_CMH2O);
+        Branch {
+            conductance: free_flow / (self.supply * drive).sqrt(),
+            source: self.supply,
+        }
+    }
+
+    /// Travel of the stem in percent.
+    pub(super) fn stem(&self) -> f64 {
+        self.stem
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SUB_STEPS: u32 = 4;
+    const SUB_STEP_S: f64 = 0.000_25;
+
+    fn valve(config: &ValveConfig) -> Valve {
+        Valve::new(config, config.dead_time_ms, 1.0, SUB_STEPS, SUB_STEP_S)
+    }
+
+    fn run(valve: &mut Valve, u_in: f32, steps: u32) {
+        for _ in 0..steps {
+            valve.command(u_in);
+            for sub_step in 0..SUB_STEPS {
+                valve.advance(sub_step);
+            }
+        }
+    }
+
+    fn settled_flow(config: &ValveConfig, u_in: f32, pressure: f64) -> f64 {
+        let mut valve = valve(config);
+        run(&mut valve, u_in, 1_000);
+        valve.branch(pressure).flow(pressure)
+    }
+
+    #[test]
+    fn dead_time_is_exact_to_the_step() {
+        for dead_time_ms in [0_u32, 1, 12, 30] {
+            let mut valve = valve(&ValveConfig {
+                dead_time_ms: f64::from(dead_time_ms),
+                ..ValveConfig::default()
+            });
+            run(&mut valve, 50.0, dead_time_ms);
+            assert!(valve.stem() <= 0.0, "moved before {dead_time_ms} ms");
+            run(&mut valve, 50.0, 1);
+            assert!(valve.stem() > 0.0, "did not move after {dead_time_ms} ms");
+        }
+    }
+
+    #[test]
+    fn dead_time_resolves_sub_steps() {
+        let config = ValveConfig {
+            lag_ms: 0.0,
+            dead_time_ms: 2.5,
+            ..ValveConfig::default()
+        };
+        let mut valve = valve(&config);
+        run(&mut valve, 50.0, 2);
+        valve.command(50.0);
+        let stems = [0, 1, 2, 3].map(|sub_step| {
+            valve.advance(sub_step);
+            valve.stem()
+        });
+        assert!(stems[1] <= 0.0 && stems[2] > 49.9, "{stems:?}");
+    }
+
+    #[test]
+    fn a_short_pulse_passes_the_dead_time_whole() {
+        let config = ValveConfig {
+            lag_ms: 0.0,
+            backlash_percent: 0.0,
+            ..ValveConfig::default()
+        };
+        let mut valve = valve(&config);
+        run(&mut valve, 50.0, 1);
+        let mut open_ms = 0;
+        for _ in 0..40 {
+            run(&mut valve, 0.0, 1);
+            open_ms += u32::from(valve.stem() > 0.0);
+        }
+        assert_eq!(open_ms, 1);
+    }
+
+    #[test]
+    fn actuator_lags_with_its_time_constant() {
+        let mut valve = valve(&ValveConfig::default());
+        run(&mut valve, 60.0, 12 + 25);
+        assert!((valve.stem() / 60.0 - (1.0 - (-1.0_f64).exp())).abs() < 1e-6);
+    }
+
+    #[test]
+    fn play_shows_as_hysteresis_of_its_width() {
+        let mut valve = valve(&ValveConfig::default());
+        run(&mut valve, 40.0, 1_000);
+        let opening = valve.stem();
+        run(&mut valve, 80.0, 1_000);
+        run(&mut valve, 40.0, 1_000);
+        assert!(
+            (valve.stem() - opening - 4.0).abs() < 1e-6,
+            "{opening} {}",
+            valve.stem()
+        );
+        // Within the play the stem stays where it is.
+        run(&mut valve, 43.0, 1_000);
+        assert!((valve.stem() - 44.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn no_command_closes_the_valve_in_spite_of_the_play() {
+        let config = ValveConfig {
+            dead_zone_percent: 0.0,
+            ..ValveConfig::default()
+        };
+        let mut valve = valve(&config);
+        run(&mut valve, 80.0, 500);
+        run(&mut valve, 0.0, 2_000);
+        assert!(valve.branch(5.0).flow(5.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn nothing_flows_within_the_dead_zone() {
+        let config = ValveConfig::default();
+        assert!(settled_flow(&config, 4.0, 0.0).abs() < 1e-12);
+        assert!(settled_flow(&config, 5.0, 0.0) > 1e-3);
+    }
+
+    #[test]
+    fn characteristic_follows_the_power_law_up_to_full_flow() {
+        let config = ValveConfig::default();
+        assert!((settled_flow(&config, 100.0, 0.0) - 1.67).abs() < 1e-9);
+        for percent in [5.0_f32, 12.3, 31.0, 52.0, 77.7] {
+            let expected = 1.67 * ((f64::from(percent) - 4.0) / 96.0).powf(1.3);
+            let found = settled_flow(&config, percent, 0.0);
+            assert!(
+                (found - expected).abs() < 2e-5,
+                "{percent} %: {found} L/s, expected {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn flow_falls_with_back_pressure() {
+        let config = ValveConfig::default();
+        let free = settled_flow(&config, 50.0, 0.0);
+        for pressure in [10.0, 35.0, 70.0] {
+            let expected = free * (1.0 - pressure / config.supply_pressure_cmh2o).sqrt();
+            assert!((settled_flow(&config, 50.0, pressure) - expected).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn commands_no_driver_can_output_are_limited_or_closed() {
+        let config = ValveConfig::default();
+        assert!((settled_flow(&config, 250.0, 0.0) - 1.67).abs() < 1e-9);
+        for bad in [-20.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert!(settled_flow(&config, bad, 0.0).abs() < 1e-12, "{bad}");
+        }
+    }
+}
