@@ -3,3 +3,6 @@
 
 pub mod bench;
 pub mod engine;
+pub mod dataset;
+pub mod files;
+pub mod provenance;

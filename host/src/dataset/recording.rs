@@ -1,0 +1,308 @@
+//! One recording in memory: a structure of arrays with one entry per control tick.
+
+use std::ops::Range;
+
+use super::columns::{Extra, Values, ValuesMut};
+use super::error::DatasetError;
+use crate::provenance::Provenance;
+
+/// Phase of the rows in which the controller follows the inspiratory waveform and is scored.
+pub const INSPIRATION: u8 = 0;
+/// Phase of the rows in which the target falls from PIP to PEEP.
+pub const FALL: u8 = 1;
+/// Phase of the rows at PEEP.
+pub const EXPIRATION: u8 = 2;
+
+/// One recording. All columns have the same length; [`Self::validate`] says what else holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// Where the rows come from.
+    pub provenance: Provenance,
+    /// Number of the breath, growing.
+    pub breath: Vec<u32>,
+    /// Control ticks since the start of the breath.
+    pub tick: Vec<u32>,
+    /// [`INSPIRATION`], [`FALL`] or [`EXPIRATION`].
+    pub phase: Vec<u8>,
+    /// Pressure asked for, cmH2O.
+    pub target: Vec<f32>,
+    /// Pressure measured, cmH2O.
+    pub pressure: Vec<f32>,
+    /// Inspiratory valve as applied, percent.
+    pub u_in: Vec<f32>,
+    /// Expiratory valve, percent from closed to open; on/off valves use 0 and 100.
+    pub u_out: Vec<f32>,
+    /// Part of `u_in` that exploration added, percent.
+    pub explore: Vec<f32>,
+    /// Peak inspiratory pressure setting, cmH2O.
+    pub pip: Vec<f32>,
+    /// Positive end-expiratory pressure setting, cmH2O.
+    pub peep: Vec<f32>,
+    /// Airway pressure without sensor, cmH2O. Benches only.
+    pub pressure_true: Option<Vec<f32>>,
+    /// Pressure after the sensor's lag, before noise and rounding, cmH2O. Benches only.
+    pub pressure_sensor_true: Option<Vec<f32>>,
+    /// Flow into the patient circuit, L/s.
+    pub flow_in: Option<Vec<f32>>,
+    /// Flow out of the patient circuit, L/s.
+    pub flow_out: Option<Vec<f32>>,
+    /// Airway resistance, cmH2O/(L/s).
+    pub resistance: Option<Vec<f32>>,
+    /// Lung compliance, mL/cmH2O.
+    pub compliance: Option<Vec<f32>>,
+    /// Second inspiratory valve (oxygen), percent.
+    pub u_psol: Option<Vec<f32>>,
+    /// Index into `provenance.groups`.
+    pub group: Option<Vec<u32>>,
+}
+
+/// One control tick; fields as in [`Recording`].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[expect(
+    missing_docs,
+    reason = "each field is documented at the column of the same name"
+)]
+pub struct Row {
+    pub breath: u32,
+    pub tick: u32,
+    pub phase: u8,
+    pub target: f32,
+    pub pressure: f32,
+    pub u_in: f32,
+    pub u_out: f32,
+    pub explore: f32,
+    pub pip: f32,
+    pub peep: f32,
+    pub pressure_true: Option<f32>,
+    pub pressure_sensor_true: Option<f32>,
+    pub flow_in: Option<f32>,
+    pub flow_out: Option<f32>,
+    pub resistance: Option<f32>,
+    pub compliance: Option<f32>,
+    pub u_psol: Option<f32>,
+    pub group: Option<u32>,
+}
+
+impl Recording {
+    /// Empty recording, with the columns of [`Extra::TRUTH`] or without any optional column.
+    pub fn new(provenance: Provenance, with_truth: bool) -> Self {
+        Self::with_extras(provenance, if with_truth { &Extra::TRUTH } else { &[] })
+    }
+
+    /// Empty recording with the given optional columns.
+    pub fn with_extras(provenance: Provenance, extras: &[Extra]) -> Self {
+        let column = |extra: Extra| extras.contains(&extra).then(Vec::new);
+        Self {
+            provenance,
+            breath: Vec::new(),
+            tick: Vec::new(),
+            phase: Vec::new(),
+            target: Vec::new(),
+            pressure: Vec::new(),
+            u_in: Vec::new(),
+            u_out: Vec::new(),
+            explore: Vec::new(),
+            pip: Vec::new(),
+            peep: Vec::new(),
+            pressure_true: column(Extra::PressureTrue),
+            pressure_sensor_true: column(Extra::PressureSensorTrue),
+            flow_in: column(Extra::FlowIn),
+            flow_out: column(Extra::FlowOut),
+            resistance: column(Extra::Resistance),
+            compliance: column(Extra::Compliance),
+            u_psol: column(Extra::UPsol),
+            group: extras.contains(&Extra::Group).then(Vec::new),
+        }
+    }
+
+    /// Adds one tick. Values for columns that this recording does not have are left out; a value that it needs and the
+    /// row lacks is stored as missing, which [`Self::validate`] refuses.
+    pub fn push(&mut self, row: Row) {
+        self.breath.push(row.breath);
+        self.tick.push(row.tick);
+        self.phase.push(row.phase);
+        self.target.push(row.target);
+        self.pressure.push(row.pressure);
+        self.u_in.push(row.u_in);
+        self.u_out.push(row.u_out);
+        self.explore.push(row.explore);
+        self.pip.push(row.pip);
+        self.peep.push(row.peep);
+        push_extra(&mut self.pressure_true, row.pressure_true);
+        push_extra(&mut self.pressure_sensor_true, row.pressure_sensor_true);
+        push_extra(&mut self.flow_in, row.flow_in);
+        push_extra(&mut self.flow_out, row.flow_out);
+        push_extra(&mut self.resistance, row.resistance);
+        push_extra(&mut self.compliance, row.compliance);
+        push_extra(&mut self.u_psol, row.u_psol);
+        if let Some(group) = &mut self.group {
+            group.push(row.group.unwrap_or(u32::MAX));
+        }
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.breath.len()
+    }
+
+    /// Whether there is no row.
+    pub fn is_empty(&self) -> bool {
+        self.breath.is_empty()
+    }
+
+    /// Adds the rows of another recording behind this one. Its breaths are renumbered to follow on, its groups and
+    /// notes are added, and a note says where its rows come from.
+    ///
+    /// # Errors
+    /// [`DatasetError::Different`] if period or columns differ or the breath numbers run out; `self` is unchanged then.
+    pub fn append(&mut self, other: &Self) -> Result<(), DatasetError> {
+        if self.provenance.period_us != other.provenance.period_us {
+            return Err(DatasetError::Different {
+                what: "the control period",
+            });
+        }
+        if !self
+            .columns()
+            .iter()
+            .map(|c| c.0)
+            .eq(other.columns().iter().map(|c| c.0))
+        {
+            return Err(DatasetError::Different {
+                what: "their columns",
+            });
+        }
+        let (Some(&first), Some(&last)) = (other.breath.first(), other.breath.last()) else {
+            return Ok(());
+        };
+        let next = self.breath.last().map_or(Some(0), |last| last.checked_add(1));
+        let renumber = |breath: u32| breath.checked_sub(first)?.checked_add(next?);
+        let numbers = DatasetError::Different {
+            what: "breath numbers that can follow on",
+        };
+        renumber(last).ok_or(numbers)?;
+
+        let rows = self.len();
+        let groups = self.provenance.groups.len() as u32;
+        for ((name, mine), (_, theirs)) in self.columns_mut().into_iter().zip(other.columns()) {
+            match (mine, theirs) {
+                (ValuesMut::U32(mine), Values::U32(theirs)) => match name {
+                    "breath" => mine.extend(theirs.iter().filter_map(|&breath| renumber(breath))),
+                    "group" => mine.extend(theirs.iter().map(|group| group.saturating_add(groups))),
+                    _ => mine.extend_from_slice(theirs),
+                },
+                (ValuesMut::U8(mine), Values::U8(theirs)) => mine.extend_from_slice(theirs),
+                (ValuesMut::F32(mine), Values::F32(theirs)) => mine.extend_from_slice(theirs),
+                _ => unreachable!("both lists have the same order"),
+            }
+        }
+        self.note_origin(rows, &other.provenance);
+        Ok(())
+    }
+
+    fn note_origin(&mut self, first_row: usize, other: &Provenance) {
+        let mine = &mut self.provenance;
+        mine.groups.extend_from_slice(&other.groups);
+        mine.notes.push(format!(
+            "rows {first_row}..{}: {}, plant {}, seed {}, weights {}, revision {}",
+            self.breath.len(),
+            other.source,
+            other.plant,
+            other.seed,
+            if other.weights_id.is_empty() {
+                "none"
+            } else {
+                &other.weights_id
+            },
+            other.git_revision,
+        ));
+        mine.notes.extend_from_slice(&other.notes);
+    }
+
+    /// Rows of each breath.
+    pub fn breaths(&self) -> Vec<Range<usize>> {
+        let mut ranges = Vec::new();
+        let mut start = 0;
+        for chunk in self.breath.chunk_by(|a, b| a == b) {
+            ranges.push(start..start + chunk.len());
+            start += chunk.len();
+        }
+        ranges
+    }
+
+    /// Rows of the inspiratory phase of each breath whose inspiration is complete: recorded from tick 0, without a
+    /// missing tick, and followed by a later phase of the same breath.
+    pub fn inspirations(&self) -> Vec<Range<usize>> {
+        self.breaths()
+            .into_iter()
+            .filter_map(|breath| self.inspiration(breath))
+            .collect()
+    }
+
+    fn inspiration(&self, breath: Range<usize>) -> Option<Range<usize>> {
+        let length = self.phase[breath.clone()]
+            .iter()
+            .position(|&phase| phase != INSPIRATION)?;
+        let whole = self.tick[breath.start..breath.start + length]
+            .iter()
+            .copied()
+            .eq(0..length as u32);
+        (whole && length > 0).then_some(breath.start..breath.start + length)
+    }
+
+    /// Checks that all columns are equally long, every number is finite, phases and groups exist, and rows are in order:
+    /// breath numbers never fall, ticks grow within a breath (they may skip where a link lost rows).
+    ///
+    /// # Errors
+    /// The first rule that is broken, with column and row.
+    pub fn validate(&self) -> Result<(), DatasetError> {
+        for (column, values) in self.columns() {
+            if values.len() != self.len() {
+                return Err(DatasetError::Length {
+                    column,
+                    rows: values.len(),
+                    expected: self.len(),
+                });
+            }
+            if let Values::F32(values) = values
+                && let Some(row) = values.iter().position(|value| !value.is_finite())
+            {
+                return Err(DatasetError::NotFinite {
+                    column,
+                    row,
+                    value: values[row],
+                });
+            }
+        }
+        below(
+            "phase",
+            self.phase.iter().map(|&phase| u32::from(phase)),
+            usize::from(EXPIRATION) + 1,
+        )?;
+        if let Some(group) = &self.group {
+            below("group", group.iter().copied(), self.provenance.groups.len())?;
+        }
+        let key = |row: usize| (self.breath[row], self.tick[row]);
+        match (1..self.len()).find(|&row| key(row) <= key(row - 1)) {
+            Some(row) => Err(DatasetError::Order { row }),
+            None => Ok(()),
+        }
+    }
+}
+
+fn push_extra(column: &mut Option<Vec<f32>>, value: Option<f32>) {
+    if let Some(column) = column {
+        column.push(value.unwrap_or(f32::NAN));
+    }
+}
+
+fn below(column: &'static str, values: impl Iterator<Item = u32>, limit: usize) -> Result<(), DatasetError> {
+    match values.enumerate().find(|&(_, value)| value as usize >= limit) {
+        Some((row, value)) => Err(DatasetError::OutOfRange {
+            column,
+            row,
+            value,
+            limit,
+        }),
+        None => Ok(()),
+    }
+}

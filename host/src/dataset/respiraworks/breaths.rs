@@ -1,0 +1,133 @@
+//! Where breaths start in a series of set-points.
+
+/// A set-point this far above PEEP is on its way to PIP, cmH2O.
+const RISE: f32 = 0.5;
+/// The set-point rests while it moves less than this, cmH2O; its transmission rounds to 0.001.
+const REST: f32 = 0.05;
+/// How long the set-point rests before a rise counts, seconds: a table that starts within a rise starts no breath.
+const REST_S: f64 = 0.05;
+
+/// Whether a set-point is above PEEP, cmH2O.
+pub(super) fn is_up(setpoint: f32, peep: f32) -> bool {
+    setpoint > peep + RISE
+}
+
+/// Finds rises of the set-point.
+pub(super) struct Splitter {
+    rest_rows: usize,
+}
+
+enum State {
+    /// At `level` since `rows` rows.
+    Low { level: f32, rows: usize },
+    /// Within a breath, highest at `peak`.
+    High { peak: f32 },
+}
+
+impl Splitter {
+    pub(super) fn new(period_s: f64) -> Self {
+        Self {
+            rest_rows: (REST_S / period_s).ceil().max(1.0) as usize,
+        }
+    }
+
+    /// First row of each breath; never row 0, because a rise has a row before it.
+    pub(super) fn starts(&self, setpoints: &[f32]) -> Vec<usize> {
+        let mut starts = Vec::new();
+        let Some(&first) = setpoints.first() else {
+            return starts;
+        };
+        let mut state = State::Low {
+            level: first,
+            rows: 0,
+        };
+        for (row, &setpoint) in setpoints.iter().enumerate() {
+            state = match state {
+                State::High { peak } if is_up(peak, setpoint) => State::Low {
+                    level: setpoint,
+                    rows: 1,
+                },
+                State::High { peak } => State::High {
+                    peak: peak.max(setpoint),
+                },
+                State::Low { level, rows } if rows >= self.rest_rows && is_up(setpoint, level) => {
+                    starts.push(row);
+                    State::High { peak: setpoint }
+                }
+                State::Low { level, rows } if self.rests(setpoint - level, rows) => State::Low {
+                    level,
+                    rows: rows + 1,
+                },
+                State::Low { .. } => State::Low {
+                    level: setpoint,
+                    rows: 1,
+                },
+            };
+        }
+        starts
+    }
+
+    /// A set-point that has rested may creep up, which a slow rise does in small steps.
+    fn rests(&self, above: f32, rows: usize) -> bool {
+        above.abs() <= REST || (above > 0.0 && rows >= self.rest_rows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn starts(parts: &[(f32, usize)]) -> Vec<usize> {
+        let setpoints: Vec<f32> = parts
+            .iter()
+            .flat_map(|&(level, rows)| vec![level; rows])
+            .collect();
+        Splitter::new(0.01).starts(&setpoints)
+    }
+
+    #[test]
+    fn a_breath_starts_at_each_rise_after_a_rest() {
+        assert_eq!(
+            starts(&[(5.0, 30), (15.0, 100), (5.0, 200), (15.0, 100)]),
+            [30, 330]
+        );
+    }
+
+    #[test]
+    fn a_series_that_begins_within_an_inspiration_or_a_rise_waits_for_the_next() {
+        assert_eq!(starts(&[(30.0, 87), (5.0, 200), (30.0, 100)]), [287]);
+        assert_eq!(
+            starts(&[(12.0, 1), (18.0, 1), (24.0, 1), (30.0, 90), (5.0, 200), (30.0, 5)]),
+            [293]
+        );
+    }
+
+    #[test]
+    fn rounding_of_the_set_point_starts_no_breath() {
+        assert_eq!(
+            starts(&[
+                (5.0, 30),
+                (15.0, 50),
+                (14.999, 20),
+                (15.0, 30),
+                (5.001, 9),
+                (5.0, 50)
+            ]),
+            [30]
+        );
+    }
+
+    #[test]
+    fn a_slow_rise_starts_one_breath() {
+        let mut parts = vec![(5.0, 30)];
+        parts.extend((1..=100).map(|step| (5.0 + 0.1 * step as f32, 1)));
+        parts.extend([(15.0, 50), (5.0, 50)]);
+        assert_eq!(starts(&parts), [35]);
+    }
+
+    #[test]
+    fn a_flat_or_empty_series_has_no_breath() {
+        assert_eq!(starts(&[]), [0_usize; 0]);
+        assert_eq!(starts(&[(5.0, 1_000)]), [0_usize; 0]);
+    }
+}

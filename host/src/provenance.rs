@@ -1,0 +1,136 @@
+//! Where a recording, a simulator or a report comes from: enough to make it again.
+
+use std::process::Command;
+use std::sync::OnceLock;
+
+use serde::{Deserialize, Serialize};
+
+/// Version of the recording format that this program writes, and the only one it reads.
+pub const FORMAT: u32 = 1;
+
+/// Origin of a recording. Stored as JSON beside the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Version of the recording format, [`FORMAT`].
+    pub format: u32,
+    /// Control period in microseconds.
+    pub period_us: u32,
+    /// Revision of the program, see [`git_revision`].
+    pub git_revision: String,
+    /// Seed of every random draw.
+    pub seed: u64,
+    /// Name of the plant: a bench preset, a ventilator, a data set.
+    pub plant: String,
+    /// Parameters of the plant as TOML; empty if they are unknown.
+    pub plant_parameters: String,
+    /// Settings in force, as the command that recorded them understood them.
+    pub settings: serde_json::Value,
+    /// Identity of the controller weights; empty if a PID ran alone.
+    pub weights_id: String,
+    /// What delivered the rows: a bench, a port, an imported table.
+    pub source: String,
+    /// Names that the column `group` points into, such as `CT_AIR:3`.
+    #[serde(default)]
+    pub groups: Vec<String>,
+    /// Remarks for people.
+    pub notes: Vec<String>,
+}
+
+impl Provenance {
+    /// Origin with the revision of this program filled in and everything else empty; `period_us` is the control period.
+    pub fn new(period_us: u32, source: impl Into<String>) -> Self {
+        Self {
+            format: FORMAT,
+            period_us,
+            git_revision: git_revision(),
+            seed: 0,
+            plant: String::new(),
+            plant_parameters: String::new(),
+            settings: serde_json::Value::Null,
+            weights_id: String::new(),
+            source: source.into(),
+            groups: Vec::new(),
+            notes: Vec::new(),
+        }
+    }
+
+    /// Control period in seconds.
+    pub fn period_s(&self) -> f64 {
+        f64::from(self.period_us) * 1e-6
+    }
+}
+
+/// Revision of the program: twelve digits of the commit of its source tree, `-dirty` if a tracked file has changed.
+///
+/// Without the tree or without git it is the value of `EUPNEA_GIT_REVISION` at build time, else `unknown`. Asked once
+/// per process, so that all files of one run agree.
+pub fn git_revision() -> String {
+    static REVISION: OnceLock<String> = OnceLock::new();
+    REVISION
+        .get_or_init(|| {
+            from_git()
+                .or_else(|| option_env!("EUPNEA_GIT_REVISION").map(str::to_owned))
+                .unwrap_or_else(|| "unknown".to_owned())
+        })
+        .clone()
+}
+
+/// Asks git about the source tree, not about the current folder, which may be someone's own repository.
+fn from_git() -> Option<String> {
+    let tree = env!("CARGO_MANIFEST_DIR");
+    let revision = git(tree, &["rev-parse", "--short=12", "HEAD"])?;
+    let changes = git(tree, &["status", "--porcelain", "--untracked-files=no"])?;
+    Some(if changes.is_empty() {
+        revision
+    } else {
+        format!("{revision}-dirty")
+    })
+}
+
+fn git(folder: &str, arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git")
+        .arg("-C")
+        .arg(folder)
+        .args(arguments)
+        .output()
+        .ok()?;
+    if !output.status.success() {
+        return None;
+    }
+    Some(String::from_utf8(output.stdout).ok()?.trim().to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_revision_is_a_commit_or_says_that_it_is_unknown() {
+        let revision = git_revision();
+        let commit = revision.strip_suffix("-dirty").unwrap_or(&revision);
+        let is_commit = commit.len() == 12 && commit.bytes().all(|digit| digit.is_ascii_hexdigit());
+        let given = option_env!("EUPNEA_GIT_REVISION").unwrap_or("unknown");
+        assert!(is_commit || revision == given, "{revision}");
+    }
+
+    #[test]
+    fn a_folder_without_a_repository_has_no_revision() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(git(folder.path().to_str().unwrap(), &["rev-parse", "HEAD"]), None);
+    }
+
+    #[test]
+    fn json_round_trip_keeps_every_field_and_every_digit() {
+        let provenance = Provenance {
+            seed: u64::MAX,
+            plant: "bench \"r20c20\"".to_owned(),
+            plant_parameters: "r = 20.0\n".to_owned(),
+            settings: serde_json::json!({ "kp": 0.1 + 0.2, "pip": [10, 35] }),
+            groups: vec!["CT_AIR:3".to_owned()],
+            notes: vec!["ÿ µ 𝛿".to_owned()],
+            ..Provenance::new(1_000, "test")
+        };
+        let text = serde_json::to_string(&provenance).unwrap();
+        assert_eq!(serde_json::from_str::<Provenance>(&text).unwrap(), provenance);
+    }
+}
