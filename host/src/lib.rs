@@ -2,7 +2,8 @@
 #![forbid(unsafe_code)]
 
 pub mod bench;
-pub mod engine;
 pub mod dataset;
+pub mod engine;
 pub mod files;
 pub mod provenance;
+pub mod source;

@@ -1,0 +1,165 @@
+//! The in-process source: the ventilator core of `shared`, its valves and its sensor on the virtual bench.
+
+use shared::control::Controller;
+use shared::explore::Exploration;
+use shared::settings::Settings;
+use shared::ventilator::{Mode, Ventilator, VentilatorState};
+
+use super::{Source, SourceError, Tick, TickTruth, ventilator};
+use crate::bench::{Bench, BenchConfig, STEP_S};
+
+/// Microseconds of a bench step.
+const STEP_US: u32 = (STEP_S * 1e6) as u32;
+
+/// A ventilator on the virtual bench.
+#[derive(Clone, Debug)]
+pub struct BenchSource {
+    config: BenchConfig,
+    bench: Bench,
+    ventilator: Ventilator,
+    state: VentilatorState,
+    steps_per_tick: u32,
+    reading: f32,
+}
+
+impl BenchSource {
+    /// A ventilator at rest on a bench; `seed` is that of the sensor's noise.
+    ///
+    /// # Errors
+    /// A bench that cannot be built, settings that are refused, a period that is no multiple of the bench's step.
+    pub fn new(
+        config: &BenchConfig,
+        controller: Controller,
+        settings: &Settings,
+        period_us: u32,
+        seed: u64,
+    ) -> Result<Self, SourceError> {
+        if period_us == 0 || !period_us.is_multiple_of(STEP_US) {
+            return Err(SourceError::Period { period_us });
+        }
+        let ventilator = ventilator(period_us, controller, None);
+        let mut state = ventilator.standby(settings)?;
+        state.start();
+        let bench = Bench::new(config, settings.peep, seed)?;
+        let (config, steps_per_tick) = (config.clone(), period_us / STEP_US);
+        Ok(Self { config, bench, ventilator, state, steps_per_tick, reading: settings.peep })
+    }
+
+    /// The bench, for those who want to look behind the sensor.
+    pub fn bench(&self) -> &Bench {
+        &self.bench
+    }
+
+    /// One control tick: the ventilator reads, decides, and the bench runs one control period.
+    #[inline]
+    fn tick(&mut self) -> Result<Tick, SourceError> {
+        let truth = self.bench.pressures();
+        let output = self.ventilator.step(&mut self.state, self.reading);
+        for _ in 0..self.steps_per_tick {
+            self.reading = self.bench.step(output.command.u_in(), output.command.u_out()).pressure;
+        }
+        match (output.sample, output.mode) {
+            (Some(sample), _) => Ok(Tick { sample, truth: Some(truth) }),
+            (None, Mode::Fault(fault)) => {
+                let (breath, tick) = (self.state.breath_number(), self.state.tick());
+                Err(SourceError::Fault { fault, breath, tick })
+            }
+            (None, _) => {
+                self.state.start();
+                self.tick()
+            }
+        }
+    }
+}
+
+impl Bench {
+    fn pressures(&self) -> TickTruth {
+        let truth = self.truth();
+        TickTruth {
+            airway_pressure: truth.airway_pressure as f32,
+            sensor_pressure: truth.sensor_pressure as f32,
+        }
+    }
+}
+
+impl Source for BenchSource {
+    fn period_us(&self) -> u32 {
+        self.ventilator.period_us()
+    }
+
+    fn plant(&self) -> String {
+        self.config.name.clone()
+    }
+
+    fn plant_parameters(&self) -> String {
+        self.config.to_toml()
+    }
+
+    fn configure(&mut self, controller: Controller, exploration: Option<Exploration>) {
+        self.ventilator = ventilator(self.period_us(), controller, exploration);
+    }
+
+    fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
+        self.ventilator.apply(&mut self.state, settings)?;
+        self.bench.set_peep(settings.peep);
+        loop {
+            let tick = self.tick()?;
+            sink(&tick);
+            if self.state.tick() == 0 {
+                return Ok(());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use shared::control::pid::{Pid, PidGains};
+    use shared::ventilator::Sample;
+
+    fn source(period_us: u32) -> BenchSource {
+        let pid = Pid::new(PidGains { p: 1.0, i: 20.0, d: 0.0 }, period_us).unwrap();
+        let lung = BenchConfig::paper(20.0, 20.0);
+        BenchSource::new(&lung, Controller::Pid(pid), &paper_settings(20.0), period_us, 1).unwrap()
+    }
+
+    fn samples(source: &mut BenchSource, pip: f32) -> Vec<Sample> {
+        let mut samples = Vec::new();
+        source.breath(&paper_settings(pip), &mut |tick| samples.push(tick.sample)).unwrap();
+        samples
+    }
+
+    #[test]
+    fn a_breath_gives_every_tick_once() {
+        for (period_us, ticks) in [(DEFAULT_PERIOD_US, 3000), (30_000, 100)] {
+            let samples = samples(&mut source(period_us), 20.0);
+            assert_eq!(samples.len(), ticks);
+            assert!(samples.iter().enumerate().all(|(n, s)| s.tick == n as u32));
+        }
+    }
+
+    #[test]
+    fn settings_hold_from_the_breath_they_are_given_with() {
+        let mut source = source(DEFAULT_PERIOD_US);
+        for pip in [15.0, 30.0, 10.0] {
+            assert!((samples(&mut source, pip)[500].target - pip).abs() < f32::EPSILON);
+        }
+    }
+
+    #[test]
+    fn the_pressure_follows_the_target() {
+        let mut source = source(DEFAULT_PERIOD_US);
+        let plateau = samples(&mut source, 25.0)[800..1000].iter().map(|s| s.pressure).sum::<f32>() / 200.0;
+        assert!((plateau - 25.0).abs() < 1.0, "plateau {plateau}");
+    }
+
+    #[test]
+    fn a_period_that_the_bench_cannot_run_is_refused() {
+        let pid = Pid::new(PidGains::default(), 1500).unwrap();
+        let lung = BenchConfig::paper(20.0, 20.0);
+        let refused = BenchSource::new(&lung, Controller::Pid(pid), &paper_settings(20.0), 1500, 1);
+        assert!(matches!(refused, Err(SourceError::Period { period_us: 1500 })));
+    }
+}
