@@ -6,4 +6,6 @@ pub mod dataset;
 pub mod engine;
 pub mod files;
 pub mod provenance;
+pub mod simulator;
 pub mod source;
+pub mod tensors;

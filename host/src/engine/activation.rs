@@ -42,7 +42,11 @@ impl Activation {
             }),
             Self::Tanh => scale(outputs, gradients, |y| 1.0 - y * y),
             Self::Selu => scale(outputs, gradients, |y| {
-                if y > 0.0 { SELU_SCALE } else { y + SELU_SCALE * SELU_ALPHA }
+                if y > 0.0 {
+                    SELU_SCALE
+                } else {
+                    y + SELU_SCALE * SELU_ALPHA
+                }
             }),
         }
     }

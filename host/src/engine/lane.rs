@@ -84,7 +84,11 @@ const TILE: usize = 8;
 ///
 /// Shapes: `x` inputs, `y` outputs, `w` inputs times outputs.
 pub fn multiply_add(w: &[f32], x: &[Lane], y: &mut [Lane]) {
-    assert_eq!(w.len(), x.len() * y.len(), "weights must have inputs x outputs entries");
+    assert_eq!(
+        w.len(),
+        x.len() * y.len(),
+        "weights must have inputs x outputs entries"
+    );
     Arch::new().dispatch(MultiplyAdd { w, x, y });
 }
 
@@ -144,9 +148,23 @@ fn vector<S: Simd>(lane: &Lane, v: usize) -> S::f32s {
 ///
 /// Shapes: `dy` steps times outputs, `x` steps times inputs.
 pub fn outer_add(dy: &[Lane], x: &[Lane], outputs: usize, inputs: usize, dw: &mut [f32]) {
-    assert_eq!(dw.len(), outputs * inputs, "gradient must have outputs x inputs entries");
-    assert_eq!(dy.len() * inputs, x.len() * outputs, "both must cover the same steps");
-    Arch::new().dispatch(OuterAdd { dy, x, outputs, inputs, dw });
+    assert_eq!(
+        dw.len(),
+        outputs * inputs,
+        "gradient must have outputs x inputs entries"
+    );
+    assert_eq!(
+        dy.len() * inputs,
+        x.len() * outputs,
+        "both must cover the same steps"
+    );
+    Arch::new().dispatch(OuterAdd {
+        dy,
+        x,
+        outputs,
+        inputs,
+        dw,
+    });
 }
 
 struct OuterAdd<'a> {
@@ -192,7 +210,11 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
     first_i: usize,
 ) {
     let mut sums = [[simd.splat_f32s(0.0); I]; O];
-    for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
+    for (dy, x) in work
+        .dy
+        .chunks_exact(work.outputs)
+        .zip(work.x.chunks_exact(work.inputs))
+    {
         let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
         for v in 0..LANES / S::F32_LANES {
             let x: [S::f32s; I] = std::array::from_fn(|i| vector::<S>(&x[i], v));
@@ -221,7 +243,9 @@ mod tests {
     }
 
     fn lanes(count: usize, seed: usize) -> Vec<Lane> {
-        (0..count).map(|n| Lane::from_fn(|l| number(seed + n * LANES + l))).collect()
+        (0..count)
+            .map(|n| Lane::from_fn(|l| number(seed + n * LANES + l)))
+            .collect()
     }
 
     #[test]
@@ -233,8 +257,7 @@ mod tests {
             let mut y = start.clone();
             multiply_add(&w, &x, &mut y);
             for (o, l) in (0..outputs).flat_map(|o| (0..LANES).map(move |l| (o, l))) {
-                let expected =
-                    start[o][l] + (0..inputs).map(|i| w[i * outputs + o] * x[i][l]).sum::<f32>();
+                let expected = start[o][l] + (0..inputs).map(|i| w[i * outputs + o] * x[i][l]).sum::<f32>();
                 assert!((y[o][l] - expected).abs() < 1e-4, "{inputs}x{outputs} at {o},{l}");
             }
         }

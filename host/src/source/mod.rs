@@ -38,7 +38,9 @@ pub struct Tick {
 #[derive(Debug, Error)]
 pub enum SourceError {
     /// The ventilator went to its safe state.
-    #[error("the ventilator went to its safe state ({fault:?}) in breath {breath} at tick {tick}; check lung, limit and controller")]
+    #[error(
+        "the ventilator went to its safe state ({fault:?}) in breath {breath} at tick {tick}; check lung, limit and controller"
+    )]
     Fault {
         /// Why.
         fault: Fault,

@@ -1,0 +1,249 @@
+//! Episodes: the inspirations of a recording, cut into a simulator's blocks.
+
+use std::ops::Range;
+
+use super::{COMMAND_SCALE, CommandLog, Start, Timing};
+use crate::dataset::Recording;
+use crate::engine::{LANES, Lane};
+
+/// Time before the inspiration over which its starting pressure is averaged, s; also the time before the end of
+/// the last inspiration over which its plateau is.
+const AVERAGE_TIME: f32 = 0.05;
+
+/// One inspiration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Episode {
+    /// Measured pressure at each control tick, cmH2O.
+    pub pressure: Vec<f32>,
+    /// True airway pressure at each control tick, where a bench knows it, cmH2O.
+    pub truth: Option<Vec<f32>>,
+    /// Scaled commands: mean of each part of each block, all channels of a part together.
+    pub commands: Vec<f32>,
+    /// Scaled commands before the inspiration, per place of a block.
+    pub rest: Vec<f32>,
+    /// Pressure before the inspiration, cmH2O.
+    pub start: f32,
+    /// Pressure at the end of the inspiration before, cmH2O.
+    pub plateau: f32,
+    /// PIP of the breath, cmH2O.
+    pub pip: f32,
+    /// PEEP of the breath, cmH2O.
+    pub peep: f32,
+    /// Group of the breath in its recording (a lung, a test run), if it has groups.
+    pub group: Option<u32>,
+}
+
+impl Episode {
+    /// Control ticks.
+    pub fn ticks(&self) -> usize {
+        self.pressure.len()
+    }
+}
+
+/// The complete inspirations of a recording, in its order.
+pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
+    let average = (shared::math::ticks(AVERAGE_TIME, timing.period_us) as usize).max(1);
+    let mut last_plateau = None;
+    let mut episodes = Vec::new();
+    for rows in recording.inspirations() {
+        let group = recording.group.as_ref().map(|group| group[rows.start]);
+        let same_run = rows.start > 0
+            && recording
+                .group
+                .as_ref()
+                .is_none_or(|group| group[rows.start - 1] == group[rows.start]);
+        let before = if same_run {
+            rows.start.saturating_sub(average)..rows.start
+        } else {
+            rows.start..rows.start + 1
+        };
+        let plateau = last_plateau
+            .filter(|_| same_run)
+            .unwrap_or(recording.peep[rows.start]);
+        let rest = if same_run { rows.start - 1 } else { rows.start };
+        episodes.push(Episode {
+            pressure: recording.pressure[rows.clone()].to_vec(),
+            truth: recording
+                .pressure_true
+                .as_ref()
+                .map(|truth| truth[rows.clone()].to_vec()),
+            commands: commands(recording, &rows, timing),
+            rest: (0..timing.width())
+                .map(|place| channel(recording, rest, place % timing.channels))
+                .collect(),
+            start: mean(&recording.pressure[before]),
+            plateau,
+            pip: recording.pip[rows.start],
+            peep: recording.peep[rows.start],
+            group,
+        });
+        last_plateau = Some(mean(
+            &recording.pressure[rows.end - average.min(rows.len())..rows.end],
+        ));
+    }
+    episodes
+}
+
+fn mean(values: &[f32]) -> f32 {
+    values.iter().sum::<f32>() / values.len().max(1) as f32
+}
+
+/// Scaled command of a channel: the inspiratory valve, then the expiratory one, then the oxygen valve.
+fn channel(recording: &Recording, row: usize, channel: usize) -> f32 {
+    let percent = match channel {
+        0 => recording.u_in[row],
+        1 => recording.u_out[row],
+        _ => recording.u_psol.as_ref().map_or(0.0, |u| u[row]),
+    };
+    percent / COMMAND_SCALE
+}
+
+/// Means over the parts of all blocks; the last block may be short.
+fn commands(recording: &Recording, rows: &Range<usize>, timing: &Timing) -> Vec<f32> {
+    let blocks = timing.blocks(rows.len());
+    let width = timing.width();
+    let (mut sums, mut counts) = (vec![0.0; blocks * width], vec![0.0_f32; blocks * width]);
+    for tick in 0..rows.len() {
+        let part = timing.part(tick % timing.block_ticks);
+        for c in 0..timing.channels {
+            let place = tick / timing.block_ticks * width + part * timing.channels + c;
+            sums[place] += channel(recording, rows.start + tick, c);
+            counts[place] += 1.0;
+        }
+    }
+    sums.iter()
+        .zip(&counts)
+        .map(|(sum, count)| sum / count.max(1.0))
+        .collect()
+}
+
+/// Up to [`LANES`] episodes side by side.
+#[derive(Clone, Debug)]
+pub struct Shard<'a> {
+    /// The episodes; rollouts beyond them repeat the last one with weight zero.
+    pub episodes: Vec<&'a Episode>,
+}
+
+impl<'a> Shard<'a> {
+    /// Cuts episodes into shards.
+    pub fn cut(episodes: &[&'a Episode]) -> Vec<Self> {
+        episodes
+            .chunks(LANES)
+            .map(|chunk| Self {
+                episodes: chunk.to_vec(),
+            })
+            .collect()
+    }
+
+    /// Longest episode, ticks.
+    pub fn ticks(&self) -> usize {
+        self.episodes
+            .iter()
+            .map(|episode| episode.ticks())
+            .max()
+            .unwrap_or(0)
+    }
+
+    fn lane(&self, mut value: impl FnMut(&Episode) -> f32) -> Lane {
+        Lane::from_fn(|l| value(self.episodes[l.min(self.episodes.len() - 1)]))
+    }
+
+    /// How the breaths start.
+    pub fn start(&self) -> Start {
+        Start {
+            pressure: self.lane(|episode| episode.start),
+            plateau: self.lane(|episode| episode.plateau),
+        }
+    }
+
+    /// What was commanded.
+    pub fn log(&self, timing: &Timing) -> CommandLog {
+        let width = timing.width();
+        let rest = (0..width)
+            .map(|place| self.lane(|episode| episode.rest[place]))
+            .collect();
+        let blocks = timing.blocks(self.ticks());
+        let mut log = CommandLog::new(blocks, rest);
+        for block in 0..blocks {
+            for (place, lane) in log.block_mut(block).iter_mut().enumerate() {
+                *lane = self.lane(|e| e.commands.get(block * width + place).copied().unwrap_or(0.0));
+            }
+        }
+        log
+    }
+
+    /// Measured pressure at a tick, cmH2O; the last one beyond an episode's end.
+    pub fn pressure(&self, tick: usize) -> Lane {
+        self.lane(|episode| episode.pressure[tick.min(episode.ticks() - 1)])
+    }
+
+    /// One where an episode has this tick, zero elsewhere.
+    pub fn weight(&self, tick: usize) -> Lane {
+        Lane::from_fn(|l| {
+            self.episodes
+                .get(l)
+                .map_or(0.0, |e| f32::from(u8::from(tick < e.ticks())))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Row;
+    use crate::provenance::Provenance;
+
+    /// Two breaths of 25 ms inspiration and 10 ms rest; the command equals ten times the tick.
+    fn recording() -> Recording {
+        let mut recording = Recording::new(Provenance::new(1000, "test"), true);
+        for (breath, tick) in (0..2).flat_map(|breath| (0..35).map(move |tick| (breath, tick))) {
+            let inspiration = tick < 25;
+            recording.push(Row {
+                breath,
+                tick,
+                phase: if inspiration { 0 } else { 2 },
+                pressure: if inspiration { 20.0 + breath as f32 } else { 5.0 },
+                u_in: if inspiration { tick as f32 } else { 5.0 },
+                pip: 20.0,
+                peep: 4.0,
+                pressure_true: Some(7.0),
+                pressure_sensor_true: Some(7.0),
+                ..Row::default()
+            });
+        }
+        recording
+    }
+
+    #[test]
+    fn commands_are_means_over_parts() {
+        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
+        assert_eq!(episodes.len(), 2);
+        let percent: Vec<f32> = episodes[0].commands.iter().map(|c| c * COMMAND_SCALE).collect();
+        let expected = [2.0, 7.0, 12.0, 17.0, 22.0, 0.0];
+        assert!(
+            percent.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4),
+            "{percent:?}"
+        );
+    }
+
+    #[test]
+    fn a_breath_starts_where_the_last_one_ended() {
+        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
+        let (first, second) = (&episodes[0], &episodes[1]);
+        assert!((first.start - 20.0).abs() < 1e-6 && (first.plateau - 4.0).abs() < 1e-6);
+        assert!(
+            (second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4,
+            "mean of what there is"
+        );
+        assert!((second.plateau - 20.0).abs() < 1e-6);
+        assert!((second.rest[0] * COMMAND_SCALE - 5.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn shards_weigh_ticks_and_rollouts_that_exist() {
+        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
+        let shard = &Shard::cut(&episodes.iter().collect::<Vec<_>>())[0];
+        assert!((shard.weight(24).sum() - 2.0).abs() < 1e-6);
+        assert!(shard.weight(25).sum().abs() < 1e-6);
+    }
+}
