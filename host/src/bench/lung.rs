@@ -89,6 +89,7 @@ impl Lung {
     }
 
     /// Compartments as branches towards their alveolar pressure; one that is absent has no conductance.
+    #[inline]
     pub(super) fn branches(&self, airway_pressure: f64, muscle_pressure: f64) -> [Branch; 2] {
         let second = self.second.as_ref();
         [

@@ -80,9 +80,9 @@ impl Characteristic {
 
     fn share(&self, stem_percent: f64) -> f64 {
         let place = ((stem_percent - self.dead_zone) * self.scale).clamp(0.0, CURVE_INTERVALS as f64);
-        let index = place as usize;
-        let (left, right) = (self.table[index], self.table[index + 1]);
-        left + (right - left) * (place - index as f64)
+        let index = place as u32;
+        let (left, right) = (self.table[index as usize], self.table[index as usize + 1]);
+        left + (right - left) * (place - f64::from(index))
     }
 }
 
