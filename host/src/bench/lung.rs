@@ -199,6 +199,29 @@ mod tests {
     }
 
     #[test]
+    fn a_lung_quicker_than_the_sub_step_does_not_overshoot() {
+        let quick = CompartmentConfig {
+            resistance_cmh2o_per_l_s: 0.5,
+            compliance_ml_per_cmh2o: 0.2,
+            ..CompartmentConfig::default()
+        };
+        let mut lung = Lung::new(
+            &LungConfig {
+                first: quick,
+                second: None,
+            },
+            5.0,
+            SUB_STEP_S,
+        );
+        for _ in 0..20 {
+            let [branch, _] = lung.branches(10.0, 0.0);
+            lung.advance([-branch.flow(10.0), 0.0]);
+            assert!(lung.alveolar_pressure(0.0) <= 10.0 + 1e-9);
+        }
+        assert!((lung.alveolar_pressure(0.0) - 10.0).abs() < 0.01);
+    }
+
+    #[test]
     fn muscle_pressure_lowers_the_alveolar_pressure() {
         let lung = Lung::new(&LungConfig::default(), 5.0, SUB_STEP_S);
         assert!((lung.alveolar_pressure(3.0) - 2.0).abs() < 1e-9);
