@@ -9,6 +9,7 @@
 /// `difference = linear * flow + quadratic * flow * |flow|`.
 ///
 /// The linear part keeps it finite where an ideal orifice has infinite slope.
+#[inline]
 pub(super) fn parabolic_conductance(linear: f64, quadratic: f64, difference: f64) -> f64 {
     2.0 / (linear + (linear * linear + 4.0 * quadratic * difference.abs()).sqrt())
 }
@@ -49,6 +50,7 @@ pub(super) struct Junction {
 impl Junction {
     /// Pressure after the sub-step, in cmH2O, at which all flows add up to zero. A one-way branch that
     /// would carry flow backwards is closed.
+    #[inline]
     pub(super) fn solve(&mut self) -> f64 {
         let mut pressure = self.balance();
         if self.valve.flow(pressure) < 0.0 {
@@ -66,23 +68,22 @@ impl Junction {
         pressure
     }
 
+    #[inline]
     fn balance(&self) -> f64 {
-        let [first, second] = self.lung;
-        let branches = [
-            self.storage,
-            self.valve,
-            self.expiratory,
-            self.relief,
-            self.leak,
-            first,
-            second,
-        ];
-        let (mut weighted, mut total) = (0.0, 0.0);
-        for branch in branches {
-            weighted += branch.conductance * branch.source;
-            total += branch.conductance;
-        }
-        weighted / total
+        let Self {
+            storage,
+            valve,
+            expiratory,
+            relief,
+            leak,
+            lung: [first, second],
+        } = self;
+        // In pairs, so that the processor need not wait for one sum before it begins the next.
+        let total = |value: fn(&Branch) -> f64| {
+            let valves = (value(valve) + value(expiratory)) + (value(relief) + value(leak));
+            valves + (value(storage) + (value(first) + value(second)))
+        };
+        total(|branch| branch.conductance * branch.source) / total(|branch| branch.conductance)
     }
 }
 

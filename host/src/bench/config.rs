@@ -92,7 +92,7 @@ impl Default for ExpiratoryConfig {
     fn default() -> Self {
         Self {
             lag_ms: 15.0,
-            orifice_l_per_s_per_sqrt_cmh2o: 0.6,
+            orifice_l_per_s_per_sqrt_cmh2o: 0.4,
             laminar_resistance_cmh2o_per_l_s: 0.5,
         }
     }
@@ -143,7 +143,7 @@ impl Default for CompartmentConfig {
     fn default() -> Self {
         Self {
             resistance_cmh2o_per_l_s: 20.0,
-            turbulence_s_per_l: 0.5,
+            turbulence_s_per_l: 0.1,
             compliance_ml_per_cmh2o: 20.0,
             upper_inflection_cmh2o: 35.0,
             stiffening_cmh2o: 20.0,

@@ -8,8 +8,10 @@ use super::config::{CompartmentConfig, LungConfig};
 struct Compartment {
     resistance: f64,
     turbulence: f64,
-    compliance_ml: f64,
+    /// Pressure per volume below the inflection, cmH2O/mL: divisions are what the sub-steps spend time on.
+    stiffness: f64,
     inflection: f64,
+    /// Relative rise of the elastance per cmH2O beyond the inflection.
     stiffening: f64,
     volume_ml: f64,
     sub_step_s: f64,
@@ -20,9 +22,9 @@ impl Compartment {
         let mut compartment = Self {
             resistance: config.resistance_cmh2o_per_l_s,
             turbulence: config.turbulence_s_per_l,
-            compliance_ml: config.compliance_ml_per_cmh2o,
+            stiffness: 1.0 / config.compliance_ml_per_cmh2o,
             inflection: config.upper_inflection_cmh2o,
-            stiffening: config.stiffening_cmh2o,
+            stiffening: 1.0 / config.stiffening_cmh2o,
             volume_ml: 0.0,
             sub_step_s,
         };
@@ -30,38 +32,35 @@ impl Compartment {
         compartment
     }
 
-    /// How far the linear law `V / C` is beyond the inflection, cmH2O.
-    fn beyond_inflection(&self) -> f64 {
-        (self.volume_ml / self.compliance_ml - self.inflection).max(0.0)
-    }
-
-    /// `V / C`, and above the inflection a parabola on top.
-    fn recoil(&self) -> f64 {
-        let beyond = self.beyond_inflection();
-        self.volume_ml / self.compliance_ml + beyond * beyond / (2.0 * self.stiffening)
-    }
-
-    /// Slope of the recoil, cmH2O/L.
-    fn elastance(&self) -> f64 {
-        1e3 / self.compliance_ml * (1.0 + self.beyond_inflection() / self.stiffening)
+    /// Recoil in cmH2O and its slope, the elastance, in cmH2O/L: `V / C` is linear, and above the inflection
+    /// a parabola comes on top.
+    fn recoil(&self) -> (f64, f64) {
+        let linear = self.volume_ml * self.stiffness;
+        let beyond = (linear - self.inflection).max(0.0);
+        let stiffer = beyond * self.stiffening;
+        (
+            linear + 0.5 * beyond * stiffer,
+            1e3 * self.stiffness * (1.0 + stiffer),
+        )
     }
 
     /// Volume in mL at which the recoil is `pressure`.
     fn volume_at(&self, pressure: f64) -> f64 {
         let above = pressure - self.inflection;
         let linear = if above > 0.0 {
-            let w = self.stiffening;
-            self.inflection + (w * w + 2.0 * w * above).sqrt() - w
+            let width = 1.0 / self.stiffening;
+            self.inflection + (width * width + 2.0 * width * above).sqrt() - width
         } else {
             pressure
         };
-        linear * self.compliance_ml
+        linear / self.stiffness
     }
 
     /// Resistance with the rise of the recoil during the sub-step folded in, so that the volume is implicit too.
     fn branch(&self, airway_pressure: f64, muscle_pressure: f64) -> Branch {
-        let source = self.recoil() - muscle_pressure;
-        let linear = self.resistance + self.elastance() * self.sub_step_s;
+        let (recoil, elastance) = self.recoil();
+        let source = recoil - muscle_pressure;
+        let linear = self.resistance + elastance * self.sub_step_s;
         let quadratic = self.resistance * self.turbulence;
         Branch {
             conductance: parabolic_conductance(linear, quadratic, airway_pressure - source),
@@ -90,6 +89,7 @@ impl Lung {
     }
 
     /// Compartments as branches towards their alveolar pressure; one that is absent has no conductance.
+    #[inline]
     pub(super) fn branches(&self, airway_pressure: f64, muscle_pressure: f64) -> [Branch; 2] {
         let second = self.second.as_ref();
         [
@@ -113,7 +113,7 @@ impl Lung {
     pub(super) fn change(&mut self, resistance_factor: f64, compliance_factor: f64) {
         for compartment in std::iter::once(&mut self.first).chain(&mut self.second) {
             compartment.resistance *= resistance_factor;
-            compartment.compliance_ml *= compliance_factor;
+            compartment.stiffness /= compliance_factor;
             compartment.volume_ml *= compliance_factor;
         }
     }
@@ -123,12 +123,12 @@ impl Lung {
         self.first.volume_ml + self.second.as_ref().map_or(0.0, |second| second.volume_ml)
     }
 
-    /// Recoil less muscle pressure, weighted by volume compliance, cmH2O.
+    /// Recoil less muscle pressure, weighted by compliance, cmH2O.
     pub(super) fn alveolar_pressure(&self, muscle_pressure: f64) -> f64 {
         let (mut weighted, mut compliance) = (0.0, 0.0);
         for compartment in std::iter::once(&self.first).chain(&self.second) {
-            weighted += compartment.compliance_ml * compartment.recoil();
-            compliance += compartment.compliance_ml;
+            weighted += compartment.recoil().0 / compartment.stiffness;
+            compliance += 1.0 / compartment.stiffness;
         }
         weighted / compliance - muscle_pressure
     }
@@ -148,8 +148,8 @@ mod tests {
     fn compliance_is_linear_below_the_inflection() {
         let lung = compartment(20.0);
         assert!((lung.volume_ml - 400.0).abs() < 1e-9);
-        assert!((lung.recoil() - 20.0).abs() < 1e-9);
-        assert!((lung.elastance() - 50.0).abs() < 1e-9);
+        assert!((lung.recoil().0 - 20.0).abs() < 1e-9);
+        assert!((lung.recoil().1 - 50.0).abs() < 1e-9);
     }
 
     #[test]
@@ -159,17 +159,17 @@ mod tests {
         let knee_ml = config.upper_inflection_cmh2o * config.compliance_ml_per_cmh2o;
         lung.volume_ml = knee_ml + config.stiffening_cmh2o * config.compliance_ml_per_cmh2o;
         assert!(
-            (lung.elastance() / 50.0 - 2.0).abs() < 1e-9,
+            (lung.recoil().1 / 50.0 - 2.0).abs() < 1e-9,
             "elastance doubles over the stiffening width"
         );
         for volume_ml in [knee_ml - 1.0, knee_ml + 1.0, knee_ml + 200.0] {
             lung.volume_ml = volume_ml + 1e-3;
-            let above = lung.recoil();
+            let above = lung.recoil().0;
             lung.volume_ml = volume_ml - 1e-3;
-            let slope = (above - lung.recoil()) / 2e-6;
+            let slope = (above - lung.recoil().0) / 2e-6;
             lung.volume_ml = volume_ml;
             assert!(
-                (slope / lung.elastance() - 1.0).abs() < 1e-5,
+                (slope / lung.recoil().1 - 1.0).abs() < 1e-5,
                 "elastance is the slope of the recoil"
             );
         }
@@ -179,7 +179,7 @@ mod tests {
     fn volume_inverts_the_recoil() {
         for pressure in [-5.0, 0.0, 20.0, 34.9, 35.1, 60.0, 120.0] {
             assert!(
-                (compartment(pressure).recoil() - pressure).abs() < 1e-9,
+                (compartment(pressure).recoil().0 - pressure).abs() < 1e-9,
                 "{pressure} cmH2O"
             );
         }
@@ -196,6 +196,29 @@ mod tests {
             let drop = config.resistance_cmh2o_per_l_s * flow * (1.0 + config.turbulence_s_per_l * flow);
             assert!((lung.branch(drop, 0.0).flow(drop) + flow).abs() < 1e-9);
         }
+    }
+
+    #[test]
+    fn a_lung_quicker_than_the_sub_step_does_not_overshoot() {
+        let quick = CompartmentConfig {
+            resistance_cmh2o_per_l_s: 0.5,
+            compliance_ml_per_cmh2o: 0.2,
+            ..CompartmentConfig::default()
+        };
+        let mut lung = Lung::new(
+            &LungConfig {
+                first: quick,
+                second: None,
+            },
+            5.0,
+            SUB_STEP_S,
+        );
+        for _ in 0..20 {
+            let [branch, _] = lung.branches(10.0, 0.0);
+            lung.advance([-branch.flow(10.0), 0.0]);
+            assert!(lung.alveolar_pressure(0.0) <= 10.0 + 1e-9);
+        }
+        assert!((lung.alveolar_pressure(0.0) - 10.0).abs() < 0.01);
     }
 
     #[test]

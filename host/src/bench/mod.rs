@@ -109,7 +109,8 @@ struct Flows {
 
 impl Bench {
     /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`,
-    /// `peep`, `seed` (of the sensor noise) and commands give the same bits.
+    /// `peep`, `seed` (of the sensor noise) and commands give the same bits on the same platform (the effort's
+    /// sine and the valve's power come from the platform's mathematical library).
     ///
     /// # Errors
     /// [`BenchError::OutOfRange`] as [`BenchConfig::validate`], and for `peep` outside [`PEEP_RANGE_CMH2O`].

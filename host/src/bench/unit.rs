@@ -79,6 +79,13 @@ mod tests {
     }
 
     #[test]
+    fn unit_and_noise_of_the_same_seed_have_nothing_in_common() {
+        let first_noise: f64 = StandardNormal.sample(&mut ChaCha8Rng::seed_from_u64(17));
+        let first_draw = (draw(17).flow_gain - 1.0) / 0.05;
+        assert!((first_noise - first_draw).abs() > 1e-6);
+    }
+
+    #[test]
     fn units_spread_with_the_stated_sds() {
         let count = 10_000_u32;
         let units: Vec<Unit> = (1..=count).map(draw).collect();

@@ -15,6 +15,8 @@ const LEAST_DRIVE_CMH2O: f64 = 1.0;
 struct DeadTime {
     ring: Vec<f64>,
     newest: usize,
+    /// The two commands whose turn it is in this step, the older one first.
+    due: [f64; 2],
     /// Sub-steps of a step in which the older of the two commands is still in force.
     remainder: u32,
 }
@@ -26,18 +28,23 @@ impl DeadTime {
         Self {
             ring: vec![0.0; whole_steps + 2],
             newest: 0,
+            due: [0.0; 2],
             remainder: total % sub_steps,
         }
     }
 
     fn push(&mut self, command: f64) {
-        self.newest = (self.newest + 1) % self.ring.len();
+        // The ring is two steps longer than the dead time: what comes after the newest is due.
+        let after = |place: usize| if place + 1 < self.ring.len() { place + 1 } else { 0 };
+        self.newest = after(self.newest);
+        let older = after(self.newest);
+        let newer = after(older);
         self.ring[self.newest] = command;
+        self.due = [self.ring[older], self.ring[newer]];
     }
 
     fn delayed(&self, sub_step: u32) -> f64 {
-        let age = if sub_step < self.remainder { 1 } else { 2 };
-        self.ring[(self.newest + age) % self.ring.len()]
+        self.due[usize::from(sub_step >= self.remainder)]
     }
 }
 
@@ -73,9 +80,9 @@ impl Characteristic {
 
     fn share(&self, stem_percent: f64) -> f64 {
         let place = ((stem_percent - self.dead_zone) * self.scale).clamp(0.0, CURVE_INTERVALS as f64);
-        let index = place as usize;
-        let (left, right) = (self.table[index], self.table[index + 1]);
-        left + (right - left) * (place - index as f64)
+        let index = place as u32;
+        let (left, right) = (self.table[index as usize], self.table[index as usize + 1]);
+        left + (right - left) * (place - f64::from(index))
     }
 }
 
