@@ -4,3 +4,4 @@
 pub mod dataset;
 pub mod files;
 pub mod provenance;
+pub mod report;
