@@ -6,6 +6,7 @@ mod plot;
 mod table;
 #[cfg(test)]
 mod tests;
+mod ticks;
 
 use std::path::PathBuf;
 

@@ -5,8 +5,8 @@ use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::ReportError;
 use super::curve::{self, Limits, Point};
+use super::{ReportError, ticks};
 
 /// How a series is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -205,7 +205,8 @@ impl Plot {
         let header = self.draw_header(&root)?;
         let (_, panel) = root.split_vertically(header * FINE);
         if self.log_y {
-            self.draw_panel(&panel, x, (y.0..y.1).log_scale(), y)?;
+            let marks = ticks::logarithmic(y, self.y_marks());
+            self.draw_panel(&panel, x, (y.0..y.1).log_scale().with_key_points(marks), y)?;
         } else {
             self.draw_panel(&panel, x, y.0..y.1, y)?;
         }
@@ -266,16 +267,16 @@ impl Plot {
         self.series.iter().map(&mut color).collect()
     }
 
+    /// How many marks the vertical axis has room for.
+    fn y_marks(&self) -> usize {
+        (self.size.1 / 45).max(3) as usize
+    }
+
     fn draw_panel<Y>(&self, panel: &Area, x: Limits, y_coord: Y, y: Limits) -> Drawn
     where
         Y: AsRangedCoord<Value = f64>,
         Y::CoordDescType: Ranged<ValueType = f64> + ValueFormatter<f64>,
     {
-        let y_marks = if self.log_y {
-            6
-        } else {
-            (self.size.1 / 45).max(3) as usize
-        };
         let mut chart = ChartBuilder::on(panel)
             .margin(MARGIN * FINE)
             .margin_right(3 * MARGIN * FINE)
@@ -288,7 +289,7 @@ impl Plot {
             .x_desc(self.x_label.as_str())
             .y_desc(self.y_label.as_str())
             .x_labels((self.size.0 / 75).max(3) as usize)
-            .y_labels(y_marks)
+            .y_labels(self.y_marks())
             .x_label_formatter(&|value| number(*value))
             .y_label_formatter(&|value| number(*value))
             .label_style(font(TEXT_SIZE, FontStyle::Normal))

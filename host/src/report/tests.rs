@@ -199,6 +199,21 @@ fn every_style_and_a_logarithmic_axis_draw() {
 }
 
 #[test]
+fn a_narrow_logarithmic_axis_still_has_marks() {
+    let series = vec![Series::new("", Style::Line, vec![(0.0, 1.2), (1.0, 1.9)])];
+    let svg = Plot {
+        series,
+        log_y: true,
+        ..plot()
+    }
+    .to_svg()
+    .unwrap();
+    for mark in ["1.2", "1.6", "2"] {
+        assert!(svg.lines().any(|line| line.trim() == mark), "{mark}");
+    }
+}
+
+#[test]
 fn a_flat_series_and_a_single_point_have_axes() {
     for points in [vec![(0.0, 5.0), (1.0, 5.0)], vec![(2.0, 0.0)]] {
         let series = vec![Series::new("s", Style::Points, points)];
