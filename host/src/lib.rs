@@ -9,3 +9,4 @@ pub mod provenance;
 pub mod simulator;
 pub mod source;
 pub mod tensors;
+pub mod report;

@@ -3,6 +3,7 @@
 //! [`Recording`] is the one table that every later step reads. [`Recording::save`] and [`Recording::load`] keep it as
 //! Parquet with its [`crate::provenance::Provenance`]; [`respiraworks`] makes one from tables measured elsewhere.
 
+mod checksum;
 mod columns;
 mod error;
 mod parquet_file;

@@ -1,10 +1,10 @@
 //! Recordings as Parquet files, readable by pandas and polars, with the provenance in the metadata.
 //!
-//! Equal recordings give equal bytes: no time stamp, no library version.
+//! Equal recordings give equal bytes: no time stamp, no library version. A checksum over the whole file is verified
+//! before anything is decoded, because Parquet decoders trust the bytes: damage gives other numbers or a panic.
 
-use std::collections::HashMap;
 use std::fs::File;
-use std::io::{ErrorKind, Read, Seek, SeekFrom};
+use std::io::{ErrorKind, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -20,6 +20,7 @@ use parquet::basic::Compression;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 
+use super::checksum;
 use super::columns::{Extra, Values, ValuesMut};
 use super::{DatasetError, Recording};
 use crate::files::write_atomically;
@@ -66,7 +67,11 @@ impl Recording {
         let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| torn(e.to_string()))?;
 
         let metadata = builder.metadata().file_metadata().key_value_metadata();
-        let provenance = read_provenance(path, metadata.map_or(&[][..], Vec::as_slice))?;
+        let metadata = metadata.map_or(&[][..], Vec::as_slice);
+        let text = value(metadata, PROVENANCE_KEY).ok_or_else(|| DatasetError::NoProvenance {
+            path: path.to_owned(),
+        })?;
+        let provenance = read_provenance(path, text)?;
         let schema = builder.schema().clone();
         let extras: Vec<_> = Extra::ALL
             .into_iter()
@@ -98,10 +103,15 @@ fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, 
     let (fields, arrays): (Vec<_>, Vec<_>) = columns.unzip();
     let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)?;
 
+    // The checksum is the last pair, so that no text within the provenance can be taken for it.
+    let metadata = [(PROVENANCE_KEY, provenance), (checksum::KEY, checksum::blank())];
+    let metadata = metadata
+        .map(|(key, value)| KeyValue::new(key.to_owned(), value))
+        .to_vec();
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_created_by(PROVENANCE_KEY.to_owned())
-        .set_key_value_metadata(Some(vec![KeyValue::new(PROVENANCE_KEY.to_owned(), provenance)]))
+        .set_key_value_metadata(Some(metadata))
         .build();
     // The Parquet types say all there is to say; a second schema would only tie the bytes to the arrow version.
     let options = ArrowWriterOptions::new()
@@ -109,10 +119,10 @@ fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, 
         .with_skip_arrow_metadata(true);
     let mut writer = ArrowWriter::try_new_with_options(Vec::new(), batch.schema(), options)?;
     writer.write(&batch)?;
-    Ok(writer.into_inner()?)
+    Ok(checksum::seal(writer.into_inner()?))
 }
 
-/// Opens the file and tells the common mistakes apart, which a Parquet decoder would report alike.
+/// Opens the file, tells the common mistakes apart, which a Parquet decoder would report alike, and verifies the bytes.
 fn open(path: &Path) -> Result<File, DatasetError> {
     let read = |source: std::io::Error| match source.kind() {
         ErrorKind::NotFound => DatasetError::Missing {
@@ -123,43 +133,37 @@ fn open(path: &Path) -> Result<File, DatasetError> {
             source,
         },
     };
-    let mut file = File::open(path).map_err(read)?;
-    let length = file.metadata().map_err(read)?.len();
-    let torn = || DatasetError::Torn {
+    let torn = |detail: String| DatasetError::Torn {
         path: path.to_owned(),
-        detail: format!("it ends after {length} bytes"),
+        detail,
     };
-    if length < 4 {
-        return Err(torn());
-    }
-    let mut magic = [0; 4];
-    file.read_exact(&mut magic).map_err(read)?;
-    if &magic != MAGIC {
+    let mut file = File::open(path).map_err(read)?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).map_err(read)?;
+    if bytes.len() >= MAGIC.len() && !bytes.starts_with(MAGIC) {
         return Err(DatasetError::NotParquet {
             path: path.to_owned(),
         });
     }
-    file.seek(SeekFrom::End(-4)).map_err(read)?;
-    file.read_exact(&mut magic).map_err(read)?;
     // Twelve bytes are the two magics and the footer's length.
-    if length < 12 || &magic != MAGIC {
-        return Err(torn());
+    if bytes.len() < 12 || !bytes.ends_with(MAGIC) {
+        return Err(torn(format!("it ends after {} bytes", bytes.len())));
     }
+    if !checksum::matches(&mut bytes) {
+        return Err(torn(format!(
+            "its checksum does not match; a program that rewrites it must drop the metadata key {}",
+            checksum::KEY
+        )));
+    }
+    file.rewind().map_err(read)?;
     Ok(file)
 }
 
-fn read_provenance(path: &Path, metadata: &[KeyValue]) -> Result<Provenance, DatasetError> {
-    let by_key: HashMap<_, _> = metadata
-        .iter()
-        .map(|pair| (pair.key.as_str(), pair.value.as_deref()))
-        .collect();
-    let text = by_key
-        .get(PROVENANCE_KEY)
-        .copied()
-        .flatten()
-        .ok_or_else(|| DatasetError::NoProvenance {
-            path: path.to_owned(),
-        })?;
+fn value<'a>(metadata: &'a [KeyValue], key: &str) -> Option<&'a str> {
+    metadata.iter().find(|pair| pair.key == key)?.value.as_deref()
+}
+
+fn read_provenance(path: &Path, text: &str) -> Result<Provenance, DatasetError> {
     let provenance: Provenance =
         serde_json::from_str(text).map_err(|source| DatasetError::BadProvenance {
             path: path.to_owned(),
@@ -187,7 +191,7 @@ fn fill(recording: &mut Recording, batch: &RecordBatch, path: &Path) -> Result<(
         };
         match values {
             ValuesMut::U8(values) => {
-                values.extend_from_slice(primitive::<UInt8Type>(array, name, path)?.values())
+                values.extend_from_slice(primitive::<UInt8Type>(array, name, path)?.values());
             }
             ValuesMut::U32(values) => {
                 values.extend_from_slice(primitive::<UInt32Type>(array, name, path)?.values());

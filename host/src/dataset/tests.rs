@@ -143,6 +143,21 @@ fn a_file_cut_anywhere_is_called_torn() {
 }
 
 #[test]
+fn a_file_with_one_damaged_byte_gives_the_right_rows_or_an_error() {
+    let original = recording(&[], 1);
+    let (_folder, path) = saved(&original);
+    let good = std::fs::read(&path).unwrap();
+    for place in 0..good.len() {
+        let mut bad = good.clone();
+        bad[place] ^= 0xFF;
+        std::fs::write(&path, &bad).unwrap();
+        if let Ok(recording) = Recording::load(&path) {
+            assert_eq!(recording, original, "byte {place} of {}", good.len());
+        }
+    }
+}
+
+#[test]
 fn a_file_that_is_absent_or_of_another_kind_is_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.parquet");
@@ -217,7 +232,7 @@ fn only_complete_inspirations_are_listed() {
 
     let mut lost_tick = recording(&[], 2);
     lost_tick.tick[10..60].iter_mut().for_each(|tick| *tick += 1);
-    assert_eq!(lost_tick.inspirations(), [60..80]);
+    assert_eq!(lost_tick.inspirations().first(), Some(&(60..80)));
 
     let mut late = recording(&[], 1);
     late.tick.iter_mut().for_each(|tick| *tick += 1);

@@ -1,4 +1,4 @@
-//! Import of the measured tables of the RespiraWorks ventilator (100 Hz, blower, test lung) into one recording.
+//! Import of the measured tables of the `RespiraWorks` ventilator (100 Hz, blower, test lung) into one recording.
 //!
 //! The data were taken in closed loop: where neither valve saturates, the exhale command is a linear function of the
 //! inhale command, so the two cannot be told apart by a fit. Flows drift; resistors are parabolic, so the column of
@@ -109,8 +109,8 @@ impl Importer {
         self.recording.provenance.groups.push(name);
 
         let period_s = f64::from(expected_us) * 1e-6;
-        let is_gap = |a: &Sample, b: &Sample| !((b.time_s - a.time_s - period_s).abs() <= 0.5 * period_s);
-        for (part, segment) in samples.chunk_by(|a, b| !is_gap(a, b)).enumerate() {
+        let follows = |a: &Sample, b: &Sample| (b.time_s - a.time_s - period_s).abs() <= 0.5 * period_s;
+        for (part, segment) in samples.chunk_by(follows).enumerate() {
             self.add_segment(group, period_s, segment, part > 0);
         }
         Ok(())
@@ -159,18 +159,16 @@ impl Importer {
     }
 }
 
-/// What a sample says by itself, in the units of a recording.
+/// What a sample says by itself.
 fn row(sample: &Sample, group: u32) -> Row {
-    const PERCENT: f32 = 100.0;
-    const ML_PER_L: f32 = 1000.0;
     Row {
         target: sample.setpoint,
         pressure: sample.pressure,
-        u_in: PERCENT * sample.inhale,
-        u_out: PERCENT * sample.exhale,
-        u_psol: Some(PERCENT * sample.psol),
-        flow_in: Some(sample.flow_in_ml_s / ML_PER_L),
-        flow_out: Some(sample.flow_out_ml_s / ML_PER_L),
+        u_in: sample.inhale,
+        u_out: sample.exhale,
+        u_psol: Some(sample.psol),
+        flow_in: Some(sample.flow_in),
+        flow_out: Some(sample.flow_out),
         resistance: Some(sample.resistance),
         compliance: Some(sample.compliance),
         group: Some(group),

@@ -8,7 +8,7 @@ use csv::StringRecord;
 
 use crate::dataset::DatasetError;
 
-/// One row of a table, in its own units.
+/// One row of a table, in the units of a recording.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Sample {
     pub(super) time_s: f64,
@@ -16,9 +16,10 @@ pub(super) struct Sample {
     pub(super) resistance: f32,
     pub(super) setpoint: f32,
     pub(super) pressure: f32,
-    pub(super) flow_in_ml_s: f32,
-    pub(super) flow_out_ml_s: f32,
-    /// Commands from 0 to 1.
+    /// Flows, L/s.
+    pub(super) flow_in: f32,
+    pub(super) flow_out: f32,
+    /// Valve commands, percent.
     pub(super) inhale: f32,
     pub(super) exhale: f32,
     pub(super) psol: f32,
@@ -42,6 +43,7 @@ const COLUMNS: [&str; 12] = [
 
 /// A command may lie this far outside 0..1, by rounding.
 const COMMAND_SLACK: f64 = 1e-3;
+const ML_PER_L: f64 = 1000.0;
 
 /// An open table.
 pub(super) struct Table {
@@ -130,8 +132,8 @@ impl Table {
             resistance: self.number(4)? as f32,
             setpoint: self.number(5)? as f32,
             pressure: self.number(6)? as f32,
-            flow_in_ml_s: self.number(7)? as f32,
-            flow_out_ml_s: self.number(8)? as f32,
+            flow_in: (self.number(7)? / ML_PER_L) as f32,
+            flow_out: (self.number(8)? / ML_PER_L) as f32,
             inhale: self.command(9)?,
             exhale: self.command(10)?,
             psol: self.command(11)?,
@@ -146,13 +148,14 @@ impl Table {
         }
     }
 
+    /// A command from 0 to 1 as percent.
     fn command(&self, column: usize) -> Result<f32, DatasetError> {
         let command = self.number(column)?;
         if !(-COMMAND_SLACK..=1.0 + COMMAND_SLACK).contains(&command) {
             return Err(self.bad_cell(column, "is not a command from 0 to 1"));
         }
         // The tables write a closed valve as -0.0 too.
-        Ok((command as f32).clamp(0.0, 1.0) + 0.0)
+        Ok((100.0 * command.clamp(0.0, 1.0) + 0.0) as f32)
     }
 
     fn bad_cell(&self, column: usize, reason: &'static str) -> DatasetError {

@@ -79,10 +79,10 @@ fn a_test_becomes_breaths_in_the_units_of_a_recording() {
     assert_eq!((recording.pip[0], recording.peep[0]), (15.0, 5.0));
     assert_eq!((recording.u_in[0], recording.u_out[0]), (100.0, 5.0));
     assert_eq!(recording.target[..3], [6.0, 7.0, 8.0]);
-    assert_eq!(recording.flow_in.as_deref().unwrap()[0], 0.2505);
-    assert_eq!(recording.flow_out.as_deref().unwrap()[0], -0.12525);
-    assert_eq!(recording.resistance.as_deref().unwrap()[0], 50.0);
-    assert_eq!(recording.compliance.as_deref().unwrap()[0], 20.0);
+    assert_eq!(recording.flow_in.as_deref().unwrap()[..1], [0.2505]);
+    assert_eq!(recording.flow_out.as_deref().unwrap()[..1], [-0.12525]);
+    assert_eq!(recording.resistance.as_deref().unwrap()[..1], [50.0]);
+    assert_eq!(recording.compliance.as_deref().unwrap()[..1], [20.0]);
     assert!(recording.u_psol.unwrap()[0].is_sign_positive());
     assert_eq!(recording.pressure_true, None);
 }

@@ -1,0 +1,405 @@
+//! Line plots as SVG, by plotters' SVG backend alone: no font library, the same bytes every time.
+
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::curve::{self, Limits, Point};
+use super::{ReportError, ticks};
+
+/// How a series is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Style {
+    /// Straight lines between the points.
+    #[default]
+    Line,
+    /// Broken line; dark unless a colour is given, as targets are.
+    Dashed,
+    /// Each value holds until the next point.
+    Step,
+    /// Dots.
+    Points,
+}
+
+/// One curve.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Series {
+    /// Name in the legend; an empty one stays out of it.
+    pub name: String,
+    /// Points in the order in which they are joined.
+    pub points: Vec<(f64, f64)>,
+    /// How it is drawn.
+    pub style: Style,
+    /// Red, green, blue; `None` takes the next colour of the palette.
+    pub color: Option<(u8, u8, u8)>,
+}
+
+impl Series {
+    /// A series in a palette colour.
+    pub fn new(name: impl Into<String>, style: Style, points: Vec<(f64, f64)>) -> Self {
+        Self {
+            name: name.into(),
+            points,
+            style,
+            color: None,
+        }
+    }
+}
+
+/// A plot with two axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plot {
+    /// Line above the plot.
+    pub title: String,
+    /// What the horizontal axis shows, with the unit.
+    pub x_label: String,
+    /// What the vertical axis shows, with the unit.
+    pub y_label: String,
+    /// Curves, the last on top.
+    pub series: Vec<Series>,
+    /// Ends of the vertical axis; `None` fits the points.
+    pub y_range: Option<(f64, f64)>,
+    /// Ends of the horizontal axis; `None` fits the points.
+    pub x_range: Option<(f64, f64)>,
+    /// Logarithmic vertical axis.
+    pub log_y: bool,
+    /// Width and height in pixels.
+    pub size: (u32, u32),
+}
+
+impl Default for Plot {
+    fn default() -> Self {
+        Self {
+            title: String::new(),
+            x_label: String::new(),
+            y_label: String::new(),
+            series: Vec::new(),
+            y_range: None,
+            x_range: None,
+            log_y: false,
+            size: (800, 400),
+        }
+    }
+}
+
+/// Okabe and Ito's colours, which stay apart for colour-blind readers; yellow is left out, being too pale on white.
+const PALETTE: [RGBColor; 6] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(86, 180, 233),
+    RGBColor(230, 159, 0),
+];
+const INK: RGBColor = RGBColor(34, 34, 34);
+const FAINT: RGBColor = RGBColor(228, 228, 228);
+
+/// Longer series are thinned to this many points.
+const MAX_POINTS: usize = 1_500;
+/// The drawing library rounds to whole pixels; on a canvas this much larger the rounding does not show.
+const FINE: u32 = 4;
+const TITLE_SIZE: u32 = 17;
+const TEXT_SIZE: u32 = 14;
+const LINE_HEIGHT: u32 = 20;
+const MARGIN: u32 = 8;
+/// Line sample of a legend entry, pixels.
+const SAMPLE: u32 = 26;
+/// Mean width of a character as a share of the text size.
+const CHARACTER: f64 = 0.52;
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+/// Failure of the drawing library as text; the plot's title is added further out.
+type Drawn = Result<(), String>;
+/// Height in pixels, or why drawing failed.
+type Height = Result<u32, String>;
+
+impl Plot {
+    /// The plot as an SVG document.
+    ///
+    /// # Errors
+    /// If there is no point, a point is not finite, a value on a logarithmic axis is not positive, or a range is none.
+    pub fn to_svg(&self) -> Result<String, ReportError> {
+        self.check()?;
+        let x = self.limits(self.x_range, |point| point.0, 0.0, false)?;
+        let y = self.limits(self.y_range, |point| point.1, 0.05, self.log_y)?;
+        let mut svg = String::new();
+        self.draw(&mut svg, x, y).map_err(|detail| ReportError::Draw {
+            plot: self.title.clone(),
+            detail,
+        })?;
+        let (width, height) = self.size;
+        let canvas = format!("<svg width=\"{}\" height=\"{}\"", width * FINE, height * FINE);
+        Ok(svg.replacen(&canvas, &format!("<svg width=\"{width}\" height=\"{height}\""), 1))
+    }
+
+    fn check(&self) -> Result<(), ReportError> {
+        for series in &self.series {
+            let bad = series
+                .points
+                .iter()
+                .position(|point| !(point.0.is_finite() && point.1.is_finite()));
+            if let Some(index) = bad {
+                let (plot, series) = (self.title.clone(), series.name.clone());
+                return Err(ReportError::NotFinite { plot, series, index });
+            }
+        }
+        if self.series.iter().all(|series| series.points.is_empty()) {
+            return Err(ReportError::Empty {
+                plot: self.title.clone(),
+            });
+        }
+        let mut values = self
+            .series
+            .iter()
+            .flat_map(|series| &series.points)
+            .map(|point| point.1);
+        match values.find(|&value| self.log_y && value <= 0.0) {
+            Some(value) => Err(ReportError::NotPositive {
+                plot: self.title.clone(),
+                value,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Ends of an axis: as given, or around the points with a margin as a share of their spread.
+    fn limits(
+        &self,
+        given: Option<Limits>,
+        coordinate: impl Fn(&Point) -> f64,
+        margin: f64,
+        log: bool,
+    ) -> Result<Limits, ReportError> {
+        if let Some((low, high)) = given {
+            let plot = self.title.clone();
+            if !(low < high && low.is_finite() && high.is_finite()) {
+                return Err(ReportError::BadRange { plot, low, high });
+            }
+            if log && low <= 0.0 {
+                return Err(ReportError::NotPositive { plot, value: low });
+            }
+            return Ok((low, high));
+        }
+        let values = self
+            .series
+            .iter()
+            .flat_map(|series| &series.points)
+            .map(coordinate);
+        let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+        Ok(if log {
+            let factor = (high / low).powf(margin).max(1.2);
+            (low / factor, high * factor)
+        } else if high > low {
+            (low - margin * (high - low), high + margin * (high - low))
+        } else {
+            let around = (0.05 * low.abs()).max(0.5);
+            (low - around, high + around)
+        })
+    }
+
+    fn draw(&self, svg: &mut String, x: Limits, y: Limits) -> Drawn {
+        let canvas = (self.size.0 * FINE, self.size.1 * FINE);
+        let root = SVGBackend::with_string(svg, canvas).into_drawing_area();
+        root.fill(&WHITE).map_err(text)?;
+        let header = self.draw_header(&root)?;
+        let (_, panel) = root.split_vertically(header * FINE);
+        if self.log_y {
+            let marks = ticks::logarithmic(y, self.y_marks());
+            self.draw_panel(&panel, x, (y.0..y.1).log_scale().with_key_points(marks), y)?;
+        } else {
+            self.draw_panel(&panel, x, y.0..y.1, y)?;
+        }
+        root.present().map_err(text)
+    }
+
+    /// Title and legend; answers their height in pixels.
+    fn draw_header(&self, root: &Area) -> Height {
+        let mut top = MARGIN;
+        if !self.title.is_empty() {
+            put_text(
+                root,
+                &self.title,
+                (MARGIN, top + LINE_HEIGHT / 2),
+                TITLE_SIZE,
+                FontStyle::Bold,
+            )?;
+            top += LINE_HEIGHT + 4;
+        }
+        let mut left = MARGIN;
+        let mut any = false;
+        for (series, color) in self
+            .series
+            .iter()
+            .zip(self.colors())
+            .filter(|(series, _)| !series.name.is_empty())
+        {
+            let width = SAMPLE + 6 + text_width(&series.name) + 16;
+            if any && left + width > self.size.0 {
+                (left, top) = (MARGIN, top + LINE_HEIGHT);
+            }
+            let middle = top + LINE_HEIGHT / 2;
+            draw_sample(root, series.style, color, left, middle)?;
+            put_text(
+                root,
+                &series.name,
+                (left + SAMPLE + 6, middle),
+                TEXT_SIZE,
+                FontStyle::Normal,
+            )?;
+            left += width;
+            any = true;
+        }
+        Ok(if any { top + LINE_HEIGHT } else { top })
+    }
+
+    /// Colour of each series; only those that ask for none take from the palette.
+    fn colors(&self) -> Vec<RGBColor> {
+        let mut taken = 0;
+        let mut color = |series: &Series| match (series.color, series.style) {
+            (Some((red, green, blue)), _) => RGBColor(red, green, blue),
+            (None, Style::Dashed) => INK,
+            (None, _) => {
+                taken += 1;
+                palette(taken - 1)
+            }
+        };
+        self.series.iter().map(&mut color).collect()
+    }
+
+    /// How many marks the vertical axis has room for.
+    fn y_marks(&self) -> usize {
+        (self.size.1 / 45).max(3) as usize
+    }
+
+    fn draw_panel<Y>(&self, panel: &Area, x: Limits, y_coord: Y, y: Limits) -> Drawn
+    where
+        Y: AsRangedCoord<Value = f64>,
+        Y::CoordDescType: Ranged<ValueType = f64> + ValueFormatter<f64>,
+    {
+        let mut chart = ChartBuilder::on(panel)
+            .margin(MARGIN * FINE)
+            .margin_right(3 * MARGIN * FINE)
+            .x_label_area_size(44 * FINE)
+            .y_label_area_size(62 * FINE)
+            .build_cartesian_2d(x.0..x.1, y_coord)
+            .map_err(text)?;
+        chart
+            .configure_mesh()
+            .x_desc(self.x_label.as_str())
+            .y_desc(self.y_label.as_str())
+            .x_labels((self.size.0 / 75).max(3) as usize)
+            .y_labels(self.y_marks())
+            .x_label_formatter(&|value| number(*value))
+            .y_label_formatter(&|value| number(*value))
+            .label_style(font(TEXT_SIZE, FontStyle::Normal))
+            .axis_desc_style(font(TEXT_SIZE, FontStyle::Normal))
+            .bold_line_style(FAINT.stroke_width(FINE))
+            .light_line_style(TRANSPARENT)
+            .axis_style(INK.stroke_width(FINE))
+            .set_all_tick_mark_size(4 * FINE)
+            .draw()
+            .map_err(text)?;
+        for (series, color) in self.series.iter().zip(self.colors()) {
+            let thin = curve::decimate(&series.points, MAX_POINTS);
+            if series.style == Style::Points {
+                let shown = thin.into_iter().filter(|&point| curve::inside(point, x, y));
+                let dots = shown.map(|point| Circle::new(point, 3 * FINE, color.filled()));
+                chart.draw_series(dots).map_err(text)?;
+                continue;
+            }
+            let joined = if series.style == Style::Step {
+                curve::steps(&thin)
+            } else {
+                thin
+            };
+            for part in curve::clip(&joined, x, y) {
+                draw_line(&mut chart, part, series.style, color)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn draw_line<Y: Ranged<ValueType = f64>>(
+    chart: &mut ChartContext<'_, SVGBackend<'_>, Cartesian2d<plotters::coord::types::RangedCoordf64, Y>>,
+    points: Vec<Point>,
+    style: Style,
+    color: RGBColor,
+) -> Drawn {
+    let stroke = color.stroke_width(2 * FINE);
+    if style == Style::Dashed {
+        let dashes = DashedLineSeries::new(points, 7 * FINE, 5 * FINE, stroke);
+        chart.draw_series(dashes).map_err(text)?;
+    } else {
+        chart.draw_series(LineSeries::new(points, stroke)).map_err(text)?;
+    }
+    Ok(())
+}
+
+/// A short piece of the curve for the legend.
+fn draw_sample(root: &Area, style: Style, color: RGBColor, left: u32, middle: u32) -> Drawn {
+    let at = |x: u32| ((x * FINE) as i32, (middle * FINE) as i32);
+    let pieces: &[(u32, u32)] = match style {
+        Style::Line | Style::Step => &[(0, SAMPLE)],
+        Style::Dashed => &[(0, 10), (16, SAMPLE)],
+        Style::Points => &[],
+    };
+    for (start, end) in pieces {
+        let ends = vec![at(left + start), at(left + end)];
+        root.draw(&PathElement::new(ends, color.stroke_width(2 * FINE)))
+            .map_err(text)?;
+    }
+    if style == Style::Points {
+        root.draw(&Circle::new(at(left + SAMPLE / 2), 3 * FINE, color.filled()))
+            .map_err(text)?;
+    }
+    Ok(())
+}
+
+fn put_text(root: &Area, words: &str, at: (u32, u32), size: u32, weight: FontStyle) -> Drawn {
+    let style = font(size, weight).pos(Pos::new(HPos::Left, VPos::Center));
+    root.draw_text(words, &style, ((at.0 * FINE) as i32, (at.1 * FINE) as i32))
+        .map_err(text)
+}
+
+/// The palette, then the palette again in ever darker shades.
+fn palette(index: usize) -> RGBColor {
+    let shade = 0.6_f64.powi((index / PALETTE.len()) as i32);
+    let RGBColor(red, green, blue) = PALETTE[index % PALETTE.len()];
+    let darker = |channel: u8| (f64::from(channel) * shade) as u8;
+    RGBColor(darker(red), darker(green), darker(blue))
+}
+
+/// Text style on the fine canvas.
+fn font(size: u32, style: FontStyle) -> TextStyle<'static> {
+    TextStyle::from(FontDesc::new(
+        FontFamily::SansSerif,
+        f64::from(size * FINE),
+        style,
+    ))
+    .color(&INK)
+}
+
+/// Estimated, because measuring needs a font library.
+fn text_width(words: &str) -> u32 {
+    (CHARACTER * f64::from(TEXT_SIZE) * words.chars().count() as f64).ceil() as u32
+}
+
+/// A mark of an axis without the digits that binary fractions leave behind.
+fn number(value: f64) -> String {
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
+        return format!("{value:.0e}");
+    }
+    let digits = format!("{value:.4}");
+    let short = digits.trim_end_matches('0').trim_end_matches('.');
+    if short == "-0" {
+        "0".to_owned()
+    } else {
+        short.to_owned()
+    }
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}

@@ -1,0 +1,69 @@
+//! Marks of a logarithmic axis; the drawing library has too few for a range of less than some decades.
+
+use super::curve::Limits;
+
+/// About `wanted` round values within a positive range: decades, or 1, 2, 5 of each, or even steps in a narrow range.
+pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
+    let decades = (high / low).log10();
+    let wanted = wanted.max(2) as f64;
+    if decades < 0.9 {
+        return linear((low, high), wanted);
+    }
+    let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
+    let within = |value: &f64| (low..=high).contains(value);
+    if decades < 0.5 * wanted {
+        let digits = |power: i32| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(power));
+        return (first..=last).flat_map(digits).filter(within).collect();
+    }
+    let every = (decades / wanted).ceil().max(1.0) as usize;
+    let start = first - first.rem_euclid(every as i32);
+    (start..=last)
+        .step_by(every)
+        .map(|power| 10_f64.powi(power))
+        .filter(within)
+        .collect()
+}
+
+fn linear((low, high): Limits, wanted: f64) -> Vec<f64> {
+    let rough = (high - low) / wanted;
+    let power = 10_f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0]
+        .map(|digit| digit * power)
+        .into_iter()
+        .find(|&step| step >= rough);
+    let step = step.unwrap_or(rough);
+    ((low / step).ceil() as i64..=(high / step).floor() as i64)
+        .map(|count| count as f64 * step)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn marks_suit_the_width_of_the_range() {
+        assert_eq!(logarithmic((0.9, 2.1), 6), [1.0, 1.5, 2.0]);
+        assert_eq!(logarithmic((0.8, 60.0), 6), [1.0, 2.0, 5.0, 10.0, 20.0, 50.0]);
+        assert_eq!(logarithmic((1e-3, 1e2), 6).len(), 6);
+        assert_eq!(
+            logarithmic((1e-9, 1e9), 6),
+            [1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9]
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn every_range_has_some_marks_all_within(low_power in -9.0..9.0_f64, decades in 0.05..12.0_f64, wanted in 4..10_usize) {
+            let low = 10_f64.powf(low_power);
+            let high = low * 10_f64.powf(decades);
+            let marks = logarithmic((low, high), wanted);
+            prop_assert!((2..=2 * wanted).contains(&marks.len()), "{:?}", marks);
+            let slack = 1e-9 * high;
+            prop_assert!(marks.iter().all(|&mark| (low - slack..=high + slack).contains(&mark)));
+            prop_assert!(marks.is_sorted());
+        }
+    }
+}
