@@ -6,7 +6,7 @@ pub mod dataset;
 pub mod engine;
 pub mod files;
 pub mod provenance;
+pub mod report;
 pub mod simulator;
 pub mod source;
 pub mod tensors;
-pub mod report;

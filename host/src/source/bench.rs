@@ -179,7 +179,10 @@ mod tests {
                 worst = worst.max((tick.sample.pressure - tick.truth.unwrap().sensor_pressure).abs());
             })
             .unwrap();
-        assert!(worst < 0.6, "noise of 0.1 cmH2O and a quantum of 0.07 cmH2O, not {worst}");
+        assert!(
+            worst < 0.6,
+            "noise of 0.1 cmH2O and a quantum of 0.07 cmH2O, not {worst}"
+        );
     }
 
     #[test]
