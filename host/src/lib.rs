@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bench;
+pub mod collect;
 pub mod dataset;
 pub mod engine;
 pub mod files;
@@ -10,3 +11,4 @@ pub mod report;
 pub mod simulator;
 pub mod source;
 pub mod tensors;
+pub mod watch;

@@ -1,5 +1,7 @@
 //! Named lungs: those of the paper and those of the pressure-control test table.
 
+use shared::breath::{ISO_ROWS, IsoRow};
+
 use super::LEAST_SUB_STEPS;
 use super::config::{
     BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LungConfig, PatientConfig,
@@ -10,32 +12,6 @@ use super::config::{
 const PAPER_RESISTANCES: [f64; 3] = [5.0, 20.0, 50.0];
 /// Compliances of the paper's lungs, mL/cmH2O.
 const PAPER_COMPLIANCES: [f64; 3] = [10.0, 20.0, 50.0];
-
-/// Compliance in mL/cmH2O and resistance in cmH2O/(L/s) of the 21 rows of ISO 80601-2-12 table 201.105, as
-/// transcribed by open-ventilator projects and not checked against the standard itself.
-const ISO_ROWS: [(f64, f64); 21] = [
-    (50.0, 5.0),
-    (50.0, 20.0),
-    (20.0, 5.0),
-    (20.0, 20.0),
-    (20.0, 20.0),
-    (20.0, 50.0),
-    (10.0, 50.0),
-    (10.0, 10.0),
-    (3.0, 10.0),
-    (3.0, 20.0),
-    (3.0, 50.0),
-    (3.0, 20.0),
-    (3.0, 50.0),
-    (1.0, 20.0),
-    (1.0, 100.0),
-    (1.0, 200.0),
-    (1.0, 200.0),
-    (1.0, 50.0),
-    (0.5, 50.0),
-    (0.5, 50.0),
-    (0.5, 200.0),
-];
 
 impl BenchConfig {
     /// A lung of `resistance` cmH2O/(L/s) and `compliance` mL/cmH2O on the default bench, named like `R20C20`.
@@ -53,9 +29,11 @@ impl BenchConfig {
 
     /// The 21 lungs of the pressure-control test table, `iso-01` to `iso-21`.
     pub fn iso_lungs() -> Vec<Self> {
-        let rows = (1..).zip(ISO_ROWS);
-        rows.map(|(number, (c, r))| Self::with_lung(format!("iso-{number:02}"), r, c))
-            .collect()
+        let lung = |row: &IsoRow| {
+            let name = format!("iso-{:02}", row.number);
+            Self::with_lung(name, f64::from(row.resistance), f64::from(row.compliance))
+        };
+        ISO_ROWS.iter().map(lung).collect()
     }
 
     /// The lung called `name`: `R<resistance>C<compliance>` with any allowed numbers, or `iso-01` to `iso-21`.

@@ -2,6 +2,7 @@
 
 use shared::control::Controller;
 use shared::explore::Exploration;
+use shared::safety::filter::ValveCommand;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Ventilator, VentilatorState};
 
@@ -10,6 +11,9 @@ use crate::bench::{Bench, BenchConfig, STEP_S};
 
 /// Microseconds of a bench step.
 const STEP_US: u32 = (STEP_S * 1e6) as u32;
+
+/// How long a fault's vented lung rests before the next breath, s.
+const REST_TIME: f32 = 3.0;
 
 /// A ventilator on the virtual bench.
 #[derive(Clone, Debug)]
@@ -122,6 +126,18 @@ impl Source for BenchSource {
                 return Ok(());
             }
         }
+    }
+
+    fn acknowledge(&mut self) -> Result<(), SourceError> {
+        for _ in 0..shared::math::ticks(REST_TIME, STEP_US) {
+            self.reading = self
+                .bench
+                .step(ValveCommand::SAFE.u_in(), ValveCommand::SAFE.u_out())
+                .pressure;
+        }
+        self.state.acknowledge();
+        self.state.start();
+        Ok(())
     }
 }
 

@@ -82,6 +82,12 @@ pub trait Source {
     /// # Errors
     /// Refused settings or a fault of the ventilator; ticks up to then have reached the sink.
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError>;
+
+    /// After a fault: waits until the pressure is back at PEEP and acknowledges.
+    ///
+    /// # Errors
+    /// A source that cannot be reached.
+    fn acknowledge(&mut self) -> Result<(), SourceError>;
 }
 
 /// A ventilator's configuration from its parts.
