@@ -135,8 +135,9 @@ fn what_was_made_for_something_else_is_told_apart() {
         decode(&forged(|b| b[16..20].fill(0))),
         Err(WeightsError::Period(0))
     );
-    let longer = forged(|b| b[122] ^= 0x40);
-    assert!(decode(&longer).is_err());
+    let (have, need) = (IMAGE_BYTES, IMAGE_BYTES + 0x40);
+    let longer = decode(&forged(|b| b[122] ^= 0x40));
+    assert_eq!(longer, Err(WeightsError::Length { have, need }));
 }
 
 #[test]
