@@ -15,9 +15,12 @@
 extern crate std;
 
 pub mod breath;
+pub mod checksum;
 pub mod control;
 pub mod explore;
+pub mod link;
 pub mod math;
 pub mod safety;
 pub mod settings;
 pub mod ventilator;
+pub mod weights;

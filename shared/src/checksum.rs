@@ -1,0 +1,40 @@
+//! The one checksum of the project: CRC-32 as in zip and Ethernet (`zlib.crc32` in Python), for the weights
+//! image and for both links.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+
+/// The checksum, for callers that feed it bit by bit.
+pub static CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Bytes that a checksum takes in a frame or image.
+pub const CHECKSUM_BYTES: usize = 4;
+
+/// Checksum of some bytes.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    CRC_32.checksum(bytes)
+}
+
+/// Splits off the checksum at the end, stored little endian: what it covers, if it matches.
+pub fn verified(bytes: &[u8]) -> Option<&[u8]> {
+    let (covered, stored) = bytes.split_last_chunk::<CHECKSUM_BYTES>()?;
+    (crc32(covered) == u32::from_le_bytes(*stored)).then_some(covered)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_checksum_is_that_of_zip() {
+        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+    }
+
+    #[test]
+    fn only_the_matching_checksum_is_accepted() {
+        let mut bytes = *b"123456789\x26\x39\xF4\xCB";
+        assert_eq!(verified(&bytes), Some(&b"123456789"[..]));
+        bytes[0] ^= 1;
+        assert_eq!(verified(&bytes), None);
+        assert_eq!(verified(&[0; 3]), None);
+    }
+}

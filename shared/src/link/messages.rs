@@ -1,0 +1,239 @@
+//! What host and device say to each other.
+//!
+//! **The order of variants and fields in this file, and in the types it names, is the protocol**: postcard
+//! writes a variant as its number and fields without names. Append variants at the end; any other change is a
+//! new [`PROTOCOL`] version. The tests pin the bytes of every message.
+//!
+//! Two things never change, so that any two versions can tell each other apart: [`Request::Identify`] is
+//! variant 0, and its answer begins with the protocol version ([`greeted_protocol`]).
+
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::PROTOCOL;
+use super::refusal::Refusal;
+use super::telemetry::{BreathSummary, TelemetryBatch};
+use crate::control::pid::PidGains;
+use crate::explore::Exploration;
+use crate::safety::supervisor::Fault;
+use crate::settings::Settings;
+use crate::ventilator::Mode;
+
+/// Most bytes of an image in one chunk.
+pub const CHUNK_BYTES: usize = 128;
+
+/// Host to device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ToDevice {
+    /// Chosen by the host, returned with the answer.
+    pub sequence: u16,
+    /// What is asked.
+    pub request: Request,
+}
+
+/// What a host can ask.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Request {
+    /// Who are you? Answered by [`Response::Identity`].
+    Identify,
+    /// Answered by [`Response::Settings`].
+    GetSettings,
+    /// Settings for the next breath; answered by [`Response::Settings`].
+    ApplySettings(Settings),
+    /// Starts ventilation; answered by [`Response::Mode`].
+    Start,
+    /// Stops ventilation; answered by [`Response::Mode`].
+    Stop,
+    /// Leaves the latched safe state for standby; answered by [`Response::Mode`].
+    Acknowledge,
+    /// Answered by [`Response::Controller`].
+    SetController(ControllerChoice),
+    /// Answered by [`Response::Exploration`].
+    SetExploration(Option<Exploration>),
+    /// Switches telemetry; answered by [`Response::Telemetry`].
+    Telemetry {
+        /// Send batches?
+        on: bool,
+    },
+    /// Begins an upload; answered by [`Response::Progress`]. Not while ventilating.
+    BeginWeights {
+        /// Bytes of the image.
+        length: u32,
+        /// The image's id: the checksum at its end.
+        id: u32,
+    },
+    /// Next bytes of the image; answered by [`Response::Progress`].
+    WeightsChunk {
+        /// Place of the first byte in the image.
+        offset: u32,
+        /// The bytes.
+        bytes: Vec<u8, CHUNK_BYTES>,
+    },
+    /// Validates and stores the image; answered by [`Response::Weights`].
+    CommitWeights,
+    /// Restarts the device; answered by [`Response::Done`] before it does. Not while ventilating.
+    Reset,
+}
+
+/// Which controller to run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ControllerChoice {
+    /// PID with these gains.
+    Pid(PidGains),
+    /// The stored weights.
+    Learned,
+}
+
+/// Device to host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a batch is most of the traffic, and nothing may allocate"
+)]
+pub enum ToHost {
+    /// Answer to a request.
+    Response {
+        /// The request's.
+        sequence: u16,
+        /// The answer.
+        response: Response,
+    },
+    /// Unasked.
+    Event(Event),
+}
+
+/// What a device answers: the value in force after the request.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Response {
+    /// Who the device is and what it does.
+    Identity(DeviceIdentity),
+    /// Settings.
+    Settings {
+        /// Of the running breath.
+        in_force: Settings,
+        /// Of the next breath, if different ones wait.
+        pending: Option<Settings>,
+    },
+    /// What the ventilator is doing.
+    Mode(Mode),
+    /// Which controller runs.
+    Controller(ControllerChoice),
+    /// How the device explores.
+    Exploration(Option<Exploration>),
+    /// Whether telemetry is sent.
+    Telemetry {
+        /// Sending?
+        on: bool,
+    },
+    /// How much of an upload has arrived.
+    Progress {
+        /// First byte that is missing.
+        offset: u32,
+    },
+    /// Weights are stored.
+    Weights {
+        /// Their id.
+        id: u32,
+    },
+    /// Done, and there is no value to show for it.
+    Done,
+    /// Not done; everything is as it was.
+    Refused(Refusal),
+}
+
+/// The greeting.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DeviceIdentity {
+    /// [`PROTOCOL`] of the device.
+    pub protocol: u16,
+    /// Version of the firmware: major, minor, patch.
+    pub firmware: [u16; 3],
+    /// What it runs on.
+    pub device: DeviceKind,
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// What the ventilator is doing.
+    pub mode: Mode,
+    /// Which controller runs.
+    pub controller: ControllerChoice,
+    /// How it explores.
+    pub exploration: Option<Exploration>,
+    /// Id of the stored weights, if there are valid ones.
+    pub weights: Option<u32>,
+}
+
+/// What a device is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DeviceKind {
+    /// A ventilator: real sensor, real valves.
+    Ventilator,
+    /// A microcontroller whose sensor and valves are the [`super::plant`] link.
+    HardwareInTheLoop,
+    /// A program on a computer.
+    Simulated,
+}
+
+/// What a device tells unasked.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a batch is most of the traffic, and nothing may allocate"
+)]
+pub enum Event {
+    /// Samples.
+    Telemetry(TelemetryBatch),
+    /// A breath has ended.
+    Breath(BreathSummary),
+    /// A fault has latched.
+    Alarm {
+        /// Which.
+        fault: Fault,
+        /// Control tick since power-up.
+        tick: u64,
+    },
+}
+
+/// A frame that arrived whole but holds no message of this version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("frame holds no message of protocol {PROTOCOL}; update the older side")]
+pub struct Unreadable {
+    /// Sequence number to refuse the request under, if it can be read.
+    pub sequence: Option<u16>,
+}
+
+/// Reads a frame's content on the device.
+///
+/// # Errors
+/// [`Unreadable`]; answer with [`Refusal::UnknownRequest`].
+pub fn read_request(content: &[u8]) -> Result<ToDevice, Unreadable> {
+    whole(content).ok_or_else(|| Unreadable {
+        sequence: postcard::take_from_bytes(content)
+            .ok()
+            .map(|(sequence, _)| sequence),
+    })
+}
+
+/// Reads a frame's content on the host.
+///
+/// # Errors
+/// [`Unreadable`]; [`greeted_protocol`] tells whether it is a greeting of another version.
+pub fn read_reply(content: &[u8]) -> Result<ToHost, Unreadable> {
+    whole(content).ok_or(Unreadable { sequence: None })
+}
+
+/// Protocol version in a greeting of any version; none if the content is something else.
+pub fn greeted_protocol(content: &[u8]) -> Option<u16> {
+    let ((response, _, identity, protocol), _): ((u8, u16, u8, u16), _) =
+        postcard::take_from_bytes(content).ok()?;
+    (response == 0 && identity == 0).then_some(protocol)
+}
+
+/// A message that fills its content exactly.
+fn whole<'a, M: Deserialize<'a>>(content: &'a [u8]) -> Option<M> {
+    let (message, rest) = postcard::take_from_bytes(content).ok()?;
+    rest.is_empty().then_some(message)
+}
+
+#[cfg(test)]
+mod tests;

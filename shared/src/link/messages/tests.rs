@@ -1,0 +1,462 @@
+use std::string::String;
+use std::vec;
+use std::vec::Vec as StdVec;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::breath::Phase;
+use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
+use crate::link::refusal::SettingsRefusal;
+use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
+use crate::ventilator::Sample;
+use crate::weights::ImageProblem;
+
+fn hex<M: Serialize>(message: &M) -> String {
+    let mut buffer = [0; MESSAGE_BYTES];
+    let bytes = postcard::to_slice(message, &mut buffer).unwrap();
+    let digits = bytes.iter().flat_map(|byte| [byte >> 4, byte & 15]);
+    digits
+        .filter_map(|digit| char::from_digit(digit.into(), 16))
+        .collect()
+}
+
+fn settings() -> impl Strategy<Value = Settings> {
+    prop::array::uniform8(-1.0e6f32..1.0e6).prop_map(|v| Settings {
+        pip: v[0],
+        peep: v[1],
+        rate: v[2],
+        inspiratory_time: v[3],
+        rise_time: v[4],
+        fall_time: v[5],
+        expiratory_bias: v[6],
+        pressure_limit: v[7],
+    })
+}
+
+fn exploration() -> impl Strategy<Value = Option<Exploration>> {
+    let drawn = (0.0f32..1.0, any::<u64>()).prop_map(|(boundary_probability, seed)| Exploration {
+        boundary_probability,
+        seed,
+        ..Exploration::default()
+    });
+    prop::option::of(drawn)
+}
+
+fn controller() -> impl Strategy<Value = ControllerChoice> {
+    let pid = |(p, i, d)| ControllerChoice::Pid(PidGains { p, i, d });
+    let gains = (0.0f32..100.0, 0.0f32..1000.0, 0.0f32..10.0);
+    prop_oneof![Just(ControllerChoice::Learned), gains.prop_map(pid)]
+}
+
+fn mode() -> impl Strategy<Value = Mode> {
+    prop_oneof![
+        Just(Mode::Standby),
+        Just(Mode::Ventilating),
+        Just(Mode::Fault(Fault::HighPressure))
+    ]
+}
+
+fn request() -> impl Strategy<Value = Request> {
+    let chunk = prop::collection::vec(any::<u8>(), 0..=CHUNK_BYTES);
+    prop_oneof![
+        Just(Request::Identify),
+        Just(Request::GetSettings),
+        settings().prop_map(Request::ApplySettings),
+        Just(Request::Start),
+        Just(Request::Stop),
+        Just(Request::Acknowledge),
+        controller().prop_map(Request::SetController),
+        exploration().prop_map(Request::SetExploration),
+        any::<bool>().prop_map(|on| Request::Telemetry { on }),
+        (any::<u32>(), any::<u32>()).prop_map(|(length, id)| Request::BeginWeights { length, id }),
+        (any::<u32>(), chunk).prop_map(|(offset, bytes)| Request::WeightsChunk {
+            offset,
+            bytes: Vec::from_slice(&bytes).unwrap(),
+        }),
+        Just(Request::CommitWeights),
+        Just(Request::Reset),
+    ]
+}
+
+fn refusal() -> impl Strategy<Value = Refusal> {
+    let out_of_bounds = |(field, value)| SettingsRefusal::OutOfBounds {
+        field,
+        value,
+        min: 4.0,
+        max: 80.0,
+    };
+    prop_oneof![
+        (0u8..8, -1.0e3f32..1.0e3).prop_map(move |seen| Refusal::Settings(out_of_bounds(seen))),
+        any::<u32>().prop_map(|expected| Refusal::WrongOffset { expected }),
+        Just(Refusal::BadImage(ImageProblem::Golden)),
+        Just(Refusal::UnknownRequest),
+    ]
+}
+
+fn response() -> impl Strategy<Value = Response> {
+    let identity = (
+        any::<u16>(),
+        any::<[u16; 3]>(),
+        any::<u32>(),
+        mode(),
+        controller(),
+        exploration(),
+    );
+    let identity = (identity, any::<Option<u32>>()).prop_map(|(device, weights)| DeviceIdentity {
+        protocol: device.0,
+        firmware: device.1,
+        device: DeviceKind::HardwareInTheLoop,
+        period_us: device.2,
+        mode: device.3,
+        controller: device.4,
+        exploration: device.5,
+        weights,
+    });
+    prop_oneof![
+        identity.prop_map(Response::Identity),
+        (settings(), prop::option::of(settings()))
+            .prop_map(|(in_force, pending)| Response::Settings { in_force, pending }),
+        mode().prop_map(Response::Mode),
+        controller().prop_map(Response::Controller),
+        exploration().prop_map(Response::Exploration),
+        any::<bool>().prop_map(|on| Response::Telemetry { on }),
+        any::<u32>().prop_map(|offset| Response::Progress { offset }),
+        any::<u32>().prop_map(|id| Response::Weights { id }),
+        Just(Response::Done),
+        refusal().prop_map(Response::Refused),
+    ]
+}
+
+fn sample(breath: u32, tick: u32, values: [f32; 4]) -> PackedSample {
+    let [target, pressure, u_in, explore] = values;
+    PackedSample::pack(&Sample {
+        breath,
+        tick,
+        phase: Phase::Fall,
+        target,
+        pressure,
+        u_in,
+        u_out: true,
+        explore,
+    })
+}
+
+fn batch(sequence: u32, first_tick: u64, counters: Counters, samples: &[PackedSample]) -> Event {
+    Event::Telemetry(TelemetryBatch {
+        sequence,
+        first_tick,
+        counters,
+        samples: Vec::from_slice(samples).unwrap(),
+    })
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let samples = (
+        any::<u32>(),
+        any::<u32>(),
+        prop::array::uniform4(-100.0f32..100.0),
+    );
+    let samples = samples.prop_map(|(breath, tick, values)| sample(breath, tick, values));
+    let samples = prop::collection::vec(samples, 0..=BATCH_SAMPLES);
+    prop_oneof![
+        (any::<u32>(), any::<u64>(), any::<u32>(), samples).prop_map(
+            |(sequence, first, dropped, samples)| {
+                let counters = Counters {
+                    dropped,
+                    ..Counters::default()
+                };
+                batch(sequence, first, counters, &samples)
+            }
+        ),
+        (any::<u32>(), 0.0f32..50.0).prop_map(|(breath, peak_pressure)| Event::Breath(BreathSummary {
+            breath,
+            mean_absolute_error: 1.5,
+            peak_pressure,
+            end_pressure: 5.0,
+        })),
+        any::<u64>().prop_map(|tick| Event::Alarm {
+            fault: Fault::HighPressure,
+            tick,
+        }),
+    ]
+}
+
+fn to_host() -> impl Strategy<Value = ToHost> {
+    prop_oneof![
+        (any::<u16>(), response()).prop_map(|(sequence, response)| ToHost::Response { sequence, response }),
+        event().prop_map(ToHost::Event),
+    ]
+}
+
+/// Sends a message through a frame; gives its content.
+fn through<M: Serialize>(message: &M) -> StdVec<u8> {
+    let (mut buffer, mut decoder) = ([0; FRAME_BYTES], FrameDecoder::<DECODER_BYTES>::new());
+    let mut content = None;
+    for byte in encode_frame(message, &mut buffer).unwrap() {
+        if let Poll::Frame(bytes) = decoder.push(*byte) {
+            content = Some(bytes.to_vec());
+        }
+    }
+    content.unwrap()
+}
+
+#[test]
+fn the_bytes_of_every_request_are_pinned() {
+    let requests = [
+        (Request::Identify, "ac0200"),
+        (Request::GetSettings, "ac0201"),
+        (
+            Request::ApplySettings(Settings::default()),
+            "ac02020000a0410000a0400000a0410000803f000000000000003f0000a04000007042",
+        ),
+        (Request::Start, "ac0203"),
+        (Request::Stop, "ac0204"),
+        (Request::Acknowledge, "ac0205"),
+        (
+            Request::SetController(ControllerChoice::Pid(PidGains {
+                p: 1.0,
+                i: 2.0,
+                d: 0.5,
+            })),
+            "ac0206000000803f000000400000003f",
+        ),
+        (Request::SetController(ControllerChoice::Learned), "ac020601"),
+        (Request::SetExploration(None), "ac020700"),
+        (
+            Request::SetExploration(Some(Exploration::default())),
+            "ac0207019a99193e000000000000c842cdcc4c3d9a99993e0000f0c10000f041cdcccc3d0000003f00",
+        ),
+        (Request::Telemetry { on: true }, "ac020801"),
+        (
+            Request::BeginWeights {
+                length: 5510,
+                id: 0xDEAD_BEEF,
+            },
+            "ac0209862beffdb6f50d",
+        ),
+        (
+            Request::WeightsChunk {
+                offset: 128,
+                bytes: Vec::from_slice(&[0, 1, 255]).unwrap(),
+            },
+            "ac020a8001030001ff",
+        ),
+        (Request::CommitWeights, "ac020b"),
+        (Request::Reset, "ac020c"),
+    ];
+    for (request, expected) in requests {
+        let message = ToDevice {
+            sequence: 300,
+            request,
+        };
+        assert_eq!(hex(&message), expected, "{message:?}");
+    }
+}
+
+#[test]
+fn the_bytes_of_every_response_are_pinned() {
+    let identity = DeviceIdentity {
+        protocol: PROTOCOL,
+        firmware: [0, 1, 200],
+        device: DeviceKind::HardwareInTheLoop,
+        period_us: 1000,
+        mode: Mode::Fault(Fault::HighPressure),
+        controller: ControllerChoice::Learned,
+        exploration: None,
+        weights: Some(7),
+    };
+    let in_force = Settings::default();
+    let responses = [
+        (Response::Identity(identity), "000500010001c80101e807020201000107"),
+        (
+            Response::Settings {
+                in_force,
+                pending: None,
+            },
+            "0005010000a0410000a0400000a0410000803f000000000000003f0000a0400000704200",
+        ),
+        (Response::Mode(Mode::Ventilating), "00050201"),
+        (Response::Controller(ControllerChoice::Learned), "00050301"),
+        (Response::Exploration(None), "00050400"),
+        (Response::Telemetry { on: false }, "00050500"),
+        (Response::Progress { offset: 128 }, "0005068001"),
+        (Response::Weights { id: 1 }, "00050701"),
+        (Response::Done, "000508"),
+    ];
+    for (response, expected) in responses {
+        let message = ToHost::Response {
+            sequence: 5,
+            response,
+        };
+        assert_eq!(hex(&message), expected, "{message:?}");
+    }
+}
+
+#[test]
+fn the_bytes_of_every_refusal_are_pinned() {
+    let bounds = SettingsRefusal::OutOfBounds {
+        field: 2,
+        value: 200.0,
+        min: 4.0,
+        max: 80.0,
+    };
+    let refusals = [
+        (Refusal::Settings(bounds), "0900000200004843000080400000a042"),
+        (
+            Refusal::Settings(SettingsRefusal::PipBelowPeep(5.0, 8.0)),
+            "0900010000a04000000041",
+        ),
+        (
+            Refusal::Settings(SettingsRefusal::LimitTooLow(40.0, 38.0, 5.0)),
+            "09000200002042000018420000a040",
+        ),
+        (
+            Refusal::Settings(SettingsRefusal::BreathTooShort(1.5, 1.0)),
+            "0900030000c03f0000803f",
+        ),
+        (Refusal::Settings(SettingsRefusal::Period(1)), "09000401"),
+        (Refusal::Gains, "0901"),
+        (Refusal::Exploration, "0902"),
+        (Refusal::Ventilating, "0903"),
+        (Refusal::FaultLatched, "0904"),
+        (Refusal::NoFault, "0905"),
+        (Refusal::NoWeights, "0906"),
+        (Refusal::NoUpload, "0907"),
+        (Refusal::WrongLength, "0908"),
+        (Refusal::WrongOffset { expected: 256 }, "09098002"),
+        (Refusal::BadImage(ImageProblem::Length), "090a00"),
+        (Refusal::BadImage(ImageProblem::Golden), "090a09"),
+        (Refusal::OtherImage, "090b"),
+        (Refusal::Storage, "090c"),
+        (Refusal::UnknownRequest, "090d"),
+    ];
+    for (refusal, expected) in refusals {
+        let response = Response::Refused(refusal);
+        assert_eq!(hex(&response), expected, "{refusal:?}");
+    }
+}
+
+#[test]
+fn the_bytes_of_every_event_are_pinned() {
+    let counters = Counters {
+        dropped: 1,
+        corrupt_frames: 2,
+        missed_ticks: 3,
+        worst_tick_us: 400,
+        mean_tick_us: 55.5,
+    };
+    let samples = [
+        sample(1, 700, [20.0, 19.5, 30.0, 0.0]),
+        sample(1, 701, [20.0, 19.5, 30.0, -0.0]),
+    ];
+    let summary = BreathSummary {
+        breath: 9,
+        mean_absolute_error: 1.25,
+        peak_pressure: 21.0,
+        end_pressure: 5.0,
+    };
+    let events = [
+        (
+            batch(2, 1000, counters, &samples),
+            "010002e807010203900300005e420201bc0501010000a04100009c410000f0410001bd0501010000a04100009c410000f0410100000080",
+        ),
+        (Event::Breath(summary), "0101090000a03f0000a8410000a040"),
+        (
+            Event::Alarm {
+                fault: Fault::ReadingNotANumber,
+                tick: 1,
+            },
+            "01020001",
+        ),
+        (
+            Event::Alarm {
+                fault: Fault::ReadingOutOfRange,
+                tick: 1,
+            },
+            "01020101",
+        ),
+        (
+            Event::Alarm {
+                fault: Fault::HighPressure,
+                tick: 1,
+            },
+            "01020201",
+        ),
+    ];
+    for (event, expected) in events {
+        assert_eq!(hex(&ToHost::Event(event.clone())), expected, "{event:?}");
+    }
+}
+
+#[test]
+fn the_longest_messages_fit_into_a_frame() {
+    let largest = Counters {
+        dropped: u32::MAX,
+        corrupt_frames: u32::MAX,
+        missed_ticks: u32::MAX,
+        worst_tick_us: u32::MAX,
+        mean_tick_us: 1.0,
+    };
+    let samples = [sample(u32::MAX, u32::MAX, [1.0; 4]); BATCH_SAMPLES];
+    let event = ToHost::Event(batch(u32::MAX, u64::MAX, largest, &samples));
+    assert_eq!(read_reply(&through(&event)), Ok(event));
+    let chunk = Request::WeightsChunk {
+        offset: u32::MAX,
+        bytes: Vec::from_slice(&[0xFF; CHUNK_BYTES]).unwrap(),
+    };
+    let message = ToDevice {
+        sequence: u16::MAX,
+        request: chunk,
+    };
+    assert_eq!(read_request(&through(&message)), Ok(message));
+}
+
+#[test]
+fn an_unknown_request_can_be_refused_under_its_number() {
+    assert_eq!(
+        read_request(&[0xAC, 0x02, 99]),
+        Err(Unreadable { sequence: Some(300) })
+    );
+    assert_eq!(read_request(&[]), Err(Unreadable { sequence: None }));
+    assert_eq!(
+        read_request(&[5, 3, 0]).unwrap_err().sequence,
+        Some(5),
+        "a byte too many"
+    );
+}
+
+#[test]
+fn a_greeting_of_another_version_is_recognised() {
+    assert_eq!(greeted_protocol(&[0, 5, 0, 77, 1, 2, 3, 4, 5]), Some(77));
+    assert_eq!(greeted_protocol(&[0, 5, 8]), None);
+    assert_eq!(greeted_protocol(&[1, 5, 0, 77]), None);
+}
+
+proptest! {
+    #[test]
+    fn every_request_arrives_as_it_was_sent(sequence: u16, request in request()) {
+        let message = ToDevice { sequence, request };
+        prop_assert_eq!(read_request(&through(&message)), Ok(message));
+    }
+
+    #[test]
+    fn every_reply_arrives_as_it_was_sent(message in to_host()) {
+        let content = through(&message);
+        if let ToHost::Response { response: Response::Identity(identity), .. } = &message {
+            prop_assert_eq!(greeted_protocol(&content), Some(identity.protocol));
+        }
+        prop_assert_eq!(read_reply(&content), Ok(message));
+    }
+
+    #[test]
+    fn random_contents_never_panic(content in prop::collection::vec(any::<u8>(), 0..600)) {
+        let _ = greeted_protocol(&content);
+        if let Ok(message) = read_request(&content) {
+            prop_assert!(read_request(&through(&message)).is_ok());
+        }
+        if let Ok(ToHost::Event(Event::Telemetry(batch))) = read_reply(&content) {
+            prop_assert!(batch.samples.len() <= BATCH_SAMPLES);
+        }
+    }
+}

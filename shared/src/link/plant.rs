@@ -1,0 +1,151 @@
+//! The plant link: a ventilator's firmware on one end, a lung simulator in any language on the other, in
+//! lockstep. It takes the place of sensor and valves.
+//!
+//! Every frame has 16 bytes, little endian:
+//!
+//! | offset | bytes | content |
+//! |---|---|---|
+//! | 0 | 1 | start, 0xA5 |
+//! | 1 | 1 | kind |
+//! | 2 | 2 | tick, u16: chosen by the ventilator, wrapping; repeated in the answer |
+//! | 4 | 8 | payload |
+//! | 12 | 4 | CRC-32 of bytes 0..12 (`zlib.crc32`) |
+//!
+//! | kind | direction | payload |
+//! |---|---|---|
+//! | 1 Reset | to the plant | control period in microseconds, u32; seed of its random numbers, u32 |
+//! | 2 Step | to the plant | inspiratory valve in percent, f32; expiratory valve, u32: 1 open, 0 closed |
+//! | 3 Ready | from the plant | pressure at rest in cmH2O, f32; zero, u32 |
+//! | 4 Pressure | from the plant | pressure after the step in cmH2O, f32; zero, u32 |
+//!
+//! The ventilator sends one frame and waits for its answer: Ready to Reset, Pressure to Step. No answer in time:
+//! it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
+//! does not step. Bytes that belong to no frame are skipped.
+//!
+//! In Python: `struct.pack("<BBHfI", 0xA5, 4, tick, pressure, 0)`, then `struct.pack("<I", zlib.crc32(...))`.
+
+use crate::checksum::{crc32, verified};
+
+/// First byte of a frame.
+pub const START: u8 = 0xA5;
+/// Length of a frame.
+pub const FRAME_BYTES: usize = 16;
+
+/// What is said.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Message {
+    /// Start anew, at rest.
+    Reset {
+        /// Control period, microseconds.
+        period_us: u32,
+        /// Seed of the plant's random numbers.
+        seed: u32,
+    },
+    /// One control period with these valves.
+    Step {
+        /// Inspiratory valve, percent of full opening.
+        u_in: f32,
+        /// Expiratory valve open?
+        u_out: bool,
+    },
+    /// The plant has started anew.
+    Ready {
+        /// Pressure at rest, cmH2O.
+        pressure: f32,
+    },
+    /// The plant has stepped.
+    Pressure {
+        /// Pressure after the step, cmH2O.
+        pressure: f32,
+    },
+}
+
+/// A message with its tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// Tick that the ventilator chose.
+    pub tick: u16,
+    /// What is said.
+    pub message: Message,
+}
+
+impl Frame {
+    /// The frame's bytes.
+    pub fn encode(&self) -> [u8; FRAME_BYTES] {
+        let (kind, first, second) = match self.message {
+            Message::Reset { period_us, seed } => (1, period_us, seed),
+            Message::Step { u_in, u_out } => (2, u_in.to_bits(), u32::from(u_out)),
+            Message::Ready { pressure } => (3, pressure.to_bits(), 0),
+            Message::Pressure { pressure } => (4, pressure.to_bits(), 0),
+        };
+        let mut bytes = [0; FRAME_BYTES];
+        (bytes[0], bytes[1]) = (START, kind);
+        bytes[2..4].copy_from_slice(&self.tick.to_le_bytes());
+        bytes[4..8].copy_from_slice(&first.to_le_bytes());
+        bytes[8..12].copy_from_slice(&second.to_le_bytes());
+        let checksum = crc32(&bytes[..12]);
+        bytes[12..].copy_from_slice(&checksum.to_le_bytes());
+        bytes
+    }
+
+    /// The frame in some bytes; none unless all of them are as the table says.
+    pub fn decode(bytes: &[u8; FRAME_BYTES]) -> Option<Self> {
+        verified(bytes)?;
+        let [start, kind, t0, t1, a0, a1, a2, a3, b0, b1, b2, b3, ..] = *bytes;
+        let first = u32::from_le_bytes([a0, a1, a2, a3]);
+        let second = u32::from_le_bytes([b0, b1, b2, b3]);
+        let real = f32::from_bits(first);
+        let message = match (start, kind, second) {
+            (START, 1, seed) => Message::Reset {
+                period_us: first,
+                seed,
+            },
+            (START, 2, 0 | 1) => Message::Step {
+                u_in: real,
+                u_out: second == 1,
+            },
+            (START, 3, 0) => Message::Ready { pressure: real },
+            (START, 4, 0) => Message::Pressure { pressure: real },
+            _ => return None,
+        };
+        Some(Self {
+            tick: u16::from_le_bytes([t0, t1]),
+            message,
+        })
+    }
+}
+
+/// Finds frames in a stream of bytes: a window over the last 16.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Decoder {
+    window: [u8; FRAME_BYTES],
+    filled: usize,
+    skipped: u32,
+}
+
+impl Decoder {
+    /// Takes in one byte; a frame when it completes one.
+    pub fn push(&mut self, byte: u8) -> Option<Frame> {
+        if self.filled == FRAME_BYTES {
+            self.filled -= 1;
+            self.skipped = self.skipped.wrapping_add(1);
+        }
+        self.window.copy_within(1.., 0);
+        self.window[FRAME_BYTES - 1] = byte;
+        self.filled += 1;
+        if self.filled < FRAME_BYTES || self.window[0] != START {
+            return None;
+        }
+        let frame = Frame::decode(&self.window)?;
+        self.filled = 0;
+        Some(frame)
+    }
+
+    /// Bytes that belonged to no frame.
+    pub fn skipped(&self) -> u32 {
+        self.skipped
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,99 @@
+use std::vec::Vec;
+
+use proptest::prelude::*;
+
+use super::*;
+
+/// Any frame whose numbers are no NaN, so that frames can be compared.
+fn frame() -> impl Strategy<Value = Frame> {
+    let real = || -200.0f32..200.0;
+    let message = prop_oneof![
+        (any::<u32>(), any::<u32>()).prop_map(|(period_us, seed)| Message::Reset { period_us, seed }),
+        (real(), any::<bool>()).prop_map(|(u_in, u_out)| Message::Step { u_in, u_out }),
+        real().prop_map(|pressure| Message::Ready { pressure }),
+        real().prop_map(|pressure| Message::Pressure { pressure }),
+    ];
+    (any::<u16>(), message).prop_map(|(tick, message)| Frame { tick, message })
+}
+
+fn feed(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Frame> {
+    bytes.iter().filter_map(|byte| decoder.push(*byte)).collect()
+}
+
+/// Made with Python: `struct.pack("<BBHfI", 0xA5, 2, 258, 37.5, 1)` and `zlib.crc32`.
+const PYTHON_STEP: [u8; FRAME_BYTES] = [
+    0xA5, 0x02, 0x02, 0x01, 0x00, 0x00, 0x16, 0x42, 0x01, 0x00, 0x00, 0x00, 0x12, 0xF5, 0x62, 0x9F,
+];
+
+#[test]
+fn a_step_has_the_bytes_that_python_packs() {
+    let frame = Frame {
+        tick: 258,
+        message: Message::Step {
+            u_in: 37.5,
+            u_out: true,
+        },
+    };
+    assert_eq!(frame.encode(), PYTHON_STEP);
+}
+
+#[test]
+fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
+    let forged = |at: usize, value: u8| {
+        let mut bytes = PYTHON_STEP;
+        bytes[at] = value;
+        let checksum = crc32(&bytes[..12]);
+        bytes[12..].copy_from_slice(&checksum.to_le_bytes());
+        Frame::decode(&bytes)
+    };
+    assert!(forged(8, 0).is_some());
+    for (at, value) in [(0, 0xA4), (1, 0), (1, 5), (8, 2), (11, 1)] {
+        assert_eq!(forged(at, value), None, "byte {at} = {value}");
+    }
+}
+
+#[test]
+fn a_pressure_that_is_no_number_arrives_as_it_was_sent() {
+    let message = Message::Pressure { pressure: f32::NAN };
+    let back = Frame::decode(&Frame { tick: 0, message }.encode()).unwrap();
+    assert!(matches!(back.message, Message::Pressure { pressure } if pressure.is_nan()));
+}
+
+proptest! {
+    #[test]
+    fn frames_come_back(frames in prop::collection::vec(frame(), 1..10)) {
+        let mut decoder = Decoder::default();
+        let stream: Vec<u8> = frames.iter().flat_map(Frame::encode).collect();
+        prop_assert_eq!(feed(&mut decoder, &stream), frames);
+        prop_assert_eq!(decoder.skipped(), 0);
+    }
+
+    #[test]
+    fn no_flipped_bit_and_no_lost_byte_makes_another_frame(frame in frame(), next in frame()) {
+        let bytes = frame.encode();
+        for bit in 0..8 * FRAME_BYTES {
+            let mut flipped = bytes;
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            let stream = [flipped, next.encode()].concat();
+            prop_assert_eq!(feed(&mut Decoder::default(), &stream), std::vec![next]);
+        }
+        for lost in 0..FRAME_BYTES {
+            let mut stream = [bytes, next.encode()].concat();
+            stream.remove(lost);
+            let good = feed(&mut Decoder::default(), &stream);
+            // A lost last byte of 0xA5 is made up for by the next frame's start, at that frame's cost.
+            prop_assert!(good == [next] || good == [frame]);
+        }
+    }
+
+    #[test]
+    fn after_any_garbage_the_next_frame_arrives(
+        garbage in prop::collection::vec(prop_oneof![Just(START), any::<u8>()], 0..200), frame in frame(),
+    ) {
+        let mut decoder = Decoder::default();
+        let mut stream = garbage.clone();
+        stream.extend(frame.encode());
+        prop_assert_eq!(feed(&mut decoder, &stream), std::vec![frame]);
+        prop_assert_eq!(decoder.skipped() as usize, garbage.len());
+    }
+}

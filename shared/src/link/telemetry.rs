@@ -1,0 +1,316 @@
+//! Telemetry: every tick's sample in batches, with what was lost on the way, and a summary of each breath.
+//!
+//! A batch holds samples of consecutive control ticks. Its sequence number tells the host how many batches were
+//! lost on the line, its counters what was lost before: `dropped` samples, frames that the device refused,
+//! ticks that came too late.
+
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+use crate::breath::Phase;
+use crate::ventilator::Sample;
+
+/// Most samples of a batch.
+pub const BATCH_SAMPLES: usize = 16;
+
+/// A [`Sample`] for the link, 18 bytes in a usual breath, 22 while exploring; lossless to the last bit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PackedSample {
+    breath: u32,
+    tick: u32,
+    phase: Phase,
+    u_out: bool,
+    target: f32,
+    pressure: f32,
+    u_in: f32,
+    /// Absent for the very bits of +0, which most samples have.
+    explore: Option<f32>,
+}
+
+impl PackedSample {
+    /// Packs a sample.
+    pub fn pack(sample: &Sample) -> Self {
+        Self {
+            breath: sample.breath,
+            tick: sample.tick,
+            phase: sample.phase,
+            u_out: sample.u_out,
+            target: sample.target,
+            pressure: sample.pressure,
+            u_in: sample.u_in,
+            explore: (sample.explore.to_bits() != 0).then_some(sample.explore),
+        }
+    }
+
+    /// The sample that was packed.
+    pub fn unpack(&self) -> Sample {
+        Sample {
+            breath: self.breath,
+            tick: self.tick,
+            phase: self.phase,
+            target: self.target,
+            pressure: self.pressure,
+            u_in: self.u_in,
+            u_out: self.u_out,
+            explore: self.explore.unwrap_or(0.0),
+        }
+    }
+}
+
+/// What went wrong since power-up, and how long control ticks take.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Counters {
+    /// Samples that found no room in the device's queue.
+    pub dropped: u32,
+    /// Frames from the host that the device refused.
+    pub corrupt_frames: u32,
+    /// Control ticks that began late or not at all.
+    pub missed_ticks: u32,
+    /// Longest control tick, microseconds.
+    pub worst_tick_us: u32,
+    /// Mean length of a control tick, microseconds.
+    pub mean_tick_us: f32,
+}
+
+/// Samples of consecutive ticks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TelemetryBatch {
+    /// Counts batches, wrapping.
+    pub sequence: u32,
+    /// Control tick of the first sample, since power-up.
+    pub first_tick: u64,
+    /// State of the counters when the batch was closed.
+    pub counters: Counters,
+    /// The samples.
+    pub samples: Vec<PackedSample, BATCH_SAMPLES>,
+}
+
+/// Puts samples into batches (device).
+#[derive(Clone, Debug, Default)]
+pub struct Batcher {
+    sequence: u32,
+    first_tick: u64,
+    samples: Vec<PackedSample, BATCH_SAMPLES>,
+}
+
+impl Batcher {
+    /// Nothing collected.
+    pub const fn new() -> Self {
+        Self {
+            sequence: 0,
+            first_tick: 0,
+            samples: Vec::new(),
+        }
+    }
+
+    /// Takes in a tick's sample; gives a batch when it is full, or when the new sample does not follow the last.
+    pub fn push(&mut self, tick: u64, sample: &Sample, counters: &Counters) -> Option<TelemetryBatch> {
+        let follows = self.first_tick.wrapping_add(self.samples.len() as u64) == tick;
+        let closed = if follows { None } else { self.flush(counters) };
+        if self.samples.is_empty() {
+            self.first_tick = tick;
+        }
+        // There is room: a full batch was closed when its last sample came.
+        let _ = self.samples.push(PackedSample::pack(sample));
+        if self.samples.is_full() {
+            return self.flush(counters);
+        }
+        closed
+    }
+
+    /// Closes the batch, for instance when ventilation stops; none if it is empty.
+    pub fn flush(&mut self, counters: &Counters) -> Option<TelemetryBatch> {
+        if self.samples.is_empty() {
+            return None;
+        }
+        let sequence = self.sequence;
+        self.sequence = sequence.wrapping_add(1);
+        Some(TelemetryBatch {
+            sequence,
+            first_tick: self.first_tick,
+            counters: *counters,
+            samples: core::mem::take(&mut self.samples),
+        })
+    }
+}
+
+/// Counts batches lost on the line (host).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LossCounter {
+    next: Option<u32>,
+    lost: u64,
+}
+
+impl LossCounter {
+    /// Takes in a batch's sequence number; gives how many batches are missing before it.
+    pub fn arrived(&mut self, sequence: u32) -> u32 {
+        let missing = self.next.map_or(0, |next| sequence.wrapping_sub(next));
+        self.next = Some(sequence.wrapping_add(1));
+        self.lost += u64::from(missing);
+        missing
+    }
+
+    /// Batches lost so far.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+}
+
+/// A breath in a few numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BreathSummary {
+    /// Number of the breath.
+    pub breath: u32,
+    /// Mean absolute pressure error over the inspiration, cmH2O: the score.
+    pub mean_absolute_error: f32,
+    /// Highest pressure, cmH2O.
+    pub peak_pressure: f32,
+    /// Last pressure of the breath, cmH2O.
+    pub end_pressure: f32,
+}
+
+/// Makes breath summaries from samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BreathMeter {
+    breath: u32,
+    inspiration: u32,
+    expired: bool,
+    error_sum: f32,
+    peak: f32,
+    last: f32,
+}
+
+impl BreathMeter {
+    /// Takes in a sample; at the first one of a breath gives the summary of the breath before, unless that was
+    /// broken off in its inspiration.
+    pub fn take(&mut self, sample: &Sample) -> Option<BreathSummary> {
+        let summary = if sample.tick == 0 {
+            self.restart(sample)
+        } else {
+            None
+        };
+        if sample.phase == Phase::Inspiration {
+            self.inspiration += 1;
+            self.error_sum += (sample.pressure - sample.target).abs();
+        } else {
+            self.expired = true;
+        }
+        if sample.pressure > self.peak {
+            self.peak = sample.pressure;
+        }
+        self.last = sample.pressure;
+        summary
+    }
+
+    fn restart(&mut self, sample: &Sample) -> Option<BreathSummary> {
+        let ended = core::mem::replace(
+            self,
+            Self {
+                breath: sample.breath,
+                peak: f32::NEG_INFINITY,
+                ..Self::default()
+            },
+        );
+        (ended.expired && ended.inspiration > 0).then(|| BreathSummary {
+            breath: ended.breath,
+            mean_absolute_error: ended.error_sum / ended.inspiration as f32,
+            peak_pressure: ended.peak,
+            end_pressure: ended.last,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn sample(breath: u32, tick: u32, phase: Phase, pressure: f32) -> Sample {
+        Sample {
+            breath,
+            tick,
+            phase,
+            target: 20.0,
+            pressure,
+            u_in: 30.0,
+            u_out: phase != Phase::Inspiration,
+            explore: 0.0,
+        }
+    }
+
+    fn quiet(tick: u32) -> Sample {
+        sample(3, tick, Phase::Inspiration, 12.5)
+    }
+
+    #[test]
+    fn a_usual_sample_takes_eighteen_bytes() {
+        let mut buffer = [0; 64];
+        let packed = PackedSample::pack(&quiet(700));
+        assert_eq!(postcard::to_slice(&packed, &mut buffer).unwrap().len(), 18);
+    }
+
+    #[test]
+    fn a_batch_is_closed_when_full_when_ticks_are_missing_and_on_demand() {
+        let (mut batcher, counters) = (Batcher::new(), Counters::default());
+        let push = |batcher: &mut Batcher, tick: u64| batcher.push(tick, &quiet(tick as u32), &counters);
+        for tick in 100..115 {
+            assert_eq!(push(&mut batcher, tick), None);
+        }
+        let full = push(&mut batcher, 115).unwrap();
+        assert_eq!(
+            (full.sequence, full.first_tick, full.samples.len()),
+            (0, 100, BATCH_SAMPLES)
+        );
+        assert_eq!(push(&mut batcher, 116), None);
+        let cut = push(&mut batcher, 200).unwrap();
+        assert_eq!((cut.sequence, cut.first_tick, cut.samples.len()), (1, 116, 1));
+        let rest = batcher.flush(&counters).unwrap();
+        assert_eq!((rest.sequence, rest.first_tick, rest.samples.len()), (2, 200, 1));
+        assert_eq!(batcher.flush(&counters), None);
+    }
+
+    #[test]
+    fn missing_batches_are_counted_across_the_wrap() {
+        let mut loss = LossCounter::default();
+        let missing = [u32::MAX - 1, u32::MAX, 2, 3].map(|sequence| loss.arrived(sequence));
+        assert_eq!((missing, loss.lost()), ([0, 0, 2, 0], 2));
+    }
+
+    #[test]
+    fn a_summary_holds_score_peak_and_end() {
+        let mut meter = BreathMeter::default();
+        let breath = |number| {
+            [
+                sample(number, 0, Phase::Inspiration, 16.0),
+                sample(number, 1, Phase::Inspiration, 22.0),
+                sample(number, 2, Phase::Fall, 15.0),
+                sample(number, 3, Phase::Expiration, 5.5),
+            ]
+        };
+        assert!(breath(0).iter().all(|s| meter.take(s).is_none()));
+        let expected = BreathSummary {
+            breath: 0,
+            mean_absolute_error: 3.0,
+            peak_pressure: 22.0,
+            end_pressure: 5.5,
+        };
+        assert_eq!(meter.take(&breath(1)[0]), Some(expected));
+        assert_eq!(meter.take(&breath(0)[0]), None, "broken off and started anew");
+    }
+
+    proptest! {
+        #[test]
+        fn packing_loses_no_bit(
+            breath: u32, tick: u32, u_out: bool, bits: [u32; 4],
+            phase in prop_oneof![Just(Phase::Inspiration), Just(Phase::Fall), Just(Phase::Expiration)],
+        ) {
+            let [target, pressure, u_in, explore] = bits.map(f32::from_bits);
+            let sample = Sample { breath, tick, phase, target, pressure, u_in, u_out, explore };
+            let mut buffer = [0; 64];
+            let bytes = postcard::to_slice(&PackedSample::pack(&sample), &mut buffer).unwrap();
+            let back = postcard::from_bytes::<PackedSample>(bytes).unwrap().unpack();
+            prop_assert_eq!([back.target, back.pressure, back.u_in, back.explore].map(f32::to_bits), bits);
+            prop_assert_eq!((back.breath, back.tick, back.phase, back.u_out), (breath, tick, phase, u_out));
+        }
+    }
+}

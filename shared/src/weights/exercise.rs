@@ -1,0 +1,118 @@
+//! The exercise: a short scripted run of a built controller whose commands prove that trainer and device
+//! compute alike, features, network and PID together.
+//!
+//! The script, part of the format's version: a breath starts with the valve at 5 %. In tick `k` of
+//! [`TICKS`] the target is 25 cmH2O, PIP 25 and PEEP 8, and the pressure lies `((7 k) mod 16) / 2 - 2` cmH2O
+//! below the target; every command is applied as it is. All of this is exact in single precision.
+
+use crate::checksum::CRC_32;
+use crate::control::residual::Residual;
+use crate::control::{Controller, ControllerState, Observation};
+
+/// Length of the exercise, ticks: longer than the features' history, so that every tap has seen the script.
+pub const TICKS: u32 = 160;
+
+/// What a controller commands in the exercise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Golden {
+    /// Bits of the last command (f32, percent).
+    pub last: u32,
+    /// CRC-32 over the bits of all commands, little endian, one after the other.
+    pub all: u32,
+}
+
+/// Observation in a tick of the script.
+fn script(tick: u32) -> Observation {
+    let error = 0.5 * (7 * tick % 16) as f32 - 2.0;
+    Observation {
+        pressure: 25.0 - error,
+        target: 25.0,
+        pip: 25.0,
+        peep: 8.0,
+        tick,
+    }
+}
+
+/// Runs the exercise.
+pub fn golden(residual: &Residual) -> Golden {
+    let controller = Controller::Residual(residual.clone());
+    let mut state = ControllerState::new();
+    controller.start_breath(&mut state, 5.0);
+    let mut all = CRC_32.digest();
+    let mut last = 0;
+    for tick in 0..TICKS {
+        let command = controller.step(&mut state, &script(tick));
+        controller.applied(&mut state, command);
+        last = command.to_bits();
+        all.update(&last.to_le_bytes());
+    }
+    Golden {
+        last,
+        all: all.finalize(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::features::{FEATURES, FeatureSpec};
+    use crate::control::network::Network;
+    use crate::control::pid::PidGains;
+    use crate::control::residual::ResidualSpec;
+
+    fn built(change: impl Fn(&mut ResidualSpec, &mut Network)) -> Golden {
+        let gains = PidGains {
+            p: 1.0,
+            i: 20.0,
+            d: 0.01,
+        };
+        let mut spec = ResidualSpec {
+            period_us: 1000,
+            gains,
+            lambda: 0.5,
+            authority: 40.0,
+            features: FeatureSpec::default(),
+        };
+        let mut network = Network::zero();
+        for (index, weight) in network.parameters_mut().enumerate() {
+            *weight = (index % 23) as f32 * 0.02 - 0.2;
+        }
+        network.output.bias[0] = 0.5;
+        change(&mut spec, &mut network);
+        golden(&Residual::new(spec, network).unwrap())
+    }
+
+    /// Pins script, features, network and PID to bits; the same on every target. A change of any of them is a
+    /// new format version.
+    #[test]
+    fn the_exercise_of_a_known_controller_has_known_bits() {
+        let known = Golden {
+            last: 0x41F9_5756,
+            all: 0x1505_ABBF,
+        };
+        assert_eq!(built(|_, _| ()), known);
+    }
+
+    #[test]
+    fn every_feature_and_layer_reaches_the_golden_value() {
+        let base = built(|_, _| ());
+        for input in 0..FEATURES {
+            let changed = built(|_, network| network.hidden_1.weights[3][input] += 0.5);
+            assert_ne!(changed, base, "input {input}");
+        }
+        assert_ne!(built(|_, network| network.hidden_2.weights[2][5] += 0.1), base);
+        assert_ne!(built(|_, network| network.output.weights[0][7] += 0.1), base);
+    }
+
+    #[test]
+    fn every_part_of_the_pid_and_of_the_scale_reaches_the_golden_value() {
+        let base = built(|_, _| ());
+        assert_ne!(built(|spec, _| spec.gains.p += 0.01), base);
+        assert_ne!(built(|spec, _| spec.gains.i += 0.1), base);
+        assert_ne!(built(|spec, _| spec.gains.d += 0.001), base);
+        assert_ne!(built(|spec, _| spec.lambda += 0.01), base);
+        assert_ne!(built(|spec, _| spec.authority = 5.0), base);
+        assert_ne!(built(|spec, _| spec.features.error_taps[7] = 127), base);
+        assert_ne!(built(|spec, _| spec.features.command_averages[1] = 0.31), base);
+    }
+}

@@ -1,0 +1,159 @@
+//! The weights image: a learned controller as bytes, for a file, for the link and for a flash slot.
+//!
+//! All numbers are little endian, reals are IEEE 754 single precision.
+//!
+//! | offset | bytes | content |
+//! |---|---|---|
+//! | 0 | 4 | magic, `EUPN` |
+//! | 4 | 2 | format version, [`FORMAT_VERSION`] |
+//! | 6 | 2 | architecture, [`ARCHITECTURE`] |
+//! | 8 | 8 | sizes of the network from input to output, four u16: [`Network::SHAPE`] |
+//! | 16 | 4 | control period, microseconds, u32 |
+//! | 20 | 12 | gains P, I, D of the PID underneath |
+//! | 32 | 4 | lambda |
+//! | 36 | 4 | authority, percent |
+//! | 40 | 8 | ages of the error taps, ticks, u8 each |
+//! | 48 | 6 | ages of the command taps, ticks, u8 each |
+//! | 54 | 8 | time constants of the error's averages, s |
+//! | 62 | 8 | time constants of the command's averages, s |
+//! | 70 | 12 | time constants of the time features, s |
+//! | 82 | 16 | training id |
+//! | 98 | 16 | plant id |
+//! | 114 | 4 | golden: last command of the [`exercise`], percent |
+//! | 118 | 4 | golden: CRC-32 over the bits of all its commands |
+//! | 122 | 4 | bytes of parameters, u32 |
+//! | 126 | ... | parameters in the order of [`Network::parameters`] |
+//! | end | 4 | CRC-32 over everything before, u32; also the image's id |
+//!
+//! What follows the checksum belongs to nobody: a flash slot is longer than its image.
+//!
+//! The golden values are what the *built* controller commanded when the image was packed. A device that gets
+//! other bits from the same script computes features, network or PID differently from the trainer, and must
+//! not run these weights.
+
+mod bytes;
+pub mod exercise;
+mod image;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::control::network::Network;
+use crate::control::residual::{Residual, ResidualError};
+use exercise::Golden;
+pub use image::{decode, encode};
+
+/// First bytes of every image.
+pub const MAGIC: [u8; 4] = *b"EUPN";
+/// Version of the layout above and of the [`exercise`]'s script.
+pub const FORMAT_VERSION: u16 = 1;
+/// Features of [`crate::control::features`], two softsign layers, linear output, PID underneath.
+pub const ARCHITECTURE: u16 = 1;
+/// Bytes before the parameters.
+pub const HEADER_BYTES: usize = 126;
+/// Bytes of parameters.
+pub const PARAMETER_BYTES: usize = 4 * Network::PARAMETERS;
+/// Bytes of an image.
+pub const IMAGE_BYTES: usize = HEADER_BYTES + PARAMETER_BYTES + crate::checksum::CHECKSUM_BYTES;
+
+/// Where weights come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Identity {
+    /// Which training made them.
+    pub training: [u8; 16],
+    /// Which ventilator's recording they were trained on.
+    pub plant: [u8; 16],
+}
+
+/// A validated image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image {
+    /// The learned controller, ready to run.
+    pub residual: Residual,
+    /// Where it comes from.
+    pub identity: Identity,
+    /// What it commands in the exercise.
+    pub golden: Golden,
+    /// The image's checksum, which names it.
+    pub id: u32,
+}
+
+/// Why an image is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum WeightsError {
+    /// Bytes are missing.
+    #[error("image is cut short: {have} bytes where {need} are needed; transfer it again")]
+    Length {
+        /// Bytes given.
+        have: usize,
+        /// Bytes that the image needs.
+        need: usize,
+    },
+    /// Not an image, or an erased flash slot.
+    #[error("these bytes are no weights image; give a file that the trainer packed")]
+    Magic,
+    /// Another version of the layout.
+    #[error(
+        "image has format {0}, this version reads {FORMAT_VERSION}; pack it again with this version's trainer"
+    )]
+    Version(u16),
+    /// The checksum does not match.
+    #[error("image is damaged (checksum differs); transfer it again")]
+    Checksum,
+    /// Made for another kind of controller.
+    #[error("image is made for architecture {0}, this version runs {ARCHITECTURE}; train with this version")]
+    Architecture(u16),
+    /// The network's sizes differ.
+    #[error("image holds a network of {0:?}, this version runs {shape:?}; train with this version", shape = Network::SHAPE)]
+    Shape([u16; 4]),
+    /// A parameter is no number or too large.
+    #[error("parameter {0} is not finite or beyond the bound; train again, with a lower learning rate")]
+    Weight(usize),
+    /// The control period is out of bounds.
+    #[error(
+        "image is made for a control period of {0} us, which no ventilator can run; train with another one"
+    )]
+    Period(u32),
+    /// Gains, lambda, authority or features are out of bounds.
+    #[error("controller cannot be built: {0}; pack it again with values in bounds")]
+    Spec(#[from] ResidualError),
+    /// The built controller commands something else than when it was packed.
+    #[error(
+        "controller gives other commands than on the trainer; pack it again with the version that runs here"
+    )]
+    Golden,
+}
+
+/// A [`WeightsError`] without its numbers, as it goes over the link. The order of the variants is part of the
+/// protocol: append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the same variants as in the error")]
+pub enum ImageProblem {
+    Length,
+    Magic,
+    Version,
+    Checksum,
+    Architecture,
+    Shape,
+    Weight,
+    Period,
+    Spec,
+    Golden,
+}
+
+impl From<WeightsError> for ImageProblem {
+    fn from(error: WeightsError) -> Self {
+        match error {
+            WeightsError::Length { .. } => Self::Length,
+            WeightsError::Magic => Self::Magic,
+            WeightsError::Version(_) => Self::Version,
+            WeightsError::Checksum => Self::Checksum,
+            WeightsError::Architecture(_) => Self::Architecture,
+            WeightsError::Shape(_) => Self::Shape,
+            WeightsError::Weight(_) => Self::Weight,
+            WeightsError::Period(_) => Self::Period,
+            WeightsError::Spec(_) => Self::Spec,
+            WeightsError::Golden => Self::Golden,
+        }
+    }
+}
