@@ -100,21 +100,13 @@ pub fn collect(
     source.configure(controller.clone(), exploration(config, 0));
     while breaths < config.breaths && aborts <= config.aborts && !watch.stopped() {
         let number = (breaths + aborts) as u32;
-        let settings = Settings {
-            pip: pip(config, breaths, &mut rng),
-            ..config.settings
-        };
-        let result = source.breath(&settings, &mut |tick| {
-            recording.push(row(tick, number, &settings))
-        });
+        let settings = Settings { pip: pip(config, breaths, &mut rng), ..config.settings };
+        let result = source.breath(&settings, &mut |tick| recording.push(row(tick, number, &settings)));
         match result {
             Ok(()) => breaths += 1,
             Err(SourceError::Fault { fault, .. }) => {
                 aborts += 1;
-                recording
-                    .provenance
-                    .notes
-                    .push(format!("breath {number} ended early: {fault:?}"));
+                recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
                 source.acknowledge()?;
                 source.configure(controller.clone(), exploration(config, aborts as u64));
             }
@@ -122,11 +114,7 @@ pub fn collect(
         }
         watch.progress(breaths, config.breaths);
     }
-    Ok(Collected {
-        recording,
-        breaths,
-        aborts,
-    })
+    Ok(Collected { recording, breaths, aborts })
 }
 
 fn check(config: &CollectConfig) -> Result<(), CollectError> {
@@ -208,27 +196,15 @@ mod tests {
 
     fn run(config: &CollectConfig, p: f32) -> Result<Collected, CollectError> {
         let lung = BenchConfig::paper(20.0, 20.0);
-        let mut source = BenchSource::new(
-            &lung,
-            controller(p),
-            &paper_settings(20.0),
-            DEFAULT_PERIOD_US,
-            config.seed,
-        )
-        .unwrap();
+        let mut source =
+            BenchSource::new(&lung, controller(p), &paper_settings(20.0), DEFAULT_PERIOD_US, config.seed)
+                .unwrap();
         collect(&mut source, &controller(p), config, &Watch::silent())
     }
 
     #[test]
     fn every_breath_is_recorded_whole_and_valid() {
-        let collected = run(
-            &CollectConfig {
-                breaths: 6,
-                ..CollectConfig::default()
-            },
-            1.0,
-        )
-        .unwrap();
+        let collected = run(&CollectConfig { breaths: 6, ..CollectConfig::default() }, 1.0).unwrap();
         assert_eq!((collected.breaths, collected.aborts), (6, 0));
         assert_eq!(collected.recording.len(), 6 * 3000);
         assert_eq!(collected.recording.inspirations().len(), 6);
@@ -238,45 +214,22 @@ mod tests {
 
     #[test]
     fn the_same_seed_gives_the_same_recording() {
-        let config = CollectConfig {
-            breaths: 3,
-            seed: 4,
-            ..CollectConfig::default()
-        };
-        assert_eq!(
-            run(&config, 1.0).unwrap().recording,
-            run(&config, 1.0).unwrap().recording
-        );
-        let other = CollectConfig {
-            seed: 5,
-            ..config.clone()
-        };
-        assert_ne!(
-            run(&config, 1.0).unwrap().recording.u_in,
-            run(&other, 1.0).unwrap().recording.u_in
-        );
+        let config = CollectConfig { breaths: 3, seed: 4, ..CollectConfig::default() };
+        assert_eq!(run(&config, 1.0).unwrap().recording, run(&config, 1.0).unwrap().recording);
+        let other = CollectConfig { seed: 5, ..config.clone() };
+        assert_ne!(run(&config, 1.0).unwrap().recording.u_in, run(&other, 1.0).unwrap().recording.u_in);
     }
 
     #[test]
     fn the_pressure_limit_ends_the_breath_and_collection_goes_on() {
         let config = CollectConfig {
             breaths: 20,
-            settings: Settings {
-                pressure_limit: 42.0,
-                ..Settings::default()
-            },
-            exploration: Some(Exploration {
-                boundary_probability: 1.0,
-                ..Exploration::default()
-            }),
+            settings: Settings { pressure_limit: 42.0, ..Settings::default() },
+            exploration: Some(Exploration { boundary_probability: 1.0, ..Exploration::default() }),
             ..CollectConfig::default()
         };
         let collected = run(&config, 6.0).unwrap();
-        assert!(
-            collected.aborts > 0 && collected.breaths == 20,
-            "{} aborts",
-            collected.aborts
-        );
+        assert!(collected.aborts > 0 && collected.breaths == 20, "{} aborts", collected.aborts);
         assert_eq!(collected.recording.inspirations().len(), 20);
         collected.recording.validate().unwrap();
         let highest = collected.recording.pressure.iter().copied().fold(0.0, f32::max);
@@ -288,14 +241,8 @@ mod tests {
     fn a_wish_to_stop_keeps_what_is_there() {
         let stop = AtomicBool::new(true);
         let lung = BenchConfig::paper(20.0, 20.0);
-        let mut source = BenchSource::new(
-            &lung,
-            controller(1.0),
-            &paper_settings(20.0),
-            DEFAULT_PERIOD_US,
-            0,
-        )
-        .unwrap();
+        let mut source =
+            BenchSource::new(&lung, controller(1.0), &paper_settings(20.0), DEFAULT_PERIOD_US, 0).unwrap();
         let watch = Watch::new(&|_, _| (), &stop);
         let collected = collect(&mut source, &controller(1.0), &CollectConfig::default(), &watch).unwrap();
         assert_eq!(collected.breaths, 0);
@@ -303,15 +250,9 @@ mod tests {
 
     #[test]
     fn impossible_plans_are_refused() {
-        let no_pips = CollectConfig {
-            pips: Vec::new(),
-            ..CollectConfig::default()
-        };
+        let no_pips = CollectConfig { pips: Vec::new(), ..CollectConfig::default() };
         assert!(matches!(run(&no_pips, 1.0), Err(CollectError::NoPips)));
-        let too_high = CollectConfig {
-            pip_range: (10.0, 58.0),
-            ..CollectConfig::default()
-        };
+        let too_high = CollectConfig { pip_range: (10.0, 58.0), ..CollectConfig::default() };
         assert!(matches!(run(&too_high, 1.0), Err(CollectError::PipRange(..))));
     }
 }

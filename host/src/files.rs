@@ -12,10 +12,7 @@ use std::path::Path;
 /// Whatever the file system answers; the old file is untouched and no temporary file stays behind.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let name = path.file_name().ok_or_else(|| {
-        io::Error::new(
-            io::ErrorKind::InvalidInput,
-            "the path has no file name: name a file, not a folder",
-        )
+        io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name: name a file, not a folder")
     })?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder {

@@ -11,4 +11,5 @@ pub mod report;
 pub mod simulator;
 pub mod source;
 pub mod tensors;
+pub mod train;
 pub mod watch;

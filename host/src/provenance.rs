@@ -80,20 +80,11 @@ fn from_git() -> Option<String> {
     let tree = env!("CARGO_MANIFEST_DIR");
     let revision = git(tree, &["rev-parse", "--short=12", "HEAD"])?;
     let changes = git(tree, &["status", "--porcelain", "--untracked-files=no"])?;
-    Some(if changes.is_empty() {
-        revision
-    } else {
-        format!("{revision}-dirty")
-    })
+    Some(if changes.is_empty() { revision } else { format!("{revision}-dirty") })
 }
 
 fn git(folder: &str, arguments: &[&str]) -> Option<String> {
-    let output = Command::new("git")
-        .arg("-C")
-        .arg(folder)
-        .args(arguments)
-        .output()
-        .ok()?;
+    let output = Command::new("git").arg("-C").arg(folder).args(arguments).output().ok()?;
     if !output.status.success() {
         return None;
     }

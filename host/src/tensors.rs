@@ -38,11 +38,7 @@ pub enum TensorError {
 impl TensorError {
     /// A file that is not what it should be.
     pub fn format(path: &Path, kind: &'static str, reason: impl ToString) -> Self {
-        Self::Format {
-            path: path.to_owned(),
-            kind,
-            reason: reason.to_string(),
-        }
+        Self::Format { path: path.to_owned(), kind, reason: reason.to_string() }
     }
 
     fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
@@ -68,13 +64,7 @@ pub fn save(
     let json = serde_json::to_string(description).map_err(|e| TensorError::format(path, kind, e))?;
     let bytes: Vec<(&str, Vec<u8>, usize)> = vectors
         .iter()
-        .map(|(name, values)| {
-            (
-                *name,
-                values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-                values.len(),
-            )
-        })
+        .map(|(name, values)| (*name, values.iter().flat_map(|v| v.to_le_bytes()).collect(), values.len()))
         .collect();
     let views = bytes
         .iter()
@@ -105,17 +95,11 @@ fn parse<D: for<'de> Deserialize<'de>>(
     names: &[&str],
 ) -> Result<(D, Vec<Vec<f32>>), String> {
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
-    let json = header
-        .metadata()
-        .as_ref()
-        .and_then(|metadata| metadata.get(&key(kind)));
+    let json = header.metadata().as_ref().and_then(|metadata| metadata.get(&key(kind)));
     let json = json.ok_or_else(|| format!("it has no metadata of the name {}", key(kind)))?;
     let description = serde_json::from_str(json).map_err(|e| e.to_string())?;
     let tensors = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
-    let vectors = names
-        .iter()
-        .map(|name| vector(&tensors, name))
-        .collect::<Result<_, _>>()?;
+    let vectors = names.iter().map(|name| vector(&tensors, name)).collect::<Result<_, _>>()?;
     Ok((description, vectors))
 }
 

@@ -19,10 +19,7 @@ impl<'a> Watch<'a> {
 
     /// Reports to nobody and never stops.
     pub fn silent() -> Watch<'static> {
-        Watch {
-            progress: &|_, _| (),
-            stop: &NEVER,
-        }
+        Watch { progress: &|_, _| (), stop: &NEVER }
     }
 
     /// Reports that `done` of `total` steps are done.

@@ -52,14 +52,7 @@ impl Breath {
         let fall_ticks = math::ticks(settings.fall_time, period_us);
         let total_ticks = math::ticks(60.0 / settings.rate, period_us).max(inspiration_ticks + fall_ticks);
         let rise_ticks = math::ticks(settings.rise_time, period_us).min(inspiration_ticks);
-        Ok(Self {
-            settings: *settings,
-            period_us,
-            rise_ticks,
-            inspiration_ticks,
-            fall_ticks,
-            total_ticks,
-        })
+        Ok(Self { settings: *settings, period_us, rise_ticks, inspiration_ticks, fall_ticks, total_ticks })
     }
 
     /// Settings that the breath was built from.
@@ -122,10 +115,7 @@ pub fn period_s(period_us: u32) -> f32 {
 
 /// The paper's protocol at one peak pressure: PEEP 5 cmH2O, 20 breaths a minute, 1 s inspiration, 0.5 s fall.
 pub fn paper_settings(pip: f32) -> Settings {
-    Settings {
-        pip,
-        ..Settings::default()
-    }
+    Settings { pip, ..Settings::default() }
 }
 
 /// A row of the pressure-control test table (ISO 80601-2-12, table 201.105, as transcribed by the
@@ -212,10 +202,7 @@ mod tests {
     fn the_papers_breath_rises_holds_falls_and_rests() {
         let breath = Breath::new(&paper_settings(35.0), DEFAULT_PERIOD_US).unwrap();
         let at = |tick| breath.target(tick);
-        assert_eq!(
-            [at(0), at(999), at(1000), at(1500), at(2999)],
-            [35.0, 35.0, 35.0, 5.0, 5.0]
-        );
+        assert_eq!([at(0), at(999), at(1000), at(1500), at(2999)], [35.0, 35.0, 35.0, 5.0, 5.0]);
         assert!((at(1250) - 20.0).abs() < 1e-4);
         assert_eq!(breath.total_ticks(), 3000);
         assert_eq!(breath.phase(999), Phase::Inspiration);
@@ -225,15 +212,9 @@ mod tests {
 
     #[test]
     fn a_ramp_takes_its_rise_time() {
-        let settings = Settings {
-            rise_time: 0.2,
-            ..paper_settings(25.0)
-        };
+        let settings = Settings { rise_time: 0.2, ..paper_settings(25.0) };
         let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
-        assert_eq!(
-            [breath.target(0), breath.target(100), breath.target(200)],
-            [5.0, 15.0, 25.0]
-        );
+        assert_eq!([breath.target(0), breath.target(100), breath.target(200)], [5.0, 15.0, 25.0]);
     }
 
     #[test]

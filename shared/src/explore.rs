@@ -79,13 +79,7 @@ impl Exploration {
         ];
         for (name, (low, high), min, max) in ranges {
             if !(low >= min && low <= high && high <= max) {
-                return Err(ExplorationError {
-                    name,
-                    low,
-                    high,
-                    min,
-                    max,
-                });
+                return Err(ExplorationError { name, low, high, min, max });
             }
         }
         Ok(())
@@ -98,23 +92,13 @@ impl Exploration {
         let mut draw = |(low, high): Range| low + (high - low) * unit(rng.next_u32());
         if draw((0.0, 1.0)) < self.boundary_probability {
             let height = draw(self.boundary_height);
-            Perturbation {
-                height,
-                start: 0.0,
-                peak: 0.0,
-                end: draw(self.boundary_duration),
-            }
+            Perturbation { height, start: 0.0, peak: 0.0, end: draw(self.boundary_duration) }
         } else {
             let inspiration = breath.settings().inspiratory_time;
             let height = draw(self.triangle_height);
             let duration = draw(self.triangle_duration).min(inspiration);
             let start = draw((0.0, inspiration - duration));
-            Perturbation {
-                height,
-                start,
-                peak: start + 0.5 * duration,
-                end: start + duration,
-            }
+            Perturbation { height, start, peak: start + 0.5 * duration, end: start + duration }
         }
     }
 }
@@ -168,10 +152,7 @@ mod tests {
 
     #[test]
     fn boundary_exploration_starts_high_and_fades_out() {
-        let only_boundary = Exploration {
-            boundary_probability: 1.0,
-            ..Exploration::default()
-        };
+        let only_boundary = Exploration { boundary_probability: 1.0, ..Exploration::default() };
         for number in 0..200 {
             let p = only_boundary.perturbation(&breath(), number);
             assert!((p.at(0, DEFAULT_PERIOD_US) - p.height).abs() < 1e-4);
@@ -185,24 +166,14 @@ mod tests {
     #[test]
     fn the_share_of_boundary_exploration_is_its_probability() {
         let exploration = Exploration::default();
-        let boundary = (0..10_000)
-            .filter(|n| exploration.perturbation(&breath(), *n).peak.abs() < 1e-9)
-            .count();
-        assert!(
-            (1350..1650).contains(&boundary),
-            "{boundary} of 10000, expected 1500"
-        );
+        let boundary =
+            (0..10_000).filter(|n| exploration.perturbation(&breath(), *n).peak.abs() < 1e-9).count();
+        assert!((1350..1650).contains(&boundary), "{boundary} of 10000, expected 1500");
     }
 
     #[test]
     fn a_breaths_perturbation_depends_on_seed_and_number_alone() {
-        let (one, two) = (
-            Exploration::default(),
-            Exploration {
-                seed: 1,
-                ..Exploration::default()
-            },
-        );
+        let (one, two) = (Exploration::default(), Exploration { seed: 1, ..Exploration::default() });
         assert_eq!(one.perturbation(&breath(), 7), one.perturbation(&breath(), 7));
         assert_ne!(one.perturbation(&breath(), 7), one.perturbation(&breath(), 8));
         assert_ne!(one.perturbation(&breath(), 7), two.perturbation(&breath(), 7));
@@ -210,10 +181,7 @@ mod tests {
 
     #[test]
     fn a_falling_range_is_refused_by_name() {
-        let wrong = Exploration {
-            triangle_height: (30.0, -30.0),
-            ..Exploration::default()
-        };
+        let wrong = Exploration { triangle_height: (30.0, -30.0), ..Exploration::default() };
         assert_eq!(wrong.validate().unwrap_err().name, "triangle_height");
     }
 

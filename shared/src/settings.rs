@@ -143,23 +143,12 @@ impl Settings {
         for field in FIELDS {
             let value = field.value(self);
             if !(value >= field.min && value <= field.max) {
-                let Field {
-                    name, unit, min, max, ..
-                } = *field;
-                return Err(SettingsError::OutOfBounds {
-                    name,
-                    value,
-                    min,
-                    max,
-                    unit,
-                });
+                let Field { name, unit, min, max, .. } = *field;
+                return Err(SettingsError::OutOfBounds { name, value, min, max, unit });
             }
         }
         if self.pip < self.peep {
-            return Err(SettingsError::PipBelowPeep {
-                pip: self.pip,
-                peep: self.peep,
-            });
+            return Err(SettingsError::PipBelowPeep { pip: self.pip, peep: self.peep });
         }
         if self.pressure_limit < self.pip + LIMIT_MARGIN {
             let (limit, pip, margin) = (self.pressure_limit, self.pip, LIMIT_MARGIN);
@@ -187,49 +176,26 @@ mod tests {
     #[test]
     fn every_default_lies_within_its_bounds() {
         for field in FIELDS {
-            assert!(
-                field.default >= field.min && field.default <= field.max,
-                "{}",
-                field.name
-            );
+            assert!(field.default >= field.min && field.default <= field.max, "{}", field.name);
         }
     }
 
     #[test]
     fn a_nan_is_refused_by_name() {
-        let settings = Settings {
-            peep: f32::NAN,
-            ..Settings::default()
-        };
-        assert!(matches!(
-            settings.validate(),
-            Err(SettingsError::OutOfBounds { name: "peep", .. })
-        ));
+        let settings = Settings { peep: f32::NAN, ..Settings::default() };
+        assert!(matches!(settings.validate(), Err(SettingsError::OutOfBounds { name: "peep", .. })));
     }
 
     #[test]
     fn the_limit_must_leave_room_above_pip() {
-        let settings = Settings {
-            pip: 40.0,
-            pressure_limit: 44.0,
-            ..Settings::default()
-        };
-        assert!(matches!(
-            settings.validate(),
-            Err(SettingsError::LimitTooLow { .. })
-        ));
+        let settings = Settings { pip: 40.0, pressure_limit: 44.0, ..Settings::default() };
+        assert!(matches!(settings.validate(), Err(SettingsError::LimitTooLow { .. })));
     }
 
     #[test]
     fn a_breath_must_hold_its_inspiration() {
-        let settings = Settings {
-            rate: 60.0,
-            ..Settings::default()
-        };
-        assert!(matches!(
-            settings.validate(),
-            Err(SettingsError::BreathTooShort { .. })
-        ));
+        let settings = Settings { rate: 60.0, ..Settings::default() };
+        assert!(matches!(settings.validate(), Err(SettingsError::BreathTooShort { .. })));
     }
 
     proptest! {

@@ -92,11 +92,7 @@ pub struct VentilatorState {
 impl Ventilator {
     /// A ventilator with a control period in microseconds.
     pub fn new(period_us: u32, controller: Controller) -> Self {
-        Self {
-            period_us,
-            controller,
-            exploration: None,
-        }
+        Self { period_us, controller, exploration: None }
     }
 
     /// The same, exploring.
@@ -154,11 +150,7 @@ impl Ventilator {
             (Mode::Ventilating, Some(pressure)) => self.breathe(state, reading, pressure),
             (mode, _) => {
                 state.last_command = 0.0;
-                Output {
-                    command: ValveCommand::SAFE,
-                    mode,
-                    sample: None,
-                }
+                Output { command: ValveCommand::SAFE, mode, sample: None }
             }
         }
     }
@@ -173,18 +165,9 @@ impl Ventilator {
         let settings = breath.settings();
         let (wish, explore) = match phase {
             Phase::Inspiration => {
-                let seen = Observation {
-                    pressure,
-                    target,
-                    pip: settings.pip,
-                    peep: settings.peep,
-                    tick,
-                };
+                let seen = Observation { pressure, target, pip: settings.pip, peep: settings.peep, tick };
                 let explore = state.perturbation.at(tick, self.period_us);
-                (
-                    self.controller.step(&mut state.controller, &seen) + explore,
-                    explore,
-                )
+                (self.controller.step(&mut state.controller, &seen) + explore, explore)
             }
             Phase::Fall => (0.0, 0.0),
             Phase::Expiration => (settings.expiratory_bias, 0.0),
@@ -209,11 +192,7 @@ impl Ventilator {
             state.tick = 0;
             state.number = state.number.wrapping_add(1);
         }
-        Output {
-            command,
-            mode: state.mode,
-            sample: Some(sample),
-        }
+        Output { command, mode: state.mode, sample: Some(sample) }
     }
 
     fn start_breath(&self, state: &mut VentilatorState) {
@@ -224,8 +203,7 @@ impl Ventilator {
             Some(exploration) => exploration.perturbation(&state.breath, state.number),
             None => Perturbation::default(),
         };
-        self.controller
-            .start_breath(&mut state.controller, state.last_command);
+        self.controller.start_breath(&mut state.controller, state.last_command);
     }
 }
 
@@ -286,15 +264,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn ventilator() -> Ventilator {
-        let pid = Pid::new(
-            PidGains {
-                p: 2.0,
-                i: 20.0,
-                d: 0.0,
-            },
-            DEFAULT_PERIOD_US,
-        )
-        .unwrap();
+        let pid = Pid::new(PidGains { p: 2.0, i: 20.0, d: 0.0 }, DEFAULT_PERIOD_US).unwrap();
         Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid))
     }
 
@@ -316,10 +286,7 @@ mod tests {
         let ventilator = ventilator();
         let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
         let output = run(&ventilator, &mut state, 100, 5.0);
-        assert_eq!(
-            (output.command, output.mode, output.sample),
-            (ValveCommand::SAFE, Mode::Standby, None)
-        );
+        assert_eq!((output.command, output.mode, output.sample), (ValveCommand::SAFE, Mode::Standby, None));
     }
 
     #[test]
@@ -328,10 +295,7 @@ mod tests {
         let mut state = started(&ventilator);
         let sample = |output: Output| output.sample.unwrap();
         let first = sample(run(&ventilator, &mut state, 1, 5.0));
-        assert_eq!(
-            (first.phase, first.u_out, first.breath, first.tick),
-            (Phase::Inspiration, false, 0, 0)
-        );
+        assert_eq!((first.phase, first.u_out, first.breath, first.tick), (Phase::Inspiration, false, 0, 0));
         assert!(first.u_in > 0.0);
         let fall = sample(run(&ventilator, &mut state, 1000, 15.0));
         assert_eq!((fall.phase, fall.u_out), (Phase::Fall, true));
@@ -370,16 +334,10 @@ mod tests {
         let ventilator = ventilator();
         let mut state = started(&ventilator);
         let output = run(&ventilator, &mut state, 10, 61.0);
-        assert_eq!(
-            (output.command, output.mode),
-            (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure))
-        );
+        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure)));
         state.start();
         let output = run(&ventilator, &mut state, 10_000, 5.0);
-        assert_eq!(
-            (output.command, output.mode),
-            (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure))
-        );
+        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure)));
         state.acknowledge();
         assert_eq!(state.mode(), Mode::Standby);
         state.start();

@@ -70,14 +70,7 @@ impl Junction {
 
     #[inline]
     fn balance(&self) -> f64 {
-        let Self {
-            storage,
-            valve,
-            expiratory,
-            relief,
-            leak,
-            lung: [first, second],
-        } = self;
+        let Self { storage, valve, expiratory, relief, leak, lung: [first, second] } = self;
         // In pairs, so that the processor need not wait for one sum before it begins the next.
         let total = |value: fn(&Branch) -> f64| {
             let valves = (value(valve) + value(expiratory)) + (value(relief) + value(leak));
@@ -104,18 +97,10 @@ mod tests {
     }
 
     fn sum_of_flows(j: &Junction, pressure: f64) -> f64 {
-        [
-            j.storage,
-            j.valve,
-            j.expiratory,
-            j.relief,
-            j.leak,
-            j.lung[0],
-            j.lung[1],
-        ]
-        .iter()
-        .map(|branch| branch.flow(pressure))
-        .sum()
+        [j.storage, j.valve, j.expiratory, j.relief, j.leak, j.lung[0], j.lung[1]]
+            .iter()
+            .map(|branch| branch.flow(pressure))
+            .sum()
     }
 
     #[test]
@@ -145,10 +130,7 @@ mod tests {
     fn one_way_branches_never_carry_flow_backwards() {
         let mut j = junction();
         // A patient who pulls hard takes the circuit below PEEP: nothing may come back through the PEEP valve.
-        j.lung[0] = Branch {
-            conductance: 10.0,
-            source: -40.0,
-        };
+        j.lung[0] = Branch { conductance: 10.0, source: -40.0 };
         let pressure = j.solve();
         assert!(pressure < 5.0);
         assert!(j.expiratory.flow(pressure).abs() < 1e-12);
@@ -158,10 +140,7 @@ mod tests {
         // A cough above the supply pressure.
         j.storage.source = 149.0;
         j.relief.conductance = 0.3;
-        j.lung[0] = Branch {
-            conductance: 1000.0,
-            source: 400.0,
-        };
+        j.lung[0] = Branch { conductance: 1000.0, source: 400.0 };
         let pressure = j.solve();
         assert!(pressure > 150.0);
         assert!(j.valve.flow(pressure).abs() < 1e-12);

@@ -42,10 +42,7 @@ impl Circuit {
 
     /// The compliance as a branch to the present pressure.
     pub(super) fn storage(&self) -> Branch {
-        Branch {
-            conductance: self.storage,
-            source: self.pressure,
-        }
+        Branch { conductance: self.storage, source: self.pressure }
     }
 
     /// The leak as a branch to the room.
@@ -54,23 +51,13 @@ impl Circuit {
         let linear = LEAK_LAMINAR_SHARE * LEAK_STATED_AT_CMH2O;
         let quadratic = (1.0 - LEAK_LAMINAR_SHARE) * LEAK_STATED_AT_CMH2O;
         let unit = parabolic_conductance(linear, quadratic, self.pressure);
-        Branch {
-            conductance: self.leak * unit,
-            source: 0.0,
-        }
+        Branch { conductance: self.leak * unit, source: 0.0 }
     }
 
     /// The relief valve as a branch to its opening pressure; closed below.
     pub(super) fn relief(&self) -> Branch {
-        let conductance = if self.pressure > self.relief_opening {
-            self.relief_conductance
-        } else {
-            0.0
-        };
-        Branch {
-            conductance,
-            source: self.relief_opening,
-        }
+        let conductance = if self.pressure > self.relief_opening { self.relief_conductance } else { 0.0 };
+        Branch { conductance, source: self.relief_opening }
     }
 }
 
@@ -92,19 +79,13 @@ mod tests {
     fn leak_is_an_orifice_with_the_stated_flow() {
         let stated = CircuitConfig::default().leak_l_per_s_at_30_cmh2o;
         assert!((leak(30.0) - stated).abs() < 1e-12);
-        assert!(
-            (leak(7.5) / stated - 0.5).abs() < 0.02,
-            "a quarter of the pressure, half the flow"
-        );
+        assert!((leak(7.5) / stated - 0.5).abs() < 0.02, "a quarter of the pressure, half the flow");
         assert!((leak(-30.0) + stated).abs() < 1e-12);
     }
 
     #[test]
     fn no_leak_means_no_flow() {
-        let config = CircuitConfig {
-            leak_l_per_s_at_30_cmh2o: 0.0,
-            ..CircuitConfig::default()
-        };
+        let config = CircuitConfig { leak_l_per_s_at_30_cmh2o: 0.0, ..CircuitConfig::default() };
         for pressure in [0.0, 20.0] {
             let circuit = Circuit::new(&config, pressure, SUB_STEP_S);
             assert!(circuit.leak().flow(pressure).abs() < 1e-12);

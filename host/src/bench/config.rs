@@ -90,11 +90,7 @@ pub struct ExpiratoryConfig {
 
 impl Default for ExpiratoryConfig {
     fn default() -> Self {
-        Self {
-            lag_ms: 15.0,
-            orifice_l_per_s_per_sqrt_cmh2o: 0.4,
-            laminar_resistance_cmh2o_per_l_s: 0.5,
-        }
+        Self { lag_ms: 15.0, orifice_l_per_s_per_sqrt_cmh2o: 0.4, laminar_resistance_cmh2o_per_l_s: 0.5 }
     }
 }
 
@@ -176,11 +172,7 @@ pub struct SensorConfig {
 
 impl Default for SensorConfig {
     fn default() -> Self {
-        Self {
-            lag_ms: 4.0,
-            noise_sd_cmh2o: 0.1,
-            quantum_cmh2o: 0.07,
-        }
+        Self { lag_ms: 4.0, noise_sd_cmh2o: 0.1, quantum_cmh2o: 0.07 }
     }
 }
 
@@ -278,11 +270,8 @@ pub struct BenchConfig {
 
 impl Default for BenchConfig {
     fn default() -> Self {
-        let CompartmentConfig {
-            resistance_cmh2o_per_l_s: r,
-            compliance_ml_per_cmh2o: c,
-            ..
-        } = CompartmentConfig::default();
+        let CompartmentConfig { resistance_cmh2o_per_l_s: r, compliance_ml_per_cmh2o: c, .. } =
+            CompartmentConfig::default();
         Self::paper(r, c)
     }
 }
@@ -310,10 +299,8 @@ impl BenchConfig {
     /// [`BenchError::File`] if it cannot be read, otherwise as [`BenchConfig::from_toml`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self, BenchError> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(|source| BenchError::File {
-            path: path.to_path_buf(),
-            source,
-        })?;
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| BenchError::File { path: path.to_path_buf(), source })?;
         Self::from_toml(&text)
     }
 
@@ -322,11 +309,7 @@ impl BenchConfig {
     /// # Errors
     /// [`BenchError::OutOfRange`] for the first field that is not.
     pub fn validate(&self) -> Result<(), BenchError> {
-        check(
-            "sub_steps",
-            f64::from(self.sub_steps),
-            f64::from(super::LEAST_SUB_STEPS)..=64.0,
-        )?;
+        check("sub_steps", f64::from(self.sub_steps), f64::from(super::LEAST_SUB_STEPS)..=64.0)?;
         self.valve.validate()?;
         self.expiratory.validate()?;
         self.circuit.validate()?;
@@ -345,12 +328,7 @@ pub(super) fn check(field: &str, value: f64, range: RangeInclusive<f64>) -> Resu
     if range.contains(&value) {
         return Ok(());
     }
-    Err(BenchError::OutOfRange {
-        field: field.to_owned(),
-        value,
-        low: *range.start(),
-        high: *range.end(),
-    })
+    Err(BenchError::OutOfRange { field: field.to_owned(), value, low: *range.start(), high: *range.end() })
 }
 
 impl ValveConfig {
@@ -361,22 +339,14 @@ impl ValveConfig {
         check("valve.dead_zone_percent", self.dead_zone_percent, 0.0..=50.0)?;
         check("valve.curve_exponent", self.curve_exponent, 0.5..=4.0)?;
         check("valve.max_flow_l_per_s", self.max_flow_l_per_s, 0.05..=5.0)?;
-        check(
-            "valve.supply_pressure_cmh2o",
-            self.supply_pressure_cmh2o,
-            50.0..=5000.0,
-        )
+        check("valve.supply_pressure_cmh2o", self.supply_pressure_cmh2o, 50.0..=5000.0)
     }
 }
 
 impl ExpiratoryConfig {
     fn validate(&self) -> Result<(), BenchError> {
         check("expiratory.lag_ms", self.lag_ms, 0.0..=500.0)?;
-        check(
-            "expiratory.orifice_l_per_s_per_sqrt_cmh2o",
-            self.orifice_l_per_s_per_sqrt_cmh2o,
-            0.02..=5.0,
-        )?;
+        check("expiratory.orifice_l_per_s_per_sqrt_cmh2o", self.orifice_l_per_s_per_sqrt_cmh2o, 0.02..=5.0)?;
         check(
             "expiratory.laminar_resistance_cmh2o_per_l_s",
             self.laminar_resistance_cmh2o_per_l_s,
@@ -387,21 +357,9 @@ impl ExpiratoryConfig {
 
 impl CircuitConfig {
     fn validate(&self) -> Result<(), BenchError> {
-        check(
-            "circuit.compliance_ml_per_cmh2o",
-            self.compliance_ml_per_cmh2o,
-            0.1..=20.0,
-        )?;
-        check(
-            "circuit.leak_l_per_s_at_30_cmh2o",
-            self.leak_l_per_s_at_30_cmh2o,
-            0.0..=1.0,
-        )?;
-        check(
-            "circuit.relief_opening_cmh2o",
-            self.relief_opening_cmh2o,
-            20.0..=200.0,
-        )?;
+        check("circuit.compliance_ml_per_cmh2o", self.compliance_ml_per_cmh2o, 0.1..=20.0)?;
+        check("circuit.leak_l_per_s_at_30_cmh2o", self.leak_l_per_s_at_30_cmh2o, 0.0..=1.0)?;
+        check("circuit.relief_opening_cmh2o", self.relief_opening_cmh2o, 20.0..=200.0)?;
         check(
             "circuit.relief_conductance_l_per_s_per_cmh2o",
             self.relief_conductance_l_per_s_per_cmh2o,
@@ -413,17 +371,9 @@ impl CircuitConfig {
 impl CompartmentConfig {
     fn validate(&self, table: &str) -> Result<(), BenchError> {
         let check = |field: &str, value, range| check(&format!("{table}.{field}"), value, range);
-        check(
-            "resistance_cmh2o_per_l_s",
-            self.resistance_cmh2o_per_l_s,
-            0.5..=1000.0,
-        )?;
+        check("resistance_cmh2o_per_l_s", self.resistance_cmh2o_per_l_s, 0.5..=1000.0)?;
         check("turbulence_s_per_l", self.turbulence_s_per_l, 0.0..=5.0)?;
-        check(
-            "compliance_ml_per_cmh2o",
-            self.compliance_ml_per_cmh2o,
-            0.2..=500.0,
-        )?;
+        check("compliance_ml_per_cmh2o", self.compliance_ml_per_cmh2o, 0.2..=500.0)?;
         check("upper_inflection_cmh2o", self.upper_inflection_cmh2o, 5.0..=200.0)?;
         check("stiffening_cmh2o", self.stiffening_cmh2o, 1.0..=1000.0)
     }
@@ -440,34 +390,18 @@ impl SensorConfig {
 impl UnitConfig {
     fn validate(&self) -> Result<(), BenchError> {
         check("unit.flow_gain_sd_percent", self.flow_gain_sd_percent, 0.0..=20.0)?;
-        check(
-            "unit.sensor_offset_sd_cmh2o",
-            self.sensor_offset_sd_cmh2o,
-            0.0..=5.0,
-        )?;
+        check("unit.sensor_offset_sd_cmh2o", self.sensor_offset_sd_cmh2o, 0.0..=5.0)?;
         check("unit.dead_time_sd_ms", self.dead_time_sd_ms, 0.0..=5.0)?;
-        check(
-            "unit.sensor_drift_cmh2o_per_hour",
-            self.sensor_drift_cmh2o_per_hour,
-            -10.0..=10.0,
-        )
+        check("unit.sensor_drift_cmh2o_per_hour", self.sensor_drift_cmh2o_per_hour, -10.0..=10.0)
     }
 }
 
 impl PatientConfig {
     fn validate(&self) -> Result<(), BenchError> {
         check("patient.effort_cmh2o", self.effort_cmh2o, 0.0..=40.0)?;
-        check(
-            "patient.effort_rate_per_min",
-            self.effort_rate_per_min,
-            1.0..=80.0,
-        )?;
+        check("patient.effort_rate_per_min", self.effort_rate_per_min, 1.0..=80.0)?;
         let period_s = 60.0 / self.effort_rate_per_min;
-        check(
-            "patient.effort_duration_s",
-            self.effort_duration_s,
-            0.05..=period_s,
-        )?;
+        check("patient.effort_duration_s", self.effort_duration_s, 0.05..=period_s)?;
         check("patient.cough_cmh2o", self.cough_cmh2o, 0.0..=150.0)?;
         check("patient.cough_at_s", self.cough_at_s, 0.0..=1e6)?;
         check("patient.cough_duration_s", self.cough_duration_s, 0.02..=5.0)?;

@@ -41,10 +41,7 @@ impl Expiratory {
         } else {
             0.0
         };
-        Branch {
-            conductance,
-            source: self.peep,
-        }
+        Branch { conductance, source: self.peep }
     }
 
     /// Share of the full opening, 0 to 1.
@@ -69,10 +66,8 @@ mod tests {
 
     #[test]
     fn flow_grows_with_the_square_root_above_peep() {
-        let config = ExpiratoryConfig {
-            laminar_resistance_cmh2o_per_l_s: 0.01,
-            ..ExpiratoryConfig::default()
-        };
+        let config =
+            ExpiratoryConfig { laminar_resistance_cmh2o_per_l_s: 0.01, ..ExpiratoryConfig::default() };
         let valve = Expiratory::new(&config, 5.0, SUB_STEP_S);
         let expected = config.orifice_l_per_s_per_sqrt_cmh2o;
         assert!((outflow(&valve, 6.0) / expected - 1.0).abs() < 0.01);

@@ -16,10 +16,7 @@ impl Lag {
     /// A lag at rest at `output`; a time constant of zero follows the input at once.
     pub(super) fn new(time_constant_s: f64, sub_step_s: f64, output: f64) -> Self {
         // Division by zero gives exp(-inf) = 0, so the share is 1, as it should be.
-        Self {
-            share: 1.0 - (-sub_step_s / time_constant_s).exp(),
-            output,
-        }
+        Self { share: 1.0 - (-sub_step_s / time_constant_s).exp(), output }
     }
 
     /// One sub-step towards `input`; returns the new output.

@@ -38,10 +38,7 @@ impl Compartment {
         let linear = self.volume_ml * self.stiffness;
         let beyond = (linear - self.inflection).max(0.0);
         let stiffer = beyond * self.stiffening;
-        (
-            linear + 0.5 * beyond * stiffer,
-            1e3 * self.stiffness * (1.0 + stiffer),
-        )
+        (linear + 0.5 * beyond * stiffer, 1e3 * self.stiffness * (1.0 + stiffer))
     }
 
     /// Volume in mL at which the recoil is `pressure`.
@@ -62,10 +59,7 @@ impl Compartment {
         let source = recoil - muscle_pressure;
         let linear = self.resistance + elastance * self.sub_step_s;
         let quadratic = self.resistance * self.turbulence;
-        Branch {
-            conductance: parabolic_conductance(linear, quadratic, airway_pressure - source),
-            source,
-        }
+        Branch { conductance: parabolic_conductance(linear, quadratic, airway_pressure - source), source }
     }
 }
 
@@ -81,10 +75,7 @@ impl Lung {
     pub(super) fn new(config: &LungConfig, pressure: f64, sub_step_s: f64) -> Self {
         Self {
             first: Compartment::new(&config.first, pressure, sub_step_s),
-            second: config
-                .second
-                .as_ref()
-                .map(|second| Compartment::new(second, pressure, sub_step_s)),
+            second: config.second.as_ref().map(|second| Compartment::new(second, pressure, sub_step_s)),
         }
     }
 
@@ -94,9 +85,7 @@ impl Lung {
         let second = self.second.as_ref();
         [
             self.first.branch(airway_pressure, muscle_pressure),
-            second.map_or(Branch::default(), |second| {
-                second.branch(airway_pressure, muscle_pressure)
-            }),
+            second.map_or(Branch::default(), |second| second.branch(airway_pressure, muscle_pressure)),
         ]
     }
 
@@ -158,39 +147,27 @@ mod tests {
         let mut lung = compartment(0.0);
         let knee_ml = config.upper_inflection_cmh2o * config.compliance_ml_per_cmh2o;
         lung.volume_ml = knee_ml + config.stiffening_cmh2o * config.compliance_ml_per_cmh2o;
-        assert!(
-            (lung.recoil().1 / 50.0 - 2.0).abs() < 1e-9,
-            "elastance doubles over the stiffening width"
-        );
+        assert!((lung.recoil().1 / 50.0 - 2.0).abs() < 1e-9, "elastance doubles over the stiffening width");
         for volume_ml in [knee_ml - 1.0, knee_ml + 1.0, knee_ml + 200.0] {
             lung.volume_ml = volume_ml + 1e-3;
             let above = lung.recoil().0;
             lung.volume_ml = volume_ml - 1e-3;
             let slope = (above - lung.recoil().0) / 2e-6;
             lung.volume_ml = volume_ml;
-            assert!(
-                (slope / lung.recoil().1 - 1.0).abs() < 1e-5,
-                "elastance is the slope of the recoil"
-            );
+            assert!((slope / lung.recoil().1 - 1.0).abs() < 1e-5, "elastance is the slope of the recoil");
         }
     }
 
     #[test]
     fn volume_inverts_the_recoil() {
         for pressure in [-5.0, 0.0, 20.0, 34.9, 35.1, 60.0, 120.0] {
-            assert!(
-                (compartment(pressure).recoil().0 - pressure).abs() < 1e-9,
-                "{pressure} cmH2O"
-            );
+            assert!((compartment(pressure).recoil().0 - pressure).abs() < 1e-9, "{pressure} cmH2O");
         }
     }
 
     #[test]
     fn resistor_is_parabolic() {
-        let lung = Compartment {
-            sub_step_s: 0.0,
-            ..compartment(0.0)
-        };
+        let lung = Compartment { sub_step_s: 0.0, ..compartment(0.0) };
         let config = CompartmentConfig::default();
         for flow in [0.05_f64, 0.5, 1.0] {
             let drop = config.resistance_cmh2o_per_l_s * flow * (1.0 + config.turbulence_s_per_l * flow);
@@ -205,14 +182,7 @@ mod tests {
             compliance_ml_per_cmh2o: 0.2,
             ..CompartmentConfig::default()
         };
-        let mut lung = Lung::new(
-            &LungConfig {
-                first: quick,
-                second: None,
-            },
-            5.0,
-            SUB_STEP_S,
-        );
+        let mut lung = Lung::new(&LungConfig { first: quick, second: None }, 5.0, SUB_STEP_S);
         for _ in 0..20 {
             let [branch, _] = lung.branches(10.0, 0.0);
             lung.advance([-branch.flow(10.0), 0.0]);
@@ -225,10 +195,7 @@ mod tests {
     fn muscle_pressure_lowers_the_alveolar_pressure() {
         let lung = Lung::new(&LungConfig::default(), 5.0, SUB_STEP_S);
         assert!((lung.alveolar_pressure(3.0) - 2.0).abs() < 1e-9);
-        assert!(
-            lung.branches(5.0, 3.0)[0].flow(5.0) < 0.0,
-            "gas goes into the lung"
-        );
+        assert!(lung.branches(5.0, 3.0)[0].flow(5.0) < 0.0, "gas goes into the lung");
     }
 
     #[test]

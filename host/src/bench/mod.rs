@@ -126,13 +126,7 @@ impl Bench {
             sub_steps: config.sub_steps,
             steps: 0,
             unit,
-            valve: Valve::new(
-                &config.valve,
-                dead_time_ms,
-                unit.flow_gain,
-                config.sub_steps,
-                sub_step_s,
-            ),
+            valve: Valve::new(&config.valve, dead_time_ms, unit.flow_gain, config.sub_steps, sub_step_s),
             expiratory: Expiratory::new(&config.expiratory, peep, sub_step_s),
             circuit: Circuit::new(&config.circuit, peep, sub_step_s),
             lung: Lung::new(&config.lung, peep, sub_step_s),
@@ -168,9 +162,7 @@ impl Bench {
             self.sensor.advance(self.circuit.pressure());
         }
         self.steps += 1;
-        Reading {
-            pressure: self.sensor.sample(self.unit.offset_after(self.steps)),
-        }
+        Reading { pressure: self.sensor.sample(self.unit.offset_after(self.steps)) }
     }
 
     /// Moves the gas for one sub-step.

@@ -6,11 +6,7 @@ use super::config::PatientConfig;
 
 /// A half sine of `duration`, 0 outside.
 fn pulse(since_start_s: f64, duration_s: f64) -> f64 {
-    if (0.0..duration_s).contains(&since_start_s) {
-        (PI * since_start_s / duration_s).sin()
-    } else {
-        0.0
-    }
+    if (0.0..duration_s).contains(&since_start_s) { (PI * since_start_s / duration_s).sin() } else { 0.0 }
 }
 
 /// The patient; its only state is the number of breaths received.
@@ -24,11 +20,7 @@ pub(super) struct Patient {
 impl Patient {
     /// A patient who has not been ventilated yet, at a circuit that vents.
     pub(super) fn new(config: PatientConfig) -> Self {
-        Self {
-            config,
-            venting: true,
-            breath: 0,
-        }
+        Self { config, venting: true, breath: 0 }
     }
 
     /// Counts the breath if one starts; returns the factors on resistance and compliance if they change now.
@@ -78,41 +70,24 @@ mod tests {
 
     #[test]
     fn effort_returns_at_its_rate() {
-        let config = PatientConfig {
-            effort_cmh2o: 8.0,
-            effort_rate_per_min: 15.0,
-            ..PatientConfig::default()
-        };
+        let config =
+            PatientConfig { effort_cmh2o: 8.0, effort_rate_per_min: 15.0, ..PatientConfig::default() };
         let patient = Patient::new(config);
         let middle_s = 0.5 * config.effort_duration_s;
         for breath in 0..3 {
             let start_s = 4.0 * f64::from(breath);
             assert!((patient.muscle_pressure(start_s + middle_s) - 8.0).abs() < 1e-9);
-            assert!(
-                patient
-                    .muscle_pressure(start_s + config.effort_duration_s + 0.1)
-                    .abs()
-                    < 1e-12
-            );
+            assert!(patient.muscle_pressure(start_s + config.effort_duration_s + 0.1).abs() < 1e-12);
         }
     }
 
     #[test]
     fn a_cough_is_one_expulsive_pulse() {
-        let config = PatientConfig {
-            cough_cmh2o: 40.0,
-            cough_at_s: 2.0,
-            ..PatientConfig::default()
-        };
+        let config = PatientConfig { cough_cmh2o: 40.0, cough_at_s: 2.0, ..PatientConfig::default() };
         let patient = Patient::new(config);
         assert!(patient.muscle_pressure(1.999).abs() < 1e-12);
         assert!((patient.muscle_pressure(2.0 + 0.5 * config.cough_duration_s) + 40.0).abs() < 1e-9);
-        assert!(
-            patient
-                .muscle_pressure(2.0 + config.cough_duration_s + 1e-3)
-                .abs()
-                < 1e-12
-        );
+        assert!(patient.muscle_pressure(2.0 + config.cough_duration_s + 1e-3).abs() < 1e-12);
     }
 
     #[test]
@@ -126,15 +101,10 @@ mod tests {
 
     #[test]
     fn the_lung_changes_once_at_the_stated_breath() {
-        let config = PatientConfig {
-            change_at_breath: 2,
-            resistance_factor: 3.0,
-            ..PatientConfig::default()
-        };
+        let config =
+            PatientConfig { change_at_breath: 2, resistance_factor: 3.0, ..PatientConfig::default() };
         let mut patient = Patient::new(config);
-        let changes: Vec<_> = [false, true, false, true, false]
-            .map(|u_out| patient.observe(u_out))
-            .into();
+        let changes: Vec<_> = [false, true, false, true, false].map(|u_out| patient.observe(u_out)).into();
         assert_eq!(changes, [None, None, Some((3.0, 1.0)), None, None]);
     }
 }

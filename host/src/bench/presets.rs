@@ -21,9 +21,7 @@ impl BenchConfig {
 
     /// The nine combinations of R 5, 20, 50 and C 10, 20, 50.
     pub fn paper_lungs() -> Vec<Self> {
-        let lungs = PAPER_RESISTANCES
-            .iter()
-            .flat_map(|r| PAPER_COMPLIANCES.iter().map(move |c| (*r, *c)));
+        let lungs = PAPER_RESISTANCES.iter().flat_map(|r| PAPER_COMPLIANCES.iter().map(move |c| (*r, *c)));
         lungs.map(|(r, c)| Self::paper(r, c)).collect()
     }
 

@@ -69,18 +69,12 @@ mod tests {
     fn mean_and_sd(samples: &[f64]) -> (f64, f64) {
         let n = samples.len() as f64;
         let mean = samples.iter().sum::<f64>() / n;
-        (
-            mean,
-            (samples.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt(),
-        )
+        (mean, (samples.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
     }
 
     #[test]
     fn noise_has_the_stated_sd_and_no_bias() {
-        let config = SensorConfig {
-            quantum_cmh2o: 0.0,
-            ..SensorConfig::default()
-        };
+        let config = SensorConfig { quantum_cmh2o: 0.0, ..SensorConfig::default() };
         let mut sensor = sensor(&config, 17.0);
         let samples: Vec<f64> = (0..40_000).map(|_| f64::from(sensor.sample(0.3))).collect();
         let (mean, sd) = mean_and_sd(&samples);
@@ -91,10 +85,7 @@ mod tests {
 
     #[test]
     fn noise_is_white() {
-        let config = SensorConfig {
-            quantum_cmh2o: 0.0,
-            ..SensorConfig::default()
-        };
+        let config = SensorConfig { quantum_cmh2o: 0.0, ..SensorConfig::default() };
         let mut sensor = sensor(&config, 0.0);
         let samples: Vec<f64> = (0..40_000).map(|_| f64::from(sensor.sample(0.0))).collect();
         let products: f64 = samples.windows(2).map(|pair| pair[0] * pair[1]).sum();
@@ -119,16 +110,9 @@ mod tests {
 
     #[test]
     fn rounds_to_the_nearest_quantum() {
-        let config = SensorConfig {
-            noise_sd_cmh2o: 0.0,
-            quantum_cmh2o: 0.5,
-            ..SensorConfig::default()
-        };
+        let config = SensorConfig { noise_sd_cmh2o: 0.0, quantum_cmh2o: 0.5, ..SensorConfig::default() };
         for (pressure, expected) in [(5.2, 5.0), (5.3, 5.5), (-5.2, -5.0), (-5.3, -5.5)] {
-            assert!(
-                (sensor(&config, pressure).sample(0.0) - expected).abs() < 1e-6,
-                "{pressure}"
-            );
+            assert!((sensor(&config, pressure).sample(0.0) - expected).abs() < 1e-6, "{pressure}");
         }
     }
 
@@ -145,9 +129,6 @@ mod tests {
         for _ in 0..16 {
             sensor.advance(10.0);
         }
-        assert!(
-            (sensor.lagged() - 10.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-9,
-            "4 ms"
-        );
+        assert!((sensor.lagged() - 10.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-9, "4 ms");
     }
 }

@@ -52,23 +52,12 @@ mod tests {
     use super::*;
 
     fn draw(number: u32) -> Unit {
-        Unit::draw(
-            &UnitConfig {
-                number,
-                ..UnitConfig::default()
-            },
-            1e-3,
-        )
+        Unit::draw(&UnitConfig { number, ..UnitConfig::default() }, 1e-3)
     }
 
     #[test]
     fn unit_zero_is_nominal() {
-        let nominal = Unit {
-            flow_gain: 1.0,
-            sensor_offset: 0.0,
-            dead_time_ms: 0.0,
-            drift_per_step: 0.0,
-        };
+        let nominal = Unit { flow_gain: 1.0, sensor_offset: 0.0, dead_time_ms: 0.0, drift_per_step: 0.0 };
         assert_eq!(draw(0), nominal);
     }
 
@@ -104,10 +93,7 @@ mod tests {
 
     #[test]
     fn offset_drifts_by_the_hour() {
-        let config = UnitConfig {
-            sensor_drift_cmh2o_per_hour: 0.5,
-            ..UnitConfig::default()
-        };
+        let config = UnitConfig { sensor_drift_cmh2o_per_hour: 0.5, ..UnitConfig::default() };
         let unit = Unit::draw(&config, 1e-3);
         assert!((unit.offset_after(7_200_000) - 1.0).abs() < 1e-9);
     }

@@ -25,12 +25,7 @@ impl DeadTime {
     fn new(dead_time_ms: f64, sub_steps: u32) -> Self {
         let total = (dead_time_ms * f64::from(sub_steps)).round() as u32;
         let whole_steps = (total / sub_steps) as usize;
-        Self {
-            ring: vec![0.0; whole_steps + 2],
-            newest: 0,
-            due: [0.0; 2],
-            remainder: total % sub_steps,
-        }
+        Self { ring: vec![0.0; whole_steps + 2], newest: 0, due: [0.0; 2], remainder: total % sub_steps }
     }
 
     fn push(&mut self, command: f64) {
@@ -68,14 +63,8 @@ impl Characteristic {
     fn new(dead_zone_percent: f64, exponent: f64) -> Self {
         let intervals = CURVE_INTERVALS as f64;
         // One point more than needed, so that interpolation at full travel has a right neighbour.
-        let table = (0..=CURVE_INTERVALS + 1)
-            .map(|i| (i as f64 / intervals).powf(exponent))
-            .collect();
-        Self {
-            dead_zone: dead_zone_percent,
-            scale: intervals / (100.0 - dead_zone_percent),
-            table,
-        }
+        let table = (0..=CURVE_INTERVALS + 1).map(|i| (i as f64 / intervals).powf(exponent)).collect();
+        Self { dead_zone: dead_zone_percent, scale: intervals / (100.0 - dead_zone_percent), table }
     }
 
     fn share(&self, stem_percent: f64) -> f64 {
@@ -121,11 +110,7 @@ impl Valve {
     /// Takes the command of a new step, in percent. What no driver can output is limited; what is no
     /// number leaves the valve without current.
     pub(super) fn command(&mut self, u_in: f32) {
-        let percent = if u_in.is_finite() {
-            u_in.clamp(0.0, 100.0)
-        } else {
-            0.0
-        };
+        let percent = if u_in.is_finite() { u_in.clamp(0.0, 100.0) } else { 0.0 };
         self.dead_time.push(f64::from(percent));
     }
 
@@ -140,10 +125,7 @@ impl Valve {
     pub(super) fn branch(&self, pressure: f64) -> Branch {
         let free_flow = self.full_flow_l_s * self.characteristic.share(self.stem);
         let drive = (self.supply - pressure).max(LEAST_DRIVE_CMH2O);
-        Branch {
-            conductance: free_flow / (self.supply * drive).sqrt(),
-            source: self.supply,
-        }
+        Branch { conductance: free_flow / (self.supply * drive).sqrt(), source: self.supply }
     }
 
     /// Travel of the stem in percent.
@@ -181,10 +163,8 @@ mod tests {
     #[test]
     fn dead_time_is_exact_to_the_step() {
         for dead_time_ms in [0_u32, 1, 12, 30] {
-            let mut valve = valve(&ValveConfig {
-                dead_time_ms: f64::from(dead_time_ms),
-                ..ValveConfig::default()
-            });
+            let mut valve =
+                valve(&ValveConfig { dead_time_ms: f64::from(dead_time_ms), ..ValveConfig::default() });
             run(&mut valve, 50.0, dead_time_ms);
             assert!(valve.stem() <= 0.0, "moved before {dead_time_ms} ms");
             run(&mut valve, 50.0, 1);
@@ -194,11 +174,7 @@ mod tests {
 
     #[test]
     fn dead_time_resolves_sub_steps() {
-        let config = ValveConfig {
-            lag_ms: 0.0,
-            dead_time_ms: 2.5,
-            ..ValveConfig::default()
-        };
+        let config = ValveConfig { lag_ms: 0.0, dead_time_ms: 2.5, ..ValveConfig::default() };
         let mut valve = valve(&config);
         run(&mut valve, 50.0, 2);
         valve.command(50.0);
@@ -211,11 +187,7 @@ mod tests {
 
     #[test]
     fn a_short_pulse_passes_the_dead_time_whole() {
-        let config = ValveConfig {
-            lag_ms: 0.0,
-            backlash_percent: 0.0,
-            ..ValveConfig::default()
-        };
+        let config = ValveConfig { lag_ms: 0.0, backlash_percent: 0.0, ..ValveConfig::default() };
         let mut valve = valve(&config);
         run(&mut valve, 50.0, 1);
         let mut open_ms = 0;
@@ -240,11 +212,7 @@ mod tests {
         let opening = valve.stem();
         run(&mut valve, 80.0, 1_000);
         run(&mut valve, 40.0, 1_000);
-        assert!(
-            (valve.stem() - opening - 4.0).abs() < 1e-6,
-            "{opening} {}",
-            valve.stem()
-        );
+        assert!((valve.stem() - opening - 4.0).abs() < 1e-6, "{opening} {}", valve.stem());
         // Within the play the stem stays where it is.
         run(&mut valve, 43.0, 1_000);
         assert!((valve.stem() - 44.0).abs() < 1e-6);
@@ -252,10 +220,7 @@ mod tests {
 
     #[test]
     fn no_command_closes_the_valve_in_spite_of_the_play() {
-        let config = ValveConfig {
-            dead_zone_percent: 0.0,
-            ..ValveConfig::default()
-        };
+        let config = ValveConfig { dead_zone_percent: 0.0, ..ValveConfig::default() };
         let mut valve = valve(&config);
         run(&mut valve, 80.0, 500);
         run(&mut valve, 0.0, 2_000);
@@ -276,10 +241,7 @@ mod tests {
         for percent in [5.0_f32, 12.3, 31.0, 52.0, 77.7] {
             let expected = 1.67 * ((f64::from(percent) - 4.0) / 96.0).powf(1.3);
             let found = settled_flow(&config, percent, 0.0);
-            assert!(
-                (found - expected).abs() < 2e-5,
-                "{percent} %: {found} L/s, expected {expected}"
-            );
+            assert!((found - expected).abs() < 2e-5, "{percent} %: {found} L/s, expected {expected}");
         }
     }
 

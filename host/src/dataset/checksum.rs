@@ -36,10 +36,7 @@ pub(super) fn matches(bytes: &mut [u8]) -> bool {
 }
 
 fn find(bytes: &[u8]) -> Option<Range<usize>> {
-    let start = bytes
-        .windows(MARK.len())
-        .rposition(|window| window == MARK.as_bytes())?
-        + MARK.len();
+    let start = bytes.windows(MARK.len()).rposition(|window| window == MARK.as_bytes())? + MARK.len();
     (start + DIGITS <= bytes.len()).then_some(start..start + DIGITS)
 }
 
@@ -56,10 +53,7 @@ mod tests {
     fn any_change_of_sealed_bytes_shows_or_hides_the_mark() {
         let sealed = seal(format!("head {} tail", blank()).into_bytes());
         assert!(matches(&mut sealed.clone()));
-        assert_ne!(
-            find(&sealed).map(|place| sealed[place].to_vec()),
-            Some(b"00000000".to_vec())
-        );
+        assert_ne!(find(&sealed).map(|place| sealed[place].to_vec()), Some(b"00000000".to_vec()));
         for place in 0..sealed.len() {
             let mut bad = sealed.clone();
             bad[place] ^= 1;

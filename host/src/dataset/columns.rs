@@ -142,11 +142,7 @@ impl Recording {
             (Extra::UPsol, &mut self.u_psol),
         ];
         for (extra, values) in numbers {
-            columns.extend(
-                values
-                    .as_mut()
-                    .map(|values| (extra.name(), ValuesMut::F32(values))),
-            );
+            columns.extend(values.as_mut().map(|values| (extra.name(), ValuesMut::F32(values))));
         }
         let group = self.group.as_mut();
         columns.extend(group.map(|values| (Extra::Group.name(), ValuesMut::U32(values))));

@@ -40,16 +40,10 @@ impl Recording {
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), DatasetError> {
         let path = path.as_ref();
         self.validate()?;
-        let encode = |detail: String| DatasetError::Encode {
-            path: path.to_owned(),
-            detail,
-        };
+        let encode = |detail: String| DatasetError::Encode { path: path.to_owned(), detail };
         let provenance = serde_json::to_string(&self.provenance).map_err(|e| encode(e.to_string()))?;
         let bytes = encode_columns(self, provenance).map_err(|e| encode(e.to_string()))?;
-        write_atomically(path, &bytes).map_err(|source| DatasetError::Write {
-            path: path.to_owned(),
-            source,
-        })
+        write_atomically(path, &bytes).map_err(|source| DatasetError::Write { path: path.to_owned(), source })
     }
 
     /// Reads a recording and checks it. Columns that this program does not know are left out.
@@ -59,34 +53,27 @@ impl Recording {
     /// type, no provenance, another format, or content that [`Self::validate`] refuses.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, DatasetError> {
         let path = path.as_ref();
-        let torn = |detail: String| DatasetError::Torn {
-            path: path.to_owned(),
-            detail,
-        };
+        let torn = |detail: String| DatasetError::Torn { path: path.to_owned(), detail };
         let file = open(path)?;
         let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| torn(e.to_string()))?;
 
         let metadata = builder.metadata().file_metadata().key_value_metadata();
         let metadata = metadata.map_or(&[][..], Vec::as_slice);
-        let text = value(metadata, PROVENANCE_KEY).ok_or_else(|| DatasetError::NoProvenance {
-            path: path.to_owned(),
-        })?;
+        let text = value(metadata, PROVENANCE_KEY)
+            .ok_or_else(|| DatasetError::NoProvenance { path: path.to_owned() })?;
         let provenance = read_provenance(path, text)?;
         let schema = builder.schema().clone();
-        let extras: Vec<_> = Extra::ALL
-            .into_iter()
-            .filter(|extra| schema.index_of(extra.name()).is_ok())
-            .collect();
+        let extras: Vec<_> =
+            Extra::ALL.into_iter().filter(|extra| schema.index_of(extra.name()).is_ok()).collect();
         let mut recording = Self::with_extras(provenance, &extras);
         // An empty file has no batch to check against.
         fill(&mut recording, &RecordBatch::new_empty(schema), path)?;
         for batch in builder.build().map_err(|e| torn(e.to_string()))? {
             fill(&mut recording, &batch.map_err(|e| torn(e.to_string()))?, path)?;
         }
-        recording.validate().map_err(|source| DatasetError::Invalid {
-            path: path.to_owned(),
-            source: Box::new(source),
-        })?;
+        recording
+            .validate()
+            .map_err(|source| DatasetError::Invalid { path: path.to_owned(), source: Box::new(source) })?;
         Ok(recording)
     }
 }
@@ -105,18 +92,14 @@ fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, 
 
     // The checksum is the last pair, so that no text within the provenance can be taken for it.
     let metadata = [(PROVENANCE_KEY, provenance), (checksum::KEY, checksum::blank())];
-    let metadata = metadata
-        .map(|(key, value)| KeyValue::new(key.to_owned(), value))
-        .to_vec();
+    let metadata = metadata.map(|(key, value)| KeyValue::new(key.to_owned(), value)).to_vec();
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_created_by(PROVENANCE_KEY.to_owned())
         .set_key_value_metadata(Some(metadata))
         .build();
     // The Parquet types say all there is to say; a second schema would only tie the bytes to the arrow version.
-    let options = ArrowWriterOptions::new()
-        .with_properties(properties)
-        .with_skip_arrow_metadata(true);
+    let options = ArrowWriterOptions::new().with_properties(properties).with_skip_arrow_metadata(true);
     let mut writer = ArrowWriter::try_new_with_options(Vec::new(), batch.schema(), options)?;
     writer.write(&batch)?;
     Ok(checksum::seal(writer.into_inner()?))
@@ -125,25 +108,15 @@ fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, 
 /// Opens the file, tells the common mistakes apart, which a Parquet decoder would report alike, and verifies the bytes.
 fn open(path: &Path) -> Result<File, DatasetError> {
     let read = |source: std::io::Error| match source.kind() {
-        ErrorKind::NotFound => DatasetError::Missing {
-            path: path.to_owned(),
-        },
-        _ => DatasetError::Read {
-            path: path.to_owned(),
-            source,
-        },
+        ErrorKind::NotFound => DatasetError::Missing { path: path.to_owned() },
+        _ => DatasetError::Read { path: path.to_owned(), source },
     };
-    let torn = |detail: String| DatasetError::Torn {
-        path: path.to_owned(),
-        detail,
-    };
+    let torn = |detail: String| DatasetError::Torn { path: path.to_owned(), detail };
     let mut file = File::open(path).map_err(read)?;
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes).map_err(read)?;
     if bytes.len() >= MAGIC.len() && !bytes.starts_with(MAGIC) {
-        return Err(DatasetError::NotParquet {
-            path: path.to_owned(),
-        });
+        return Err(DatasetError::NotParquet { path: path.to_owned() });
     }
     // Twelve bytes are the two magics and the footer's length.
     if bytes.len() < 12 || !bytes.ends_with(MAGIC) {
@@ -164,18 +137,11 @@ fn value<'a>(metadata: &'a [KeyValue], key: &str) -> Option<&'a str> {
 }
 
 fn read_provenance(path: &Path, text: &str) -> Result<Provenance, DatasetError> {
-    let provenance: Provenance =
-        serde_json::from_str(text).map_err(|source| DatasetError::BadProvenance {
-            path: path.to_owned(),
-            source,
-        })?;
+    let provenance: Provenance = serde_json::from_str(text)
+        .map_err(|source| DatasetError::BadProvenance { path: path.to_owned(), source })?;
     if provenance.format != FORMAT {
         let found = provenance.format;
-        return Err(DatasetError::Format {
-            path: path.to_owned(),
-            found,
-            expected: FORMAT,
-        });
+        return Err(DatasetError::Format { path: path.to_owned(), found, expected: FORMAT });
     }
     Ok(provenance)
 }
@@ -184,10 +150,7 @@ fn read_provenance(path: &Path, text: &str) -> Result<Provenance, DatasetError> 
 fn fill(recording: &mut Recording, batch: &RecordBatch, path: &Path) -> Result<(), DatasetError> {
     for (name, values) in recording.columns_mut() {
         let Some(array) = batch.column_by_name(name) else {
-            return Err(DatasetError::MissingColumn {
-                path: path.to_owned(),
-                column: name,
-            });
+            return Err(DatasetError::MissingColumn { path: path.to_owned(), column: name });
         };
         match values {
             ValuesMut::U8(values) => {
@@ -210,19 +173,12 @@ fn primitive<'a, T: ArrowPrimitiveType>(
     path: &Path,
 ) -> Result<&'a PrimitiveArray<T>, DatasetError> {
     if array.null_count() > 0 {
-        return Err(DatasetError::Null {
-            path: path.to_owned(),
-            column,
-            nulls: array.null_count(),
-        });
+        return Err(DatasetError::Null { path: path.to_owned(), column, nulls: array.null_count() });
     }
-    array
-        .as_any()
-        .downcast_ref()
-        .ok_or_else(|| DatasetError::WrongType {
-            path: path.to_owned(),
-            column,
-            expected: T::DATA_TYPE.to_string(),
-            found: array.data_type().to_string(),
-        })
+    array.as_any().downcast_ref().ok_or_else(|| DatasetError::WrongType {
+        path: path.to_owned(),
+        column,
+        expected: T::DATA_TYPE.to_string(),
+        found: array.data_type().to_string(),
+    })
 }

@@ -58,10 +58,7 @@ pub struct Recording {
 
 /// One control tick; fields as in [`Recording`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(
-    missing_docs,
-    reason = "each field is documented at the column of the same name"
-)]
+#[expect(missing_docs, reason = "each field is documented at the column of the same name")]
 pub struct Row {
     pub breath: u32,
     pub tick: u32,
@@ -157,28 +154,17 @@ impl Recording {
     /// [`DatasetError::Different`] if period or columns differ or the breath numbers run out; `self` is unchanged then.
     pub fn append(&mut self, other: &Self) -> Result<(), DatasetError> {
         if self.provenance.period_us != other.provenance.period_us {
-            return Err(DatasetError::Different {
-                what: "the control period",
-            });
+            return Err(DatasetError::Different { what: "the control period" });
         }
-        if !self
-            .columns()
-            .iter()
-            .map(|c| c.0)
-            .eq(other.columns().iter().map(|c| c.0))
-        {
-            return Err(DatasetError::Different {
-                what: "their columns",
-            });
+        if !self.columns().iter().map(|c| c.0).eq(other.columns().iter().map(|c| c.0)) {
+            return Err(DatasetError::Different { what: "their columns" });
         }
         let (Some(&first), Some(&last)) = (other.breath.first(), other.breath.last()) else {
             return Ok(());
         };
         let next = self.breath.last().map_or(Some(0), |last| last.checked_add(1));
         let renumber = |breath: u32| breath.checked_sub(first)?.checked_add(next?);
-        let numbers = DatasetError::Different {
-            what: "breath numbers that can follow on",
-        };
+        let numbers = DatasetError::Different { what: "breath numbers that can follow on" };
         renumber(last).ok_or(numbers)?;
 
         let rows = self.len();
@@ -208,11 +194,7 @@ impl Recording {
             other.source,
             other.plant,
             other.seed,
-            if other.weights_id.is_empty() {
-                "none"
-            } else {
-                &other.weights_id
-            },
+            if other.weights_id.is_empty() { "none" } else { &other.weights_id },
             other.git_revision,
         ));
         mine.notes.extend_from_slice(&other.notes);
@@ -232,20 +214,12 @@ impl Recording {
     /// Rows of the inspiratory phase of each breath whose inspiration is complete: recorded from tick 0, without a
     /// missing tick, and followed by a later phase of the same breath.
     pub fn inspirations(&self) -> Vec<Range<usize>> {
-        self.breaths()
-            .into_iter()
-            .filter_map(|breath| self.inspiration(breath))
-            .collect()
+        self.breaths().into_iter().filter_map(|breath| self.inspiration(breath)).collect()
     }
 
     fn inspiration(&self, breath: Range<usize>) -> Option<Range<usize>> {
-        let length = self.phase[breath.clone()]
-            .iter()
-            .position(|&phase| phase != INSPIRATION)?;
-        let whole = self.tick[breath.start..breath.start + length]
-            .iter()
-            .copied()
-            .eq(0..length as u32);
+        let length = self.phase[breath.clone()].iter().position(|&phase| phase != INSPIRATION)?;
+        let whole = self.tick[breath.start..breath.start + length].iter().copied().eq(0..length as u32);
         (whole && length > 0).then_some(breath.start..breath.start + length)
     }
 
@@ -257,27 +231,15 @@ impl Recording {
     pub fn validate(&self) -> Result<(), DatasetError> {
         for (column, values) in self.columns() {
             if values.len() != self.len() {
-                return Err(DatasetError::Length {
-                    column,
-                    rows: values.len(),
-                    expected: self.len(),
-                });
+                return Err(DatasetError::Length { column, rows: values.len(), expected: self.len() });
             }
             if let Values::F32(values) = values
                 && let Some(row) = values.iter().position(|value| !value.is_finite())
             {
-                return Err(DatasetError::NotFinite {
-                    column,
-                    row,
-                    value: values[row],
-                });
+                return Err(DatasetError::NotFinite { column, row, value: values[row] });
             }
         }
-        below(
-            "phase",
-            self.phase.iter().map(|&phase| u32::from(phase)),
-            usize::from(EXPIRATION) + 1,
-        )?;
+        below("phase", self.phase.iter().map(|&phase| u32::from(phase)), usize::from(EXPIRATION) + 1)?;
         if let Some(group) = &self.group {
             below("group", group.iter().copied(), self.provenance.groups.len())?;
         }
@@ -297,12 +259,7 @@ fn push_extra(column: &mut Option<Vec<f32>>, value: Option<f32>) {
 
 fn below(column: &'static str, values: impl Iterator<Item = u32>, limit: usize) -> Result<(), DatasetError> {
     match values.enumerate().find(|&(_, value)| value as usize >= limit) {
-        Some((row, value)) => Err(DatasetError::OutOfRange {
-            column,
-            row,
-            value,
-            limit,
-        }),
+        Some((row, value)) => Err(DatasetError::OutOfRange { column, row, value, limit }),
         None => Ok(()),
     }
 }

@@ -9,16 +9,9 @@ use super::*;
 use crate::provenance::Provenance;
 
 fn provenance(extras: &[Extra]) -> Provenance {
-    let groups = if extras.contains(&Extra::Group) {
-        vec!["A:1".to_owned(), "A:2".to_owned()]
-    } else {
-        Vec::new()
-    };
-    Provenance {
-        groups,
-        plant: "bench".to_owned(),
-        ..Provenance::new(1_000, "test")
-    }
+    let groups =
+        if extras.contains(&Extra::Group) { vec!["A:1".to_owned(), "A:2".to_owned()] } else { Vec::new() };
+    Provenance { groups, plant: "bench".to_owned(), ..Provenance::new(1_000, "test") }
 }
 
 /// Breaths of 20 inspiratory, 10 falling and 30 expiratory ticks.
@@ -135,10 +128,7 @@ fn a_file_cut_anywhere_is_called_torn() {
     for length in 0..bytes.len() {
         std::fs::write(&path, &bytes[..length]).unwrap();
         let error = Recording::load(&path).unwrap_err();
-        assert!(
-            matches!(error, DatasetError::Torn { .. }),
-            "cut to {length} bytes: {error}"
-        );
+        assert!(matches!(error, DatasetError::Torn { .. }), "cut to {length} bytes: {error}");
     }
 }
 
@@ -161,19 +151,10 @@ fn a_file_with_one_damaged_byte_gives_the_right_rows_or_an_error() {
 fn a_file_that_is_absent_or_of_another_kind_is_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("recording.parquet");
-    assert!(matches!(
-        Recording::load(&path),
-        Err(DatasetError::Missing { .. })
-    ));
+    assert!(matches!(Recording::load(&path), Err(DatasetError::Missing { .. })));
     std::fs::write(&path, "run,test\n1,2\n").unwrap();
-    assert!(matches!(
-        Recording::load(&path),
-        Err(DatasetError::NotParquet { .. })
-    ));
-    assert!(matches!(
-        Recording::load(folder.path()),
-        Err(DatasetError::Read { .. })
-    ));
+    assert!(matches!(Recording::load(&path), Err(DatasetError::NotParquet { .. })));
+    assert!(matches!(Recording::load(folder.path()), Err(DatasetError::Read { .. })));
 }
 
 #[test]
@@ -182,14 +163,7 @@ fn an_invalid_recording_is_not_written_over_a_good_one() {
     let (_folder, path) = saved(&good);
     let mut bad = recording(&[], 1);
     bad.pressure[7] = f32::NAN;
-    assert!(matches!(
-        bad.save(&path),
-        Err(DatasetError::NotFinite {
-            column: "pressure",
-            row: 7,
-            ..
-        })
-    ));
+    assert!(matches!(bad.save(&path), Err(DatasetError::NotFinite { column: "pressure", row: 7, .. })));
     assert_eq!(Recording::load(&path).unwrap(), good);
 }
 
@@ -266,19 +240,9 @@ fn recordings_that_differ_in_period_or_columns_do_not_join() {
     let mut base = recording(&[], 1);
     let mut slow = recording(&[], 1);
     slow.provenance.period_us = 10_000;
-    assert!(matches!(
-        base.append(&slow),
-        Err(DatasetError::Different {
-            what: "the control period"
-        })
-    ));
+    assert!(matches!(base.append(&slow), Err(DatasetError::Different { what: "the control period" })));
     let rich = recording(&Extra::TRUTH, 1);
-    assert!(matches!(
-        base.append(&rich),
-        Err(DatasetError::Different {
-            what: "their columns"
-        })
-    ));
+    assert!(matches!(base.append(&rich), Err(DatasetError::Different { what: "their columns" })));
     assert_eq!(base, recording(&[], 1));
 }
 
@@ -344,82 +308,35 @@ mod foreign_files {
     #[test]
     fn a_missing_column_is_named() {
         for (name, _) in good_columns() {
-            let columns = good_columns()
-                .into_iter()
-                .filter(|column| column.0 != name)
-                .collect();
+            let columns = good_columns().into_iter().filter(|column| column.0 != name).collect();
             let error = load(columns, Some(&origin())).unwrap_err();
-            assert!(
-                matches!(error, DatasetError::MissingColumn { column, .. } if column == name),
-                "{error}"
-            );
+            assert!(matches!(error, DatasetError::MissingColumn { column, .. } if column == name), "{error}");
         }
     }
 
     #[test]
     fn a_wrong_type_is_named_with_both_types() {
-        let error = load(
-            with("u_in", Arc::new(Float64Array::from(vec![0.0, 0.0]))),
-            Some(&origin()),
-        )
-        .unwrap_err();
-        assert!(
-            error
-                .to_string()
-                .contains("column `u_in` is Float64, expected Float32"),
-            "{error}"
-        );
+        let error =
+            load(with("u_in", Arc::new(Float64Array::from(vec![0.0, 0.0]))), Some(&origin())).unwrap_err();
+        assert!(error.to_string().contains("column `u_in` is Float64, expected Float32"), "{error}");
     }
 
     #[test]
     fn empty_cells_and_nan_are_refused() {
-        let error = load(
-            with("peep", Arc::new(Float32Array::from(vec![None, Some(1.0)]))),
-            Some(&origin()),
-        );
-        assert!(matches!(
-            error,
-            Err(DatasetError::Null {
-                column: "peep",
-                nulls: 1,
-                ..
-            })
-        ));
-        let error = load(
-            with("peep", Arc::new(Float32Array::from(vec![1.0, f32::NAN]))),
-            Some(&origin()),
-        )
-        .unwrap_err();
+        let error = load(with("peep", Arc::new(Float32Array::from(vec![None, Some(1.0)]))), Some(&origin()));
+        assert!(matches!(error, Err(DatasetError::Null { column: "peep", nulls: 1, .. })));
+        let error = load(with("peep", Arc::new(Float32Array::from(vec![1.0, f32::NAN]))), Some(&origin()))
+            .unwrap_err();
         let text = error.to_string();
-        assert!(
-            text.contains("foreign.parquet: column `peep` is NaN in row 1"),
-            "{text}"
-        );
+        assert!(text.contains("foreign.parquet: column `peep` is NaN in row 1"), "{text}");
     }
 
     #[test]
     fn a_file_without_a_readable_provenance_of_this_format_is_refused() {
-        assert!(matches!(
-            load(good_columns(), None),
-            Err(DatasetError::NoProvenance { .. })
-        ));
-        assert!(matches!(
-            load(good_columns(), Some("{}")),
-            Err(DatasetError::BadProvenance { .. })
-        ));
-        let newer = serde_json::to_string(&Provenance {
-            format: 2,
-            ..provenance(&[])
-        })
-        .unwrap();
+        assert!(matches!(load(good_columns(), None), Err(DatasetError::NoProvenance { .. })));
+        assert!(matches!(load(good_columns(), Some("{}")), Err(DatasetError::BadProvenance { .. })));
+        let newer = serde_json::to_string(&Provenance { format: 2, ..provenance(&[]) }).unwrap();
         let error = load(good_columns(), Some(&newer)).unwrap_err();
-        assert!(matches!(
-            error,
-            DatasetError::Format {
-                found: 2,
-                expected: 1,
-                ..
-            }
-        ));
+        assert!(matches!(error, DatasetError::Format { found: 2, expected: 1, .. }));
     }
 }

@@ -27,9 +27,7 @@ impl Activation {
         match self {
             Self::Softsign => apply(values, math::softsign),
             Self::Tanh => apply(values, f32::tanh),
-            Self::Selu => apply(values, |x| {
-                SELU_SCALE * if x > 0.0 { x } else { SELU_ALPHA * x.exp_m1() }
-            }),
+            Self::Selu => apply(values, |x| SELU_SCALE * if x > 0.0 { x } else { SELU_ALPHA * x.exp_m1() }),
         }
     }
 
@@ -41,13 +39,9 @@ impl Activation {
                 rest * rest
             }),
             Self::Tanh => scale(outputs, gradients, |y| 1.0 - y * y),
-            Self::Selu => scale(outputs, gradients, |y| {
-                if y > 0.0 {
-                    SELU_SCALE
-                } else {
-                    y + SELU_SCALE * SELU_ALPHA
-                }
-            }),
+            Self::Selu => {
+                scale(outputs, gradients, |y| if y > 0.0 { SELU_SCALE } else { y + SELU_SCALE * SELU_ALPHA })
+            }
         }
     }
 }

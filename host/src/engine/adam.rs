@@ -18,12 +18,7 @@ pub struct AdamConfig {
 
 impl Default for AdamConfig {
     fn default() -> Self {
-        Self {
-            rate: 3e-3,
-            final_share: 0.02,
-            weight_decay: 1e-4,
-            clip: 1.0,
-        }
+        Self { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 }
     }
 }
 
@@ -31,7 +26,7 @@ const BETA: (f32, f32) = (0.9, 0.999);
 const EPSILON: f32 = 1e-8;
 
 /// State of the optimiser.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Adam {
     config: AdamConfig,
     mean: Vec<f32>,
@@ -42,12 +37,7 @@ pub struct Adam {
 impl Adam {
     /// An optimiser of `parameters` numbers.
     pub fn new(config: AdamConfig, parameters: usize) -> Self {
-        Self {
-            config,
-            mean: vec![0.0; parameters],
-            square: vec![0.0; parameters],
-            steps: 0,
-        }
+        Self { config, mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
     }
 
     /// One step along the gradient; `progress` is the share of the schedule done, 0 to 1. Gives the gradient's
@@ -58,11 +48,7 @@ impl Adam {
             return norm;
         }
         self.steps += 1;
-        let scale = if norm > self.config.clip {
-            self.config.clip / norm
-        } else {
-            1.0
-        };
+        let scale = if norm > self.config.clip { self.config.clip / norm } else { 1.0 };
         let rate = self.rate(progress);
         let steps = self.steps as i32;
         let correction = (1.0 - BETA.0.powi(steps), 1.0 - BETA.1.powi(steps));
@@ -91,20 +77,13 @@ mod tests {
     fn a_quadratic_bowl_is_descended_to_its_bottom() {
         let mut parameters = vec![3.0, -2.0, 0.5];
         let bottom = [1.0, 1.0, 1.0];
-        let config = AdamConfig {
-            rate: 0.05,
-            weight_decay: 0.0,
-            ..AdamConfig::default()
-        };
+        let config = AdamConfig { rate: 0.05, weight_decay: 0.0, ..AdamConfig::default() };
         let mut adam = Adam::new(config, 3);
         for step in 0..600 {
             let gradient: Vec<f32> = parameters.iter().zip(bottom).map(|(p, b)| p - b).collect();
             adam.step(&mut parameters, &gradient, step as f32 / 600.0);
         }
-        assert!(
-            parameters.iter().all(|p| (p - 1.0).abs() < 1e-2),
-            "{parameters:?}"
-        );
+        assert!(parameters.iter().all(|p| (p - 1.0).abs() < 1e-2), "{parameters:?}");
     }
 
     #[test]
@@ -117,11 +96,7 @@ mod tests {
 
     #[test]
     fn decay_pulls_weights_to_zero() {
-        let config = AdamConfig {
-            rate: 0.1,
-            weight_decay: 0.5,
-            ..AdamConfig::default()
-        };
+        let config = AdamConfig { rate: 0.1, weight_decay: 0.5, ..AdamConfig::default() };
         let mut parameters = vec![1.0];
         Adam::new(config, 1).step(&mut parameters, &[0.0], 0.0);
         assert!((parameters[0] - 0.95).abs() < 1e-6);

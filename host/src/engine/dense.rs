@@ -6,6 +6,9 @@ use rand_distr::{Distribution, Uniform};
 use super::Lane;
 use super::lane::{multiply_add, outer_add};
 
+/// Steps of which a gradient is summed in one go: few enough to stay in the first cache.
+const CHUNK: usize = 16;
+
 /// Shape and place of a layer's parameters within a flat parameter vector: weights row by row (one row per
 /// output), then biases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,11 +37,7 @@ impl Dense {
     pub fn layout<const N: usize>(shapes: [(usize, usize); N]) -> ([Self; N], usize) {
         let mut offset = 0;
         let layers = shapes.map(|(inputs, outputs)| {
-            let layer = Self {
-                inputs,
-                outputs,
-                offset,
-            };
+            let layer = Self { inputs, outputs, offset };
             offset += layer.parameters();
             layer
         });
@@ -53,9 +52,7 @@ impl Dense {
     /// Draws weights uniformly, scaled by `gain / sqrt(inputs)`; biases zero.
     pub fn initialise(&self, parameters: &mut [f32], gain: f32, rng: &mut ChaCha8Rng) {
         let bound = gain * (3.0 / self.inputs as f32).sqrt();
-        let (weights, bias) = self
-            .slice_mut(parameters)
-            .split_at_mut(self.inputs * self.outputs);
+        let (weights, bias) = self.slice_mut(parameters).split_at_mut(self.inputs * self.outputs);
         match Uniform::new(-bound, bound) {
             Ok(uniform) => weights.iter_mut().for_each(|w| *w = uniform.sample(rng)),
             Err(_) => weights.fill(0.0),
@@ -76,16 +73,9 @@ impl Dense {
     /// Takes this layer's parameters out of the vector.
     pub fn load(&self, parameters: &[f32]) -> DenseWeights {
         let (by_output, bias) = self.slice(parameters).split_at(self.inputs * self.outputs);
-        let by_input = (0..self.inputs)
-            .flat_map(|i| by_output.iter().skip(i).step_by(self.inputs))
-            .copied()
-            .collect();
-        DenseWeights {
-            shape: *self,
-            by_output: by_output.to_vec(),
-            by_input,
-            bias: bias.to_vec(),
-        }
+        let by_input =
+            (0..self.inputs).flat_map(|i| by_output.iter().skip(i).step_by(self.inputs)).copied().collect();
+        DenseWeights { shape: *self, by_output: by_output.to_vec(), by_input, bias: bias.to_vec() }
     }
 
     /// Adds the gradient by the parameters, summed over rollouts and steps.
@@ -93,7 +83,10 @@ impl Dense {
     /// Shapes: `dy` steps times outputs, `x` steps times inputs.
     pub fn gradient(&self, dy: &[Lane], x: &[Lane], gradient: &mut [f32]) {
         let (weights, bias) = self.slice_mut(gradient).split_at_mut(self.inputs * self.outputs);
-        outer_add(dy, x, self.outputs, self.inputs, weights);
+        let chunks = dy.chunks(CHUNK * self.outputs).zip(x.chunks(CHUNK * self.inputs));
+        for (dy, x) in chunks {
+            outer_add(dy, x, self.outputs, self.inputs, weights);
+        }
         for step in dy.chunks_exact(self.outputs) {
             for (bias, dy) in bias.iter_mut().zip(step) {
                 *bias += dy.sum();
@@ -145,9 +138,7 @@ mod tests {
         let ([_, layer], total) = Dense::layout([(2, 3), (5, 9)]);
         let mut parameters = vec![0.0; total];
         layer.initialise(&mut parameters, 1.0, &mut rng);
-        let mut x: Vec<Lane> = (0..5)
-            .map(|i| Lane::from_fn(|l| ((i * 5 + l) as f32).sin()))
-            .collect();
+        let mut x: Vec<Lane> = (0..5).map(|i| Lane::from_fn(|l| ((i * 5 + l) as f32).sin())).collect();
 
         let weights = layer.load(&parameters);
         let mut y = vec![Lane::ZERO; layer.outputs];
@@ -164,10 +155,7 @@ mod tests {
             parameters[n] = kept - step;
             let numeric = (above - loss(&layer, &parameters, &x)) / (2.0 * step);
             parameters[n] = kept;
-            assert!(
-                (numeric - gradient[n]).abs() < 0.02 * (1.0 + gradient[n].abs()),
-                "parameter {n}"
-            );
+            assert!((numeric - gradient[n]).abs() < 0.02 * (1.0 + gradient[n].abs()), "parameter {n}");
         }
         for (i, l) in [(0, 0), (3, 15), (4, 7)] {
             let kept = x[i][l];
@@ -176,10 +164,7 @@ mod tests {
             x[i][l] = kept - step;
             let numeric = (above - loss(&layer, &parameters, &x)) / (2.0 * step);
             x[i][l] = kept;
-            assert!(
-                (numeric - dx[i][l]).abs() < 0.02 * (1.0 + dx[i][l].abs()),
-                "input {i} of rollout {l}"
-            );
+            assert!((numeric - dx[i][l]).abs() < 0.02 * (1.0 + dx[i][l].abs()), "input {i} of rollout {l}");
         }
     }
 }

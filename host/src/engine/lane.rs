@@ -84,11 +84,7 @@ const TILE: usize = 8;
 ///
 /// Shapes: `x` inputs, `y` outputs, `w` inputs times outputs.
 pub fn multiply_add(w: &[f32], x: &[Lane], y: &mut [Lane]) {
-    assert_eq!(
-        w.len(),
-        x.len() * y.len(),
-        "weights must have inputs x outputs entries"
-    );
+    assert_eq!(w.len(), x.len() * y.len(), "weights must have inputs x outputs entries");
     Arch::new().dispatch(MultiplyAdd { w, x, y });
 }
 
@@ -148,23 +144,9 @@ fn vector<S: Simd>(lane: &Lane, v: usize) -> S::f32s {
 ///
 /// Shapes: `dy` steps times outputs, `x` steps times inputs.
 pub fn outer_add(dy: &[Lane], x: &[Lane], outputs: usize, inputs: usize, dw: &mut [f32]) {
-    assert_eq!(
-        dw.len(),
-        outputs * inputs,
-        "gradient must have outputs x inputs entries"
-    );
-    assert_eq!(
-        dy.len() * inputs,
-        x.len() * outputs,
-        "both must cover the same steps"
-    );
-    Arch::new().dispatch(OuterAdd {
-        dy,
-        x,
-        outputs,
-        inputs,
-        dw,
-    });
+    assert_eq!(dw.len(), outputs * inputs, "gradient must have outputs x inputs entries");
+    assert_eq!(dy.len() * inputs, x.len() * outputs, "both must cover the same steps");
+    Arch::new().dispatch(OuterAdd { dy, x, outputs, inputs, dw });
 }
 
 struct OuterAdd<'a> {
@@ -210,11 +192,7 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
     first_i: usize,
 ) {
     let mut sums = [[simd.splat_f32s(0.0); I]; O];
-    for (dy, x) in work
-        .dy
-        .chunks_exact(work.outputs)
-        .zip(work.x.chunks_exact(work.inputs))
-    {
+    for (dy, x) in work.dy.chunks_exact(work.outputs).zip(work.x.chunks_exact(work.inputs)) {
         let (dy, x) = (&dy[first_o..first_o + O], &x[first_i..first_i + I]);
         for v in 0..LANES / S::F32_LANES {
             let x: [S::f32s; I] = std::array::from_fn(|i| vector::<S>(&x[i], v));
@@ -243,9 +221,7 @@ mod tests {
     }
 
     fn lanes(count: usize, seed: usize) -> Vec<Lane> {
-        (0..count)
-            .map(|n| Lane::from_fn(|l| number(seed + n * LANES + l)))
-            .collect()
+        (0..count).map(|n| Lane::from_fn(|l| number(seed + n * LANES + l))).collect()
     }
 
     #[test]
@@ -270,9 +246,8 @@ mod tests {
             let mut dw = vec![0.5; inputs * outputs];
             outer_add(&dy, &x, outputs, inputs, &mut dw);
             for (o, i) in (0..outputs).flat_map(|o| (0..inputs).map(move |i| (o, i))) {
-                let expected: f32 = (0..steps)
-                    .map(|t| dy[t * outputs + o].zip(&x[t * inputs + i], |a, b| a * b).sum())
-                    .sum();
+                let expected: f32 =
+                    (0..steps).map(|t| dy[t * outputs + o].zip(&x[t * inputs + i], |a, b| a * b).sum()).sum();
                 assert!((dw[o * inputs + i] - 0.5 - expected).abs() < 1e-3, "{o},{i}");
             }
         }

@@ -19,10 +19,8 @@ fn extremes(part: &[Point]) -> Vec<Point> {
     let by_y = |a: &usize, b: &usize| part[*a].1.total_cmp(&part[*b].1);
     let lowest = (0..part.len()).min_by(by_y);
     let highest = (0..part.len()).max_by(by_y);
-    let mut kept: Vec<usize> = [Some(0), lowest, highest, part.len().checked_sub(1)]
-        .into_iter()
-        .flatten()
-        .collect();
+    let mut kept: Vec<usize> =
+        [Some(0), lowest, highest, part.len().checked_sub(1)].into_iter().flatten().collect();
     kept.sort_unstable();
     kept.dedup();
     kept.into_iter().map(|index| part[index]).collect()
@@ -106,10 +104,7 @@ mod tests {
 
     #[test]
     fn steps_hold_the_value() {
-        assert_eq!(
-            steps(&[(0.0, 1.0), (1.0, 5.0)]),
-            [(0.0, 1.0), (1.0, 1.0), (1.0, 5.0)]
-        );
+        assert_eq!(steps(&[(0.0, 1.0), (1.0, 5.0)]), [(0.0, 1.0), (1.0, 1.0), (1.0, 5.0)]);
         assert!(steps(&[]).is_empty());
     }
 
@@ -117,10 +112,7 @@ mod tests {
     fn a_curve_is_cut_where_it_leaves_the_frame() {
         let zigzag = [(0.0, 0.0), (2.0, 2.0), (4.0, 0.0)];
         let parts = clip(&zigzag, (0.0, 4.0), (0.0, 1.0));
-        assert_eq!(
-            parts,
-            [vec![(0.0, 0.0), (1.0, 1.0)], vec![(3.0, 1.0), (4.0, 0.0)]]
-        );
+        assert_eq!(parts, [vec![(0.0, 0.0), (1.0, 1.0)], vec![(3.0, 1.0), (4.0, 0.0)]]);
         assert!(clip(&[(0.0, 5.0), (4.0, 5.0)], (0.0, 4.0), (0.0, 1.0)).is_empty());
     }
 

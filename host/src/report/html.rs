@@ -79,20 +79,14 @@ impl Report {
     /// As [`Self::to_html`], or if the file cannot be written.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), ReportError> {
         let path = path.as_ref();
-        write_atomically(path, self.to_html()?.as_bytes()).map_err(|source| ReportError::Write {
-            path: path.to_owned(),
-            source,
-        })
+        write_atomically(path, self.to_html()?.as_bytes())
+            .map_err(|source| ReportError::Write { path: path.to_owned(), source })
     }
 }
 
 impl Section {
     fn to_html(&self) -> Result<String, ReportError> {
-        let mut html = format!(
-            "<section>\n<h2>{}</h2>\n{}",
-            escape(&self.heading),
-            paragraphs(&self.text)
-        );
+        let mut html = format!("<section>\n<h2>{}</h2>\n{}", escape(&self.heading), paragraphs(&self.text));
         for block in &self.blocks {
             html.push_str(&block.to_html()?);
         }
@@ -106,10 +100,8 @@ impl Block {
             Self::Table(table) => table.to_html(),
             Self::Plot(plot) => format!("<div class=\"plots\">\n{}</div>\n", figure(plot)?),
             Self::PlotRow(plots) => {
-                let figures = plots
-                    .iter()
-                    .map(|plot| figure(&smaller(plot)))
-                    .collect::<Result<String, _>>()?;
+                let figures =
+                    plots.iter().map(|plot| figure(&smaller(plot))).collect::<Result<String, _>>()?;
                 format!("<div class=\"plots row\">\n{figures}</div>\n")
             }
             Self::Text(text) => paragraphs(text),
@@ -119,32 +111,19 @@ impl Block {
 
 fn smaller(plot: &Plot) -> Plot {
     let scale = |pixels: u32, share: f64| (f64::from(pixels) * share).round() as u32;
-    Plot {
-        size: (scale(plot.size.0, ROW_SHARE.0), scale(plot.size.1, ROW_SHARE.1)),
-        ..plot.clone()
-    }
+    Plot { size: (scale(plot.size.0, ROW_SHARE.0), scale(plot.size.1, ROW_SHARE.1)), ..plot.clone() }
 }
 
 /// The plot as part of the page, where the name space of a stand-alone SVG is superfluous.
 fn figure(plot: &Plot) -> Result<String, ReportError> {
-    let svg = plot
-        .to_svg()?
-        .replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
+    let svg = plot.to_svg()?.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
     let label = format!("<svg role=\"img\" aria-label=\"{}\"", escape(&plot.title));
-    Ok(format!(
-        "<figure>\n{}</figure>\n",
-        svg.replacen("<svg", &label, 1)
-    ))
+    Ok(format!("<figure>\n{}</figure>\n", svg.replacen("<svg", &label, 1)))
 }
 
 fn paragraphs(text: &str) -> String {
     let mut html = String::new();
-    html.extend(
-        text.split("\n\n")
-            .map(str::trim)
-            .filter(|part| !part.is_empty())
-            .map(paragraph),
-    );
+    html.extend(text.split("\n\n").map(str::trim).filter(|part| !part.is_empty()).map(paragraph));
     html
 }
 
@@ -154,11 +133,7 @@ fn paragraph(text: &str) -> String {
 
 fn footer(provenance: &Provenance) -> String {
     let or_none = |text: &str| {
-        if text.is_empty() {
-            "none".to_owned()
-        } else {
-            text.to_owned()
-        }
+        if text.is_empty() { "none".to_owned() } else { text.to_owned() }
     };
     let facts = [
         ("Revision", provenance.git_revision.clone()),
@@ -182,10 +157,7 @@ fn footer(provenance: &Provenance) -> String {
 }
 
 fn details(summary: &str, text: &str) -> String {
-    format!(
-        "<details><summary>{summary}</summary><pre>{}</pre></details>\n",
-        escape(text.trim_end())
-    )
+    format!("<details><summary>{summary}</summary><pre>{}</pre></details>\n", escape(text.trim_end()))
 }
 
 /// Text that HTML takes as text.

@@ -38,12 +38,7 @@ pub struct Series {
 impl Series {
     /// A series in a palette colour.
     pub fn new(name: impl Into<String>, style: Style, points: Vec<(f64, f64)>) -> Self {
-        Self {
-            name: name.into(),
-            points,
-            style,
-            color: None,
-        }
+        Self { name: name.into(), points, style, color: None }
     }
 }
 
@@ -124,10 +119,7 @@ impl Plot {
         let x = self.limits(self.x_range, |point| point.0, 0.0, false)?;
         let y = self.limits(self.y_range, |point| point.1, 0.05, self.log_y)?;
         let mut svg = String::new();
-        self.draw(&mut svg, x, y).map_err(|detail| ReportError::Draw {
-            plot: self.title.clone(),
-            detail,
-        })?;
+        self.draw(&mut svg, x, y).map_err(|detail| ReportError::Draw { plot: self.title.clone(), detail })?;
         let (width, height) = self.size;
         let canvas = format!("<svg width=\"{}\" height=\"{}\"", width * FINE, height * FINE);
         Ok(svg.replacen(&canvas, &format!("<svg width=\"{width}\" height=\"{height}\""), 1))
@@ -135,30 +127,18 @@ impl Plot {
 
     fn check(&self) -> Result<(), ReportError> {
         for series in &self.series {
-            let bad = series
-                .points
-                .iter()
-                .position(|point| !(point.0.is_finite() && point.1.is_finite()));
+            let bad = series.points.iter().position(|point| !(point.0.is_finite() && point.1.is_finite()));
             if let Some(index) = bad {
                 let (plot, series) = (self.title.clone(), series.name.clone());
                 return Err(ReportError::NotFinite { plot, series, index });
             }
         }
         if self.series.iter().all(|series| series.points.is_empty()) {
-            return Err(ReportError::Empty {
-                plot: self.title.clone(),
-            });
+            return Err(ReportError::Empty { plot: self.title.clone() });
         }
-        let mut values = self
-            .series
-            .iter()
-            .flat_map(|series| &series.points)
-            .map(|point| point.1);
+        let mut values = self.series.iter().flat_map(|series| &series.points).map(|point| point.1);
         match values.find(|&value| self.log_y && value <= 0.0) {
-            Some(value) => Err(ReportError::NotPositive {
-                plot: self.title.clone(),
-                value,
-            }),
+            Some(value) => Err(ReportError::NotPositive { plot: self.title.clone(), value }),
             None => Ok(()),
         }
     }
@@ -181,11 +161,7 @@ impl Plot {
             }
             return Ok((low, high));
         }
-        let values = self
-            .series
-            .iter()
-            .flat_map(|series| &series.points)
-            .map(coordinate);
+        let values = self.series.iter().flat_map(|series| &series.points).map(coordinate);
         let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
         Ok(if log {
             let factor = (high / low).powf(margin).max(1.2);
@@ -217,22 +193,13 @@ impl Plot {
     fn draw_header(&self, root: &Area) -> Height {
         let mut top = MARGIN;
         if !self.title.is_empty() {
-            put_text(
-                root,
-                &self.title,
-                (MARGIN, top + LINE_HEIGHT / 2),
-                TITLE_SIZE,
-                FontStyle::Bold,
-            )?;
+            put_text(root, &self.title, (MARGIN, top + LINE_HEIGHT / 2), TITLE_SIZE, FontStyle::Bold)?;
             top += LINE_HEIGHT + 4;
         }
         let mut left = MARGIN;
         let mut any = false;
-        for (series, color) in self
-            .series
-            .iter()
-            .zip(self.colors())
-            .filter(|(series, _)| !series.name.is_empty())
+        for (series, color) in
+            self.series.iter().zip(self.colors()).filter(|(series, _)| !series.name.is_empty())
         {
             let width = SAMPLE + 6 + text_width(&series.name) + 16;
             if any && left + width > self.size.0 {
@@ -240,13 +207,7 @@ impl Plot {
             }
             let middle = top + LINE_HEIGHT / 2;
             draw_sample(root, series.style, color, left, middle)?;
-            put_text(
-                root,
-                &series.name,
-                (left + SAMPLE + 6, middle),
-                TEXT_SIZE,
-                FontStyle::Normal,
-            )?;
+            put_text(root, &series.name, (left + SAMPLE + 6, middle), TEXT_SIZE, FontStyle::Normal)?;
             left += width;
             any = true;
         }
@@ -308,11 +269,7 @@ impl Plot {
                 chart.draw_series(dots).map_err(text)?;
                 continue;
             }
-            let joined = if series.style == Style::Step {
-                curve::steps(&thin)
-            } else {
-                thin
-            };
+            let joined = if series.style == Style::Step { curve::steps(&thin) } else { thin };
             for part in curve::clip(&joined, x, y) {
                 draw_line(&mut chart, part, series.style, color)?;
             }
@@ -347,20 +304,17 @@ fn draw_sample(root: &Area, style: Style, color: RGBColor, left: u32, middle: u3
     };
     for (start, end) in pieces {
         let ends = vec![at(left + start), at(left + end)];
-        root.draw(&PathElement::new(ends, color.stroke_width(2 * FINE)))
-            .map_err(text)?;
+        root.draw(&PathElement::new(ends, color.stroke_width(2 * FINE))).map_err(text)?;
     }
     if style == Style::Points {
-        root.draw(&Circle::new(at(left + SAMPLE / 2), 3 * FINE, color.filled()))
-            .map_err(text)?;
+        root.draw(&Circle::new(at(left + SAMPLE / 2), 3 * FINE, color.filled())).map_err(text)?;
     }
     Ok(())
 }
 
 fn put_text(root: &Area, words: &str, at: (u32, u32), size: u32, weight: FontStyle) -> Drawn {
     let style = font(size, weight).pos(Pos::new(HPos::Left, VPos::Center));
-    root.draw_text(words, &style, ((at.0 * FINE) as i32, (at.1 * FINE) as i32))
-        .map_err(text)
+    root.draw_text(words, &style, ((at.0 * FINE) as i32, (at.1 * FINE) as i32)).map_err(text)
 }
 
 /// The palette, then the palette again in ever darker shades.
@@ -373,12 +327,7 @@ fn palette(index: usize) -> RGBColor {
 
 /// Text style on the fine canvas.
 fn font(size: u32, style: FontStyle) -> TextStyle<'static> {
-    TextStyle::from(FontDesc::new(
-        FontFamily::SansSerif,
-        f64::from(size * FINE),
-        style,
-    ))
-    .color(&INK)
+    TextStyle::from(FontDesc::new(FontFamily::SansSerif, f64::from(size * FINE), style)).color(&INK)
 }
 
 /// Estimated, because measuring needs a font library.
@@ -393,11 +342,7 @@ fn number(value: f64) -> String {
     }
     let digits = format!("{value:.4}");
     let short = digits.trim_end_matches('0').trim_end_matches('.');
-    if short == "-0" {
-        "0".to_owned()
-    } else {
-        short.to_owned()
-    }
+    if short == "-0" { "0".to_owned() } else { short.to_owned() }
 }
 
 fn text(error: impl std::fmt::Display) -> String {

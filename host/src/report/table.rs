@@ -20,37 +20,22 @@ pub struct Cell {
 impl Cell {
     /// Words, to the left.
     pub fn text(text: impl Into<String>) -> Self {
-        Self {
-            text: text.into(),
-            ..Self::default()
-        }
+        Self { text: text.into(), ..Self::default() }
     }
 
     /// A number with so many decimals, to the right. NaN shows as `NaN`.
     pub fn number(value: f64, decimals: usize) -> Self {
-        Self {
-            text: format!("{value:.decimals$}"),
-            numeric: true,
-            best: false,
-        }
+        Self { text: format!("{value:.decimals$}"), numeric: true, best: false }
     }
 
     /// A whole number, to the right.
     pub fn count(value: usize) -> Self {
-        Self {
-            text: value.to_string(),
-            numeric: true,
-            best: false,
-        }
+        Self { text: value.to_string(), numeric: true, best: false }
     }
 
     /// A number that is written already, with its unit perhaps, to the right.
     pub fn right(text: impl Into<String>) -> Self {
-        Self {
-            text: text.into(),
-            numeric: true,
-            best: false,
-        }
+        Self { text: text.into(), numeric: true, best: false }
     }
 
     /// Marks the best of its kind: a star, bold where there is bold.
@@ -81,11 +66,7 @@ impl Table {
     /// Table without rows.
     pub fn new(title: impl Into<String>, header: &[&str]) -> Self {
         let header = header.iter().map(|&head| head.to_owned()).collect();
-        Self {
-            title: title.into(),
-            header,
-            rows: Vec::new(),
-        }
+        Self { title: title.into(), header, rows: Vec::new() }
     }
 
     /// Adds a row.
@@ -111,11 +92,7 @@ impl Table {
             table.enforce_styling();
         }
         let align = |index| {
-            if self.is_numeric(index) {
-                CellAlignment::Right
-            } else {
-                CellAlignment::Left
-            }
+            if self.is_numeric(index) { CellAlignment::Right } else { CellAlignment::Left }
         };
         table.set_header(
             (0..self.columns())
@@ -125,28 +102,17 @@ impl Table {
             table.add_row((0..self.columns()).map(|index| {
                 let cell = row.get(index).cloned().unwrap_or_default();
                 let drawn = comfy_table::Cell::new(self.starred(index, &cell)).set_alignment(align(index));
-                if styled && cell.best {
-                    drawn.add_attribute(Attribute::Bold)
-                } else {
-                    drawn
-                }
+                if styled && cell.best { drawn.add_attribute(Attribute::Bold) } else { drawn }
             }));
         }
         let body: Vec<_> = table.lines().map(|line| line.trim_end().to_owned()).collect();
-        let title = if self.title.is_empty() {
-            String::new()
-        } else {
-            format!("{}\n", self.title)
-        };
+        let title = if self.title.is_empty() { String::new() } else { format!("{}\n", self.title) };
         format!("{title}{}", body.join("\n"))
     }
 
     /// Right-aligned columns with a star keep a blank in its place, so that digits stay in line.
     fn starred(&self, index: usize, cell: &Cell) -> String {
-        let stars = self
-            .rows
-            .iter()
-            .any(|row| row.get(index).is_some_and(|cell| cell.best));
+        let stars = self.rows.iter().any(|row| row.get(index).is_some_and(|cell| cell.best));
         match (cell.best, stars && self.is_numeric(index)) {
             (true, _) => format!("{}*", cell.text),
             (false, true) => format!("{} ", cell.text),
@@ -156,12 +122,7 @@ impl Table {
 
     /// Columns of the longest row.
     fn columns(&self) -> usize {
-        self.rows
-            .iter()
-            .map(Vec::len)
-            .chain([self.header.len()])
-            .max()
-            .unwrap_or(0)
+        self.rows.iter().map(Vec::len).chain([self.header.len()]).max().unwrap_or(0)
     }
 
     fn head(&self, index: usize) -> &str {
@@ -169,20 +130,13 @@ impl Table {
     }
 
     fn is_numeric(&self, index: usize) -> bool {
-        self.rows
-            .first()
-            .and_then(|row| row.get(index))
-            .is_some_and(|cell| cell.numeric)
+        self.rows.first().and_then(|row| row.get(index)).is_some_and(|cell| cell.numeric)
     }
 
     /// As an HTML `table` element.
     pub fn to_html(&self) -> String {
         let class = |index| {
-            if self.is_numeric(index) {
-                " class=\"number\""
-            } else {
-                ""
-            }
+            if self.is_numeric(index) { " class=\"number\"" } else { "" }
         };
         let head = |index| format!("<th{}>{}</th>", class(index), escape(self.head(index)));
         let mut html = String::from("<div class=\"scroll\"><table>\n");
@@ -197,11 +151,7 @@ impl Table {
             html.extend((0..self.columns()).map(|index| {
                 let cell = row.get(index).cloned().unwrap_or_default();
                 let text = escape(&cell.text);
-                let text = if cell.best {
-                    format!("<strong>{text}</strong>")
-                } else {
-                    text
-                };
+                let text = if cell.best { format!("<strong>{text}</strong>") } else { text };
                 format!("<td{}>{text}</td>", class(index))
             }));
             html += "</tr>\n";

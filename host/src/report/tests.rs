@@ -4,20 +4,9 @@ use super::*;
 use crate::provenance::Provenance;
 
 fn table() -> Table {
-    let mut table = Table::new(
-        "Error over the inspiration",
-        &["controller", "error, cmH2O", "overshoot, %"],
-    );
-    table.row(vec![
-        Cell::text("PID"),
-        Cell::number(1.374, 2),
-        Cell::number(12.0, 1),
-    ]);
-    table.row(vec![
-        Cell::text("residual <32>"),
-        Cell::number(1.118, 2).best(),
-        Cell::number(3.2, 1).best(),
-    ]);
+    let mut table = Table::new("Error over the inspiration", &["controller", "error, cmH2O", "overshoot, %"]);
+    table.row(vec![Cell::text("PID"), Cell::number(1.374, 2), Cell::number(12.0, 1)]);
+    table.row(vec![Cell::text("residual <32>"), Cell::number(1.118, 2).best(), Cell::number(3.2, 1).best()]);
     table.row(vec![Cell::text("none"), Cell::number(f64::NAN, 2)]);
     table
 }
@@ -60,9 +49,7 @@ fn report() -> Report {
 
 fn with_plots() -> Report {
     let mut report = report();
-    report.sections[0]
-        .blocks
-        .extend([Block::Plot(plot()), Block::PlotRow(vec![plot(), plot()])]);
+    report.sections[0].blocks.extend([Block::Plot(plot()), Block::PlotRow(vec![plot(), plot()])]);
     report
 }
 
@@ -96,9 +83,7 @@ fn a_report_as_html() {
 #[test]
 fn a_report_refers_to_nothing_outside_itself() {
     let html = with_plots().to_html().unwrap();
-    for reference in [
-        "http:", "https:", "src=", "href=", "url(", "@import", "<script", "<link",
-    ] {
+    for reference in ["http:", "https:", "src=", "href=", "url(", "@import", "<script", "<link"] {
         assert!(!html.contains(reference), "{reference}");
     }
     assert_eq!(html.matches("<svg").count(), 3);
@@ -117,10 +102,7 @@ fn saving_replaces_the_file() {
     let path = folder.path().join("out/report.html");
     report().save(&path).unwrap();
     with_plots().save(&path).unwrap();
-    assert_eq!(
-        std::fs::read_to_string(path).unwrap(),
-        with_plots().to_html().unwrap()
-    );
+    assert_eq!(std::fs::read_to_string(path).unwrap(), with_plots().to_html().unwrap());
 }
 
 #[test]
@@ -141,43 +123,27 @@ fn a_plot_shows_title_axes_legend_and_is_the_same_every_time() {
 fn series_keep_apart_when_the_palette_is_used_up() {
     let series =
         (0..12).map(|i| Series::new("", Style::Line, vec![(0.0, f64::from(i)), (1.0, f64::from(i))]));
-    let svg = Plot {
-        series: series.collect(),
-        ..plot()
-    }
-    .to_svg()
-    .unwrap();
-    let strokes = svg
-        .lines()
-        .filter(|line| line.starts_with("<polyline") && line.contains("stroke-width=\"8\""));
-    let colors: std::collections::BTreeSet<_> = strokes
-        .filter_map(|line| line.split("stroke=").nth(1)?.get(..9))
-        .collect();
+    let svg = Plot { series: series.collect(), ..plot() }.to_svg().unwrap();
+    let strokes =
+        svg.lines().filter(|line| line.starts_with("<polyline") && line.contains("stroke-width=\"8\""));
+    let colors: std::collections::BTreeSet<_> =
+        strokes.filter_map(|line| line.split("stroke=").nth(1)?.get(..9)).collect();
     assert_eq!(colors.len(), 12);
 }
 
 #[test]
 fn a_curve_beyond_the_given_range_is_cut_at_the_frame() {
     let series = vec![Series::new("", Style::Line, vec![(0.0, 0.0), (1.0, 100.0)])];
-    let cut = Plot {
-        series,
-        x_range: Some((0.0, 1.0)),
-        y_range: Some((0.0, 50.0)),
-        ..plot()
-    };
-    let whole = Plot {
-        series: vec![Series::new("", Style::Line, vec![(0.0, 0.0), (0.5, 50.0)])],
-        ..cut.clone()
-    };
+    let cut = Plot { series, x_range: Some((0.0, 1.0)), y_range: Some((0.0, 50.0)), ..plot() };
+    let whole =
+        Plot { series: vec![Series::new("", Style::Line, vec![(0.0, 0.0), (0.5, 50.0)])], ..cut.clone() };
     assert_eq!(cut.to_svg().unwrap(), whole.to_svg().unwrap());
 }
 
 #[test]
 fn a_long_series_stays_small() {
     let mut long = plot();
-    long.series[1].points = (0..200_000)
-        .map(|i| (f64::from(i) * 1e-3, f64::from(i % 977)))
-        .collect();
+    long.series[1].points = (0..200_000).map(|i| (f64::from(i) * 1e-3, f64::from(i % 977))).collect();
     assert!(long.to_svg().unwrap().len() < 100_000);
 }
 
@@ -186,13 +152,7 @@ fn every_style_and_a_logarithmic_axis_draw() {
     for style in [Style::Line, Style::Dashed, Style::Step, Style::Points] {
         for log_y in [false, true] {
             let series = vec![Series::new("s", style, vec![(0.0, 1e-3), (1.0, 1.0), (2.0, 1e3)])];
-            let svg = Plot {
-                series,
-                log_y,
-                ..plot()
-            }
-            .to_svg()
-            .unwrap();
+            let svg = Plot { series, log_y, ..plot() }.to_svg().unwrap();
             assert_eq!(svg.contains("<circle"), style == Style::Points);
         }
     }
@@ -201,13 +161,7 @@ fn every_style_and_a_logarithmic_axis_draw() {
 #[test]
 fn a_narrow_logarithmic_axis_still_has_marks() {
     let series = vec![Series::new("", Style::Line, vec![(0.0, 1.2), (1.0, 1.9)])];
-    let svg = Plot {
-        series,
-        log_y: true,
-        ..plot()
-    }
-    .to_svg()
-    .unwrap();
+    let svg = Plot { series, log_y: true, ..plot() }.to_svg().unwrap();
     for mark in ["1.2", "1.6", "2"] {
         assert!(svg.lines().any(|line| line.trim() == mark), "{mark}");
     }
@@ -230,18 +184,9 @@ fn what_cannot_be_plotted_is_refused_with_the_reason() {
     };
     let nan = refused(&|plot| plot.series[1].points[4].1 = f64::NAN);
     assert!(matches!(nan, ReportError::NotFinite { series, index: 4, .. } if series == "measured"));
-    assert!(matches!(
-        refused(&|plot| plot.series.clear()),
-        ReportError::Empty { .. }
-    ));
-    assert!(matches!(
-        refused(&|plot| plot.x_range = Some((1.0, f64::NAN))),
-        ReportError::BadRange { .. }
-    ));
-    assert!(matches!(
-        refused(&|plot| plot.y_range = Some((1.0, 1.0))),
-        ReportError::BadRange { .. }
-    ));
+    assert!(matches!(refused(&|plot| plot.series.clear()), ReportError::Empty { .. }));
+    assert!(matches!(refused(&|plot| plot.x_range = Some((1.0, f64::NAN))), ReportError::BadRange { .. }));
+    assert!(matches!(refused(&|plot| plot.y_range = Some((1.0, 1.0))), ReportError::BadRange { .. }));
     let zero = refused(&|plot| {
         plot.log_y = true;
         plot.series[0].points[0].1 = 0.0;

@@ -17,24 +17,15 @@ pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
     }
     let every = (decades / wanted).ceil().max(1.0) as usize;
     let start = first - first.rem_euclid(every as i32);
-    (start..=last)
-        .step_by(every)
-        .map(|power| 10_f64.powi(power))
-        .filter(within)
-        .collect()
+    (start..=last).step_by(every).map(|power| 10_f64.powi(power)).filter(within).collect()
 }
 
 fn linear((low, high): Limits, wanted: f64) -> Vec<f64> {
     let rough = (high - low) / wanted;
     let power = 10_f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0]
-        .map(|digit| digit * power)
-        .into_iter()
-        .find(|&step| step >= rough);
+    let step = [1.0, 2.0, 5.0, 10.0].map(|digit| digit * power).into_iter().find(|&step| step >= rough);
     let step = step.unwrap_or(rough);
-    ((low / step).ceil() as i64..=(high / step).floor() as i64)
-        .map(|count| count as f64 * step)
-        .collect()
+    ((low / step).ceil() as i64..=(high / step).floor() as i64).map(|count| count as f64 * step).collect()
 }
 
 #[cfg(test)]
@@ -48,10 +39,7 @@ mod tests {
         assert_eq!(logarithmic((0.9, 2.1), 6), [1.0, 1.5, 2.0]);
         assert_eq!(logarithmic((0.8, 60.0), 6), [1.0, 2.0, 5.0, 10.0, 20.0, 50.0]);
         assert_eq!(logarithmic((1e-3, 1e2), 6).len(), 6);
-        assert_eq!(
-            logarithmic((1e-9, 1e9), 6),
-            [1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9]
-        );
+        assert_eq!(logarithmic((1e-9, 1e9), 6), [1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9]);
     }
 
     proptest! {

@@ -48,25 +48,17 @@ pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
     for rows in recording.inspirations() {
         let group = recording.group.as_ref().map(|group| group[rows.start]);
         let same_run = rows.start > 0
-            && recording
-                .group
-                .as_ref()
-                .is_none_or(|group| group[rows.start - 1] == group[rows.start]);
+            && recording.group.as_ref().is_none_or(|group| group[rows.start - 1] == group[rows.start]);
         let before = if same_run {
             rows.start.saturating_sub(average)..rows.start
         } else {
             rows.start..rows.start + 1
         };
-        let plateau = last_plateau
-            .filter(|_| same_run)
-            .unwrap_or(recording.peep[rows.start]);
+        let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
         let rest = if same_run { rows.start - 1 } else { rows.start };
         episodes.push(Episode {
             pressure: recording.pressure[rows.clone()].to_vec(),
-            truth: recording
-                .pressure_true
-                .as_ref()
-                .map(|truth| truth[rows.clone()].to_vec()),
+            truth: recording.pressure_true.as_ref().map(|truth| truth[rows.clone()].to_vec()),
             commands: commands(recording, &rows, timing),
             rest: (0..timing.width())
                 .map(|place| channel(recording, rest, place % timing.channels))
@@ -77,9 +69,7 @@ pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
             peep: recording.peep[rows.start],
             group,
         });
-        last_plateau = Some(mean(
-            &recording.pressure[rows.end - average.min(rows.len())..rows.end],
-        ));
+        last_plateau = Some(mean(&recording.pressure[rows.end - average.min(rows.len())..rows.end]));
     }
     episodes
 }
@@ -111,10 +101,7 @@ fn commands(recording: &Recording, rows: &Range<usize>, timing: &Timing) -> Vec<
             counts[place] += 1.0;
         }
     }
-    sums.iter()
-        .zip(&counts)
-        .map(|(sum, count)| sum / count.max(1.0))
-        .collect()
+    sums.iter().zip(&counts).map(|(sum, count)| sum / count.max(1.0)).collect()
 }
 
 /// Up to [`LANES`] episodes side by side.
@@ -127,21 +114,12 @@ pub struct Shard<'a> {
 impl<'a> Shard<'a> {
     /// Cuts episodes into shards.
     pub fn cut(episodes: &[&'a Episode]) -> Vec<Self> {
-        episodes
-            .chunks(LANES)
-            .map(|chunk| Self {
-                episodes: chunk.to_vec(),
-            })
-            .collect()
+        episodes.chunks(LANES).map(|chunk| Self { episodes: chunk.to_vec() }).collect()
     }
 
     /// Longest episode, ticks.
     pub fn ticks(&self) -> usize {
-        self.episodes
-            .iter()
-            .map(|episode| episode.ticks())
-            .max()
-            .unwrap_or(0)
+        self.episodes.iter().map(|episode| episode.ticks()).max().unwrap_or(0)
     }
 
     fn lane(&self, mut value: impl FnMut(&Episode) -> f32) -> Lane {
@@ -150,18 +128,13 @@ impl<'a> Shard<'a> {
 
     /// How the breaths start.
     pub fn start(&self) -> Start {
-        Start {
-            pressure: self.lane(|episode| episode.start),
-            plateau: self.lane(|episode| episode.plateau),
-        }
+        Start { pressure: self.lane(|episode| episode.start), plateau: self.lane(|episode| episode.plateau) }
     }
 
     /// What was commanded.
     pub fn log(&self, timing: &Timing) -> CommandLog {
         let width = timing.width();
-        let rest = (0..width)
-            .map(|place| self.lane(|episode| episode.rest[place]))
-            .collect();
+        let rest = (0..width).map(|place| self.lane(|episode| episode.rest[place])).collect();
         let blocks = timing.blocks(self.ticks());
         let mut log = CommandLog::new(blocks, rest);
         for block in 0..blocks {
@@ -179,11 +152,7 @@ impl<'a> Shard<'a> {
 
     /// One where an episode has this tick, zero elsewhere.
     pub fn weight(&self, tick: usize) -> Lane {
-        Lane::from_fn(|l| {
-            self.episodes
-                .get(l)
-                .map_or(0.0, |e| f32::from(u8::from(tick < e.ticks())))
-        })
+        Lane::from_fn(|l| self.episodes.get(l).map_or(0.0, |e| f32::from(u8::from(tick < e.ticks()))))
     }
 }
 
@@ -220,10 +189,7 @@ mod tests {
         assert_eq!(episodes.len(), 2);
         let percent: Vec<f32> = episodes[0].commands.iter().map(|c| c * COMMAND_SCALE).collect();
         let expected = [2.0, 7.0, 12.0, 17.0, 22.0, 0.0];
-        assert!(
-            percent.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4),
-            "{percent:?}"
-        );
+        assert!(percent.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4), "{percent:?}");
     }
 
     #[test]
@@ -231,10 +197,7 @@ mod tests {
         let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
         let (first, second) = (&episodes[0], &episodes[1]);
         assert!((first.start - 20.0).abs() < 1e-6 && (first.plateau - 4.0).abs() < 1e-6);
-        assert!(
-            (second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4,
-            "mean of what there is"
-        );
+        assert!((second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4, "mean of what there is");
         assert!((second.plateau - 20.0).abs() < 1e-6);
         assert!((second.rest[0] * COMMAND_SCALE - 5.0).abs() < 1e-6);
     }

@@ -36,32 +36,15 @@ pub struct FitConfig {
 
 impl Default for FitConfig {
     fn default() -> Self {
-        Self {
-            epochs: 300,
-            batch: 64,
-            huber: 0.3,
-            adam: AdamConfig::default(),
-            seed: 0,
-        }
+        Self { epochs: 300, batch: 64, huber: 0.3, adam: AdamConfig::default(), seed: 0 }
     }
 }
 
 impl FitConfig {
     /// The authors' optimiser for their architecture.
     pub fn authors() -> Self {
-        let adam = AdamConfig {
-            rate: 1e-3,
-            final_share: 1.0,
-            weight_decay: 1e-4,
-            clip: 1e9,
-        };
-        Self {
-            epochs: 500,
-            batch: 64,
-            huber: 0.01,
-            adam,
-            seed: 0,
-        }
+        let adam = AdamConfig { rate: 1e-3, final_share: 1.0, weight_decay: 1e-4, clip: 1e9 };
+        Self { epochs: 500, batch: 64, huber: 0.01, adam, seed: 0 }
     }
 }
 
@@ -124,15 +107,7 @@ impl<'a> Fit<'a> {
             .filter(|simulator| simulator.architecture == architecture)
             .map_or(fresh, |simulator| simulator.parameters.clone());
         let adam = Adam::new(config.adam, parameters.len());
-        Self {
-            architecture,
-            config,
-            episodes: episodes.to_vec(),
-            parameters,
-            adam,
-            rng,
-            epoch: 0,
-        }
+        Self { architecture, config, episodes: episodes.to_vec(), parameters, adam, rng, epoch: 0 }
     }
 
     /// One pass over the episodes; the mean loss, or none when all epochs are done.
@@ -147,11 +122,8 @@ impl<'a> Fit<'a> {
         for (n, episodes) in self.episodes.chunks(batch).enumerate() {
             let model = Simulator::model_of(self.architecture, &self.parameters);
             let gradient = batch_gradient(&model, episodes, self.config.huber);
-            let mean: Vec<f32> = gradient
-                .by_parameter
-                .iter()
-                .map(|g| g / gradient.count.max(1.0) as f32)
-                .collect();
+            let mean: Vec<f32> =
+                gradient.by_parameter.iter().map(|g| g / gradient.count.max(1.0) as f32).collect();
             let progress = (self.epoch as f32 + n as f32 / batches as f32) / self.config.epochs as f32;
             self.adam.step(&mut self.parameters, &mean, progress);
             loss += gradient.loss;
@@ -161,13 +133,14 @@ impl<'a> Fit<'a> {
         Some(loss / count.max(1.0))
     }
 
-    /// The simulator as it is now.
-    pub fn simulator(&self, noise: f32, plant: &str) -> Simulator {
-        let (architecture, parameters) = (self.architecture, self.parameters.clone());
+    /// The simulator as it is now, with what else its users need to know of the recording.
+    pub fn simulator(&self, plant: &str) -> Simulator {
+        let starts = self.episodes.iter().map(|e| f64::from(e.start));
         Simulator {
-            architecture,
-            parameters,
-            noise,
+            architecture: self.architecture,
+            parameters: self.parameters.clone(),
+            noise: noise(&self.episodes),
+            start_pressure: mean(starts) as f32,
             plant: plant.to_owned(),
         }
     }
@@ -189,11 +162,7 @@ fn batch_gradient(model: &Model, episodes: &[&Episode], huber: f32) -> Gradient 
 fn sum(parts: Vec<Gradient>) -> Gradient {
     let mut parts = parts.into_iter();
     let Some(mut total) = parts.next() else {
-        return Gradient {
-            loss: 0.0,
-            count: 0.0,
-            by_parameter: Vec::new(),
-        };
+        return Gradient { loss: 0.0, count: 0.0, by_parameter: Vec::new() };
     };
     for part in parts {
         total.loss += part.loss;
@@ -210,11 +179,7 @@ fn huber_loss(error: &Lane, weight: &Lane, bound: f32) -> (f32, Lane) {
     let slope = error.zip(weight, |e, w| w * (e / bound).clamp(-1.0, 1.0));
     let value = error.zip(weight, |e, w| {
         let e = e.abs();
-        w * if e < bound {
-            0.5 * e * e / bound
-        } else {
-            e - 0.5 * bound
-        }
+        w * if e < bound { 0.5 * e * e / bound } else { e - 0.5 * bound }
     });
     (value.sum(), slope)
 }
@@ -242,23 +207,14 @@ impl<'m, M: Dynamics> Rollout<'m, M> {
             let place = 1 + block * timing.points;
             model.step(&mut tape, block, &log, &mut points[place..place + timing.points]);
         }
-        Self {
-            model,
-            tape,
-            log,
-            points,
-            ticks,
-        }
+        Self { model, tape, log, points, ticks }
     }
 
     /// Block, weights and points between which tick `tick` (1 and later) lies.
     fn place(&self, tick: usize) -> (usize, [f32; 3]) {
         let timing = self.model.timing();
         let block = (tick - 1) / timing.block_ticks;
-        (
-            block * timing.points,
-            timing.interpolation(tick - block * timing.block_ticks),
-        )
+        (block * timing.points, timing.interpolation(tick - block * timing.block_ticks))
     }
 
     fn pressure(&self, tick: usize) -> Lane {
@@ -292,20 +248,11 @@ impl<'m, M: Dynamics> Rollout<'m, M> {
         let mut d_log = CommandLog::new(timing.blocks(self.ticks), vec![Lane::ZERO; timing.width()]);
         for block in (0..timing.blocks(self.ticks)).rev() {
             let place = 1 + block * timing.points;
-            self.model.step_back(
-                &mut self.tape,
-                block,
-                &d_points[place..place + timing.points],
-                &mut d_log,
-            );
+            self.model.step_back(&mut self.tape, block, &d_points[place..place + timing.points], &mut d_log);
         }
         let mut by_parameter = vec![0.0; self.model.parameters()];
         self.model.finish(&mut self.tape, &mut by_parameter);
-        Gradient {
-            loss,
-            count,
-            by_parameter,
-        }
+        Gradient { loss, count, by_parameter }
     }
 }
 
@@ -337,11 +284,7 @@ fn one_step_gradient(model: &Stitched, shard: &Shard<'_>, huber: f32) -> Gradien
     }
     let mut by_parameter = vec![0.0; model.parameters()];
     model.finish(&mut tape, &mut by_parameter);
-    Gradient {
-        loss,
-        count,
-        by_parameter,
-    }
+    Gradient { loss, count, by_parameter }
 }
 
 /// Pressures that a simulator predicts open loop for each episode, cmH2O per control tick.
@@ -359,12 +302,7 @@ fn predict_with<M: Dynamics>(model: &M, episodes: &[&Episode]) -> Vec<Vec<f32>> 
             let rollout = Rollout::run(model, shard);
             let lanes: Vec<Lane> = (0..rollout.ticks).map(|tick| rollout.pressure(tick)).collect();
             let own = |l: usize, e: &Episode| lanes[..e.ticks()].iter().map(|p| p[l]).collect();
-            shard
-                .episodes
-                .iter()
-                .enumerate()
-                .map(|(l, e)| own(l, e))
-                .collect::<Vec<Vec<f32>>>()
+            shard.episodes.iter().enumerate().map(|(l, e)| own(l, e)).collect::<Vec<Vec<f32>>>()
         })
         .collect()
 }
@@ -374,19 +312,10 @@ pub fn open_loop(simulator: &Simulator, episodes: &[&Episode]) -> OpenLoop {
     let predictions = predict(simulator, episodes);
     let timing = simulator.architecture.timing();
     let distance = |actual: &dyn Fn(&Episode) -> Option<Vec<f32>>| {
-        mean(
-            episodes
-                .iter()
-                .zip(&predictions)
-                .flat_map(|(episode, predicted)| {
-                    let actual = actual(episode).unwrap_or_default();
-                    predicted
-                        .iter()
-                        .zip(actual)
-                        .map(|(p, a)| f64::from((p - a).abs()))
-                        .collect::<Vec<_>>()
-                }),
-        )
+        mean(episodes.iter().zip(&predictions).flat_map(|(episode, predicted)| {
+            let actual = actual(episode).unwrap_or_default();
+            predicted.iter().zip(actual).map(|(p, a)| f64::from((p - a).abs())).collect::<Vec<_>>()
+        }))
     };
     let has_truth = episodes.iter().all(|e| e.truth.is_some()) && !episodes.is_empty();
     OpenLoop {
@@ -403,16 +332,9 @@ pub fn by_waveform(simulator: &Simulator, episodes: &[&Episode]) -> Vec<ByWavefo
     pips.dedup();
     pips.into_iter()
         .map(|pip| {
-            let own: Vec<&Episode> = episodes
-                .iter()
-                .copied()
-                .filter(|e| e.pip.total_cmp(&pip).is_eq())
-                .collect();
-            ByWaveform {
-                pip,
-                episodes: own.len(),
-                open_loop: open_loop(simulator, &own),
-            }
+            let own: Vec<&Episode> =
+                episodes.iter().copied().filter(|e| e.pip.total_cmp(&pip).is_eq()).collect();
+            ByWaveform { pip, episodes: own.len(), open_loop: open_loop(simulator, &own) }
         })
         .collect()
 }
@@ -435,12 +357,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 /// Standard deviation of the sensor's noise: from third differences, which a smooth pressure hardly has.
 pub fn noise(episodes: &[&Episode]) -> f32 {
     let third = |p: &[f32]| f64::from(p[3] - 3.0 * p[2] + 3.0 * p[1] - p[0]);
-    let square = mean(
-        episodes
-            .iter()
-            .flat_map(|e| e.pressure.windows(4).map(third))
-            .map(|d| d * d),
-    );
+    let square = mean(episodes.iter().flat_map(|e| e.pressure.windows(4).map(third)).map(|d| d * d));
     // Binomial coefficients 1, 3, 3, 1: variances add up to 20.
     (square / 20.0).sqrt() as f32
 }
@@ -449,10 +366,7 @@ pub fn noise(episodes: &[&Episode]) -> f32 {
 pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode>) {
     let every = every.max(2);
     let choose = |held_out: bool| {
-        let chosen = episodes
-            .iter()
-            .enumerate()
-            .filter(move |(n, _)| (n % every == every - 1) == held_out);
+        let chosen = episodes.iter().enumerate().filter(move |(n, _)| (n % every == every - 1) == held_out);
         chosen.map(|(_, episode)| episode).collect()
     };
     (choose(false), choose(true))

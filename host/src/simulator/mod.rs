@@ -50,13 +50,7 @@ impl Timing {
     pub fn for_period(period_us: u32, channels: usize) -> Self {
         let block_ticks = (shared::math::ticks(BLOCK_TIME, period_us) as usize).max(1);
         let (parts, points) = if block_ticks >= 2 { (2, 2) } else { (1, 1) };
-        Self {
-            period_us,
-            block_ticks,
-            parts,
-            points,
-            channels,
-        }
+        Self { period_us, block_ticks, parts, points, channels }
     }
 
     /// Values per block in a [`CommandLog`].
@@ -82,9 +76,7 @@ impl Timing {
 
     /// Number of ticks in a part.
     pub fn part_ticks(&self, part: usize) -> usize {
-        (0..self.block_ticks)
-            .filter(|tick| self.part(*tick) == part)
-            .count()
+        (0..self.block_ticks).filter(|tick| self.part(*tick) == part).count()
     }
 
     /// Weights of the block's start, and its points, in the pressure `tick` ticks after the start of the block:
@@ -94,11 +86,7 @@ impl Timing {
         if self.points == 1 {
             return [1.0 - s, s, 0.0];
         }
-        [
-            (1.0 - s) * (1.0 - 2.0 * s),
-            4.0 * s * (1.0 - s),
-            s * (2.0 * s - 1.0),
-        ]
+        [(1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)]
     }
 }
 
@@ -114,11 +102,7 @@ impl CommandLog {
     /// An empty log of `blocks` blocks; `rest` holds the values before the breath, one per place of a block.
     pub fn new(blocks: usize, rest: Vec<Lane>) -> Self {
         let width = rest.len();
-        Self {
-            width,
-            rest,
-            values: vec![Lane::ZERO; blocks * width],
-        }
+        Self { width, rest, values: vec![Lane::ZERO; blocks * width] }
     }
 
     /// Values of a block; those at rest for blocks before the breath.
@@ -203,19 +187,10 @@ mod tests {
     #[test]
     fn blocks_are_ten_milliseconds_or_one_tick() {
         let fast = Timing::for_period(1000, 1);
-        assert_eq!(
-            (fast.block_ticks, fast.parts, fast.points, fast.lag()),
-            (10, 2, 2, 1)
-        );
+        assert_eq!((fast.block_ticks, fast.parts, fast.points, fast.lag()), (10, 2, 2, 1));
         let slow = Timing::for_period(30_000, 1);
-        assert_eq!(
-            (slow.block_ticks, slow.parts, slow.points, slow.lag()),
-            (1, 1, 1, 0)
-        );
-        assert_eq!(
-            (fast.blocks(1000), fast.part(4), fast.part(5), fast.part_ticks(0)),
-            (100, 0, 1, 5)
-        );
+        assert_eq!((slow.block_ticks, slow.parts, slow.points, slow.lag()), (1, 1, 1, 0));
+        assert_eq!((fast.blocks(1000), fast.part(4), fast.part(5), fast.part_ticks(0)), (100, 0, 1, 5));
     }
 
     #[test]

@@ -46,6 +46,8 @@ pub struct Simulator {
     pub parameters: Vec<f32>,
     /// Standard deviation of the sensor's noise, estimated from the recording, cmH2O.
     pub noise: f32,
+    /// Mean pressure before an inspiration in the recording, cmH2O.
+    pub start_pressure: f32,
     /// Name of the plant it was learned from.
     pub plant: String,
 }
@@ -65,6 +67,7 @@ struct Metadata {
     #[serde(flatten)]
     architecture: Architecture,
     noise: f32,
+    start_pressure: f32,
     plant: String,
 }
 
@@ -95,6 +98,7 @@ impl Simulator {
         let metadata = Metadata {
             architecture: self.architecture,
             noise: self.noise,
+            start_pressure: self.start_pressure,
             plant: self.plant.clone(),
         };
         tensors::save(path, KIND, &metadata, &[(PARAMETERS, &self.parameters)])
@@ -112,17 +116,8 @@ impl Simulator {
             let reason = format!("{} parameters where {expected} belong", parameters.len());
             return Err(TensorError::format(path, KIND, reason));
         }
-        let Metadata {
-            architecture,
-            noise,
-            plant,
-        } = metadata;
-        Ok(Self {
-            architecture,
-            parameters,
-            noise,
-            plant,
-        })
+        let Metadata { architecture, noise, start_pressure, plant } = metadata;
+        Ok(Self { architecture, parameters, noise, start_pressure, plant })
     }
 }
 
@@ -136,12 +131,7 @@ mod tests {
         let config = StateSpaceConfig::for_period(1000, 1);
         let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(0));
         let architecture = Architecture::StateSpace(config);
-        Simulator {
-            architecture,
-            parameters,
-            noise: 0.1,
-            plant: "R20C20".into(),
-        }
+        Simulator { architecture, parameters, noise: 0.1, start_pressure: 5.0, plant: "R20C20".into() }
     }
 
     #[test]
@@ -160,10 +150,7 @@ mod tests {
         let whole = std::fs::read(&path).unwrap();
         for length in [0, 7, 100, whole.len() - 1] {
             std::fs::write(&path, &whole[..length]).unwrap();
-            assert!(
-                matches!(Simulator::load(&path), Err(TensorError::Format { .. })),
-                "{length}"
-            );
+            assert!(matches!(Simulator::load(&path), Err(TensorError::Format { .. })), "{length}");
         }
     }
 

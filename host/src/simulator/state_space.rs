@@ -42,12 +42,7 @@ pub struct StateSpaceConfig {
 impl StateSpaceConfig {
     /// The default shape for a control period in microseconds and so many command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
-        Self {
-            timing: Timing::for_period(period_us, channels),
-            states: 16,
-            hidden: 32,
-            history: 4,
-        }
+        Self { timing: Timing::for_period(period_us, channels), states: 16, hidden: 32, history: 4 }
     }
 
     fn commands(&self) -> usize {
@@ -130,10 +125,7 @@ impl StateSpace {
     pub fn new(config: StateSpaceConfig, parameters: &[f32]) -> Self {
         let ([hidden, drive, readout, start], decay_offset, total) = config.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
-        let keep = parameters[decay_offset..]
-            .iter()
-            .map(|d| 1.0 / (1.0 + (-d).exp()))
-            .collect();
+        let keep = parameters[decay_offset..].iter().map(|d| 1.0 / (1.0 + (-d).exp())).collect();
         Self {
             config,
             hidden: hidden.load(parameters),
@@ -172,12 +164,7 @@ impl Dynamics for StateSpace {
     }
 
     fn tape(&self, blocks: usize) -> StateSpaceTape {
-        let StateSpaceConfig {
-            states,
-            hidden,
-            timing,
-            ..
-        } = self.config;
+        let StateSpaceConfig { states, hidden, timing, .. } = self.config;
         let commands = self.config.commands();
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
         StateSpaceTape {
@@ -197,23 +184,14 @@ impl Dynamics for StateSpace {
 
     fn begin(&self, tape: &mut StateSpaceTape, start: &Start) {
         let (mean, scale) = PRESSURE_SCALE;
-        tape.start = [
-            start.pressure.map(|p| (p - 5.0) / scale),
-            start.plateau.map(|p| (p - mean) / scale),
-        ];
-        self.start
-            .forward(&tape.start, &mut tape.state[..self.config.states]);
+        tape.start = [start.pressure.map(|p| (p - 5.0) / scale), start.plateau.map(|p| (p - mean) / scale)];
+        self.start.forward(&tape.start, &mut tape.state[..self.config.states]);
         tape.d_state.fill(Lane::ZERO);
         tape.d_decay.fill(Lane::ZERO);
     }
 
     fn step(&self, tape: &mut StateSpaceTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        let StateSpaceConfig {
-            states,
-            hidden,
-            history,
-            ..
-        } = self.config;
+        let StateSpaceConfig { states, hidden, history, .. } = self.config;
         let commands = self.config.commands();
         let (before, after) = tape.state.split_at_mut((block + 1) * (states + commands));
         let before = piece_mut(before, block, states + commands);
@@ -241,12 +219,7 @@ impl Dynamics for StateSpace {
     }
 
     fn step_back(&self, tape: &mut StateSpaceTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        let StateSpaceConfig {
-            states,
-            hidden,
-            timing,
-            ..
-        } = self.config;
+        let StateSpaceConfig { states, hidden, timing, .. } = self.config;
         let commands = self.config.commands();
         let d_y = piece_mut(&mut tape.d_readout, block, timing.points);
         for (d_y, d_point) in d_y.iter_mut().zip(d_points) {
@@ -290,13 +263,9 @@ impl Dynamics for StateSpace {
     fn finish(&self, tape: &mut StateSpaceTape, gradient: &mut [f32]) {
         let blocks = tape.drive.len() / self.config.states;
         let inputs = self.hidden.shape().inputs;
-        self.hidden
-            .shape()
-            .gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
+        self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
         self.drive.shape().gradient(&tape.d_drive, &tape.hidden, gradient);
-        self.readout
-            .shape()
-            .gradient(&tape.d_readout, &tape.after, gradient);
+        self.readout.shape().gradient(&tape.d_readout, &tape.after, gradient);
         self.start.shape().gradient(&tape.d_state, &tape.start, gradient);
         for (gradient, d) in gradient[self.decay_offset..].iter_mut().zip(&tape.d_decay) {
             *gradient += d.sum();

@@ -41,15 +41,7 @@ pub struct StitchedConfig {
 impl StitchedConfig {
     /// The shape for a control period in microseconds.
     pub fn for_period(period_us: u32) -> Self {
-        Self {
-            timing: Timing {
-                period_us,
-                block_ticks: 1,
-                parts: 1,
-                points: 1,
-                channels: 1,
-            },
-        }
+        Self { timing: Timing { period_us, block_ticks: 1, parts: 1, points: 1, channels: 1 } }
     }
 
     fn layout() -> ([Dense; LAYERS], usize) {
@@ -105,10 +97,7 @@ impl Stitched {
     pub fn new(config: StitchedConfig, parameters: &[f32]) -> Self {
         let (layers, total) = StitchedConfig::layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
-        Self {
-            config,
-            layers: layers.iter().map(|layer| layer.load(parameters)).collect(),
-        }
+        Self { config, layers: layers.iter().map(|layer| layer.load(parameters)).collect() }
     }
 
     /// Layers and activation of a step's network.
@@ -128,11 +117,7 @@ impl Stitched {
     }
 
     fn pressures_seen(step: usize) -> usize {
-        if step < BOUNDARIES {
-            PRESSURES
-        } else {
-            PRESSURES_SHARED
-        }
+        if step < BOUNDARIES { PRESSURES } else { PRESSURES_SHARED }
     }
 }
 
@@ -155,10 +140,7 @@ impl Dynamics for Stitched {
         let memory: Vec<Vec<Vec<Lane>>> = (0..blocks)
             .map(|step| {
                 let outputs = self.network(step).0.iter().map(|layer| layer.shape().outputs);
-                std::iter::once(INPUTS)
-                    .chain(outputs)
-                    .map(|width| vec![Lane::ZERO; width])
-                    .collect()
+                std::iter::once(INPUTS).chain(outputs).map(|width| vec![Lane::ZERO; width]).collect()
             })
             .collect();
         StitchedTape {
@@ -203,11 +185,7 @@ impl Dynamics for Stitched {
     fn step_back(&self, tape: &mut StitchedTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
         let (layers, activation) = self.network(block);
         let (values, gradients) = (&tape.values[block], &mut tape.gradients[block]);
-        let carried = if tape.measured {
-            Lane::ZERO
-        } else {
-            tape.d_pressures[block + 1]
-        };
+        let carried = if tape.measured { Lane::ZERO } else { tape.d_pressures[block + 1] };
         gradients[layers.len()][0] = d_points[0].zip(&carried, |d, c| PRESSURE_SCALE.1 * d + c);
         for (n, layer) in layers.iter().enumerate().rev() {
             let (before, after) = gradients.split_at_mut(n + 1);
@@ -253,9 +231,6 @@ mod tests {
     fn the_networks_have_the_papers_shapes() {
         let boundary = INPUTS * HIDDEN + HIDDEN + HIDDEN + 1;
         let shared = INPUTS * HIDDEN + HIDDEN + 2 * (HIDDEN * HIDDEN + HIDDEN) + HIDDEN + 1;
-        assert_eq!(
-            StitchedConfig::for_period(30_000).parameters(),
-            5 * boundary + shared
-        );
+        assert_eq!(StitchedConfig::for_period(30_000).parameters(), 5 * boundary + shared);
     }
 }

@@ -6,10 +6,7 @@ use crate::engine::{LANES, Lane};
 const BLOCKS: usize = 8;
 
 fn start() -> Start {
-    Start {
-        pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
-        plateau: Lane::from_fn(|l| 10.0 + l as f32),
-    }
+    Start { pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32), plateau: Lane::from_fn(|l| 10.0 + l as f32) }
 }
 
 fn commands(width: usize) -> CommandLog {
@@ -34,9 +31,7 @@ fn loss(model: &impl Dynamics, log: &CommandLog) -> f64 {
     for block in 0..BLOCKS {
         model.step(&mut tape, block, log, &mut points);
         for (n, point) in points.iter().enumerate() {
-            total += (0..LANES)
-                .map(|l| f64::from(weight(block, n, l) * point[l]))
-                .sum::<f64>();
+            total += (0..LANES).map(|l| f64::from(weight(block, n, l) * point[l])).sum::<f64>();
         }
     }
     total
@@ -54,9 +49,7 @@ pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[
     }
     let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; width]);
     for block in (0..BLOCKS).rev() {
-        let d: Vec<Lane> = (0..points.len())
-            .map(|n| Lane::from_fn(|l| weight(block, n, l)))
-            .collect();
+        let d: Vec<Lane> = (0..points.len()).map(|n| Lane::from_fn(|l| weight(block, n, l))).collect();
         model.step_back(&mut tape, block, &d, &mut d_log);
     }
     let mut gradient = vec![0.0; model.parameters()];
@@ -64,10 +57,7 @@ pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[
 
     let agree = |numeric: f64, analytic: f32, what: &str| {
         let tolerance = 0.02 * f64::from(analytic.abs()) + 0.02;
-        assert!(
-            (numeric - f64::from(analytic)).abs() < tolerance,
-            "{what}: {numeric} against {analytic}"
-        );
+        assert!((numeric - f64::from(analytic)).abs() < tolerance, "{what}: {numeric} against {analytic}");
     };
     let step = 5e-3;
     let mut varied = parameters.to_vec();
@@ -77,11 +67,7 @@ pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[
         varied[n] = parameters[n] - step;
         let below = loss(&build(&varied), &log);
         varied[n] = parameters[n];
-        agree(
-            (above - below) / f64::from(2.0 * step),
-            gradient[n],
-            &format!("parameter {n}"),
-        );
+        agree((above - below) / f64::from(2.0 * step), gradient[n], &format!("parameter {n}"));
     }
     for (block, part, l) in [(0, 0, 0), (3, width - 1, 9), (5, 0, 15)] {
         let kept = log.block(Some(block))[part][l];
@@ -91,10 +77,6 @@ pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[
         let below = loss(&model, &log);
         log.block_mut(block)[part][l] = kept;
         let analytic = d_log.block(Some(block))[part][l];
-        agree(
-            (above - below) / f64::from(2.0 * step),
-            analytic,
-            &format!("command of block {block}"),
-        );
+        agree((above - below) / f64::from(2.0 * step), analytic, &format!("command of block {block}"));
     }
 }

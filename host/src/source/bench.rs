@@ -46,14 +46,7 @@ impl BenchSource {
         state.start();
         let bench = Bench::new(config, settings.peep, seed)?;
         let (config, steps_per_tick) = (config.clone(), period_us / STEP_US);
-        Ok(Self {
-            config,
-            bench,
-            ventilator,
-            state,
-            steps_per_tick,
-            reading: settings.peep,
-        })
+        Ok(Self { config, bench, ventilator, state, steps_per_tick, reading: settings.peep })
     }
 
     /// The bench, for those who want to look behind the sensor.
@@ -67,16 +60,10 @@ impl BenchSource {
         let truth = self.bench.pressures();
         let output = self.ventilator.step(&mut self.state, self.reading);
         for _ in 0..self.steps_per_tick {
-            self.reading = self
-                .bench
-                .step(output.command.u_in(), output.command.u_out())
-                .pressure;
+            self.reading = self.bench.step(output.command.u_in(), output.command.u_out()).pressure;
         }
         match (output.sample, output.mode) {
-            (Some(sample), _) => Ok(Tick {
-                sample,
-                truth: Some(truth),
-            }),
+            (Some(sample), _) => Ok(Tick { sample, truth: Some(truth) }),
             (None, Mode::Fault(fault)) => {
                 let (breath, tick) = (self.state.breath_number(), self.state.tick());
                 Err(SourceError::Fault { fault, breath, tick })
@@ -130,10 +117,7 @@ impl Source for BenchSource {
 
     fn acknowledge(&mut self) -> Result<(), SourceError> {
         for _ in 0..shared::math::ticks(REST_TIME, STEP_US) {
-            self.reading = self
-                .bench
-                .step(ValveCommand::SAFE.u_in(), ValveCommand::SAFE.u_out())
-                .pressure;
+            self.reading = self.bench.step(ValveCommand::SAFE.u_in(), ValveCommand::SAFE.u_out()).pressure;
         }
         self.state.acknowledge();
         self.state.start();
@@ -149,24 +133,14 @@ mod tests {
     use shared::ventilator::Sample;
 
     fn source(period_us: u32) -> BenchSource {
-        let pid = Pid::new(
-            PidGains {
-                p: 1.0,
-                i: 20.0,
-                d: 0.0,
-            },
-            period_us,
-        )
-        .unwrap();
+        let pid = Pid::new(PidGains { p: 1.0, i: 20.0, d: 0.0 }, period_us).unwrap();
         let lung = BenchConfig::paper(20.0, 20.0);
         BenchSource::new(&lung, Controller::Pid(pid), &paper_settings(20.0), period_us, 1).unwrap()
     }
 
     fn samples(source: &mut BenchSource, pip: f32) -> Vec<Sample> {
         let mut samples = Vec::new();
-        source
-            .breath(&paper_settings(pip), &mut |tick| samples.push(tick.sample))
-            .unwrap();
+        source.breath(&paper_settings(pip), &mut |tick| samples.push(tick.sample)).unwrap();
         samples
     }
 
@@ -195,10 +169,7 @@ mod tests {
                 worst = worst.max((tick.sample.pressure - tick.truth.unwrap().sensor_pressure).abs());
             })
             .unwrap();
-        assert!(
-            worst < 0.6,
-            "noise of 0.1 cmH2O and a quantum of 0.07 cmH2O, not {worst}"
-        );
+        assert!(worst < 0.6, "noise of 0.1 cmH2O and a quantum of 0.07 cmH2O, not {worst}");
     }
 
     #[test]

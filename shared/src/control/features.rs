@@ -91,11 +91,7 @@ impl FeatureSpec {
         if period_us <= 2000 {
             return spec;
         }
-        Self {
-            error_taps: [0, 1, 2, 3, 4, 5, 6, 8],
-            command_taps: [1, 2, 3, 4, 5, 6],
-            ..spec
-        }
+        Self { error_taps: [0, 1, 2, 3, 4, 5, 6, 8], command_taps: [1, 2, 3, 4, 5, 6], ..spec }
     }
 
     /// Checks taps and time constants.
@@ -110,15 +106,8 @@ impl FeatureSpec {
         if self.command_taps.contains(&0) {
             return Err(FeatureError::Tap(0));
         }
-        let constants = self
-            .error_averages
-            .iter()
-            .chain(&self.command_averages)
-            .chain(&self.times);
-        match constants
-            .into_iter()
-            .find(|tau| !(**tau > 0.0 && tau.is_finite()))
-        {
+        let constants = self.error_averages.iter().chain(&self.command_averages).chain(&self.times);
+        match constants.into_iter().find(|tau| !(**tau > 0.0 && tau.is_finite())) {
             Some(tau) => Err(FeatureError::TimeConstant(*tau)),
             None => Ok(()),
         }
@@ -143,10 +132,7 @@ struct History {
 
 impl History {
     const fn new() -> Self {
-        Self {
-            ring: [0.0; HISTORY],
-            averages: [0.0; AVERAGES],
-        }
+        Self { ring: [0.0; HISTORY], averages: [0.0; AVERAGES] }
     }
 
     fn fill(&mut self, value: f32) {
@@ -177,11 +163,7 @@ pub struct FeatureState {
 impl FeatureState {
     /// Empty histories.
     pub const fn new() -> Self {
-        Self {
-            errors: History::new(),
-            commands: History::new(),
-            tick: 0,
-        }
+        Self { errors: History::new(), commands: History::new(), tick: 0 }
     }
 
     /// Forgets the last breath: no error so far, the valve stood at `command` percent.
@@ -234,16 +216,8 @@ impl Features {
     pub fn step(&self, state: &mut FeatureState, seen: &Observation, integral: f32) -> [f32; FEATURES] {
         let error = (seen.target - seen.pressure) / ERROR_SCALE;
         state.errors.push(state.tick, error, &self.error_factors);
-        let error_taps = self
-            .spec
-            .error_taps
-            .iter()
-            .map(|tap| state.errors.ago(state.tick, *tap));
-        let command_taps = self
-            .spec
-            .command_taps
-            .iter()
-            .map(|tap| state.commands.ago(state.tick, *tap));
+        let error_taps = self.spec.error_taps.iter().map(|tap| state.errors.ago(state.tick, *tap));
+        let command_taps = self.spec.command_taps.iter().map(|tap| state.commands.ago(state.tick, *tap));
         let rest = self.clocked(seen, integral);
         let mut features = [0.0; FEATURES];
         let all = error_taps
@@ -278,9 +252,7 @@ impl Features {
 
     /// Records the command applied in this tick, percent, and ends the tick.
     pub fn applied(&self, state: &mut FeatureState, command: f32) {
-        state
-            .commands
-            .push(state.tick, command / COMMAND_SCALE, &self.command_factors);
+        state.commands.push(state.tick, command / COMMAND_SCALE, &self.command_factors);
         state.tick = state.tick.wrapping_add(1);
     }
 }
@@ -296,13 +268,7 @@ mod tests {
     }
 
     fn seen(error: f32, tick: u32) -> Observation {
-        Observation {
-            pressure: 20.0 - error,
-            target: 20.0,
-            pip: 20.0,
-            peep: 5.0,
-            tick,
-        }
+        Observation { pressure: 20.0 - error, target: 20.0, pip: 20.0, peep: 5.0, tick }
     }
 
     /// Runs `n` ticks with error = tick and command = 2 x tick; gives the last tick's features.
@@ -361,24 +327,11 @@ mod tests {
 
     #[test]
     fn a_spec_beyond_the_history_is_refused() {
-        let spec = FeatureSpec {
-            error_taps: [0, 1, 2, 4, 8, 16, 32, 200],
-            ..FeatureSpec::default()
-        };
+        let spec = FeatureSpec { error_taps: [0, 1, 2, 4, 8, 16, 32, 200], ..FeatureSpec::default() };
         assert_eq!(spec.validate(), Err(FeatureError::Tap(200)));
-        let spec = FeatureSpec {
-            command_taps: [0, 2, 4, 8, 16, 32],
-            ..FeatureSpec::default()
-        };
-        assert_eq!(
-            spec.validate(),
-            Err(FeatureError::Tap(0)),
-            "the present command is not known yet"
-        );
-        let spec = FeatureSpec {
-            times: [0.1, f32::NAN, 0.2],
-            ..FeatureSpec::default()
-        };
+        let spec = FeatureSpec { command_taps: [0, 2, 4, 8, 16, 32], ..FeatureSpec::default() };
+        assert_eq!(spec.validate(), Err(FeatureError::Tap(0)), "the present command is not known yet");
+        let spec = FeatureSpec { times: [0.1, f32::NAN, 0.2], ..FeatureSpec::default() };
         assert!(matches!(spec.validate(), Err(FeatureError::TimeConstant(_))));
     }
 

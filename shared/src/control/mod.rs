@@ -32,10 +32,7 @@ pub struct Observation {
 
 /// A built controller.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one controller exists at a time, and nothing may allocate"
-)]
+#[expect(clippy::large_enum_variant, reason = "one controller exists at a time, and nothing may allocate")]
 pub enum Controller {
     /// PID alone.
     Pid(Pid),
@@ -80,9 +77,7 @@ impl Controller {
 impl ControllerState {
     /// State before the first breath, valve closed.
     pub const fn new() -> Self {
-        Self {
-            residual: ResidualState::new(),
-        }
+        Self { residual: ResidualState::new() }
     }
 
     /// The PID's state.

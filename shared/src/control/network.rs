@@ -25,10 +25,7 @@ impl<const I: usize, const O: usize> Dense<I, O> {
 
     /// All parameters zero.
     pub const fn zero() -> Self {
-        Self {
-            weights: [[0.0; I]; O],
-            bias: [0.0; O],
-        }
+        Self { weights: [[0.0; I]; O], bias: [0.0; O] }
     }
 
     /// `y = weights x + bias`, summed in the order of the inputs.
@@ -75,11 +72,7 @@ impl Network {
 
     /// A network that gives zero.
     pub const fn zero() -> Self {
-        Self {
-            hidden_1: Dense::zero(),
-            hidden_2: Dense::zero(),
-            output: Dense::zero(),
-        }
+        Self { hidden_1: Dense::zero(), hidden_2: Dense::zero(), output: Dense::zero() }
     }
 
     /// Residual as a fraction of full opening.
@@ -95,10 +88,7 @@ impl Network {
 
     /// Parameters in storage order, layer by layer.
     pub fn parameters(&self) -> impl Iterator<Item = &f32> {
-        self.hidden_1
-            .parameters()
-            .chain(self.hidden_2.parameters())
-            .chain(self.output.parameters())
+        self.hidden_1.parameters().chain(self.hidden_2.parameters()).chain(self.output.parameters())
     }
 
     /// Parameters in storage order, to be written.
@@ -121,10 +111,7 @@ mod tests {
 
     #[test]
     fn a_layer_multiplies_and_adds() {
-        let layer = Dense {
-            weights: [[1.0, 2.0], [3.0, 4.0], [0.0, -1.0]],
-            bias: [0.5, 0.0, 1.0],
-        };
+        let layer = Dense { weights: [[1.0, 2.0], [3.0, 4.0], [0.0, -1.0]], bias: [0.5, 0.0, 1.0] };
         let mut y = [0.0; 3];
         layer.forward(&[10.0, 1.0], &mut y);
         assert_eq!(y, [12.5, 34.0, 0.0]);

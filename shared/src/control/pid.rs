@@ -24,11 +24,7 @@ pub struct PidGains {
 }
 
 /// Largest gains accepted; far beyond what is stable, so that nothing overflows.
-pub const GAINS_MAX: PidGains = PidGains {
-    p: 100.0,
-    i: 10_000.0,
-    d: 10.0,
-};
+pub const GAINS_MAX: PidGains = PidGains { p: 100.0, i: 10_000.0, d: 10.0 };
 
 /// A gain that is negative, too large or no number.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
@@ -65,11 +61,7 @@ pub struct PidState {
 impl PidState {
     /// State at the start of a breath.
     pub const fn new() -> Self {
-        Self {
-            integral: 0.0,
-            derivative: 0.0,
-            pressure: None,
-        }
+        Self { integral: 0.0, derivative: 0.0, pressure: None }
     }
 }
 
@@ -85,11 +77,7 @@ impl Pid {
     /// # Errors
     /// A gain that is negative, above [`GAINS_MAX`] or no number.
     pub fn new(gains: PidGains, period_us: u32) -> Result<Self, GainError> {
-        let checks = [
-            ("p", gains.p, GAINS_MAX.p),
-            ("i", gains.i, GAINS_MAX.i),
-            ("d", gains.d, GAINS_MAX.d),
-        ];
+        let checks = [("p", gains.p, GAINS_MAX.p), ("i", gains.i, GAINS_MAX.i), ("d", gains.d, GAINS_MAX.d)];
         for (name, value, max) in checks {
             if !(value >= 0.0 && value <= max) {
                 return Err(GainError { name, value, max });
@@ -136,11 +124,8 @@ impl Pid {
         let wanted = self.gains.p * error + state.integral + state.derivative + extra;
         let winds_up = (wanted >= COMMAND_MAX && error > 0.0) || (wanted <= 0.0 && error < 0.0);
         if !winds_up {
-            state.integral = math::limit(
-                state.integral + self.integral_step * error,
-                -COMMAND_MAX,
-                COMMAND_MAX,
-            );
+            state.integral =
+                math::limit(state.integral + self.integral_step * error, -COMMAND_MAX, COMMAND_MAX);
         }
         math::limit(wanted, 0.0, COMMAND_MAX)
     }
@@ -166,13 +151,7 @@ mod tests {
     }
 
     fn seen(pressure: f32, target: f32) -> Observation {
-        Observation {
-            pressure,
-            target,
-            pip: target,
-            peep: 5.0,
-            tick: 0,
-        }
+        Observation { pressure, target, pip: target, peep: 5.0, tick: 0 }
     }
 
     #[test]
@@ -187,10 +166,7 @@ mod tests {
         for _ in 0..1000 {
             pid.step(&mut state, &seen(18.0, 20.0), 0.0);
         }
-        assert!(
-            (state.integral - 20.0).abs() < 1e-2,
-            "10 %/(cmH2O s) x 2 cmH2O x 1 s = 20 %"
-        );
+        assert!((state.integral - 20.0).abs() < 1e-2, "10 %/(cmH2O s) x 2 cmH2O x 1 s = 20 %");
     }
 
     #[test]
@@ -210,10 +186,7 @@ mod tests {
             pressure += 0.1;
             pid.step(&mut state, &seen(pressure, 30.0), 0.0);
         }
-        assert!(
-            (state.derivative + 5.0).abs() < 0.1,
-            "-0.05 % s/cmH2O x 100 cmH2O/s = -5 %"
-        );
+        assert!((state.derivative + 5.0).abs() < 0.1, "-0.05 % s/cmH2O x 100 cmH2O/s = -5 %");
     }
 
     #[test]
@@ -226,14 +199,7 @@ mod tests {
 
     #[test]
     fn bad_gains_are_refused_by_name() {
-        let refused = Pid::new(
-            PidGains {
-                p: 1.0,
-                i: f32::NAN,
-                d: 0.0,
-            },
-            DEFAULT_PERIOD_US,
-        );
+        let refused = Pid::new(PidGains { p: 1.0, i: f32::NAN, d: 0.0 }, DEFAULT_PERIOD_US);
         assert!(matches!(refused, Err(GainError { name: "i", .. })));
     }
 

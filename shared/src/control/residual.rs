@@ -68,10 +68,7 @@ pub struct ResidualState {
 impl ResidualState {
     /// State before the first breath.
     pub const fn new() -> Self {
-        Self {
-            pid: PidState::new(),
-            features: FeatureState::new(),
-        }
+        Self { pid: PidState::new(), features: FeatureState::new() }
     }
 
     pub(super) fn start_breath(&mut self, command: f32) {
@@ -92,10 +89,7 @@ impl Residual {
     /// # Errors
     /// Whatever is out of range in `spec` or `network`.
     pub fn new(spec: ResidualSpec, network: Network) -> Result<Self, ResidualError> {
-        for (name, value, max) in [
-            ("lambda", spec.lambda, 1.0),
-            ("authority", spec.authority, COMMAND_MAX),
-        ] {
+        for (name, value, max) in [("lambda", spec.lambda, 1.0), ("authority", spec.authority, COMMAND_MAX)] {
             if !(value >= 0.0 && value <= max) {
                 return Err(ResidualError::OutOfBounds { name, value, max });
             }
@@ -105,12 +99,7 @@ impl Residual {
         }
         let pid = Pid::new(spec.gains, spec.period_us)?;
         let features = Features::new(spec.features, spec.period_us)?;
-        Ok(Self {
-            spec,
-            pid,
-            features,
-            network,
-        })
+        Ok(Self { spec, pid, features, network })
     }
 
     /// What was built.
@@ -142,11 +131,7 @@ impl Residual {
 
     /// A network output as percent of the valve: scaled by lambda, limited to the authority.
     pub fn correction(&self, output: f32) -> f32 {
-        math::limit(
-            self.spec.lambda * COMMAND_MAX * output,
-            -self.spec.authority,
-            self.spec.authority,
-        )
+        math::limit(self.spec.lambda * COMMAND_MAX * output, -self.spec.authority, self.spec.authority)
     }
 }
 
@@ -159,11 +144,7 @@ mod tests {
     fn spec(lambda: f32) -> ResidualSpec {
         ResidualSpec {
             period_us: DEFAULT_PERIOD_US,
-            gains: PidGains {
-                p: 2.0,
-                i: 20.0,
-                d: 0.0,
-            },
+            gains: PidGains { p: 2.0, i: 20.0, d: 0.0 },
             lambda,
             authority: 40.0,
             features: FeatureSpec::default(),
@@ -181,13 +162,7 @@ mod tests {
         controller.start_breath(&mut state, 5.0);
         let mut command = 0.0;
         for tick in 0..ticks {
-            let seen = Observation {
-                pressure: 12.0,
-                target: 20.0,
-                pip: 20.0,
-                peep: 5.0,
-                tick,
-            };
+            let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick };
             command = controller.step(&mut state, &seen);
             controller.applied(&mut state, command);
         }
@@ -203,12 +178,7 @@ mod tests {
 
     #[test]
     fn lambda_scales_the_network() {
-        let at = |lambda| {
-            run(
-                &Controller::Residual(Residual::new(spec(lambda), constant(0.2)).unwrap()),
-                1,
-            )
-        };
+        let at = |lambda| run(&Controller::Residual(Residual::new(spec(lambda), constant(0.2)).unwrap()), 1);
         assert!((at(0.5) - at(0.0) - 10.0).abs() < 1e-4);
         assert!((at(1.0) - at(0.0) - 20.0).abs() < 1e-4);
     }
@@ -218,22 +188,13 @@ mod tests {
         let residual = Residual::new(spec(1.0), constant(900.0)).unwrap();
         assert!((residual.correction(900.0) - 40.0).abs() < 1e-6);
         assert!((residual.correction(-900.0) + 40.0).abs() < 1e-6);
-        assert!(
-            (residual.correction(f32::NAN) + 40.0).abs() < 1e-6,
-            "a NaN can only close the valve"
-        );
+        assert!((residual.correction(f32::NAN) + 40.0).abs() < 1e-6, "a NaN can only close the valve");
     }
 
     #[test]
     fn what_is_out_of_range_is_refused() {
         let too_much = Residual::new(spec(1.5), Network::zero());
-        assert!(matches!(
-            too_much,
-            Err(ResidualError::OutOfBounds { name: "lambda", .. })
-        ));
-        assert_eq!(
-            Residual::new(spec(1.0), constant(f32::NAN)),
-            Err(ResidualError::Weights)
-        );
+        assert!(matches!(too_much, Err(ResidualError::OutOfBounds { name: "lambda", .. })));
+        assert_eq!(Residual::new(spec(1.0), constant(f32::NAN)), Err(ResidualError::Weights));
     }
 }

@@ -35,9 +35,7 @@ pub fn encode_frame<'a, M: Serialize>(message: &M, buffer: &'a mut [u8]) -> Resu
     *first = DELIMITER;
     let cobs = Cobs::try_new(Slice::new(rest)).map_err(|_| FrameTooLong)?;
     let checked = CrcModifier::new(cobs, CRC_32.digest());
-    let written = postcard::serialize_with_flavor(message, checked)
-        .map_err(|_| FrameTooLong)?
-        .len();
+    let written = postcard::serialize_with_flavor(message, checked).map_err(|_| FrameTooLong)?.len();
     buffer.get(..=written).ok_or(FrameTooLong)
 }
 
@@ -121,19 +119,8 @@ impl<const N: usize> FrameDecoder<N> {
     pub const fn new() -> Self {
         Self {
             buffer: [0; N],
-            progress: Progress {
-                started: false,
-                length: 0,
-                block: 0,
-                zero: false,
-                overlong: false,
-            },
-            counters: FrameCounters {
-                frames: 0,
-                checksum: 0,
-                overlong: 0,
-                cobs: 0,
-            },
+            progress: Progress { started: false, length: 0, block: 0, zero: false, overlong: false },
+            counters: FrameCounters { frames: 0, checksum: 0, overlong: 0, cobs: 0 },
         }
     }
 

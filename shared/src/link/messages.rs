@@ -87,10 +87,7 @@ pub enum ControllerChoice {
 
 /// Device to host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "a batch is most of the traffic, and nothing may allocate"
-)]
+#[expect(clippy::large_enum_variant, reason = "a batch is most of the traffic, and nothing may allocate")]
 pub enum ToHost {
     /// Answer to a request.
     Response {
@@ -176,10 +173,7 @@ pub enum DeviceKind {
 
 /// What a device tells unasked.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "a batch is most of the traffic, and nothing may allocate"
-)]
+#[expect(clippy::large_enum_variant, reason = "a batch is most of the traffic, and nothing may allocate")]
 pub enum Event {
     /// Samples.
     Telemetry(TelemetryBatch),
@@ -208,9 +202,7 @@ pub struct Unreadable {
 /// [`Unreadable`]; answer with [`Refusal::UnknownRequest`].
 pub fn read_request(content: &[u8]) -> Result<ToDevice, Unreadable> {
     whole(content).ok_or_else(|| Unreadable {
-        sequence: postcard::take_from_bytes(content)
-            .ok()
-            .map(|(sequence, _)| sequence),
+        sequence: postcard::take_from_bytes(content).ok().map(|(sequence, _)| sequence),
     })
 }
 

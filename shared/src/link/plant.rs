@@ -96,22 +96,13 @@ impl Frame {
         let second = u32::from_le_bytes([b0, b1, b2, b3]);
         let real = f32::from_bits(first);
         let message = match (start, kind, second) {
-            (START, 1, seed) => Message::Reset {
-                period_us: first,
-                seed,
-            },
-            (START, 2, 0 | 1) => Message::Step {
-                u_in: real,
-                u_out: second == 1,
-            },
+            (START, 1, seed) => Message::Reset { period_us: first, seed },
+            (START, 2, 0 | 1) => Message::Step { u_in: real, u_out: second == 1 },
             (START, 3, 0) => Message::Ready { pressure: real },
             (START, 4, 0) => Message::Pressure { pressure: real },
             _ => return None,
         };
-        Some(Self {
-            tick: u16::from_le_bytes([t0, t1]),
-            message,
-        })
+        Some(Self { tick: u16::from_le_bytes([t0, t1]), message })
     }
 }
 

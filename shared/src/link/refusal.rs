@@ -83,21 +83,10 @@ pub enum SettingsRefusal {
 impl From<SettingsError> for SettingsRefusal {
     fn from(error: SettingsError) -> Self {
         match error {
-            SettingsError::OutOfBounds {
-                name,
-                value,
-                min,
-                max,
-                ..
-            } => {
+            SettingsError::OutOfBounds { name, value, min, max, .. } => {
                 let index = FIELDS.iter().position(|field| field.name == name);
                 let field = index.map_or(u8::MAX, |index| index as u8);
-                Self::OutOfBounds {
-                    field,
-                    value,
-                    min,
-                    max,
-                }
+                Self::OutOfBounds { field, value, min, max }
             }
             SettingsError::PipBelowPeep { pip, peep } => Self::PipBelowPeep(pip, peep),
             SettingsError::LimitTooLow { limit, pip, margin } => Self::LimitTooLow(limit, pip, margin),
@@ -112,21 +101,10 @@ impl From<SettingsError> for SettingsRefusal {
 impl From<SettingsRefusal> for SettingsError {
     fn from(refusal: SettingsRefusal) -> Self {
         match refusal {
-            SettingsRefusal::OutOfBounds {
-                field,
-                value,
-                min,
-                max,
-            } => {
+            SettingsRefusal::OutOfBounds { field, value, min, max } => {
                 let field = FIELDS.get(usize::from(field));
                 let (name, unit) = field.map_or(("a setting of another version", ""), |f| (f.name, f.unit));
-                Self::OutOfBounds {
-                    name,
-                    value,
-                    min,
-                    max,
-                    unit,
-                }
+                Self::OutOfBounds { name, value, min, max, unit }
             }
             SettingsRefusal::PipBelowPeep(pip, peep) => Self::PipBelowPeep { pip, peep },
             SettingsRefusal::LimitTooLow(limit, pip, margin) => Self::LimitTooLow { limit, pip, margin },
@@ -154,25 +132,14 @@ mod tests {
 
     #[test]
     fn the_reader_of_a_refusal_sees_the_settings_own_words() {
-        let settings = Settings {
-            rate: 200.0,
-            ..Settings::default()
-        };
+        let settings = Settings { rate: 200.0, ..Settings::default() };
         let error = settings.validate().unwrap_err();
-        assert_eq!(
-            Refusal::from(error).to_string(),
-            std::format!("settings refused: {error}")
-        );
+        assert_eq!(Refusal::from(error).to_string(), std::format!("settings refused: {error}"));
     }
 
     #[test]
     fn a_field_of_a_newer_device_is_no_panic() {
-        let newer = SettingsRefusal::OutOfBounds {
-            field: 200,
-            value: 1.0,
-            min: 2.0,
-            max: 3.0,
-        };
+        let newer = SettingsRefusal::OutOfBounds { field: 200, value: 1.0, min: 2.0, max: 3.0 };
         assert!(Refusal::Settings(newer).to_string().contains("another version"));
     }
 

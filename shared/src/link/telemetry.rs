@@ -96,11 +96,7 @@ pub struct Batcher {
 impl Batcher {
     /// Nothing collected.
     pub const fn new() -> Self {
-        Self {
-            sequence: 0,
-            first_tick: 0,
-            samples: Vec::new(),
-        }
+        Self { sequence: 0, first_tick: 0, samples: Vec::new() }
     }
 
     /// Takes in a tick's sample; gives a batch when it is full, or when the new sample does not follow the last.
@@ -184,11 +180,7 @@ impl BreathMeter {
     /// Takes in a sample; at the first one of a breath gives the summary of the breath before, unless that was
     /// broken off in its inspiration.
     pub fn take(&mut self, sample: &Sample) -> Option<BreathSummary> {
-        let summary = if sample.tick == 0 {
-            self.restart(sample)
-        } else {
-            None
-        };
+        let summary = if sample.tick == 0 { self.restart(sample) } else { None };
         if sample.phase == Phase::Inspiration {
             self.inspiration += 1;
             self.error_sum += (sample.pressure - sample.target).abs();
@@ -205,11 +197,7 @@ impl BreathMeter {
     fn restart(&mut self, sample: &Sample) -> Option<BreathSummary> {
         let ended = core::mem::replace(
             self,
-            Self {
-                breath: sample.breath,
-                peak: f32::NEG_INFINITY,
-                ..Self::default()
-            },
+            Self { breath: sample.breath, peak: f32::NEG_INFINITY, ..Self::default() },
         );
         (ended.expired && ended.inspiration > 0).then(|| BreathSummary {
             breath: ended.breath,
@@ -257,10 +245,7 @@ mod tests {
             assert_eq!(push(&mut batcher, tick), None);
         }
         let full = push(&mut batcher, 115).unwrap();
-        assert_eq!(
-            (full.sequence, full.first_tick, full.samples.len()),
-            (0, 100, BATCH_SAMPLES)
-        );
+        assert_eq!((full.sequence, full.first_tick, full.samples.len()), (0, 100, BATCH_SAMPLES));
         assert_eq!(push(&mut batcher, 116), None);
         let cut = push(&mut batcher, 200).unwrap();
         assert_eq!((cut.sequence, cut.first_tick, cut.samples.len()), (1, 116, 1));
@@ -288,12 +273,8 @@ mod tests {
             ]
         };
         assert!(breath(0).iter().all(|s| meter.take(s).is_none()));
-        let expected = BreathSummary {
-            breath: 0,
-            mean_absolute_error: 3.0,
-            peak_pressure: 22.0,
-            end_pressure: 5.5,
-        };
+        let expected =
+            BreathSummary { breath: 0, mean_absolute_error: 3.0, peak_pressure: 22.0, end_pressure: 5.5 };
         assert_eq!(meter.take(&breath(1)[0]), Some(expected));
         assert_eq!(meter.take(&breath(0)[0]), None, "broken off and started anew");
     }

@@ -17,11 +17,7 @@ pub struct Upload {
 impl Upload {
     /// No upload.
     pub const fn new() -> Self {
-        Self {
-            bytes: [0; IMAGE_BYTES],
-            received: 0,
-            announced: None,
-        }
+        Self { bytes: [0; IMAGE_BYTES], received: 0, announced: None }
     }
 
     /// Begins an upload of an image with this length and id, forgetting an unfinished one; gives the first
@@ -122,11 +118,7 @@ mod tests {
         for (index, chunk) in bytes.chunks(CHUNK_BYTES).enumerate() {
             let offset = (index * CHUNK_BYTES) as u32;
             assert_eq!(upload.chunk(offset, chunk), Ok(offset + chunk.len() as u32));
-            assert_eq!(
-                upload.chunk(offset, chunk),
-                Ok(offset + chunk.len() as u32),
-                "repeated"
-            );
+            assert_eq!(upload.chunk(offset, chunk), Ok(offset + chunk.len() as u32), "repeated");
         }
     }
 
@@ -145,15 +137,9 @@ mod tests {
         let ((bytes, id), mut upload) = (image(), Upload::new());
         let expected = 0;
         assert_eq!(upload.chunk(0, &bytes[..10]), Err(Refusal::NoUpload));
-        assert_eq!(
-            upload.begin(IMAGE_BYTES as u32 - 1, id),
-            Err(Refusal::WrongLength)
-        );
+        assert_eq!(upload.begin(IMAGE_BYTES as u32 - 1, id), Err(Refusal::WrongLength));
         upload.begin(IMAGE_BYTES as u32, id).unwrap();
-        assert_eq!(
-            upload.chunk(128, &bytes[..10]),
-            Err(Refusal::WrongOffset { expected })
-        );
+        assert_eq!(upload.chunk(128, &bytes[..10]), Err(Refusal::WrongOffset { expected }));
         assert_eq!(upload.commit(), Err(Refusal::WrongOffset { expected }));
         upload.chunk(0, &bytes[..10]).unwrap();
         let expected = 10;

@@ -13,17 +13,11 @@ pub struct ValveCommand {
 
 impl ValveCommand {
     /// Inspiratory valve closed, expiratory valve open: pressure can only fall.
-    pub const SAFE: Self = Self {
-        u_in: 0.0,
-        u_out: true,
-    };
+    pub const SAFE: Self = Self { u_in: 0.0, u_out: true };
 
     /// The command for a wish: limited to the valve's range, a NaN closes it.
     pub(super) fn limited(u_in: f32, u_out: bool) -> Self {
-        Self {
-            u_in: math::limit(u_in, 0.0, COMMAND_MAX),
-            u_out,
-        }
+        Self { u_in: math::limit(u_in, 0.0, COMMAND_MAX), u_out }
     }
 
     /// Inspiratory valve, percent of full opening.

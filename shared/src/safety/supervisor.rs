@@ -41,12 +41,7 @@ pub struct Supervisor {
 impl Supervisor {
     /// Nothing has happened yet.
     pub const fn new() -> Self {
-        Self {
-            fault: None,
-            missing: 0,
-            high: 0,
-            last_good: None,
-        }
+        Self { fault: None, missing: 0, high: 0, last_good: None }
     }
 
     /// The latched fault.
@@ -71,11 +66,7 @@ impl Supervisor {
             self.last_good = Some(reading);
             self.check_high(reading, breath);
         }
-        if self.fault.is_some() {
-            None
-        } else {
-            self.last_good
-        }
+        if self.fault.is_some() { None } else { self.last_good }
     }
 
     fn check_high(&mut self, pressure: f32, breath: &Breath) {
@@ -95,11 +86,7 @@ impl Supervisor {
 
     /// The safety filter: the wish, or the safe command while a fault is latched.
     pub fn command(&self, u_in: f32, u_out: bool) -> ValveCommand {
-        if self.fault.is_some() {
-            ValveCommand::SAFE
-        } else {
-            ValveCommand::limited(u_in, u_out)
-        }
+        if self.fault.is_some() { ValveCommand::SAFE } else { ValveCommand::limited(u_in, u_out) }
     }
 
     /// Forgets the fault, by an operator's wish.

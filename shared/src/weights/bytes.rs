@@ -16,9 +16,7 @@ impl<'a> Writer<'a> {
     pub(super) fn bytes(&mut self, bytes: &[u8]) -> Result<(), WeightsError> {
         let (have, need) = (self.out.len(), self.at + bytes.len());
         let place = self.out.get_mut(self.at..need);
-        place
-            .ok_or(WeightsError::Length { have, need })?
-            .copy_from_slice(bytes);
+        place.ok_or(WeightsError::Length { have, need })?.copy_from_slice(bytes);
         self.at = need;
         Ok(())
     }
@@ -35,9 +33,7 @@ impl<'a> Writer<'a> {
         &mut self,
         values: impl IntoIterator<Item = &'v f32>,
     ) -> Result<(), WeightsError> {
-        values
-            .into_iter()
-            .try_for_each(|value| self.bytes(&value.to_le_bytes()))
+        values.into_iter().try_for_each(|value| self.bytes(&value.to_le_bytes()))
     }
 
     /// What has been written so far.

@@ -24,13 +24,7 @@ pub struct Golden {
 /// Observation in a tick of the script.
 fn script(tick: u32) -> Observation {
     let error = 0.5 * (7 * tick % 16) as f32 - 2.0;
-    Observation {
-        pressure: 25.0 - error,
-        target: 25.0,
-        pip: 25.0,
-        peep: 8.0,
-        tick,
-    }
+    Observation { pressure: 25.0 - error, target: 25.0, pip: 25.0, peep: 8.0, tick }
 }
 
 /// Runs the exercise.
@@ -46,10 +40,7 @@ pub fn golden(residual: &Residual) -> Golden {
         last = command.to_bits();
         all.update(&last.to_le_bytes());
     }
-    Golden {
-        last,
-        all: all.finalize(),
-    }
+    Golden { last, all: all.finalize() }
 }
 
 #[cfg(test)]
@@ -61,11 +52,7 @@ mod tests {
     use crate::control::residual::ResidualSpec;
 
     fn built(change: impl Fn(&mut ResidualSpec, &mut Network)) -> Golden {
-        let gains = PidGains {
-            p: 1.0,
-            i: 20.0,
-            d: 0.01,
-        };
+        let gains = PidGains { p: 1.0, i: 20.0, d: 0.01 };
         let mut spec = ResidualSpec {
             period_us: 1000,
             gains,
@@ -86,10 +73,7 @@ mod tests {
     /// new format version.
     #[test]
     fn the_exercise_of_a_known_controller_has_known_bits() {
-        let known = Golden {
-            last: 0x41F9_5756,
-            all: 0x1505_ABBF,
-        };
+        let known = Golden { last: 0x41F9_5756, all: 0x1505_ABBF };
         assert_eq!(built(|_, _| ()), known);
     }
 

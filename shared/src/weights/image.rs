@@ -21,10 +21,7 @@ use crate::control::residual::{Residual, ResidualSpec};
 /// [`WeightsError::Length`] if `out` is too short, [`WeightsError::Period`] for a period out of bounds.
 pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Result<usize, WeightsError> {
     if out.len() < IMAGE_BYTES {
-        return Err(WeightsError::Length {
-            have: out.len(),
-            need: IMAGE_BYTES,
-        });
+        return Err(WeightsError::Length { have: out.len(), need: IMAGE_BYTES });
     }
     let mut writer = Writer::new(out);
     writer.bytes(&MAGIC)?;
@@ -47,13 +44,7 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
 }
 
 fn write_spec(writer: &mut Writer, spec: &ResidualSpec) -> Result<(), WeightsError> {
-    let ResidualSpec {
-        period_us,
-        gains,
-        lambda,
-        authority,
-        features,
-    } = spec;
+    let ResidualSpec { period_us, gains, lambda, authority, features } = spec;
     check_period(*period_us)?;
     writer.u32(*period_us)?;
     writer.reals(&[gains.p, gains.i, gains.d, *lambda, *authority])?;
@@ -87,14 +78,8 @@ pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
         return Err(WeightsError::Shape(shape));
     }
     let spec = read_spec(&mut reader)?;
-    let identity = Identity {
-        training: reader.array()?,
-        plant: reader.array()?,
-    };
-    let promised = Golden {
-        last: reader.u32()?,
-        all: reader.u32()?,
-    };
+    let identity = Identity { training: reader.array()?, plant: reader.array()? };
+    let promised = Golden { last: reader.u32()?, all: reader.u32()? };
     if reader.u32()? as usize != PARAMETER_BYTES {
         return Err(WeightsError::Shape(shape));
     }
@@ -105,21 +90,13 @@ pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
     if golden(&residual) != promised {
         return Err(WeightsError::Golden);
     }
-    Ok(Image {
-        residual,
-        identity,
-        golden: promised,
-        id,
-    })
+    Ok(Image { residual, identity, golden: promised, id })
 }
 
 /// The image without what follows it: long enough, of this format, undamaged. Its length is its own, so that a
 /// sound image of another architecture is told from a damaged one.
 fn enclosed(bytes: &[u8]) -> Result<&[u8], WeightsError> {
-    let short = |need| WeightsError::Length {
-        have: bytes.len(),
-        need,
-    };
+    let short = |need| WeightsError::Length { have: bytes.len(), need };
     if bytes.len() < HEADER_BYTES {
         return Err(short(IMAGE_BYTES));
     }
@@ -141,11 +118,7 @@ fn enclosed(bytes: &[u8]) -> Result<&[u8], WeightsError> {
 fn read_spec(reader: &mut Reader) -> Result<ResidualSpec, WeightsError> {
     Ok(ResidualSpec {
         period_us: reader.u32()?,
-        gains: PidGains {
-            p: reader.real()?,
-            i: reader.real()?,
-            d: reader.real()?,
-        },
+        gains: PidGains { p: reader.real()?, i: reader.real()?, d: reader.real()? },
         lambda: reader.real()?,
         authority: reader.real()?,
         features: FeatureSpec {

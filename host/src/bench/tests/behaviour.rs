@@ -9,10 +9,7 @@ mod patient_activity {
 
     /// Largest difference in airway pressure to the same bench with a passive patient, by ms.
     fn differences(config: &BenchConfig, steps: u32) -> Vec<f64> {
-        let passive = BenchConfig {
-            patient: PatientConfig::default(),
-            ..config.clone()
-        };
+        let passive = BenchConfig { patient: PatientConfig::default(), ..config.clone() };
         let (mut active, mut passive) = (bench(config), bench(&passive));
         (0..steps)
             .map(|_| {
@@ -57,29 +54,18 @@ mod patient_activity {
     #[test]
     fn resistance_changes_at_the_stated_breath() {
         let mut config = plain(20.0, 50.0);
-        config.patient = PatientConfig {
-            change_at_breath: 3,
-            resistance_factor: 2.5,
-            ..config.patient
-        };
+        config.patient = PatientConfig { change_at_breath: 3, resistance_factor: 2.5, ..config.patient };
         let mut bench = bench(&config);
         for expected in [20.0, 20.0, 50.0, 50.0] {
             let (resistance, _) = breath(&mut bench);
-            assert!(
-                (resistance / expected - 1.0).abs() < 0.02,
-                "{resistance} instead of {expected}"
-            );
+            assert!((resistance / expected - 1.0).abs() < 0.02, "{resistance} instead of {expected}");
         }
     }
 
     #[test]
     fn compliance_changes_at_the_stated_breath_without_a_jump_of_pressure() {
         let mut config = plain(20.0, 50.0);
-        config.patient = PatientConfig {
-            change_at_breath: 2,
-            compliance_factor: 0.5,
-            ..config.patient
-        };
+        config.patient = PatientConfig { change_at_breath: 2, compliance_factor: 0.5, ..config.patient };
         let mut bench = bench(&config);
         let (_, first) = breath(&mut bench);
         assert!((first / 50.0 - 1.0).abs() < 1e-6, "{first}");
@@ -122,10 +108,7 @@ mod units {
         for number in 1..20 {
             let gain = Unit::draw(&unit(number).unit, STEP_S).flow_gain;
             // Back-pressure takes back a little of what the gain gives.
-            assert!(
-                (flow(number) / flow(0) - gain).abs() < 0.02 * (gain - 1.0).abs() + 1e-6,
-                "{number}"
-            );
+            assert!((flow(number) / flow(0) - gain).abs() < 0.02 * (gain - 1.0).abs() + 1e-6, "{number}");
         }
     }
 
@@ -134,9 +117,7 @@ mod units {
         for number in 0..20 {
             let config = unit(number);
             let mut bench = bench(&config);
-            let first_motion = (0..40)
-                .find(|_| run(&mut bench, 50.0, true, 1).valve_position > 0.0)
-                .unwrap();
+            let first_motion = (0..40).find(|_| run(&mut bench, 50.0, true, 1).valve_position > 0.0).unwrap();
             let drawn = 12.0 + Unit::draw(&config.unit, STEP_S).dead_time_ms;
             let rounded = (drawn * 4.0).round() / 4.0;
             assert_eq!(first_motion, rounded.floor() as i32, "unit {number}, {drawn} ms");
@@ -161,16 +142,8 @@ mod repetition {
     /// Bits of the readings over two breaths.
     fn readings(config: &BenchConfig, seed: u64) -> Vec<u32> {
         let mut bench = Bench::new(config, PEEP, seed).unwrap();
-        let commands = (0..4_000).map(|ms| {
-            if ms % 2_000 < 700 {
-                (22.0, false)
-            } else {
-                (BIAS, true)
-            }
-        });
-        commands
-            .map(|(u_in, u_out)| bench.step(u_in, u_out).pressure.to_bits())
-            .collect()
+        let commands = (0..4_000).map(|ms| if ms % 2_000 < 700 { (22.0, false) } else { (BIAS, true) });
+        commands.map(|(u_in, u_out)| bench.step(u_in, u_out).pressure.to_bits()).collect()
     }
 
     #[test]

@@ -10,10 +10,7 @@ fn refused(text: &str) -> String {
 #[test]
 fn every_preset_is_valid_and_round_trips() {
     for mut config in all_lungs() {
-        config.lung.second = Some(CompartmentConfig {
-            turbulence_s_per_l: 0.25,
-            ..config.lung.first
-        });
+        config.lung.second = Some(CompartmentConfig { turbulence_s_per_l: 0.25, ..config.lung.first });
         config.unit.number = u32::MAX;
         assert_eq!(BenchConfig::from_toml(&config.to_toml()).unwrap(), config);
     }
@@ -69,9 +66,7 @@ fn every_value_has_bounds_and_the_error_names_the_field() {
         for bad in ["nan", "inf", "-1e9", "1e9"] {
             let mut table = table.clone();
             let (path, key) = field.rsplit_once('.').unwrap();
-            let inner = path
-                .split('.')
-                .fold(&mut table, |t, part| t[part].as_table_mut().unwrap());
+            let inner = path.split('.').fold(&mut table, |t, part| t[part].as_table_mut().unwrap());
             inner.insert(key.to_owned(), toml::Value::Float(bad.parse().unwrap()));
             let message = refused(&table.to_string());
             assert!(
@@ -98,10 +93,7 @@ fn a_peep_the_valve_cannot_be_set_to_is_refused() {
 #[test]
 fn names_find_their_lungs() {
     let rc = |config: &BenchConfig| {
-        (
-            config.lung.first.resistance_cmh2o_per_l_s,
-            config.lung.first.compliance_ml_per_cmh2o,
-        )
+        (config.lung.first.resistance_cmh2o_per_l_s, config.lung.first.compliance_ml_per_cmh2o)
     };
     assert_eq!(BenchConfig::preset("paper").unwrap().len(), 9);
     assert_eq!(BenchConfig::preset("iso").unwrap().len(), 21);
@@ -115,9 +107,7 @@ fn names_find_their_lungs() {
 
 #[test]
 fn names_that_mean_nothing_are_refused() {
-    for name in [
-        "paper", "iso", "", "R20", "C20", "R20C", "RxC2", "iso-0", "iso-22", "r20c20",
-    ] {
+    for name in ["paper", "iso", "", "R20", "C20", "R20C", "RxC2", "iso-0", "iso-22", "r20c20"] {
         let error = BenchConfig::from_name(name).unwrap_err();
         assert!(matches!(error, BenchError::UnknownName(_)), "{name}: {error}");
     }

@@ -32,15 +32,8 @@ mod rest {
             run(&mut bench, 35.0, false, 400);
             let truth = run(&mut bench, 0.0, false, 20_000);
             let recoil = truth.lung_volume_ml / config.lung.first.compliance_ml_per_cmh2o;
-            assert!(
-                recoil > 7.0 && recoil < config.lung.first.upper_inflection_cmh2o,
-                "{recoil}"
-            );
-            assert!(
-                (truth.airway_pressure - recoil).abs() < 1e-6,
-                "{} {recoil}",
-                truth.airway_pressure
-            );
+            assert!(recoil > 7.0 && recoil < config.lung.first.upper_inflection_cmh2o, "{recoil}");
+            assert!((truth.airway_pressure - recoil).abs() < 1e-6, "{} {recoil}", truth.airway_pressure);
         }
     }
 }
@@ -116,20 +109,13 @@ mod flow {
             valve_ml += (bench.truth().flow_valve - bench.truth().flow_expiratory) * STEP_S * 1e3;
         }
         let rise = bench.truth().airway_pressure - f64::from(PEEP);
-        assert!(
-            (valve_ml / rise / 1.5 - 1.0).abs() < 0.05,
-            "{} mL/cmH2O",
-            valve_ml / rise
-        );
+        assert!((valve_ml / rise / 1.5 - 1.0).abs() < 0.05, "{} mL/cmH2O", valve_ml / rise);
     }
 
     #[test]
     fn two_compartments_fill_at_their_own_pace() {
         let mut config = plain(5.0, 20.0);
-        let slow = CompartmentConfig {
-            resistance_cmh2o_per_l_s: 100.0,
-            ..config.lung.first
-        };
+        let slow = CompartmentConfig { resistance_cmh2o_per_l_s: 100.0, ..config.lung.first };
         config.lung.second = Some(slow);
         let mut bench = bench(&config);
         run(&mut bench, 40.0, false, 300);
@@ -153,11 +139,7 @@ mod expiration {
             for _ in 0..2_000 {
                 bench.step(BIAS, true);
                 let deviation = bench.truth().airway_pressure - f64::from(PEEP);
-                assert!(
-                    deviation.abs() < 0.3,
-                    "{}: {deviation} cmH2O off PEEP",
-                    config.name
-                );
+                assert!(deviation.abs() < 0.3, "{}: {deviation} cmH2O off PEEP", config.name);
             }
         }
     }
@@ -173,17 +155,10 @@ mod expiration {
         let mut bench = bench(&BenchConfig::default());
         bench.set_peep(10.0);
         let truth = run(&mut bench, 20.0, true, 4_000);
-        assert!(
-            (truth.airway_pressure - 10.0).abs() < 0.5,
-            "{}",
-            truth.airway_pressure
-        );
+        assert!((truth.airway_pressure - 10.0).abs() < 0.5, "{}", truth.airway_pressure);
         bench.set_peep(f32::NAN);
         let truth = run(&mut bench, 20.0, true, 1_000);
-        assert!(
-            (truth.airway_pressure - 10.0).abs() < 0.5,
-            "not a number leaves the setting alone"
-        );
+        assert!((truth.airway_pressure - 10.0).abs() < 0.5, "not a number leaves the setting alone");
     }
 }
 
@@ -199,11 +174,7 @@ mod limits {
                 bench.step(100.0, false);
                 highest = highest.max(bench.truth().airway_pressure);
             }
-            assert!(
-                highest > 69.0 && highest < 76.0,
-                "{}: {highest} cmH2O",
-                config.name
-            );
+            assert!(highest > 69.0 && highest < 76.0, "{}: {highest} cmH2O", config.name);
         }
     }
 
@@ -235,11 +206,7 @@ mod limits {
                 let (mut last, mut rising, mut turns) = (bench.truth().airway_pressure, None, 0);
                 for _ in 0..5_000 {
                     let pressure = run(&mut bench, u_in, u_out, 1).airway_pressure;
-                    assert!(
-                        (0.0..80.0).contains(&pressure),
-                        "{}: {pressure} cmH2O",
-                        config.name
-                    );
+                    assert!((0.0..80.0).contains(&pressure), "{}: {pressure} cmH2O", config.name);
                     if (pressure - last).abs() > 1e-9 {
                         turns += u32::from(rising == Some(pressure < last));
                         rising = Some(pressure > last);
@@ -254,10 +221,7 @@ mod limits {
     #[test]
     fn four_sub_steps_are_enough() {
         for config in all_lungs() {
-            let fine = BenchConfig {
-                sub_steps: 64,
-                ..config.clone()
-            };
+            let fine = BenchConfig { sub_steps: 64, ..config.clone() };
             let (mut coarse_bench, mut fine_bench) = (bench(&config), bench(&fine));
             let mut total = 0.0;
             for ms in 0..3_000 {

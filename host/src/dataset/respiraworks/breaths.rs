@@ -26,9 +26,7 @@ enum State {
 
 impl Splitter {
     pub(super) fn new(period_s: f64) -> Self {
-        Self {
-            rest_rows: (REST_S / period_s).ceil().max(1.0) as usize,
-        }
+        Self { rest_rows: (REST_S / period_s).ceil().max(1.0) as usize }
     }
 
     /// First row of each breath; never row 0, because a rise has a row before it.
@@ -37,31 +35,19 @@ impl Splitter {
         let Some(&first) = setpoints.first() else {
             return starts;
         };
-        let mut state = State::Low {
-            level: first,
-            rows: 0,
-        };
+        let mut state = State::Low { level: first, rows: 0 };
         for (row, &setpoint) in setpoints.iter().enumerate() {
             state = match state {
-                State::High { peak } if is_up(peak, setpoint) => State::Low {
-                    level: setpoint,
-                    rows: 1,
-                },
-                State::High { peak } => State::High {
-                    peak: peak.max(setpoint),
-                },
+                State::High { peak } if is_up(peak, setpoint) => State::Low { level: setpoint, rows: 1 },
+                State::High { peak } => State::High { peak: peak.max(setpoint) },
                 State::Low { level, rows } if rows >= self.rest_rows && is_up(setpoint, level) => {
                     starts.push(row);
                     State::High { peak: setpoint }
                 }
-                State::Low { level, rows } if self.rests(setpoint - level, rows) => State::Low {
-                    level,
-                    rows: rows + 1,
-                },
-                State::Low { .. } => State::Low {
-                    level: setpoint,
-                    rows: 1,
-                },
+                State::Low { level, rows } if self.rests(setpoint - level, rows) => {
+                    State::Low { level, rows: rows + 1 }
+                }
+                State::Low { .. } => State::Low { level: setpoint, rows: 1 },
             };
         }
         starts
@@ -78,43 +64,24 @@ mod tests {
     use super::*;
 
     fn starts(parts: &[(f32, usize)]) -> Vec<usize> {
-        let setpoints: Vec<f32> = parts
-            .iter()
-            .flat_map(|&(level, rows)| vec![level; rows])
-            .collect();
+        let setpoints: Vec<f32> = parts.iter().flat_map(|&(level, rows)| vec![level; rows]).collect();
         Splitter::new(0.01).starts(&setpoints)
     }
 
     #[test]
     fn a_breath_starts_at_each_rise_after_a_rest() {
-        assert_eq!(
-            starts(&[(5.0, 30), (15.0, 100), (5.0, 200), (15.0, 100)]),
-            [30, 330]
-        );
+        assert_eq!(starts(&[(5.0, 30), (15.0, 100), (5.0, 200), (15.0, 100)]), [30, 330]);
     }
 
     #[test]
     fn a_series_that_begins_within_an_inspiration_or_a_rise_waits_for_the_next() {
         assert_eq!(starts(&[(30.0, 87), (5.0, 200), (30.0, 100)]), [287]);
-        assert_eq!(
-            starts(&[(12.0, 1), (18.0, 1), (24.0, 1), (30.0, 90), (5.0, 200), (30.0, 5)]),
-            [293]
-        );
+        assert_eq!(starts(&[(12.0, 1), (18.0, 1), (24.0, 1), (30.0, 90), (5.0, 200), (30.0, 5)]), [293]);
     }
 
     #[test]
     fn rounding_of_the_set_point_starts_no_breath() {
-        assert_eq!(
-            starts(&[
-                (5.0, 30),
-                (15.0, 50),
-                (14.999, 20),
-                (15.0, 30),
-                (5.001, 9),
-                (5.0, 50)
-            ]),
-            [30]
-        );
+        assert_eq!(starts(&[(5.0, 30), (15.0, 50), (14.999, 20), (15.0, 30), (5.001, 9), (5.0, 50)]), [30]);
     }
 
     #[test]

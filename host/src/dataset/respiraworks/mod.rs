@@ -28,14 +28,8 @@ use crate::provenance::Provenance;
 pub const INSPIRATION_S: f64 = 0.9;
 
 /// Optional columns of an imported recording.
-const EXTRAS: [Extra; 6] = [
-    Extra::FlowIn,
-    Extra::FlowOut,
-    Extra::Resistance,
-    Extra::Compliance,
-    Extra::UPsol,
-    Extra::Group,
-];
+const EXTRAS: [Extra; 6] =
+    [Extra::FlowIn, Extra::FlowOut, Extra::Resistance, Extra::Compliance, Extra::UPsol, Extra::Group];
 
 /// Reads tables into one recording, in the order given, with one group per run and test (`CT_AIR:3`).
 ///
@@ -71,11 +65,8 @@ struct Importer {
 
 impl Importer {
     fn new(paths: &[PathBuf]) -> Self {
-        let files: Vec<_> = paths
-            .iter()
-            .filter_map(|path| path.file_name())
-            .map(|name| name.to_string_lossy())
-            .collect();
+        let files: Vec<_> =
+            paths.iter().filter_map(|path| path.file_name()).map(|name| name.to_string_lossy()).collect();
         let provenance = Provenance {
             plant: "respiraworks".to_owned(),
             settings: json!({ "files": files, "inspiration_s": INSPIRATION_S }),
@@ -96,12 +87,7 @@ impl Importer {
         let found_us = period_us(samples).or(self.period_us).unwrap_or(0);
         let expected_us = *self.period_us.get_or_insert(found_us);
         if found_us != expected_us {
-            return Err(DatasetError::Period {
-                path: path.to_owned(),
-                test: name,
-                found_us,
-                expected_us,
-            });
+            return Err(DatasetError::Period { path: path.to_owned(), test: name, found_us, expected_us });
         }
         self.recording.provenance.period_us = expected_us;
         self.observer.test(&name, samples);
@@ -120,11 +106,7 @@ impl Importer {
     fn add_segment(&mut self, group: u32, period_s: f64, segment: &[Sample], after_gap: bool) {
         let setpoints: Vec<f32> = segment.iter().map(|sample| sample.setpoint).collect();
         let starts = Splitter::new(period_s).starts(&setpoints);
-        self.observer.segment(
-            segment,
-            starts.first().copied().unwrap_or(segment.len()),
-            after_gap,
-        );
+        self.observer.segment(segment, starts.first().copied().unwrap_or(segment.len()), after_gap);
         for (index, &start) in starts.iter().enumerate() {
             let end = starts.get(index + 1).copied().unwrap_or(segment.len());
             self.add_breath(group, period_s, segment[start - 1].setpoint, &segment[start..end]);
@@ -134,12 +116,7 @@ impl Importer {
     fn add_breath(&mut self, group: u32, period_s: f64, setpoint_before: f32, samples: &[Sample]) {
         let inspiration = (INSPIRATION_S / period_s).round() as usize;
         let peep = setting(setpoint_before);
-        let pip = setting(
-            samples
-                .iter()
-                .map(|sample| sample.setpoint)
-                .fold(setpoint_before, f32::max),
-        );
+        let pip = setting(samples.iter().map(|sample| sample.setpoint).fold(setpoint_before, f32::max));
         for (tick, sample) in samples.iter().enumerate() {
             let phase = match tick {
                 tick if tick < inspiration => INSPIRATION,
@@ -183,10 +160,7 @@ fn setting(setpoint: f32) -> f32 {
 
 /// Median distance in time, so that gaps do not count; `None` for a single row.
 fn period_us(samples: &[Sample]) -> Option<u32> {
-    let mut steps: Vec<f64> = samples
-        .windows(2)
-        .map(|pair| pair[1].time_s - pair[0].time_s)
-        .collect();
+    let mut steps: Vec<f64> = samples.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
     steps.sort_by(f64::total_cmp);
     let median = *steps.get(steps.len() / 2)?;
     (median > 0.0).then(|| (median * 1e6).round() as u32)

@@ -55,28 +55,13 @@ impl fmt::Display for ImportSummary {
             ("rows read", self.rows.to_string()),
             ("rows kept", self.kept.to_string()),
             ("rows dropped", dropped.to_string()),
-            (
-                "  before the first rise",
-                self.dropped.before_first_rise.to_string(),
-            ),
+            ("  before the first rise", self.dropped.before_first_rise.to_string()),
             ("  after a gap", self.dropped.after_gap.to_string()),
             ("tests", self.tests.to_string()),
-            (
-                "breaths",
-                format!("{} ({} complete)", self.breaths, self.complete_breaths),
-            ),
+            ("breaths", format!("{} ({} complete)", self.breaths, self.complete_breaths)),
             ("gaps in time", self.gaps.to_string()),
-            (
-                "sample period",
-                format!("{} ms", f64::from(self.period_us) * 1e-3),
-            ),
-            (
-                "pressure",
-                format!(
-                    "{:.2} to {:.2} cmH2O",
-                    self.pressure_range.0, self.pressure_range.1
-                ),
-            ),
+            ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
+            ("pressure", format!("{:.2} to {:.2} cmH2O", self.pressure_range.0, self.pressure_range.1)),
             ("pressure quantum", format!("{:.4} cmH2O", self.quantum)),
             ("pressure noise (sd)", format!("{:.3} cmH2O", self.noise)),
             ("inhale valve saturated", percent(self.saturated_inhale)),
@@ -108,15 +93,10 @@ impl Observer {
     pub(super) fn test(&mut self, name: &str, samples: &[Sample]) {
         self.tests += 1;
         self.rows += samples.len();
-        self.pressures
-            .extend(samples.iter().map(|sample| sample.pressure));
+        self.pressures.extend(samples.iter().map(|sample| sample.pressure));
         let run = name.rsplit_once(':').map_or(name, |(run, _)| run);
         for sample in samples {
-            for (valve, command) in self
-                .valves
-                .iter_mut()
-                .zip([sample.inhale, sample.exhale, sample.psol])
-            {
+            for (valve, command) in self.valves.iter_mut().zip([sample.inhale, sample.exhale, sample.psol]) {
                 valve.add(run, command);
             }
         }
@@ -130,9 +110,7 @@ impl Observer {
         } else {
             self.dropped.before_first_rise += dropped;
         }
-        let bends = samples
-            .windows(3)
-            .map(|w| w[0].pressure - 2.0 * w[1].pressure + w[2].pressure);
+        let bends = samples.windows(3).map(|w| w[0].pressure - 2.0 * w[1].pressure + w[2].pressure);
         self.second_differences.extend(bends.map(f32::abs));
     }
 
@@ -191,10 +169,7 @@ fn noise(second_differences: &mut [f32]) -> f64 {
     /// Standard deviation of a second difference over that of the noise, 1 + 4 + 1 under the root.
     const SECOND_DIFFERENCE: f64 = 2.449_490;
     second_differences.sort_by(f32::total_cmp);
-    let median = second_differences
-        .get(second_differences.len() / 2)
-        .copied()
-        .unwrap_or(0.0);
+    let median = second_differences.get(second_differences.len() / 2).copied().unwrap_or(0.0);
     NORMAL * f64::from(median) / SECOND_DIFFERENCE
 }
 
@@ -244,10 +219,6 @@ impl Valve {
 
     fn saturated(mut self) -> f64 {
         self.close_run();
-        if self.past_rows == 0 {
-            0.0
-        } else {
-            self.past_saturated as f64 / self.past_rows as f64
-        }
+        if self.past_rows == 0 { 0.0 } else { self.past_saturated as f64 / self.past_rows as f64 }
     }
 }

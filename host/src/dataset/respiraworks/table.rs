@@ -59,37 +59,20 @@ pub(super) struct Table {
 impl Table {
     pub(super) fn open(path: &Path) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(|source| match source.kind() {
-            ErrorKind::NotFound => DatasetError::Missing {
-                path: path.to_owned(),
-            },
-            _ => DatasetError::Read {
-                path: path.to_owned(),
-                source,
-            },
+            ErrorKind::NotFound => DatasetError::Missing { path: path.to_owned() },
+            _ => DatasetError::Read { path: path.to_owned(), source },
         })?;
         let mut reader = csv::Reader::from_reader(file);
-        let line_error = |source| DatasetError::TableLine {
-            path: path.to_owned(),
-            source,
-        };
+        let line_error = |source| DatasetError::TableLine { path: path.to_owned(), source };
         let header = reader.headers().map_err(line_error)?.clone();
         let mut at = [0; COLUMNS.len()];
         for (place, column) in at.iter_mut().zip(COLUMNS) {
             *place = header
                 .iter()
                 .position(|name| name.trim() == column)
-                .ok_or_else(|| DatasetError::TableColumn {
-                    path: path.to_owned(),
-                    column,
-                })?;
+                .ok_or_else(|| DatasetError::TableColumn { path: path.to_owned(), column })?;
         }
-        Ok(Self {
-            path: path.to_owned(),
-            reader,
-            at,
-            line: StringRecord::new(),
-            pending: false,
-        })
+        Ok(Self { path: path.to_owned(), reader, at, line: StringRecord::new(), pending: false })
     }
 
     /// Name and rows of the next test, `None` at the end of the table.
@@ -111,10 +94,7 @@ impl Table {
     fn read_line(&mut self) -> Result<bool, DatasetError> {
         self.reader
             .read_record(&mut self.line)
-            .map_err(|source| DatasetError::TableLine {
-                path: self.path.clone(),
-                source,
-            })
+            .map_err(|source| DatasetError::TableLine { path: self.path.clone(), source })
     }
 
     fn cell(&self, column: usize) -> &str {

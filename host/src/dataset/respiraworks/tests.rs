@@ -19,17 +19,9 @@ fn lines(run: &str, test: u32, rows: usize, noise: f64) -> Vec<String> {
     let normal = Normal::new(0.0, noise).unwrap();
     let line = |row: usize| {
         let tick = (row + 300 - 40) % 300;
-        let setpoint = if row < 40 || tick >= 100 {
-            5.0
-        } else {
-            15.0_f64.min(6.0 + tick as f64)
-        };
+        let setpoint = if row < 40 || tick >= 100 { 5.0 } else { 15.0_f64.min(6.0 + tick as f64) };
         let pressure = ((setpoint + normal.sample(&mut random)) / QUANTUM).round() * QUANTUM;
-        let (inhale, exhale) = if setpoint > 5.0 {
-            ("1.0", "0.05")
-        } else {
-            ("0.25", "0.6")
-        };
+        let (inhale, exhale) = if setpoint > 5.0 { ("1.0", "0.05") } else { ("0.25", "0.6") };
         let time = row as f64 * 0.01;
         format!(
             "{run},{test},20,50,{time:.3},{setpoint:.3},{pressure:.4},250.5,-125.25,{inhale},{exhale},-0.0\n"
@@ -52,29 +44,12 @@ fn import_lines(lines: &[String]) -> Result<(Recording, ImportSummary), DatasetE
 #[test]
 fn a_test_becomes_breaths_in_the_units_of_a_recording() {
     let (recording, summary) = import_lines(&lines("AIR", 3, 700, 0.1)).unwrap();
-    assert_eq!(
-        recording.breaths(),
-        [40..340, 340..640, 640..700].map(|rows| rows.start - 40..rows.end - 40)
-    );
+    assert_eq!(recording.breaths(), [40..340, 340..640, 640..700].map(|rows| rows.start - 40..rows.end - 40));
     assert_eq!(recording.inspirations(), [0..90, 300..390]);
     assert_eq!(recording.provenance.period_us, 10_000);
     assert_eq!(recording.provenance.groups, ["AIR:3"]);
-    assert_eq!(
-        summary.dropped,
-        Dropped {
-            before_first_rise: 40,
-            after_gap: 0
-        }
-    );
-    assert_eq!(
-        (
-            summary.rows,
-            summary.kept,
-            summary.breaths,
-            summary.complete_breaths
-        ),
-        (700, 660, 3, 2)
-    );
+    assert_eq!(summary.dropped, Dropped { before_first_rise: 40, after_gap: 0 });
+    assert_eq!((summary.rows, summary.kept, summary.breaths, summary.complete_breaths), (700, 660, 3, 2));
 
     assert_eq!((recording.pip[0], recording.peep[0]), (15.0, 5.0));
     assert_eq!((recording.u_in[0], recording.u_out[0]), (100.0, 5.0));
@@ -90,10 +65,7 @@ fn a_test_becomes_breaths_in_the_units_of_a_recording() {
 #[test]
 fn rows_between_the_scored_inspiration_and_peep_are_the_fall() {
     let (recording, _) = import_lines(&lines("AIR", 1, 400, 0.1)).unwrap();
-    let phases: Vec<_> = recording.phase[..300]
-        .chunk_by(|a, b| a == b)
-        .map(|c| (c[0], c.len()))
-        .collect();
+    let phases: Vec<_> = recording.phase[..300].chunk_by(|a, b| a == b).map(|c| (c[0], c.len())).collect();
     assert_eq!(phases, [(INSPIRATION, 90), (FALL, 10), (EXPIRATION, 200)]);
 }
 
@@ -117,13 +89,7 @@ fn a_gap_in_time_ends_a_breath_and_rows_up_to_the_next_rise_are_dropped() {
     let (recording, summary) = import_lines(&table).unwrap();
     assert_eq!(recording.breaths(), [0..160, 160..220]);
     assert_eq!(summary.gaps, 1);
-    assert_eq!(
-        summary.dropped,
-        Dropped {
-            before_first_rise: 40,
-            after_gap: 130
-        }
-    );
+    assert_eq!(summary.dropped, Dropped { before_first_rise: 40, after_gap: 130 });
     assert_eq!(summary.kept + 40 + 130, summary.rows);
 }
 
@@ -145,18 +111,8 @@ fn quantum_noise_and_saturation_are_estimated() {
     assert!((summary.noise - 0.08).abs() < 0.008, "{}", summary.noise);
     assert!(summary.pressure_range.0 < 5.0 && summary.pressure_range.1 > 15.0);
     // The generated valves only ever stand at an end of their range; the oxygen valve is not in use.
-    assert_eq!(
-        (
-            summary.saturated_inhale,
-            summary.saturated_exhale,
-            summary.saturated_psol
-        ),
-        (1.0, 1.0, 0.0)
-    );
-    assert!(
-        summary.to_string().contains("rows read                 3040\n"),
-        "{summary}"
-    );
+    assert_eq!((summary.saturated_inhale, summary.saturated_exhale, summary.saturated_psol), (1.0, 1.0, 0.0));
+    assert!(summary.to_string().contains("rows read                 3040\n"), "{summary}");
 }
 
 /// The error for a table whose line 52 has `cell` in place of `column`.
@@ -178,13 +134,7 @@ fn a_bad_cell_is_named_with_file_line_and_column() {
     ];
     for (place, cell, name, why) in cases {
         match error_for(place, cell) {
-            DatasetError::Cell {
-                path,
-                line,
-                column,
-                value,
-                reason,
-            } => {
+            DatasetError::Cell { path, line, column, value, reason } => {
                 assert!(path.ends_with("table.csv"));
                 assert_eq!((line, column, value.as_str(), reason), (52, name, cell, why));
             }
@@ -206,22 +156,13 @@ fn a_short_line_a_missing_column_and_a_missing_file_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.csv");
     std::fs::write(&path, "run,test\nA,1\n").unwrap();
-    assert!(matches!(
-        import(&[path]),
-        Err(DatasetError::TableColumn { column: "t_s", .. })
-    ));
-    assert!(matches!(
-        import(&[folder.path().join("none.csv")]),
-        Err(DatasetError::Missing { .. })
-    ));
+    assert!(matches!(import(&[path]), Err(DatasetError::TableColumn { column: "t_s", .. })));
+    assert!(matches!(import(&[folder.path().join("none.csv")]), Err(DatasetError::Missing { .. })));
 }
 
 #[test]
 fn tables_without_a_breath_or_at_two_rates_are_refused() {
-    assert!(matches!(
-        import_lines(&lines("AIR", 1, 40, 0.1)),
-        Err(DatasetError::NoBreath { tables: 1 })
-    ));
+    assert!(matches!(import_lines(&lines("AIR", 1, 40, 0.1)), Err(DatasetError::NoBreath { tables: 1 })));
     let mut table = lines("AIR", 1, 400, 0.1);
     let mut slow = String::new();
     for (row, line) in lines("AIR", 2, 400, 0.1).iter().enumerate() {
@@ -231,12 +172,7 @@ fn tables_without_a_breath_or_at_two_rates_are_refused() {
     }
     table.push(slow);
     match import_lines(&table).unwrap_err() {
-        DatasetError::Period {
-            test,
-            found_us,
-            expected_us,
-            ..
-        } => {
+        DatasetError::Period { test, found_us, expected_us, .. } => {
             assert_eq!((test.as_str(), found_us, expected_us), ("AIR:2", 20_000, 10_000));
         }
         other => panic!("{other}"),
@@ -246,12 +182,8 @@ fn tables_without_a_breath_or_at_two_rates_are_refused() {
 /// The measured tables, if they are at hand: in the folder that `EUPNEA_DATA` names, else beside the project.
 fn measured() -> Option<Vec<PathBuf>> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
-    let folder = std::env::var_os("EUPNEA_DATA")
-        .map_or_else(beside, PathBuf::from)
-        .join("respiraworks");
-    let paths = ["CT_AIR.csv", "CT_OXY.csv", "NPV_AIR.csv"]
-        .map(|name| folder.join(name))
-        .to_vec();
+    let folder = std::env::var_os("EUPNEA_DATA").map_or_else(beside, PathBuf::from).join("respiraworks");
+    let paths = ["CT_AIR.csv", "CT_OXY.csv", "NPV_AIR.csv"].map(|name| folder.join(name)).to_vec();
     if paths.iter().all(|path| path.exists()) {
         return Some(paths);
     }
@@ -264,42 +196,20 @@ fn the_measured_tables_import_whole() {
     let Some(paths) = measured() else { return };
     let (recording, summary) = import(&paths).unwrap();
     println!("{summary}");
-    assert_eq!(
-        (summary.rows, summary.tests, summary.gaps, summary.period_us),
-        (56_160, 24, 0, 10_000)
-    );
+    assert_eq!((summary.rows, summary.tests, summary.gaps, summary.period_us), (56_160, 24, 0, 10_000));
     assert_eq!(summary.breaths, recording.breaths().len());
     assert_eq!(summary.kept + summary.dropped.before_first_rise, summary.rows);
     assert_eq!(summary.dropped.after_gap, 0);
-    assert!(
-        (summary.quantum - 0.010_197).abs() < 2e-5,
-        "one pascal is expected: {}",
-        summary.quantum
-    );
+    assert!((summary.quantum - 0.010_197).abs() < 2e-5, "one pascal is expected: {}", summary.quantum);
 
     // Each test holds its row of the lung table, whole breaths at one pair of settings.
-    let settings = [
-        (15, 5),
-        (25, 10),
-        (30, 5),
-        (35, 10),
-        (20, 5),
-        (35, 10),
-        (35, 5),
-        (35, 10),
-    ];
+    let settings = [(15, 5), (25, 10), (30, 5), (35, 10), (20, 5), (35, 10), (35, 5), (35, 10)];
     let groups = recording.group.as_deref().unwrap();
     for inspiration in recording.inspirations() {
         let row = inspiration.start;
-        let (_, test) = recording.provenance.groups[groups[row] as usize]
-            .split_once(':')
-            .unwrap();
+        let (_, test) = recording.provenance.groups[groups[row] as usize].split_once(':').unwrap();
         let (pip, peep) = settings[test.parse::<usize>().unwrap() - 1];
-        assert_eq!(
-            (recording.pip[row], recording.peep[row]),
-            (pip as f32, peep as f32),
-            "row {row}"
-        );
+        assert_eq!((recording.pip[row], recording.peep[row]), (pip as f32, peep as f32), "row {row}");
         assert_eq!(inspiration.len(), 90);
     }
 }

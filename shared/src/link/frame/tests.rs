@@ -14,10 +14,7 @@ fn frame(content: &[u8]) -> Vec<u8> {
 
 fn content() -> impl Strategy<Value = Vec<u8>> {
     let byte = prop_oneof![Just(0u8), Just(255), any::<u8>(), 1u8..=255];
-    prop_oneof![
-        prop::collection::vec(byte, 0..300),
-        prop::collection::vec(1u8..=255, 240..500),
-    ]
+    prop_oneof![prop::collection::vec(byte, 0..300), prop::collection::vec(1u8..=255, 240..500),]
 }
 
 /// Feeds bytes; gives the contents of the good frames and the number of bad ones.
@@ -39,10 +36,7 @@ fn survives(damaged: &[u8], original: &[u8]) {
     let mut stream = damaged.to_vec();
     stream.extend(frame(&next));
     let (good, _) = feed(&mut Decoder::new(), &stream);
-    assert!(
-        good.iter().all(|c| c == original || *c == next),
-        "a different message was accepted"
-    );
+    assert!(good.iter().all(|c| c == original || *c == next), "a different message was accepted");
     assert_eq!(good.last(), Some(&next));
 }
 
@@ -72,12 +66,7 @@ fn each_kind_of_damage_is_counted_as_what_it_is() {
     feed(&mut decoder, &[5, 1, 2, 0]);
     feed(&mut decoder, &[1; 2 * DECODER_BYTES]);
     feed(&mut decoder, &good);
-    let expected = FrameCounters {
-        frames: 2,
-        checksum: 1,
-        overlong: 1,
-        cobs: 1,
-    };
+    let expected = FrameCounters { frames: 2, checksum: 1, overlong: 1, cobs: 1 };
     assert_eq!(*decoder.counters(), expected);
 }
 

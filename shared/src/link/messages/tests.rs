@@ -16,9 +16,7 @@ fn hex<M: Serialize>(message: &M) -> String {
     let mut buffer = [0; MESSAGE_BYTES];
     let bytes = postcard::to_slice(message, &mut buffer).unwrap();
     let digits = bytes.iter().flat_map(|byte| [byte >> 4, byte & 15]);
-    digits
-        .filter_map(|digit| char::from_digit(digit.into(), 16))
-        .collect()
+    digits.filter_map(|digit| char::from_digit(digit.into(), 16)).collect()
 }
 
 fn settings() -> impl Strategy<Value = Settings> {
@@ -50,11 +48,7 @@ fn controller() -> impl Strategy<Value = ControllerChoice> {
 }
 
 fn mode() -> impl Strategy<Value = Mode> {
-    prop_oneof![
-        Just(Mode::Standby),
-        Just(Mode::Ventilating),
-        Just(Mode::Fault(Fault::HighPressure))
-    ]
+    prop_oneof![Just(Mode::Standby), Just(Mode::Ventilating), Just(Mode::Fault(Fault::HighPressure))]
 }
 
 fn request() -> impl Strategy<Value = Request> {
@@ -80,12 +74,7 @@ fn request() -> impl Strategy<Value = Request> {
 }
 
 fn refusal() -> impl Strategy<Value = Refusal> {
-    let out_of_bounds = |(field, value)| SettingsRefusal::OutOfBounds {
-        field,
-        value,
-        min: 4.0,
-        max: 80.0,
-    };
+    let out_of_bounds = |(field, value)| SettingsRefusal::OutOfBounds { field, value, min: 4.0, max: 80.0 };
     prop_oneof![
         (0u8..8, -1.0e3f32..1.0e3).prop_map(move |seen| Refusal::Settings(out_of_bounds(seen))),
         any::<u32>().prop_map(|expected| Refusal::WrongOffset { expected }),
@@ -95,14 +84,7 @@ fn refusal() -> impl Strategy<Value = Refusal> {
 }
 
 fn response() -> impl Strategy<Value = Response> {
-    let identity = (
-        any::<u16>(),
-        any::<[u16; 3]>(),
-        any::<u32>(),
-        mode(),
-        controller(),
-        exploration(),
-    );
+    let identity = (any::<u16>(), any::<[u16; 3]>(), any::<u32>(), mode(), controller(), exploration());
     let identity = (identity, any::<Option<u32>>()).prop_map(|(device, weights)| DeviceIdentity {
         protocol: device.0,
         firmware: device.1,
@@ -152,20 +134,13 @@ fn batch(sequence: u32, first_tick: u64, counters: Counters, samples: &[PackedSa
 }
 
 fn event() -> impl Strategy<Value = Event> {
-    let samples = (
-        any::<u32>(),
-        any::<u32>(),
-        prop::array::uniform4(-100.0f32..100.0),
-    );
+    let samples = (any::<u32>(), any::<u32>(), prop::array::uniform4(-100.0f32..100.0));
     let samples = samples.prop_map(|(breath, tick, values)| sample(breath, tick, values));
     let samples = prop::collection::vec(samples, 0..=BATCH_SAMPLES);
     prop_oneof![
         (any::<u32>(), any::<u64>(), any::<u32>(), samples).prop_map(
             |(sequence, first, dropped, samples)| {
-                let counters = Counters {
-                    dropped,
-                    ..Counters::default()
-                };
+                let counters = Counters { dropped, ..Counters::default() };
                 batch(sequence, first, counters, &samples)
             }
         ),
@@ -175,10 +150,7 @@ fn event() -> impl Strategy<Value = Event> {
             peak_pressure,
             end_pressure: 5.0,
         })),
-        any::<u64>().prop_map(|tick| Event::Alarm {
-            fault: Fault::HighPressure,
-            tick,
-        }),
+        any::<u64>().prop_map(|tick| Event::Alarm { fault: Fault::HighPressure, tick }),
     ]
 }
 
@@ -214,11 +186,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::Stop, "ac0204"),
         (Request::Acknowledge, "ac0205"),
         (
-            Request::SetController(ControllerChoice::Pid(PidGains {
-                p: 1.0,
-                i: 2.0,
-                d: 0.5,
-            })),
+            Request::SetController(ControllerChoice::Pid(PidGains { p: 1.0, i: 2.0, d: 0.5 })),
             "ac0206000000803f000000400000003f",
         ),
         (Request::SetController(ControllerChoice::Learned), "ac020601"),
@@ -228,28 +196,16 @@ fn the_bytes_of_every_request_are_pinned() {
             "ac0207019a99193e000000000000c842cdcc4c3d9a99993e0000f0c10000f041cdcccc3d0000003f00",
         ),
         (Request::Telemetry { on: true }, "ac020801"),
+        (Request::BeginWeights { length: 5510, id: 0xDEAD_BEEF }, "ac0209862beffdb6f50d"),
         (
-            Request::BeginWeights {
-                length: 5510,
-                id: 0xDEAD_BEEF,
-            },
-            "ac0209862beffdb6f50d",
-        ),
-        (
-            Request::WeightsChunk {
-                offset: 128,
-                bytes: Vec::from_slice(&[0, 1, 255]).unwrap(),
-            },
+            Request::WeightsChunk { offset: 128, bytes: Vec::from_slice(&[0, 1, 255]).unwrap() },
             "ac020a8001030001ff",
         ),
         (Request::CommitWeights, "ac020b"),
         (Request::Reset, "ac020c"),
     ];
     for (request, expected) in requests {
-        let message = ToDevice {
-            sequence: 300,
-            request,
-        };
+        let message = ToDevice { sequence: 300, request };
         assert_eq!(hex(&message), expected, "{message:?}");
     }
 }
@@ -270,10 +226,7 @@ fn the_bytes_of_every_response_are_pinned() {
     let responses = [
         (Response::Identity(identity), "000500010001c80101e807020201000107"),
         (
-            Response::Settings {
-                in_force,
-                pending: None,
-            },
+            Response::Settings { in_force, pending: None },
             "0005010000a0410000a0400000a0410000803f000000000000003f0000a0400000704200",
         ),
         (Response::Mode(Mode::Ventilating), "00050201"),
@@ -285,36 +238,19 @@ fn the_bytes_of_every_response_are_pinned() {
         (Response::Done, "000508"),
     ];
     for (response, expected) in responses {
-        let message = ToHost::Response {
-            sequence: 5,
-            response,
-        };
+        let message = ToHost::Response { sequence: 5, response };
         assert_eq!(hex(&message), expected, "{message:?}");
     }
 }
 
 #[test]
 fn the_bytes_of_every_refusal_are_pinned() {
-    let bounds = SettingsRefusal::OutOfBounds {
-        field: 2,
-        value: 200.0,
-        min: 4.0,
-        max: 80.0,
-    };
+    let bounds = SettingsRefusal::OutOfBounds { field: 2, value: 200.0, min: 4.0, max: 80.0 };
     let refusals = [
         (Refusal::Settings(bounds), "0900000200004843000080400000a042"),
-        (
-            Refusal::Settings(SettingsRefusal::PipBelowPeep(5.0, 8.0)),
-            "0900010000a04000000041",
-        ),
-        (
-            Refusal::Settings(SettingsRefusal::LimitTooLow(40.0, 38.0, 5.0)),
-            "09000200002042000018420000a040",
-        ),
-        (
-            Refusal::Settings(SettingsRefusal::BreathTooShort(1.5, 1.0)),
-            "0900030000c03f0000803f",
-        ),
+        (Refusal::Settings(SettingsRefusal::PipBelowPeep(5.0, 8.0)), "0900010000a04000000041"),
+        (Refusal::Settings(SettingsRefusal::LimitTooLow(40.0, 38.0, 5.0)), "09000200002042000018420000a040"),
+        (Refusal::Settings(SettingsRefusal::BreathTooShort(1.5, 1.0)), "0900030000c03f0000803f"),
         (Refusal::Settings(SettingsRefusal::Period(1)), "09000401"),
         (Refusal::Gains, "0901"),
         (Refusal::Exploration, "0902"),
@@ -339,50 +275,20 @@ fn the_bytes_of_every_refusal_are_pinned() {
 
 #[test]
 fn the_bytes_of_every_event_are_pinned() {
-    let counters = Counters {
-        dropped: 1,
-        corrupt_frames: 2,
-        missed_ticks: 3,
-        worst_tick_us: 400,
-        mean_tick_us: 55.5,
-    };
-    let samples = [
-        sample(1, 700, [20.0, 19.5, 30.0, 0.0]),
-        sample(1, 701, [20.0, 19.5, 30.0, -0.0]),
-    ];
-    let summary = BreathSummary {
-        breath: 9,
-        mean_absolute_error: 1.25,
-        peak_pressure: 21.0,
-        end_pressure: 5.0,
-    };
+    let counters =
+        Counters { dropped: 1, corrupt_frames: 2, missed_ticks: 3, worst_tick_us: 400, mean_tick_us: 55.5 };
+    let samples = [sample(1, 700, [20.0, 19.5, 30.0, 0.0]), sample(1, 701, [20.0, 19.5, 30.0, -0.0])];
+    let summary =
+        BreathSummary { breath: 9, mean_absolute_error: 1.25, peak_pressure: 21.0, end_pressure: 5.0 };
     let events = [
         (
             batch(2, 1000, counters, &samples),
             "010002e807010203900300005e420201bc0501010000a04100009c410000f0410001bd0501010000a04100009c410000f0410100000080",
         ),
         (Event::Breath(summary), "0101090000a03f0000a8410000a040"),
-        (
-            Event::Alarm {
-                fault: Fault::ReadingNotANumber,
-                tick: 1,
-            },
-            "01020001",
-        ),
-        (
-            Event::Alarm {
-                fault: Fault::ReadingOutOfRange,
-                tick: 1,
-            },
-            "01020101",
-        ),
-        (
-            Event::Alarm {
-                fault: Fault::HighPressure,
-                tick: 1,
-            },
-            "01020201",
-        ),
+        (Event::Alarm { fault: Fault::ReadingNotANumber, tick: 1 }, "01020001"),
+        (Event::Alarm { fault: Fault::ReadingOutOfRange, tick: 1 }, "01020101"),
+        (Event::Alarm { fault: Fault::HighPressure, tick: 1 }, "01020201"),
     ];
     for (event, expected) in events {
         assert_eq!(hex(&ToHost::Event(event.clone())), expected, "{event:?}");
@@ -401,29 +307,17 @@ fn the_longest_messages_fit_into_a_frame() {
     let samples = [sample(u32::MAX, u32::MAX, [1.0; 4]); BATCH_SAMPLES];
     let event = ToHost::Event(batch(u32::MAX, u64::MAX, largest, &samples));
     assert_eq!(read_reply(&through(&event)), Ok(event));
-    let chunk = Request::WeightsChunk {
-        offset: u32::MAX,
-        bytes: Vec::from_slice(&[0xFF; CHUNK_BYTES]).unwrap(),
-    };
-    let message = ToDevice {
-        sequence: u16::MAX,
-        request: chunk,
-    };
+    let chunk =
+        Request::WeightsChunk { offset: u32::MAX, bytes: Vec::from_slice(&[0xFF; CHUNK_BYTES]).unwrap() };
+    let message = ToDevice { sequence: u16::MAX, request: chunk };
     assert_eq!(read_request(&through(&message)), Ok(message));
 }
 
 #[test]
 fn an_unknown_request_can_be_refused_under_its_number() {
-    assert_eq!(
-        read_request(&[0xAC, 0x02, 99]),
-        Err(Unreadable { sequence: Some(300) })
-    );
+    assert_eq!(read_request(&[0xAC, 0x02, 99]), Err(Unreadable { sequence: Some(300) }));
     assert_eq!(read_request(&[]), Err(Unreadable { sequence: None }));
-    assert_eq!(
-        read_request(&[5, 3, 0]).unwrap_err().sequence,
-        Some(5),
-        "a byte too many"
-    );
+    assert_eq!(read_request(&[5, 3, 0]).unwrap_err().sequence, Some(5), "a byte too many");
 }
 
 #[test]

@@ -21,19 +21,12 @@ fn feed(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Frame> {
 }
 
 /// Made with Python: `struct.pack("<BBHfI", 0xA5, 2, 258, 37.5, 1)` and `zlib.crc32`.
-const PYTHON_STEP: [u8; FRAME_BYTES] = [
-    0xA5, 0x02, 0x02, 0x01, 0x00, 0x00, 0x16, 0x42, 0x01, 0x00, 0x00, 0x00, 0x12, 0xF5, 0x62, 0x9F,
-];
+const PYTHON_STEP: [u8; FRAME_BYTES] =
+    [0xA5, 0x02, 0x02, 0x01, 0x00, 0x00, 0x16, 0x42, 0x01, 0x00, 0x00, 0x00, 0x12, 0xF5, 0x62, 0x9F];
 
 #[test]
 fn a_step_has_the_bytes_that_python_packs() {
-    let frame = Frame {
-        tick: 258,
-        message: Message::Step {
-            u_in: 37.5,
-            u_out: true,
-        },
-    };
+    let frame = Frame { tick: 258, message: Message::Step { u_in: 37.5, u_out: true } };
     assert_eq!(frame.encode(), PYTHON_STEP);
 }
 

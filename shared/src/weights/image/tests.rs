@@ -7,10 +7,7 @@ use rand_core::{Rng, SeedableRng};
 use super::*;
 use crate::control::residual::ResidualError;
 
-const IDENTITY: Identity = Identity {
-    training: *b"training 0000001",
-    plant: *b"virtual bench   ",
-};
+const IDENTITY: Identity = Identity { training: *b"training 0000001", plant: *b"virtual bench   " };
 
 /// Changes bytes and makes the checksum right again, as a careless or malicious packer would.
 fn forged(change: impl Fn(&mut [u8])) -> Vec<u8> {
@@ -36,11 +33,7 @@ fn residual(seed: u64) -> Residual {
         command_averages: [0.001 + unit(), 0.001 + unit()],
         times: [0.001 + unit(), 0.001 + unit(), 0.001 + unit()],
     };
-    let gains = PidGains {
-        p: 5.0 * unit(),
-        i: 50.0 * unit(),
-        d: 0.1 * unit(),
-    };
+    let gains = PidGains { p: 5.0 * unit(), i: 50.0 * unit(), d: 0.1 * unit() };
     let spec = ResidualSpec {
         period_us: 250 + (49_000.0 * unit()) as u32,
         gains,
@@ -69,10 +62,7 @@ fn the_fields_lie_where_the_table_says() {
     assert_eq!(&bytes[..16], b"EUPN\x01\0\x01\0\x18\0\x20\0\x10\0\x01\0");
     assert_eq!(bytes[16..20], spec.period_us.to_le_bytes());
     assert_eq!(real(28), spec.gains.d.to_bits());
-    assert_eq!(
-        (real(32), real(36)),
-        (spec.lambda.to_bits(), spec.authority.to_bits())
-    );
+    assert_eq!((real(32), real(36)), (spec.lambda.to_bits(), spec.authority.to_bits()));
     assert_eq!(
         (&bytes[40..48], &bytes[48..54]),
         (&spec.features.error_taps[..], &spec.features.command_taps[..])
@@ -80,17 +70,11 @@ fn the_fields_lie_where_the_table_says() {
     assert_eq!(real(54), spec.features.error_averages[0].to_bits());
     assert_eq!(real(66), spec.features.command_averages[1].to_bits());
     assert_eq!(real(78), spec.features.times[2].to_bits());
-    assert_eq!(
-        (&bytes[82..98], &bytes[98..114]),
-        (&IDENTITY.training[..], &IDENTITY.plant[..])
-    );
+    assert_eq!((&bytes[82..98], &bytes[98..114]), (&IDENTITY.training[..], &IDENTITY.plant[..]));
     assert_eq!(bytes[114..118], golden(&residual).last.to_le_bytes());
     assert_eq!(bytes[118..122], golden(&residual).all.to_le_bytes());
     assert_eq!(bytes[122..126], (PARAMETER_BYTES as u32).to_le_bytes());
-    assert_eq!(
-        real(HEADER_BYTES),
-        residual.network().hidden_1.weights[0][0].to_bits()
-    );
+    assert_eq!(real(HEADER_BYTES), residual.network().hidden_1.weights[0][0].to_bits());
     assert_eq!(real(IMAGE_BYTES - 8), residual.network().output.bias[0].to_bits());
     assert_eq!(bytes.len(), IMAGE_BYTES);
 }
@@ -127,14 +111,8 @@ fn an_erased_slot_is_no_image_and_the_rest_of_a_slot_is_ignored() {
 fn what_was_made_for_something_else_is_told_apart() {
     assert_eq!(decode(&forged(|b| b[4] = 2)), Err(WeightsError::Version(2)));
     assert_eq!(decode(&forged(|b| b[6] = 9)), Err(WeightsError::Architecture(9)));
-    assert_eq!(
-        decode(&forged(|b| b[10] = 64)),
-        Err(WeightsError::Shape([24, 64, 16, 1]))
-    );
-    assert_eq!(
-        decode(&forged(|b| b[16..20].fill(0))),
-        Err(WeightsError::Period(0))
-    );
+    assert_eq!(decode(&forged(|b| b[10] = 64)), Err(WeightsError::Shape([24, 64, 16, 1])));
+    assert_eq!(decode(&forged(|b| b[16..20].fill(0))), Err(WeightsError::Period(0)));
     let (have, need) = (IMAGE_BYTES, IMAGE_BYTES + 0x40);
     let longer = decode(&forged(|b| b[122] ^= 0x40));
     assert_eq!(longer, Err(WeightsError::Length { have, need }));
@@ -165,22 +143,10 @@ fn a_weight_that_is_no_number_is_refused_in_spite_of_its_checksum() {
 #[test]
 fn a_specification_out_of_bounds_is_refused_in_spite_of_its_checksum() {
     let spec_error = |at, value| decode(&forged(|b| put(b, at, value)));
-    assert!(matches!(
-        spec_error(20, f32::NAN),
-        Err(WeightsError::Spec(ResidualError::Gain(_)))
-    ));
-    assert!(matches!(
-        spec_error(32, 1.5),
-        Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))
-    ));
-    assert!(matches!(
-        spec_error(36, f32::NAN),
-        Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))
-    ));
-    assert!(matches!(
-        spec_error(70, 0.0),
-        Err(WeightsError::Spec(ResidualError::Features(_)))
-    ));
+    assert!(matches!(spec_error(20, f32::NAN), Err(WeightsError::Spec(ResidualError::Gain(_)))));
+    assert!(matches!(spec_error(32, 1.5), Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))));
+    assert!(matches!(spec_error(36, f32::NAN), Err(WeightsError::Spec(ResidualError::OutOfBounds { .. }))));
+    assert!(matches!(spec_error(70, 0.0), Err(WeightsError::Spec(ResidualError::Features(_)))));
     let tap = decode(&forged(|b| b[48] = 0));
     assert!(matches!(tap, Err(WeightsError::Spec(ResidualError::Features(_)))));
 }
@@ -191,10 +157,7 @@ fn an_altered_golden_value_or_controller_is_refused_in_spite_of_its_checksum() {
         assert_eq!(decode(&forged(|b| b[at] ^= 1)), Err(WeightsError::Golden));
     }
     assert_eq!(decode(&forged(|b| put(b, 24, 3.0))), Err(WeightsError::Golden));
-    assert_eq!(
-        decode(&forged(|b| put(b, IMAGE_BYTES - 8, 0.123))),
-        Err(WeightsError::Golden)
-    );
+    assert_eq!(decode(&forged(|b| put(b, IMAGE_BYTES - 8, 0.123))), Err(WeightsError::Golden));
 }
 
 #[test]
@@ -204,15 +167,9 @@ fn nothing_is_packed_that_could_not_be_unpacked() {
     let have = need - 1;
     let refused = encode(&residual(1), &IDENTITY, &mut bytes[..have]);
     assert_eq!(refused, Err(WeightsError::Length { have, need }));
-    let spec = ResidualSpec {
-        period_us: 0,
-        ..*residual(1).spec()
-    };
+    let spec = ResidualSpec { period_us: 0, ..*residual(1).spec() };
     let never = Residual::new(spec, Network::zero()).unwrap();
-    assert_eq!(
-        encode(&never, &IDENTITY, &mut bytes),
-        Err(WeightsError::Period(0))
-    );
+    assert_eq!(encode(&never, &IDENTITY, &mut bytes), Err(WeightsError::Period(0)));
 }
 
 proptest! {

@@ -1,0 +1,371 @@
+//! Training the residual controller by back-propagation through learned simulators.
+//!
+//! One step draws a batch of inspirations (the six waveforms of the paper and random PIPs, fresh sensor noise),
+//! runs them in closed loop on the simulators, and follows the gradient of the L1 error. Every few steps the
+//! controller is validated on a simulator, PIPs and noise that training never sees; the best one is kept, and
+//! never one that is worse there than the PID it is built on.
+
+pub mod learned;
+pub mod network;
+pub mod rollout;
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::PAPER_PIPS;
+use shared::control::residual::{Residual, ResidualError, ResidualSpec};
+
+use crate::engine::adam::{Adam, AdamConfig};
+use crate::engine::{LANES, Lane};
+use crate::simulator::model::{Model, Simulator};
+use crate::simulator::state_space::StateSpaceTape;
+use crate::simulator::stitched::StitchedTape;
+use crate::simulator::{Dynamics, Start};
+use network::{chip_network, initial_parameters};
+use rollout::{LaneController, Scenario, Tape};
+
+/// How to train.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainConfig {
+    /// Gradient steps.
+    pub iterations: usize,
+    /// Inspirations per step (rounded up to whole shards).
+    pub batch: usize,
+    /// PIPs of the waveforms that every shard breathes, cmH2O; also those of the validation.
+    pub pips: Vec<f32>,
+    /// Range of the random PIPs that fill up a shard, cmH2O.
+    pub pip_range: (f32, f32),
+    /// Positive end-expiratory pressure, cmH2O.
+    pub peep: f32,
+    /// Command before the inspiration, percent.
+    pub rest: f32,
+    /// Inspiratory time, s.
+    pub inspiratory_time: f32,
+    /// Factor on errors above the target.
+    pub overshoot_weight: f32,
+    /// Standard deviation of how far the starting pressure strays from its mean, cmH2O.
+    pub start_spread: f32,
+    /// Steps between validations.
+    pub validate_every: usize,
+    /// Optimiser.
+    pub adam: AdamConfig,
+    /// Seed of initial weights, PIPs and noise.
+    pub seed: u64,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            iterations: 600,
+            batch: 64,
+            pips: PAPER_PIPS.to_vec(),
+            pip_range: (8.0, 37.0),
+            peep: 5.0,
+            rest: 5.0,
+            inspiratory_time: 1.0,
+            overshoot_weight: 1.0,
+            start_spread: 0.05,
+            validate_every: 25,
+            adam: AdamConfig { rate: 4e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
+            seed: 0,
+        }
+    }
+}
+
+/// A point of the training curve.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// Gradient steps done.
+    pub iteration: usize,
+    /// Score of the last training batch, cmH2O.
+    pub training: f64,
+    /// Score on the held-out simulator, cmH2O.
+    pub validation: f64,
+}
+
+/// Outcome of a training.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// The best controller found: at worst the one that training started from, or the PID alone.
+    pub controller: Residual,
+    /// Its score on the held-out simulator, cmH2O.
+    pub validation: f64,
+    /// Score of the PID alone on the held-out simulator, cmH2O.
+    pub base: f64,
+    /// Whether the residual is better than the PID alone; if not, the controller's network is zero.
+    pub improved: bool,
+}
+
+/// Memory of a shard's rollout on either architecture.
+#[derive(Debug)]
+enum ShardTape {
+    StateSpace(Tape<StateSpaceTape>),
+    Stitched(Tape<StitchedTape>),
+}
+
+/// A training that can be advanced step by step, watched, stopped and resumed.
+#[derive(Debug)]
+pub struct Training {
+    config: TrainConfig,
+    base: Residual,
+    models: Vec<Model>,
+    noise: Vec<f32>,
+    held_out: Model,
+    held_out_noise: f32,
+    start: f32,
+    ticks: usize,
+    parameters: Vec<f32>,
+    adam: Adam,
+    tapes: Vec<ShardTape>,
+    iteration: usize,
+    best: (f64, Vec<f32>),
+    base_score: f64,
+}
+
+/// What a training needs to go on later.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// Gradient steps done.
+    pub iteration: usize,
+    /// Network parameters.
+    pub parameters: Vec<f32>,
+    /// Optimiser.
+    pub adam: Adam,
+    /// Best validation score and its parameters.
+    pub best: (f64, Vec<f32>),
+}
+
+/// Number of the validation's random stream; training uses those of its steps.
+const VALIDATION_STREAM: u64 = u64::MAX;
+
+impl Training {
+    /// Prepares a training of the residual of `spec` on `simulators`, validated on `held_out`; from `warm`
+    /// parameters or from scratch.
+    ///
+    /// # Errors
+    /// A specification that cannot be built.
+    ///
+    /// # Panics
+    /// Without a simulator.
+    pub fn new(
+        spec: ResidualSpec,
+        simulators: &[Simulator],
+        held_out: &Simulator,
+        config: TrainConfig,
+        warm: Option<&[f32]>,
+    ) -> Result<Self, ResidualError> {
+        assert!(!simulators.is_empty(), "training needs at least one simulator");
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        let fresh = initial_parameters(&mut rng);
+        let base = Residual::new(spec, chip_network(&vec![0.0; fresh.len()]))?;
+        let parameters = warm.map_or(fresh, <[f32]>::to_vec);
+        let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
+        let shards = config.batch.div_ceil(LANES).max(1);
+        let models: Vec<Model> = simulators.iter().map(Simulator::model).collect();
+        let lanes = LaneController::new(&base, &parameters);
+        let tapes = (0..shards).map(|s| tape(&lanes, &models[s % models.len()], ticks)).collect();
+        let adam = Adam::new(config.adam, parameters.len());
+        let mut training = Self {
+            noise: simulators.iter().map(|s| s.noise).collect(),
+            held_out: held_out.model(),
+            held_out_noise: held_out.noise,
+            start: held_out.start_pressure,
+            best: (f64::INFINITY, parameters.clone()),
+            base_score: 0.0,
+            iteration: 0,
+            config,
+            base,
+            models,
+            ticks,
+            parameters,
+            adam,
+            tapes,
+        };
+        training.base_score = training.validate(&vec![0.0; training.parameters.len()]);
+        training.keep_best();
+        Ok(training)
+    }
+
+    /// Goes on from a checkpoint.
+    pub fn resume(&mut self, checkpoint: Checkpoint) {
+        let Checkpoint { iteration, parameters, adam, best } = checkpoint;
+        (self.iteration, self.parameters, self.adam, self.best) = (iteration, parameters, adam, best);
+    }
+
+    /// What to keep so that training can go on later.
+    pub fn checkpoint(&self) -> Checkpoint {
+        Checkpoint {
+            iteration: self.iteration,
+            parameters: self.parameters.clone(),
+            adam: self.adam.clone(),
+            best: self.best.clone(),
+        }
+    }
+
+    /// Gradient steps done.
+    pub fn iteration(&self) -> usize {
+        self.iteration
+    }
+
+    /// Steps until the next validation; none when training is done.
+    pub fn advance(&mut self) -> Option<Progress> {
+        if self.iteration >= self.config.iterations {
+            return None;
+        }
+        let mut training = 0.0;
+        let until = (self.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
+        while self.iteration < until {
+            training = self.step();
+        }
+        let validation = self.keep_best();
+        Some(Progress { iteration: self.iteration, training, validation })
+    }
+
+    /// Validates the present parameters and keeps them if they are the best so far.
+    fn keep_best(&mut self) -> f64 {
+        let validation = self.validate(&self.parameters);
+        if validation < self.best.0 {
+            self.best = (validation, self.parameters.clone());
+        }
+        validation
+    }
+
+    /// One gradient step; the batch's mean score.
+    pub fn step(&mut self) -> f64 {
+        let controller = LaneController::new(&self.base, &self.parameters);
+        let (config, models, noise, ticks, start) =
+            (&self.config, &self.models, &self.noise, self.ticks, self.start);
+        let (iteration, size) = (self.iteration as u64, self.parameters.len());
+        let parts: Vec<(f64, Vec<f32>)> = self
+            .tapes
+            .par_iter_mut()
+            .enumerate()
+            .map(|(shard, tape)| {
+                let model = shard % models.len();
+                let stream = iteration.wrapping_mul(1 << 16) + shard as u64;
+                let scenario = draw(config, ticks, start, noise[model], stream);
+                let mut gradient = vec![0.0; size];
+                let score = gradient_of(&controller, &models[model], &scenario, tape, &mut gradient);
+                (score, gradient)
+            })
+            .collect();
+        let mut gradient = vec![0.0; size];
+        let mut score = 0.0;
+        for (part_score, part) in &parts {
+            score += part_score / parts.len() as f64;
+            for (sum, part) in gradient.iter_mut().zip(part) {
+                *sum += part / (parts.len() * LANES) as f32;
+            }
+        }
+        let progress = self.iteration as f32 / self.config.iterations as f32;
+        self.adam.step(&mut self.parameters, &gradient, progress);
+        self.iteration += 1;
+        score
+    }
+
+    /// Mean score over the waveforms on the held-out simulator, cmH2O.
+    fn validate(&self, parameters: &[f32]) -> f64 {
+        let pips = &self.config.pips;
+        let mut scenario = draw(&self.config, self.ticks, self.start, self.held_out_noise, VALIDATION_STREAM);
+        scenario.pip = Lane::from_fn(|l| pips[l % pips.len()]);
+        scenario.start.plateau = scenario.pip;
+        let controller = LaneController::new(&self.base, parameters);
+        let score = match &self.held_out {
+            Model::StateSpace(model) => {
+                controller.forward(model, &scenario, &mut controller.tape(model, self.ticks)).score
+            }
+            Model::Stitched(model) => {
+                controller.forward(model, &scenario, &mut controller.tape(model, self.ticks)).score
+            }
+        };
+        let of = |pip: usize| -> f64 {
+            let own: Vec<usize> = (0..LANES).filter(|l| l % pips.len() == pip).collect();
+            own.iter().map(|l| f64::from(score[*l])).sum::<f64>() / own.len() as f64
+        };
+        (0..pips.len()).map(of).sum::<f64>() / pips.len() as f64
+    }
+
+    /// Ends the training with the best controller.
+    ///
+    /// # Errors
+    /// Weights that outgrew their bound.
+    pub fn finish(&self) -> Result<Trained, ResidualError> {
+        let (validation, parameters) = &self.best;
+        let improved = *validation < self.base_score;
+        let controller = if improved {
+            Residual::new(*self.base.spec(), chip_network(parameters))?
+        } else {
+            self.base.clone()
+        };
+        let validation = validation.min(self.base_score);
+        Ok(Trained { controller, validation, base: self.base_score, improved })
+    }
+
+    /// Parameters as they are now.
+    pub fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+}
+
+fn tape(controller: &LaneController<'_>, model: &Model, ticks: usize) -> ShardTape {
+    match model {
+        Model::StateSpace(model) => ShardTape::StateSpace(controller.tape(model, ticks)),
+        Model::Stitched(model) => ShardTape::Stitched(controller.tape(model, ticks)),
+    }
+}
+
+/// A shard's forward and backward pass; its mean score.
+fn gradient_of(
+    controller: &LaneController<'_>,
+    model: &Model,
+    scenario: &Scenario,
+    tape: &mut ShardTape,
+    gradient: &mut [f32],
+) -> f64 {
+    match (model, tape) {
+        (Model::StateSpace(model), ShardTape::StateSpace(tape)) => {
+            both_ways(controller, model, scenario, tape, gradient)
+        }
+        (Model::Stitched(model), ShardTape::Stitched(tape)) => {
+            both_ways(controller, model, scenario, tape, gradient)
+        }
+        _ => unreachable!("each shard's tape was made for its model"),
+    }
+}
+
+fn both_ways<M: Dynamics>(
+    controller: &LaneController<'_>,
+    model: &M,
+    scenario: &Scenario,
+    tape: &mut Tape<M::Tape>,
+    gradient: &mut [f32],
+) -> f64 {
+    let loss = controller.forward(model, scenario, tape);
+    controller.backward(model, scenario, tape, gradient);
+    f64::from(loss.score.sum()) / LANES as f64
+}
+
+/// Draws a shard's inspirations.
+fn draw(config: &TrainConfig, ticks: usize, start: f32, noise: f32, stream: u64) -> Scenario {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    rng.set_stream(stream);
+    let pip = Lane::from_fn(|l| match config.pips.get(l) {
+        Some(pip) => *pip,
+        None => rng.random_range(config.pip_range.0..config.pip_range.1),
+    });
+    let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
+    Scenario {
+        ticks,
+        pip,
+        peep: config.peep,
+        start: Start { pressure: Lane::from_fn(|_| start + normal(config.start_spread)), plateau: pip },
+        rest: config.rest,
+        noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
+        weight: Lane::splat(1.0),
+        overshoot_weight: config.overshoot_weight,
+    }
+}
