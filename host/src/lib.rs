@@ -1,10 +1,12 @@
 //! The learning side of Eupnea: virtual bench, data, learned simulator, controller training, evaluation.
 #![forbid(unsafe_code)]
 
+pub mod baselines;
 pub mod bench;
 pub mod collect;
 pub mod dataset;
 pub mod engine;
+pub mod evaluate;
 pub mod files;
 pub mod provenance;
 pub mod report;

@@ -1,0 +1,232 @@
+//! The score of one breath, from samples of its inspiration.
+
+use serde::{Deserialize, Serialize};
+
+/// Start of what counts as late, s: by then a good controller has done its rise.
+const LATE_FROM_S: f64 = 0.15;
+/// The end of the inspiration that counts as plateau, s.
+const PLATEAU_S: f64 = 0.3;
+/// Parts of the way from PEEP to PIP between which the rise is timed.
+const RISE: (f64, f64) = (0.1, 0.9);
+
+/// How well an inspiration followed its target; of several breaths, the mean of every figure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Mean absolute error over the inspiration, cmH2O (Suo et al. 2021, section 5).
+    pub score: f64,
+    /// Time from 10 % to 90 % of the way from PEEP to PIP, ms; where 90 % is never reached, the whole inspiration.
+    pub rise_ms: f64,
+    /// How far the highest pressure lies above PIP, cmH2O, at least 0.
+    pub overshoot: f64,
+    /// Mean distance from PIP over the last 0.3 s, cmH2O.
+    pub plateau_error: f64,
+    /// Mean absolute error after the first 150 ms, cmH2O.
+    pub late_error: f64,
+}
+
+/// One inspiration: a sample at the start of every control tick, the first at its very beginning.
+#[derive(Clone, Copy, Debug)]
+pub struct Inspiration<'a> {
+    /// Time from sample to sample, s.
+    pub period_s: f64,
+    /// PEEP, cmH2O.
+    pub peep: f64,
+    /// PIP, cmH2O.
+    pub pip: f64,
+    /// True airway pressure, cmH2O.
+    pub pressure: &'a [f64],
+    /// Target, cmH2O; as long as `pressure`.
+    pub target: &'a [f64],
+}
+
+/// Scores one inspiration. One without samples has the score of a default.
+///
+/// Means over time follow the trapezoidal rule: with a sum of samples, the first instant, when the error is
+/// largest, would weigh the more the longer the control period is.
+pub fn score_breath(breath: &Inspiration) -> Score {
+    let errors: Vec<f64> = breath
+        .pressure
+        .iter()
+        .zip(breath.target)
+        .map(|(p, target)| (p - target).abs())
+        .collect();
+    let from_pip: Vec<f64> = breath.pressure.iter().map(|p| (p - breath.pip).abs()).collect();
+    let ticks = |seconds: f64| (seconds / breath.period_s).round() as usize;
+    let late = ticks(LATE_FROM_S).min(errors.len().saturating_sub(1));
+    let plateau = from_pip.len().saturating_sub(ticks(PLATEAU_S).max(1));
+    Score {
+        score: mean_over_time(&errors),
+        rise_ms: 1e3 * rise_s(breath),
+        overshoot: breath
+            .pressure
+            .iter()
+            .fold(0.0, |most: f64, p| most.max(p - breath.pip)),
+        plateau_error: mean_over_time(&from_pip[plateau..]),
+        late_error: mean_over_time(&errors[late..]),
+    }
+}
+
+/// Mean of a quantity between its first and last sample.
+fn mean_over_time(samples: &[f64]) -> f64 {
+    match samples {
+        [] => 0.0,
+        [only] => *only,
+        [first, .., last] => {
+            let sum: f64 = samples.iter().sum();
+            (sum - 0.5 * (first + last)) / (samples.len() - 1) as f64
+        }
+    }
+}
+
+fn rise_s(breath: &Inspiration) -> f64 {
+    let level = |part: f64| breath.peep + part * (breath.pip - breath.peep);
+    let reached = |part| reached_at(breath.pressure, level(part)).map(|at| at * breath.period_s);
+    match (reached(RISE.0), reached(RISE.1)) {
+        (Some(start), Some(end)) => end - start,
+        _ => breath.pressure.len() as f64 * breath.period_s,
+    }
+}
+
+/// When `level` is first reached, in samples, by linear interpolation between them.
+fn reached_at(pressure: &[f64], level: f64) -> Option<f64> {
+    let index = pressure.iter().position(|p| *p >= level)?;
+    match index.checked_sub(1).map(|before| pressure[before]) {
+        Some(before) => Some(index as f64 - (pressure[index] - level) / (pressure[index] - before)),
+        None => Some(0.0),
+    }
+}
+
+impl Score {
+    /// Mean of every figure; zeros for no scores.
+    pub fn mean(scores: &[Self]) -> Self {
+        let share = 1.0 / scores.len().max(1) as f64;
+        let mean = |figure: fn(&Self) -> f64| scores.iter().map(figure).sum::<f64>() * share;
+        Self {
+            score: mean(|s| s.score),
+            rise_ms: mean(|s| s.rise_ms),
+            overshoot: mean(|s| s.overshoot),
+            plateau_error: mean(|s| s.plateau_error),
+            late_error: mean(|s| s.late_error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// One second at 1 kHz, PEEP 5, PIP 25, square target; `pressure` of the time in seconds.
+    fn scored(pressure: impl Fn(f64) -> f64) -> Score {
+        sampled(1e-3, pressure)
+    }
+
+    fn sampled(period_s: f64, pressure: impl Fn(f64) -> f64) -> Score {
+        let samples = (1.0 / period_s).round() as usize;
+        let pressure: Vec<f64> = (0..samples).map(|n| pressure(n as f64 * period_s)).collect();
+        score_breath(&Inspiration {
+            period_s,
+            peep: 5.0,
+            pip: 25.0,
+            pressure: &pressure,
+            target: &vec![25.0; samples],
+        })
+    }
+
+    fn close(actual: f64, expected: f64) {
+        assert!((actual - expected).abs() < 1e-6, "{actual}, not {expected}");
+    }
+
+    #[test]
+    fn perfect_tracking_scores_zero() {
+        assert_eq!(scored(|_| 25.0), Score::default());
+    }
+
+    #[test]
+    fn a_constant_offset_is_every_error_and_the_overshoot() {
+        let above = scored(|_| 27.0);
+        close(above.score, 2.0);
+        close(above.late_error, 2.0);
+        close(above.plateau_error, 2.0);
+        close(above.overshoot, 2.0);
+        let below = scored(|_| 23.5);
+        close(below.plateau_error, 1.5);
+        close(below.overshoot, 0.0);
+    }
+
+    #[test]
+    fn a_ramp_rises_in_eight_tenths_of_its_time() {
+        let ramp = scored(|t| (5.0 + 20.0 * t / 0.2).min(25.0));
+        close(ramp.rise_ms, 160.0);
+        // A triangle of 20 cmH2O over 0.2 s, in the 0.999 s between the first sample and the last.
+        close(ramp.score, 0.5 * 20.0 * 0.2 / 0.999);
+        close(ramp.plateau_error, 0.0);
+    }
+
+    #[test]
+    fn late_error_leaves_the_first_150_ms_out() {
+        close(scored(|t| if t < 0.1499 { 5.0 } else { 24.0 }).late_error, 1.0);
+    }
+
+    #[test]
+    fn plateau_error_looks_at_the_last_300_ms_only() {
+        close(
+            scored(|t| if t < 0.6999 { 5.0 } else { 24.5 }).plateau_error,
+            0.5,
+        );
+    }
+
+    #[test]
+    fn overshoot_is_the_highest_peak_above_pip() {
+        let peaked = scored(|t| if (0.2..0.21).contains(&t) { 28.5 } else { 25.0 });
+        close(peaked.overshoot, 3.5);
+    }
+
+    #[test]
+    fn a_rise_that_never_ends_counts_as_the_whole_inspiration() {
+        close(scored(|_| 15.0).rise_ms, 1000.0);
+        close(scored(|_| 5.0).rise_ms, 1000.0);
+    }
+
+    #[test]
+    fn the_control_period_does_not_change_the_score_of_a_pressure() {
+        let rise = |t: f64| 25.0 - 20.0 * (-t / 0.05).exp();
+        let (fine, coarse) = (sampled(1e-3, rise), sampled(0.01, rise));
+        assert!((fine.score - coarse.score).abs() < 0.02, "{fine:?} {coarse:?}");
+        assert!((fine.rise_ms - coarse.rise_ms).abs() < 2.0, "{fine:?} {coarse:?}");
+    }
+
+    #[test]
+    fn nothing_to_score_is_no_panic() {
+        let none = Inspiration {
+            period_s: 1e-3,
+            peep: 5.0,
+            pip: 25.0,
+            pressure: &[],
+            target: &[],
+        };
+        assert_eq!(score_breath(&none), Score::default());
+    }
+
+    #[test]
+    fn a_mean_is_taken_figure_by_figure() {
+        let scores = [scored(|_| 25.0), scored(|_| 27.0)];
+        let mean = Score::mean(&scores);
+        close(mean.score, 1.0);
+        close(mean.overshoot, 1.0);
+        close(mean.plateau_error, 1.0);
+    }
+
+    proptest! {
+        #[test]
+        fn every_figure_is_finite_and_not_negative(pressure in prop::collection::vec(-20.0f64..100.0, 0..400)) {
+            let target = vec![25.0; pressure.len()];
+            let breath = Inspiration { period_s: 0.005, peep: 5.0, pip: 25.0, pressure: &pressure, target: &target };
+            let Score { score, rise_ms, overshoot, plateau_error, late_error } = score_breath(&breath);
+            for figure in [score, overshoot, plateau_error, late_error] {
+                prop_assert!(figure >= 0.0 && figure.is_finite());
+            }
+            prop_assert!(rise_ms >= 0.0 && rise_ms <= 5.0 * pressure.len() as f64);
+        }
+    }
+}
