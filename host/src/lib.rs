@@ -8,6 +8,7 @@ pub mod dataset;
 pub mod engine;
 pub mod evaluate;
 pub mod files;
+pub mod pipeline;
 pub mod provenance;
 pub mod report;
 pub mod simulator;

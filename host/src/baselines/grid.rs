@@ -67,11 +67,7 @@ pub struct Grid {
 impl Default for Grid {
     /// Wider than any bench's optimum at 1 kHz, denser where gains are small.
     fn default() -> Self {
-        Self {
-            p: geometric(0.05, 15.0, 21),
-            i: geometric(0.5, 260.0, 25),
-            d: geometric(0.003, 0.1, 6),
-        }
+        Self { p: geometric(0.05, 15.0, 21), i: geometric(0.5, 260.0, 25), d: geometric(0.003, 0.1, 6) }
     }
 }
 
@@ -81,11 +77,7 @@ impl Grid {
     pub fn authors() -> Self {
         let fine = (0..10).map(|tenths| tenths as f32 / 10.0);
         let values: Vec<f32> = fine.chain((1..=10).map(|n| n as f32)).collect();
-        Self {
-            i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(),
-            p: values,
-            d: vec![0.0],
-        }
+        Self { i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(), p: values, d: vec![0.0] }
     }
 
     /// The same with zeros, in ascending order and without doubles.
@@ -96,11 +88,7 @@ impl Grid {
             all.dedup();
             all
         };
-        Self {
-            p: complete(&self.p),
-            i: complete(&self.i),
-            d: complete(&self.d),
-        }
+        Self { p: complete(&self.p), i: complete(&self.i), d: complete(&self.d) }
     }
 
     /// Every combination; D runs fastest.
@@ -116,11 +104,7 @@ impl Grid {
 
     /// Distance from the gains to the grid's neighbours, the wider one of each axis.
     pub(super) fn spacing(&self, gains: &PidGains) -> [f32; 3] {
-        [
-            spacing(&self.p, gains.p),
-            spacing(&self.i, gains.i),
-            spacing(&self.d, gains.d),
-        ]
+        [spacing(&self.p, gains.p), spacing(&self.i, gains.i), spacing(&self.d, gains.d)]
     }
 }
 
@@ -133,9 +117,7 @@ fn geometric(first: f32, last: f32, count: usize) -> Vec<f32> {
 
 /// Gap around a value in an ascending axis: the wider of both sides.
 fn spacing(axis: &[f32], value: f32) -> f32 {
-    let gaps = axis
-        .windows(2)
-        .filter(|pair| pair[0] <= value && value <= pair[1]);
+    let gaps = axis.windows(2).filter(|pair| pair[0] <= value && value <= pair[1]);
     gaps.map(|pair| pair[1] - pair[0]).fold(0.0, f32::max)
 }
 
@@ -192,11 +174,7 @@ mod tests {
 
     #[test]
     fn neighbours_stay_acceptable_and_of_their_kind() {
-        let near_zero = PidGains {
-            p: 0.1,
-            i: 1.0,
-            d: 0.0,
-        };
+        let near_zero = PidGains { p: 0.1, i: 1.0, d: 0.0 };
         let neighbours = around(&near_zero, [0.5, 0.5, 0.5], Kind::Pi);
         assert_eq!(neighbours.len(), 9);
         assert!(neighbours.iter().all(|gains| gains.p >= 0.0 && Kind::Pi.includes(gains)));

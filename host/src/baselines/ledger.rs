@@ -28,13 +28,7 @@ pub(super) struct Watch<'a> {
 impl<'a> Watch<'a> {
     /// Nothing done of what is planned; the total grows if there is more to do than that.
     pub fn new(report: &'a (dyn Fn(u64, u64) + Sync), stop: &'a AtomicBool, planned: u64) -> Self {
-        Self {
-            report,
-            stop,
-            planned,
-            announced: AtomicU64::new(0),
-            done: AtomicU64::new(0),
-        }
+        Self { report, stop, planned, announced: AtomicU64::new(0), done: AtomicU64::new(0) }
     }
 
     pub fn stopped(&self) -> bool {
@@ -79,12 +73,7 @@ pub(super) struct Ledger<'a> {
 
 impl<'a> Ledger<'a> {
     pub fn new(benches: &'a [BenchConfig], plan: Plan, watch: &'a Watch<'a>) -> Self {
-        Self {
-            benches,
-            plan,
-            watch,
-            scores: BTreeMap::new(),
-        }
+        Self { benches, plan, watch, scores: BTreeMap::new() }
     }
 
     /// Measures what is not yet known of the candidates on the lungs of a group.

@@ -44,12 +44,8 @@ pub struct Inspiration<'a> {
 /// Means over time follow the trapezoidal rule: with a sum of samples, the first instant, when the error is
 /// largest, would weigh the more the longer the control period is.
 pub fn score_breath(breath: &Inspiration) -> Score {
-    let errors: Vec<f64> = breath
-        .pressure
-        .iter()
-        .zip(breath.target)
-        .map(|(p, target)| (p - target).abs())
-        .collect();
+    let errors: Vec<f64> =
+        breath.pressure.iter().zip(breath.target).map(|(p, target)| (p - target).abs()).collect();
     let from_pip: Vec<f64> = breath.pressure.iter().map(|p| (p - breath.pip).abs()).collect();
     let ticks = |seconds: f64| (seconds / breath.period_s).round() as usize;
     let late = ticks(LATE_FROM_S).min(errors.len().saturating_sub(1));
@@ -57,10 +53,7 @@ pub fn score_breath(breath: &Inspiration) -> Score {
     Score {
         score: mean_over_time(&errors),
         rise_ms: 1e3 * rise_s(breath),
-        overshoot: breath
-            .pressure
-            .iter()
-            .fold(0.0, |most: f64, p| most.max(p - breath.pip)),
+        overshoot: breath.pressure.iter().fold(0.0, |most: f64, p| most.max(p - breath.pip)),
         plateau_error: mean_over_time(&from_pip[plateau..]),
         late_error: mean_over_time(&errors[late..]),
     }
@@ -170,10 +163,7 @@ mod tests {
 
     #[test]
     fn plateau_error_looks_at_the_last_300_ms_only() {
-        close(
-            scored(|t| if t < 0.6999 { 5.0 } else { 24.5 }).plateau_error,
-            0.5,
-        );
+        close(scored(|t| if t < 0.6999 { 5.0 } else { 24.5 }).plateau_error, 0.5);
     }
 
     #[test]
@@ -198,13 +188,7 @@ mod tests {
 
     #[test]
     fn nothing_to_score_is_no_panic() {
-        let none = Inspiration {
-            period_s: 1e-3,
-            peep: 5.0,
-            pip: 25.0,
-            pressure: &[],
-            target: &[],
-        };
+        let none = Inspiration { period_s: 1e-3, peep: 5.0, pip: 25.0, pressure: &[], target: &[] };
         assert_eq!(score_breath(&none), Score::default());
     }
 

@@ -40,9 +40,7 @@ pub fn held_out_simulator(seed: u64) -> u64 {
 
 /// The [`EVALUATIONS`] noise sequences of the reported figures.
 pub fn evaluation(seed: u64) -> Vec<u64> {
-    (0..EVALUATIONS)
-        .map(|index| derive(Purpose::Evaluation, seed, index))
-        .collect()
+    (0..EVALUATIONS).map(|index| derive(Purpose::Evaluation, seed, index)).collect()
 }
 
 fn derive(purpose: Purpose, seed: u64, index: u64) -> u64 {
@@ -94,9 +92,8 @@ mod tests {
 
     #[test]
     fn rounds_and_users_seeds_give_different_seeds() {
-        let all: Vec<u64> = (0..50)
-            .flat_map(|seed| (0..20).map(move |round| collection(seed, round)))
-            .collect();
+        let all: Vec<u64> =
+            (0..50).flat_map(|seed| (0..20).map(move |round| collection(seed, round))).collect();
         assert_eq!(all.iter().collect::<HashSet<_>>().len(), all.len());
     }
 

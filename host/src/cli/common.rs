@@ -1,0 +1,116 @@
+//! What commands share: arguments for lungs and gains, progress bars, Ctrl-C, JSON output.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
+
+use crate::bench::BenchConfig;
+use crate::files::write_atomically;
+use crate::train::learned::Learned;
+
+static STOP: AtomicBool = AtomicBool::new(false);
+
+/// From now on the first Ctrl-C asks the running command to end with what it has; the second ends the process.
+pub fn watch_for_ctrl_c() {
+    let handler = || {
+        if STOP.swap(true, Ordering::SeqCst) {
+            std::process::exit(130);
+        }
+        eprintln!("\nstopping with what there is; press Ctrl-C again to end at once");
+    };
+    if ctrlc::set_handler(handler).is_err() {
+        tracing::warn!("Ctrl-C will end the process at once: its signal cannot be caught here");
+    }
+}
+
+/// The flag that Ctrl-C sets.
+pub fn stop() -> &'static AtomicBool {
+    &STOP
+}
+
+/// Whether Ctrl-C was pressed.
+pub fn stopped() -> bool {
+    STOP.load(Ordering::Relaxed)
+}
+
+/// Which bench.
+#[derive(Debug, clap::Args)]
+pub struct BenchArgs {
+    /// Lung on the virtual bench: R and C as in R20C20, or a row of the test table as in iso-07
+    #[arg(long, default_value = "R20C20", conflicts_with = "bench")]
+    pub lung: String,
+    /// Bench from a TOML file that may set every parameter (`trainer inspect --bench R20C20` prints one)
+    #[arg(long, value_name = "FILE")]
+    pub bench: Option<PathBuf>,
+}
+
+impl BenchArgs {
+    /// The benches meant: a preset may name several.
+    pub fn benches(&self) -> anyhow::Result<Vec<BenchConfig>> {
+        Ok(match &self.bench {
+            Some(file) => vec![BenchConfig::load(file)?],
+            None => BenchConfig::preset(&self.lung)?,
+        })
+    }
+
+    /// The one bench meant.
+    pub fn one(&self) -> anyhow::Result<BenchConfig> {
+        let mut benches = self.benches()?;
+        match benches.len() {
+            1 => Ok(benches.remove(0)),
+            n => bail!("{} stands for {n} lungs, this command takes one: name it as in R20C20", self.lung),
+        }
+    }
+}
+
+/// Gains as typed: `P,I` or `P,I,D`.
+pub fn gains(text: &str) -> Result<PidGains, String> {
+    let numbers: Vec<f32> = text
+        .split(',')
+        .map(|part| {
+            part.trim().parse().map_err(|_| format!("'{part}' is not a number; write P,I,D as in 2,30,0.01"))
+        })
+        .collect::<Result<_, _>>()?;
+    match numbers[..] {
+        [p, i] => Ok(PidGains { p, i, d: 0.0 }),
+        [p, i, d] => Ok(PidGains { p, i, d }),
+        _ => Err("write two or three gains, P,I,D as in 2,30,0.01".into()),
+    }
+}
+
+/// A PID at a control period.
+pub fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<Controller> {
+    Ok(Controller::Pid(Pid::new(gains, period_us)?))
+}
+
+/// A controller from its file.
+pub fn learned(path: &Path) -> anyhow::Result<Learned> {
+    Ok(Learned::load(path)?)
+}
+
+/// A progress bar on standard error; invisible where that is no terminal.
+pub fn bar(what: &str, total: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{msg:<28} {bar:40} {pos:>6}/{len} {elapsed:>4} left {eta}");
+    let bar = ProgressBar::new(total as u64).with_message(what.to_owned());
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar.enable_steady_tick(Duration::from_millis(250));
+    bar
+}
+
+/// Writes JSON to a file, or to standard output for `-`.
+pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
+    let mut text = serde_json::to_string_pretty(value)?;
+    text.push('\n');
+    if path == Path::new("-") {
+        std::io::stdout().write_all(text.as_bytes())?;
+        return Ok(());
+    }
+    write_atomically(path, text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
+}

@@ -1,0 +1,236 @@
+//! Rounds of collect, fit and train: from a ventilator to a learned controller.
+//!
+//! In the first round a known-good PID explores, in later ones the controller learned so far. Each round adds to
+//! the recording, fits an ensemble of simulators to all of it (the last member is held out of training and
+//! judges the controller), and trains the controller further.
+//!
+//! With a folder, every stage leaves its result there and a run that was stopped goes on where it was; it then
+//! gives the same files as one that was not.
+
+mod folder;
+mod stages;
+
+use serde::{Deserialize, Serialize};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::features::FeatureSpec;
+use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::{ResidualError, ResidualSpec};
+use shared::control::{COMMAND_MAX, Controller};
+use thiserror::Error;
+
+use crate::collect::{CollectConfig, CollectError};
+use crate::dataset::{DatasetError, Recording};
+use crate::simulator::Timing;
+use crate::simulator::fit::{FitConfig, OpenLoop};
+use crate::simulator::model::{Architecture, Simulator};
+use crate::simulator::state_space::StateSpaceConfig;
+use crate::source::{Source, SourceError};
+use crate::tensors::TensorError;
+use crate::train::learned::{Learned, LearnedError};
+use crate::train::{Progress, TrainConfig};
+
+pub use folder::Folder;
+
+/// What to run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PipelineConfig {
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// Seed of everything.
+    pub seed: u64,
+    /// Rounds of collect, fit, train.
+    pub rounds: usize,
+    /// Gains of the PID that collects first and lies under the residual.
+    pub gains: PidGains,
+    /// Scale of the residual.
+    pub lambda: f32,
+    /// Largest residual, percent.
+    pub authority: f32,
+    /// Simulators that the controller trains on; one more is fitted and held out.
+    pub ensemble: usize,
+    /// One in so many breaths is held out of fitting.
+    pub hold_out: usize,
+    /// Simulator's architecture.
+    pub architecture: Architecture,
+    /// Collection of each round.
+    pub collect: CollectConfig,
+    /// Fit of the first round.
+    pub fit: FitConfig,
+    /// Share of the first fit's epochs and learning rate that a later one takes, starting from its result.
+    pub refit_share: f32,
+    /// Training of each round.
+    pub train: TrainConfig,
+}
+
+impl Default for PipelineConfig {
+    fn default() -> Self {
+        Self::for_period(DEFAULT_PERIOD_US)
+    }
+}
+
+impl PipelineConfig {
+    /// Defaults for a control period in microseconds.
+    pub fn for_period(period_us: u32) -> Self {
+        Self {
+            period_us,
+            seed: 1,
+            rounds: 3,
+            gains: PidGains { p: 1.0, i: 15.0, d: 0.0 },
+            lambda: 1.0,
+            authority: COMMAND_MAX,
+            ensemble: 2,
+            hold_out: 8,
+            architecture: Architecture::StateSpace(StateSpaceConfig::for_period(period_us, 1)),
+            collect: CollectConfig { breaths: 120, ..CollectConfig::default() },
+            fit: FitConfig::default(),
+            refit_share: 0.3,
+            train: TrainConfig::default(),
+        }
+    }
+
+    /// The residual's fixed parts.
+    pub fn residual(&self) -> ResidualSpec {
+        ResidualSpec {
+            period_us: self.period_us,
+            gains: self.gains,
+            lambda: self.lambda,
+            authority: self.authority,
+            features: FeatureSpec::for_period(self.period_us),
+        }
+    }
+
+    fn base(&self) -> Result<Controller, PipelineError> {
+        Ok(Controller::Pid(Pid::new(self.gains, self.period_us).map_err(ResidualError::from)?))
+    }
+
+    fn timing(&self) -> &Timing {
+        self.architecture.timing()
+    }
+}
+
+/// Why the pipeline cannot go on.
+#[derive(Debug, Error)]
+pub enum PipelineError {
+    /// Nothing to learn from.
+    #[error(
+        "only {found} complete breaths were recorded, at least {needed} are needed; raise --breaths or check the plant"
+    )]
+    TooFewBreaths {
+        /// Complete breaths.
+        found: usize,
+        /// Least number.
+        needed: usize,
+    },
+    /// The folder belongs to another run.
+    #[error("{0} holds a run with another configuration; choose another folder or remove it")]
+    OtherRun(String),
+    /// The folder's bookkeeping cannot be read or written.
+    #[error("{path}: {reason}")]
+    Folder {
+        /// File.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Stopped before there was a controller.
+    #[error("stopped before the first controller was trained; the same command goes on from here")]
+    Stopped,
+    /// Collection.
+    #[error(transparent)]
+    Collect(#[from] CollectError),
+    /// The source.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// A recording.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A simulator's file.
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    /// The controller.
+    #[error(transparent)]
+    Residual(#[from] ResidualError),
+    /// A controller's file.
+    #[error(transparent)]
+    Learned(#[from] LearnedError),
+}
+
+/// Which part of a round is under way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Recording breaths.
+    Collect,
+    /// Fitting simulators.
+    Fit,
+    /// Training the controller.
+    Train,
+}
+
+/// Progress of a run: round (from 0), stage, steps done and in all.
+pub type Observer<'a> = &'a (dyn Fn(usize, Stage, usize, usize) + Sync);
+
+/// What a round found out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Round {
+    /// Complete breaths recorded in this round.
+    pub breaths: usize,
+    /// Breaths that the pressure limit ended.
+    pub aborts: usize,
+    /// Mean loss of each epoch, first ensemble member.
+    pub fit_curve: Vec<f64>,
+    /// Errors of each ensemble member (held-out member last) on held-out breaths.
+    pub open_loop: Vec<OpenLoop>,
+    /// Training curve.
+    pub train_curve: Vec<Progress>,
+    /// Controller's score on the held-out simulator, cmH2O.
+    pub validation: f64,
+    /// PID's score on the held-out simulator, cmH2O.
+    pub base: f64,
+    /// Whether the residual beats its PID there.
+    pub improved: bool,
+}
+
+/// What a run leaves.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Everything recorded.
+    pub recording: Recording,
+    /// Simulators of the last round; the last one was held out.
+    pub simulators: Vec<Simulator>,
+    /// The controller.
+    pub learned: Learned,
+    /// Round by round.
+    pub rounds: Vec<Round>,
+    /// Whether all rounds were run.
+    pub complete: bool,
+}
+
+/// Makes the source of a round from its seed.
+pub type MakeSource<'a> = &'a (dyn Fn(u64) -> Result<Box<dyn Source>, SourceError> + Sync);
+
+/// Runs the rounds, in memory or with a folder to go on from.
+///
+/// # Errors
+/// The first stage that fails; files of earlier stages stay.
+pub fn run(
+    config: &PipelineConfig,
+    source: MakeSource<'_>,
+    folder: Option<&Folder>,
+    observer: Observer<'_>,
+    stop: &std::sync::atomic::AtomicBool,
+) -> Result<Outcome, PipelineError> {
+    if let Some(folder) = folder {
+        folder.claim(config)?;
+    }
+    let mut run = stages::Run::new(config, source, folder, observer, stop);
+    for round in 0..config.rounds.max(1) {
+        if !run.round(round)? {
+            break;
+        }
+    }
+    run.outcome()
+}
+
+#[cfg(test)]
+mod tests;
