@@ -2,7 +2,7 @@
 //!
 //! A learned controller that beats a badly tuned PID shows nothing. [`tune_pid`] therefore searches a wide
 //! [`Grid`], then goes on between its points around the best of each [`Kind`]. Unless told to be exhaustive, it
-//! first screens all points with a breath of a few waveforms and looks only at the best tenth of each kind in full.
+//! first screens all points with a breath of a few waveforms and looks only at the best twentieth of each kind in full.
 
 mod grid;
 mod ledger;
@@ -24,7 +24,7 @@ use crate::source::SourceError;
 use ledger::{Ledger, Patience, Watch};
 
 /// Part of each kind's points that passes the screening.
-const KEPT: f64 = 0.1;
+const KEPT: f64 = 0.05;
 /// Fewest points of a kind that pass.
 const KEPT_LEAST: usize = 8;
 /// Waveforms of the screening: the lowest, middle and highest PIP of the plan's order.
@@ -49,7 +49,7 @@ impl Default for Search {
     fn default() -> Self {
         Self {
             grid: Grid::default(),
-            refinements: 2,
+            refinements: 3,
             exhaustive: false,
         }
     }
@@ -180,7 +180,9 @@ pub fn tune_pid(
     };
     let all: Vec<usize> = (0..benches.len()).collect();
     // Gains of zero belong to every kind: with them, there is a result however early the search is stopped.
-    tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+    tuning
+        .full
+        .measure(&all, &[PidGains::default()], Patience::Needed)?;
     let mut lungs = Vec::with_capacity(benches.len());
     for (index, bench) in benches.iter().enumerate() {
         let best = tuning.best(&[index])?;
@@ -219,9 +221,14 @@ impl Tuning<'_> {
             self.screen.measure(group, &self.points, Patience::Stoppable)?;
             let shortlists = Kind::ALL.map(|kind| self.shortlist(group, kind));
             // Stopped or not, the heads are scored in full: what has been found so far is not lost.
-            let heads: Vec<PidGains> = shortlists.iter().filter_map(|list| list.first()).copied().collect();
+            let heads: Vec<PidGains> = shortlists
+                .iter()
+                .filter_map(|list| list.first())
+                .copied()
+                .collect();
             self.full.measure(group, &heads, Patience::Needed)?;
-            self.full.measure(group, &shortlists.concat(), Patience::Stoppable)?;
+            self.full
+                .measure(group, &shortlists.concat(), Patience::Stoppable)?;
         }
         for kind in Kind::ALL {
             self.refine(group, kind)?;

@@ -124,7 +124,11 @@ fn one_gain_for_all_lungs_is_a_compromise_by_their_mean() {
     let benches = [lung(5.0, 20.0), lung(50.0, 20.0)];
     let result = tune(&benches, &small());
     let single = result.over_all.pi;
-    let mean = benches.iter().map(|bench| score(bench, single.gains)).sum::<f64>() / 2.0;
+    let mean = benches
+        .iter()
+        .map(|bench| score(bench, single.gains))
+        .sum::<f64>()
+        / 2.0;
     assert!((single.score - mean).abs() < 1e-12);
     let own = result.lungs.iter().map(|lung| lung.best.pi.score).sum::<f64>() / 2.0;
     assert!(single.score >= own, "{} >= {own}", single.score);
@@ -174,8 +178,11 @@ fn gains_that_lead_to_a_fault_score_worst_and_do_not_end_the_search() {
         exhaustive: true,
         ..small()
     };
+    // A late valve and a stiff lung: the pressure is far above the limit before the valve has closed.
+    let mut stiff = lung(5.0, 3.0);
+    stiff.valve.dead_time_ms = 60.0;
     let stop = AtomicBool::new(false);
-    let result = tune_pid(&[lung(5.0, 10.0)], &search, &plan, &|_, _| (), &stop).unwrap();
+    let result = tune_pid(&[stiff], &search, &plan, &|_, _| (), &stop).unwrap();
     let LungResult { best, map, .. } = &result.lungs[0];
     assert_eq!(map.score[2][1], Some(FAULT_SCORE), "P 80, I 10000");
     assert!(best.pid.score < 20.0);
@@ -233,7 +240,10 @@ fn what_cannot_be_searched_is_refused() {
         ..small()
     };
     let refused = tune_pid(&[lung(20.0, 20.0)], &negative, &short(), &|_, _| (), &stop);
-    assert!(matches!(refused, Err(TuneError::Gain(GainError { name: "p", .. }))));
+    assert!(matches!(
+        refused,
+        Err(TuneError::Gain(GainError { name: "p", .. }))
+    ));
     let impossible = Plan {
         pips: vec![500.0],
         ..short()

@@ -108,7 +108,11 @@ pub struct Evaluation {
 /// # Errors
 /// The first waveform's, in the plan's order, that could not be run: refused settings or a fault of the
 /// ventilator.
-pub fn evaluate(bench: &BenchConfig, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError> {
+pub fn evaluate(
+    bench: &BenchConfig,
+    controller: &Controller,
+    plan: &Plan,
+) -> Result<Evaluation, SourceError> {
     let jobs: Vec<(f32, u64)> = plan
         .pips
         .iter()
@@ -133,7 +137,9 @@ pub fn evaluate(bench: &BenchConfig, controller: &Controller, plan: &Plan) -> Re
     Ok(Evaluation {
         mean: Score::mean(&waveforms.iter().map(|w| w.score).collect::<Vec<_>>()),
         waveforms,
-        by_seed: (0..seeds).map(|index| Score::mean(&of_seed(index)).score).collect(),
+        by_seed: (0..seeds)
+            .map(|index| Score::mean(&of_seed(index)).score)
+            .collect(),
     })
 }
 

@@ -170,10 +170,7 @@ mod tests {
 
     #[test]
     fn plateau_error_looks_at_the_last_300_ms_only() {
-        close(
-            scored(|t| if t < 0.6999 { 5.0 } else { 24.5 }).plateau_error,
-            0.5,
-        );
+        close(scored(|t| if t < 0.6999 { 5.0 } else { 24.5 }).plateau_error, 0.5);
     }
 
     #[test]

@@ -57,9 +57,10 @@ fn means_are_those_of_waveforms_and_seeds() {
         evaluation.by_seed[0].to_bits() != evaluation.by_seed[1].to_bits(),
         "noise differs between seeds"
     );
-    assert_eq!(evaluation.waveforms.iter().map(|w| w.pip).collect::<Vec<_>>(), [
-        15.0, 30.0
-    ]);
+    assert_eq!(
+        evaluation.waveforms.iter().map(|w| w.pip).collect::<Vec<_>>(),
+        [15.0, 30.0]
+    );
 }
 
 #[test]
@@ -82,7 +83,10 @@ fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
         ..Plan::default()
     };
     let settings = plan.waveform(20.0);
-    assert!(cut_short(&settings).rate > 59.0, "the last breath is a third as long");
+    assert!(
+        cut_short(&settings).rate > 59.0,
+        "the last breath is a third as long"
+    );
     let whole = trace(&lung(), &pid(1.0, 30.0), &settings, plan.period_us, 3, 1).unwrap();
     let expected = score_breath(&Inspiration {
         period_s: 1e-3,
@@ -117,7 +121,10 @@ fn a_fault_is_reported_as_such() {
         pips: vec![30.0],
         ..small()
     };
-    let wild = evaluate(&BenchConfig::paper(5.0, 10.0), &pid(80.0, 5000.0), &plan);
+    // A late valve and a stiff lung: the pressure is far above the limit before the valve has closed.
+    let mut stiff = BenchConfig::paper(5.0, 3.0);
+    stiff.valve.dead_time_ms = 60.0;
+    let wild = evaluate(&stiff, &pid(80.0, 5000.0), &plan);
     assert!(matches!(wild, Err(SourceError::Fault { .. })), "{wild:?}");
 }
 
@@ -160,7 +167,15 @@ fn a_plan_and_an_evaluation_survive_json() {
 
 #[test]
 fn a_trace_shows_whole_breaths_with_the_reading_beside_the_truth() {
-    let trace = trace(&lung(), &pid(1.5, 40.0), &paper_settings(25.0), DEFAULT_PERIOD_US, 1, 2).unwrap();
+    let trace = trace(
+        &lung(),
+        &pid(1.5, 40.0),
+        &paper_settings(25.0),
+        DEFAULT_PERIOD_US,
+        1,
+        2,
+    )
+    .unwrap();
     assert_eq!(trace.time_s.len(), 6000);
     assert!((trace.time_s[5999] - 5.999).abs() < 1e-6);
     assert_eq!((trace.target[500], trace.target[2500]), (25.0, 5.0));

@@ -53,9 +53,10 @@ pub fn trace(
                 .time_s
                 .push(trace.time_s.len() as f64 * f64::from(period_s(period_us)));
             trace.target.push(f64::from(sample.target));
-            trace
-                .pressure
-                .push(tick.truth.map_or(measured, |truth| f64::from(truth.airway_pressure)));
+            trace.pressure.push(
+                tick.truth
+                    .map_or(measured, |truth| f64::from(truth.airway_pressure)),
+            );
             trace.measured.push(measured);
             trace.u_in.push(f64::from(sample.u_in));
             trace.u_out.push(sample.u_out);
