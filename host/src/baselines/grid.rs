@@ -65,9 +65,14 @@ pub struct Grid {
 }
 
 impl Default for Grid {
-    /// Wider than any bench's optimum at 1 kHz, denser where gains are small.
+    /// Wider than the optimum on any of the paper's lungs at 1 kHz, denser where gains are small. With R 20 and C 20
+    /// the best PID is near P 7, I 250, D 0.13; with a low resistance the best P alone is above 50.
     fn default() -> Self {
-        Self { p: geometric(0.05, 15.0, 21), i: geometric(0.5, 260.0, 25), d: geometric(0.003, 0.1, 6) }
+        Self {
+            p: geometric(0.1, 80.0, 20),
+            i: geometric(0.5, 5000.0, 24),
+            d: geometric(0.01, 0.5, 8),
+        }
     }
 }
 
@@ -77,7 +82,11 @@ impl Grid {
     pub fn authors() -> Self {
         let fine = (0..10).map(|tenths| tenths as f32 / 10.0);
         let values: Vec<f32> = fine.chain((1..=10).map(|n| n as f32)).collect();
-        Self { i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(), p: values, d: vec![0.0] }
+        Self {
+            i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(),
+            p: values,
+            d: vec![0.0],
+        }
     }
 
     /// The same with zeros, in ascending order and without doubles.
@@ -88,7 +97,11 @@ impl Grid {
             all.dedup();
             all
         };
-        Self { p: complete(&self.p), i: complete(&self.i), d: complete(&self.d) }
+        Self {
+            p: complete(&self.p),
+            i: complete(&self.i),
+            d: complete(&self.d),
+        }
     }
 
     /// Every combination; D runs fastest.
@@ -104,7 +117,11 @@ impl Grid {
 
     /// Distance from the gains to the grid's neighbours, the wider one of each axis.
     pub(super) fn spacing(&self, gains: &PidGains) -> [f32; 3] {
-        [spacing(&self.p, gains.p), spacing(&self.i, gains.i), spacing(&self.d, gains.d)]
+        [
+            spacing(&self.p, gains.p),
+            spacing(&self.i, gains.i),
+            spacing(&self.d, gains.d),
+        ]
     }
 }
 
@@ -117,7 +134,9 @@ fn geometric(first: f32, last: f32, count: usize) -> Vec<f32> {
 
 /// Gap around a value in an ascending axis: the wider of both sides.
 fn spacing(axis: &[f32], value: f32) -> f32 {
-    let gaps = axis.windows(2).filter(|pair| pair[0] <= value && value <= pair[1]);
+    let gaps = axis
+        .windows(2)
+        .filter(|pair| pair[0] <= value && value <= pair[1]);
     gaps.map(|pair| pair[1] - pair[0]).fold(0.0, f32::max)
 }
 
@@ -147,17 +166,20 @@ mod tests {
     #[test]
     fn the_default_grid_spans_what_was_asked_of_it() {
         let grid = Grid::default().completed();
-        assert_eq!((grid.p.len(), grid.i.len(), grid.d.len()), (22, 26, 7));
+        assert_eq!((grid.p.len(), grid.i.len(), grid.d.len()), (21, 25, 9));
         assert_eq!((grid.p[0], grid.i[0], grid.d[0]), (0.0, 0.0, 0.0));
-        assert!((grid.p[21] - 15.0).abs() < 1e-4 && (grid.i[25] - 260.0).abs() < 1e-2);
-        assert!((grid.d[6] - 0.1).abs() < 1e-6);
-        assert_eq!(grid.points().len(), 22 * 26 * 7);
+        assert!((grid.p[20] - 80.0).abs() < 1e-3 && (grid.i[24] - 5000.0).abs() < 1e-1);
+        assert!((grid.d[8] - 0.5).abs() < 1e-6);
+        assert_eq!(grid.points().len(), 21 * 25 * 9);
     }
 
     #[test]
     fn the_authors_grid_is_twenty_by_twenty_without_a_derivative() {
         let grid = Grid::authors();
-        assert_eq!((grid.p.len(), grid.i.len(), grid.d.as_slice()), (20, 20, &[0.0][..]));
+        assert_eq!(
+            (grid.p.len(), grid.i.len(), grid.d.as_slice()),
+            (20, 20, &[0.0][..])
+        );
         assert!((grid.p[19] - 10.0).abs() < 1e-6 && (grid.i[19] - 18.87).abs() < 0.01);
     }
 
@@ -174,17 +196,31 @@ mod tests {
 
     #[test]
     fn neighbours_stay_acceptable_and_of_their_kind() {
-        let near_zero = PidGains { p: 0.1, i: 1.0, d: 0.0 };
+        let near_zero = PidGains {
+            p: 0.1,
+            i: 1.0,
+            d: 0.0,
+        };
         let neighbours = around(&near_zero, [0.5, 0.5, 0.5], Kind::Pi);
         assert_eq!(neighbours.len(), 9);
-        assert!(neighbours.iter().all(|gains| gains.p >= 0.0 && Kind::Pi.includes(gains)));
+        assert!(
+            neighbours
+                .iter()
+                .all(|gains| gains.p >= 0.0 && Kind::Pi.includes(gains))
+        );
         let highest = around(&GAINS_MAX, [1.0; 3], Kind::Pid);
-        assert!(highest.iter().all(|gains| gains.p <= GAINS_MAX.p && gains.i <= GAINS_MAX.i));
+        assert!(
+            highest
+                .iter()
+                .all(|gains| gains.p <= GAINS_MAX.p && gains.i <= GAINS_MAX.i)
+        );
     }
 
     #[test]
     fn spacing_is_the_wider_gap_beside_a_value() {
         let axis = [0.0, 1.0, 3.0, 10.0];
-        assert_eq!(axis.map(|value| spacing(&axis, value)), [1.0, 2.0, 7.0, 7.0]);
+        for (value, gap) in axis.into_iter().zip([1.0, 2.0, 7.0, 7.0]) {
+            assert!((spacing(&axis, value) - gap).abs() < 1e-6);
+        }
     }
 }

@@ -113,23 +113,24 @@ impl<'a> Ledger<'a> {
 
     /// Mean score over a group of lungs, cmH2O; none if one of them is not known.
     pub fn score(&self, group: &[usize], gains: &PidGains) -> Option<f64> {
-        self.mean(group, self.scores.get(&key(gains))?)
+        mean(group, self.scores.get(&key(gains))?)
     }
 
     /// The best gains of a kind that are known for every lung of a group; of equals, the smallest.
     pub fn best(&self, group: &[usize], kind: Kind) -> Option<(PidGains, f64)> {
         let known = self.scores.iter().filter_map(|(key, lungs)| {
             let gains = gains(*key);
-            let score = self.mean(group, lungs)?;
+            let score = mean(group, lungs)?;
             kind.includes(&gains).then_some((gains, score))
         });
         known.min_by(|(_, one), (_, other)| one.total_cmp(other))
     }
+}
 
-    fn mean(&self, group: &[usize], lungs: &[Option<f64>]) -> Option<f64> {
-        let known: Option<Vec<f64>> = group.iter().map(|lung| lungs[*lung]).collect();
-        Some(known?.iter().sum::<f64>() / group.len() as f64)
-    }
+/// Mean score over a group of lungs; none if one of them is not known.
+fn mean(group: &[usize], lungs: &[Option<f64>]) -> Option<f64> {
+    let known: Option<Vec<f64>> = group.iter().map(|lung| lungs[*lung]).collect();
+    Some(known?.iter().sum::<f64>() / group.len() as f64)
 }
 
 fn key(gains: &PidGains) -> Key {

@@ -75,7 +75,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn families_never_meet(seeds in prop::array::uniform2(any::<u64>()), rounds in prop::array::uniform2(any::<u64>())) {
+        fn families_never_meet(
+            seeds in prop::array::uniform2(any::<u64>()), rounds in prop::array::uniform2(any::<u64>()),
+        ) {
             let (one, other) = (families(seeds[0], rounds[0]), families(seeds[1], rounds[1]));
             for (index, family) in one.iter().enumerate() {
                 for (_, foreign) in other.iter().enumerate().filter(|(theirs, _)| *theirs != index) {
