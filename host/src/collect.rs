@@ -11,10 +11,13 @@ use shared::explore::{Exploration, ExplorationError};
 use shared::settings::{LIMIT_MARGIN, Settings};
 use thiserror::Error;
 
-use crate::dataset::{EXPIRATION, FALL, INSPIRATION, Recording, Row};
+use crate::dataset::{EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
 use crate::provenance::Provenance;
 use crate::source::{Source, SourceError, Tick};
 use crate::watch::Watch;
+
+/// What only a bench knows; a source without it would leave the columns out.
+const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
 
 /// What to collect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,7 +98,7 @@ pub fn collect(
 ) -> Result<Collected, CollectError> {
     check(config)?;
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-    let mut recording = Recording::new(provenance(source, config), true);
+    let mut recording = Recording::with_extras(provenance(source, config), &TRUTH);
     let (mut breaths, mut aborts) = (0, 0);
     source.configure(controller.clone(), exploration(config, 0));
     while breaths < config.breaths && aborts <= config.aborts && !watch.stopped() {

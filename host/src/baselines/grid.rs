@@ -68,11 +68,7 @@ impl Default for Grid {
     /// Wider than the optimum on any of the paper's lungs at 1 kHz, denser where gains are small. With R 20 and C 20
     /// the best PID is near P 7, I 250, D 0.13; with a low resistance the best P alone is above 50.
     fn default() -> Self {
-        Self {
-            p: geometric(0.1, 80.0, 20),
-            i: geometric(0.5, 5000.0, 24),
-            d: geometric(0.01, 0.5, 8),
-        }
+        Self { p: geometric(0.1, 80.0, 20), i: geometric(0.5, 5000.0, 24), d: geometric(0.01, 0.5, 8) }
     }
 }
 
@@ -82,11 +78,7 @@ impl Grid {
     pub fn authors() -> Self {
         let fine = (0..10).map(|tenths| tenths as f32 / 10.0);
         let values: Vec<f32> = fine.chain((1..=10).map(|n| n as f32)).collect();
-        Self {
-            i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(),
-            p: values,
-            d: vec![0.0],
-        }
+        Self { i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(), p: values, d: vec![0.0] }
     }
 
     /// The same with zeros, in ascending order and without doubles.
@@ -97,11 +89,7 @@ impl Grid {
             all.dedup();
             all
         };
-        Self {
-            p: complete(&self.p),
-            i: complete(&self.i),
-            d: complete(&self.d),
-        }
+        Self { p: complete(&self.p), i: complete(&self.i), d: complete(&self.d) }
     }
 
     /// Every combination; D runs fastest.
@@ -117,11 +105,7 @@ impl Grid {
 
     /// Distance from the gains to the grid's neighbours, the wider one of each axis.
     pub(super) fn spacing(&self, gains: &PidGains) -> [f32; 3] {
-        [
-            spacing(&self.p, gains.p),
-            spacing(&self.i, gains.i),
-            spacing(&self.d, gains.d),
-        ]
+        [spacing(&self.p, gains.p), spacing(&self.i, gains.i), spacing(&self.d, gains.d)]
     }
 }
 
@@ -134,9 +118,7 @@ fn geometric(first: f32, last: f32, count: usize) -> Vec<f32> {
 
 /// Gap around a value in an ascending axis: the wider of both sides.
 fn spacing(axis: &[f32], value: f32) -> f32 {
-    let gaps = axis
-        .windows(2)
-        .filter(|pair| pair[0] <= value && value <= pair[1]);
+    let gaps = axis.windows(2).filter(|pair| pair[0] <= value && value <= pair[1]);
     gaps.map(|pair| pair[1] - pair[0]).fold(0.0, f32::max)
 }
 
@@ -176,10 +158,7 @@ mod tests {
     #[test]
     fn the_authors_grid_is_twenty_by_twenty_without_a_derivative() {
         let grid = Grid::authors();
-        assert_eq!(
-            (grid.p.len(), grid.i.len(), grid.d.as_slice()),
-            (20, 20, &[0.0][..])
-        );
+        assert_eq!((grid.p.len(), grid.i.len(), grid.d.as_slice()), (20, 20, &[0.0][..]));
         assert!((grid.p[19] - 10.0).abs() < 1e-6 && (grid.i[19] - 18.87).abs() < 0.01);
     }
 
@@ -196,24 +175,12 @@ mod tests {
 
     #[test]
     fn neighbours_stay_acceptable_and_of_their_kind() {
-        let near_zero = PidGains {
-            p: 0.1,
-            i: 1.0,
-            d: 0.0,
-        };
+        let near_zero = PidGains { p: 0.1, i: 1.0, d: 0.0 };
         let neighbours = around(&near_zero, [0.5, 0.5, 0.5], Kind::Pi);
         assert_eq!(neighbours.len(), 9);
-        assert!(
-            neighbours
-                .iter()
-                .all(|gains| gains.p >= 0.0 && Kind::Pi.includes(gains))
-        );
+        assert!(neighbours.iter().all(|gains| gains.p >= 0.0 && Kind::Pi.includes(gains)));
         let highest = around(&GAINS_MAX, [1.0; 3], Kind::Pid);
-        assert!(
-            highest
-                .iter()
-                .all(|gains| gains.p <= GAINS_MAX.p && gains.i <= GAINS_MAX.i)
-        );
+        assert!(highest.iter().all(|gains| gains.p <= GAINS_MAX.p && gains.i <= GAINS_MAX.i));
     }
 
     #[test]

@@ -47,22 +47,14 @@ pub struct Search {
 
 impl Default for Search {
     fn default() -> Self {
-        Self {
-            grid: Grid::default(),
-            refinements: 3,
-            exhaustive: false,
-        }
+        Self { grid: Grid::default(), refinements: 3, exhaustive: false }
     }
 }
 
 impl Search {
     /// The authors' grid and nothing else.
     pub fn authors() -> Self {
-        Self {
-            grid: Grid::authors(),
-            refinements: 0,
-            exhaustive: true,
-        }
+        Self { grid: Grid::authors(), refinements: 0, exhaustive: true }
     }
 }
 
@@ -180,9 +172,7 @@ pub fn tune_pid(
     };
     let all: Vec<usize> = (0..benches.len()).collect();
     // Gains of zero belong to every kind: with them, there is a result however early the search is stopped.
-    tuning
-        .full
-        .measure(&all, &[PidGains::default()], Patience::Needed)?;
+    tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
     let mut lungs = Vec::with_capacity(benches.len());
     for (index, bench) in benches.iter().enumerate() {
         let best = tuning.best(&[index])?;
@@ -196,11 +186,7 @@ pub fn tune_pid(
     let over_all = tuning.best(&all)?;
     watch.finish();
     let complete = !watch.stopped();
-    Ok(TuneResult {
-        lungs,
-        over_all,
-        complete,
-    })
+    Ok(TuneResult { lungs, over_all, complete })
 }
 
 /// A search under way.
@@ -221,14 +207,9 @@ impl Tuning<'_> {
             self.screen.measure(group, &self.points, Patience::Stoppable)?;
             let shortlists = Kind::ALL.map(|kind| self.shortlist(group, kind));
             // Stopped or not, the heads are scored in full: what has been found so far is not lost.
-            let heads: Vec<PidGains> = shortlists
-                .iter()
-                .filter_map(|list| list.first())
-                .copied()
-                .collect();
+            let heads: Vec<PidGains> = shortlists.iter().filter_map(|list| list.first()).copied().collect();
             self.full.measure(group, &heads, Patience::Needed)?;
-            self.full
-                .measure(group, &shortlists.concat(), Patience::Stoppable)?;
+            self.full.measure(group, &shortlists.concat(), Patience::Stoppable)?;
         }
         for kind in Kind::ALL {
             self.refine(group, kind)?;
@@ -244,9 +225,8 @@ impl Tuning<'_> {
     /// A kind's points that passed the screening, best first.
     fn shortlist(&self, group: &[usize], kind: Kind) -> Vec<PidGains> {
         let of_kind = self.points.iter().filter(|gains| kind.includes(gains));
-        let mut scored: Vec<(f64, PidGains)> = of_kind
-            .filter_map(|gains| Some((self.screen.score(group, gains)?, *gains)))
-            .collect();
+        let mut scored: Vec<(f64, PidGains)> =
+            of_kind.filter_map(|gains| Some((self.screen.score(group, gains)?, *gains))).collect();
         scored.sort_by(|(one, _), (other, _)| one.total_cmp(other));
         scored.truncate(kept(scored.len()));
         scored.into_iter().map(|(_, gains)| gains).collect()
@@ -280,19 +260,11 @@ impl Tuning<'_> {
 
     /// Scores over the grid at D = 0.
     fn map(&self, group: &[usize]) -> ScoreMap {
-        let source = if self.search.exhaustive {
-            &self.full
-        } else {
-            &self.screen
-        };
+        let source = if self.search.exhaustive { &self.full } else { &self.screen };
         let Grid { p, i, .. } = self.grid.clone();
         let at = |p: f32, i: f32| source.score(group, &PidGains { p, i, d: 0.0 });
         let score = p.iter().map(|p| i.iter().map(|i| at(*p, *i)).collect());
-        ScoreMap {
-            score: score.collect(),
-            p,
-            i,
-        }
+        ScoreMap { score: score.collect(), p, i }
     }
 }
 
@@ -307,11 +279,7 @@ fn screening(plan: &Plan) -> Plan {
     let mut indices: Vec<usize> = (0..SCREENED).map(|n| n * last / (SCREENED - 1)).collect();
     indices.dedup();
     Plan {
-        pips: indices
-            .iter()
-            .filter_map(|index| plan.pips.get(*index))
-            .copied()
-            .collect(),
+        pips: indices.iter().filter_map(|index| plan.pips.get(*index)).copied().collect(),
         breaths: 1,
         warm_up: 0,
         seeds: plan.seeds.iter().take(1).copied().collect(),

@@ -17,11 +17,7 @@ fn lung(resistance: f64, compliance: f64) -> BenchConfig {
 
 /// One scored breath of two waveforms.
 fn short() -> Plan {
-    Plan {
-        pips: vec![15.0, 30.0],
-        breaths: 1,
-        ..Plan::tuning(0)
-    }
+    Plan { pips: vec![15.0, 30.0], breaths: 1, ..Plan::tuning(0) }
 }
 
 /// 8 x 8 x 2 points; more than pass the screening.
@@ -50,21 +46,9 @@ fn score(bench: &BenchConfig, gains: PidGains) -> f64 {
 #[test]
 fn the_best_of_a_tiny_grid_is_the_one_that_evaluates_best() {
     let bench = lung(20.0, 20.0);
-    let search = Search {
-        grid: Grid {
-            p: vec![0.5, 2.0],
-            i: vec![5.0, 40.0],
-            d: vec![],
-        },
-        ..small()
-    };
-    let mut by_hand: Vec<(f64, PidGains)> = search
-        .grid
-        .completed()
-        .points()
-        .into_iter()
-        .map(|gains| (score(&bench, gains), gains))
-        .collect();
+    let search = Search { grid: Grid { p: vec![0.5, 2.0], i: vec![5.0, 40.0], d: vec![] }, ..small() };
+    let mut by_hand: Vec<(f64, PidGains)> =
+        search.grid.completed().points().into_iter().map(|gains| (score(&bench, gains), gains)).collect();
     by_hand.sort_by(|(one, _), (other, _)| one.total_cmp(other));
     let best = tune(&[bench], &search).lungs[0].best;
     assert_eq!((best.pi.score, best.pi.gains), by_hand[0]);
@@ -73,10 +57,7 @@ fn the_best_of_a_tiny_grid_is_the_one_that_evaluates_best() {
 
 #[test]
 fn screening_finds_what_the_exhaustive_search_finds() {
-    let exhaustive = Search {
-        exhaustive: true,
-        ..small()
-    };
+    let exhaustive = Search { exhaustive: true, ..small() };
     for bench in [lung(20.0, 20.0), lung(5.0, 10.0), lung(50.0, 20.0)] {
         let benches = [bench];
         let (screened, all) = (tune(&benches, &small()), tune(&benches, &exhaustive));
@@ -96,18 +77,8 @@ fn a_kind_never_scores_worse_than_one_that_it_includes() {
 
 #[test]
 fn refinement_leaves_the_grid_for_the_better() {
-    let coarse = Search {
-        grid: Grid {
-            p: vec![0.5, 4.0],
-            i: vec![10.0, 100.0],
-            d: vec![],
-        },
-        ..small()
-    };
-    let fine = Search {
-        refinements: 2,
-        ..coarse.clone()
-    };
+    let coarse = Search { grid: Grid { p: vec![0.5, 4.0], i: vec![10.0, 100.0], d: vec![] }, ..small() };
+    let fine = Search { refinements: 2, ..coarse.clone() };
     let benches = [lung(20.0, 20.0)];
     let (on_grid, off_grid) = (tune(&benches, &coarse), tune(&benches, &fine));
     assert!(off_grid.lungs[0].best.pi.score < on_grid.lungs[0].best.pi.score);
@@ -124,11 +95,7 @@ fn one_gain_for_all_lungs_is_a_compromise_by_their_mean() {
     let benches = [lung(5.0, 20.0), lung(50.0, 20.0)];
     let result = tune(&benches, &small());
     let single = result.over_all.pi;
-    let mean = benches
-        .iter()
-        .map(|bench| score(bench, single.gains))
-        .sum::<f64>()
-        / 2.0;
+    let mean = benches.iter().map(|bench| score(bench, single.gains)).sum::<f64>() / 2.0;
     assert!((single.score - mean).abs() < 1e-12);
     let own = result.lungs.iter().map(|lung| lung.best.pi.score).sum::<f64>() / 2.0;
     assert!(single.score >= own, "{} >= {own}", single.score);
@@ -144,11 +111,7 @@ fn one_lung_alone_is_all_lungs() {
 #[test]
 fn the_number_of_threads_does_not_change_the_result() {
     let search = Search {
-        grid: Grid {
-            p: vec![0.5, 2.0],
-            i: vec![5.0, 40.0],
-            d: vec![0.01],
-        },
+        grid: Grid { p: vec![0.5, 2.0], i: vec![5.0, 40.0], d: vec![0.01] },
         refinements: 1,
         ..small()
     };
@@ -162,19 +125,12 @@ fn the_number_of_threads_does_not_change_the_result() {
 #[test]
 fn gains_that_lead_to_a_fault_score_worst_and_do_not_end_the_search() {
     let plan = Plan {
-        settings: Settings {
-            pressure_limit: 35.0,
-            ..Settings::default()
-        },
+        settings: Settings { pressure_limit: 35.0, ..Settings::default() },
         pips: vec![30.0],
         ..short()
     };
     let search = Search {
-        grid: Grid {
-            p: vec![0.5, 80.0],
-            i: vec![0.0, 10_000.0],
-            d: vec![],
-        },
+        grid: Grid { p: vec![0.5, 80.0], i: vec![0.0, 10_000.0], d: vec![] },
         exhaustive: true,
         ..small()
     };
@@ -231,26 +187,10 @@ fn what_cannot_be_searched_is_refused() {
     let stop = AtomicBool::new(false);
     let none = tune_pid(&[], &small(), &short(), &|_, _| (), &stop);
     assert!(matches!(none, Err(TuneError::NoLung)));
-    let negative = Search {
-        grid: Grid {
-            p: vec![-1.0],
-            i: vec![],
-            d: vec![],
-        },
-        ..small()
-    };
+    let negative = Search { grid: Grid { p: vec![-1.0], i: vec![], d: vec![] }, ..small() };
     let refused = tune_pid(&[lung(20.0, 20.0)], &negative, &short(), &|_, _| (), &stop);
-    assert!(matches!(
-        refused,
-        Err(TuneError::Gain(GainError { name: "p", .. }))
-    ));
-    let impossible = Plan {
-        pips: vec![500.0],
-        ..short()
-    };
+    assert!(matches!(refused, Err(TuneError::Gain(GainError { name: "p", .. }))));
+    let impossible = Plan { pips: vec![500.0], ..short() };
     let refused = tune_pid(&[lung(20.0, 20.0)], &small(), &impossible, &|_, _| (), &stop);
-    assert!(matches!(
-        refused,
-        Err(TuneError::Source(SourceError::Settings(_)))
-    ));
+    assert!(matches!(refused, Err(TuneError::Source(SourceError::Settings(_)))));
 }

@@ -57,18 +57,12 @@ impl Default for Plan {
 impl Plan {
     /// The default under the noise that tuning may see.
     pub fn tuning(seed: u64) -> Self {
-        Self {
-            seeds: vec![seeds::tuning(seed)],
-            ..Self::default()
-        }
+        Self { seeds: vec![seeds::tuning(seed)], ..Self::default() }
     }
 
     /// The default under the noise that reported figures are measured with.
     pub fn evaluation(seed: u64) -> Self {
-        Self {
-            seeds: seeds::evaluation(seed),
-            ..Self::default()
-        }
+        Self { seeds: seeds::evaluation(seed), ..Self::default() }
     }
 
     /// Settings of the waveform with this PIP, cmH2O.
@@ -113,33 +107,23 @@ pub fn evaluate(
     controller: &Controller,
     plan: &Plan,
 ) -> Result<Evaluation, SourceError> {
-    let jobs: Vec<(f32, u64)> = plan
-        .pips
-        .iter()
-        .flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed)))
-        .collect();
-    let outcomes: Vec<Result<Score, SourceError>> = jobs
-        .par_iter()
-        .map(|(pip, seed)| run(bench, controller, plan, *pip, *seed))
-        .collect();
+    let jobs: Vec<(f32, u64)> =
+        plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
+    let outcomes: Vec<Result<Score, SourceError>> =
+        jobs.par_iter().map(|(pip, seed)| run(bench, controller, plan, *pip, *seed)).collect();
     let scores = outcomes.into_iter().collect::<Result<Vec<Score>, _>>()?;
     let seeds = plan.seeds.len();
     let waveforms: Vec<WaveformScore> = plan
         .pips
         .iter()
         .zip(scores.chunks(seeds.max(1)))
-        .map(|(pip, scores)| WaveformScore {
-            pip: *pip,
-            score: Score::mean(scores),
-        })
+        .map(|(pip, scores)| WaveformScore { pip: *pip, score: Score::mean(scores) })
         .collect();
     let of_seed = |index| -> Vec<Score> { scores.iter().skip(index).step_by(seeds).copied().collect() };
     Ok(Evaluation {
         mean: Score::mean(&waveforms.iter().map(|w| w.score).collect::<Vec<_>>()),
         waveforms,
-        by_seed: (0..seeds)
-            .map(|index| Score::mean(&of_seed(index)).score)
-            .collect(),
+        by_seed: (0..seeds).map(|index| Score::mean(&of_seed(index)).score).collect(),
     })
 }
 
@@ -189,9 +173,5 @@ fn cut_short(settings: &Settings) -> Settings {
         rate: (59.99 / settings.inspiratory_time).max(settings.rate),
         ..*settings
     };
-    if short.validate().is_ok() {
-        short
-    } else {
-        *settings
-    }
+    if short.validate().is_ok() { short } else { *settings }
 }

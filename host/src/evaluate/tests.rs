@@ -16,12 +16,7 @@ fn lung() -> BenchConfig {
 
 /// Two waveforms, two breaths of each, two seeds.
 fn small() -> Plan {
-    Plan {
-        pips: vec![15.0, 30.0],
-        breaths: 2,
-        seeds: vec![1, 2],
-        ..Plan::default()
-    }
+    Plan { pips: vec![15.0, 30.0], breaths: 2, seeds: vec![1, 2], ..Plan::default() }
 }
 
 #[test]
@@ -40,10 +35,7 @@ fn a_better_pid_scores_better() {
     let score = |controller| evaluate(&lung(), &controller, &small()).unwrap().mean.score;
     let (none, weak, good) = (score(pid(0.0, 0.0)), score(pid(0.5, 5.0)), score(pid(1.5, 40.0)));
     assert!(good < weak && weak < none, "{good} < {weak} < {none}");
-    assert!(
-        (12.0..18.0).contains(&none),
-        "a closed valve misses by PIP - PEEP: {none}"
-    );
+    assert!((12.0..18.0).contains(&none), "a closed valve misses by PIP - PEEP: {none}");
 }
 
 #[test]
@@ -57,36 +49,22 @@ fn means_are_those_of_waveforms_and_seeds() {
         evaluation.by_seed[0].to_bits() != evaluation.by_seed[1].to_bits(),
         "noise differs between seeds"
     );
-    assert_eq!(
-        evaluation.waveforms.iter().map(|w| w.pip).collect::<Vec<_>>(),
-        [15.0, 30.0]
-    );
+    assert_eq!(evaluation.waveforms.iter().map(|w| w.pip).collect::<Vec<_>>(), [15.0, 30.0]);
 }
 
 #[test]
 fn a_seeds_score_is_that_of_the_seed_alone() {
     let both = evaluate(&lung(), &pid(1.0, 30.0), &small()).unwrap();
-    let second = Plan {
-        seeds: vec![2],
-        ..small()
-    };
+    let second = Plan { seeds: vec![2], ..small() };
     let alone = evaluate(&lung(), &pid(1.0, 30.0), &second).unwrap();
     assert_eq!(alone.mean.score.to_bits(), both.by_seed[1].to_bits());
 }
 
 #[test]
 fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
-    let plan = Plan {
-        pips: vec![20.0],
-        breaths: 1,
-        seeds: vec![3],
-        ..Plan::default()
-    };
+    let plan = Plan { pips: vec![20.0], breaths: 1, seeds: vec![3], ..Plan::default() };
     let settings = plan.waveform(20.0);
-    assert!(
-        cut_short(&settings).rate > 59.0,
-        "the last breath is a third as long"
-    );
+    assert!(cut_short(&settings).rate > 59.0, "the last breath is a third as long");
     let whole = trace(&lung(), &pid(1.0, 30.0), &settings, plan.period_us, 3, 1).unwrap();
     let expected = score_breath(&Inspiration {
         period_s: 1e-3,
@@ -102,22 +80,14 @@ fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
 
 #[test]
 fn settings_that_leave_nothing_to_cut_stay_as_they_are() {
-    let fast = Settings {
-        inspiratory_time: 0.4,
-        fall_time: 0.2,
-        rate: 60.0,
-        ..Settings::default()
-    };
+    let fast = Settings { inspiratory_time: 0.4, fall_time: 0.2, rate: 60.0, ..Settings::default() };
     assert_eq!(cut_short(&fast), fast);
 }
 
 #[test]
 fn a_fault_is_reported_as_such() {
     let plan = Plan {
-        settings: Settings {
-            pressure_limit: 35.0,
-            ..Settings::default()
-        },
+        settings: Settings { pressure_limit: 35.0, ..Settings::default() },
         pips: vec![30.0],
         ..small()
     };
@@ -130,26 +100,14 @@ fn a_fault_is_reported_as_such() {
 
 #[test]
 fn refused_settings_are_an_error() {
-    let plan = Plan {
-        pips: vec![20.0, 500.0],
-        ..small()
-    };
+    let plan = Plan { pips: vec![20.0, 500.0], ..small() };
     let refused = evaluate(&lung(), &pid(1.0, 30.0), &plan);
     assert!(matches!(refused, Err(SourceError::Settings(_))));
 }
 
 #[test]
 fn a_plan_without_seeds_or_waveforms_gives_an_empty_evaluation() {
-    for plan in [
-        Plan {
-            seeds: vec![],
-            ..small()
-        },
-        Plan {
-            pips: vec![],
-            ..small()
-        },
-    ] {
+    for plan in [Plan { seeds: vec![], ..small() }, Plan { pips: vec![], ..small() }] {
         let evaluation = evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap();
         assert_eq!(evaluation.mean, Score::default());
     }
@@ -167,28 +125,14 @@ fn a_plan_and_an_evaluation_survive_json() {
 
 #[test]
 fn a_trace_shows_whole_breaths_with_the_reading_beside_the_truth() {
-    let trace = trace(
-        &lung(),
-        &pid(1.5, 40.0),
-        &paper_settings(25.0),
-        DEFAULT_PERIOD_US,
-        1,
-        2,
-    )
-    .unwrap();
+    let trace = trace(&lung(), &pid(1.5, 40.0), &paper_settings(25.0), DEFAULT_PERIOD_US, 1, 2).unwrap();
     assert_eq!(trace.time_s.len(), 6000);
     assert!((trace.time_s[5999] - 5.999).abs() < 1e-6);
     assert_eq!((trace.target[500], trace.target[2500]), (25.0, 5.0));
     assert!((trace.pressure[900] - 25.0).abs() < 2.0);
     assert_eq!((trace.u_out[500], trace.u_out[1500]), (false, true));
     assert!(trace.u_in[500] > 0.0);
-    let noise: Vec<f64> = trace
-        .measured
-        .iter()
-        .zip(&trace.pressure)
-        .skip(700)
-        .take(250)
-        .map(|(m, p)| m - p)
-        .collect();
+    let noise: Vec<f64> =
+        trace.measured.iter().zip(&trace.pressure).skip(700).take(250).map(|(m, p)| m - p).collect();
     assert!(noise.iter().any(|n| n.abs() > 0.05) && noise.iter().all(|n| n.abs() < 1.5));
 }

@@ -49,14 +49,9 @@ pub fn trace(
         source.breath(settings, &mut |tick| {
             let sample = &tick.sample;
             let measured = f64::from(sample.pressure);
-            trace
-                .time_s
-                .push(trace.time_s.len() as f64 * f64::from(period_s(period_us)));
+            trace.time_s.push(trace.time_s.len() as f64 * f64::from(period_s(period_us)));
             trace.target.push(f64::from(sample.target));
-            trace.pressure.push(
-                tick.truth
-                    .map_or(measured, |truth| f64::from(truth.airway_pressure)),
-            );
+            trace.pressure.push(tick.truth.map_or(measured, |truth| f64::from(truth.airway_pressure)));
             trace.measured.push(measured);
             trace.u_in.push(f64::from(sample.u_in));
             trace.u_out.push(sample.u_out);
