@@ -213,8 +213,8 @@ mod tests {
         let breath = Breath::new(&paper_settings(35.0), DEFAULT_PERIOD_US).unwrap();
         let at = |tick| breath.target(tick);
         assert_eq!(
-            [at(0), at(999), at(1000), at(1500), at(2999)],
-            [35.0, 35.0, 35.0, 5.0, 5.0]
+            [0, 999, 1000, 1500, 2999].map(|tick| at(tick).to_bits()),
+            [35.0, 35.0, 35.0, 5.0, 5.0].map(f32::to_bits)
         );
         assert!((at(1250) - 20.0).abs() < 1e-4);
         assert_eq!(breath.total_ticks(), 3000);
@@ -231,8 +231,8 @@ mod tests {
         };
         let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
         assert_eq!(
-            [breath.target(0), breath.target(100), breath.target(200)],
-            [5.0, 15.0, 25.0]
+            [0, 100, 200].map(|tick| breath.target(tick).to_bits()),
+            [5.0, 15.0, 25.0].map(f32::to_bits)
         );
     }
 

@@ -48,8 +48,12 @@ pub fn install(shell: &Shell) -> Result<()> {
         reduce(shell, &library)?;
         shell.write_file(&complete, "")?;
     }
-    let built = build(shell, &toolchain, &library, &work.join("target"))?;
-    copy_libraries(shell, &built, &toolchain.target_libraries())
+    let target = work.join("target");
+    let built = build(shell, &toolchain, &library, &target)?;
+    copy_libraries(shell, &built, &toolchain.target_libraries())?;
+    // Half a gigabyte that nobody needs again.
+    shell.remove_path(target)?;
+    Ok(())
 }
 
 /// The toolchain that the libraries are for.
