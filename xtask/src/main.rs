@@ -7,6 +7,7 @@ mod memory;
 mod setup;
 
 use std::path::Path;
+use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
@@ -33,15 +34,26 @@ enum Command {
     Ci(ci::Arguments),
 }
 
-fn main() -> Result<()> {
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // The chain of causes alone: a backtrace would push the command to repeat out of sight.
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
     let shell = Shell::new()?;
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .context("xtask lies in the root of the workspace")?;
     shell.change_dir(root);
-    match Arguments::parse().command {
+    match &arguments.command {
         Command::Setup => setup::run(&shell),
         Command::Firmware => firmware::run(&shell),
-        Command::Ci(arguments) => ci::run(&shell, &arguments),
+        Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }
