@@ -1,1 +1,6 @@
-//! Whole-system tests live in `tests/tests`; this library holds what they share.
+//! What the whole-system tests in `tests/tests` share: a plant whose results are the same on every machine, and the
+//! trace of a ventilator that runs on it.
+#![forbid(unsafe_code)]
+
+pub mod plant;
+pub mod trace;

@@ -1,2 +1,58 @@
-//! Build and check automation.
-fn main() {}
+//! Build and check automation: `cargo xtask <command>`, from anywhere in the repository.
+#![forbid(unsafe_code)]
+
+mod ci;
+mod firmware;
+mod memory;
+mod setup;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use xshell::Shell;
+
+/// The chip's instruction set: Cortex-M4 with a hardware unit for f32.
+const CHIP_TARGET: &str = "thumbv7em-none-eabihf";
+
+/// Build and check automation of Eupnea.
+#[derive(Parser)]
+#[command(name = "cargo xtask")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Prepare the toolchain to build for the chip; does nothing if it can
+    Setup,
+    /// Build the firmware and show how much flash and RAM it takes
+    Firmware,
+    /// Run every check that a change must pass
+    Ci(ci::Arguments),
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // The chain of causes alone: a backtrace would push the command to repeat out of sight.
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
+    let shell = Shell::new()?;
+    let root =
+        Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask lies in the root of the workspace")?;
+    shell.change_dir(root);
+    match &arguments.command {
+        Command::Setup => setup::run(&shell),
+        Command::Firmware => firmware::run(&shell),
+        Command::Ci(arguments) => ci::run(&shell, arguments),
+    }
+}

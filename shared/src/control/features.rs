@@ -140,7 +140,7 @@ impl History {
         self.averages = [value; AVERAGES];
     }
 
-    fn push(&mut self, at: u32, value: f32, factors: &[f32; AVERAGES]) {
+    fn push(&mut self, at: u32, value: f32, factors: [f32; AVERAGES]) {
         self.ring[at as usize % HISTORY] = value;
         for (average, factor) in self.averages.iter_mut().zip(factors) {
             *average += factor * (value - *average);
@@ -215,7 +215,7 @@ impl Features {
     /// Takes in this tick's observation and gives the feature vector; `integral` is the PID's, percent.
     pub fn step(&self, state: &mut FeatureState, seen: &Observation, integral: f32) -> [f32; FEATURES] {
         let error = (seen.target - seen.pressure) / ERROR_SCALE;
-        state.errors.push(state.tick, error, &self.error_factors);
+        state.errors.push(state.tick, error, self.error_factors);
         let error_taps = self.spec.error_taps.iter().map(|tap| state.errors.ago(state.tick, *tap));
         let command_taps = self.spec.command_taps.iter().map(|tap| state.commands.ago(state.tick, *tap));
         let rest = self.clocked(seen, integral);
@@ -252,7 +252,7 @@ impl Features {
 
     /// Records the command applied in this tick, percent, and ends the tick.
     pub fn applied(&self, state: &mut FeatureState, command: f32) {
-        state.commands.push(state.tick, command / COMMAND_SCALE, &self.command_factors);
+        state.commands.push(state.tick, command / COMMAND_SCALE, self.command_factors);
         state.tick = state.tick.wrapping_add(1);
     }
 }
@@ -301,7 +301,7 @@ mod tests {
         let (features, mut state) = (features(), FeatureState::new());
         let fresh = |state: &mut FeatureState| {
             state.start_breath(5.0);
-            features.step(state, &seen(15.0, 0), 0.0)
+            features.step(state, &seen(15.0, 0), 0.0).map(f32::to_bits)
         };
         let first = fresh(&mut state);
         for tick in 0..200 {

@@ -79,9 +79,13 @@ impl Network {
     pub fn forward(&self, features: &[f32; FEATURES]) -> f32 {
         let (mut first, mut second, mut out) = ([0.0; HIDDEN_1], [0.0; HIDDEN_2], [0.0; 1]);
         self.hidden_1.forward(features, &mut first);
-        first.iter_mut().for_each(|x| *x = math::softsign(*x));
+        for x in &mut first {
+            *x = math::softsign(*x);
+        }
         self.hidden_2.forward(&first, &mut second);
-        second.iter_mut().for_each(|x| *x = math::softsign(*x));
+        for x in &mut second {
+            *x = math::softsign(*x);
+        }
         self.output.forward(&second, &mut out);
         out[0]
     }
@@ -114,7 +118,7 @@ mod tests {
         let layer = Dense { weights: [[1.0, 2.0], [3.0, 4.0], [0.0, -1.0]], bias: [0.5, 0.0, 1.0] };
         let mut y = [0.0; 3];
         layer.forward(&[10.0, 1.0], &mut y);
-        assert_eq!(y, [12.5, 34.0, 0.0]);
+        assert_eq!(y.map(f32::to_bits), [12.5, 34.0, 0.0].map(f32::to_bits));
     }
 
     #[test]

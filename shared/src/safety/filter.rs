@@ -5,6 +5,25 @@ use crate::math;
 
 /// What goes to the valves. Its fields are private and only the safety filter makes one, so no controller can
 /// reach a valve past it.
+///
+/// Everyone may pass a command on:
+/// ```
+/// let command = shared::safety::filter::ValveCommand::SAFE;
+/// assert!(command.u_out());
+/// ```
+/// Nobody outside of [`crate::safety`] can write one down,
+/// ```compile_fail,E0451
+/// let command = shared::safety::filter::ValveCommand { u_in: 80.0, u_out: false };
+/// ```
+/// change one,
+/// ```compile_fail,E0616
+/// let mut command = shared::safety::filter::ValveCommand::SAFE;
+/// command.u_in = 80.0;
+/// ```
+/// or ask the filter's own constructor:
+/// ```compile_fail,E0624
+/// let command = shared::safety::filter::ValveCommand::limited(80.0, false);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ValveCommand {
     u_in: f32,

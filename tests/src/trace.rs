@@ -1,0 +1,162 @@
+//! A long closed-loop run reduced to the hashes of its valve commands.
+
+use rand_chacha::ChaCha8Rng;
+use rand_core::{Rng, SeedableRng};
+use shared::breath::{DEFAULT_PERIOD_US, ISO_ROWS, PAPER_PIPS, paper_settings};
+use shared::control::Controller;
+use shared::control::features::FeatureSpec;
+use shared::control::network::Network;
+use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::{Residual, ResidualSpec};
+use shared::explore::Exploration;
+use shared::safety::filter::ValveCommand;
+use shared::settings::Settings;
+use shared::ventilator::{Mode, Ventilator};
+
+use crate::plant::Plant;
+
+/// Breaths of a trace.
+pub const BREATHS: u32 = 100;
+/// Breaths between two entries of a trace.
+const ENTRY_BREATHS: u32 = 10;
+/// Breaths that run on the same settings.
+const BREATHS_PER_SETTING: u32 = 4;
+/// Tick of a breath in which the settings of the next one are sent, to see that they wait.
+const SETTINGS_TICK: u32 = 700;
+
+const GAINS: PidGains = PidGains { p: 2.0, i: 30.0, d: 0.01 };
+
+/// Hash of all commands up to the end of a breath.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Breaths done.
+    pub breaths: u32,
+    /// FNV-1a of every command so far.
+    pub hash: u64,
+}
+
+/// What a run left behind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trace {
+    /// Hashes in order; the first that differs tells where two runs parted.
+    pub entries: Vec<Entry>,
+    /// Mean magnitude of the error in the last tenth of every inspiration of a second or more, cmH2O; tells that the
+    /// loop controlled at all. Shorter ones end before a plain PID has settled.
+    pub plateau_error: f32,
+}
+
+/// A PID.
+pub fn pid() -> Controller {
+    Controller::Pid(Pid::new(GAINS, DEFAULT_PERIOD_US).expect("the gains are in bounds"))
+}
+
+/// A learned controller whose network was drawn from a seed: untrained, but every weight counts.
+pub fn residual(seed: u64) -> Controller {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut network = Network::zero();
+    for weight in network.parameters_mut() {
+        // 24 bits are exact in f32; the result lies in -0.25..0.25.
+        *weight = ((rng.next_u32() >> 8) as f32 / 16_777_216.0 - 0.5) * 0.5;
+    }
+    let spec = ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains: GAINS,
+        lambda: 0.5,
+        authority: 30.0,
+        features: FeatureSpec::default(),
+    };
+    Controller::Residual(Residual::new(spec, network).expect("the specification is in bounds"))
+}
+
+/// Runs [`BREATHS`] breaths of changing settings on the [`Plant`], exploring.
+///
+/// # Errors
+/// The mode that the ventilator fell into, if it stopped ventilating: a trace of safe commands would prove nothing.
+pub fn run(controller: Controller) -> Result<Trace, Mode> {
+    let exploration = Exploration { seed: 7, ..Exploration::default() };
+    let ventilator = Ventilator::new(DEFAULT_PERIOD_US, controller).with_exploration(Some(exploration));
+    let mut state = ventilator.standby(&settings(0)).expect("all settings of the protocol are in bounds");
+    state.start();
+    let mut plant = Plant::new(settings(0).peep);
+    let (mut hash, mut entries) = (Fnv::default(), Vec::new());
+    let (mut error, mut ticks) = (0.0, 0);
+    while state.breath_number() < BREATHS {
+        let output = ventilator.step(&mut state, plant.pressure());
+        let Some(sample) = output.sample else {
+            return Err(output.mode);
+        };
+        hash.command(output.command);
+        plant.step(output.command);
+        let inspiration = state.breath().inspiration_ticks();
+        if inspiration >= 1000 && sample.tick < inspiration && sample.tick >= inspiration - inspiration / 10 {
+            error += (sample.target - sample.pressure).abs();
+            ticks += 1;
+        }
+        if sample.tick == SETTINGS_TICK.min(inspiration) {
+            let next = settings(sample.breath + 1);
+            ventilator.apply(&mut state, &next).expect("all settings of the protocol are in bounds");
+            plant.set_peep(next.peep);
+        }
+        let breaths = state.breath_number();
+        if state.tick() == 0 && breaths.is_multiple_of(ENTRY_BREATHS) {
+            entries.push(Entry { breaths, hash: hash.0 });
+        }
+    }
+    Ok(Trace { entries, plateau_error: error / ticks as f32 })
+}
+
+/// Settings of a breath: the paper's waveforms, then the rows of the test standard, around and around.
+fn settings(breath: u32) -> Settings {
+    let index = (breath / BREATHS_PER_SETTING) as usize % (PAPER_PIPS.len() + ISO_ROWS.len());
+    match PAPER_PIPS.get(index) {
+        Some(pip) => paper_settings(*pip),
+        None => ISO_ROWS[index - PAPER_PIPS.len()].settings(),
+    }
+}
+
+/// The 64-bit hash of Fowler, Noll and Vo, variant 1a.
+struct Fnv(u64);
+
+impl Default for Fnv {
+    fn default() -> Self {
+        Self(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl Fnv {
+    fn command(&mut self, command: ValveCommand) {
+        for byte in command.u_in().to_bits().to_le_bytes() {
+            self.byte(byte);
+        }
+        self.byte(u8::from(command.u_out()));
+    }
+
+    fn byte(&mut self, byte: u8) {
+        self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hash_is_the_published_one() {
+        let mut hash = Fnv::default();
+        b"foobar".iter().for_each(|byte| hash.byte(*byte));
+        assert_eq!(hash.0, 0x8594_4171_f739_67e8);
+    }
+
+    #[test]
+    fn a_single_bit_of_a_weight_changes_the_trace() {
+        let Controller::Residual(first) = residual(1) else {
+            unreachable!("a residual was asked for");
+        };
+        let mut network = first.network().clone();
+        let weight = &mut network.hidden_1.weights[17][5];
+        *weight = f32::from_bits(weight.to_bits() ^ 1);
+        let other = Residual::new(*first.spec(), network).unwrap();
+        let last = |residual| *run(Controller::Residual(residual)).unwrap().entries.last().unwrap();
+        assert_ne!(last(first), last(other));
+    }
+}

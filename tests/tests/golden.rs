@@ -1,0 +1,52 @@
+//! Golden traces: a hundred breaths in closed loop must give the committed commands, bit for bit, in debug and in
+//! release, on every machine.
+//!
+//! A change that is meant to alter commands renews them with `EUPNEA_BLESS=1 cargo test -p tests golden`.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::{env, fs, iter};
+
+use shared::control::Controller;
+use tests::trace::{self, Entry};
+
+#[test]
+fn golden_pid_commands_keep_every_bit() {
+    compare("pid", trace::pid());
+}
+
+#[test]
+fn golden_residual_commands_keep_every_bit() {
+    compare("residual", trace::residual(1));
+}
+
+fn compare(name: &str, controller: Controller) {
+    let trace = trace::run(controller).expect("the ventilator must not leave ventilation");
+    // Exploration alone leaves 1.5 cmH2O.
+    assert!(
+        trace.plateau_error < 2.0,
+        "the loop does not reach its target, off by {} cmH2O: its trace would prove little",
+        trace.plateau_error
+    );
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("golden").join(name).with_extension("txt");
+    let now = text(&trace.entries);
+    if env::var_os("EUPNEA_BLESS").is_some_and(|value| value == "1") {
+        fs::write(&path, now).expect("the golden file can be written");
+        return;
+    }
+    let golden = fs::read_to_string(&path).unwrap_or_default();
+    let committed = golden.lines().chain(iter::repeat("nothing"));
+    let parted = now.lines().zip(committed).find(|(now, golden)| now != golden);
+    assert!(
+        now == golden,
+        "commands of the {name} trace changed; first difference (now, committed): {parted:?}. If that is meant, \
+         say why in the commit and renew them: EUPNEA_BLESS=1 cargo test -p tests golden"
+    );
+}
+
+fn text(entries: &[Entry]) -> String {
+    entries.iter().fold(String::new(), |mut text, entry| {
+        let _ = writeln!(text, "breaths {:>3}  fnv1a64 {:016x}", entry.breaths, entry.hash);
+        text
+    })
+}

@@ -1,0 +1,111 @@
+//! Reads the regions of `memory.x`, so that their sizes stand in the linker map alone.
+
+use anyhow::{Context, Result, bail};
+
+/// One line of the linker map's `MEMORY` block.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Name, such as `FLASH`.
+    pub name: String,
+    /// First address.
+    pub origin: u64,
+    /// Length in bytes.
+    pub length: u64,
+}
+
+impl Region {
+    /// Whether an address lies inside.
+    pub fn contains(&self, address: u64) -> bool {
+        (self.origin..self.origin + self.length).contains(&address)
+    }
+}
+
+/// All regions of a linker map, in its order.
+pub fn regions(linker_map: &str) -> Result<Vec<Region>> {
+    let lines = linker_map.lines().filter(|line| line.contains("ORIGIN =") && line.contains("LENGTH ="));
+    lines
+        .map(|line| region(line).with_context(|| format!("cannot read the memory region `{}`", line.trim())))
+        .collect()
+}
+
+/// The region of this name.
+pub fn find<'a>(regions: &'a [Region], name: &str) -> Result<&'a Region> {
+    let found = regions.iter().find(|region| region.name == name);
+    found.with_context(|| format!("memory.x names no region {name}"))
+}
+
+fn region(line: &str) -> Result<Region> {
+    let (name, rest) = line.split_once(':').context("no colon after the name")?;
+    Ok(Region {
+        name: name.trim().to_owned(),
+        origin: number(value(rest, "ORIGIN")?)?,
+        length: number(value(rest, "LENGTH")?)?,
+    })
+}
+
+/// The word after `key =`.
+fn value<'a>(text: &'a str, key: &str) -> Result<&'a str> {
+    let (_, after) = text.split_once(key).with_context(|| format!("{key} is missing"))?;
+    let after = after.trim_start().strip_prefix('=').context("no equals sign")?;
+    let word = after.trim_start().split([',', ' ', '\t', '/']).next();
+    word.context("no value")
+}
+
+/// A linker's number: decimal or hexadecimal, with K or M.
+fn number(text: &str) -> Result<u64> {
+    let (digits, unit) = match text.strip_suffix(['K', 'M']) {
+        Some(digits) if text.ends_with('K') => (digits, 1024),
+        Some(digits) => (digits, 1024 * 1024),
+        None => (text, 1),
+    };
+    let parsed = match digits.strip_prefix("0x") {
+        Some(hexadecimal) => u64::from_str_radix(hexadecimal, 16),
+        None => digits.parse(),
+    };
+    match parsed.ok().and_then(|value| value.checked_mul(unit)) {
+        Some(value) => Ok(value),
+        None => bail!("`{text}` is no number that a linker map may hold"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CHIP: &str = include_str!("../../memory.x");
+
+    #[test]
+    fn units_and_bases_are_read() {
+        for (text, value) in [("48K", 49_152), ("1M", 1_048_576), ("0x20000000", 0x2000_0000), ("7", 7)] {
+            assert_eq!(number(text).unwrap(), value);
+        }
+        assert!(number("lots").is_err());
+    }
+
+    #[test]
+    fn a_broken_line_is_quoted() {
+        let error = regions("  RAM : ORIGIN = 0x20000000, LENGTH = many").unwrap_err();
+        assert!(format!("{error:#}").contains("LENGTH = many"));
+    }
+
+    #[test]
+    fn the_weight_slots_are_the_flashs_last_two_sectors() {
+        const SECTOR: u64 = 128 * 1024;
+        let regions = regions(CHIP).unwrap();
+        let [flash, a, b] = ["FLASH", "SLOT_A", "SLOT_B"].map(|name| find(&regions, name).unwrap());
+        let end = flash.origin + 1024 * 1024;
+        assert_eq!((a.origin, a.length), (end - 2 * SECTOR, SECTOR));
+        assert_eq!((b.origin, b.length), (end - SECTOR, SECTOR));
+        assert_eq!(flash.origin + flash.length, a.origin, "the program ends where the slots begin");
+    }
+
+    #[test]
+    fn no_two_regions_overlap() {
+        let mut regions = regions(CHIP).unwrap();
+        assert_eq!(regions.len(), 5);
+        regions.sort_by_key(|region| region.origin);
+        for pair in regions.windows(2) {
+            assert!(pair[0].origin + pair[0].length <= pair[1].origin, "{pair:?}");
+        }
+    }
+}
