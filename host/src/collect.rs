@@ -225,13 +225,19 @@ mod tests {
 
     #[test]
     fn the_pressure_limit_ends_the_breath_and_collection_goes_on() {
+        let violent = Exploration {
+            boundary_probability: 0.5,
+            boundary_height: (95.0, 100.0),
+            boundary_duration: (0.3, 0.3),
+            ..Exploration::default()
+        };
         let config = CollectConfig {
             breaths: 20,
             settings: Settings { pressure_limit: 42.0, ..Settings::default() },
-            exploration: Some(Exploration { boundary_probability: 1.0, ..Exploration::default() }),
+            exploration: Some(violent),
             ..CollectConfig::default()
         };
-        let collected = run(&config, 6.0).unwrap();
+        let collected = run(&config, 1.0).unwrap();
         assert!(collected.aborts > 0 && collected.breaths == 20, "{} aborts", collected.aborts);
         assert_eq!(collected.recording.inspirations().len(), 20);
         collected.recording.validate().unwrap();

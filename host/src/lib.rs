@@ -5,6 +5,7 @@ pub mod baselines;
 pub mod bench;
 pub mod collect;
 pub mod dataset;
+pub mod demo;
 pub mod engine;
 pub mod evaluate;
 pub mod files;

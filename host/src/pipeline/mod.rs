@@ -202,6 +202,8 @@ pub struct Outcome {
     pub learned: Learned,
     /// Round by round.
     pub rounds: Vec<Round>,
+    /// One in so many breaths was held out of fitting.
+    pub hold_out: usize,
     /// Whether all rounds were run.
     pub complete: bool,
 }

@@ -106,6 +106,7 @@ impl<'a> Run<'a> {
                 simulators: self.simulators,
                 learned,
                 rounds: self.rounds,
+                hold_out: self.config.hold_out,
                 complete: self.complete,
             }),
             _ => Err(PipelineError::Stopped),
