@@ -3,6 +3,7 @@
 
 pub mod baselines;
 pub mod bench;
+pub mod cli;
 pub mod collect;
 pub mod dataset;
 pub mod demo;

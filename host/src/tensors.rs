@@ -47,8 +47,24 @@ impl TensorError {
     }
 }
 
+/// What stands before the kind in the metadata's key.
+const KEY: &str = "eupnea-";
+
 fn key(kind: &str) -> String {
-    format!("eupnea-{kind}")
+    format!("{KEY}{kind}")
+}
+
+/// The kind of a file that [`save`] wrote.
+///
+/// # Errors
+/// The file cannot be read, is torn or of another program.
+pub fn kind(path: &Path) -> Result<String, TensorError> {
+    let bytes = fs::read(path).map_err(TensorError::file(path))?;
+    let foreign = |reason: String| TensorError::format(path, "file of the trainer", reason);
+    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| foreign(e.to_string()))?;
+    let mut keys = header.metadata().iter().flat_map(HashMap::keys);
+    let kind = keys.find_map(|key| key.strip_prefix(KEY));
+    kind.map(str::to_owned).ok_or_else(|| foreign("its metadata do not say what it is".to_owned()))
 }
 
 /// Writes named vectors and their description, all or nothing.

@@ -3,14 +3,30 @@
 //! Each command reads its arguments, calls the library, prints a table and writes what was asked for. Whatever a
 //! command computes is the library's; nothing is computed here.
 
+mod collect;
 mod common;
+mod comparison;
+mod controller_args;
+mod evaluate;
+mod fit;
+mod import;
+mod inspect;
+mod output;
+mod pack;
+mod settings_args;
+mod tune_pid;
+
+use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
 #[derive(Debug, Parser)]
 #[command(name = "trainer", version, about, long_about = None, after_help = "\
 Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the result.
+EUPNEA_LOG sets what is logged, as in EUPNEA_LOG=debug.
 Research software: never for use on a patient.")]
 pub struct Cli {
     #[command(subcommand)]
@@ -18,13 +34,91 @@ pub struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
+<<<<<<< HEAD
 enum Command {}
+=======
+enum Command {
+    Collect(collect::Args),
+    TunePid(tune_pid::Args),
+    Fit(fit::Args),
+    Evaluate(evaluate::Args),
+    Pack(pack::Args),
+    Inspect(inspect::Args),
+    Import(import::Args),
+}
+>>>>>>> 29d0737 (Add the commands collect, tune-pid, fit, evaluate, pack, inspect and import)
 
-/// Runs the command of the process's arguments.
-///
-/// # Errors
-/// What went wrong, with advice where there is any.
-pub fn run() -> anyhow::Result<()> {
+/// Environment variable of the log's level.
+const LOG_VARIABLE: &str = "EUPNEA_LOG";
+/// Exit code of a command that Ctrl-C ended early, as shells expect it; what it had is saved.
+const INTERRUPTED: u8 = 130;
+
+/// Runs the command of the process's arguments and tells how it went.
+pub fn run() -> ExitCode {
+    log_to_standard_error();
     common::watch_for_ctrl_c();
+<<<<<<< HEAD
     match Cli::parse().command {}
+=======
+    match dispatch(&Cli::parse().command) {
+        Ok(()) if common::stopped() => ExitCode::from(INTERRUPTED),
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", message(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(command: &Command) -> anyhow::Result<()> {
+    match command {
+        Command::Collect(args) => collect::run(args),
+        Command::TunePid(args) => tune_pid::run(args),
+        Command::Fit(args) => fit::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Pack(args) => pack::run(args),
+        Command::Inspect(args) => inspect::run(args),
+        Command::Import(args) => import::run(args),
+    }
+}
+
+fn log_to_standard_error() {
+    let filter = EnvFilter::builder()
+        .with_env_var(LOG_VARIABLE)
+        .with_default_directive(LevelFilter::WARN.into())
+        .from_env_lossy();
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}
+
+/// An error and its causes; many errors quote their cause already, which is then not said twice.
+fn message(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_of_all_commands_are_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_cause_is_said_once() {
+        let quoted = anyhow::anyhow!("no such file").context("cannot read a.bin: no such file");
+        assert_eq!(message(&quoted), "cannot read a.bin: no such file");
+        let unquoted = anyhow::anyhow!("image is damaged").context("a.bin");
+        assert_eq!(message(&unquoted), "a.bin: image is damaged");
+    }
+>>>>>>> 29d0737 (Add the commands collect, tune-pid, fit, evaluate, pack, inspect and import)
 }

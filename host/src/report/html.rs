@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Plot, ReportError, Table};
+use super::{HeatMap, Plot, ReportError, Table};
 use crate::files::write_atomically;
 use crate::provenance::Provenance;
 
@@ -44,6 +44,8 @@ pub enum Block {
     Plot(Plot),
     /// Plots side by side, below each other on a narrow screen.
     PlotRow(Vec<Plot>),
+    /// A map over the whole width.
+    HeatMap(HeatMap),
     /// Paragraphs, parted by empty lines.
     Text(String),
 }
@@ -98,11 +100,16 @@ impl Block {
     fn to_html(&self) -> Result<String, ReportError> {
         Ok(match self {
             Self::Table(table) => table.to_html(),
-            Self::Plot(plot) => format!("<div class=\"plots\">\n{}</div>\n", figure(plot)?),
+            Self::Plot(plot) => {
+                format!("<div class=\"plots\">\n{}</div>\n", figure(&plot.title, &plot.to_svg()?))
+            }
             Self::PlotRow(plots) => {
-                let figures =
-                    plots.iter().map(|plot| figure(&smaller(plot))).collect::<Result<String, _>>()?;
+                let figures = plots.iter().map(|plot| Ok(figure(&plot.title, &smaller(plot).to_svg()?)));
+                let figures = figures.collect::<Result<String, ReportError>>()?;
                 format!("<div class=\"plots row\">\n{figures}</div>\n")
+            }
+            Self::HeatMap(map) => {
+                format!("<div class=\"plots\">\n{}</div>\n", figure(&map.title, &map.to_svg()?))
             }
             Self::Text(text) => paragraphs(text),
         })
@@ -114,11 +121,11 @@ fn smaller(plot: &Plot) -> Plot {
     Plot { size: (scale(plot.size.0, ROW_SHARE.0), scale(plot.size.1, ROW_SHARE.1)), ..plot.clone() }
 }
 
-/// The plot as part of the page, where the name space of a stand-alone SVG is superfluous.
-fn figure(plot: &Plot) -> Result<String, ReportError> {
-    let svg = plot.to_svg()?.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
-    let label = format!("<svg role=\"img\" aria-label=\"{}\"", escape(&plot.title));
-    Ok(format!("<figure>\n{}</figure>\n", svg.replacen("<svg", &label, 1)))
+/// A drawing as part of the page, where the name space of a stand-alone SVG is superfluous.
+fn figure(title: &str, svg: &str) -> String {
+    let svg = svg.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
+    let label = format!("<svg role=\"img\" aria-label=\"{}\"", escape(title));
+    format!("<figure>\n{}</figure>\n", svg.replacen("<svg", &label, 1))
 }
 
 fn paragraphs(text: &str) -> String {

@@ -1,6 +1,7 @@
 //! What people read: tables in the terminal, plots as SVG, and both in one HTML file that needs nothing else.
 
 mod curve;
+mod heat_map;
 mod html;
 mod plot;
 mod table;
@@ -12,6 +13,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+pub use heat_map::HeatMap;
 pub use html::{Block, Report, Section};
 pub use plot::{Plot, Series, Style};
 pub use table::{Cell, Table};
@@ -29,8 +31,8 @@ pub enum ReportError {
         /// Index of the first such point.
         index: usize,
     },
-    /// A logarithmic axis cannot show zero or less.
-    #[error("plot `{plot}`: a logarithmic axis needs values above 0, found {value}: use a linear axis")]
+    /// A logarithmic scale cannot show zero or less.
+    #[error("plot `{plot}`: a logarithmic scale needs values above 0, found {value}: use a linear one")]
     NotPositive {
         /// Title of the plot.
         plot: String,

@@ -78,6 +78,19 @@ fn mean(values: &[f32]) -> f32 {
     values.iter().sum::<f32>() / values.len().max(1) as f32
 }
 
+/// Command channels that matter in a recording: the inspiratory valve; the expiratory one too if it moves during
+/// inspirations; the oxygen valve too if it moves at all.
+pub fn channels(recording: &Recording) -> usize {
+    let moves = |values: &[f32]| values.windows(2).any(|pair| pair[0].total_cmp(&pair[1]).is_ne());
+    if recording.u_psol.as_deref().is_some_and(moves) {
+        3
+    } else if recording.inspirations().into_iter().any(|rows| moves(&recording.u_out[rows])) {
+        2
+    } else {
+        1
+    }
+}
+
 /// Scaled command of a channel: the inspiratory valve, then the expiratory one, then the oxygen valve.
 fn channel(recording: &Recording, row: usize, channel: usize) -> f32 {
     let percent = match channel {
@@ -200,6 +213,18 @@ mod tests {
         assert!((second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4, "mean of what there is");
         assert!((second.plateau - 20.0).abs() < 1e-6);
         assert!((second.rest[0] * COMMAND_SCALE - 5.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn only_valves_that_move_are_channels() {
+        let mut recording = recording();
+        recording.u_out.iter_mut().zip(&recording.phase).for_each(|(u, phase)| *u = 50.0 * f32::from(*phase));
+        assert_eq!(channels(&recording), 1, "open or shut as the phase has it");
+        recording.u_psol = Some(vec![0.0; recording.len()]);
+        recording.u_out[3] = 1.0;
+        assert_eq!(channels(&recording), 2);
+        recording.u_psol = Some((0..recording.len()).map(|row| row as f32).collect());
+        assert_eq!(channels(&recording), 3);
     }
 
     #[test]

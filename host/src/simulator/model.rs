@@ -72,7 +72,7 @@ struct Metadata {
 }
 
 /// What the file says it is.
-const KIND: &str = "simulator";
+pub(crate) const KIND: &str = "simulator";
 /// Name of the parameter vector.
 const PARAMETERS: &str = "parameters";
 

@@ -57,7 +57,7 @@ struct Description {
 }
 
 /// What the file says it is.
-const KIND: &str = "controller";
+pub(crate) const KIND: &str = "controller";
 /// Name of the parameter vector: layer by layer, weights row by row, then biases.
 const NETWORK: &str = "network";
 

@@ -1,0 +1,239 @@
+//! `trainer collect`: records breaths with random perturbations.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+use shared::breath::PAPER_PIPS;
+use shared::explore::{Exploration, Range};
+
+use super::common::{BenchArgs, bar, stop, stopped};
+use super::controller_args::{Chosen, ControllerArgs};
+use super::output::OutputArgs;
+use super::settings_args::SettingsArgs;
+use crate::collect::{CollectConfig, Collected, collect};
+use crate::dataset::{INSPIRATION, Recording};
+use crate::evaluate::seeds;
+use crate::report::{Cell, Table};
+use crate::source::BenchSource;
+use crate::watch::Watch;
+
+/// Record breaths with random perturbations of a known-good controller, as in the paper
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer collect --out first.parquet
+  trainer collect --out stiff.parquet --lung R50C10 --gains 0.5,5 --breaths 400 --boundary-probability 0.3
+  trainer collect --out slow.parquet --period-us 30000 --pips 15,25 --triangle-height=-20:20
+
+Ctrl-C ends the collection and saves the breaths recorded so far.")]
+pub struct Args {
+    /// File to write the recording to
+    #[arg(long, value_name = "FILE.parquet")]
+    out: PathBuf,
+    #[command(flatten)]
+    bench: BenchArgs,
+    /// Breaths to record
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    breaths: usize,
+    #[command(flatten)]
+    controller: ControllerArgs,
+    /// PIPs of every second breath, cmH2O
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    pips: Vec<f32>,
+    /// The other breaths have a PIP drawn from this range, cmH2O
+    #[arg(long, value_name = "LOW:HIGH", value_parser = range, default_value = text(CollectConfig::default().pip_range))]
+    pip_range: Range,
+    /// Breaths ended by the pressure limit after which collection gives up
+    #[arg(long, value_name = "N", default_value_t = CollectConfig::default().aborts)]
+    aborts: usize,
+    #[command(flatten)]
+    exploration: ExplorationArgs,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Seed of PIPs, perturbations and sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// How to perturb.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Exploration")]
+struct ExplorationArgs {
+    /// Record the controller alone
+    #[arg(long)]
+    no_exploration: bool,
+    /// Probability of a perturbation at the start of the breath; the others are triangles within it
+    #[arg(long, value_name = "P", default_value_t = Exploration::default().boundary_probability)]
+    boundary_probability: f32,
+    /// Command added at the start of the breath, percent
+    #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true,
+        default_value = text(Exploration::default().boundary_height))]
+    boundary_height: Range,
+    /// Time in which it fades out, s
+    #[arg(long, value_name = "LOW:HIGH", value_parser = range,
+        default_value = text(Exploration::default().boundary_duration))]
+    boundary_duration: Range,
+    /// Peak of a triangle, percent
+    #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true,
+        default_value = text(Exploration::default().triangle_height))]
+    triangle_height: Range,
+    /// Length of a triangle, s
+    #[arg(long, value_name = "LOW:HIGH", value_parser = range,
+        default_value = text(Exploration::default().triangle_duration))]
+    triangle_duration: Range,
+}
+
+impl ExplorationArgs {
+    fn exploration(&self) -> Option<Exploration> {
+        (!self.no_exploration).then_some(Exploration {
+            boundary_probability: self.boundary_probability,
+            boundary_height: self.boundary_height,
+            boundary_duration: self.boundary_duration,
+            triangle_height: self.triangle_height,
+            triangle_duration: self.triangle_duration,
+            ..Exploration::default()
+        })
+    }
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Summary {
+    seed: u64,
+    plant: String,
+    controller: String,
+    weights_id: Option<String>,
+    breaths: usize,
+    aborted: usize,
+    ticks: usize,
+    period_us: u32,
+    pressure: (f32, f32),
+    explored: f64,
+    complete: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let chosen = args.controller.chosen()?;
+    let config = config(args)?;
+    let mut collected = record(args, &chosen, &config)?;
+    if collected.breaths == 0 && stopped() {
+        bail!("stopped before the first breath was complete; nothing is saved");
+    }
+    let provenance = &mut collected.recording.provenance;
+    provenance.seed = args.seed;
+    provenance.weights_id = chosen.weights_id.clone().unwrap_or_default();
+    collected.recording.save(&args.out)?;
+    let summary = summary(args, &chosen, &config, &collected);
+    args.output.table(&table(&summary));
+    args.output.line(&format!("saved {}", args.out.display()));
+    args.output.finish(&summary)?;
+    if !summary.complete && !stopped() {
+        bail!(
+            "gave up after {} breaths ended early, {} of {} are saved: use lower gains, less exploration, or more --aborts",
+            collected.aborts,
+            collected.breaths,
+            config.breaths
+        );
+    }
+    Ok(())
+}
+
+fn config(args: &Args) -> anyhow::Result<CollectConfig> {
+    Ok(CollectConfig {
+        breaths: args.breaths,
+        pips: args.pips.clone(),
+        pip_range: args.pip_range,
+        settings: args.settings.checked(&args.pips)?,
+        exploration: args.exploration.exploration(),
+        aborts: args.aborts,
+        seed: seeds::collection(args.seed, 0),
+    })
+}
+
+fn record(args: &Args, chosen: &Chosen, config: &CollectConfig) -> anyhow::Result<Collected> {
+    let bench = args.bench.one()?;
+    let controller = &chosen.controller;
+    let mut source =
+        BenchSource::new(&bench, controller.clone(), &config.settings, chosen.period_us, config.seed)?;
+    let bar = bar("collecting", config.breaths);
+    let progress = |done: u64, _: u64| bar.set_position(done);
+    let collected = collect(&mut source, controller, config, &Watch::new(&progress, stop()));
+    bar.finish_and_clear();
+    collected.with_context(|| format!("cannot collect from {}", bench.name))
+}
+
+fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Collected) -> Summary {
+    let Collected { recording, breaths, aborts } = collected;
+    let lowest = recording.pressure.iter().copied().reduce(f32::min);
+    let highest = recording.pressure.iter().copied().reduce(f32::max);
+    Summary {
+        seed: args.seed,
+        plant: recording.provenance.plant.clone(),
+        controller: chosen.name.clone(),
+        weights_id: chosen.weights_id.clone(),
+        breaths: *breaths,
+        aborted: *aborts,
+        ticks: recording.len(),
+        period_us: chosen.period_us,
+        pressure: (lowest.unwrap_or(0.0), highest.unwrap_or(0.0)),
+        explored: explored(recording),
+        complete: *breaths == config.breaths,
+    }
+}
+
+/// Share of the inspiratory ticks that were perturbed, 0 to 1.
+fn explored(recording: &Recording) -> f64 {
+    let inspiratory =
+        recording.phase.iter().zip(&recording.explore).filter(|(phase, _)| **phase == INSPIRATION);
+    let (all, perturbed) =
+        inspiratory.fold((0, 0), |(all, some), (_, explore)| (all + 1, some + usize::from(*explore != 0.0)));
+    f64::from(perturbed as u32) / f64::from((all as u32).max(1))
+}
+
+fn table(summary: &Summary) -> Table {
+    let seconds = summary.ticks as f64 * f64::from(summary.period_us) * 1e-6;
+    let (low, high) = summary.pressure;
+    let mut table = Table::new("", &["recording", &summary.plant]);
+    for (name, value) in [
+        ("controller", summary.controller.clone()),
+        ("breaths", summary.breaths.to_string()),
+        ("breaths ended early", summary.aborted.to_string()),
+        ("ticks", format!("{} of {} us, {seconds:.0} s", summary.ticks, summary.period_us)),
+        ("measured pressure", format!("{low:.1} to {high:.1} cmH2O")),
+        ("inspiration perturbed", format!("{:.0} % of the time", 100.0 * summary.explored)),
+    ] {
+        table.row(vec![Cell::text(name), Cell::text(value)]);
+    }
+    table
+}
+
+/// A range as typed, `LOW:HIGH`.
+fn range(text: &str) -> Result<Range, String> {
+    let number = |part: &str| part.trim().parse::<f32>().ok();
+    let ends = text.split_once(':').and_then(|(low, high)| Some((number(low)?, number(high)?)));
+    ends.ok_or_else(|| "write LOW:HIGH as in 8:37, or =-30:30 where it starts below zero".to_owned())
+}
+
+/// A range as it is typed.
+fn text((low, high): Range) -> String {
+    format!("{low}:{high}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_read_as_they_are_printed() {
+        for ends in [(8.0, 37.0), (-30.0, 30.0), (0.05, 0.3)] {
+            assert_eq!(range(&text(ends)), Ok(ends));
+        }
+        for wrong in ["8", "8:", "low:high", ""] {
+            assert!(range(wrong).unwrap_err().contains("LOW:HIGH"), "{wrong}");
+        }
+    }
+}

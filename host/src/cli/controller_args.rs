@@ -1,0 +1,127 @@
+//! Which controller runs, and at which control period: gains, a file of a learned controller, or its image.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::Controller;
+use shared::control::pid::PidGains;
+use shared::control::residual::Residual;
+use shared::weights::{Image, decode};
+
+use super::common;
+
+/// A PI that is good on the default lung and cautious on the others.
+pub const KNOWN_GOOD: PidGains = PidGains { p: 1.0, i: 10.0, d: 0.0 };
+
+/// Which controller.
+#[derive(Debug, clap::Args)]
+pub struct ControllerArgs {
+    /// A PID with these gains: percent per cmH2O, per cmH2O and second, per cmH2O/s [default: 1,10,0]
+    #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
+    gains: Option<PidGains>,
+    /// A learned controller, as trained
+    #[arg(long, value_name = "FILE", group = "which")]
+    controller: Option<PathBuf>,
+    /// A learned controller, as packed for the chip
+    #[arg(long, value_name = "FILE", group = "which")]
+    weights: Option<PathBuf>,
+    /// Control period, microseconds [default: 1000, or that of the learned controller]
+    #[arg(long, value_name = "US")]
+    period_us: Option<u32>,
+}
+
+/// A controller ready to run.
+#[derive(Clone, Debug)]
+pub struct Chosen {
+    /// The controller.
+    pub controller: Controller,
+    /// Its control period, microseconds.
+    pub period_us: u32,
+    /// The name of a learned one: its image's checksum in hex.
+    pub weights_id: Option<String>,
+    /// As printed: gains or file.
+    pub name: String,
+}
+
+impl Chosen {
+    /// Gains of the PID, or of the one under the residual.
+    pub fn gains(&self) -> PidGains {
+        self.controller.pid().gains()
+    }
+}
+
+impl ControllerArgs {
+    /// The controller meant.
+    ///
+    /// # Errors
+    /// A file that holds no sound controller, one that is trained for another control period, or impossible gains.
+    pub fn chosen(&self) -> anyhow::Result<Chosen> {
+        match (&self.controller, &self.weights) {
+            (Some(file), _) => {
+                let image = common::learned(file)?.image()?;
+                self.learned(file, decode(&image)?)
+            }
+            (None, Some(file)) => self.learned(file, load_image(file)?),
+            (None, None) => {
+                let (gains, period_us) =
+                    (self.gains.unwrap_or(KNOWN_GOOD), self.period_us.unwrap_or(DEFAULT_PERIOD_US));
+                let (controller, name) = (common::pid(gains, period_us)?, format_gains(&gains));
+                Ok(Chosen { controller, period_us, weights_id: None, name })
+            }
+        }
+    }
+
+    fn learned(&self, file: &Path, image: Image) -> anyhow::Result<Chosen> {
+        let residual: Residual = image.residual;
+        let period_us = residual.spec().period_us;
+        if let Some(asked) = self.period_us.filter(|asked| *asked != period_us) {
+            bail!(
+                "{} is trained for a control period of {period_us} us, not {asked}: leave --period-us out",
+                file.display()
+            );
+        }
+        Ok(Chosen {
+            controller: Controller::Residual(residual),
+            period_us,
+            weights_id: Some(image_id(image.id)),
+            name: file.display().to_string(),
+        })
+    }
+}
+
+/// An image from its file.
+///
+/// # Errors
+/// A file that cannot be read, or whatever is wrong with the image.
+pub fn load_image(file: &Path) -> anyhow::Result<Image> {
+    let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+    decode(&bytes).with_context(|| file.display().to_string())
+}
+
+/// The name of an image: its checksum in hex.
+pub fn image_id(id: u32) -> String {
+    format!("{id:08x}")
+}
+
+/// Gains as they are typed.
+pub fn format_gains(gains: &PidGains) -> String {
+    let PidGains { p, i, d } = gains;
+    format!("{p},{i},{d}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn printed_gains_can_be_typed_again() {
+        let gains = PidGains { p: 1.25, i: 0.1 + 0.2, d: 0.003 };
+        assert_eq!(common::gains(&format_gains(&gains)), Ok(gains));
+    }
+
+    #[test]
+    fn the_default_is_the_one_that_the_help_names() {
+        assert_eq!(format_gains(&KNOWN_GOOD), "1,10,0");
+    }
+}

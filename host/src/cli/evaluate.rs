@@ -1,0 +1,222 @@
+//! `trainer evaluate`: scores of a controller on a bench, a learned one beside its PID.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+use shared::breath::PAPER_PIPS;
+use shared::control::Controller;
+use shared::control::pid::PidGains;
+
+use super::common::{self, BenchArgs, bar, stopped};
+use super::comparison::{Comparison, Pair, WaveformPair};
+use super::controller_args::{Chosen, ControllerArgs, format_gains};
+use super::output::OutputArgs;
+use super::settings_args::SettingsArgs;
+use crate::bench::BenchConfig;
+use crate::evaluate::{Plan, Score, Trace, evaluate, trace};
+use crate::provenance::Provenance;
+use crate::report::{Block, Plot, Report, Section, Series, Style};
+
+/// Score a controller on the bench, a learned one beside its PID under the same noise
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer evaluate --gains 2,30,0.01 --lung R5C50
+  trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
+  trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
+
+The score is the mean absolute error over the inspiration, in cmH2O. Errors are those of the true airway pressure,
+which only the bench knows. A learned controller is compared with the PID underneath it, or with --against.")]
+pub struct Args {
+    #[command(flatten)]
+    controller: ControllerArgs,
+    /// PID to compare a learned controller with, in place of its own
+    #[arg(long, value_name = "P,I,D", value_parser = common::gains, conflicts_with = "gains")]
+    against: Option<PidGains>,
+    #[command(flatten)]
+    bench: BenchArgs,
+    /// PIPs of the waveforms, cmH2O
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    pips: Vec<f32>,
+    /// Scored breaths per waveform and noise sequence
+    #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
+    breaths: usize,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Seed of the sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Write figures and curves as an HTML report
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Summary {
+    seed: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lung: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bench: Option<PathBuf>,
+    controller: String,
+    weights_id: Option<String>,
+    gains: PidGains,
+    period_us: u32,
+    breaths: usize,
+    #[serde(flatten)]
+    comparison: Comparison,
+}
+
+/// What runs: the bench, the PID and the learned controller.
+struct Setup {
+    bench: BenchConfig,
+    pid: Controller,
+    chosen: Chosen,
+    plan: Plan,
+}
+
+impl Setup {
+    fn new(args: &Args) -> anyhow::Result<Self> {
+        let chosen = args.controller.chosen()?;
+        let gains = args.against.unwrap_or(chosen.gains());
+        Ok(Self {
+            bench: args.bench.one()?,
+            pid: common::pid(gains, chosen.period_us)?,
+            plan: Plan {
+                period_us: chosen.period_us,
+                pips: args.pips.clone(),
+                breaths: args.breaths,
+                settings: args.settings.checked(&args.pips)?,
+                ..Plan::evaluation(args.seed)
+            },
+            chosen,
+        })
+    }
+
+    /// The learned controller, if there is one.
+    fn learned(&self) -> Option<&Controller> {
+        self.chosen.weights_id.as_ref().map(|_| &self.chosen.controller)
+    }
+
+    /// Scores waveform by waveform, so that Ctrl-C leaves those that are done.
+    fn compare(&self) -> anyhow::Result<Comparison> {
+        let bar = bar("evaluating, waveforms", self.plan.pips.len());
+        let mut waveforms = Vec::with_capacity(self.plan.pips.len());
+        for pip in self.plan.pips.iter().copied().take_while(|_| !stopped()) {
+            let pid = self.score("PID", &self.pid, pip)?;
+            let learned = self.learned().map(|controller| self.score("learned controller", controller, pip));
+            waveforms.push(WaveformPair { pip, pair: Pair { pid, learned: learned.transpose()? } });
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        Ok(Comparison::new(waveforms))
+    }
+
+    fn score(&self, name: &str, controller: &Controller, pip: f32) -> anyhow::Result<Score> {
+        let plan = Plan { pips: vec![pip], ..self.plan.clone() };
+        let evaluation = evaluate(&self.bench, controller, &plan);
+        Ok(evaluation.with_context(|| format!("{name}, PIP {pip} cmH2O"))?.mean)
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let setup = Setup::new(args)?;
+    let comparison = setup.compare()?;
+    if comparison.waveforms.is_empty() {
+        bail!("stopped before the first waveform was complete");
+    }
+    let title =
+        format!("{} on {}: errors of the true airway pressure, cmH2O", setup.chosen.name, setup.bench.name);
+    args.output.table(&comparison.table(&title));
+    if stopped() {
+        args.output.line("stopped: the waveforms run so far");
+    }
+    if let Some(path) = &args.report {
+        report(args, &setup, &comparison)?.save(path)?;
+        args.output.line(&format!("saved {}", path.display()));
+    }
+    args.output.finish(&Summary {
+        seed: args.seed,
+        lung: args.bench.bench.is_none().then(|| setup.bench.name.clone()),
+        bench: args.bench.bench.clone(),
+        controller: setup.chosen.name.clone(),
+        weights_id: setup.chosen.weights_id.clone(),
+        gains: setup.pid.pid().gains(),
+        period_us: setup.plan.period_us,
+        breaths: setup.plan.breaths,
+        comparison,
+    })
+}
+
+fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result<Report> {
+    let mut sections = vec![Section {
+        heading: "Figures".into(),
+        text: format!(
+            "Means over {} breaths under each of {} noise sequences; PID {}. Errors are those of the true airway \
+             pressure, which only the bench knows.",
+            setup.plan.breaths,
+            setup.plan.seeds.len(),
+            format_gains(&setup.pid.pid().gains())
+        ),
+        blocks: vec![Block::Table(comparison.table(""))],
+    }];
+    for waveform in &comparison.waveforms {
+        sections.push(curves(setup, waveform.pip)?);
+    }
+    Ok(Report {
+        title: "Evaluation".into(),
+        subtitle: format!("{} on {}", setup.chosen.name, setup.bench.name),
+        sections,
+        provenance: Some(Provenance {
+            seed: args.seed,
+            plant: setup.bench.name.clone(),
+            plant_parameters: setup.bench.to_toml(),
+            settings: serde_json::to_value(&setup.plan)?,
+            weights_id: setup.chosen.weights_id.clone().unwrap_or_default(),
+            ..Provenance::new(setup.plan.period_us, "trainer evaluate")
+        }),
+    })
+}
+
+/// One breath of a waveform: pressures and valves.
+fn curves(setup: &Setup, pip: f32) -> anyhow::Result<Section> {
+    let seed = setup.plan.seeds.first().copied().unwrap_or_default();
+    let run = |controller| {
+        trace(&setup.bench, controller, &setup.plan.waveform(pip), setup.plan.period_us, seed, 1)
+    };
+    let mut traces = vec![("PID", run(&setup.pid)?)];
+    if let Some(learned) = setup.learned() {
+        traces.push(("learned", run(learned)?));
+    }
+    let target = points(&traces[0].1, &traces[0].1.target);
+    let mut pressure = vec![Series::new("target", Style::Dashed, target)];
+    let mut valve = Vec::new();
+    for (name, trace) in &traces {
+        pressure.push(Series::new(*name, Style::Line, points(trace, &trace.pressure)));
+        valve.push(Series::new(*name, Style::Line, points(trace, &trace.u_in)));
+    }
+    let plot = |title: &str, y_label: &str, series| Plot {
+        title: title.to_owned(),
+        x_label: "time, s".into(),
+        y_label: y_label.to_owned(),
+        series,
+        ..Plot::default()
+    };
+    Ok(Section {
+        heading: format!("PIP {pip} cmH2O"),
+        text: String::new(),
+        blocks: vec![Block::PlotRow(vec![
+            plot("True airway pressure", "pressure, cmH2O", pressure),
+            plot("Inspiratory valve", "command, percent", valve),
+        ])],
+    })
+}
+
+fn points(trace: &Trace, values: &[f64]) -> Vec<(f64, f64)> {
+    trace.time_s.iter().copied().zip(values.iter().copied()).collect()
+}

@@ -1,0 +1,102 @@
+//! The report of a fit: training curve, errors, and predictions beside what was measured.
+
+use super::{Summary, table};
+use crate::dataset::Recording;
+use crate::provenance::Provenance;
+use crate::report::{Block, Plot, Report, Section, Series, Style};
+use crate::simulator::episode::Episode;
+use crate::simulator::fit::predict;
+use crate::simulator::model::Simulator;
+
+/// Held-out breaths shown.
+const SHOWN: usize = 8;
+
+/// Everything about a fit on one page.
+pub fn report(
+    summary: &Summary,
+    simulator: &Simulator,
+    curve: &[f64],
+    held_out: &[&Episode],
+    recording: &Recording,
+) -> Report {
+    let period_s = f64::from(simulator.architecture.timing().period_us) * 1e-6;
+    let shown = spread(held_out, SHOWN);
+    let predictions = predict(simulator, &shown);
+    let breaths = shown
+        .iter()
+        .zip(&predictions)
+        .map(|(episode, prediction)| breath(episode, prediction, period_s, &recording.provenance.groups));
+    let mut sections = vec![
+        Section {
+            heading: "Errors".into(),
+            text: "One step: the predicted change of pressure over one step of the simulator. Open loop: recorded \
+                   commands replayed from rest, without pressure feedback, over the whole inspiration."
+                .into(),
+            blocks: vec![Block::Table(table(summary))],
+        },
+        Section {
+            heading: "Held-out breaths".into(),
+            text: "None of these took part in the fit. Predictions see the commands and how the breath starts.".into(),
+            blocks: vec![Block::PlotRow(breaths.collect())],
+        },
+    ];
+    sections.extend(training(curve));
+    Report {
+        title: "Learned simulator".into(),
+        subtitle: summary.plant.clone(),
+        sections,
+        provenance: Some(Provenance {
+            seed: summary.seed,
+            settings: serde_json::json!({
+                "architecture": summary.architecture, "epochs": summary.epochs,
+                "recording": recording.provenance.settings,
+            }),
+            ..recording.provenance.clone()
+        }),
+    }
+}
+
+/// At most `count` entries, evenly spread.
+fn spread<'a>(episodes: &[&'a Episode], count: usize) -> Vec<&'a Episode> {
+    let count = count.min(episodes.len());
+    (0..count).map(|n| episodes[n * episodes.len() / count]).collect()
+}
+
+fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[String]) -> Plot {
+    let points = |values: &[f32]| -> Vec<(f64, f64)> {
+        values.iter().enumerate().map(|(tick, p)| (tick as f64 * period_s, f64::from(*p))).collect()
+    };
+    let mut series = vec![Series::new("measured", Style::Line, points(&episode.pressure))];
+    series.extend(episode.truth.as_ref().map(|truth| Series::new("true", Style::Line, points(truth))));
+    series.push(Series::new("open loop", Style::Dashed, points(prediction)));
+    let group = episode.group.and_then(|index| groups.get(index as usize));
+    let of = group.map_or_else(String::new, |name| format!("{name}, "));
+    Plot {
+        title: format!("{of}PIP {:.1} cmH2O", episode.pip),
+        x_label: "time, s".into(),
+        y_label: "pressure, cmH2O".into(),
+        series,
+        ..Plot::default()
+    }
+}
+
+/// The loss by epoch; nothing to show for a fit that was stopped before its first.
+fn training(curve: &[f64]) -> Option<Section> {
+    if curve.is_empty() {
+        return None;
+    }
+    // A loss of zero has no place on a logarithmic axis.
+    let point = |(epoch, loss): (usize, &f64)| ((epoch + 1) as f64, loss.max(f64::MIN_POSITIVE));
+    Some(Section {
+        heading: "Training".into(),
+        text: "Loss per pressure on the training breaths.".into(),
+        blocks: vec![Block::Plot(Plot {
+            title: "Training curve".into(),
+            x_label: "epoch".into(),
+            y_label: "Huber loss, cmH2O".into(),
+            series: vec![Series::new("training", Style::Line, curve.iter().enumerate().map(point).collect())],
+            log_y: true,
+            ..Plot::default()
+        })],
+    })
+}

@@ -1,0 +1,59 @@
+//! What of the command can be told without a process.
+
+use super::*;
+use crate::provenance::Provenance;
+
+fn episode(pip: f32, group: Option<u32>) -> Episode {
+    Episode {
+        pressure: vec![5.0; 10],
+        truth: None,
+        commands: vec![0.1; 2],
+        rest: vec![0.1; 2],
+        start: 5.0,
+        plateau: 5.0,
+        pip,
+        peep: 5.0,
+        group,
+    }
+}
+
+#[test]
+fn random_pips_are_no_waveforms() {
+    let all = [episode(10.0, None), episode(13.7, None), episode(10.0, None)];
+    let found = repeated(&all.iter().collect::<Vec<_>>());
+    assert_eq!(found.len(), 2);
+    assert!(found.iter().all(|e| e.pip.total_cmp(&10.0).is_eq()));
+}
+
+fn recording(period_us: u32) -> Recording {
+    Recording::new(Provenance::new(period_us, "test"), false)
+}
+
+fn args(arguments: &[&str]) -> Args {
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+    let line = ["fit", "--data", "a", "--out", "b"].iter().chain(arguments);
+    <Line as clap::Parser>::try_parse_from(line).unwrap().args
+}
+
+#[test]
+fn the_stitched_architecture_refuses_fast_ticks_and_says_what_to_do() {
+    let stitched = args(&["--architecture", "stitched"]);
+    let refused = architecture(&stitched, &recording(1_000)).unwrap_err().to_string();
+    assert!(refused.contains("--period-us 30000"), "{refused}");
+    assert!(architecture(&stitched, &recording(30_000)).is_ok());
+}
+
+#[test]
+fn sizes_are_the_models_unless_given() {
+    let shape = |arguments: &[&str]| match architecture(&args(arguments), &recording(1_000)).unwrap() {
+        Architecture::StateSpace(shape) => shape,
+        Architecture::Stitched(_) => panic!("asked for state-space"),
+    };
+    assert_eq!(shape(&[]), StateSpaceConfig::for_period(1_000, 1));
+    let small = shape(&["--states", "3", "--hidden", "4", "--history", "5"]);
+    assert_eq!((small.states, small.hidden, small.history), (3, 4, 5));
+}

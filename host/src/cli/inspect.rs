@@ -1,0 +1,202 @@
+//! `trainer inspect`: what is in a file, told by its content.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde_json::{Value, json};
+use shared::control::network::Network;
+use shared::control::residual::ResidualSpec;
+use shared::weights::{ARCHITECTURE, FORMAT_VERSION, Image, MAGIC, decode};
+
+use super::controller_args::image_id;
+use super::output::OutputArgs;
+use crate::bench::BenchConfig;
+use crate::dataset::Recording;
+use crate::report::{Cell, Table};
+use crate::simulator::model::Simulator;
+use crate::tensors;
+use crate::train::learned::Learned;
+
+/// Show what is in a recording, a simulator, a controller or a weights image
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer inspect weights.bin
+  trainer inspect first.parquet --json -
+  trainer inspect --bench R20C20 > bench.toml")]
+pub struct Args {
+    /// Any file that the trainer makes
+    #[arg(value_name = "FILE", required_unless_present = "bench")]
+    file: Option<PathBuf>,
+    /// Print the description of a lung's bench, to be changed and given to --bench of other commands
+    #[arg(long, value_name = "LUNG", conflicts_with = "file")]
+    bench: Option<String>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Name and value of everything worth knowing, in order.
+type Facts = Vec<(&'static str, Value)>;
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    if let Some(name) = &args.bench {
+        let bench = BenchConfig::from_name(name)?;
+        args.output.line(bench.to_toml().trim_end());
+        return args.output.finish(&bench);
+    }
+    let file = args.file.as_deref().context("no file given")?;
+    let facts = facts(file)?;
+    args.output.table(&table(file, &facts));
+    args.output.finish(&facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect::<Value>())
+}
+
+/// Reads a file as what it says it is: by its first bytes, or, where they are damaged, by its name.
+fn facts(file: &Path) -> anyhow::Result<Facts> {
+    let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let named = |extension| file.extension().is_some_and(|found| found == extension);
+    if bytes.starts_with(&MAGIC) || named("bin") {
+        return image(&decode(&bytes).with_context(|| file.display().to_string())?);
+    }
+    if bytes.starts_with(b"PAR1") || named("parquet") {
+        return Ok(recording(&Recording::load(file)?));
+    }
+    match tensors::kind(file)?.as_str() {
+        crate::simulator::model::KIND => simulator(&Simulator::load(file)?),
+        crate::train::learned::KIND => learned(&Learned::load(file)?),
+        other => bail!("{} holds {other}, which this version does not know", file.display()),
+    }
+}
+
+fn image(image: &Image) -> anyhow::Result<Facts> {
+    let mut facts = vec![
+        ("kind", json!("weights image")),
+        ("id", json!(image_id(image.id))),
+        ("format version", json!(FORMAT_VERSION)),
+        ("architecture", json!(ARCHITECTURE)),
+        ("training", json!(label(&image.identity.training))),
+        ("plant", json!(label(&image.identity.plant))),
+    ];
+    facts.extend(controller(image.residual.spec())?);
+    facts.push(("golden last command", json!(f32::from_bits(image.golden.last))));
+    facts.push(("golden checksum", json!(format!("{:08x}", image.golden.all))));
+    Ok(facts)
+}
+
+fn controller(spec: &ResidualSpec) -> anyhow::Result<Facts> {
+    let Value::Object(features) = serde_json::to_value(spec.features)? else {
+        bail!("the features have no names");
+    };
+    let ResidualSpec { period_us, gains, lambda, authority, .. } = spec;
+    Ok(vec![
+        ("network", json!(Network::SHAPE)),
+        ("parameters", json!(Network::PARAMETERS)),
+        ("period, us", json!(period_us)),
+        ("gains P, I, D", json!([gains.p, gains.i, gains.d])),
+        ("lambda", json!(lambda)),
+        ("authority, percent", json!(authority)),
+        ("features", Value::Object(features)),
+    ])
+}
+
+fn learned(learned: &Learned) -> anyhow::Result<Facts> {
+    let origin = &learned.origin;
+    let id = decode(&learned.image()?)?.id;
+    let mut facts = vec![
+        ("kind", json!("learned controller")),
+        ("id", json!(image_id(id))),
+        ("plant", json!(origin.plant)),
+        ("seed", json!(origin.seed)),
+        ("revision", json!(origin.git_revision)),
+        ("score in training", json!(origin.validation)),
+        ("score of its PID", json!(origin.base)),
+    ];
+    facts.extend(controller(learned.controller.spec())?);
+    Ok(facts)
+}
+
+fn simulator(simulator: &Simulator) -> anyhow::Result<Facts> {
+    Ok(vec![
+        ("kind", json!("learned simulator")),
+        ("plant", json!(simulator.plant)),
+        ("shape", serde_json::to_value(simulator.architecture)?),
+        ("parameters", json!(simulator.parameters.len())),
+        ("noise, cmH2O", json!(simulator.noise)),
+        ("starting pressure, cmH2O", json!(simulator.start_pressure)),
+    ])
+}
+
+fn recording(recording: &Recording) -> Facts {
+    let provenance = &recording.provenance;
+    let ends = |values: &[f32]| {
+        let lowest = values.iter().copied().reduce(f32::min);
+        json!([lowest, values.iter().copied().reduce(f32::max)])
+    };
+    let ids = if provenance.weights_id.is_empty() { "none" } else { &provenance.weights_id };
+    vec![
+        ("kind", json!("recording")),
+        ("source", json!(provenance.source)),
+        ("plant", json!(provenance.plant)),
+        ("seed", json!(provenance.seed)),
+        ("revision", json!(provenance.git_revision)),
+        ("weights", json!(ids)),
+        ("period, us", json!(provenance.period_us)),
+        ("ticks", json!(recording.len())),
+        ("breaths", json!(recording.breaths().len())),
+        ("complete inspirations", json!(recording.inspirations().len())),
+        ("pressure, cmH2O", ends(&recording.pressure)),
+        ("inspiratory valve, percent", ends(&recording.u_in)),
+        ("groups", json!(provenance.groups)),
+        ("notes", json!(provenance.notes)),
+        ("settings", provenance.settings.clone()),
+        ("bench", json!(provenance.plant_parameters)),
+    ]
+}
+
+fn table(file: &Path, facts: &Facts) -> Table {
+    let mut table = Table::new("", &[&file.display().to_string(), ""]);
+    for (name, value) in facts {
+        match value {
+            Value::Object(fields) => {
+                fields.iter().for_each(|(field, value)| table.row(row(&format!("{name}: {field}"), value)));
+            }
+            value => table.row(row(name, value)),
+        }
+    }
+    table
+}
+
+fn row(name: &str, value: &Value) -> Vec<Cell> {
+    let text = match value {
+        Value::String(text) => text.trim_end().to_owned(),
+        other => other.to_string(),
+    };
+    vec![Cell::text(name), Cell::text(text)]
+}
+
+/// A fixed field of the image as text.
+fn label(field: &[u8]) -> String {
+    String::from_utf8_lossy(field).trim_end_matches('\0').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_of_zeros_are_empty_and_cut_texts_still_readable() {
+        assert_eq!(label(&[0; 16]), "");
+        assert_eq!(label(b"R20C20\0\0\0\0\0\0\0\0\0\0"), "R20C20");
+        assert_eq!(label(b"a lung with a na"), "a lung with a na");
+    }
+
+    #[test]
+    fn nested_facts_have_a_row_each() {
+        let facts = vec![("features", json!({ "taps": [0, 1], "times": 3 })), ("plant", json!("a\nb\n"))];
+        let text = table(Path::new("file"), &facts).to_plain();
+        assert!(
+            text.contains("features: taps") && text.contains("[0,1]") && text.contains("features: times"),
+            "{text}"
+        );
+    }
+}

@@ -1,0 +1,146 @@
+//! The ventilator's settings as flags: one per field of the schema, with its unit, bounds and default.
+//!
+//! Flags are built from [`FIELDS`], so that a new setting appears here by itself. PIP is none of them: commands run
+//! several waveforms and take a list.
+
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
+use shared::settings::{FIELDS, Field, Settings, SettingsError};
+
+/// All settings but PIP, as typed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettingsArgs {
+    settings: Settings,
+}
+
+impl SettingsArgs {
+    /// The settings with each of these PIPs, checked; gives the template.
+    ///
+    /// # Errors
+    /// The first PIP that cannot be breathed, and why.
+    pub fn checked(&self, pips: &[f32]) -> Result<Settings, SettingsError> {
+        pips.iter().try_for_each(|pip| Settings { pip: *pip, ..self.settings }.validate())?;
+        Ok(self.settings)
+    }
+}
+
+/// The setting that has a list of its own.
+const PIP: &str = "pip";
+
+fn flags() -> impl Iterator<Item = &'static Field> {
+    FIELDS.iter().filter(|field| field.name != PIP)
+}
+
+fn flag(field: &Field) -> Arg {
+    let (unit, min, max) = (field.unit, field.min, field.max);
+    Arg::new(field.name)
+        .long(field.name.replace('_', "-"))
+        .value_name(unit.to_uppercase().replace('%', "PERCENT"))
+        .help(format!("{}, {min} to {max} {unit}", describe(field.name)))
+        .help_heading("Settings")
+        .allow_negative_numbers(true)
+        .action(ArgAction::Set)
+        .value_parser(value_parser!(f32))
+        .default_value(field.default.to_string())
+}
+
+/// What a setting is; a new one is called by its name until it is described here.
+fn describe(name: &'static str) -> &'static str {
+    match name {
+        "peep" => "Positive end-expiratory pressure",
+        "rate" => "Breaths per minute",
+        "inspiratory_time" => "Length of the inspiration",
+        "rise_time" => "Time of the rise from PEEP to PIP, 0 for the paper's square waveform",
+        "fall_time" => "Time of the fall from PIP to PEEP",
+        "expiratory_bias" => "Inspiratory valve while the expiratory valve is open",
+        "pressure_limit" => "Pressure above which a breath is ended",
+        other => other,
+    }
+}
+
+impl Args for SettingsArgs {
+    fn augment_args(command: Command) -> Command {
+        command.args(flags().map(flag))
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for SettingsArgs {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let typed =
+            |field: &Field| Some((field.name.to_owned(), (*matches.get_one::<f32>(field.name)?).into()));
+        // A number that JSON cannot hold becomes null, which is refused as no number.
+        let values: serde_json::Map<_, _> = flags().filter_map(typed).collect();
+        let settings = serde_json::from_value(values.into());
+        let refused =
+            |e| clap::Error::raw(clap::error::ErrorKind::ValueValidation, format!("settings: {e}\n"));
+        Ok(Self { settings: settings.map_err(refused)? })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        settings: SettingsArgs,
+    }
+
+    fn parse(arguments: &[&str]) -> Settings {
+        let line = std::iter::once("test").chain(arguments.iter().copied());
+        Line::try_parse_from(line).unwrap().settings.settings
+    }
+
+    #[test]
+    fn without_flags_the_settings_are_the_schemas_defaults() {
+        assert_eq!(parse(&[]), Settings::default());
+    }
+
+    #[test]
+    fn every_setting_but_pip_has_a_flag_that_sets_it() {
+        for field in flags() {
+            let flag = format!("--{}", field.name.replace('_', "-"));
+            let settings = parse(&[&flag, "17.3"]);
+            assert!((field.value(&settings) - 17.3).abs() < f32::EPSILON, "{flag}");
+            let others = flags().filter(|other| other.name != field.name);
+            others.for_each(|other| assert!(other.value(&settings).total_cmp(&other.default).is_eq()));
+        }
+        assert_eq!(flags().count(), FIELDS.len() - 1);
+    }
+
+    #[test]
+    fn the_help_gives_bounds_and_default() {
+        let mut command = Line::augment_args(Command::new("test"));
+        let help = command.render_help().to_string();
+        assert!(help.contains("--pressure-limit") && help.contains("15 to 70 cmH2O"), "{help}");
+        assert!(help.contains("[default: 60]"), "{help}");
+    }
+
+    #[test]
+    fn every_flag_is_described() {
+        flags().for_each(|field| assert_ne!(describe(field.name), field.name));
+    }
+
+    #[test]
+    fn one_impossible_pip_among_possible_ones_is_found() {
+        let line = SettingsArgs { settings: parse(&["--peep", "12"]) };
+        assert!(line.checked(&[15.0, 20.0]).is_ok());
+        assert!(matches!(line.checked(&[15.0, 10.0]), Err(SettingsError::PipBelowPeep { .. })));
+    }
+
+    #[test]
+    fn a_setting_that_is_no_number_is_refused() {
+        assert!(Line::try_parse_from(["test", "--peep", "nan"]).is_err());
+        assert!(Line::try_parse_from(["test", "--peep", "much"]).is_err());
+    }
+}

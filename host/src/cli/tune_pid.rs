@@ -1,0 +1,236 @@
+//! `trainer tune-pid`: the best P, I, PI and PID per lung, and over all of them.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
+
+use super::common::{bar, stop};
+use super::controller_args::format_gains;
+use super::output::OutputArgs;
+use super::settings_args::SettingsArgs;
+use crate::baselines::{Best, Candidate, FAULT_SCORE, Kind, LungResult, Search, TuneResult, tune_pid};
+use crate::bench::BenchConfig;
+use crate::evaluate::Plan;
+use crate::provenance::Provenance;
+use crate::report::{Block, Cell, HeatMap, Report, Section, Table};
+
+/// Search the best PID for one or several lungs: what a learned controller has to beat
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer tune-pid --lung R20C20
+  trainer tune-pid --lung R5C50 --lung R50C10 --report tuned.html
+  trainer tune-pid --lung paper --authors-grid --json tuned.json
+
+Gains are P in percent per cmH2O, I in percent per cmH2O and second, D in percent per cmH2O/s.
+Ctrl-C ends the search with the best found so far.")]
+pub struct Args {
+    /// Lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 of the test table; may be repeated
+    #[arg(long, value_name = "NAME", default_value = "R20C20")]
+    lung: Vec<String>,
+    /// Benches from TOML files, in place of a lung
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
+    bench: Vec<PathBuf>,
+    /// Run every point of the grid in full rather than screening first
+    #[arg(long)]
+    exhaustive: bool,
+    /// Search the grid of the paper's authors and nothing else
+    #[arg(long)]
+    authors_grid: bool,
+    /// PIPs of the waveforms, cmH2O
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    pips: Vec<f32>,
+    /// Scored breaths per waveform
+    #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
+    breaths: usize,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Control period, microseconds
+    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
+    period_us: u32,
+    /// Seed of the sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Write tables and maps of the scores as an HTML report
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Summary<'a> {
+    seed: u64,
+    plan: &'a Plan,
+    #[serde(flatten)]
+    result: &'a TuneResult,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let benches = benches(args)?;
+    let search = search(args);
+    let plan = Plan {
+        period_us: args.period_us,
+        pips: args.pips.clone(),
+        breaths: args.breaths,
+        settings: args.settings.checked(&args.pips)?,
+        ..Plan::tuning(args.seed)
+    };
+    let bar = bar("tuning, simulated breaths", 0);
+    let progress = |done: u64, total: u64| {
+        bar.set_length(total);
+        bar.set_position(done);
+    };
+    let result = tune_pid(&benches, &search, &plan, &progress, stop());
+    bar.finish_and_clear();
+    let result = result?;
+    args.output.table(&table(&result));
+    if !result.complete {
+        args.output.line("stopped: the best found so far");
+    }
+    if let Some(path) = &args.report {
+        report(args, &benches, &search, &result).save(path)?;
+        args.output.line(&format!("saved {}", path.display()));
+    }
+    args.output.finish(&Summary { seed: args.seed, plan: &plan, result: &result })
+}
+
+fn benches(args: &Args) -> anyhow::Result<Vec<BenchConfig>> {
+    let mut benches = Vec::new();
+    for file in &args.bench {
+        benches.push(BenchConfig::load(file)?);
+    }
+    if benches.is_empty() {
+        for name in &args.lung {
+            benches.extend(BenchConfig::preset(name)?);
+        }
+    }
+    Ok(benches)
+}
+
+fn search(args: &Args) -> Search {
+    let search = if args.authors_grid { Search::authors() } else { Search::default() };
+    Search { exhaustive: search.exhaustive || args.exhaustive, ..search }
+}
+
+fn table(result: &TuneResult) -> Table {
+    let mut table = Table::new("Mean absolute error of the true airway pressure, cmH2O", &["lung"]);
+    table.header.extend(Kind::ALL.iter().flat_map(|kind| {
+        let gains = match kind {
+            Kind::POnly => "P",
+            Kind::IOnly => "I",
+            Kind::Pi => "P,I",
+            Kind::Pid => "P,I,D",
+        };
+        [gains.to_owned(), format!("score {}", kind.name())]
+    }));
+    for lung in &result.lungs {
+        table.row(row(&lung.lung, &lung.best));
+    }
+    if result.lungs.len() > 1 {
+        table.row(row("all, by their mean", &result.over_all));
+    }
+    table
+}
+
+fn row(name: &str, best: &Best) -> Vec<Cell> {
+    let mut cells = vec![Cell::text(name)];
+    let lowest = Kind::ALL.iter().map(|kind| best.of(*kind).score).fold(f64::INFINITY, f64::min);
+    for kind in Kind::ALL {
+        let Candidate { gains, score } = best.of(kind);
+        let text = match kind {
+            Kind::POnly => format!("{:.3}", gains.p),
+            Kind::IOnly => format!("{:.2}", gains.i),
+            Kind::Pi => format!("{:.3},{:.2}", gains.p, gains.i),
+            Kind::Pid => format!("{:.3},{:.2},{:.4}", gains.p, gains.i, gains.d),
+        };
+        cells.push(Cell::right(text));
+        cells.push(score_cell(score).best_if(score <= lowest));
+    }
+    cells
+}
+
+fn score_cell(score: f64) -> Cell {
+    if score < FAULT_SCORE { Cell::number(score, 3) } else { Cell::right("fault") }
+}
+
+fn report(args: &Args, benches: &[BenchConfig], search: &Search, result: &TuneResult) -> Report {
+    let best = result.over_all.pid;
+    let mut overview = vec![Block::Table(table(result))];
+    if !result.complete {
+        overview
+            .push(Block::Text("The search was stopped: these are the best gains found until then.".into()));
+    }
+    let mut sections = vec![Section {
+        heading: "Best gains".into(),
+        text: format!("Best single PID: {} with {:.3} cmH2O.", format_gains(&best.gains), best.score),
+        blocks: overview,
+    }];
+    sections.extend(result.lungs.iter().map(map_section));
+    let [plant, parameters] = [
+        benches.iter().map(|bench| bench.name.clone()).collect::<Vec<_>>().join(", "),
+        benches.iter().map(BenchConfig::to_toml).collect::<Vec<_>>().join("\n"),
+    ];
+    Report {
+        title: "PID search".into(),
+        subtitle: plant.clone(),
+        sections,
+        provenance: Some(Provenance {
+            seed: args.seed,
+            plant,
+            plant_parameters: parameters,
+            settings: serde_json::json!({ "search": search, "breaths": args.breaths }),
+            ..Provenance::new(args.period_us, "trainer tune-pid")
+        }),
+    }
+}
+
+/// The map of one lung. It has gains of zero too, which a logarithmic scale could not show: its axes are lists.
+fn map_section(lung: &LungResult) -> Section {
+    let map = &lung.map;
+    let finite = |score: &Option<f64>| score.filter(|score| *score < FAULT_SCORE);
+    Section {
+        heading: format!("Scores of {}", lung.lung),
+        text: "Every PI of the grid; a blank cell went to the safe state or was not run.".into(),
+        blocks: vec![Block::HeatMap(HeatMap {
+            title: format!("{}: mean absolute error, cmH2O", lung.lung),
+            x_label: "I, percent per cmH2O and second".into(),
+            y_label: "P, percent per cmH2O".into(),
+            x: map.i.iter().map(|i| f64::from(*i)).collect(),
+            y: map.p.iter().map(|p| f64::from(*p)).collect(),
+            values: map.score.iter().map(|row| row.iter().map(finite).collect()).collect(),
+        })],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared::control::pid::PidGains;
+
+    fn best(scores: [f64; 4]) -> Best {
+        let [p_only, i_only, pi, pid] =
+            scores.map(|score| Candidate { gains: PidGains { p: 1.0, i: 2.0, d: 0.0 }, score });
+        Best { p_only, i_only, pi, pid }
+    }
+
+    #[test]
+    fn a_fault_is_no_score_and_the_best_is_marked() {
+        let result = TuneResult {
+            lungs: vec![LungResult {
+                lung: "R20C20".into(),
+                best: best([FAULT_SCORE, 2.0, 1.5, 1.25]),
+                map: crate::baselines::ScoreMap { p: vec![], i: vec![], score: vec![] },
+                complete: true,
+            }],
+            over_all: best([1.0; 4]),
+            complete: true,
+        };
+        let text = table(&result).to_plain();
+        assert!(text.contains("fault") && text.contains("1.250*"), "{text}");
+        assert!(!text.contains("all, by their mean"), "one lung needs no mean: {text}");
+    }
+}
