@@ -7,6 +7,7 @@ mod collect;
 mod common;
 mod comparison;
 mod controller_args;
+mod demo;
 mod evaluate;
 mod fit;
 mod import;
@@ -14,6 +15,8 @@ mod inspect;
 mod output;
 mod pack;
 mod settings_args;
+mod stage_bars;
+mod train;
 mod tune_pid;
 
 use std::process::ExitCode;
@@ -34,19 +37,17 @@ pub struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
-<<<<<<< HEAD
-enum Command {}
-=======
 enum Command {
+    Demo(demo::Args),
     Collect(collect::Args),
     TunePid(tune_pid::Args),
     Fit(fit::Args),
+    Train(train::Args),
     Evaluate(evaluate::Args),
     Pack(pack::Args),
     Inspect(inspect::Args),
     Import(import::Args),
 }
->>>>>>> 29d0737 (Add the commands collect, tune-pid, fit, evaluate, pack, inspect and import)
 
 /// Environment variable of the log's level.
 const LOG_VARIABLE: &str = "EUPNEA_LOG";
@@ -57,9 +58,6 @@ const INTERRUPTED: u8 = 130;
 pub fn run() -> ExitCode {
     log_to_standard_error();
     common::watch_for_ctrl_c();
-<<<<<<< HEAD
-    match Cli::parse().command {}
-=======
     match dispatch(&Cli::parse().command) {
         Ok(()) if common::stopped() => ExitCode::from(INTERRUPTED),
         Ok(()) => ExitCode::SUCCESS,
@@ -72,9 +70,11 @@ pub fn run() -> ExitCode {
 
 fn dispatch(command: &Command) -> anyhow::Result<()> {
     match command {
+        Command::Demo(args) => demo::run(args),
         Command::Collect(args) => collect::run(args),
         Command::TunePid(args) => tune_pid::run(args),
         Command::Fit(args) => fit::run(args),
+        Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Pack(args) => pack::run(args),
         Command::Inspect(args) => inspect::run(args),
@@ -120,5 +120,4 @@ mod tests {
         let unquoted = anyhow::anyhow!("image is damaged").context("a.bin");
         assert_eq!(message(&unquoted), "a.bin: image is damaged");
     }
->>>>>>> 29d0737 (Add the commands collect, tune-pid, fit, evaluate, pack, inspect and import)
 }

@@ -84,7 +84,7 @@ impl PipelineConfig {
             architecture: Architecture::StateSpace(StateSpaceConfig::for_period(period_us, 1)),
             collect: CollectConfig { breaths: 120, ..CollectConfig::default() },
             fit: FitConfig::default(),
-            refit_share: 0.3,
+            refit_share: 0.4,
             train: TrainConfig::default(),
         }
     }

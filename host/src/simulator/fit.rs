@@ -36,7 +36,13 @@ pub struct FitConfig {
 
 impl Default for FitConfig {
     fn default() -> Self {
-        Self { epochs: 300, batch: 64, huber: 0.3, adam: AdamConfig::default(), seed: 0 }
+        Self {
+            epochs: 1000,
+            batch: 32,
+            huber: 0.3,
+            adam: AdamConfig { rate: 5e-3, ..AdamConfig::default() },
+            seed: 0,
+        }
     }
 }
 

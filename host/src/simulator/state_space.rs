@@ -18,9 +18,9 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing};
+use crate::engine::Lane;
 use crate::engine::activation::Activation;
 use crate::engine::dense::{Dense, DenseWeights};
-use crate::engine::{LANES, Lane};
 
 /// Quantities known at the start of a breath: pressure and last plateau.
 const START_INPUTS: usize = 2;
@@ -42,7 +42,7 @@ pub struct StateSpaceConfig {
 impl StateSpaceConfig {
     /// The default shape for a control period in microseconds and so many command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
-        Self { timing: Timing::for_period(period_us, channels), states: 16, hidden: 32, history: 4 }
+        Self { timing: Timing::for_period(period_us, channels), states: 16, hidden: 64, history: 4 }
     }
 
     fn commands(&self) -> usize {
@@ -276,6 +276,7 @@ impl Dynamics for StateSpace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::LANES;
     use crate::simulator::tests_support::check_gradients;
     use rand_chacha::rand_core::SeedableRng;
 
