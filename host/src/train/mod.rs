@@ -236,23 +236,12 @@ impl Training {
 
     /// One gradient step; the batch's mean score.
     pub fn step(&mut self) -> f64 {
-        let controller = LaneController::new(&self.base, &self.parameters);
-        let (config, models, noise, ticks, start) =
-            (&self.config, &self.models, &self.noise, self.ticks, self.start);
-        let (iteration, size) = (self.iteration as u64, self.parameters.len());
-        let parts: Vec<(f64, Vec<f32>)> = self
-            .tapes
-            .par_iter_mut()
-            .enumerate()
-            .map(|(shard, tape)| {
-                let model = shard % models.len();
-                let stream = iteration.wrapping_mul(1 << 16) + shard as u64;
-                let scenario = draw(config, ticks, start, noise[model], stream);
-                let mut gradient = vec![0.0; size];
-                let score = gradient_of(&controller, &models[model], &scenario, tape, &mut gradient);
-                (score, gradient)
-            })
-            .collect();
+        let size = self.parameters.len();
+        let parts = self.on_shards(|controller, model, scenario, tape| {
+            let mut gradient = vec![0.0; size];
+            let score = gradient_of(controller, model, scenario, tape, &mut gradient);
+            (score, gradient)
+        });
         let mut gradient = vec![0.0; size];
         let mut score = 0.0;
         for (part_score, part) in &parts {
@@ -265,6 +254,33 @@ impl Training {
         self.adam.step(&mut self.parameters, &gradient, progress);
         self.iteration += 1;
         score
+    }
+
+    /// The next step's batch in closed loop, without learning from it; its mean score.
+    pub fn rehearse(&mut self) -> f64 {
+        let scores = self.on_shards(score_of);
+        scores.iter().sum::<f64>() / scores.len() as f64
+    }
+
+    /// Draws the next step's batch and gives each shard to `work`, in parallel; results in the shards' order.
+    fn on_shards<T: Send>(
+        &mut self,
+        work: impl Fn(&LaneController<'_>, &Model, &Scenario, &mut ShardTape) -> T + Sync,
+    ) -> Vec<T> {
+        let controller = LaneController::new(&self.base, &self.parameters);
+        let (config, models, noise, ticks, start) =
+            (&self.config, &self.models, &self.noise, self.ticks, self.start);
+        let iteration = self.iteration as u64;
+        self.tapes
+            .par_iter_mut()
+            .enumerate()
+            .map(|(shard, tape)| {
+                let model = shard % models.len();
+                let stream = iteration.wrapping_mul(1 << 16) + shard as u64;
+                let scenario = draw(config, ticks, start, noise[model], stream);
+                work(&controller, &models[model], &scenario, tape)
+            })
+            .collect()
     }
 
     /// Mean score over the waveforms on the held-out simulator, cmH2O.
@@ -335,6 +351,21 @@ fn gradient_of(
         }
         _ => unreachable!("each shard's tape was made for its model"),
     }
+}
+
+/// A shard's forward pass; its mean score.
+fn score_of(
+    controller: &LaneController<'_>,
+    model: &Model,
+    scenario: &Scenario,
+    tape: &mut ShardTape,
+) -> f64 {
+    let loss = match (model, tape) {
+        (Model::StateSpace(model), ShardTape::StateSpace(tape)) => controller.forward(model, scenario, tape),
+        (Model::Stitched(model), ShardTape::Stitched(tape)) => controller.forward(model, scenario, tape),
+        _ => unreachable!("each shard's tape was made for its model"),
+    };
+    f64::from(loss.score.sum()) / LANES as f64
 }
 
 fn both_ways<M: Dynamics>(

@@ -1,0 +1,57 @@
+//! Control steps (1 ms each) per second through learned simulator and controller, both of default shape: the
+//! forward pass alone, and with the gradient. All cores; the throughput that criterion prints is in control steps.
+//!
+//! Run with `cargo bench -p host -- rollout`.
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use host::simulator::model::{Architecture, Simulator};
+use host::simulator::state_space::StateSpaceConfig;
+use host::train::{TrainConfig, Training};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::features::FeatureSpec;
+use shared::control::pid::PidGains;
+use shared::control::residual::ResidualSpec;
+
+/// Control steps of the paper's inspiration.
+const TICKS: u64 = 1000;
+
+fn training(batch: usize) -> Training {
+    let config = StateSpaceConfig::for_period(DEFAULT_PERIOD_US, 1);
+    let simulator = Simulator {
+        architecture: Architecture::StateSpace(config),
+        parameters: config.initialise(&mut ChaCha8Rng::seed_from_u64(1)),
+        noise: 0.1,
+        start_pressure: 5.0,
+        plant: "random".into(),
+    };
+    let spec = ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains: PidGains { p: 1.0, i: 15.0, d: 0.0 },
+        lambda: 1.0,
+        authority: 100.0,
+        features: FeatureSpec::default(),
+    };
+    // So many iterations that the learning rate's schedule does not end within the measurement.
+    let config = TrainConfig { batch, iterations: usize::MAX, ..TrainConfig::default() };
+    match Training::new(spec, std::slice::from_ref(&simulator), &simulator, config, None) {
+        Ok(training) => training,
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn rollout(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("rollout");
+    group.sample_size(20);
+    for batch in [6, 64, 256] {
+        let mut training = training(batch);
+        group.throughput(Throughput::Elements(TICKS * batch as u64));
+        group.bench_function(BenchmarkId::new("forward", batch), |b| b.iter(|| training.rehearse()));
+        group.bench_function(BenchmarkId::new("gradient", batch), |b| b.iter(|| training.step()));
+    }
+    group.finish();
+}
+
+criterion_group!(benches, rollout);
+criterion_main!(benches);
