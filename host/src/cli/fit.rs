@@ -29,8 +29,8 @@ Examples:
   trainer fit --data first.parquet second.parquet --out simulator.safetensors --report fit.html
   trainer fit --data slow.parquet --out paper.safetensors --architecture stitched
 
-The open-loop distance replays recorded commands from rest, without pressure feedback: the mean absolute error over
-the inspiration. Ctrl-C ends the fit and saves the simulator as it is.")]
+The open-loop distance replays recorded commands from rest, without pressure feedback: the mean
+absolute error over the inspiration. Ctrl-C ends the fit and saves the simulator as it is.")]
 pub struct Args {
     /// Recordings of one ventilator; several are joined
     #[arg(long, value_name = "FILE.parquet", num_args = 1.., required = true)]
@@ -38,7 +38,8 @@ pub struct Args {
     /// File to write the simulator to
     #[arg(long, value_name = "FILE.safetensors")]
     out: PathBuf,
-    /// Which kind of model
+    /// Our state-space model, trained on whole breaths open loop, or the stitched networks of the paper's authors,
+    /// trained on single steps of about 30 ms
     #[arg(long, value_enum, default_value_t = Kind::StateSpace)]
     architecture: Kind,
     /// Passes over the recording [default: 300 for state-space, 500 for stitched]
@@ -72,9 +73,7 @@ pub struct Args {
 /// Kinds of models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
-    /// Nonlinear state-space model, trained on whole breaths open loop
     StateSpace,
-    /// The paper authors' networks stitched together in time, trained on single steps of about 30 ms
     Stitched,
 }
 

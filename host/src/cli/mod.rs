@@ -24,7 +24,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
 #[derive(Debug, Parser)]
-#[command(name = "trainer", version, about, long_about = None, after_help = "\
+#[command(name = "trainer", version, long_about = None, after_help = "\
 Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the result.
 EUPNEA_LOG sets what is logged, as in EUPNEA_LOG=debug.
 Research software: never for use on a patient.")]
@@ -34,9 +34,6 @@ pub struct Cli {
 }
 
 #[derive(Debug, Subcommand)]
-<<<<<<< HEAD
-enum Command {}
-=======
 enum Command {
     Collect(collect::Args),
     TunePid(tune_pid::Args),
@@ -46,7 +43,6 @@ enum Command {
     Inspect(inspect::Args),
     Import(import::Args),
 }
->>>>>>> 29d0737 (Add the commands collect, tune-pid, fit, evaluate, pack, inspect and import)
 
 /// Environment variable of the log's level.
 const LOG_VARIABLE: &str = "EUPNEA_LOG";
@@ -57,9 +53,6 @@ const INTERRUPTED: u8 = 130;
 pub fn run() -> ExitCode {
     log_to_standard_error();
     common::watch_for_ctrl_c();
-<<<<<<< HEAD
-    match Cli::parse().command {}
-=======
     match dispatch(&Cli::parse().command) {
         Ok(()) if common::stopped() => ExitCode::from(INTERRUPTED),
         Ok(()) => ExitCode::SUCCESS,
@@ -120,5 +113,4 @@ mod tests {
         let unquoted = anyhow::anyhow!("image is damaged").context("a.bin");
         assert_eq!(message(&unquoted), "a.bin: image is damaged");
     }
->>>>>>> 29d0737 (Add the commands collect, tune-pid, fit, evaluate, pack, inspect and import)
 }

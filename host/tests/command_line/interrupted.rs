@@ -1,0 +1,61 @@
+//! Ctrl-C keeps what there is.
+
+use std::process::Stdio;
+use std::time::Duration;
+
+use host::dataset::Recording;
+use host::simulator::model::Simulator;
+
+use super::support::{Place, text};
+
+/// Exit code of a command that Ctrl-C ended.
+const INTERRUPTED: Option<i32> = Some(130);
+
+/// Starts what would take hours, presses Ctrl-C after a while and waits for the end.
+fn interrupt(place: &Place, line: &str) -> std::process::Output {
+    let child = place
+        .command(line)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_secs(2));
+    let id = child.id().to_string();
+    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    child.wait_with_output().unwrap()
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_collection_is_a_whole_recording() {
+    let place = Place::new();
+    let output = interrupt(&place, "collect --out a.parquet --breaths 10000000");
+    assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
+    let recording = Recording::load(place.path("a.parquet")).unwrap();
+    let breaths = recording.breaths().len();
+    assert!(breaths > 0 && breaths == recording.inspirations().len(), "{breaths}");
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_fit_saves_the_simulator() {
+    let place = Place::new();
+    let data = place.collected();
+    let output = interrupt(&place, &format!("fit --data {data} --out sim.safetensors --epochs 10000000"));
+    assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("stopped after"), "{}", text(&output.stdout));
+    let simulator = Simulator::load(&place.path("sim.safetensors")).unwrap();
+    assert!(simulator.parameters.iter().all(|parameter| parameter.is_finite()));
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_search_gives_the_best_so_far() {
+    let place = Place::new();
+    let output = interrupt(&place, "tune-pid --lung iso --exhaustive --breaths 50 --json -");
+    assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
+    let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(result["complete"], false);
+    assert_eq!(result["lungs"].as_array().unwrap().len(), 21);
+}
