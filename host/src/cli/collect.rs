@@ -160,7 +160,10 @@ fn record(args: &Args, chosen: &Chosen, config: &CollectConfig) -> anyhow::Resul
     let mut source =
         BenchSource::new(&bench, controller.clone(), &config.settings, chosen.period_us, config.seed)?;
     let bar = bar("collecting", config.breaths);
-    let progress = |done: u64, _: u64| bar.set_position(done);
+    let progress = |done: u64, total: u64| {
+        tracing::debug!(done, total, "breath recorded");
+        bar.set_position(done);
+    };
     let collected = collect(&mut source, controller, config, &Watch::new(&progress, stop()));
     bar.finish_and_clear();
     collected.with_context(|| format!("cannot collect from {}", bench.name))

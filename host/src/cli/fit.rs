@@ -42,10 +42,10 @@ pub struct Args {
     /// trained on single steps of about 30 ms
     #[arg(long, value_enum, default_value_t = Kind::StateSpace)]
     architecture: Kind,
-    /// Passes over the recording [default: 300 for state-space, 500 for stitched]
+    /// Passes over the recording [default: enough for 10000 gradient steps, 500 for stitched]
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
-    /// Breaths per gradient step [default: 64]
+    /// Breaths per gradient step [default: 16, or 64 for stitched]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     batch: Option<u16>,
     /// State-space: states [default: 16]
@@ -77,6 +77,13 @@ enum Kind {
     Stitched,
 }
 
+/// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 in place of 64 bring the
+/// open-loop distance from 0.26 to 0.18 cmH2O in the same number of epochs.
+const BATCH: usize = 16;
+/// Gradient steps by which that distance has stopped falling fast.
+const STEPS: usize = 10_000;
+/// Most passes over a recording, however small.
+const MOST_EPOCHS: usize = 3_000;
 /// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its
 /// history of five has to reach beyond the valve's dead time.
 const STITCHED_LEAST_US: u32 = 5_000;
@@ -172,6 +179,20 @@ fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architectu
     }))
 }
 
+/// How to fit so many breaths: a small recording takes more passes, since it is gradient steps that count.
+fn config(args: &Args, breaths: usize) -> FitConfig {
+    let base = match args.architecture {
+        Kind::StateSpace => FitConfig { batch: BATCH, ..FitConfig::default() },
+        Kind::Stitched => FitConfig::authors(),
+    };
+    let batch = args.batch.map_or(base.batch, usize::from);
+    let epochs = match args.architecture {
+        Kind::StateSpace => (STEPS * batch / breaths.max(1)).clamp(base.epochs, MOST_EPOCHS),
+        Kind::Stitched => base.epochs,
+    };
+    FitConfig { epochs: args.epochs.unwrap_or(epochs), batch, seed: seeds::training(args.seed, 0), ..base }
+}
+
 /// The simulator, and the loss of every epoch.
 fn fit(
     args: &Args,
@@ -179,16 +200,7 @@ fn fit(
     training: &[&Episode],
     plant: &str,
 ) -> anyhow::Result<(Simulator, Vec<f64>)> {
-    let base = match args.architecture {
-        Kind::StateSpace => FitConfig::default(),
-        Kind::Stitched => FitConfig::authors(),
-    };
-    let config = FitConfig {
-        epochs: args.epochs.unwrap_or(base.epochs),
-        batch: args.batch.map_or(base.batch, usize::from),
-        seed: seeds::training(args.seed, 0),
-        ..base
-    };
+    let config = config(args, training.len());
     let mut fit = Fit::new(architecture, training, config, None);
     let bar = bar("fitting", config.epochs);
     let mut curve = Vec::with_capacity(config.epochs);
@@ -201,6 +213,7 @@ fn fit(
             );
         }
         curve.push(loss);
+        tracing::debug!(epoch = curve.len(), loss, "epoch done");
         bar.inc(1);
     }
     bar.finish_and_clear();

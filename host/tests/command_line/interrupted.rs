@@ -1,7 +1,7 @@
 //! Ctrl-C keeps what there is.
 
-use std::process::Stdio;
-use std::time::Duration;
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Command, Output, Stdio};
 
 use host::dataset::Recording;
 use host::simulator::model::Simulator;
@@ -11,19 +11,20 @@ use super::support::{Place, text};
 /// Exit code of a command that Ctrl-C ended.
 const INTERRUPTED: Option<i32> = Some(130);
 
-/// Starts what would take hours, presses Ctrl-C after a while and waits for the end.
-fn interrupt(place: &Place, line: &str) -> std::process::Output {
-    let child = place
-        .command(line)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    std::thread::sleep(Duration::from_secs(2));
+/// Starts what would take hours, presses Ctrl-C once it logs its first progress, and waits for the end.
+fn interrupt(place: &Place, line: &str) -> Output {
+    let mut command = place.command(line);
+    command.env("EUPNEA_LOG", "debug");
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut log = BufReader::new(child.stderr.take().unwrap());
+    let mut stderr = Vec::new();
+    log.read_until(b'\n', &mut stderr).unwrap();
     let id = child.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-    child.wait_with_output().unwrap()
+    assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    log.read_to_end(&mut stderr).unwrap();
+    let output = child.wait_with_output().unwrap();
+    Output { stderr, ..output }
 }
 
 #[test]

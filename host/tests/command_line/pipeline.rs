@@ -1,5 +1,7 @@
 //! From a recording to a packed controller, at a tiny size.
 
+use std::fmt::Write;
+
 use host::dataset::Recording;
 use host::simulator::model::Simulator;
 use host::train::learned::Learned;
@@ -92,7 +94,7 @@ fn the_best_pid_is_searched_and_mapped() {
     assert!(std::fs::read_to_string(place.path("tuned.html")).unwrap().contains("mean absolute error"));
 }
 
-/// Two breaths at 100 Hz in the layout of the RespiraWorks tables.
+/// Two breaths at 100 Hz in the layout of the `RespiraWorks` tables.
 fn table() -> String {
     let mut table = "run,test,C_ml_per_cmH2O,R_cmH2O_per_Lps,t_s,setpoint_cmH2O,pressure_cmH2O,flow_in_mlps,\
                      flow_out_mlps,cmd_inh_valve,cmd_exh_valve,cmd_psol\n"
@@ -101,7 +103,7 @@ fn table() -> String {
         let up = (50..150).contains(&(row % 300));
         let (pressure, inhale) = if up { (20.0, 0.6) } else { (5.0, 0.1) };
         let time = f64::from(row) * 0.01;
-        table += &format!("CT_AIR,1,50,5,{time:.3},{pressure},{pressure},300,200,{inhale},0.4,0.0\n");
+        writeln!(table, "CT_AIR,1,50,5,{time:.3},{pressure},{pressure},300,200,{inhale},0.4,0.0").unwrap();
     }
     table
 }

@@ -1,9 +1,7 @@
 //! The `trainer` command line as its users meet it: the real program, its output, its files, its exit codes.
 
-mod command_line {
-    mod bad_input;
-    mod help;
-    mod interrupted;
-    mod pipeline;
-    mod support;
-}
+mod bad_input;
+mod help;
+mod interrupted;
+mod pipeline;
+mod support;
