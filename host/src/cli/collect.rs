@@ -23,7 +23,7 @@ use crate::watch::Watch;
 #[command(after_help = "\
 Examples:
   trainer collect --out first.parquet
-  trainer collect --out stiff.parquet --lung R50C10 --gains 0.5,5 --breaths 400 --boundary-probability 0.3
+  trainer collect --out stiff.parquet --lung R50C10 --gains 2,30 --boundary-probability 0.3
   trainer collect --out slow.parquet --period-us 30000 --pips 15,25 --triangle-height=-20:20
 
 Ctrl-C ends the collection and saves the breaths recorded so far.")]
@@ -47,15 +47,15 @@ pub struct Args {
     /// Breaths ended by the pressure limit after which collection gives up
     #[arg(long, value_name = "N", default_value_t = CollectConfig::default().aborts)]
     aborts: usize,
-    #[command(flatten)]
-    exploration: ExplorationArgs,
-    #[command(flatten)]
-    settings: SettingsArgs,
     /// Seed of PIPs, perturbations and sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
     output: OutputArgs,
+    #[command(flatten)]
+    exploration: ExplorationArgs,
+    #[command(flatten)]
+    settings: SettingsArgs,
 }
 
 /// How to perturb.
@@ -160,7 +160,10 @@ fn record(args: &Args, chosen: &Chosen, config: &CollectConfig) -> anyhow::Resul
     let mut source =
         BenchSource::new(&bench, controller.clone(), &config.settings, chosen.period_us, config.seed)?;
     let bar = bar("collecting", config.breaths);
-    let progress = |done: u64, _: u64| bar.set_position(done);
+    let progress = |done: u64, total: u64| {
+        tracing::debug!(done, total, "breath recorded");
+        bar.set_position(done);
+    };
     let collected = collect(&mut source, controller, config, &Watch::new(&progress, stop()));
     bar.finish_and_clear();
     collected.with_context(|| format!("cannot collect from {}", bench.name))

@@ -11,13 +11,13 @@ use shared::weights::{Image, decode};
 
 use super::common;
 
-/// A PI that is good on the default lung and cautious on the others.
-pub const KNOWN_GOOD: PidGains = PidGains { p: 1.0, i: 10.0, d: 0.0 };
+/// A PI that is cautious on the default lung and stable on all of the paper's.
+pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
 /// Which controller.
 #[derive(Debug, clap::Args)]
 pub struct ControllerArgs {
-    /// A PID with these gains: percent per cmH2O, per cmH2O and second, per cmH2O/s [default: 1,10,0]
+    /// A PID with these gains: percent per cmH2O, per cmH2O and second, per cmH2O/s [default: 3,30,0]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
     gains: Option<PidGains>,
     /// A learned controller, as trained
@@ -122,6 +122,6 @@ mod tests {
 
     #[test]
     fn the_default_is_the_one_that_the_help_names() {
-        assert_eq!(format_gains(&KNOWN_GOOD), "1,10,0");
+        assert_eq!(format_gains(&KNOWN_GOOD), "3,30,0");
     }
 }

@@ -26,8 +26,9 @@ Examples:
   trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
-The score is the mean absolute error over the inspiration, in cmH2O. Errors are those of the true airway pressure,
-which only the bench knows. A learned controller is compared with the PID underneath it, or with --against.")]
+The score is the mean absolute error over the inspiration, in cmH2O, of the true airway pressure,
+which only the bench knows. A learned controller is compared with the PID underneath it, or with
+--against.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,

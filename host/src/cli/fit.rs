@@ -29,8 +29,8 @@ Examples:
   trainer fit --data first.parquet second.parquet --out simulator.safetensors --report fit.html
   trainer fit --data slow.parquet --out paper.safetensors --architecture stitched
 
-The open-loop distance replays recorded commands from rest, without pressure feedback: the mean absolute error over
-the inspiration. Ctrl-C ends the fit and saves the simulator as it is.")]
+The open-loop distance replays recorded commands from rest, without pressure feedback: the mean
+absolute error over the inspiration. Ctrl-C ends the fit and saves the simulator as it is.")]
 pub struct Args {
     /// Recordings of one ventilator; several are joined
     #[arg(long, value_name = "FILE.parquet", num_args = 1.., required = true)]
@@ -38,13 +38,14 @@ pub struct Args {
     /// File to write the simulator to
     #[arg(long, value_name = "FILE.safetensors")]
     out: PathBuf,
-    /// Which kind of model
+    /// Our state-space model, trained on whole breaths open loop, or the stitched networks of the paper's authors,
+    /// trained on single steps of about 30 ms
     #[arg(long, value_enum, default_value_t = Kind::StateSpace)]
     architecture: Kind,
-    /// Passes over the recording [default: 300 for state-space, 500 for stitched]
+    /// Passes over the recording [default: enough for 10000 gradient steps, 500 for stitched]
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
-    /// Breaths per gradient step [default: 64]
+    /// Breaths per gradient step [default: 16, or 64 for stitched]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     batch: Option<u16>,
     /// State-space: states [default: 16]
@@ -72,12 +73,17 @@ pub struct Args {
 /// Kinds of models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
-    /// Nonlinear state-space model, trained on whole breaths open loop
     StateSpace,
-    /// The paper authors' networks stitched together in time, trained on single steps of about 30 ms
     Stitched,
 }
 
+/// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 in place of 64 bring the
+/// open-loop distance from 0.26 to 0.18 cmH2O in the same number of epochs.
+const BATCH: usize = 16;
+/// Gradient steps by which that distance has stopped falling fast.
+const STEPS: usize = 10_000;
+/// Most passes over a recording, however small.
+const MOST_EPOCHS: usize = 3_000;
 /// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its
 /// history of five has to reach beyond the valve's dead time.
 const STITCHED_LEAST_US: u32 = 5_000;
@@ -173,6 +179,20 @@ fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architectu
     }))
 }
 
+/// How to fit so many breaths: a small recording takes more passes, since it is gradient steps that count.
+fn config(args: &Args, breaths: usize) -> FitConfig {
+    let base = match args.architecture {
+        Kind::StateSpace => FitConfig { batch: BATCH, ..FitConfig::default() },
+        Kind::Stitched => FitConfig::authors(),
+    };
+    let batch = args.batch.map_or(base.batch, usize::from);
+    let epochs = match args.architecture {
+        Kind::StateSpace => (STEPS * batch / breaths.max(1)).clamp(base.epochs, MOST_EPOCHS),
+        Kind::Stitched => base.epochs,
+    };
+    FitConfig { epochs: args.epochs.unwrap_or(epochs), batch, seed: seeds::training(args.seed, 0), ..base }
+}
+
 /// The simulator, and the loss of every epoch.
 fn fit(
     args: &Args,
@@ -180,16 +200,7 @@ fn fit(
     training: &[&Episode],
     plant: &str,
 ) -> anyhow::Result<(Simulator, Vec<f64>)> {
-    let base = match args.architecture {
-        Kind::StateSpace => FitConfig::default(),
-        Kind::Stitched => FitConfig::authors(),
-    };
-    let config = FitConfig {
-        epochs: args.epochs.unwrap_or(base.epochs),
-        batch: args.batch.map_or(base.batch, usize::from),
-        seed: seeds::training(args.seed, 0),
-        ..base
-    };
+    let config = config(args, training.len());
     let mut fit = Fit::new(architecture, training, config, None);
     let bar = bar("fitting", config.epochs);
     let mut curve = Vec::with_capacity(config.epochs);
@@ -202,6 +213,7 @@ fn fit(
             );
         }
         curve.push(loss);
+        tracing::debug!(epoch = curve.len(), loss, "epoch done");
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -10,6 +10,10 @@ use crate::dataset::respiraworks::{ImportSummary, import};
 
 /// Make a recording from tables measured elsewhere
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer import respiraworks CT_AIR.csv --out ct-air.parquet
+  trainer import respiraworks --help")]
 pub struct Args {
     #[command(subcommand)]
     from: From,
@@ -20,12 +24,14 @@ enum From {
     Respiraworks(RespiraworksArgs),
 }
 
-/// The RespiraWorks ventilator's test runs: 100 Hz, blower, test lung
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
+#[command(
+    about = "The RespiraWorks ventilator's test runs: 100 Hz, blower, test lung",
+    after_help = "\
 Examples:
   trainer import respiraworks CT_AIR.csv --out ct-air.parquet
-  trainer import respiraworks CT_AIR.csv CT_OXY.csv NPV_AIR.csv --out respiraworks.parquet --json -")]
+  trainer import respiraworks CT_AIR.csv NPV_AIR.csv --out air.parquet --json -"
+)]
 struct RespiraworksArgs {
     /// Tables to join, in this order
     #[arg(value_name = "FILE.csv", required = true)]

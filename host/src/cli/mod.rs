@@ -27,7 +27,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
 #[derive(Debug, Parser)]
-#[command(name = "trainer", version, about, long_about = None, after_help = "\
+#[command(name = "trainer", version, long_about = None, after_help = "\
 Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the result.
 EUPNEA_LOG sets what is logged, as in EUPNEA_LOG=debug.
 Research software: never for use on a patient.")]

@@ -18,7 +18,7 @@ Examples:
   trainer pack controller.safetensors --out weights.bin
   trainer pack controller.safetensors --out weights.bin --json -
 
-The image is read back and its controller run once before it is written. `trainer inspect weights.bin` shows it.")]
+The image is read back and its controller run once before it is written.")]
 pub struct Args {
     /// The controller, as trained
     #[arg(value_name = "CONTROLLER.safetensors")]

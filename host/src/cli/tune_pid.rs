@@ -81,6 +81,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let bar = bar("tuning, simulated breaths", 0);
     let progress = |done: u64, total: u64| {
+        tracing::debug!(done, total, "breaths simulated");
         bar.set_length(total);
         bar.set_position(done);
     };

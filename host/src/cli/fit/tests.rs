@@ -57,3 +57,13 @@ fn sizes_are_the_models_unless_given() {
     let small = shape(&["--states", "3", "--hidden", "4", "--history", "5"]);
     assert_eq!((small.states, small.hidden, small.history), (3, 4, 5));
 }
+
+#[test]
+fn small_recordings_take_more_passes_unless_told_otherwise() {
+    let epochs = |arguments: &[&str], breaths| config(&args(arguments), breaths).epochs;
+    assert_eq!(epochs(&[], 160), STEPS * BATCH / 160);
+    assert_eq!(epochs(&[], 3), MOST_EPOCHS);
+    assert_eq!(epochs(&[], 100_000), FitConfig::default().epochs);
+    assert_eq!(epochs(&["--epochs", "7"], 160), 7);
+    assert_eq!(epochs(&["--architecture", "stitched"], 160), FitConfig::authors().epochs);
+}

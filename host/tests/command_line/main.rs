@@ -1,0 +1,7 @@
+//! The `trainer` command line as its users meet it: the real program, its output, its files, its exit codes.
+
+mod bad_input;
+mod help;
+mod interrupted;
+mod pipeline;
+mod support;

@@ -1,0 +1,120 @@
+//! From a recording to a packed controller, at a tiny size.
+
+use std::fmt::Write;
+
+use host::dataset::Recording;
+use host::simulator::model::Simulator;
+use host::train::learned::Learned;
+use shared::weights::decode;
+
+use super::support::Place;
+
+#[test]
+fn a_collection_is_a_valid_recording_and_the_same_for_the_same_seed() {
+    let place = Place::new();
+    let summary = place.json("collect --out a.parquet --breaths 6 --seed 3");
+    place.ok("collect --out b.parquet --breaths 6 --seed 3");
+    place.ok("collect --out c.parquet --breaths 6 --seed 4");
+    let recording = Recording::load(place.path("a.parquet")).unwrap();
+    assert_eq!(recording.inspirations().len(), 6);
+    assert_eq!((&summary["breaths"], &summary["ticks"]), (&6.into(), &recording.len().into()));
+    assert_eq!(recording.provenance.seed, 3);
+    let bytes = |name: &str| std::fs::read(place.path(name)).unwrap();
+    assert_eq!(bytes("a.parquet"), bytes("b.parquet"));
+    assert_ne!(bytes("a.parquet"), bytes("c.parquet"));
+}
+
+#[test]
+fn a_learned_controller_that_collects_is_named_in_the_recording() {
+    let place = Place::new();
+    let controller = place.controller();
+    let packed = place.json(&format!("pack {controller} --out weights.bin"));
+    place.ok(&format!("collect --out a.parquet --breaths 2 --controller {controller} --no-exploration"));
+    let recording = Recording::load(place.path("a.parquet")).unwrap();
+    assert_eq!(packed["id"], recording.provenance.weights_id.as_str());
+    assert!(recording.explore.iter().all(|explore| *explore == 0.0));
+}
+
+#[test]
+fn a_simulator_is_fitted_judged_and_reported() {
+    let place = Place::new();
+    let data = place.collected();
+    let line = format!("fit --data {data} {data} --out sim.safetensors --epochs 3 --states 4 --hidden 4");
+    let summary = place.json(&format!("{line} --report fit.html"));
+    assert_eq!((&summary["training_breaths"], &summary["held_out_breaths"]), (&20.into(), &4.into()));
+    assert!(summary["open_loop"]["truth"].as_f64().unwrap() > 0.0);
+    let simulator = Simulator::load(&place.path("sim.safetensors")).unwrap();
+    assert_eq!(summary["parameters"], simulator.parameters.len());
+    let report = std::fs::read_to_string(place.path("fit.html")).unwrap();
+    assert!(report.contains("Training curve") && report.contains("open loop"));
+    assert!(place.ok("inspect sim.safetensors").contains("learned simulator"));
+}
+
+#[test]
+fn a_learned_controller_is_scored_beside_its_pid() {
+    let place = Place::new();
+    let controller = place.controller();
+    let small = "--pips 15,25 --breaths 1 --seed 5";
+    let alone = place.json(&format!("evaluate --gains 3,30 {small}"));
+    let both = place.json(&format!("evaluate --controller {controller} {small} --report evaluation.html"));
+    let other = place.json(&format!("evaluate --controller {controller} --against 2,50 {small}"));
+    assert_eq!(alone["waveforms"][0]["pid"], both["waveforms"][0]["pid"], "same gains, same noise");
+    assert!(alone["waveforms"][0].get("learned").is_none());
+    assert_ne!(both["mean"]["pid"]["score"], both["mean"]["learned"]["score"]);
+    assert_ne!(both["mean"]["pid"]["score"], other["mean"]["pid"]["score"]);
+    assert_eq!(both["mean"]["learned"], other["mean"]["learned"]);
+    assert_eq!((&both["seed"], &both["lung"]), (&5.into(), &"R20C20".into()));
+    for figure in ["score", "rise_ms", "overshoot", "plateau_error"] {
+        assert!(both["waveforms"][1]["learned"][figure].is_number(), "{figure}");
+    }
+    assert!(std::fs::read_to_string(place.path("evaluation.html")).unwrap().contains("Inspiratory valve"));
+}
+
+#[test]
+fn a_packed_controller_is_the_same_controller() {
+    let place = Place::new();
+    let controller = place.controller();
+    place.ok(&format!("pack {controller} --out weights.bin"));
+    let image = decode(&std::fs::read(place.path("weights.bin")).unwrap()).unwrap();
+    assert_eq!(image.residual, Learned::load(&place.path(controller)).unwrap().controller);
+    let facts = place.ok("inspect weights.bin");
+    assert!(facts.contains(&format!("{:08x}", image.id)) && facts.contains("seed 9"), "{facts}");
+    let score =
+        |line: &str| place.json(&format!("evaluate {line} --pips 20 --breaths 1"))["mean"]["learned"].clone();
+    assert_eq!(score("--weights weights.bin"), score(&format!("--controller {controller}")));
+}
+
+#[test]
+fn the_best_pid_is_searched_and_mapped() {
+    let place = Place::new();
+    let result = place.json("tune-pid --authors-grid --breaths 1 --pips 20 --report tuned.html");
+    let best = &result["lungs"][0]["best"];
+    assert!(best["pi"]["score"].as_f64().unwrap() <= best["p_only"]["score"].as_f64().unwrap());
+    assert_eq!(result["complete"], true);
+    assert!(std::fs::read_to_string(place.path("tuned.html")).unwrap().contains("mean absolute error"));
+}
+
+/// Two breaths at 100 Hz in the layout of the `RespiraWorks` tables.
+fn table() -> String {
+    let mut table = "run,test,C_ml_per_cmH2O,R_cmH2O_per_Lps,t_s,setpoint_cmH2O,pressure_cmH2O,flow_in_mlps,\
+                     flow_out_mlps,cmd_inh_valve,cmd_exh_valve,cmd_psol\n"
+        .to_owned();
+    for row in 0..800 {
+        let up = (50..150).contains(&(row % 300));
+        let (pressure, inhale) = if up { (20.0, 0.6) } else { (5.0, 0.1) };
+        let time = f64::from(row) * 0.01;
+        writeln!(table, "CT_AIR,1,50,5,{time:.3},{pressure},{pressure},300,200,{inhale},0.4,0.0").unwrap();
+    }
+    table
+}
+
+#[test]
+fn measured_tables_become_a_recording() {
+    let place = Place::new();
+    std::fs::write(place.path("table.csv"), table()).unwrap();
+    let summary = place.json("import respiraworks table.csv --out table.parquet");
+    assert_eq!(summary["rows"], 800);
+    let recording = Recording::load(place.path("table.parquet")).unwrap();
+    assert_eq!(summary["complete_breaths"], recording.inspirations().len());
+    assert!(place.ok("inspect table.parquet").contains("CT_AIR:1"));
+}

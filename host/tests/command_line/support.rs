@@ -1,0 +1,88 @@
+//! Running the program in a folder of its own.
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+use host::train::learned::{Learned, Origin};
+use shared::control::features::FeatureSpec;
+use shared::control::network::Network;
+use shared::control::pid::PidGains;
+use shared::control::residual::{Residual, ResidualSpec};
+use tempfile::TempDir;
+
+/// A folder to run the program in.
+pub struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    pub fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap() }
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// The program with arguments separated by blanks.
+    pub fn command(&self, line: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trainer"));
+        command.args(line.split_whitespace()).current_dir(self.folder.path());
+        command.env_remove("EUPNEA_LOG").env("COLUMNS", "100");
+        command
+    }
+
+    pub fn run(&self, line: &str) -> Output {
+        self.command(line).output().unwrap()
+    }
+
+    /// Runs what must succeed; gives standard output.
+    pub fn ok(&self, line: &str) -> String {
+        let output = self.run(line);
+        assert!(output.status.success(), "{line}: {}", text(&output.stderr));
+        assert!(output.stderr.is_empty(), "{line}: {}", text(&output.stderr));
+        text(&output.stdout)
+    }
+
+    /// Runs what must succeed with `--json -`; gives the JSON, which standard output must hold alone.
+    pub fn json(&self, line: &str) -> serde_json::Value {
+        serde_json::from_str(&self.ok(&format!("{line} --json -"))).unwrap()
+    }
+
+    /// Runs what must be refused; gives the one line that says why.
+    pub fn refused(&self, line: &str) -> String {
+        let output = self.run(line);
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{line}: {stderr}");
+        assert!(stderr.starts_with("error: ") && stderr.trim_end().lines().count() == 1, "{line}: {stderr}");
+        stderr
+    }
+
+    /// A recording of a few breaths.
+    pub fn collected(&self) -> &'static str {
+        self.ok("collect --out first.parquet --breaths 12 --seed 3");
+        "first.parquet"
+    }
+
+    /// A learned controller that adds a constant to a PI.
+    pub fn controller(&self) -> &'static str {
+        let mut network = Network::zero();
+        network.output.bias[0] = 0.02;
+        let spec = ResidualSpec {
+            period_us: 1000,
+            gains: PidGains { p: 3.0, i: 30.0, d: 0.0 },
+            lambda: 0.5,
+            authority: 40.0,
+            features: FeatureSpec::default(),
+        };
+        let origin = Origin { plant: "R20C20".into(), seed: 9, ..Origin::default() };
+        let learned = Learned { controller: Residual::new(spec, network).unwrap(), origin };
+        learned.save(&self.path("controller.safetensors")).unwrap();
+        "controller.safetensors"
+    }
+}
+
+/// Output as text.
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
