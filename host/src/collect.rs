@@ -136,7 +136,7 @@ fn check(config: &CollectConfig) -> Result<(), CollectError> {
 
 /// Every second breath one of the listed waveforms in turn, the others anywhere in between.
 fn pip(config: &CollectConfig, breath: usize, rng: &mut ChaCha8Rng) -> f32 {
-    if breath % 2 == 0 {
+    if breath.is_multiple_of(2) {
         config.pips[breath / 2 % config.pips.len()]
     } else {
         rng.random_range(config.pip_range.0..config.pip_range.1)

@@ -37,7 +37,7 @@ pub enum TensorError {
 
 impl TensorError {
     /// A file that is not what it should be.
-    pub fn format(path: &Path, kind: &'static str, reason: impl ToString) -> Self {
+    pub fn format(path: &Path, kind: &'static str, reason: &impl ToString) -> Self {
         Self::Format { path: path.to_owned(), kind, reason: reason.to_string() }
     }
 
@@ -60,7 +60,7 @@ fn key(kind: &str) -> String {
 /// The file cannot be read, is torn or of another program.
 pub fn kind(path: &Path) -> Result<String, TensorError> {
     let bytes = fs::read(path).map_err(TensorError::file(path))?;
-    let foreign = |reason: String| TensorError::format(path, "file of the trainer", reason);
+    let foreign = |reason: String| TensorError::format(path, "file of the trainer", &reason);
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| foreign(e.to_string()))?;
     let mut keys = header.metadata().iter().flat_map(HashMap::keys);
     let kind = keys.find_map(|key| key.strip_prefix(KEY));
@@ -77,7 +77,7 @@ pub fn save(
     description: &impl Serialize,
     vectors: &[(&str, &[f32])],
 ) -> Result<(), TensorError> {
-    let json = serde_json::to_string(description).map_err(|e| TensorError::format(path, kind, e))?;
+    let json = serde_json::to_string(description).map_err(|e| TensorError::format(path, kind, &e))?;
     let bytes: Vec<(&str, Vec<u8>, usize)> = vectors
         .iter()
         .map(|(name, values)| (*name, values.iter().flat_map(|v| v.to_le_bytes()).collect(), values.len()))
@@ -88,7 +88,7 @@ pub fn save(
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>();
     let file = views
         .and_then(|views| safetensors::serialize(views, Some(HashMap::from([(key(kind), json)]))))
-        .map_err(|e| TensorError::format(path, kind, e))?;
+        .map_err(|e| TensorError::format(path, kind, &e))?;
     write_atomically(path, &file).map_err(TensorError::file(path))
 }
 
@@ -102,7 +102,7 @@ pub fn load<D: for<'de> Deserialize<'de>>(
     names: &[&str],
 ) -> Result<(D, Vec<Vec<f32>>), TensorError> {
     let bytes = fs::read(path).map_err(TensorError::file(path))?;
-    parse(&bytes, kind, names).map_err(|reason| TensorError::format(path, kind, reason))
+    parse(&bytes, kind, names).map_err(|reason| TensorError::format(path, kind, &reason))
 }
 
 fn parse<D: for<'de> Deserialize<'de>>(

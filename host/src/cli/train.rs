@@ -8,7 +8,6 @@ use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 use shared::control::pid::PidGains;
 
 use super::common::{BenchArgs, bar, gains, pid, stop, stopped};
-use super::controller_args::KNOWN_GOOD;
 use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
 use super::stage_bars::StageBars;
@@ -284,6 +283,7 @@ fn rounds_table(rounds: &[Round]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::controller_args::KNOWN_GOOD;
 
     #[test]
     fn the_default_gains_are_the_known_good_ones() {

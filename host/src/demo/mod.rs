@@ -210,7 +210,8 @@ fn compare(
     observer: Observer<'_>,
 ) -> Result<Vec<Contestant>, DemoError> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
-    let controllers = [
+    // A vector: on the stack, controllers with their weights would be large.
+    let controllers = vec![
         ("P only", pid(best.p_only.gains)?),
         ("I only", pid(best.i_only.gains)?),
         ("PID", pid(best.pid.gains)?),

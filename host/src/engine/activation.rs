@@ -40,13 +40,12 @@ impl Activation {
             }),
             Self::Tanh => scale(outputs, gradients, |y| 1.0 - y * y),
             Self::Selu => {
-                scale(outputs, gradients, |y| if y > 0.0 { SELU_SCALE } else { y + SELU_SCALE * SELU_ALPHA })
+                scale(outputs, gradients, |y| if y > 0.0 { SELU_SCALE } else { y + SELU_SCALE * SELU_ALPHA });
             }
         }
     }
 }
 
-#[inline(always)]
 fn apply(values: &mut [Lane], f: impl Fn(f32) -> f32) {
     for lane in values {
         for value in &mut lane.0 {
@@ -55,7 +54,6 @@ fn apply(values: &mut [Lane], f: impl Fn(f32) -> f32) {
     }
 }
 
-#[inline(always)]
 fn scale(outputs: &[Lane], gradients: &mut [Lane], slope: impl Fn(f32) -> f32) {
     for (output, gradient) in outputs.iter().zip(gradients) {
         for (output, gradient) in output.0.iter().zip(&mut gradient.0) {

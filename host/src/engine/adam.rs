@@ -1,4 +1,4 @@
-//! AdamW (Loshchilov and Hutter 2019) with clipping of the gradient's norm and a cosine schedule.
+//! `AdamW` (Loshchilov and Hutter 2019) with clipping of the gradient's norm and a cosine schedule.
 
 use serde::{Deserialize, Serialize};
 

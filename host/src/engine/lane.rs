@@ -2,6 +2,10 @@
 //!
 //! The kernels pick the widest vector unit at run time. They are exact per element (a fused multiply-add per
 //! term, in the order of the inputs) on every machine that has such a unit.
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit found at run time only where they are inlined there"
+)]
 
 use std::ops::{Index, IndexMut};
 

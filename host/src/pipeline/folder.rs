@@ -64,7 +64,7 @@ impl Folder {
     }
 }
 
-fn failure(path: &Path, reason: impl ToString) -> PipelineError {
+fn failure(path: &Path, reason: &impl ToString) -> PipelineError {
     PipelineError::Folder { path: path.display().to_string(), reason: reason.to_string() }
 }
 
@@ -72,11 +72,11 @@ fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, PipelineErro
     if !path.exists() {
         return Ok(None);
     }
-    let text = fs::read_to_string(path).map_err(|e| failure(path, e))?;
-    serde_json::from_str(&text).map(Some).map_err(|e| failure(path, e))
+    let text = fs::read_to_string(path).map_err(|e| failure(path, &e))?;
+    serde_json::from_str(&text).map(Some).map_err(|e| failure(path, &e))
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
-    let text = serde_json::to_string(value).map_err(|e| failure(path, e))?;
-    write_atomically(path, text.as_bytes()).map_err(|e| failure(path, e))
+    let text = serde_json::to_string(value).map_err(|e| failure(path, &e))?;
+    write_atomically(path, text.as_bytes()).map_err(|e| failure(path, &e))
 }

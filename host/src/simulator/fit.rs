@@ -194,7 +194,6 @@ fn huber_loss(error: &Lane, weight: &Lane, bound: f32) -> (f32, Lane) {
 struct Rollout<'m, M: Dynamics> {
     model: &'m M,
     tape: M::Tape,
-    log: CommandLog,
     /// Pressure at the start of the breath, then at the points of each block.
     points: Vec<Lane>,
     ticks: usize,
@@ -213,7 +212,7 @@ impl<'m, M: Dynamics> Rollout<'m, M> {
             let place = 1 + block * timing.points;
             model.step(&mut tape, block, &log, &mut points[place..place + timing.points]);
         }
-        Self { model, tape, log, points, ticks }
+        Self { model, tape, points, ticks }
     }
 
     /// Block, weights and points between which tick `tick` (1 and later) lies.

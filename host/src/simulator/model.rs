@@ -54,6 +54,7 @@ pub struct Simulator {
 
 /// A simulator ready to run.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
 pub enum Model {
     /// Ours.
     StateSpace(StateSpace),
@@ -114,7 +115,7 @@ impl Simulator {
         let expected = metadata.architecture.parameters();
         if parameters.len() != expected {
             let reason = format!("{} parameters where {expected} belong", parameters.len());
-            return Err(TensorError::format(path, KIND, reason));
+            return Err(TensorError::format(path, KIND, &reason));
         }
         let Metadata { architecture, noise, start_pressure, plant } = metadata;
         Ok(Self { architecture, parameters, noise, start_pressure, plant })

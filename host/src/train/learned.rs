@@ -81,7 +81,7 @@ impl Learned {
         let network = &vectors[0];
         if network.len() != Network::PARAMETERS {
             let reason = format!("{} weights where {} belong", network.len(), Network::PARAMETERS);
-            return Err(TensorError::format(path, KIND, reason).into());
+            return Err(TensorError::format(path, KIND, &reason).into());
         }
         let controller = Residual::new(description.spec, chip_network(network))?;
         Ok(Self { controller, origin: description.origin })

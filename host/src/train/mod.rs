@@ -102,6 +102,7 @@ pub struct Trained {
 
 /// Memory of a shard's rollout on either architecture.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "one exists per shard")]
 enum ShardTape {
     StateSpace(Tape<StateSpaceTape>),
     Stitched(Tape<StitchedTape>),

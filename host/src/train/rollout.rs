@@ -152,7 +152,7 @@ impl<'a> LaneController<'a> {
         model.begin(&mut tape.simulator, &scenario.start);
         let mut carried = Carried::zero();
         carried.command_averages = [Lane::splat(scenario.rest / COMMAND_SCALE); AVERAGES];
-        let clock = self.clock_features(scenario);
+        let fixed = Self::pressure_features(scenario);
         for block in 0..timing.blocks(scenario.ticks) {
             let first = block * timing.block_ticks;
             let ticks = first..(first + timing.block_ticks).min(scenario.ticks);
@@ -160,7 +160,7 @@ impl<'a> LaneController<'a> {
                 predict(model, tape, block);
             }
             for tick in ticks {
-                self.tick(&timing, scenario, tape, &mut carried, &clock, tick);
+                self.tick(&timing, scenario, tape, &mut carried, &fixed, tick);
             }
             if timing.lag() == 0 {
                 predict(model, tape, block);
@@ -170,7 +170,7 @@ impl<'a> LaneController<'a> {
     }
 
     /// Features that do not change within a breath: PIP and PEEP.
-    fn clock_features(&self, scenario: &Scenario) -> [Lane; 2] {
+    fn pressure_features(scenario: &Scenario) -> [Lane; 2] {
         let pip = scenario.pip.map(|pip| (pip - PIP_SCALE.0) / PIP_SCALE.1);
         [pip, Lane::splat((scenario.peep - PEEP_SCALE.0) / PEEP_SCALE.1)]
     }
@@ -181,7 +181,7 @@ impl<'a> LaneController<'a> {
         scenario: &Scenario,
         tape: &mut Tape<T>,
         carried: &mut Carried,
-        clock: &[Lane; 2],
+        fixed: &[Lane; 2],
         tick: usize,
     ) {
         let pressure = interpolate(timing, &tape.points, tick);
@@ -192,7 +192,7 @@ impl<'a> LaneController<'a> {
         for (average, factor) in carried.error_averages.iter_mut().zip(self.features().error_factors()) {
             *average = average.zip(&error, |a, e| a + factor * (e / ERROR_SCALE - a));
         }
-        self.write_features(scenario, tape, carried, clock, tick);
+        self.write_features(scenario, tape, carried, fixed, tick);
         let scale = self.controller.spec().lambda * COMMAND_MAX;
         let correction = self.network.forward(&mut tape.network, tick).map(|y| scale * y);
         tape.correction[tick] = correction;
@@ -208,7 +208,7 @@ impl<'a> LaneController<'a> {
         scenario: &Scenario,
         tape: &mut Tape<T>,
         carried: &Carried,
-        clock: &[Lane; 2],
+        fixed: &[Lane; 2],
         tick: usize,
     ) {
         let spec = self.features().spec();
@@ -231,7 +231,7 @@ impl<'a> LaneController<'a> {
         for (feature, time) in features[TIMES_AT..].iter_mut().zip(self.features().times(tick as u32)) {
             *feature = Lane::splat(time);
         }
-        [features[PIP_AT], features[PEEP_AT]] = *clock;
+        [features[PIP_AT], features[PEEP_AT]] = *fixed;
     }
 
     /// PID, residual and limits: the command of a tick.
@@ -403,8 +403,8 @@ impl Carried {
 /// The simulator's step of a block.
 fn predict<M: Dynamics>(model: &M, tape: &mut Tape<M::Tape>, block: usize) {
     let count = model.timing().points;
-    let points = &mut tape.points[1 + block * count..1 + (block + 1) * count];
-    model.step(&mut tape.simulator, block, &tape.log, points);
+    let (_, points) = tape.points.split_at_mut(1 + block * count);
+    model.step(&mut tape.simulator, block, &tape.log, &mut points[..count]);
 }
 
 /// Pressure at a tick from the points around it.
