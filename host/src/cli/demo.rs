@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use shared::breath::DEFAULT_PERIOD_US;
+
 use super::common::{BenchArgs, stop};
 use super::output::OutputArgs;
 use super::stage_bars::StageBars;
@@ -17,6 +19,7 @@ Examples:
   trainer demo
   trainer demo --seed 2 --out out/seed-2
   trainer demo --lung R50C10 --rounds 4 --out out/stiff
+  trainer demo --period-us 30000 --out out/paper
 
 Ctrl-C stops it; the same command goes on where it was. Scores are of the true airway pressure, which the bench
 knows; PID and learned controller meet the same noise, under seeds that neither tuning nor training has seen.")]
@@ -29,6 +32,9 @@ pub struct Args {
     /// Rounds of collect, fit and train
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
     rounds: usize,
+    /// Control period, microseconds
+    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
+    period_us: u32,
     /// Seed of everything
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -41,7 +47,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let config = DemoConfig {
         bench: args.bench.one()?,
         search: Search::default(),
-        pipeline: PipelineConfig { seed: args.seed, rounds: args.rounds, ..PipelineConfig::default() },
+        pipeline: PipelineConfig {
+            seed: args.seed,
+            rounds: args.rounds,
+            ..PipelineConfig::for_period(args.period_us)
+        },
     };
     let bars = StageBars::default();
     let observer = |step, done, total| bars.show(&name(step), done, total);

@@ -51,7 +51,7 @@ pub struct Args {
     /// State-space: states [default: 16]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     states: Option<u16>,
-    /// State-space: hidden units [default: 32]
+    /// State-space: hidden units [default: 64]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=512))]
     hidden: Option<u16>,
     /// State-space: blocks of past commands that a step sees [default: 4]
