@@ -22,9 +22,13 @@ fn interrupt(place: &Place, line: &str) -> Output {
     log.read_until(b'\n', &mut stderr).unwrap();
     let id = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-    log.read_to_end(&mut stderr).unwrap();
+    // Read beside standard output: a full pipe that nobody empties would stop the program.
+    let log = std::thread::spawn(move || {
+        log.read_to_end(&mut stderr).unwrap();
+        stderr
+    });
     let output = child.wait_with_output().unwrap();
-    Output { stderr, ..output }
+    Output { stderr: log.join().unwrap(), ..output }
 }
 
 #[test]
