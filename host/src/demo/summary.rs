@@ -97,7 +97,10 @@ impl Summary {
 
     /// The comparison, waveform by waveform.
     pub fn table(&self) -> Table {
-        let title = format!("{}: best PID found and learned controller on the true bench (rise in ms, all else in cmH2O)", self.lung);
+        let title = format!(
+            "{}: best PID found and learned controller on the true bench (rise in ms, all else in cmH2O)",
+            self.lung
+        );
         let header = [
             "PIP",
             "error PID",
