@@ -10,9 +10,7 @@ use shared::control::residual::Residual;
 use shared::weights::{Image, decode};
 
 use super::common;
-
-/// A PI that is cautious on the default lung and stable on all of the paper's.
-pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
+use crate::collect::KNOWN_GOOD;
 
 /// Which controller.
 #[derive(Debug, clap::Args)]

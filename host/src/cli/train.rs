@@ -40,7 +40,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["lung", "bench"])]
     simulator: Vec<PathBuf>,
     /// Gains of the PID that collects first and lies under the residual
-    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = "1,10,0")]
+    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = "3,30,0")]
     gains: PidGains,
     /// Scale of the residual, 0 to 1
     #[arg(long, value_name = "L", default_value_t = PipelineConfig::default().lambda)]
@@ -65,7 +65,7 @@ pub struct Args {
     batch: usize,
     /// Learning rate at the start
     #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.rate)]
-    rate: f32,
+    learning_rate: f32,
     /// Decay of the weights
     #[arg(long, value_name = "D", default_value_t = TrainConfig::default().adam.weight_decay)]
     weight_decay: f32,
@@ -161,7 +161,7 @@ impl Args {
             overshoot_weight: self.overshoot_weight,
             ..config.train
         };
-        config.train.adam.rate = self.rate;
+        config.train.adam.rate = self.learning_rate;
         config.train.adam.weight_decay = self.weight_decay;
         Ok(config)
     }
@@ -283,10 +283,10 @@ fn rounds_table(rounds: &[Round]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::controller_args::KNOWN_GOOD;
+    use crate::collect::KNOWN_GOOD;
 
     #[test]
     fn the_default_gains_are_the_known_good_ones() {
-        assert_eq!(gains("1,10,0"), Ok(KNOWN_GOOD));
+        assert_eq!(gains("3,30,0"), Ok(KNOWN_GOOD));
     }
 }

@@ -18,7 +18,7 @@ use shared::control::residual::{ResidualError, ResidualSpec};
 use shared::control::{COMMAND_MAX, Controller};
 use thiserror::Error;
 
-use crate::collect::{CollectConfig, CollectError};
+use crate::collect::{CollectConfig, CollectError, KNOWN_GOOD};
 use crate::dataset::{DatasetError, Recording};
 use crate::simulator::Timing;
 use crate::simulator::fit::{FitConfig, OpenLoop};
@@ -76,7 +76,7 @@ impl PipelineConfig {
             period_us,
             seed: 1,
             rounds: 3,
-            gains: PidGains { p: 1.0, i: 15.0, d: 0.0 },
+            gains: KNOWN_GOOD,
             lambda: 1.0,
             authority: COMMAND_MAX,
             ensemble: 2,

@@ -5,9 +5,18 @@ use super::support::Place;
 #[test]
 fn every_command_explains_itself() {
     let place = Place::new();
-    for command in
-        ["collect", "tune-pid", "fit", "evaluate", "pack", "inspect", "import", "import respiraworks"]
-    {
+    for command in [
+        "demo",
+        "train",
+        "collect",
+        "tune-pid",
+        "fit",
+        "evaluate",
+        "pack",
+        "inspect",
+        "import",
+        "import respiraworks",
+    ] {
         let help = place.ok(&format!("{command} --help"));
         assert!(help.contains("Examples:"), "{command}");
         insta::assert_snapshot!(command.replace(' ', "-"), help);

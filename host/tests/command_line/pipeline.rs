@@ -118,3 +118,28 @@ fn measured_tables_become_a_recording() {
     assert_eq!(summary["complete_breaths"], recording.inspirations().len());
     assert!(place.ok("inspect table.parquet").contains("CT_AIR:1"));
 }
+
+#[test]
+fn a_controller_is_trained_in_rounds_and_a_second_call_finds_it_done() {
+    let place = Place::new();
+    let line = "train --out run --rounds 1 --breaths 12 --epochs 20 --iterations 10 --batch 16 --seed 2";
+    let first = place.json(line);
+    assert_eq!((&first["rounds"][0]["breaths"], &first["complete"]), (&12.into(), &true.into()));
+    assert!(first["validation"].as_f64().unwrap() <= first["base"].as_f64().unwrap());
+    let learned = Learned::load(&place.path("run/controller.safetensors")).unwrap();
+    assert_eq!((learned.origin.seed, learned.origin.plant.as_str()), (2, "R20C20"));
+    assert_eq!(place.json(line), first);
+}
+
+#[test]
+fn a_controller_is_trained_on_simulators_already_fitted() {
+    let place = Place::new();
+    let data = place.collected();
+    for seed in [1, 2] {
+        place.ok(&format!("fit --data {data} --out {seed}.safetensors --epochs 30 --seed {seed}"));
+    }
+    let line = "train --simulator 1.safetensors 2.safetensors --iterations 10 --batch 16 --out once";
+    let summary = place.json(line);
+    assert!(summary["train_curve"].as_array().is_some_and(|curve| !curve.is_empty()));
+    Learned::load(&place.path("once/controller.safetensors")).unwrap();
+}
