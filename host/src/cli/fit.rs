@@ -82,6 +82,8 @@ enum Kind {
 const BATCH: usize = 16;
 /// Gradient steps by which that distance has stopped falling fast.
 const STEPS: usize = 10_000;
+/// Least passes over a recording, however large.
+const LEAST_EPOCHS: usize = 300;
 /// Most passes over a recording, however small.
 const MOST_EPOCHS: usize = 3_000;
 /// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its
@@ -187,7 +189,7 @@ fn config(args: &Args, breaths: usize) -> FitConfig {
     };
     let batch = args.batch.map_or(base.batch, usize::from);
     let epochs = match args.architecture {
-        Kind::StateSpace => (STEPS * batch / breaths.max(1)).clamp(base.epochs, MOST_EPOCHS),
+        Kind::StateSpace => (STEPS * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS),
         Kind::Stitched => base.epochs,
     };
     FitConfig { epochs: args.epochs.unwrap_or(epochs), batch, seed: seeds::training(args.seed, 0), ..base }

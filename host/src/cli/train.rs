@@ -139,6 +139,9 @@ pub fn stage_name(round: usize, stage: Stage) -> String {
 impl Args {
     fn config(&self) -> anyhow::Result<PipelineConfig> {
         let settings = self.settings.checked(&self.pips)?;
+        if settings.rise_time > 0.0 {
+            bail!("controllers are trained on the square rise of the paper; leave --rise-time at 0");
+        }
         let mut config = PipelineConfig {
             seed: self.seed,
             rounds: self.rounds,

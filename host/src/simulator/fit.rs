@@ -37,7 +37,7 @@ pub struct FitConfig {
 impl Default for FitConfig {
     fn default() -> Self {
         Self {
-            epochs: 1000,
+            epochs: 2500,
             batch: 32,
             huber: 0.3,
             adam: AdamConfig { rate: 5e-3, ..AdamConfig::default() },

@@ -116,3 +116,10 @@ fn files_of_another_kind() {
     assert!(place.refused(stitched).contains("--period-us 30000"));
     assert!(place.refused("fit --data first.parquet --out a.safetensors --hold-out 50").contains("too few"));
 }
+
+#[test]
+fn a_waveform_that_training_does_not_know() {
+    let place = Place::new();
+    assert!(place.refused("train --out run --rise-time 0.2").contains("--rise-time"));
+    assert!(!place.path("run").exists());
+}
