@@ -218,6 +218,11 @@ impl VentilatorState {
         &self.breath
     }
 
+    /// Settings that wait for the next breath.
+    pub fn pending(&self) -> Option<&Settings> {
+        self.pending.as_ref().map(Breath::settings)
+    }
+
     /// Number of the running breath.
     pub fn breath_number(&self) -> u32 {
         self.number
@@ -313,10 +318,11 @@ mod tests {
         let mut state = started(&ventilator);
         run(&ventilator, &mut state, 10, 5.0);
         ventilator.apply(&mut state, &paper_settings(30.0)).unwrap();
+        assert_eq!(state.pending(), Some(&paper_settings(30.0)));
         let before = run(&ventilator, &mut state, 990, 5.0).sample.unwrap();
         assert!((before.target - 20.0).abs() < f32::EPSILON);
         let after = run(&ventilator, &mut state, 2001, 5.0).sample.unwrap();
-        assert_eq!(after.tick, 0);
+        assert_eq!((after.tick, state.pending()), (0, None));
         assert!((after.target - 30.0).abs() < f32::EPSILON);
     }
 

@@ -7,6 +7,7 @@ use super::features::{FeatureError, FeatureSpec, FeatureState, Features};
 use super::network::Network;
 use super::pid::{GainError, Pid, PidGains, PidState};
 use super::{COMMAND_MAX, Controller, Observation};
+use crate::breath::PERIOD_BOUNDS_US;
 use crate::math;
 
 /// Everything about a learned controller but the network's numbers.
@@ -44,6 +45,9 @@ pub enum ResidualError {
         /// Largest accepted value.
         max: f32,
     },
+    /// The control period is out of range.
+    #[error("control period of {0} us is outside {min} to {max} us", min = PERIOD_BOUNDS_US.0, max = PERIOD_BOUNDS_US.1)]
+    Period(u32),
     /// A weight is no number or absurdly large.
     #[error("the network holds a weight that is not finite or beyond the bound; train or transfer it again")]
     Weights,
@@ -93,6 +97,9 @@ impl Residual {
             if !(value >= 0.0 && value <= max) {
                 return Err(ResidualError::OutOfBounds { name, value, max });
             }
+        }
+        if spec.period_us < PERIOD_BOUNDS_US.0 || spec.period_us > PERIOD_BOUNDS_US.1 {
+            return Err(ResidualError::Period(spec.period_us));
         }
         if !network.is_bounded() {
             return Err(ResidualError::Weights);
@@ -196,5 +203,7 @@ mod tests {
         let too_much = Residual::new(spec(1.5), Network::zero());
         assert!(matches!(too_much, Err(ResidualError::OutOfBounds { name: "lambda", .. })));
         assert_eq!(Residual::new(spec(1.0), constant(f32::NAN)), Err(ResidualError::Weights));
+        let stopped = ResidualSpec { period_us: 0, ..spec(1.0) };
+        assert_eq!(Residual::new(stopped, Network::zero()), Err(ResidualError::Period(0)));
     }
 }

@@ -8,7 +8,6 @@ use super::{
     ARCHITECTURE, FORMAT_VERSION, HEADER_BYTES, IMAGE_BYTES, Identity, Image, MAGIC, PARAMETER_BYTES,
     WeightsError,
 };
-use crate::breath::PERIOD_BOUNDS_US;
 use crate::checksum::{CHECKSUM_BYTES, crc32, verified};
 use crate::control::features::FeatureSpec;
 use crate::control::network::{Network, WEIGHT_MAX};
@@ -18,7 +17,7 @@ use crate::control::residual::{Residual, ResidualSpec};
 /// Packs a learned controller; gives the bytes written, [`IMAGE_BYTES`].
 ///
 /// # Errors
-/// [`WeightsError::Length`] if `out` is too short, [`WeightsError::Period`] for a period out of bounds.
+/// [`WeightsError::Length`] if `out` is too short.
 pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Result<usize, WeightsError> {
     if out.len() < IMAGE_BYTES {
         return Err(WeightsError::Length { have: out.len(), need: IMAGE_BYTES });
@@ -45,7 +44,6 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
 
 fn write_spec(writer: &mut Writer, spec: &ResidualSpec) -> Result<(), WeightsError> {
     let ResidualSpec { period_us, gains, lambda, authority, features } = spec;
-    check_period(*period_us)?;
     writer.u32(*period_us)?;
     writer.reals(&[gains.p, gains.i, gains.d, *lambda, *authority])?;
     writer.bytes(&features.error_taps)?;
@@ -53,13 +51,6 @@ fn write_spec(writer: &mut Writer, spec: &ResidualSpec) -> Result<(), WeightsErr
     writer.reals(&features.error_averages)?;
     writer.reals(&features.command_averages)?;
     writer.reals(&features.times)
-}
-
-fn check_period(period_us: u32) -> Result<(), WeightsError> {
-    if period_us < PERIOD_BOUNDS_US.0 || period_us > PERIOD_BOUNDS_US.1 {
-        return Err(WeightsError::Period(period_us));
-    }
-    Ok(())
 }
 
 /// Validates an image and builds its controller. Bytes after the image are ignored.
@@ -85,7 +76,6 @@ pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
     }
     let network = read_network(&mut reader)?;
     let id = reader.u32()?;
-    check_period(spec.period_us)?;
     let residual = Residual::new(spec, network)?;
     if golden(&residual) != promised {
         return Err(WeightsError::Golden);

@@ -109,11 +109,6 @@ pub enum WeightsError {
     /// A parameter is no number or too large.
     #[error("parameter {0} is not finite or beyond the bound; train again, with a lower learning rate")]
     Weight(usize),
-    /// The control period is out of bounds.
-    #[error(
-        "image is made for a control period of {0} us, which no ventilator can run; train with another one"
-    )]
-    Period(u32),
     /// Gains, lambda, authority or features are out of bounds.
     #[error("controller cannot be built: {0}; pack it again with values in bounds")]
     Spec(#[from] ResidualError),
@@ -136,7 +131,6 @@ pub enum ImageProblem {
     Architecture,
     Shape,
     Weight,
-    Period,
     Spec,
     Golden,
 }
@@ -151,7 +145,6 @@ impl From<WeightsError> for ImageProblem {
             WeightsError::Architecture(_) => Self::Architecture,
             WeightsError::Shape(_) => Self::Shape,
             WeightsError::Weight(_) => Self::Weight,
-            WeightsError::Period(_) => Self::Period,
             WeightsError::Spec(_) => Self::Spec,
             WeightsError::Golden => Self::Golden,
         }

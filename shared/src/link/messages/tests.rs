@@ -262,7 +262,7 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::WrongLength, "0908"),
         (Refusal::WrongOffset { expected: 256 }, "09098002"),
         (Refusal::BadImage(ImageProblem::Length), "090a00"),
-        (Refusal::BadImage(ImageProblem::Golden), "090a09"),
+        (Refusal::BadImage(ImageProblem::Golden), "090a08"),
         (Refusal::OtherImage, "090b"),
         (Refusal::Storage, "090c"),
         (Refusal::UnknownRequest, "090d"),
