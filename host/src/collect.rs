@@ -202,9 +202,12 @@ mod tests {
     }
 
     fn run(config: &CollectConfig, p: f32) -> Result<Collected, CollectError> {
-        let lung = BenchConfig::paper(20.0, 20.0);
+        run_on(&BenchConfig::paper(20.0, 20.0), config, p)
+    }
+
+    fn run_on(lung: &BenchConfig, config: &CollectConfig, p: f32) -> Result<Collected, CollectError> {
         let mut source =
-            BenchSource::new(&lung, controller(p), &paper_settings(20.0), DEFAULT_PERIOD_US, config.seed)
+            BenchSource::new(lung, controller(p), &paper_settings(20.0), DEFAULT_PERIOD_US, config.seed)
                 .unwrap();
         collect(&mut source, &controller(p), config, &Watch::silent())
     }
@@ -239,9 +242,11 @@ mod tests {
             breaths: 20,
             settings: Settings { pressure_limit: 42.0, ..Settings::default() },
             exploration: Some(violent),
+            aborts: 200,
             ..CollectConfig::default()
         };
-        let collected = run(&config, 1.0).unwrap();
+        let stiff = BenchConfig::paper(50.0, 10.0);
+        let collected = run_on(&stiff, &config, 1.0).unwrap();
         assert!(collected.aborts > 0 && collected.breaths == 20, "{} aborts", collected.aborts);
         assert_eq!(collected.recording.inspirations().len(), 20);
         collected.recording.validate().unwrap();
