@@ -2,7 +2,7 @@
 //!
 //! A [`Plan`] says which waveforms are run, how often and under which sensor noise; [`evaluate`] runs them with
 //! the same ventilator core as the chip and scores the *true* airway pressure, which only a bench knows.
-//! [`trace`] gives the curves of a few breaths, [`seeds`] keeps the noise of tuning, training and judging apart.
+//! [`trace()`] gives the curves of a few breaths, [`seeds`] keeps the noise of tuning, training and judging apart.
 
 mod score;
 pub mod seeds;

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::ReportError;
 use super::html::escape;
 
-/// A map. Colours go by the logarithm of the value, from the lowest to [`SPAN`] times as much, beyond which
+/// A map. Colours go by the logarithm of the value, from the lowest to `SPAN` times as much, beyond which
 /// everything looks alike.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct HeatMap {
