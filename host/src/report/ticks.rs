@@ -20,11 +20,12 @@ pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
     (start..=last).step_by(every).map(|power| 10_f64.powi(power)).filter(within).collect()
 }
 
+/// Even steps of 1, 2 or 5: never wider than half of the range, so that at least two marks fall into it.
 fn linear((low, high): Limits, wanted: f64) -> Vec<f64> {
-    let rough = (high - low) / wanted;
-    let power = 10_f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].map(|digit| digit * power).into_iter().find(|&step| step >= rough);
-    let step = step.unwrap_or(rough);
+    let widest = 2.0 * (high - low) / wanted.max(4.0);
+    let power = 10_f64.powf(widest.log10().floor());
+    let step =
+        [5.0, 2.0].map(|digit| digit * power).into_iter().find(|&step| step <= widest).unwrap_or(power);
     ((low / step).ceil() as i64..=(high / step).floor() as i64).map(|count| count as f64 * step).collect()
 }
 
@@ -36,7 +37,11 @@ mod tests {
 
     #[test]
     fn marks_suit_the_width_of_the_range() {
-        assert_eq!(logarithmic((0.9, 2.1), 6), [1.0, 1.5, 2.0]);
+        assert_eq!(
+            logarithmic((0.9, 1.65), 6),
+            [1.0, 1.2, 1.4, 1.6].map(|mark: f64| (mark / 0.2).round() * 0.2)
+        );
+        assert_eq!(logarithmic((6.1e-5, 1.44e-4), 4).len(), 4);
         assert_eq!(logarithmic((0.8, 60.0), 6), [1.0, 2.0, 5.0, 10.0, 20.0, 50.0]);
         assert_eq!(logarithmic((1e-3, 1e2), 6).len(), 6);
         assert_eq!(logarithmic((1e-9, 1e9), 6), [1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9]);
