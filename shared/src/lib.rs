@@ -17,6 +17,7 @@ extern crate std;
 pub mod breath;
 pub mod checksum;
 pub mod control;
+pub mod device;
 pub mod explore;
 pub mod link;
 pub mod math;

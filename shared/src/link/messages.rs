@@ -7,7 +7,7 @@
 //! Two things never change, so that any two versions can tell each other apart: [`Request::Identify`] is
 //! variant 0, and its answer begins with the protocol version ([`greeted_protocol`]).
 
-use heapless::Vec;
+use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -15,13 +15,17 @@ use super::PROTOCOL;
 use super::refusal::Refusal;
 use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
+use crate::device::timing::TickTimes;
 use crate::explore::Exploration;
 use crate::safety::supervisor::Fault;
 use crate::settings::Settings;
 use crate::ventilator::Mode;
+use crate::weights::ImageProblem;
 
 /// Most bytes of an image in one chunk.
 pub const CHUNK_BYTES: usize = 128;
+/// Longest text about a failure, bytes.
+pub const FAILURE_BYTES: usize = 120;
 
 /// Host to device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,6 +78,21 @@ pub enum Request {
     CommitWeights,
     /// Restarts the device; answered by [`Response::Done`] before it does. Not while ventilating.
     Reset,
+    /// Settings for one of the next breaths: each breath that starts takes the oldest ones waiting, and the last ones
+    /// stay in force. So a sequence of breaths does not depend on how fast the host is. Answered by
+    /// [`Response::Queued`].
+    QueueSettings(Settings),
+    /// How long the control ticks take; answered by [`Response::Timing`].
+    GetTiming {
+        /// Count anew from here?
+        clear: bool,
+    },
+    /// At the next start of ventilation the plant starts anew with this seed of its random numbers; answered by
+    /// [`Response::Done`]. Only with hardware in the loop.
+    ResetPlant {
+        /// The seed.
+        seed: u32,
+    },
 }
 
 /// Which controller to run.
@@ -128,19 +147,28 @@ pub enum Response {
         /// First byte that is missing.
         offset: u32,
     },
-    /// Weights are stored.
+    /// Weights are stored, and run when they are chosen.
     Weights {
         /// Their id.
         id: u32,
+        /// Where they lie.
+        slot: Slot,
     },
     /// Done, and there is no value to show for it.
     Done,
     /// Not done; everything is as it was.
     Refused(Refusal),
+    /// Settings wait for their breath.
+    Queued {
+        /// How many more would find room.
+        free: u8,
+    },
+    /// Statistics of the control ticks.
+    Timing(TickTimes),
 }
 
 /// The greeting.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceIdentity {
     /// [`PROTOCOL`] of the device.
     pub protocol: u16,
@@ -156,8 +184,58 @@ pub struct DeviceIdentity {
     pub controller: ControllerChoice,
     /// How it explores.
     pub exploration: Option<Exploration>,
-    /// Id of the stored weights, if there are valid ones.
-    pub weights: Option<u32>,
+    /// What each weights slot holds, in the order of [`Slot`].
+    pub slots: [SlotState; 2],
+    /// The slot whose weights run when they are chosen, if one holds valid ones.
+    pub running: Option<Slot>,
+    /// Why the device started.
+    pub reset: ResetCause,
+    /// What the program failed with before it started anew, if it did.
+    pub failure: Option<String<FAILURE_BYTES>>,
+}
+
+/// One of the two places for weights in the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Slot {
+    /// The first.
+    A,
+    /// The second.
+    B,
+}
+
+/// What a slot holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SlotState {
+    /// Nothing: erased.
+    Empty,
+    /// Something that was not finished.
+    Torn,
+    /// A finished image that this device refuses.
+    Invalid(ImageProblem),
+    /// A valid image.
+    Valid {
+        /// The higher of two is the newer one.
+        generation: u32,
+        /// The image's id.
+        id: u32,
+    },
+}
+
+/// Why a device started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ResetCause {
+    /// The supply was switched on.
+    PowerOn,
+    /// The supply dipped.
+    BrownOut,
+    /// The reset pin.
+    Pin,
+    /// The program, by request or after a failure.
+    Software,
+    /// The watchdog: a control tick did not end.
+    Watchdog,
+    /// None of the above.
+    Other,
 }
 
 /// What a device is.

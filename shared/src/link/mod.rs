@@ -18,4 +18,4 @@ pub mod telemetry;
 pub mod upload;
 
 /// Version of the protocol: changes whenever the bytes of an existing message change.
-pub const PROTOCOL: u16 = 1;
+pub const PROTOCOL: u16 = 2;

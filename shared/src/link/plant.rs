@@ -15,10 +15,11 @@
 //! |---|---|---|
 //! | 1 Reset | to the plant | control period in microseconds, u32; seed of its random numbers, u32 |
 //! | 2 Step | to the plant | inspiratory valve in percent, f32; expiratory valve, u32: 1 open, 0 closed |
+//! | 5 Peep | to the plant | PEEP that its mechanical valve is set to, cmH2O, f32; zero, u32 |
 //! | 3 Ready | from the plant | pressure at rest in cmH2O, f32; zero, u32 |
 //! | 4 Pressure | from the plant | pressure after the step in cmH2O, f32; zero, u32 |
 //!
-//! The ventilator sends one frame and waits for its answer: Ready to Reset, Pressure to Step. No answer in time:
+//! The ventilator sends one frame and waits for its answer: Ready to Reset and to Peep, Pressure to Step. No answer in time:
 //! it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
 //! does not step. Bytes that belong to no frame are skipped.
 //!
@@ -48,9 +49,14 @@ pub enum Message {
         /// Expiratory valve open?
         u_out: bool,
     },
-    /// The plant has started anew.
+    /// The knob of the mechanical PEEP valve is turned; time stands still.
+    Peep {
+        /// PEEP, cmH2O.
+        pressure: f32,
+    },
+    /// The plant has started anew, or its PEEP valve is set.
     Ready {
-        /// Pressure at rest, cmH2O.
+        /// Pressure now, cmH2O.
         pressure: f32,
     },
     /// The plant has stepped.
@@ -77,6 +83,7 @@ impl Frame {
             Message::Step { u_in, u_out } => (2, u_in.to_bits(), u32::from(u_out)),
             Message::Ready { pressure } => (3, pressure.to_bits(), 0),
             Message::Pressure { pressure } => (4, pressure.to_bits(), 0),
+            Message::Peep { pressure } => (5, pressure.to_bits(), 0),
         };
         let mut bytes = [0; FRAME_BYTES];
         (bytes[0], bytes[1]) = (START, kind);
@@ -100,6 +107,7 @@ impl Frame {
             (START, 2, 0 | 1) => Message::Step { u_in: real, u_out: second == 1 },
             (START, 3, 0) => Message::Ready { pressure: real },
             (START, 4, 0) => Message::Pressure { pressure: real },
+            (START, 5, 0) => Message::Peep { pressure: real },
             _ => return None,
         };
         Some(Self { tick: u16::from_le_bytes([t0, t1]), message })

@@ -54,6 +54,12 @@ pub enum Refusal {
     /// The request could not be read.
     #[error("the device does not know this request; update the older side")]
     UnknownRequest,
+    /// No room for more settings.
+    #[error("settings for enough breaths are waiting; send more when one has started")]
+    QueueFull,
+    /// There is no plant to reset.
+    #[error("this device breathes with real valves; only one with hardware in the loop has a plant to reset")]
+    NoPlant,
 }
 
 /// A [`SettingsError`] as it goes over the link: names are indices of [`FIELDS`].

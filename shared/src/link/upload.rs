@@ -20,8 +20,8 @@ impl Upload {
         Self { bytes: [0; IMAGE_BYTES], received: 0, announced: None }
     }
 
-    /// Begins an upload of an image with this length and id, forgetting an unfinished one; gives the first
-    /// offset.
+    /// Begins an upload of an image with this length and id; gives the offset to go on at, which is not the start if the
+    /// same upload was broken off. An unfinished one of another image is forgotten.
     ///
     /// # Errors
     /// [`Refusal::WrongLength`].
@@ -29,8 +29,10 @@ impl Upload {
         if length as usize != IMAGE_BYTES {
             return Err(Refusal::WrongLength);
         }
-        (self.received, self.announced) = (0, Some(id));
-        Ok(0)
+        if self.announced != Some(id) {
+            (self.received, self.announced) = (0, Some(id));
+        }
+        Ok(self.received as u32)
     }
 
     /// Takes in a chunk; gives the offset to go on at.
@@ -130,6 +132,15 @@ mod tests {
         assert_eq!(upload.commit().unwrap(), decode(&bytes).unwrap());
         assert_eq!(*upload.bytes(), bytes);
         assert_eq!(upload.commit(), Err(Refusal::NoUpload));
+    }
+
+    #[test]
+    fn an_upload_that_was_broken_off_goes_on_where_it_was_and_another_image_starts_anew() {
+        let ((bytes, id), mut upload) = (image(), Upload::new());
+        upload.begin(IMAGE_BYTES as u32, id).unwrap();
+        upload.chunk(0, &bytes[..300]).unwrap();
+        assert_eq!(upload.begin(IMAGE_BYTES as u32, id), Ok(300));
+        assert_eq!(upload.begin(IMAGE_BYTES as u32, id ^ 1), Ok(0));
     }
 
     #[test]

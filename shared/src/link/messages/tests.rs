@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::breath::Phase;
+use crate::device::timing::Span;
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
 use crate::link::refusal::SettingsRefusal;
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
@@ -70,6 +71,9 @@ fn request() -> impl Strategy<Value = Request> {
         }),
         Just(Request::CommitWeights),
         Just(Request::Reset),
+        settings().prop_map(Request::QueueSettings),
+        any::<bool>().prop_map(|clear| Request::GetTiming { clear }),
+        any::<u32>().prop_map(|seed| Request::ResetPlant { seed }),
     ]
 }
 
@@ -83,9 +87,20 @@ fn refusal() -> impl Strategy<Value = Refusal> {
     ]
 }
 
+fn slot() -> impl Strategy<Value = SlotState> {
+    prop_oneof![
+        Just(SlotState::Empty),
+        Just(SlotState::Torn),
+        Just(SlotState::Invalid(ImageProblem::Golden)),
+        any::<(u32, u32)>().prop_map(|(generation, id)| SlotState::Valid { generation, id }),
+    ]
+}
+
 fn response() -> impl Strategy<Value = Response> {
     let identity = (any::<u16>(), any::<[u16; 3]>(), any::<u32>(), mode(), controller(), exploration());
-    let identity = (identity, any::<Option<u32>>()).prop_map(|(device, weights)| DeviceIdentity {
+    let failure =
+        prop::option::of("[ -~]{0,120}".prop_map(|text| heapless::String::try_from(&*text).unwrap()));
+    let identity = (identity, slot(), slot(), failure).prop_map(|(device, a, b, failure)| DeviceIdentity {
         protocol: device.0,
         firmware: device.1,
         device: DeviceKind::HardwareInTheLoop,
@@ -93,7 +108,10 @@ fn response() -> impl Strategy<Value = Response> {
         mode: device.3,
         controller: device.4,
         exploration: device.5,
-        weights,
+        slots: [a, b],
+        running: Some(Slot::B),
+        reset: ResetCause::Watchdog,
+        failure,
     });
     prop_oneof![
         identity.prop_map(Response::Identity),
@@ -104,11 +122,23 @@ fn response() -> impl Strategy<Value = Response> {
         exploration().prop_map(Response::Exploration),
         any::<bool>().prop_map(|on| Response::Telemetry { on }),
         any::<u32>().prop_map(|offset| Response::Progress { offset }),
-        any::<u32>().prop_map(|id| Response::Weights { id }),
+        any::<u32>().prop_map(|id| Response::Weights { id, slot: Slot::B }),
         Just(Response::Done),
         refusal().prop_map(Response::Refused),
+        any::<u8>().prop_map(|free| Response::Queued { free }),
+        any::<u32>().prop_map(|ticks| Response::Timing(TickTimes { ticks, ..TickTimes::default() })),
     ]
 }
+
+const TIMES: TickTimes = TickTimes {
+    core_hz: 1024,
+    ticks: 1,
+    missed: 0,
+    latency: Span { shortest: 2, mean: 1.0, longest: 4 },
+    work: Span { shortest: 0, mean: 0.0, longest: 0 },
+    period: Span { shortest: 0, mean: 0.0, longest: 0 },
+    histogram: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 12],
+};
 
 fn sample(breath: u32, tick: u32, values: [f32; 4]) -> PackedSample {
     let [target, pressure, u_in, explore] = values;
@@ -203,6 +233,12 @@ fn the_bytes_of_every_request_are_pinned() {
         ),
         (Request::CommitWeights, "ac020b"),
         (Request::Reset, "ac020c"),
+        (
+            Request::QueueSettings(Settings::default()),
+            "ac020d0000a0410000a0400000a0410000803f000000000000003f0000a04000007042",
+        ),
+        (Request::GetTiming { clear: true }, "ac020e01"),
+        (Request::ResetPlant { seed: 128 }, "ac020f8001"),
     ];
     for (request, expected) in requests {
         let message = ToDevice { sequence: 300, request };
@@ -220,11 +256,14 @@ fn the_bytes_of_every_response_are_pinned() {
         mode: Mode::Fault(Fault::HighPressure),
         controller: ControllerChoice::Learned,
         exploration: None,
-        weights: Some(7),
+        slots: [SlotState::Valid { generation: 1, id: 7 }, SlotState::Torn],
+        running: Some(Slot::A),
+        reset: ResetCause::Software,
+        failure: Some(heapless::String::try_from("no").unwrap()),
     };
     let in_force = Settings::default();
     let responses = [
-        (Response::Identity(identity), "000500010001c80101e807020201000107"),
+        (Response::Identity(identity), "000500020001c80101e807020201000301070101000301026e6f"),
         (
             Response::Settings { in_force, pending: None },
             "0005010000a0410000a0400000a0410000803f000000000000003f0000a0400000704200",
@@ -234,8 +273,13 @@ fn the_bytes_of_every_response_are_pinned() {
         (Response::Exploration(None), "00050400"),
         (Response::Telemetry { on: false }, "00050500"),
         (Response::Progress { offset: 128 }, "0005068001"),
-        (Response::Weights { id: 1 }, "00050701"),
+        (Response::Weights { id: 1, slot: Slot::B }, "0005070101"),
         (Response::Done, "000508"),
+        (Response::Queued { free: 3 }, "00050a03"),
+        (
+            Response::Timing(TIMES),
+            "00050b80080100020000803f0400000000000000000000000000000000000000000000000c",
+        ),
     ];
     for (response, expected) in responses {
         let message = ToHost::Response { sequence: 5, response };
@@ -266,6 +310,8 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::OtherImage, "090b"),
         (Refusal::Storage, "090c"),
         (Refusal::UnknownRequest, "090d"),
+        (Refusal::QueueFull, "090e"),
+        (Refusal::NoPlant, "090f"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);

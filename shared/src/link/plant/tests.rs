@@ -12,6 +12,7 @@ fn frame() -> impl Strategy<Value = Frame> {
         (real(), any::<bool>()).prop_map(|(u_in, u_out)| Message::Step { u_in, u_out }),
         real().prop_map(|pressure| Message::Ready { pressure }),
         real().prop_map(|pressure| Message::Pressure { pressure }),
+        real().prop_map(|pressure| Message::Peep { pressure }),
     ];
     (any::<u16>(), message).prop_map(|(tick, message)| Frame { tick, message })
 }
@@ -40,7 +41,7 @@ fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
         Frame::decode(&bytes)
     };
     assert!(forged(8, 0).is_some());
-    for (at, value) in [(0, 0xA4), (1, 0), (1, 5), (8, 2), (11, 1)] {
+    for (at, value) in [(0, 0xA4), (1, 0), (1, 6), (8, 2), (11, 1)] {
         assert_eq!(forged(at, value), None, "byte {at} = {value}");
     }
 }
