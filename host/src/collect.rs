@@ -7,7 +7,6 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 use shared::breath::{PAPER_PIPS, Phase};
 use shared::control::Controller;
-use shared::control::pid::PidGains;
 use shared::explore::{Exploration, ExplorationError};
 use shared::settings::{LIMIT_MARGIN, Settings};
 use thiserror::Error;
@@ -16,9 +15,6 @@ use crate::dataset::{EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
 use crate::provenance::Provenance;
 use crate::source::{Source, SourceError, Tick};
 use crate::watch::Watch;
-
-/// A PI that is good on the default lung and cautious on the others: safe to explore around.
-pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
 /// What only a bench knows; a source without it would leave the columns out.
 const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
@@ -194,7 +190,7 @@ mod tests {
     use crate::bench::BenchConfig;
     use crate::source::BenchSource;
     use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
-    use shared::control::pid::Pid;
+    use shared::control::pid::{Pid, PidGains};
     use std::sync::atomic::AtomicBool;
 
     fn controller(p: f32) -> Controller {

@@ -102,6 +102,21 @@ impl Ventilator {
         self
     }
 
+    /// Takes another controller; the running breath goes on with it.
+    pub fn set_controller(&mut self, controller: Controller) {
+        self.controller = controller;
+    }
+
+    /// Explores, or not, from the next breath on.
+    pub fn set_exploration(&mut self, exploration: Option<Exploration>) {
+        self.exploration = exploration;
+    }
+
+    /// How it explores.
+    pub fn exploration(&self) -> Option<&Exploration> {
+        self.exploration.as_ref()
+    }
+
     /// Control period, microseconds.
     pub fn period_us(&self) -> u32 {
         self.period_us

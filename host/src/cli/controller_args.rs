@@ -7,10 +7,10 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
+use shared::device::KNOWN_GOOD;
 use shared::weights::{Image, decode};
 
 use super::common;
-use crate::collect::KNOWN_GOOD;
 
 /// Which controller.
 #[derive(Debug, clap::Args)]

@@ -286,7 +286,7 @@ fn rounds_table(rounds: &[Round]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::collect::KNOWN_GOOD;
+    use shared::device::KNOWN_GOOD;
 
     #[test]
     fn the_default_gains_are_the_known_good_ones() {

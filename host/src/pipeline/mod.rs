@@ -16,9 +16,10 @@ use shared::control::features::FeatureSpec;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::{ResidualError, ResidualSpec};
 use shared::control::{COMMAND_MAX, Controller};
+use shared::device::KNOWN_GOOD;
 use thiserror::Error;
 
-use crate::collect::{CollectConfig, CollectError, KNOWN_GOOD};
+use crate::collect::{CollectConfig, CollectError};
 use crate::dataset::{DatasetError, Recording};
 use crate::simulator::Timing;
 use crate::simulator::fit::{FitConfig, OpenLoop};

@@ -1,4 +1,106 @@
-//! A ventilator as a device at the end of a link: everything between the bytes of the link, the ventilator and the
+//! A ventilator as a device at the end of a link: everything between the link's bytes, the ventilator and the
 //! weights slots that is not tied to a chip.
+//!
+//! Two halves, which a microcontroller runs at two priorities:
+//!
+//! | half | runs | holds |
+//! |---|---|---|
+//! | [`control`] | once per control tick | ventilator, settings waiting, breath meter, tick statistics |
+//! | [`desk`] | when bytes or reports are there | requests and their answers, telemetry batches, uploads |
+//!
+//! From the desk to the control half go [`Order`]s, one at a time, each answered with an [`Answer`]; the other way
+//! [`Report`]s. Neither half waits: whoever runs them moves orders, answers and reports.
 
+pub mod control;
+pub mod desk;
 pub mod timing;
+
+#[cfg(test)]
+mod tests;
+
+use crate::control::pid::PidGains;
+use crate::explore::Exploration;
+use crate::link::messages::{ControllerChoice, Response};
+use crate::link::telemetry::{BreathSummary, Counters};
+use crate::safety::supervisor::Fault;
+use crate::settings::Settings;
+use crate::ventilator::{Mode, Sample};
+
+/// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O,
+/// cautious on all others.
+pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
+
+/// What the desk asks of the control half.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Order {
+    /// What are you doing? Answered by [`Answer::Status`].
+    Status,
+    /// Which settings are in force?
+    Settings,
+    /// Settings for the next breath, in place of all that wait.
+    Apply(Settings),
+    /// Settings for one of the next breaths.
+    Queue(Settings),
+    /// Start ventilation.
+    Start,
+    /// Stop ventilation.
+    Stop,
+    /// Leave the latched safe state.
+    Acknowledge,
+    /// Another controller from the next breath on.
+    Controller(ControllerChoice),
+    /// Other exploration from the next breath on.
+    Exploration(Option<Exploration>),
+    /// Statistics of the ticks.
+    Timing {
+        /// Count anew?
+        clear: bool,
+    },
+    /// At the next start the plant starts anew with this seed.
+    ResetPlant(u32),
+}
+
+/// What the control half answers.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Answer {
+    /// For the host as it is.
+    Host(Response),
+    /// What the device is doing.
+    Status(Status),
+}
+
+/// What a device is doing.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Status {
+    /// What the ventilator is doing.
+    pub mode: Mode,
+    /// Which controller runs, or will from the next breath on.
+    pub controller: ControllerChoice,
+    /// How it explores, or will from the next breath on.
+    pub exploration: Option<Exploration>,
+}
+
+/// What the control half tells unasked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Report {
+    /// A tick of a breath.
+    Sample {
+        /// Control tick since power-up.
+        tick: u64,
+        /// What it did.
+        sample: Sample,
+    },
+    /// A breath has ended.
+    Breath(BreathSummary),
+    /// A fault has latched.
+    Alarm {
+        /// Which.
+        fault: Fault,
+        /// Control tick since power-up.
+        tick: u64,
+    },
+    /// Ventilation has stopped.
+    Stopped,
+    /// The counters of the control half; `corrupt_frames` is the desk's to fill in.
+    Counters(Counters),
+}

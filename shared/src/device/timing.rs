@@ -106,7 +106,7 @@ impl TickTimer {
     /// The statistics.
     pub fn times(&self) -> TickTimes {
         let Self { core_hz, ticks, missed, histogram, .. } = *self;
-        let [latency, work, period] = [self.latency, self.work, self.period].map(|sum| sum.span());
+        let [latency, work, period] = [self.latency, self.work, self.period].map(Sum::span);
         TickTimes { core_hz, ticks, missed, latency, work, period, histogram }
     }
 }

@@ -72,6 +72,12 @@ pub struct Counters {
     pub mean_tick_us: f32,
 }
 
+impl Counters {
+    /// Nothing counted.
+    pub const ZERO: Self =
+        Self { dropped: 0, corrupt_frames: 0, missed_ticks: 0, worst_tick_us: 0, mean_tick_us: 0.0 };
+}
+
 /// Samples of consecutive ticks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TelemetryBatch {

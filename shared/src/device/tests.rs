@@ -1,0 +1,334 @@
+use std::vec::Vec;
+
+use proptest::prelude::*;
+
+use super::control::{Control, QUEUE_LENGTH};
+use super::desk::{Desk, Facts, Step, Stored};
+use super::*;
+use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::control::features::FeatureSpec;
+use crate::control::network::Network;
+use crate::control::residual::{Residual, ResidualSpec};
+use crate::link::messages::{
+    CHUNK_BYTES, DeviceKind, Event, Request, ResetCause, Slot, SlotState, ToDevice, ToHost,
+};
+use crate::link::refusal::Refusal;
+use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
+
+const CORE_HZ: u32 = 168_000_000;
+const TICKS_OF_A_BREATH: usize = 3000;
+
+/// A device without a chip: both halves, a plant that is always at 5 cmH2O, and what would go over the link.
+struct Rig {
+    control: Control,
+    desk: Desk,
+    reports: Vec<Report>,
+    events: Vec<ToHost>,
+    sequence: u16,
+    stored: Vec<[u8; IMAGE_BYTES]>,
+    restarts: usize,
+}
+
+impl Rig {
+    fn new(learned: Option<Residual>) -> Self {
+        let facts = Facts {
+            firmware: [1, 2, 3],
+            device: DeviceKind::HardwareInTheLoop,
+            period_us: DEFAULT_PERIOD_US,
+            slots: [SlotState::Empty; 2],
+            running: None,
+            reset: ResetCause::PowerOn,
+            failure: None,
+        };
+        Self {
+            control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ).unwrap(),
+            desk: Desk::new(facts),
+            reports: Vec::new(),
+            events: Vec::new(),
+            sequence: 0,
+            stored: Vec::new(),
+            restarts: 0,
+        }
+    }
+
+    fn run(&mut self, ticks: usize) {
+        self.run_at(ticks, 5.0);
+    }
+
+    fn run_at(&mut self, ticks: usize, pressure: f32) {
+        for _ in 0..ticks {
+            let output = self.control.step(pressure);
+            let Self { control, reports, .. } = self;
+            control.report(&output, &mut |report| {
+                reports.push(report);
+                true
+            });
+            for report in self.reports.drain(..) {
+                self.events.extend(self.desk.report(&report));
+            }
+        }
+    }
+
+    fn ask(&mut self, request: Request) -> Response {
+        self.sequence += 1;
+        self.ask_as(self.sequence, request)
+    }
+
+    fn ask_as(&mut self, sequence: u16, request: Request) -> Response {
+        let mut step = self.desk.receive(&ToDevice { sequence, request });
+        loop {
+            step = match step {
+                Step::Send(ToHost::Response { sequence: answered, response }) => {
+                    assert_eq!(answered, sequence);
+                    return response;
+                }
+                Step::Restart(ToHost::Response { response, .. }) => {
+                    self.restarts += 1;
+                    return response;
+                }
+                Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
+                Step::Store => {
+                    self.stored.push(*self.desk.image());
+                    self.desk.stored(Some(Stored { slot: Slot::B, generation: 4 }))
+                }
+                other => panic!("no answer: {other:?}"),
+            };
+        }
+    }
+
+    fn samples(&self) -> Vec<Sample> {
+        let batches = self.events.iter().filter_map(|event| match event {
+            ToHost::Event(Event::Telemetry(batch)) => Some(batch),
+            _ => None,
+        });
+        batches.flat_map(|batch| batch.samples.iter().map(|sample| sample.unpack())).collect()
+    }
+}
+
+fn residual() -> Residual {
+    let spec = ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains: KNOWN_GOOD,
+        lambda: 1.0,
+        authority: 50.0,
+        features: FeatureSpec::default(),
+    };
+    Residual::new(spec, Network::zero()).unwrap()
+}
+
+fn image() -> ([u8; IMAGE_BYTES], u32) {
+    let mut bytes = [0; IMAGE_BYTES];
+    encode(&residual(), &Identity::default(), &mut bytes).unwrap();
+    (bytes, decode(&bytes).unwrap().id)
+}
+
+fn upload(rig: &mut Rig, (bytes, id): &([u8; IMAGE_BYTES], u32)) {
+    let begun = rig.ask(Request::BeginWeights { length: IMAGE_BYTES as u32, id: *id });
+    assert_eq!(begun, Response::Progress { offset: 0 });
+    for (index, chunk) in bytes.chunks(CHUNK_BYTES).enumerate() {
+        let (offset, bytes) = ((index * CHUNK_BYTES) as u32, heapless::Vec::from_slice(chunk).unwrap());
+        let progress = rig.ask(Request::WeightsChunk { offset, bytes });
+        assert_eq!(progress, Response::Progress { offset: offset + chunk.len() as u32 });
+    }
+}
+
+#[test]
+fn a_new_device_greets_in_standby_with_the_cautious_pid() {
+    let Response::Identity(identity) = Rig::new(None).ask(Request::Identify) else { panic!("no greeting") };
+    assert_eq!((identity.mode, identity.controller), (Mode::Standby, ControllerChoice::Pid(KNOWN_GOOD)));
+    assert_eq!((identity.firmware, identity.reset), ([1, 2, 3], ResetCause::PowerOn));
+}
+
+#[test]
+fn a_device_with_weights_runs_them_and_one_without_refuses_to() {
+    let mut with = Rig::new(Some(residual()));
+    assert!(
+        matches!(with.ask(Request::Identify), Response::Identity(i) if i.controller == ControllerChoice::Learned)
+    );
+    let mut without = Rig::new(None);
+    let refused = without.ask(Request::SetController(ControllerChoice::Learned));
+    assert_eq!(refused, Response::Refused(Refusal::NoWeights));
+}
+
+#[test]
+fn weights_of_another_control_period_are_not_run() {
+    let spec = ResidualSpec { period_us: 2000, ..*residual().spec() };
+    let mut rig = Rig::new(Some(Residual::new(spec, Network::zero()).unwrap()));
+    let refused = rig.ask(Request::SetController(ControllerChoice::Learned));
+    assert_eq!(refused, Response::Refused(Refusal::NoWeights));
+}
+
+#[test]
+fn every_breath_takes_the_oldest_settings_waiting_and_the_last_ones_stay() {
+    let mut rig = Rig::new(None);
+    rig.ask(Request::Telemetry { on: true });
+    for (pip, free) in [(10.0, 15), (30.0, 14), (20.0, 13)] {
+        assert_eq!(rig.ask(Request::QueueSettings(paper_settings(pip))), Response::Queued { free });
+    }
+    rig.ask(Request::Start);
+    rig.run(4 * TICKS_OF_A_BREATH);
+    rig.ask(Request::Stop);
+    rig.run(1);
+    let targets: Vec<_> = rig.samples().iter().filter(|s| s.tick == 500).map(|s| s.target as i32).collect();
+    assert_eq!(targets, [10, 30, 20, 20]);
+    assert_eq!(rig.samples().len(), 4 * TICKS_OF_A_BREATH, "every tick arrives, the last batch too");
+}
+
+#[test]
+fn the_queue_has_an_end_and_refuses_nonsense() {
+    let mut rig = Rig::new(None);
+    for _ in 0..QUEUE_LENGTH {
+        assert!(matches!(rig.ask(Request::QueueSettings(paper_settings(10.0))), Response::Queued { .. }));
+    }
+    let full = rig.ask(Request::QueueSettings(paper_settings(10.0)));
+    assert_eq!(full, Response::Refused(Refusal::QueueFull));
+    let nonsense = rig.ask(Request::QueueSettings(paper_settings(f32::NAN)));
+    assert!(matches!(nonsense, Response::Refused(Refusal::Settings(_))));
+    rig.ask(Request::Stop);
+    assert_eq!(rig.ask(Request::QueueSettings(paper_settings(10.0))), Response::Queued { free: 15 });
+}
+
+#[test]
+fn a_repeated_request_is_answered_again_and_done_once() {
+    let mut rig = Rig::new(None);
+    let first = rig.ask_as(9, Request::QueueSettings(paper_settings(10.0)));
+    let again = rig.ask_as(9, Request::QueueSettings(paper_settings(10.0)));
+    assert_eq!((&first, &again), (&Response::Queued { free: 15 }, &Response::Queued { free: 15 }));
+    assert!(matches!(rig.ask_as(9, Request::Identify), Response::Identity(_)), "a greeting is always new");
+}
+
+#[test]
+fn controller_and_exploration_change_at_the_breath_boundary() {
+    let mut rig = Rig::new(None);
+    rig.ask(Request::Telemetry { on: true });
+    rig.ask(Request::Start);
+    rig.run(10);
+    let mut always = Exploration { boundary_probability: 1.0, ..Exploration::default() };
+    always.boundary_height = (20.0, 20.0);
+    rig.ask(Request::SetExploration(Some(always)));
+    rig.ask(Request::SetController(ControllerChoice::Pid(PidGains::default())));
+    rig.run(TICKS_OF_A_BREATH);
+    rig.ask(Request::Stop);
+    rig.run(1);
+    let samples = rig.samples();
+    assert!(samples[..1000].iter().all(|s| s.explore == 0.0 && s.u_in > 40.0), "the running breath goes on");
+    let next = &samples[TICKS_OF_A_BREATH];
+    assert!(
+        (next.explore - 20.0).abs() < 1e-3 && (next.u_in - 20.0).abs() < 1e-3,
+        "gains of zero: exploration alone"
+    );
+}
+
+#[test]
+fn the_plant_is_told_each_new_peep_and_one_reset_at_the_start() {
+    let mut rig = Rig::new(None);
+    assert_eq!(rig.control.cue(), control::Cue { peep: Some(5.0), reset: None });
+    assert_eq!(rig.control.cue(), control::Cue::default());
+    assert_eq!(rig.ask(Request::ResetPlant { seed: 77 }), Response::Done);
+    rig.ask(Request::QueueSettings(Settings { peep: 8.0, ..paper_settings(20.0) }));
+    assert_eq!(rig.control.cue(), control::Cue::default(), "not in standby");
+    rig.ask(Request::Start);
+    assert_eq!(rig.control.cue(), control::Cue { peep: Some(8.0), reset: Some(77) });
+    rig.run(1);
+    assert_eq!(rig.control.cue(), control::Cue::default());
+    rig.run(TICKS_OF_A_BREATH - 1);
+    assert_eq!(rig.control.cue(), control::Cue::default());
+}
+
+#[test]
+fn a_fault_is_an_alarm_after_the_last_samples_and_empties_the_queue() {
+    let mut rig = Rig::new(None);
+    rig.ask(Request::Telemetry { on: true });
+    rig.ask(Request::QueueSettings(paper_settings(20.0)));
+    rig.ask(Request::QueueSettings(paper_settings(30.0)));
+    rig.ask(Request::Start);
+    rig.run(20);
+    rig.run_at(20, f32::NAN);
+    assert!(matches!(
+        rig.events.last(),
+        Some(ToHost::Event(Event::Alarm { fault: Fault::ReadingNotANumber, tick: 24 }))
+    ));
+    assert_eq!(rig.samples().len(), 24, "the fifth missing reading latches");
+    assert_eq!(rig.ask(Request::Start), Response::Refused(Refusal::FaultLatched));
+    assert_eq!(rig.ask(Request::Acknowledge), Response::Mode(Mode::Standby));
+    assert_eq!(rig.ask(Request::Acknowledge), Response::Refused(Refusal::NoFault));
+    assert!(matches!(rig.ask(Request::GetSettings), Response::Settings { pending: None, .. }));
+}
+
+#[test]
+fn an_uploaded_image_is_stored_and_named() {
+    let (mut rig, image) = (Rig::new(None), image());
+    upload(&mut rig, &image);
+    assert_eq!(rig.ask(Request::CommitWeights), Response::Weights { id: image.1, slot: Slot::B });
+    assert_eq!(rig.stored, [image.0]);
+    let Response::Identity(identity) = rig.ask(Request::Identify) else { panic!("no greeting") };
+    assert_eq!(identity.slots[1], SlotState::Valid { generation: 4, id: image.1 });
+}
+
+#[test]
+fn nothing_is_stored_and_nothing_restarts_while_ventilating() {
+    let (mut rig, image) = (Rig::new(None), image());
+    upload(&mut rig, &image);
+    rig.ask(Request::Start);
+    let refused = Response::Refused(Refusal::Ventilating);
+    assert_eq!(rig.ask(Request::CommitWeights), refused);
+    assert_eq!(rig.ask(Request::BeginWeights { length: IMAGE_BYTES as u32, id: 1 }), refused);
+    assert_eq!(rig.ask(Request::Reset), refused);
+    assert_eq!((rig.stored.len(), rig.restarts), (0, 0));
+    rig.ask(Request::Stop);
+    assert_eq!(rig.ask(Request::Reset), Response::Done);
+    assert_eq!(rig.restarts, 1);
+}
+
+#[test]
+fn reports_that_find_no_room_are_counted() {
+    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    control.execute(&Order::Start);
+    let mut counted = 0;
+    for tick in 0..=64 {
+        let output = control.step(5.0);
+        control.report(&output, &mut |report| match report {
+            Report::Counters(counters) => {
+                counted = counters.dropped;
+                true
+            }
+            _ => tick >= 50,
+        });
+    }
+    assert_eq!(counted, 50);
+}
+
+#[test]
+fn a_ventilator_has_no_plant_to_reset() {
+    let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    assert_eq!(control.execute(&Order::ResetPlant(1)), Answer::Host(Response::Refused(Refusal::NoPlant)));
+}
+
+proptest! {
+    /// Requests in any order, in any mode: each is answered, and the valves are safe unless a breath runs.
+    #[test]
+    fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..14, -10.0f32..70.0), 1..60)) {
+        let mut rig = Rig::new(Some(residual()));
+        for (kind, value) in kinds {
+            let request = match kind {
+                0 => Request::Identify,
+                1 => Request::ApplySettings(paper_settings(value)),
+                2 => Request::QueueSettings(paper_settings(value)),
+                3 | 4 => Request::Start,
+                5 => Request::Stop,
+                6 => Request::Acknowledge,
+                7 => Request::SetController(ControllerChoice::Learned),
+                8 => Request::SetController(ControllerChoice::Pid(PidGains { p: value, i: 1.0, d: 0.0 })),
+                9 => Request::Telemetry { on: value > 20.0 },
+                10 => Request::BeginWeights { length: IMAGE_BYTES as u32, id: 3 },
+                11 => Request::CommitWeights,
+                12 => Request::Reset,
+                _ => Request::GetTiming { clear: true },
+            };
+            rig.ask(request);
+            rig.run_at(7, value);
+            let output = rig.control.step(value);
+            prop_assert!(output.mode == Mode::Ventilating || output.command.u_out());
+        }
+    }
+}
