@@ -13,6 +13,7 @@ use crate::link::messages::{
     CHUNK_BYTES, DeviceKind, Event, Request, ResetCause, Slot, SlotState, ToDevice, ToHost,
 };
 use crate::link::refusal::Refusal;
+use crate::link::telemetry::PackedSample;
 use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 const CORE_HZ: u32 = 168_000_000;
@@ -101,7 +102,7 @@ impl Rig {
             ToHost::Event(Event::Telemetry(batch)) => Some(batch),
             _ => None,
         });
-        batches.flat_map(|batch| batch.samples.iter().map(|sample| sample.unpack())).collect()
+        batches.flat_map(|batch| batch.samples.iter().map(PackedSample::unpack)).collect()
     }
 }
 
