@@ -46,7 +46,7 @@ pub fn start() -> Board {
         force_valves_safe();
         SelectedPlant::new(chip.USART2, chip.PA3, chip.PA2)
     };
-    Board { plant, watchdog: Watchdog::new(chip.IWDG), flash: WeightsFlash::new(chip.FLASH), core }
+    Board { plant, watchdog: Watchdog::new(chip.IWDG), flash: WeightsFlash::new_blocking(chip.FLASH), core }
 }
 
 fn clocks() -> Config {

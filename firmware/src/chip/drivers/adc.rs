@@ -5,11 +5,11 @@
 
 use embassy_stm32::Peri;
 use embassy_stm32::adc::{self, AdcChannel, AnyAdcChannel, SampleTime};
-use embassy_stm32::pac::ADC1;
+use embassy_stm32::pac;
 use embassy_stm32::peripherals;
 
-use super::clock;
 use super::super::board::CORE_CLOCK;
+use super::clock;
 
 /// Time for all three conversions, with as much again in reserve, cycles.
 const PATIENCE: u32 = CORE_CLOCK.0 / 1_000_000 * 30;
@@ -21,6 +21,7 @@ const SAMPLE_TIME: SampleTime = SampleTime::CYCLES84;
 /// The converter.
 pub struct Adc {
     _driver: adc::Adc<'static, peripherals::ADC1>,
+    registers: pac::adc::Adc,
 }
 
 /// A channel of the converter, for good.
@@ -30,26 +31,29 @@ impl Adc {
     /// Starts the converter with its channels in the order of the counts.
     pub fn new(
         peripheral: Peri<'static, peripherals::ADC1>,
-        airway: Peri<'static, impl AdcChannel<peripherals::ADC1>>,
-        outlet: Peri<'static, impl AdcChannel<peripherals::ADC1>>,
-        flow: Peri<'static, impl AdcChannel<peripherals::ADC1>>,
+        airway: impl AdcChannel<peripherals::ADC1> + 'static,
+        outlet: impl AdcChannel<peripherals::ADC1> + 'static,
+        flow: impl AdcChannel<peripherals::ADC1> + 'static,
     ) -> Self {
         let driver = adc::Adc::new(peripheral);
-        configure([airway.degrade_adc(), outlet.degrade_adc(), flow.degrade_adc()].map(|c: Channel| c.get_hw_channel()));
-        Self { _driver: driver }
+        configure(
+            [airway.degrade_adc(), outlet.degrade_adc(), flow.degrade_adc()]
+                .map(|c: Channel| c.get_hw_channel()),
+        );
+        Self { _driver: driver, registers: pac::ADC1 }
     }
 
     /// Counts of all channels; none if the converter does not answer.
     pub fn convert(&mut self) -> Option<[u16; CHANNELS]> {
-        ADC1.sr().modify(|w| w.set_jeoc(false));
-        ADC1.cr2().modify(|w| w.set_jswstart(true));
+        self.registers.sr().modify(|w| w.set_jeoc(false));
+        self.registers.cr2().modify(|w| w.set_jswstart(true));
         let start = clock::now();
-        while !ADC1.sr().read().jeoc() {
+        while !self.registers.sr().read().jeoc() {
             if clock::now().wrapping_sub(start) > PATIENCE {
                 return None;
             }
         }
-        Some([0, 1, 2].map(|rank| ADC1.jdr(rank).read().jdata()))
+        Some([0, 1, 2].map(|rank| self.registers.jdr(rank).read().jdata()))
     }
 }
 
@@ -59,17 +63,17 @@ fn configure(channels: [u8; CHANNELS]) {
         let sample = u8::from(channel >= 10);
         let index = usize::from(channel) % 10;
         if sample == 1 {
-            ADC1.smpr1().modify(|w| w.set_smp(index, SAMPLE_TIME));
+            pac::ADC1.smpr1().modify(|w| w.set_smp(index, SAMPLE_TIME));
         } else {
-            ADC1.smpr2().modify(|w| w.set_smp(index, SAMPLE_TIME));
+            pac::ADC1.smpr2().modify(|w| w.set_smp(index, SAMPLE_TIME));
         }
     }
-    ADC1.jsqr().modify(|w| {
+    pac::ADC1.jsqr().modify(|w| {
         w.set_jl(CHANNELS as u8 - 1);
         // A group of three fills the last three of four places.
         for (rank, channel) in channels.into_iter().enumerate() {
             w.set_jsq(rank + 1, channel);
         }
     });
-    ADC1.cr1().modify(|w| w.set_scan(true));
+    pac::ADC1.cr1().modify(|w| w.set_scan(true));
 }

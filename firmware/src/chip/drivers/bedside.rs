@@ -5,9 +5,9 @@ use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 use shared::sensor::{Counts, Sensors};
 
+use super::super::board::Plant;
 use super::adc::Adc;
 use super::valves::Valves;
-use super::super::board::Plant;
 
 /// Sensors and valves.
 pub struct Bedside {
@@ -28,9 +28,7 @@ impl Plant for Bedside {
 
     fn read(&mut self, _cue: &Cue) -> f32 {
         match self.adc.convert() {
-            Some([airway, outlet, flow]) => {
-                self.sensors.read(Counts { airway, outlet, flow }).pressure
-            }
+            Some([airway, outlet, flow]) => self.sensors.read(Counts { airway, outlet, flow }).pressure,
             None => f32::NAN,
         }
     }

@@ -6,11 +6,11 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
+use embassy_stm32::Peri;
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::pac::USART1;
 use embassy_stm32::peripherals;
 use embassy_stm32::usart::{Config, RxPin, TxPin, Uart};
-use embassy_stm32::Peri;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::pipe::Pipe;
 

@@ -3,10 +3,10 @@
 //! One exchange per tick, polled: the frame goes out, the answer comes in. A plant that does not answer in time gives no
 //! reading, and the same frame is sent again at the next tick.
 
+use embassy_stm32::Peri;
 use embassy_stm32::pac::USART2;
 use embassy_stm32::peripherals;
 use embassy_stm32::usart::{Config, RxPin, TxPin, Uart};
-use embassy_stm32::Peri;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Cue;
 use shared::link::messages::DeviceKind;
@@ -88,18 +88,15 @@ impl Plant for PlantLine {
 
     fn read(&mut self, cue: &Cue) -> f32 {
         let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
-        let peep = cue.peep.map(|pressure| Message::Peep { pressure });
+        let turn = |line: &mut Self| cue.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
         // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
-        let reading = match cue.reset {
-            Some(seed) => {
-                peep.map(|message| self.exchange(message));
-                self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US, seed })
-            }
-            None => {
-                let reading = self.exchange(Message::Step { u_in, u_out });
-                peep.map(|message| self.exchange(message));
-                reading
-            }
+        let reading = if let Some(seed) = cue.reset {
+            turn(self);
+            self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US, seed })
+        } else {
+            let reading = self.exchange(Message::Step { u_in, u_out });
+            turn(self);
+            reading
         };
         reading.unwrap_or(f32::NAN)
     }

@@ -18,9 +18,9 @@ mod driver {
     use embassy_stm32::peripherals::TIM3;
     use embassy_stm32::time::Hertz;
     use embassy_stm32::timer::Ch1;
+    use embassy_stm32::timer::TimerPin;
     use embassy_stm32::timer::low_level::CountingMode;
     use embassy_stm32::timer::simple_pwm::{PwmPin, SimplePwm};
-    use embassy_stm32::timer::TimerPin;
     use shared::control::COMMAND_MAX;
     use shared::safety::filter::ValveCommand;
 
