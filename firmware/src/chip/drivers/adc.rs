@@ -3,12 +3,11 @@
 //! The injected group of ADC1 does it in 14 us. A converter that does not answer costs a bounded time and gives no
 //! counts: what was not measured is no number.
 
-use embassy_stm32::Peri;
 use embassy_stm32::adc::{self, AdcChannel, AnyAdcChannel, SampleTime};
 use embassy_stm32::pac;
 use embassy_stm32::peripherals;
 
-use super::super::board::CORE_CLOCK;
+use super::super::board::{CORE_CLOCK, SensorParts};
 use super::clock;
 
 /// Time for all three conversions, with as much again in reserve, cycles.
@@ -28,14 +27,10 @@ pub struct Adc {
 type Channel = AnyAdcChannel<'static, peripherals::ADC1>;
 
 impl Adc {
-    /// Starts the converter with its channels in the order of the counts.
-    pub fn new(
-        peripheral: Peri<'static, peripherals::ADC1>,
-        airway: impl AdcChannel<peripherals::ADC1> + 'static,
-        outlet: impl AdcChannel<peripherals::ADC1> + 'static,
-        flow: impl AdcChannel<peripherals::ADC1> + 'static,
-    ) -> Self {
-        let driver = adc::Adc::new(peripheral);
+    /// Starts the converter; the counts come in the order of the parts.
+    pub fn new(parts: SensorParts) -> Self {
+        let SensorParts { adc, airway, outlet, flow } = parts;
+        let driver = adc::Adc::new(adc);
         configure(
             [airway.degrade_adc(), outlet.degrade_adc(), flow.degrade_adc()]
                 .map(|c: Channel| c.get_hw_channel()),

@@ -6,14 +6,13 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use embassy_stm32::Peri;
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::pac::USART1;
-use embassy_stm32::peripherals;
-use embassy_stm32::usart::{Config, RxPin, TxPin, Uart};
+use embassy_stm32::usart::{Config, Uart};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::pipe::Pipe;
 
+use super::super::board::LinkParts;
 use super::usable;
 
 /// Speed of the link, baud.
@@ -27,14 +26,10 @@ static TO_SEND: Pipe<CriticalSectionRawMutex, BUFFER> = Pipe::new();
 static LOST: AtomicU32 = AtomicU32::new(0);
 
 /// Opens the line.
-pub fn start(
-    port: Peri<'static, peripherals::USART1>,
-    receive: Peri<'static, impl RxPin<peripherals::USART1>>,
-    transmit: Peri<'static, impl TxPin<peripherals::USART1>>,
-) {
+pub fn start(parts: LinkParts) {
     let mut config = Config::default();
     config.baudrate = BAUD;
-    let uart = usable(Uart::new_blocking(port, receive, transmit, config).ok());
+    let uart = usable(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
     // The driver has set up pins, clock and speed; from here on the interrupt owns the registers.
     core::mem::forget(uart);
     interrupt::USART1.set_priority(Priority::P2);

@@ -3,17 +3,15 @@
 //! One exchange per tick, polled: the frame goes out, the answer comes in. A plant that does not answer in time gives no
 //! reading, and the same frame is sent again at the next tick.
 
-use embassy_stm32::Peri;
 use embassy_stm32::pac::USART2;
-use embassy_stm32::peripherals;
-use embassy_stm32::usart::{Config, RxPin, TxPin, Uart};
+use embassy_stm32::usart::{Config, Uart};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Cue;
 use shared::link::messages::DeviceKind;
 use shared::link::plant::{Decoder, Frame, Message};
 use shared::safety::filter::ValveCommand;
 
-use super::super::board::{CORE_CLOCK, Plant};
+use super::super::board::{CORE_CLOCK, Plant, PlantParts};
 use super::{clock, usable};
 
 /// Speed of the plant line, baud.
@@ -32,14 +30,10 @@ pub struct PlantLine {
 
 impl PlantLine {
     /// Opens the line.
-    pub fn new(
-        port: Peri<'static, peripherals::USART2>,
-        receive: Peri<'static, impl RxPin<peripherals::USART2>>,
-        transmit: Peri<'static, impl TxPin<peripherals::USART2>>,
-    ) -> Self {
+    pub fn new(parts: PlantParts) -> Self {
         let mut config = Config::default();
         config.baudrate = BAUD;
-        let uart = usable(Uart::new_blocking(port, receive, transmit, config).ok());
+        let uart = usable(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
         // The driver has set up pins, clock and speed; the registers are polled from here on.
         core::mem::forget(uart);
         Self { decoder: Decoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }

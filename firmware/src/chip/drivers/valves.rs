@@ -17,14 +17,13 @@ mod driver {
     use embassy_stm32::gpio::OutputType;
     use embassy_stm32::peripherals::TIM3;
     use embassy_stm32::time::Hertz;
-    use embassy_stm32::timer::Ch1;
-    use embassy_stm32::timer::TimerPin;
     use embassy_stm32::timer::low_level::CountingMode;
     use embassy_stm32::timer::simple_pwm::{PwmPin, SimplePwm};
     use shared::control::COMMAND_MAX;
     use shared::safety::filter::ValveCommand;
 
-    use super::{Level, Output, Peri, Pin, Speed};
+    use super::super::super::board::ValveParts;
+    use super::{Level, Output, Speed};
 
     /// Above hearing, and far above what a solenoid follows.
     const PWM_FREQUENCY: Hertz = Hertz(20_000);
@@ -37,15 +36,11 @@ mod driver {
 
     impl Valves {
         /// Both valves in their safe state.
-        pub fn new(
-            timer: Peri<'static, TIM3>,
-            inspiratory: Peri<'static, impl TimerPin<TIM3, Ch1>>,
-            expiratory: Peri<'static, impl Pin>,
-        ) -> Self {
-            let expiratory = Output::new(expiratory, Level::Low, Speed::Low);
-            let pin = PwmPin::new(inspiratory, OutputType::PushPull);
+        pub fn new(parts: ValveParts) -> Self {
+            let expiratory = Output::new(parts.expiratory, Level::Low, Speed::Low);
+            let pin = PwmPin::new(parts.inspiratory, OutputType::PushPull);
             let up = CountingMode::EdgeAlignedUp;
-            let mut inspiratory = SimplePwm::new(timer, Some(pin), None, None, None, PWM_FREQUENCY, up);
+            let mut inspiratory = SimplePwm::new(parts.pwm, Some(pin), None, None, None, PWM_FREQUENCY, up);
             inspiratory.ch1().set_duty_cycle_fully_off();
             inspiratory.ch1().enable();
             Self { inspiratory, expiratory }
