@@ -72,7 +72,10 @@ fn answered(asked: &Frame, answer: &Frame) -> Option<f32> {
     }
     match (asked.message, answer.message) {
         (Message::Step { .. }, Message::Pressure { pressure })
-        | (Message::Reset { .. } | Message::Peep { .. }, Message::Ready { pressure }) => Some(pressure),
+        | (
+            Message::Reset { .. } | Message::Peep { .. } | Message::Seed { .. },
+            Message::Ready { pressure },
+        ) => Some(pressure),
         _ => None,
     }
 }
@@ -86,7 +89,8 @@ impl Plant for PlantLine {
         // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
         let reading = if let Some(seed) = cue.reset {
             turn(self);
-            self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US, seed })
+            self.exchange(Message::Seed { seed });
+            self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US })
         } else {
             let reading = self.exchange(Message::Step { u_in, u_out });
             turn(self);
