@@ -238,7 +238,8 @@ impl Source for PortSource {
         let ticks = |device: &mut Device| device.timing(false).map(|times| times.ticks);
         let from = ticks(&mut self.device)?;
         let rest = shared::math::ticks(REST_TIME, self.period_us());
-        while ticks(&mut self.device)?.wrapping_sub(from) < rest {
+        let deadline = Instant::now() + SILENCE;
+        while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(20));
         }
         self.device.acknowledge()?;
