@@ -1,4 +1,5 @@
-//! Hands the linker the memory map of the board's chip. That of the main board stands in the root of the workspace.
+//! Hands the linker the memory map of the board's chip, and the scripts that place the program in it. The map of the main
+//! board stands in the root of the workspace.
 
 use std::path::PathBuf;
 use std::{env, fs, io};
@@ -18,5 +19,9 @@ fn main() -> io::Result<()> {
     let folder = folder.ok_or_else(|| io::Error::other("cargo sets OUT_DIR for build scripts"))?;
     fs::copy(map, folder.join("memory.x"))?;
     println!("cargo::rustc-link-search={}", folder.display());
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
+        println!("cargo::rustc-link-arg-bins=-Tlink.x");
+        println!("cargo::rustc-link-arg-bins=-Tdefmt.x");
+    }
     Ok(())
 }

@@ -1,0 +1,226 @@
+//! The modelled parts at their addresses.
+
+use crate::flash::{self, Flash, Operation};
+use crate::iwdg::Iwdg;
+use crate::plant_port::{Line, PlantPort};
+use crate::pwr::Pwr;
+use crate::rcc::Rcc;
+use crate::record::Record;
+use crate::store::{Store, Width};
+
+const IWDG: u32 = 0x4000_3000;
+const USART2: u32 = 0x4000_4400;
+const PWR: u32 = 0x4000_7000;
+const GPIOA: u32 = 0x4002_0000;
+const GPIOB: u32 = 0x4002_0400;
+const RCC: u32 = 0x4002_3800;
+const FLASH: u32 = 0x4002_3C00;
+/// Each part has its registers at the start of this many bytes.
+const PART_BYTES: u32 = 0x400;
+const SLOTS_LAST: u32 = flash::SLOTS + flash::SLOTS_BYTES - 1;
+
+/// A range of addresses where accesses fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// First address, a multiple of the length.
+    pub address: u32,
+    /// Length in bytes, a power of two.
+    pub bytes: u32,
+    /// Loads do not fault.
+    pub readable: bool,
+}
+
+/// All of them; the memory protection unit has eight places.
+pub const REGIONS: [Region; 6] = [
+    Region { address: RCC, bytes: 2 * PART_BYTES, readable: false },
+    Region { address: GPIOA, bytes: 2 * PART_BYTES, readable: false },
+    Region { address: PWR, bytes: PART_BYTES, readable: false },
+    Region { address: IWDG, bytes: PART_BYTES, readable: false },
+    Region { address: USART2, bytes: PART_BYTES, readable: false },
+    Region { address: flash::SLOTS, bytes: flash::SLOTS_BYTES, readable: true },
+];
+
+/// What the models need from the outside.
+pub trait Outside: Line {
+    /// Time in nanoseconds, wrapping.
+    fn now(&mut self) -> u32;
+    /// Changes the slots.
+    fn change(&mut self, operation: Operation);
+}
+
+/// The modelled parts, but for what the record holds.
+#[derive(Clone, Debug)]
+pub struct Chip {
+    rcc: Rcc,
+    pwr: Pwr,
+    flash: Flash,
+    /// The watchdog, which the tick looks at.
+    pub iwdg: Iwdg,
+    plant_port: PlantPort,
+}
+
+impl Chip {
+    /// After a reset, with these reset flags.
+    pub const fn new(reset_flags: u32) -> Self {
+        Self {
+            rcc: Rcc::new(reset_flags),
+            pwr: Pwr::new(),
+            flash: Flash::new(),
+            iwdg: Iwdg::new(),
+            plant_port: PlantPort::new(),
+        }
+    }
+
+    /// What a load gives, extended by zeros.
+    #[inline]
+    pub fn load(&mut self, address: u32, width: Width, record: &Record, outside: &mut impl Outside) -> u32 {
+        let offset = address % PART_BYTES & !3;
+        let word = match address - address % PART_BYTES {
+            USART2 => self.plant_port.read(offset, outside),
+            IWDG => self.iwdg.read(offset),
+            PWR => self.pwr.read(offset),
+            GPIOA => record.ports[0].read(offset),
+            GPIOB => record.ports[1].read(offset),
+            RCC => self.rcc.read(offset),
+            FLASH => self.flash.read(offset),
+            _ => 0,
+        };
+        word >> (8 * (address & 3)) & width.mask()
+    }
+
+    /// Does what a store does.
+    #[inline]
+    pub fn store(
+        &mut self,
+        address: u32,
+        width: Width,
+        value: u32,
+        record: &mut Record,
+        outside: &mut impl Outside,
+    ) {
+        let (offset, store) = (address % PART_BYTES & !3, Store::new(address, width, value));
+        match address - address % PART_BYTES {
+            USART2 => self.plant_port.write(offset, store, outside),
+            IWDG => record.note(self.iwdg.write(offset, store, outside.now())),
+            PWR => self.pwr.write(offset, store),
+            GPIOA => record.ports[0].write(offset, store),
+            GPIOB => record.ports[1].write(offset, store),
+            RCC => {
+                self.rcc.write(offset, store);
+                record.reset_flags = self.rcc.flags();
+            }
+            FLASH => change(self.flash.write(offset, store), record, outside),
+            flash::SLOTS..=SLOTS_LAST => change(self.flash.program(address, width, value), record, outside),
+            _ => {}
+        }
+    }
+}
+
+fn change(operation: Option<Operation>, record: &mut Record, outside: &mut impl Outside) {
+    if let Some(operation) = operation {
+        record.flash_operations += 1;
+        outside.change(operation);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rcc::ResetCause;
+    use std::vec::Vec;
+
+    #[derive(Default)]
+    struct Recorder {
+        operations: Vec<Operation>,
+    }
+
+    impl Line for Recorder {
+        fn send(&mut self, _: &[u8]) {}
+
+        fn receive(&mut self, bytes: &mut [u8]) -> usize {
+            bytes[0] = 0x5A;
+            1
+        }
+    }
+
+    impl Outside for Recorder {
+        fn now(&mut self) -> u32 {
+            123
+        }
+
+        fn change(&mut self, operation: Operation) {
+            self.operations.push(operation);
+        }
+    }
+
+    #[test]
+    fn regions_are_aligned_apart_and_as_many_as_fit() {
+        assert!(REGIONS.len() <= 8);
+        for (n, region) in REGIONS.iter().enumerate() {
+            assert!(
+                region.bytes.is_power_of_two() && region.address.is_multiple_of(region.bytes),
+                "{region:x?}"
+            );
+            for other in &REGIONS[..n] {
+                let apart = region.address + region.bytes <= other.address
+                    || other.address + other.bytes <= region.address;
+                assert!(apart, "{region:x?} {other:x?}");
+            }
+        }
+    }
+
+    #[test]
+    fn each_part_answers_at_its_address() {
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
+        for (address, value) in [
+            (RCC, 0x83),
+            (FLASH + 0x10, 1 << 31),
+            (PWR + 4, 1 << 14),
+            (IWDG + 8, 0xFFF),
+            (USART2, 0xC0),
+            (GPIOA, 0xA800_0000),
+            (GPIOB, 0x280),
+        ] {
+            assert_eq!(chip.load(address, Width::Word, &record, &mut outside), value, "{address:#x}");
+        }
+        chip.store(GPIOB + 0x18, Width::Word, 1, &mut record, &mut outside);
+        assert_eq!(chip.load(GPIOB + 0x14, Width::Word, &record, &mut outside), 1);
+    }
+
+    #[test]
+    fn narrow_loads_take_their_bytes() {
+        let (mut chip, record, mut outside) =
+            (Chip::new(0x1234_5678 & !0x01FF_FFFF), Record::new(), Recorder::default());
+        assert_eq!(chip.load(RCC + 0x77, Width::Byte, &record, &mut outside), 0x12);
+        assert_eq!(chip.load(RCC + 0x76, Width::Half, &record, &mut outside), 0x1200);
+    }
+
+    #[test]
+    fn removed_reset_flags_are_removed_for_the_next_start_too() {
+        let flags = ResetCause::PowerOn.flags();
+        let (mut chip, mut outside) = (Chip::new(flags), Recorder::default());
+        let mut record = Record::new();
+        record.reset_flags = flags;
+        chip.store(RCC + 0x74, Width::Word, 1 << 24, &mut record, &mut outside);
+        assert_eq!(record.reset_flags, 0);
+    }
+
+    #[test]
+    fn the_slots_are_programmed_by_stores_to_them() {
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
+        let steps = [
+            (FLASH + 4, 0x4567_0123),
+            (FLASH + 4, 0xCDEF_89AB),
+            (FLASH + 0x10, 1 | 2 << 8),
+            (0x080F_FFFC, 7),
+        ];
+        for (address, value) in steps {
+            chip.store(address, Width::Word, value, &mut record, &mut outside);
+        }
+        assert_eq!(
+            outside.operations,
+            [Operation::Program { address: 0x080F_FFFC, width: Width::Word, value: 7 }]
+        );
+        assert_eq!(record.flash_operations, 1);
+    }
+}

@@ -1,0 +1,97 @@
+//! The hard fault: answers refused accesses, and hands any other fault to the firmware.
+
+use core::arch::naked_asm;
+use core::ptr::{read_volatile, with_exposed_provenance};
+
+use shim::decode::{self, Access, Direction};
+use shim::store::Width;
+
+use super::files::{Files, Handles};
+use super::{FIRMWARE_HARD_FAULT, registers, semihosting};
+
+/// What the core has put on the stack: r0 to r3, r12, lr, pc, status.
+type Frame = [u32; 8];
+const FRAME_R12: usize = 4;
+const FRAME_LR: usize = 5;
+const FRAME_PC: usize = 6;
+const FRAME_STATUS: usize = 7;
+/// What the core has left in its registers: r4 to r11.
+type Kept = [u32; 8];
+
+/// Runs on the shim's own stack, so that the firmware needs no more than the frame that the core has put on its own.
+#[unsafe(naked)]
+pub unsafe extern "C" fn hard_fault() {
+    naked_asm!(
+        "tst lr, #4",
+        "ite eq",
+        "mrseq r0, msp",
+        "mrsne r0, psp",
+        "mov r2, sp",
+        "ldr r1, =__shim_stack_top",
+        "mov sp, r1",
+        "push {{r2, lr}}",
+        "push {{r4-r11}}",
+        "mov r1, sp",
+        "bl {answer}",
+        "pop {{r4-r11}}",
+        "pop {{r2, lr}}",
+        "mov sp, r2",
+        "cbz r0, 1f",
+        "bx lr",
+        "1: ldr r0, ={firmware}",
+        "ldr r0, [r0]",
+        "bx r0",
+        answer = sym answer,
+        firmware = sym FIRMWARE_HARD_FAULT,
+    )
+}
+
+/// Carries out the refused instruction on the models. False if the fault has another cause, or the instruction is none
+/// that can be carried out: then it is the firmware's.
+unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
+    let Some(address) = registers::refused_address() else { return false };
+    let Some(access) = instruction(frame[FRAME_PC]) else {
+        semihosting::tell(c"shim: an instruction that it cannot carry out\n");
+        return false;
+    };
+    // SAFETY: the hard fault interrupts only the firmware, and nothing interrupts it.
+    let (chip, record) = unsafe { (super::chip(), super::record()) };
+    record.traps = record.traps.wrapping_add(1);
+    let mut files = Files { record: Handles::of(record) };
+    let register = register(access.register, frame, kept);
+    match access.direction {
+        Direction::Store => chip.store(address, access.width, *register, record, &mut files),
+        Direction::Load => *register = chip.load(address, access.width, record, &mut files),
+        Direction::LoadSigned => {
+            let value = chip.load(address, access.width, record, &mut files);
+            *register = match access.width {
+                Width::Byte => i32::from(value as i8) as u32,
+                _ => i32::from(value as i16) as u32,
+            };
+        }
+    }
+    frame[FRAME_PC] += access.length;
+    frame[FRAME_STATUS] = decode::behind(frame[FRAME_STATUS]);
+    registers::clear_fault();
+    true
+}
+
+#[inline]
+fn instruction(address: u32) -> Option<Access> {
+    // SAFETY: the core has just read the instruction from there.
+    let half = |address: u32| unsafe { read_volatile(with_exposed_provenance::<u16>(address as usize)) };
+    let first = half(address);
+    let second = if decode::is_wide(first) { half(address + 2) } else { 0 };
+    decode::decode(first, second)
+}
+
+/// Where a register's value is while the fault is handled.
+#[inline]
+fn register<'a>(number: u8, frame: &'a mut Frame, kept: &'a mut Kept) -> &'a mut u32 {
+    match number {
+        0..=3 => &mut frame[usize::from(number)],
+        4..=11 => &mut kept[usize::from(number - 4)],
+        12 => &mut frame[FRAME_R12],
+        _ => &mut frame[FRAME_LR],
+    }
+}

@@ -1,0 +1,162 @@
+//! What lies in files of the host: the slots, and the pipes to and from the plant.
+
+use shim::bus::Outside;
+use shim::flash::{ERASED, Operation, SLOTS, SLOTS_BYTES};
+use shim::plant_port::Line;
+use shim::record::Record;
+
+use super::registers;
+use super::semihosting::{self, Mode};
+
+/// Bytes that are erased at once.
+const PAGE: usize = 1024;
+/// Bytes sent to the plant at once.
+const PIECE: usize = 256;
+
+static ERASED_PAGE: [u8; PAGE] = [ERASED; PAGE];
+/// Bytes of the plant's answer that are still to be read.
+static mut ANSWER_LEFT: u32 = 0;
+
+/// Opens what is not open since an earlier start, and loads the slots.
+pub fn open(record: &mut Record) {
+    if record.flash_file == 0 {
+        let name = shim::FLASH_FILE;
+        let file = semihosting::open(name, Mode::Update).or_else(|| semihosting::open(name, Mode::Create));
+        let Some(file) = file else { semihosting::fail(c"shim: cannot open flash.bin\n") };
+        record.flash_file = file;
+        let present = semihosting::length(file).min(SLOTS_BYTES);
+        erase(file, present, SLOTS_BYTES - present);
+        open_plant(record);
+    }
+    load(record.flash_file, 0, SLOTS_BYTES);
+}
+
+/// Opens the line to the plant, if there is one, and tells the host that the shim has started.
+fn open_plant(record: &mut Record) {
+    let answer = semihosting::open(shim::ANSWER_PIPE, Mode::Read);
+    let request = answer.and_then(|_| semihosting::open(shim::REQUEST_PIPE, Mode::Update));
+    if let (Some(request), Some(answer)) = (request, answer) {
+        (record.request_pipe, record.answer_pipe) = (request, answer);
+        Files { record: Handles::of(record) }.send(&[]);
+    }
+}
+
+/// Writes erased bytes to the file.
+fn erase(file: u32, offset: u32, bytes: u32) {
+    semihosting::seek(file, offset);
+    let mut left = bytes as usize;
+    while left > 0 {
+        let page = &ERASED_PAGE[..left.min(PAGE)];
+        write(file, page);
+        left -= page.len();
+    }
+}
+
+fn write(file: u32, bytes: &[u8]) {
+    if semihosting::write(file, bytes).is_err() {
+        semihosting::fail(c"shim: cannot write\n");
+    }
+}
+
+/// Makes a part of the slots what the file says.
+fn load(file: u32, offset: u32, bytes: u32) {
+    semihosting::seek(file, offset);
+    // SAFETY: the slots are memory of the firmware, which reads them without caching: they can change under its feet on
+    // the chip as well.
+    let read = unsafe { semihosting::read_to(file, SLOTS + offset, bytes) };
+    if read != bytes {
+        semihosting::fail(c"shim: flash.bin is too short\n");
+    }
+}
+
+/// The open files.
+#[derive(Clone, Copy)]
+pub struct Handles {
+    flash: u32,
+    request: u32,
+    answer: u32,
+}
+
+impl Handles {
+    /// Those of the record.
+    #[inline]
+    pub fn of(record: &Record) -> Self {
+        Self { flash: record.flash_file, request: record.request_pipe, answer: record.answer_pipe }
+    }
+}
+
+/// The outside of the models.
+pub struct Files {
+    /// The open files.
+    pub record: Handles,
+}
+
+impl Line for Files {
+    fn send(&mut self, bytes: &[u8]) {
+        if self.record.request == 0 {
+            return;
+        }
+        let mut frame = [0; 2 + PIECE];
+        let bytes = &bytes[..bytes.len().min(PIECE)];
+        frame[..2].copy_from_slice(&(bytes.len() as u16).to_le_bytes());
+        frame[2..2 + bytes.len()].copy_from_slice(bytes);
+        // Whole or not at all: the host would wait for the rest.
+        write(self.record.request, &frame[..2 + bytes.len()]);
+        let mut length = [0; 2];
+        self.read(&mut length[..1]);
+        self.read(&mut length[1..]);
+        // SAFETY: only the hard fault uses it, or the start before it.
+        unsafe { ANSWER_LEFT = u16::from_le_bytes(length).into() };
+    }
+
+    #[inline]
+    fn receive(&mut self, bytes: &mut [u8]) -> usize {
+        // SAFETY: as above.
+        let left = unsafe { ANSWER_LEFT } as usize;
+        if left == 0 {
+            return 0;
+        }
+        let length = left.min(bytes.len());
+        let read = self.read(&mut bytes[..length]);
+        // SAFETY: as above.
+        unsafe { ANSWER_LEFT -= read as u32 };
+        read
+    }
+}
+
+impl Files {
+    /// Some bytes of the plant's answer, at least one.
+    fn read(&mut self, bytes: &mut [u8]) -> usize {
+        match semihosting::read(self.record.answer, bytes) {
+            // Whoever started QEMU has gone, so QEMU goes too.
+            0 => semihosting::fail(c"shim: the plant has closed the line\n"),
+            read => read,
+        }
+    }
+}
+
+impl Outside for Files {
+    #[inline]
+    fn now(&mut self) -> u32 {
+        registers::now()
+    }
+
+    fn change(&mut self, operation: Operation) {
+        // The file first: what the firmware has seen stored outlives the end of QEMU.
+        let file = self.record.flash;
+        match operation {
+            Operation::Erase { address, bytes } => {
+                erase(file, address - SLOTS, bytes);
+                load(file, address - SLOTS, bytes);
+            }
+            Operation::Program { address, width, value } => {
+                let (word, shift) = (address & !3, 8 * (address & 3));
+                let ones = !(width.mask() << shift);
+                let value = registers::read(word) & (ones | value << shift);
+                semihosting::seek(file, word - SLOTS);
+                write(file, &value.to_le_bytes());
+                load(file, word - SLOTS, 4);
+            }
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Start of the shim, and its state.
+//!
+//! Everything here runs before the firmware, in the hard fault that only the firmware's own instructions raise, or in the
+//! system tick, which raises none: at any time one of them at most uses the state.
+
+mod fault;
+mod files;
+mod registers;
+mod semihosting;
+mod tick;
+
+use core::arch::{asm, naked_asm};
+use core::mem::MaybeUninit;
+use core::panic::PanicInfo;
+use core::ptr::addr_of_mut;
+
+use shim::bus::{Chip, REGIONS};
+use shim::record::Record;
+
+/// Where the firmware's vector table lies: first its stack pointer, then its entry.
+const FIRMWARE: u32 = 0x0800_0000;
+/// Vectors of the core and of 82 interrupts, and more room than the table can take in its alignment.
+const VECTORS: usize = 112;
+const HARD_FAULT: usize = 3;
+const SYSTEM_TICK: usize = 15;
+
+#[repr(C, align(512))]
+struct VectorTable([u32; VECTORS]);
+
+#[unsafe(link_section = ".vector_table")]
+static mut VECTOR_TABLE: VectorTable = VectorTable([0; VECTORS]);
+/// The firmware's own handlers.
+static mut FIRMWARE_HARD_FAULT: u32 = 0;
+static mut FIRMWARE_SYSTEM_TICK: u32 = 0;
+static mut CHIP: Chip = Chip::new(0);
+#[unsafe(link_section = ".record")]
+static mut RECORD: MaybeUninit<Record> = MaybeUninit::uninit();
+
+/// The modelled parts.
+///
+/// # Safety
+/// One caller at a time; see the head of this file.
+unsafe fn chip() -> &'static mut Chip {
+    // SAFETY: by contract nobody else holds it.
+    unsafe { &mut *addr_of_mut!(CHIP) }
+}
+
+/// The record. Before its start it may hold anything, and any words make a record.
+///
+/// # Safety
+/// As for [`chip`].
+unsafe fn record() -> &'static mut Record {
+    // SAFETY: by contract nobody else holds it; it is made of words alone, so that memory is initialised for it as it is.
+    unsafe { (*addr_of_mut!(RECORD)).assume_init_mut() }
+}
+
+/// The first instruction after every reset. The firmware's stack is not touched.
+#[unsafe(no_mangle)]
+#[unsafe(naked)]
+extern "C" fn shim_entry() -> ! {
+    naked_asm!("ldr r0, =__shim_stack_top", "mov sp, r0", "b {start}", start = sym start)
+}
+
+extern "C" fn start() -> ! {
+    // SAFETY: nothing else runs yet.
+    let (chip, record) = unsafe { (chip(), record()) };
+    record.begin();
+    *chip = Chip::new(record.reset_flags);
+    files::open(record);
+    take_vectors();
+    registers::start_clock();
+    for (number, region) in REGIONS.iter().enumerate() {
+        registers::protect(number as u32, region);
+    }
+    registers::enable_protection();
+    let [stack, entry] = [FIRMWARE, FIRMWARE + 4].map(registers::read);
+    // SAFETY: these are the firmware's own initial stack pointer and entry, as the core would take them from its vectors.
+    unsafe { asm!("dsb", "isb", "msr msp, {}", "bx {}", in(reg) stack, in(reg) entry, options(noreturn)) }
+}
+
+/// Puts a copy of the firmware's vectors in their place, with the two handlers of this program in it.
+fn take_vectors() {
+    // SAFETY: nothing else runs yet.
+    let table = unsafe { &mut (*addr_of_mut!(VECTOR_TABLE)).0 };
+    for (number, vector) in (0..).zip(table.iter_mut()) {
+        *vector = registers::read(FIRMWARE + 4 * number);
+    }
+    // SAFETY: as above.
+    unsafe {
+        FIRMWARE_HARD_FAULT = table[HARD_FAULT];
+        FIRMWARE_SYSTEM_TICK = table[SYSTEM_TICK];
+    }
+    table[HARD_FAULT] = fault::hard_fault as *const () as u32;
+    table[SYSTEM_TICK] = tick::system_tick as *const () as u32;
+    registers::set_vectors(table.as_ptr() as u32);
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    semihosting::fail(c"shim: panic\n")
+}

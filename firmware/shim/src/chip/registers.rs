@@ -1,0 +1,88 @@
+//! Registers of the core that the shim uses, and the timer that is its clock.
+
+use core::ptr::{read_volatile, write_volatile};
+
+use shim::bus::Region;
+
+const VECTOR_TABLE: u32 = 0xE000_ED08;
+const APPLICATION_RESET: u32 = 0xE000_ED0C;
+const FAULT_STATUS: u32 = 0xE000_ED28;
+const HARD_FAULT_STATUS: u32 = 0xE000_ED2C;
+const FAULT_ADDRESS: u32 = 0xE000_ED34;
+const PROTECTION_CONTROL: u32 = 0xE000_ED94;
+const REGION_NUMBER: u32 = 0xE000_ED98;
+const REGION_ADDRESS: u32 = 0xE000_ED9C;
+const REGION_ATTRIBUTES: u32 = 0xE000_EDA0;
+/// TIM5: in QEMU it counts nanoseconds of virtual time, whatever the clocks are set to.
+const TIMER_CONTROL: u32 = 0x4000_0C00;
+const TIMER_COUNT: u32 = 0x4000_0C24;
+
+/// A word of memory or of a register.
+#[inline]
+pub fn read(address: u32) -> u32 {
+    // SAFETY: called with addresses of registers above and of the firmware's flash, which may all be read.
+    unsafe { read_volatile(address as *const u32) }
+}
+
+#[inline]
+fn write(address: u32, value: u32) {
+    // SAFETY: called with addresses of the registers above, none of which touches memory that Rust knows of.
+    unsafe { write_volatile(address as *mut u32, value) }
+}
+
+/// Takes the vectors from here.
+pub fn set_vectors(address: u32) {
+    write(VECTOR_TABLE, address);
+}
+
+/// Resets the system; returns where the reset comes a few instructions later.
+pub fn request_reset() {
+    const KEY: u32 = 0x05FA_0000;
+    const SYSTEM_RESET_REQUEST: u32 = 1 << 2;
+    write(APPLICATION_RESET, KEY | SYSTEM_RESET_REQUEST);
+}
+
+/// Lets accesses to a region fault.
+pub fn protect(number: u32, region: &Region) {
+    const EXECUTE_NEVER: u32 = 1 << 28;
+    const READ_ONLY: u32 = 5 << 24;
+    /// Normal memory, without which the core would not let code run or read unaligned.
+    const NORMAL: u32 = 1 << 17;
+    const ENABLE: u32 = 1;
+    let access = if region.readable { READ_ONLY | NORMAL } else { EXECUTE_NEVER };
+    write(REGION_NUMBER, number);
+    write(REGION_ADDRESS, region.address);
+    write(REGION_ATTRIBUTES, access | (region.bytes.ilog2() - 1) << 1 | ENABLE);
+}
+
+/// Protects the regions, and them alone; the hard fault is exempt.
+pub fn enable_protection() {
+    const ENABLE: u32 = 1;
+    const ELSEWHERE_AS_WITHOUT: u32 = 1 << 2;
+    write(PROTECTION_CONTROL, ENABLE | ELSEWHERE_AS_WITHOUT);
+}
+
+/// The address of the load or store that the protection has refused; none if a fault has another cause.
+#[inline]
+pub fn refused_address() -> Option<u32> {
+    const REFUSED_AT_ADDRESS: u32 = 1 << 7 | 1 << 1;
+    (read(FAULT_STATUS) & REFUSED_AT_ADDRESS == REFUSED_AT_ADDRESS).then(|| read(FAULT_ADDRESS))
+}
+
+/// Forgets the fault.
+#[inline]
+pub fn clear_fault() {
+    write(FAULT_STATUS, !0);
+    write(HARD_FAULT_STATUS, !0);
+}
+
+/// Starts the clock behind [`now`].
+pub fn start_clock() {
+    write(TIMER_CONTROL, 1);
+}
+
+/// Nanoseconds, wrapping.
+#[inline]
+pub fn now() -> u32 {
+    read(TIMER_COUNT)
+}

@@ -1,0 +1,36 @@
+//! The system tick: looks at the watchdog, then goes on to the firmware's own handler.
+//!
+//! So a firmware that hangs with its system tick running and let through is reset. One that masks all interrupts for
+//! ever is not, unlike on the chip.
+
+use core::arch::naked_asm;
+
+use super::{FIRMWARE_SYSTEM_TICK, registers};
+
+#[unsafe(naked)]
+pub unsafe extern "C" fn system_tick() {
+    naked_asm!(
+        "push {{r0, lr}}",
+        "bl {look}",
+        "pop {{r0, lr}}",
+        "ldr r0, ={firmware}",
+        "ldr r0, [r0]",
+        "bx r0",
+        look = sym look,
+        firmware = sym FIRMWARE_SYSTEM_TICK,
+    )
+}
+
+/// Resets the system if the watchdog has not been fed.
+extern "C" fn look() {
+    // SAFETY: the tick interrupts only the firmware, and accesses nothing that faults.
+    let watchdog = unsafe { &mut super::chip().iwdg };
+    if watchdog.running() && watchdog.expired(registers::now()) {
+        // SAFETY: as above.
+        unsafe { super::record() }.expire();
+        registers::request_reset();
+        loop {
+            core::hint::spin_loop();
+        }
+    }
+}

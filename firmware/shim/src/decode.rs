@@ -1,0 +1,215 @@
+//! Thumb instructions that load or store one register, and what else is needed to go on behind them.
+//!
+//! Encodings: `ARMv7-M` Architecture Reference Manual, A5.2.4 (16 bits), A5.3.7 to A5.3.10 (32 bits).
+
+use crate::store::Width;
+
+/// Stack pointer and program counter, which no access to a device goes to.
+const SP: u16 = 13;
+const PC: u16 = 15;
+
+/// Which way the register goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// Memory to register; a narrow value is extended by zeros.
+    Load,
+    /// Memory to register; a narrow value is extended by its sign.
+    LoadSigned,
+    /// Register to memory.
+    Store,
+}
+
+/// A load or store of one register.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Access {
+    /// Which way.
+    pub direction: Direction,
+    /// How much.
+    pub width: Width,
+    /// Number of the register, 0 to 12 or 14.
+    pub register: u8,
+    /// Length of the instruction, bytes.
+    pub length: u32,
+}
+
+/// The access that an instruction makes. None where going on behind it would take more than one register: forms that
+/// write the address back, that load or store several registers, exclusive and unprivileged ones.
+///
+/// `second` is looked at only if `first` begins an instruction of 32 bits.
+#[inline]
+pub fn decode(first: u16, second: u16) -> Option<Access> {
+    if is_wide(first) { wide(first, second) } else { narrow(first) }
+}
+
+/// Whether a half-word begins an instruction of 32 bits.
+#[inline]
+pub fn is_wide(first: u16) -> bool {
+    first >> 11 >= 0b11101
+}
+
+#[inline]
+fn narrow(first: u16) -> Option<Access> {
+    use Direction::{Load, LoadSigned, Store};
+    let (direction, width) = match first >> 11 {
+        0b01100 => (Store, Width::Word),
+        0b01101 => (Load, Width::Word),
+        0b01110 => (Store, Width::Byte),
+        0b01111 => (Load, Width::Byte),
+        0b10000 => (Store, Width::Half),
+        0b10001 => (Load, Width::Half),
+        0b01010 | 0b01011 => match first >> 9 & 7 {
+            0 => (Store, Width::Word),
+            1 => (Store, Width::Half),
+            2 => (Store, Width::Byte),
+            3 => (LoadSigned, Width::Byte),
+            4 => (Load, Width::Word),
+            5 => (Load, Width::Half),
+            6 => (Load, Width::Byte),
+            _ => (LoadSigned, Width::Half),
+        },
+        _ => return None,
+    };
+    Some(Access { direction, width, register: (first & 7) as u8, length: 2 })
+}
+
+#[inline]
+fn wide(first: u16, second: u16) -> Option<Access> {
+    let (signed, load) = (first >> 8 & 1 == 1, first >> 4 & 1 == 1);
+    let (base, register) = (first & 0xF, second >> 12);
+    let width = match first >> 5 & 3 {
+        0 => Width::Byte,
+        1 => Width::Half,
+        2 => Width::Word,
+        _ => return None,
+    };
+    let direction = match (load, signed, width) {
+        (true, false, _) => Direction::Load,
+        (true, true, Width::Byte | Width::Half) => Direction::LoadSigned,
+        (false, false, _) => Direction::Store,
+        _ => return None,
+    };
+    let single = first >> 9 == 0b111_1100;
+    let offset_alone = first >> 7 & 1 == 1 || offset_alone(second);
+    if !single || !offset_alone || base == PC || register == SP || register == PC {
+        return None;
+    }
+    Some(Access { direction, width, register: register as u8, length: 4 })
+}
+
+/// Whether the second half of a form without a 12-bit offset leaves the base register alone and keeps its privilege:
+/// a register as offset, or a negative 8-bit offset.
+#[inline]
+fn offset_alone(second: u16) -> bool {
+    second >> 6 & 0x3F == 0 || second >> 8 & 0xF == 0b1100
+}
+
+/// The program status register behind an instruction that was carried out in its place: the state of an IT block moves
+/// on by one instruction.
+#[inline]
+pub fn behind(status: u32) -> u32 {
+    const FIELD: u32 = 0x0600_FC00;
+    let state = status >> 8 & 0xFC | status >> 25 & 3;
+    // The lower five bits hold the conditions to come; none is left once the last three are zero.
+    let state = if state & 7 == 0 { 0 } else { state & 0xE0 | state << 1 & 0x1F };
+    status & !FIELD | (state & 0xFC) << 8 | (state & 3) << 25
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Direction::{Load, LoadSigned, Store};
+
+    fn access(direction: Direction, width: Width, register: u8, length: u32) -> Option<Access> {
+        Some(Access { direction, width, register, length })
+    }
+
+    #[test]
+    fn narrow_forms_are_read() {
+        for (code, expected) in [
+            (0x6001, access(Store, Width::Word, 1, 2)),      // str r1, [r0]
+            (0x6842, access(Load, Width::Word, 2, 2)),       // ldr r2, [r0, #4]
+            (0x7003, access(Store, Width::Byte, 3, 2)),      // strb r3, [r0]
+            (0x7804, access(Load, Width::Byte, 4, 2)),       // ldrb r4, [r0]
+            (0x8085, access(Store, Width::Half, 5, 2)),      // strh r5, [r0, #4]
+            (0x8806, access(Load, Width::Half, 6, 2)),       // ldrh r6, [r0]
+            (0x5047, access(Store, Width::Word, 7, 2)),      // str r7, [r0, r1]
+            (0x5647, access(LoadSigned, Width::Byte, 7, 2)), // ldrsb r7, [r0, r1]
+            (0x5E47, access(LoadSigned, Width::Half, 7, 2)), // ldrsh r7, [r0, r1]
+            (0x5847, access(Load, Width::Word, 7, 2)),       // ldr r7, [r0, r1]
+        ] {
+            assert_eq!(decode(code, 0xFFFF), expected, "{code:#06x}");
+        }
+    }
+
+    #[test]
+    fn wide_forms_are_read() {
+        for (first, second, expected) in [
+            (0xF8C0, 0xC004, access(Store, Width::Word, 12, 4)), // str.w r12, [r0, #4]
+            (0xF8D0, 0xE004, access(Load, Width::Word, 14, 4)),  // ldr.w lr, [r0, #4]
+            (0xF880, 0x8004, access(Store, Width::Byte, 8, 4)),  // strb.w r8, [r0, #4]
+            (0xF8B0, 0x9004, access(Load, Width::Half, 9, 4)),   // ldrh.w r9, [r0, #4]
+            (0xF990, 0x9004, access(LoadSigned, Width::Byte, 9, 4)), // ldrsb.w r9, [r0, #4]
+            (0xF840, 0x1C04, access(Store, Width::Word, 1, 4)),  // str r1, [r0, #-4]
+            (0xF850, 0x1021, access(Load, Width::Word, 1, 4)),   // ldr.w r1, [r0, r1, lsl #2]
+        ] {
+            assert_eq!(decode(first, second), expected, "{first:#06x} {second:#06x}");
+        }
+    }
+
+    #[test]
+    fn forms_that_change_more_than_one_register_are_none() {
+        for (first, second, name) in [
+            (0xF840, 0x1B04, "str r1, [r0], #4"),
+            (0xF840, 0x1F04, "str r1, [r0, #4]!"),
+            (0xF850, 0x1904, "ldr r1, [r0], #-4"),
+            (0xF850, 0x1E04, "ldrt r1, [r0, #4]"),
+            (0xE9C0, 0x1200, "strd r1, r2, [r0]"),
+            (0xE880, 0x0006, "stm.w r0, {r1, r2}"),
+            (0xE850, 0x1F00, "ldrex r1, [r0]"),
+            (0xC006, 0, "stm r0!, {r1, r2}"),
+            (0xB406, 0, "push {r1, r2}"),
+            (0xED80, 0x0A00, "vstr s0, [r0]"),
+        ] {
+            assert_eq!(decode(first, second), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn stack_pointer_and_program_counter_are_no_targets() {
+        assert_eq!(decode(0xF8D0, 0xD004), None, "ldr sp, [r0, #4]");
+        assert_eq!(decode(0xF8D0, 0xF004), None, "ldr pc, [r0, #4]");
+        assert_eq!(decode(0xF8DF, 0x1004), None, "ldr r1, [pc, #4]");
+    }
+
+    #[test]
+    fn what_is_no_load_or_store_is_none() {
+        for (first, second) in
+            [(0x4770, 0), (0xF000, 0xB800), (0xFFFF, 0xFFFF), (0x0000, 0), (0xF8F0, 0x1000)]
+        {
+            assert_eq!(decode(first, second), None, "{first:#06x}");
+        }
+    }
+
+    /// A status with this IT state, all its other bits set.
+    fn status(it: u32) -> u32 {
+        !0x0600_FC00 | (it & 0xFC) << 8 | (it & 3) << 25
+    }
+
+    #[test]
+    fn the_it_state_moves_on_by_one_instruction() {
+        // ITTE EQ: conditions EQ, EQ, NE.
+        assert_eq!(behind(status(0b0000_0110)), status(0b0000_1100));
+        assert_eq!(behind(status(0b0000_1100)), status(0b0001_1000) & !0 | 0);
+    }
+
+    #[test]
+    fn the_last_instruction_of_an_it_block_ends_it() {
+        assert_eq!(behind(status(0b0001_1000)), status(0));
+    }
+
+    #[test]
+    fn outside_of_it_blocks_the_status_stays() {
+        assert_eq!(behind(status(0)), status(0));
+        assert_eq!(behind(0x6100_0003), 0x6100_0003);
+    }
+}

@@ -1,0 +1,184 @@
+//! Independent watchdog (RM0090, section 21): once started it counts down from the reload value at a 32 kHz clock
+//! behind a prescaler, and resets the chip at zero unless it is fed.
+
+use crate::store::Store;
+
+const KEY_FEED: u32 = 0xAAAA;
+const KEY_ACCESS: u32 = 0x5555;
+const KEY_START: u32 = 0xCCCC;
+/// Nanoseconds of a cycle of the watchdog's oscillator.
+const CYCLE_NS: u64 = 31_250;
+
+/// The watchdog.
+#[derive(Clone, Debug)]
+pub struct Iwdg {
+    prescaler: u32,
+    reload: u32,
+    /// Prescaler and reload value may be written.
+    open: bool,
+    running: bool,
+    /// The reload value that the present countdown began with.
+    begun: u32,
+    /// Time since the countdown began.
+    elapsed_ns: u64,
+    /// Reading of the clock at the last look.
+    seen: u32,
+}
+
+/// What a store to the watchdog did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// Nothing to tell.
+    None,
+    /// The running watchdog was fed this many nanoseconds after the last time.
+    Fed(u64),
+}
+
+impl Iwdg {
+    /// After a reset.
+    pub const fn new() -> Self {
+        Self {
+            prescaler: 0,
+            reload: 0xFFF,
+            open: false,
+            running: false,
+            begun: 0xFFF,
+            elapsed_ns: 0,
+            seen: 0,
+        }
+    }
+
+    /// Whether it was started; nothing but a reset stops it.
+    pub fn running(&self) -> bool {
+        self.running
+    }
+
+    /// The word at an offset; zero where there is no register. New values are taken over at once, so the status, which
+    /// tells otherwise, is always zero.
+    pub fn read(&self, offset: u32) -> u32 {
+        match offset {
+            4 => self.prescaler,
+            8 => self.reload,
+            _ => 0,
+        }
+    }
+
+    /// Stores to an offset at a reading of the clock in nanoseconds, wrapping.
+    pub fn write(&mut self, offset: u32, store: Store, now: u32) -> Effect {
+        match offset {
+            0 => return self.key(store.bits(), now),
+            4 if self.open => self.prescaler = store.bits() & 7,
+            8 if self.open => self.reload = store.bits() & 0xFFF,
+            _ => {}
+        }
+        Effect::None
+    }
+
+    fn key(&mut self, key: u32, now: u32) -> Effect {
+        let fed = self.running.then(|| self.elapsed_ns + u64::from(now.wrapping_sub(self.seen)));
+        self.open = key == KEY_ACCESS;
+        match key {
+            KEY_START => self.running = true,
+            KEY_FEED => {}
+            _ => return Effect::None,
+        }
+        (self.begun, self.elapsed_ns, self.seen) = (self.reload, 0, now);
+        fed.filter(|_| key == KEY_FEED).map_or(Effect::None, Effect::Fed)
+    }
+
+    /// Looks at the clock, which must not go round between two looks: whether the watchdog resets the chip.
+    pub fn expired(&mut self, now: u32) -> bool {
+        self.elapsed_ns += u64::from(now.wrapping_sub(self.seen));
+        self.seen = now;
+        self.running && self.elapsed_ns >= self.timeout_ns()
+    }
+
+    /// Time from feeding to reset.
+    fn timeout_ns(&self) -> u64 {
+        // Above 6 the prescaler stays at 256.
+        let divider = 4 << self.prescaler.min(6);
+        u64::from(self.begun + 1) * divider * CYCLE_NS
+    }
+}
+
+impl Default for Iwdg {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u32 = 1_000_000;
+
+    /// Started at 5 ms with a timeout of 10 ms: 80 cycles of 4 / 32 kHz.
+    fn started() -> Iwdg {
+        let mut watchdog = Iwdg::new();
+        watchdog.write(0, Store::word(KEY_ACCESS), 0);
+        watchdog.write(4, Store::word(0), 0);
+        watchdog.write(8, Store::word(79), 0);
+        watchdog.write(0, Store::word(KEY_START), 5 * MS);
+        watchdog
+    }
+
+    #[test]
+    fn it_expires_at_its_timeout_and_not_before() {
+        let mut watchdog = started();
+        assert!(!watchdog.expired(15 * MS - 1));
+        assert!(watchdog.expired(15 * MS));
+    }
+
+    #[test]
+    fn before_it_is_started_it_never_expires() {
+        let mut watchdog = Iwdg::new();
+        assert!((0..100).all(|n: u32| !watchdog.expired(n.wrapping_mul(4000 * MS))));
+    }
+
+    #[test]
+    fn feeding_gives_the_whole_time_again_and_tells_the_gap() {
+        let mut watchdog = started();
+        assert!(!watchdog.expired(10 * MS));
+        assert_eq!(watchdog.write(0, Store::word(KEY_FEED), 14 * MS), Effect::Fed(9_000_000));
+        assert!(!watchdog.expired(24 * MS - 1));
+        assert!(watchdog.expired(24 * MS));
+    }
+
+    #[test]
+    fn a_new_reload_value_holds_from_the_next_feeding() {
+        let mut watchdog = started();
+        watchdog.write(0, Store::word(KEY_ACCESS), 6 * MS);
+        watchdog.write(8, Store::word(159), 6 * MS);
+        assert!(watchdog.clone().expired(15 * MS));
+        watchdog.write(0, Store::word(KEY_FEED), 14 * MS);
+        assert!(!watchdog.expired(34 * MS - 1));
+        assert!(watchdog.expired(34 * MS));
+    }
+
+    #[test]
+    fn without_the_key_prescaler_and_reload_value_stay() {
+        let mut watchdog = started();
+        watchdog.write(4, Store::word(6), 6 * MS);
+        watchdog.write(8, Store::word(0xFFF), 6 * MS);
+        assert_eq!((watchdog.read(4), watchdog.read(8)), (0, 79));
+    }
+
+    #[test]
+    fn a_timeout_longer_than_the_clocks_range_is_kept() {
+        let mut watchdog = Iwdg::new();
+        watchdog.write(0, Store::word(KEY_ACCESS), 0);
+        watchdog.write(4, Store::word(6), 0);
+        watchdog.write(0, Store::word(KEY_START), 0);
+        // 4096 cycles of 8 ms are 32.768 s; the clock goes round every 4.29 s.
+        let seconds = (1..).find(|&s: &u32| watchdog.expired(s.wrapping_mul(1000 * MS)));
+        assert_eq!(seconds, Some(33));
+    }
+
+    #[test]
+    fn a_wrong_key_does_nothing() {
+        let mut watchdog = started();
+        assert_eq!(watchdog.write(0, Store::word(0x1234), 9 * MS), Effect::None);
+        assert!(watchdog.expired(15 * MS));
+    }
+}

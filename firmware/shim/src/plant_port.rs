@@ -1,0 +1,245 @@
+//! USART2 as the line to the plant (RM0090, section 30): a port without interrupts whose bytes go to the host at once.
+//!
+//! Sending never waits. What was sent goes to the host when the program looks at the status twice in a row and there is
+//! nothing to receive, which is how a program waits for an answer; between two bytes that it sends it looks once. The
+//! exchange takes no time on the chip.
+
+use crate::store::Store;
+
+/// Bytes kept on each way.
+const BUFFER: usize = 256;
+
+const STATUS: u32 = 0x00;
+const DATA: u32 = 0x04;
+const CONTROL_1: u32 = 0x0C;
+/// Offset of the last register.
+const LAST: u32 = 0x18;
+/// TXE and TC.
+const SENT: u32 = 1 << 7 | 1 << 6;
+/// RXNE.
+const RECEIVED: u32 = 1 << 5;
+/// UE in the first control register.
+const ENABLED: u32 = 1 << 13;
+
+/// The other end of the line.
+pub trait Line {
+    /// Takes what was sent.
+    fn send(&mut self, bytes: &[u8]);
+    /// Fills a part of the buffer with what came; gives its length, zero if nothing came.
+    fn receive(&mut self, bytes: &mut [u8]) -> usize;
+}
+
+/// The port.
+#[derive(Clone, Debug)]
+pub struct PlantPort {
+    /// Baud rate and control registers: stored.
+    registers: [u32; LAST as usize / 4 + 1],
+    outgoing: Queue,
+    incoming: Queue,
+    taken: usize,
+    /// The last access was to the status.
+    waiting: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Queue {
+    bytes: [u8; BUFFER],
+    length: usize,
+}
+
+impl Queue {
+    const fn new() -> Self {
+        Self { bytes: [0; BUFFER], length: 0 }
+    }
+
+    fn filled(&self) -> &[u8] {
+        &self.bytes[..self.length.min(BUFFER)]
+    }
+}
+
+impl PlantPort {
+    /// After a reset.
+    pub const fn new() -> Self {
+        let registers = [0; LAST as usize / 4 + 1];
+        Self { registers, outgoing: Queue::new(), incoming: Queue::new(), taken: 0, waiting: false }
+    }
+
+    /// The word at an offset; zero where there is no register.
+    #[inline]
+    pub fn read(&mut self, offset: u32, line: &mut impl Line) -> u32 {
+        match offset {
+            STATUS => self.status(line),
+            DATA => self.take(),
+            _ => self.registers.get(offset as usize / 4).copied().unwrap_or(0),
+        }
+    }
+
+    /// Stores to an offset.
+    #[inline]
+    pub fn write(&mut self, offset: u32, store: Store, line: &mut impl Line) {
+        match offset {
+            STATUS => {}
+            DATA => self.give(store.bits() as u8, line),
+            _ => {
+                if let Some(register) = self.registers.get_mut(offset as usize / 4) {
+                    *register = store.over(*register);
+                }
+            }
+        }
+    }
+
+    #[inline]
+    fn status(&mut self, line: &mut impl Line) -> u32 {
+        if self.taken == self.incoming.length && self.waiting {
+            self.flush(line);
+            (self.taken, self.incoming.length) = (0, line.receive(&mut self.incoming.bytes));
+        }
+        self.waiting = true;
+        if self.taken == self.incoming.length { SENT } else { SENT | RECEIVED }
+    }
+
+    #[inline]
+    fn take(&mut self) -> u32 {
+        self.waiting = false;
+        let Some(byte) = self.incoming.filled().get(self.taken) else { return 0 };
+        self.taken += 1;
+        u32::from(*byte)
+    }
+
+    #[inline]
+    fn give(&mut self, byte: u8, line: &mut impl Line) {
+        self.waiting = false;
+        if self.registers[CONTROL_1 as usize / 4] & ENABLED == 0 {
+            return;
+        }
+        if self.outgoing.length == BUFFER {
+            self.flush(line);
+        }
+        self.outgoing.bytes[self.outgoing.length] = byte;
+        self.outgoing.length += 1;
+    }
+
+    fn flush(&mut self, line: &mut impl Line) {
+        if self.outgoing.length > 0 {
+            line.send(self.outgoing.filled());
+            self.outgoing.length = 0;
+        }
+    }
+}
+
+impl Default for PlantPort {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::VecDeque;
+    use std::vec::Vec;
+
+    /// Keeps what was sent and answers with what was prepared, in these pieces.
+    #[derive(Default)]
+    struct Recorder {
+        sent: Vec<Vec<u8>>,
+        answers: VecDeque<Vec<u8>>,
+    }
+
+    impl Line for Recorder {
+        fn send(&mut self, bytes: &[u8]) {
+            self.sent.push(bytes.to_vec());
+        }
+
+        fn receive(&mut self, bytes: &mut [u8]) -> usize {
+            let answer = self.answers.pop_front().unwrap_or_default();
+            bytes[..answer.len()].copy_from_slice(&answer);
+            answer.len()
+        }
+    }
+
+    fn enabled(line: &mut Recorder) -> PlantPort {
+        let mut port = PlantPort::new();
+        port.write(CONTROL_1, Store::word(ENABLED), line);
+        port
+    }
+
+    /// As a driver sends: waits for room before each byte.
+    fn send(port: &mut PlantPort, line: &mut Recorder, bytes: &[u8]) {
+        for &byte in bytes {
+            assert_ne!(port.read(STATUS, line) & SENT, 0);
+            port.write(DATA, Store::word(byte.into()), line);
+        }
+    }
+
+    /// As a driver receives, at most `polls` looks without a byte in a row.
+    fn receive(port: &mut PlantPort, line: &mut Recorder, polls: usize) -> Vec<u8> {
+        let (mut bytes, mut idle) = (Vec::new(), 0);
+        while idle < polls {
+            if port.read(STATUS, line) & RECEIVED == 0 {
+                idle += 1;
+            } else {
+                bytes.push(port.read(DATA, line) as u8);
+                idle = 0;
+            }
+        }
+        bytes
+    }
+
+    #[test]
+    fn a_frame_goes_out_whole_when_its_answer_is_awaited() {
+        let mut line = Recorder { answers: [b"answer".to_vec()].into(), ..Recorder::default() };
+        let mut port = enabled(&mut line);
+        send(&mut port, &mut line, b"sixteen bytes...");
+        assert!(line.sent.is_empty());
+        assert_eq!(receive(&mut port, &mut line, 3), b"answer");
+        assert_eq!(line.sent, [b"sixteen bytes..."]);
+    }
+
+    #[test]
+    fn what_was_answered_is_not_asked_again() {
+        let mut line = Recorder::default();
+        let mut port = enabled(&mut line);
+        send(&mut port, &mut line, b"frame");
+        assert!(receive(&mut port, &mut line, 100).is_empty());
+        assert_eq!(line.sent, [b"frame"]);
+    }
+
+    #[test]
+    fn a_long_answer_comes_in_pieces() {
+        let pieces = [std::vec![1; BUFFER], std::vec![2; BUFFER], std::vec![3; 5]];
+        let mut line = Recorder { answers: pieces.clone().into(), ..Recorder::default() };
+        let mut port = enabled(&mut line);
+        send(&mut port, &mut line, b"frame");
+        assert_eq!(receive(&mut port, &mut line, 3), pieces.concat());
+    }
+
+    #[test]
+    fn more_than_the_buffer_holds_is_sent_in_pieces() {
+        let mut line = Recorder::default();
+        let mut port = enabled(&mut line);
+        let bytes: Vec<u8> = (0..BUFFER + 10).map(|n| n as u8).collect();
+        send(&mut port, &mut line, &bytes);
+        receive(&mut port, &mut line, 2);
+        assert_eq!(line.sent.concat(), bytes);
+    }
+
+    #[test]
+    fn a_port_that_is_off_sends_nothing() {
+        let mut line = Recorder::default();
+        let mut port = PlantPort::new();
+        send(&mut port, &mut line, b"frame");
+        receive(&mut port, &mut line, 3);
+        assert!(line.sent.is_empty());
+    }
+
+    #[test]
+    fn speed_and_control_registers_are_stored() {
+        let mut line = Recorder::default();
+        let mut port = PlantPort::new();
+        for offset in [0x08, 0x0C, 0x10, 0x14, 0x18] {
+            port.write(offset, Store::word(offset + 7), &mut line);
+            assert_eq!(port.read(offset, &mut line), offset + 7);
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Power control (RM0090, section 5): regulators are ready as soon as they are asked for.
+
+use crate::store::Store;
+
+const VOLTAGE_READY: u32 = 1 << 14;
+/// BRE, enable of the backup regulator, and BRR, its answer.
+const BACKUP_ON: u32 = 1 << 9;
+const BACKUP_READY: u32 = 1 << 3;
+
+/// The registers.
+#[derive(Clone, Debug)]
+pub struct Pwr {
+    control: u32,
+    status: u32,
+}
+
+impl Pwr {
+    /// After a reset.
+    pub const fn new() -> Self {
+        Self { control: 0x4000, status: VOLTAGE_READY }
+    }
+
+    /// The word at an offset; zero where there is no register.
+    pub fn read(&self, offset: u32) -> u32 {
+        match offset {
+            0 => self.control,
+            4 => self.status,
+            _ => 0,
+        }
+    }
+
+    /// Stores to an offset.
+    pub fn write(&mut self, offset: u32, store: Store) {
+        match offset {
+            0 => self.control = store.over(self.control),
+            4 => {
+                let backup = store.over(self.status) & BACKUP_ON;
+                let ready = if backup == 0 { 0 } else { BACKUP_READY };
+                self.status = VOLTAGE_READY | backup | ready;
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Default for Pwr {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_voltage_asked_for_is_there() {
+        let mut pwr = Pwr::new();
+        pwr.write(0, Store::word(0xC000));
+        assert_eq!(pwr.read(0), 0xC000);
+        assert_ne!(pwr.read(4) & VOLTAGE_READY, 0);
+    }
+
+    #[test]
+    fn the_backup_regulator_is_ready_while_it_is_on() {
+        let mut pwr = Pwr::new();
+        pwr.write(4, Store::word(BACKUP_ON));
+        assert_ne!(pwr.read(4) & BACKUP_READY, 0);
+        pwr.write(4, Store::word(BACKUP_READY));
+        assert_eq!(pwr.read(4) & BACKUP_READY, 0);
+    }
+}

@@ -1,0 +1,140 @@
+//! Reset and clock control (RM0090, section 7): oscillators are ready as soon as they are on, and the reset flags tell
+//! why the chip started.
+//!
+//! Nothing is passed on to QEMU's own model: it reads back what was written, and a reset of a serial port by way of it
+//! crashes QEMU 10.0.2.
+
+use crate::store::Store;
+
+/// Bytes of registers.
+pub const BYTES: u32 = 0x94;
+
+const CR: usize = 0x00 / 4;
+const CFGR: usize = 0x08 / 4;
+const BDCR: usize = 0x70 / 4;
+const CSR: usize = 0x74 / 4;
+
+/// HSION, HSEON, PLLON, PLLI2SON; the ready bit of each is the next.
+const CR_ON: u32 = 1 | 1 << 16 | 1 << 24 | 1 << 26;
+/// LSEON in BDCR and LSION in CSR; the ready bit of each is the next.
+const LOW_SPEED_ON: u32 = 1;
+const CSR_FLAGS: u32 = 0xFE00_0000;
+const CSR_REMOVE_FLAGS: u32 = 1 << 24;
+
+/// Why the chip started. Every cause pulls the reset pin, so the pin's flag comes with each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetCause {
+    /// Power came: PORRSTF, BORRSTF.
+    PowerOn,
+    /// The program asked for it: SFTRSTF.
+    Software,
+    /// The independent watchdog was not fed: IWDGRSTF.
+    Watchdog,
+}
+
+impl ResetCause {
+    /// The flags that it sets in `RCC_CSR`.
+    pub const fn flags(self) -> u32 {
+        const PIN: u32 = 1 << 26;
+        match self {
+            Self::PowerOn => PIN | 1 << 27 | 1 << 25,
+            Self::Software => PIN | 1 << 28,
+            Self::Watchdog => PIN | 1 << 29,
+        }
+    }
+}
+
+/// The registers.
+#[derive(Clone, Debug)]
+pub struct Rcc {
+    registers: [u32; BYTES as usize / 4],
+}
+
+impl Rcc {
+    /// After a reset, with the reset flags of this start and of those before it that were not removed.
+    pub const fn new(flags: u32) -> Self {
+        let mut registers = [0; BYTES as usize / 4];
+        registers[CR] = 0x83;
+        registers[0x04 / 4] = 0x2400_3010;
+        registers[CSR] = flags & CSR_FLAGS;
+        Self { registers }
+    }
+
+    /// The reset flags that a program would read now.
+    pub fn flags(&self) -> u32 {
+        self.registers[CSR] & CSR_FLAGS
+    }
+
+    /// The word at an offset; zero where there is no register.
+    pub fn read(&self, offset: u32) -> u32 {
+        self.registers.get(offset as usize / 4).copied().unwrap_or(0)
+    }
+
+    /// Stores to an offset.
+    pub fn write(&mut self, offset: u32, store: Store) {
+        let index = offset as usize / 4;
+        let Some(register) = self.registers.get_mut(index) else { return };
+        let value = store.over(*register);
+        *register = match index {
+            CR => ready(value, CR_ON),
+            CFGR => value & !0b1100 | (value & 0b11) << 2,
+            BDCR => ready(value, LOW_SPEED_ON),
+            CSR => {
+                let flags = if store.bits() & CSR_REMOVE_FLAGS == 0 { *register & CSR_FLAGS } else { 0 };
+                ready(value & 0x00FF_FFFF, LOW_SPEED_ON) | flags
+            }
+            _ => value,
+        }
+    }
+}
+
+/// The value with the bit above each of the `on` bits equal to it.
+fn ready(value: u32, on: u32) -> u32 {
+    value & !(on << 1) | (value & on) << 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn written(offset: u32, value: u32) -> u32 {
+        let mut rcc = Rcc::new(ResetCause::PowerOn.flags());
+        rcc.write(offset, Store::word(value));
+        rcc.read(offset)
+    }
+
+    #[test]
+    fn an_oscillator_is_ready_while_it_is_on() {
+        for bit in [0, 16, 24, 26] {
+            assert_eq!(written(0x00, 1 << bit), 0b11 << bit, "bit {bit}");
+            assert_eq!(written(0x00, 0b10 << bit), 0, "bit {bit}");
+        }
+        assert_eq!(written(0x70, 1), 0b11);
+        assert_eq!(written(0x74, 1) & 0b11, 0b11);
+    }
+
+    #[test]
+    fn the_clock_asked_for_is_the_clock_used() {
+        assert_eq!(written(0x08, 0b10) & 0b1111, 0b1010);
+        assert_eq!(written(0x08, 0b1100) & 0b1111, 0, "the answer cannot be written");
+    }
+
+    #[test]
+    fn the_reset_flags_stay_until_they_are_removed() {
+        let mut rcc = Rcc::new(ResetCause::Watchdog.flags());
+        rcc.write(0x74, Store::word(0xFE00_0001));
+        assert_eq!(rcc.flags(), 1 << 29 | 1 << 26, "a program cannot set or clear them one by one");
+        rcc.write(0x74, Store::word(1 << 24));
+        assert_eq!(rcc.read(0x74), 0);
+    }
+
+    #[test]
+    fn power_on_reads_as_in_the_reference_manual() {
+        assert_eq!(Rcc::new(ResetCause::PowerOn.flags()).read(0x74), 0x0E00_0000);
+    }
+
+    #[test]
+    fn where_there_is_no_register_nothing_is_stored() {
+        assert_eq!(written(BYTES, 5), 0);
+    }
+}

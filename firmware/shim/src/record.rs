@@ -1,0 +1,207 @@
+//! What outlives a reset of the system, and what a debugger may want to know: at a fixed address, outside of everything
+//! that QEMU loads again.
+
+use crate::gpio::{self, Gpio};
+use crate::iwdg::Effect;
+use crate::rcc::ResetCause;
+
+/// Where the record lies; the linker script says the same.
+pub const ADDRESS: u32 = 0x1000_FC00;
+/// Its length in words.
+pub const WORDS: usize = size_of::<Record>() / 4;
+/// Marks a record that was written by this program.
+const MARK: u32 = 0x5265_6331;
+/// Words before the ports.
+const PLAIN: usize = 12;
+const PORT_WORDS: usize = gpio::BYTES as usize / 4;
+
+/// The record. Counts are those since power-on.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Record {
+    mark: u32,
+    /// Starts, the first included.
+    pub starts: u32,
+    /// Reset flags of `RCC_CSR` that the program has not removed.
+    pub reset_flags: u32,
+    /// The watchdog has expired and the reset is under way.
+    expired: u32,
+    /// Resets by the watchdog.
+    pub watchdog_resets: u32,
+    /// Feedings of the running watchdog.
+    pub feeds: u32,
+    /// Longest time between two of them, microseconds.
+    pub longest_gap_us: u32,
+    /// Loads and stores that were answered.
+    pub traps: u32,
+    /// Handle of the file behind the slots; zero: not open.
+    pub flash_file: u32,
+    /// Handle of the pipe to the plant; zero: the line is silent.
+    pub request_pipe: u32,
+    /// Handle of the pipe from the plant.
+    pub answer_pipe: u32,
+    /// Sectors erased and values programmed.
+    pub flash_operations: u32,
+    /// Ports A and B.
+    pub ports: [Gpio; 2],
+}
+
+/// Ports A and B after a reset, with the debugger's pins in use.
+const PORTS: [Gpio; 2] =
+    [Gpio::new(0xA800_0000, 0x0C00_0000, 0x6400_0000), Gpio::new(0x0000_0280, 0x0000_00C0, 0x0000_0100)];
+
+impl Record {
+    /// At power-on.
+    pub const fn new() -> Self {
+        Self {
+            mark: MARK,
+            starts: 0,
+            reset_flags: 0,
+            expired: 0,
+            watchdog_resets: 0,
+            feeds: 0,
+            longest_gap_us: 0,
+            traps: 0,
+            flash_file: 0,
+            request_pipe: 0,
+            answer_pipe: 0,
+            flash_operations: 0,
+            ports: PORTS,
+        }
+    }
+
+    /// Counts one more start of the chip and adds its cause to the reset flags. What is in memory is kept if this program
+    /// wrote it; if not, power has just come.
+    pub fn begin(&mut self) {
+        let cause = if self.mark != MARK {
+            *self = Self::new();
+            ResetCause::PowerOn
+        } else if self.expired == 1 {
+            self.watchdog_resets += 1;
+            ResetCause::Watchdog
+        } else {
+            ResetCause::Software
+        };
+        self.expired = 0;
+        self.starts += 1;
+        self.reset_flags |= cause.flags();
+        self.ports = PORTS;
+    }
+
+    /// The watchdog has expired: the next start has it as its cause.
+    pub fn expire(&mut self) {
+        self.expired = 1;
+    }
+
+    /// Notes what a store to the watchdog did.
+    pub fn note(&mut self, effect: Effect) {
+        if let Effect::Fed(gap_ns) = effect {
+            self.feeds += 1;
+            self.longest_gap_us = self.longest_gap_us.max((gap_ns / 1000) as u32);
+        }
+    }
+
+    /// The record in words read from [`ADDRESS`]; none if no shim has run there.
+    pub fn from_words(words: &[u32; WORDS]) -> Option<Self> {
+        let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_us, traps, ..] = *words;
+        let [.., flash_file, request_pipe, answer_pipe, flash_operations] = *words.first_chunk::<PLAIN>()?;
+        let (a, b) = words[PLAIN..].split_first_chunk::<PORT_WORDS>()?;
+        let ports = [Gpio::from_words(*a), Gpio::from_words(*b.first_chunk()?)];
+        let record = Self {
+            mark,
+            starts,
+            reset_flags,
+            expired,
+            watchdog_resets,
+            feeds,
+            longest_gap_us,
+            traps,
+            flash_file,
+            request_pipe,
+            answer_pipe,
+            flash_operations,
+            ports,
+        };
+        (mark == MARK).then_some(record)
+    }
+}
+
+impl Default for Record {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn blank() -> Record {
+        Record { mark: 0, starts: 77, ..Record::new() }
+    }
+
+    #[test]
+    fn memory_without_the_mark_means_power_on() {
+        let mut record = blank();
+        record.begin();
+        assert_eq!((record.starts, record.reset_flags), (1, ResetCause::PowerOn.flags()));
+    }
+
+    #[test]
+    fn a_start_that_nobody_announced_is_the_programs_own() {
+        let mut record = blank();
+        record.begin();
+        record.reset_flags = 0;
+        record.begin();
+        assert_eq!((record.starts, record.reset_flags), (2, ResetCause::Software.flags()));
+    }
+
+    #[test]
+    fn after_the_watchdog_expired_it_is_the_cause_once() {
+        let mut record = blank();
+        record.begin();
+        record.expire();
+        for (flags, resets) in [(ResetCause::Watchdog.flags(), 1), (ResetCause::Software.flags(), 1)] {
+            record.reset_flags = 0;
+            record.begin();
+            assert_eq!((record.reset_flags, record.watchdog_resets), (flags, resets));
+        }
+    }
+
+    #[test]
+    fn flags_that_were_not_removed_add_up() {
+        let mut record = blank();
+        record.begin();
+        record.begin();
+        assert_eq!(record.reset_flags, ResetCause::PowerOn.flags() | ResetCause::Software.flags());
+    }
+
+    #[test]
+    fn open_files_outlive_a_reset_and_pins_do_not() {
+        let mut record = blank();
+        record.begin();
+        record.flash_file = 3;
+        record.ports[0] = Gpio::new(0, 0, 0);
+        record.begin();
+        assert_eq!((record.flash_file, record.ports), (3, PORTS));
+    }
+
+    #[test]
+    fn the_longest_gap_between_feedings_is_kept() {
+        let mut record = Record::new();
+        for gap in [3_000_000, 9_000_000, 1_000_000] {
+            record.note(Effect::Fed(gap));
+        }
+        assert_eq!((record.feeds, record.longest_gap_us), (3, 9000));
+    }
+
+    #[test]
+    fn a_debugger_reads_the_words_in_their_order() {
+        let mut words: [u32; WORDS] = core::array::from_fn(|n| n as u32);
+        assert_eq!(Record::from_words(&words), None);
+        words[0] = MARK;
+        let record = Record::from_words(&words).unwrap();
+        assert_eq!((record.starts, record.traps, record.flash_operations), (1, 7, 11));
+        assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 22 + n as u32)));
+    }
+}
