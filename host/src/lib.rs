@@ -8,6 +8,8 @@ pub mod collect;
 pub mod dataset;
 pub mod demo;
 pub mod device;
+#[cfg(unix)]
+pub mod emulator;
 pub mod engine;
 pub mod evaluate;
 pub mod files;

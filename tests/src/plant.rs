@@ -11,8 +11,6 @@
 //! outlet:   q_out = (p - PEEP) / R_out, only while open and above PEEP
 //! ```
 
-use shared::safety::filter::ValveCommand;
-
 /// Step, s.
 const STEP: f32 = 0.001;
 /// Part of the way to its command that the valve goes in a step: a lag of 25 ms.
@@ -53,12 +51,12 @@ impl Plant {
         self.pressure
     }
 
-    /// One millisecond with the valves at `command`.
-    pub fn step(&mut self, command: ValveCommand) {
-        self.opening += VALVE_STEP * (command.u_in() * 0.01 - self.opening);
+    /// One millisecond with the inspiratory valve at `u_in` percent, the expiratory valve open or not.
+    pub fn step(&mut self, u_in: f32, u_out: bool) {
+        self.opening += VALVE_STEP * (u_in * 0.01 - self.opening);
         let into_lung = AIRWAY * (self.pressure - self.lung_pressure);
         let above_peep = self.pressure - self.peep;
-        let out = if command.u_out() && above_peep > 0.0 { OUTLET * above_peep } else { 0.0 };
+        let out = if u_out && above_peep > 0.0 { OUTLET * above_peep } else { 0.0 };
         self.pressure += STEP * CIRCUIT_ELASTANCE * (FLOW_MAX * self.opening - into_lung - out);
         self.lung_pressure += STEP * LUNG_ELASTANCE * into_lung;
     }

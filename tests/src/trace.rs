@@ -9,16 +9,18 @@ use shared::control::network::Network;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::explore::Exploration;
-use shared::safety::filter::ValveCommand;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Ventilator};
+use shared::weights::decode;
 
 use crate::plant::Plant;
 
+/// Weights of `cargo trainer demo --seed 1`.
+pub const LEARNED: &[u8] = include_bytes!("../golden/learned.bin");
 /// Breaths of a trace.
 pub const BREATHS: u32 = 100;
 /// Breaths between two entries of a trace.
-const ENTRY_BREATHS: u32 = 10;
+pub const ENTRY_BREATHS: u32 = 10;
 /// Breaths that run on the same settings.
 const BREATHS_PER_SETTING: u32 = 4;
 /// Tick of a breath in which the settings of the next one are sent, to see that they wait.
@@ -68,25 +70,32 @@ pub fn residual(seed: u64) -> Controller {
     Controller::Residual(Residual::new(spec, network).expect("the specification is in bounds"))
 }
 
+/// The controller of the committed weights, trained on the virtual bench: what a user would flash.
+pub fn learned() -> Controller {
+    Controller::Residual(decode(LEARNED).expect("the committed image is sound").residual)
+}
+
 /// Runs [`BREATHS`] breaths of changing settings on the [`Plant`], exploring.
 ///
 /// # Errors
 /// The mode that the ventilator fell into, if it stopped ventilating: a trace of safe commands would prove nothing.
 pub fn run(controller: Controller) -> Result<Trace, Mode> {
-    let exploration = Exploration { seed: 7, ..Exploration::default() };
-    let ventilator = Ventilator::new(DEFAULT_PERIOD_US, controller).with_exploration(Some(exploration));
+    let ventilator = Ventilator::new(DEFAULT_PERIOD_US, controller).with_exploration(Some(exploration()));
     let mut state = ventilator.standby(&settings(0)).expect("all settings of the protocol are in bounds");
     state.start();
     let mut plant = Plant::new(settings(0).peep);
     let (mut hash, mut entries) = (Fnv::default(), Vec::new());
     let (mut error, mut ticks) = (0.0, 0);
     while state.breath_number() < BREATHS {
+        if state.tick() == 0 {
+            plant.set_peep(settings(state.breath_number()).peep);
+        }
         let output = ventilator.step(&mut state, plant.pressure());
         let Some(sample) = output.sample else {
             return Err(output.mode);
         };
-        hash.command(output.command);
-        plant.step(output.command);
+        hash.command(output.command.u_in(), output.command.u_out());
+        plant.step(output.command.u_in(), output.command.u_out());
         let inspiration = state.breath().inspiration_ticks();
         if inspiration >= 1000 && sample.tick < inspiration && sample.tick >= inspiration - inspiration / 10 {
             error += (sample.target - sample.pressure).abs();
@@ -95,7 +104,6 @@ pub fn run(controller: Controller) -> Result<Trace, Mode> {
         if sample.tick == SETTINGS_TICK.min(inspiration) {
             let next = settings(sample.breath + 1);
             ventilator.apply(&mut state, &next).expect("all settings of the protocol are in bounds");
-            plant.set_peep(next.peep);
         }
         let breaths = state.breath_number();
         if state.tick() == 0 && breaths.is_multiple_of(ENTRY_BREATHS) {
@@ -105,8 +113,13 @@ pub fn run(controller: Controller) -> Result<Trace, Mode> {
     Ok(Trace { entries, plateau_error: error / ticks as f32 })
 }
 
+/// How the device explores in a trace.
+pub fn exploration() -> Exploration {
+    Exploration { seed: 7, ..Exploration::default() }
+}
+
 /// Settings of a breath: the paper's waveforms, then the rows of the test standard, around and around.
-fn settings(breath: u32) -> Settings {
+pub fn settings(breath: u32) -> Settings {
     let index = (breath / BREATHS_PER_SETTING) as usize % (PAPER_PIPS.len() + ISO_ROWS.len());
     match PAPER_PIPS.get(index) {
         Some(pip) => paper_settings(*pip),
@@ -115,7 +128,7 @@ fn settings(breath: u32) -> Settings {
 }
 
 /// The 64-bit hash of Fowler, Noll and Vo, variant 1a.
-struct Fnv(u64);
+pub struct Fnv(u64);
 
 impl Default for Fnv {
     fn default() -> Self {
@@ -124,11 +137,17 @@ impl Default for Fnv {
 }
 
 impl Fnv {
-    fn command(&mut self, command: ValveCommand) {
-        for byte in command.u_in().to_bits().to_le_bytes() {
+    /// Takes in a command: inspiratory valve in percent, expiratory valve open?
+    pub fn command(&mut self, u_in: f32, u_out: bool) {
+        for byte in u_in.to_bits().to_le_bytes() {
             self.byte(byte);
         }
-        self.byte(u8::from(command.u_out()));
+        self.byte(u8::from(u_out));
+    }
+
+    /// The hash so far.
+    pub fn value(&self) -> u64 {
+        self.0
     }
 
     fn byte(&mut self, byte: u8) {

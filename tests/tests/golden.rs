@@ -20,6 +20,11 @@ fn golden_residual_commands_keep_every_bit() {
     compare("residual", trace::residual(1));
 }
 
+#[test]
+fn golden_learned_commands_keep_every_bit() {
+    compare("learned", trace::learned());
+}
+
 fn compare(name: &str, controller: Controller) {
     let trace = trace::run(controller).expect("the ventilator must not leave ventilation");
     // Exploration alone leaves 1.5 cmH2O.

@@ -73,7 +73,11 @@ impl Line {
     pub(super) fn send(&mut self, message: &ToDevice) -> io::Result<()> {
         let mut buffer = [0; FRAME_BYTES];
         let frame = encode_frame(message, &mut buffer).map_err(io::Error::other)?;
-        self.writer.write_all(frame)?;
+        self.send_raw(frame)
+    }
+
+    pub(super) fn send_raw(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.writer.write_all(bytes)?;
         self.writer.flush()
     }
 

@@ -102,6 +102,14 @@ impl Device {
         &self.line.events
     }
 
+    /// Sends bytes as they are, sound or not: for tests of what a device does with them.
+    ///
+    /// # Errors
+    /// [`DeviceError::Gone`].
+    pub fn send_raw(&mut self, bytes: &[u8]) -> Result<(), DeviceError> {
+        self.line.send_raw(bytes).map_err(|_| DeviceError::Gone(self.address.clone()))
+    }
+
     /// Asks and waits for the answer.
     ///
     /// # Errors

@@ -1,0 +1,491 @@
+//! The real firmware image in QEMU: boot, ventilation, golden trace, weights in flash, faults, a host that misbehaves.
+//!
+//! Run with `cargo xtask qemu-test`, which builds the images. Nothing here depends on how fast the machine is: time on the
+//! board is virtual and stands still while the plant computes.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use std::{env, fs};
+
+use host::bench::BenchConfig;
+use host::collect::{CollectConfig, collect};
+use host::device::Device;
+use host::emulator::{
+    BenchPlant, Debugger, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd, symbol,
+};
+use host::port::Address;
+use host::source::{BenchSource, PortSource, Source};
+use host::watch::Watch;
+use shared::breath::{PAPER_PIPS, Phase, paper_settings};
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
+use shared::device::KNOWN_GOOD;
+use shared::link::messages::{ControllerChoice, DeviceKind, Event, ResetCause, Slot, SlotState};
+use shared::link::telemetry::Counters;
+use shared::safety::supervisor::Fault;
+use shared::settings::Settings;
+use shared::ventilator::{Mode, Sample};
+use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
+use tests::plant::Plant as Lung;
+use tests::trace::{self, Fnv};
+
+/// Cycles of a control tick.
+const TICK_CYCLES: u32 = 168_000;
+/// Cycles of a microsecond.
+const MICROSECOND: u32 = 168;
+/// Clock cycles of an instruction in QEMU: 8 ns of virtual time at 168 MHz.
+const CYCLES_PER_INSTRUCTION: f32 = 1.344;
+/// Bytes of one weights slot.
+const SLOT: usize = 128 * 1024;
+
+/// Where `cargo xtask firmware` puts the images.
+fn image(name: &str) -> PathBuf {
+    let folder = env::var_os("EUPNEA_IMAGES").map(PathBuf::from);
+    let folder =
+        folder.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../target/firmware"));
+    folder.join(name).with_extension("elf")
+}
+
+fn config(firmware: &str) -> EmulatorConfig {
+    EmulatorConfig { firmware: image(firmware), shim: image("shim"), ..EmulatorConfig::default() }
+}
+
+fn connect(board: &Emulator) -> Device {
+    let mut device = Device::connect(&Address::Tcp(board.address().to_string())).unwrap();
+    device.identify().unwrap();
+    device
+}
+
+/// A board whose plant is the virtual bench with a lung.
+fn breathing(config: EmulatorConfig, lung: &BenchConfig) -> (Emulator, Device) {
+    let board = Emulator::start(config, LockstepPlant::new(BenchPlant::new(lung).unwrap())).unwrap();
+    let device = connect(&board);
+    (board, device)
+}
+
+fn lung() -> BenchConfig {
+    BenchConfig::paper(20.0, 20.0)
+}
+
+fn pid(gains: PidGains) -> Controller {
+    Controller::Pid(Pid::new(gains, 1000).unwrap())
+}
+
+/// An image that differs from the committed weights by its name alone.
+fn renamed(training: u8) -> ([u8; IMAGE_BYTES], u32) {
+    let image = decode(trace::LEARNED).unwrap();
+    let mut bytes = [0; IMAGE_BYTES];
+    encode(&image.residual, &Identity { training: [training; 16], ..image.identity }, &mut bytes).unwrap();
+    (bytes, decode(&bytes).unwrap().id)
+}
+
+fn upload(device: &mut Device, training: u8) -> (u32, Slot) {
+    let uploaded = device.upload(&renamed(training).0, &mut |_| ()).unwrap();
+    assert_eq!(uploaded.id, renamed(training).1);
+    (uploaded.id, uploaded.slot)
+}
+
+/// Id of the weights that a device has loaded.
+fn running(device: &mut Device) -> Option<u32> {
+    let identity = device.identify().unwrap();
+    match identity.slots[identity.running? as usize] {
+        SlotState::Valid { id, .. } => Some(id),
+        other => panic!("{other:?} runs"),
+    }
+}
+
+/// A plant line where nobody answers.
+struct Silence;
+
+impl PlantEnd for Silence {
+    fn answer(&mut self, _request: &[u8]) -> Vec<u8> {
+        Vec::new()
+    }
+}
+
+/// The lung of the golden traces at the end of the plant line.
+struct TraceLung(Lung);
+
+impl Plant for TraceLung {
+    fn reset(&mut self, _period_us: u32, _seed: u64) -> f32 {
+        self.0 = Lung::new(trace::settings(0).peep);
+        self.0.pressure()
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
+        self.0.step(u_in, u_out);
+        self.0.pressure()
+    }
+
+    fn set_peep(&mut self, peep: f32) -> f32 {
+        self.0.set_peep(peep);
+        self.0.pressure()
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn the_boards_own_image_stands_in_the_safe_state_and_names_the_missing_sensor() {
+    let board = Emulator::start(config("board"), Silence).unwrap();
+    let mut device = connect(&board);
+    let identity = device.identify().unwrap();
+    assert_eq!((identity.device, identity.reset), (DeviceKind::Ventilator, ResetCause::PowerOn));
+    assert_eq!(identity.mode, Mode::Fault(Fault::ReadingNotANumber));
+    assert_eq!((identity.slots, identity.running), ([SlotState::Empty; 2], None));
+    assert_eq!(identity.controller, ControllerChoice::Pid(KNOWN_GOOD), "no weights: the PID");
+    assert!(device.start().unwrap_err().to_string().contains("fault is latched"));
+    assert!(device.reset_plant(1).is_err(), "a ventilator has no plant");
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn golden_trace_of_learned_weights_is_the_hosts_bit_for_bit() {
+    let host = trace::run(trace::learned()).unwrap();
+    let board = Emulator::start(config("hil"), LockstepPlant::new(TraceLung(Lung::new(5.0)))).unwrap();
+    let mut port = PortSource::new(connect(&board), 0).unwrap();
+    port.know(trace::LEARNED.to_vec());
+    port.configure(trace::learned(), Some(trace::exploration())).unwrap();
+    let plan: Vec<Settings> = (0..trace::BREATHS).map(trace::settings).collect();
+    port.upcoming(&plan).unwrap();
+    let (mut hash, mut entries) = (Fnv::default(), Vec::new());
+    for (number, settings) in (1..).zip(&plan) {
+        port.breath(settings, &mut |tick| hash.command(tick.sample.u_in, tick.sample.u_out)).unwrap();
+        if number % trace::ENTRY_BREATHS == 0 {
+            entries.push((number, hash.value()));
+        }
+    }
+    drop(port);
+    let expected: Vec<(u32, u64)> = host.entries.iter().map(|entry| (entry.breaths, entry.hash)).collect();
+    let times = connect(&board).timing(false).unwrap();
+    let instructions = |cycles: f32| (cycles / CYCLES_PER_INSTRUCTION) as u32;
+    let hash = |entries: &[(u32, u64)]| format!("{:016x}", entries.last().unwrap().1);
+    let found = BTreeMap::from([
+        ("hash_host", serde_json::json!(hash(&expected))),
+        ("hash_qemu", serde_json::json!(hash(&entries))),
+        ("tick_mean", serde_json::json!(instructions(times.work.mean))),
+        ("tick_worst", serde_json::json!(instructions(times.work.longest as f32))),
+    ]);
+    fs::write(image("golden").with_extension("json"), serde_json::to_string_pretty(&found).unwrap()).unwrap();
+    assert_eq!(entries, expected);
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn it_ventilates_all_lungs_of_the_paper() {
+    for (resistance, compliance) in
+        [5.0, 20.0, 50.0].into_iter().flat_map(|r| [10.0, 20.0, 50.0].map(|c| (r, c)))
+    {
+        let (_board, device) = breathing(config("hil"), &BenchConfig::paper(resistance, compliance));
+        let mut port = PortSource::new(device, 1).unwrap();
+        port.configure(pid(KNOWN_GOOD), None).unwrap();
+        let breaths = [paper_settings(15.0), paper_settings(15.0)];
+        port.upcoming(&breaths).unwrap();
+        let mut plateau = Vec::new();
+        for breath in &breaths {
+            plateau.clear();
+            port.breath(breath, &mut |tick| {
+                if tick.sample.phase == Phase::Inspiration && tick.sample.tick >= 900 {
+                    plateau.push(tick.sample.pressure);
+                }
+            })
+            .unwrap();
+        }
+        let mean = plateau.iter().sum::<f32>() / plateau.len() as f32;
+        assert!((mean - 15.0).abs() < 2.6, "R{resistance}C{compliance}: a plateau of {mean} cmH2O");
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn a_recording_over_the_link_is_that_of_the_bench_in_process_bit_for_bit() {
+    let (_board, device) = breathing(config("hil"), &lung());
+    let config = CollectConfig { breaths: 30, seed: 1 << 51 | 3, ..CollectConfig::default() };
+    let controller = pid(KNOWN_GOOD);
+    let mut bench =
+        BenchSource::new(&lung(), controller.clone(), &config.settings, 1000, config.seed).unwrap();
+    let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap().recording;
+    let mut port = PortSource::new(device, config.seed).unwrap();
+    let there = collect(&mut port, &controller, &config, &Watch::silent()).unwrap().recording;
+    let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&here.u_in), bits(&there.u_in));
+    assert_eq!(bits(&here.pressure), bits(&there.pressure));
+    assert_eq!(bits(&here.target), bits(&there.target));
+    assert_eq!(bits(&here.explore), bits(&there.explore));
+    assert_eq!((&here.breath, &here.tick, &here.phase), (&there.breath, &there.tick, &there.phase));
+    assert_eq!(&here.u_out, &there.u_out);
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn weights_are_stored_survive_a_reset_and_a_power_cut_and_alternate() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = || EmulatorConfig { folder: Some(folder.path().to_owned()), ..config("hil") };
+    let (mut board, mut device) = breathing(config(), &lung());
+    assert_eq!(upload(&mut device, 1), (renamed(1).1, Slot::A));
+    assert_eq!(running(&mut device), None, "they run after a reset");
+    let identity = device.restart().unwrap();
+    assert_eq!((identity.reset, identity.running), (ResetCause::Software, Some(Slot::A)));
+    assert_eq!(identity.controller, ControllerChoice::Learned);
+    assert_eq!(upload(&mut device, 2), (renamed(2).1, Slot::B));
+    board.kill();
+    drop(device);
+    let (_board, mut device) = breathing(config(), &lung());
+    assert_eq!(
+        (running(&mut device), device.identify().unwrap().reset),
+        (Some(renamed(2).1), ResetCause::PowerOn)
+    );
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn torn_and_damaged_images_are_refused_and_the_older_weights_run() {
+    let (board, mut device) = breathing(config("hil"), &lung());
+    upload(&mut device, 1);
+    device.restart().unwrap();
+    upload(&mut device, 2);
+    let good = board.flash().unwrap();
+    drop((device, board));
+    let damages: [(&str, &dyn Fn(&mut [u8])); 4] = [
+        ("a flipped bit of a weight", &|slot| slot[1000] ^= 1),
+        ("a torn write", &|slot| slot[3000..IMAGE_BYTES].fill(0xFF)),
+        ("no commit word", &|slot| slot[IMAGE_BYTES.next_multiple_of(32) + 32..][..4].fill(0xFF)),
+        ("an erased sector", &|slot| slot.fill(0xFF)),
+    ];
+    for (name, damage) in damages {
+        let mut flash = good.clone();
+        damage(&mut flash[SLOT..]);
+        let (_board, mut device) = breathing(EmulatorConfig { flash: Some(flash), ..config("hil") }, &lung());
+        assert_eq!(running(&mut device), Some(renamed(1).1), "{name}");
+    }
+    let mut flash = good;
+    flash[1000] ^= 1;
+    flash[SLOT + 1000] ^= 1;
+    let (_board, mut device) = breathing(EmulatorConfig { flash: Some(flash), ..config("hil") }, &lung());
+    let identity = device.identify().unwrap();
+    assert_eq!((identity.running, identity.controller), (None, ControllerChoice::Pid(KNOWN_GOOD)));
+    assert!(identity.slots.iter().all(|slot| matches!(slot, SlotState::Invalid(_))), "{:?}", identity.slots);
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = || EmulatorConfig { folder: Some(folder.path().to_owned()), ..config("hil") };
+    let (_board, mut device) = breathing(config(), &lung());
+    upload(&mut device, 1);
+    drop((device, _board));
+    let mut old = renamed(1).1;
+    for (training, delay_ms) in [(2, 0), (3, 3), (4, 6), (5, 12), (6, 25), (7, 50)] {
+        let (mut board, mut device) = breathing(config(), &lung());
+        let (image, new) = renamed(training);
+        // The line is cut with the power, whenever that is: before, during or after the store.
+        let cutter = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(400 + delay_ms));
+            board.kill();
+        });
+        let stored = device.upload(&image, &mut |_| ()).is_ok();
+        cutter.join().unwrap();
+        drop(device);
+        let (_board, mut device) = breathing(config(), &lung());
+        let now = running(&mut device).expect("one of both runs");
+        assert!(now == new || (now == old && !stored), "weights {now:08x} run after a cut, stored: {stored}");
+        old = now;
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason() {
+    let (_board, mut device) = breathing(config("hil"), &lung());
+    device.telemetry(true).unwrap();
+    device.apply(paper_settings(15.0)).unwrap();
+    device.start().unwrap();
+    let mut samples = Samples::default();
+    samples.until(&device, |sample| sample.tick >= 100);
+    device.apply(paper_settings(30.0)).unwrap();
+    let refused = device.apply(Settings { pip: 70.0, ..Settings::default() }).unwrap_err();
+    assert!(refused.to_string().contains("pip is 70 cmH2O, allowed are 5 to 50"), "{refused}");
+    samples.until(&device, |sample| sample.breath == 3);
+    let inspiration = samples.all.iter().filter(|sample| sample.phase == Phase::Inspiration);
+    let mut targets: BTreeMap<u32, Vec<f32>> = BTreeMap::new();
+    inspiration.for_each(|sample| targets.entry(sample.breath).or_default().push(sample.target));
+    assert!(targets.values().all(|targets| targets.iter().all(|target| *target == targets[0])));
+    let pips: Vec<f32> = targets.values().map(|targets| targets[0]).collect();
+    assert_eq!((pips[0], pips.last()), (15.0, Some(&30.0)));
+}
+
+/// Samples as they come, each accounted for.
+#[derive(Default)]
+struct Samples {
+    all: Vec<Sample>,
+    next_tick: Option<u64>,
+    counters: Counters,
+}
+
+impl Samples {
+    /// Takes samples in until one is as wished.
+    fn until(&mut self, device: &Device, wished: impl Fn(&Sample) -> bool) {
+        let deadline = Instant::now() + Duration::from_secs(300);
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match device.events().recv_timeout(left).expect("samples come") {
+                Event::Telemetry(batch) => {
+                    assert!(
+                        self.next_tick.is_none_or(|next| next == batch.first_tick),
+                        "samples are missing"
+                    );
+                    self.next_tick = Some(batch.first_tick + batch.samples.len() as u64);
+                    self.counters = batch.counters;
+                    self.all.extend(batch.samples.iter().map(|sample| sample.unpack()));
+                    if batch.samples.iter().any(|sample| wished(&sample.unpack())) {
+                        return;
+                    }
+                }
+                Event::Breath(_) => {}
+                Event::Alarm { fault, .. } => panic!("{fault:?}"),
+            }
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample() {
+    let (_board, mut device) = breathing(config("hil"), &lung());
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    device.timing(true).unwrap();
+    let mut samples = Samples::default();
+    for breath in 0..20 {
+        // Requests without pause, bytes that are no frame, and a frame that is cut short, all through the breath.
+        for _ in 0..10 {
+            device.settings().unwrap();
+            device.send_raw(&[0x55; 300]).unwrap();
+            device.send_raw(&[0, 7, 1, 2, 0]).unwrap();
+        }
+        samples.until(&device, |sample| sample.breath > breath);
+    }
+    let times = device.timing(false).unwrap();
+    assert!(samples.all.len() >= 60_000, "{} samples", samples.all.len());
+    assert_eq!(
+        (samples.counters.dropped, device.counters().lost_batches, device.counters().corrupt),
+        (0, 0, 0)
+    );
+    assert!(samples.counters.corrupt_frames >= 200, "the garbage is counted: {:?}", samples.counters);
+    assert_eq!((times.missed, samples.counters.missed_ticks), (0, 0));
+    let (shortest, longest) = (times.period.shortest, times.period.longest);
+    let allowed = TICK_CYCLES - 2 * MICROSECOND..=TICK_CYCLES + 2 * MICROSECOND;
+    assert!(
+        allowed.contains(&shortest) && allowed.contains(&longest),
+        "periods of {shortest} to {longest} cycles"
+    );
+    println!("{times:?}");
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn a_host_that_falls_silent_and_comes_back_finds_the_device_ventilating() {
+    let (board, mut device) = breathing(config("hil"), &lung());
+    device.apply(paper_settings(25.0)).unwrap();
+    device.start().unwrap();
+    drop(device);
+    // Somebody else, who knows nothing of frames.
+    let mut stranger = TcpStream::connect(board.address()).unwrap();
+    stranger.write_all(&[0xFF; 5000]).unwrap();
+    stranger.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    let _ = stranger.read(&mut [0; 4096]);
+    drop(stranger);
+    std::thread::sleep(Duration::from_millis(300));
+    let mut device = connect(&board);
+    let identity = device.identify().unwrap();
+    assert_eq!((identity.mode, identity.reset), (Mode::Ventilating, ResetCause::PowerOn));
+    assert_eq!(device.settings().unwrap().0, paper_settings(25.0));
+    assert_eq!(device.timing(false).unwrap().missed, 0);
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    let mut debugger = Debugger::connect(board.debugger_address().unwrap()).unwrap();
+    let step = symbol(&image("hil"), "shared::ventilator::Ventilator::breathe").unwrap();
+    let whole = debugger.read(step, 2).unwrap();
+    // A branch to itself in the place of the step's first instruction.
+    debugger.write(step, &[0xFE, 0xE7]).unwrap();
+    debugger.detach().unwrap();
+    let _ = device.start();
+    let deadline = Instant::now() + Duration::from_secs(60);
+    let identity = loop {
+        match device.identify() {
+            Ok(identity) if identity.reset == ResetCause::Watchdog => break identity,
+            other => assert!(Instant::now() < deadline, "the watchdog does not bite: {other:?}"),
+        }
+    };
+    assert_eq!(identity.mode, Mode::Standby, "nothing moves by itself");
+    assert_ne!(whole, [0xFE, 0xE7]);
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn a_program_that_fails_tells_the_reason_after_its_restart() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    let mut debugger = Debugger::connect(board.debugger_address().unwrap()).unwrap();
+    let step = symbol(&image("hil"), "shared::ventilator::Ventilator::breathe").unwrap();
+    // An instruction that is defined to be undefined.
+    debugger.write(step, &[0x00, 0xDE]).unwrap();
+    debugger.detach().unwrap();
+    let _ = device.start();
+    let deadline = Instant::now() + Duration::from_secs(60);
+    let failure = loop {
+        match device.identify() {
+            Ok(identity) if identity.failure.is_some() => break identity.failure.unwrap(),
+            other => assert!(Instant::now() < deadline, "no reason is told: {other:?}"),
+        }
+    };
+    assert!(failure.contains(&format!("hard fault at {step:#010x}")), "{failure}");
+    assert_eq!(device.identify().unwrap().mode, Mode::Standby);
+}
+
+/// A plant that stops answering after a number of exchanges.
+struct Vanishing<P>(P, usize);
+
+impl<P: PlantEnd> PlantEnd for Vanishing<P> {
+    fn answer(&mut self, request: &[u8]) -> Vec<u8> {
+        self.1 = self.1.saturating_sub(1);
+        if self.1 == 0 { Vec::new() } else { self.0.answer(request) }
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn a_plant_that_vanishes_is_a_sensor_fault() {
+    let bench = LockstepPlant::new(BenchPlant::new(&lung()).unwrap());
+    let board = Emulator::start(config("hil"), Vanishing(bench, 20_000)).unwrap();
+    let mut device = connect(&board);
+    device.start().unwrap();
+    let alarm = |event: &Event| matches!(event, Event::Alarm { fault: Fault::ReadingNotANumber, .. });
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
+    assert_eq!(device.identify().unwrap().mode, Mode::Fault(Fault::ReadingNotANumber));
+}
+
+#[test]
+#[ignore = "needs QEMU: cargo xtask qemu-test"]
+fn two_runs_on_the_image_are_equal() {
+    let run = || {
+        let (_board, device) = breathing(config("hil"), &lung());
+        let mut port = PortSource::new(device, 9).unwrap();
+        port.configure(pid(KNOWN_GOOD), None).unwrap();
+        let breaths = PAPER_PIPS.map(paper_settings);
+        port.upcoming(&breaths).unwrap();
+        let mut hash = Fnv::default();
+        for breath in &breaths {
+            port.breath(breath, &mut |tick| hash.command(tick.sample.u_in, tick.sample.u_out)).unwrap();
+        }
+        hash.value()
+    };
+    assert_eq!(run(), run());
+}
