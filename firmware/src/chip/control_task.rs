@@ -3,13 +3,18 @@
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::residual::Residual;
 use shared::device::control::Control;
 use shared::device::timing::TickTime;
 use shared::device::{Answer, Order, Report};
+use shared::link::messages::DeviceKind;
 
-use super::board::{Plant, SelectedPlant};
-use super::drivers::clock;
+use static_cell::StaticCell;
+
+use super::board::{CORE_CLOCK, Plant, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
+use super::drivers::{clock, usable};
 
 /// Reports that can wait for the link task: more than a tenth of a second of samples.
 const REPORTS_LENGTH: usize = 128;
@@ -21,9 +26,18 @@ pub static ANSWER: Signal<CriticalSectionRawMutex, Answer> = Signal::new();
 /// To the link task.
 pub static REPORTS: Channel<CriticalSectionRawMutex, Report, REPORTS_LENGTH> = Channel::new();
 
+/// The device's control half. Kept here and built in place: as part of the task it would be moved over the stack.
+static CONTROL: StaticCell<Control> = StaticCell::new();
+
+/// Makes the control half. Called once.
+#[inline(never)]
+pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Control {
+    CONTROL.init_with(|| usable(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
+}
+
 /// Runs for ever.
 #[embassy_executor::task]
-pub async fn run(mut control: Control, mut plant: SelectedPlant, mut watchdog: Watchdog) {
+pub async fn run(control: &'static mut Control, mut plant: SelectedPlant, mut watchdog: Watchdog) {
     let mut before = None;
     loop {
         let number = clock::tick().await;

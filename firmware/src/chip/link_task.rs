@@ -9,6 +9,8 @@ use shared::link::messages::{Slot, SlotState, ToDevice, ToHost, read_request};
 use shared::weights::IMAGE_BYTES;
 use shared::weights::slots::Slots;
 
+use static_cell::StaticCell;
+
 use super::control_task::{ANSWER, ORDER, REPORTS};
 use super::drivers::flash::{WeightsFlash, slots};
 use super::drivers::{link_uart, watchdog};
@@ -57,10 +59,18 @@ impl Storage {
     }
 }
 
+/// The device's other half. Kept here and built in place: as part of the task it would be moved over the stack.
+static DESK: StaticCell<Desk> = StaticCell::new();
+
+/// Makes the desk. Called once.
+#[inline(never)]
+pub fn prepare(facts: Facts) -> &'static mut Desk {
+    DESK.init_with(|| Desk::new(facts))
+}
+
 /// Runs for ever.
 #[embassy_executor::task]
-pub async fn run(facts: Facts, mut storage: Storage) {
-    let mut desk = Desk::new(facts);
+pub async fn run(desk: &'static mut Desk, mut storage: Storage) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
     let mut chunk = [0; CHUNK];
     loop {
@@ -69,7 +79,7 @@ pub async fn run(facts: Facts, mut storage: Storage) {
                 for byte in &chunk[..count] {
                     if let Poll::Frame(content) = decoder.push(*byte) {
                         match read_request(content) {
-                            Ok(request) => serve(&mut desk, &mut storage, &request).await,
+                            Ok(request) => serve(desk, &mut storage, &request).await,
                             Err(unreadable) => {
                                 if let Some(sequence) = unreadable.sequence {
                                     send(&desk.unreadable(sequence)).await;
@@ -80,7 +90,7 @@ pub async fn run(facts: Facts, mut storage: Storage) {
                 }
                 desk.corrupt_frames(decoder.counters().corrupt().wrapping_add(link_uart::lost()));
             }
-            Either::Second(report) => tell(&mut desk, &report).await,
+            Either::Second(report) => tell(desk, &report).await,
         }
     }
 }

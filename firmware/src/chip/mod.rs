@@ -21,7 +21,6 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::control::Control;
 use shared::device::desk::Facts;
 
 use board::Plant;
@@ -33,6 +32,15 @@ static LINK: InterruptExecutor = InterruptExecutor::new();
 
 #[entry]
 fn main() -> ! {
+    start();
+    loop {
+        cortex_m::asm::wfi();
+    }
+}
+
+/// Starts everything. A function of its own, because `main` never gives its part of the stack back.
+#[inline(never)]
+fn start() {
     let failure = failure::of_last_run();
     let mut board = board::start();
     let reset = reset::cause();
@@ -40,7 +48,7 @@ fn main() -> ! {
     let (learned, slots, running) = storage.load();
     let kind = board::SelectedPlant::KIND;
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
-    let control = Control::new(kind, DEFAULT_PERIOD_US, learned, board::CORE_CLOCK.0);
+    let control = control_task::prepare(kind, learned);
     let facts = Facts {
         firmware: link_task::VERSION,
         device: kind,
@@ -53,14 +61,10 @@ fn main() -> ! {
     interrupt::CAN2_SCE.set_priority(Priority::P4);
     let spawner = CONTROL.start(interrupt::CAN2_SCE);
     board.watchdog.start();
-    let task = control_task::run(usable(control.ok()), board.plant, board.watchdog);
-    spawner.spawn(usable(task.ok()));
+    spawner.spawn(usable(control_task::run(control, board.plant, board.watchdog).ok()));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
-    LINK.start(interrupt::CAN2_RX0).spawn(usable(link_task::run(facts, storage).ok()));
+    LINK.start(interrupt::CAN2_RX0).spawn(usable(link_task::run(link_task::prepare(facts), storage).ok()));
     clock::start(&mut board.core);
-    loop {
-        cortex_m::asm::wfi();
-    }
 }
 
 #[interrupt]
