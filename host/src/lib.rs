@@ -7,6 +7,8 @@ pub mod cli;
 pub mod collect;
 pub mod dataset;
 pub mod demo;
+#[cfg(unix)]
+pub mod emulator;
 pub mod engine;
 pub mod evaluate;
 pub mod files;

@@ -77,7 +77,8 @@ impl BenchSource {
 }
 
 impl Bench {
-    fn pressures(&self) -> TickTruth {
+    /// The true pressures now.
+    pub(crate) fn pressures(&self) -> TickTruth {
         let truth = self.truth();
         TickTruth {
             airway_pressure: truth.airway_pressure as f32,

@@ -1,0 +1,164 @@
+//! The virtual bench as a plant.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use shared::settings::Settings;
+
+use super::Plant;
+use crate::bench::{Bench, BenchConfig, BenchError, PEEP_RANGE_CMH2O, STEP_S};
+use crate::source::TickTruth;
+
+/// Microseconds of a bench step.
+const STEP_US: u32 = (STEP_S * 1e6) as u32;
+
+/// The true pressures before each step since the last reset: entry `n` belongs to tick `n`, at whose reading they were.
+pub type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
+
+/// A bench behind a sensor and two valves. It steps in whole milliseconds; for other periods it reads NaN.
+#[derive(Debug)]
+pub struct BenchPlant {
+    config: BenchConfig,
+    bench: Bench,
+    /// Setting of the mechanical PEEP valve, cmH2O, which resets leave alone.
+    peep: f32,
+    steps_per_period: u32,
+    reading: f32,
+    truths: TruthLog,
+}
+
+impl BenchPlant {
+    /// A bench at rest at the default PEEP; a reset comes before the first step.
+    ///
+    /// # Errors
+    /// A bench that cannot be built.
+    pub fn new(config: &BenchConfig) -> Result<Self, BenchError> {
+        let peep = Settings::default().peep;
+        let bench = Bench::new(config, peep, 0)?;
+        let truths = TruthLog::default();
+        Ok(Self { config: config.clone(), bench, peep, steps_per_period: 1, reading: peep, truths })
+    }
+
+    /// The true pressures as they are logged: the caller may look at them, and take away what is there.
+    pub fn truths(&self) -> TruthLog {
+        Arc::clone(&self.truths)
+    }
+}
+
+/// Does something with a log; whoever panicked with it in hand has not harmed it.
+fn with<T>(log: &TruthLog, work: impl FnOnce(&mut Vec<TickTruth>) -> T) -> T {
+    work(&mut log.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+impl Plant for BenchPlant {
+    fn reset(&mut self, period_us: u32, seed: u32) -> f32 {
+        with(&self.truths, Vec::clear);
+        let bench = Bench::new(&self.config, self.peep, seed.into());
+        self.steps_per_period = if period_us.is_multiple_of(STEP_US) { period_us / STEP_US } else { 0 };
+        self.reading = match bench {
+            Ok(bench) if self.steps_per_period > 0 => {
+                self.bench = bench;
+                self.peep
+            }
+            _ => f32::NAN,
+        };
+        self.reading
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
+        with(&self.truths, |log| log.push(self.bench.pressures()));
+        for _ in 0..self.steps_per_period {
+            self.reading = self.bench.step(u_in, u_out).pressure;
+        }
+        self.reading
+    }
+
+    fn set_peep(&mut self, peep: f32) -> f32 {
+        if !peep.is_nan() {
+            let limited = f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end());
+            self.peep = limited as f32;
+            self.bench.set_peep(self.peep);
+        }
+        self.reading
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{BenchSource, Source, Tick};
+    use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use shared::control::Controller;
+    use shared::control::pid::{Pid, PidGains};
+
+    const SEED: u32 = 5;
+
+    fn bench() -> BenchConfig {
+        BenchConfig::paper(20.0, 20.0)
+    }
+
+    /// Ticks of two breaths with different settings from the in-process source.
+    fn ticks(period_us: u32) -> Vec<Tick> {
+        let pid = Pid::new(PidGains { p: 1.0, i: 20.0, d: 0.0 }, period_us).unwrap();
+        let (first, second) = (paper_settings(20.0), Settings { peep: 8.0, ..paper_settings(25.0) });
+        let mut source =
+            BenchSource::new(&bench(), Controller::Pid(pid), &first, period_us, SEED.into()).unwrap();
+        let mut ticks = Vec::new();
+        for settings in [first, second] {
+            source.breath(&settings, &mut |tick| ticks.push(*tick)).unwrap();
+        }
+        ticks
+    }
+
+    #[test]
+    fn it_gives_the_bits_of_the_in_process_bench() {
+        for period_us in [DEFAULT_PERIOD_US, 30_000] {
+            let ticks = ticks(period_us);
+            let mut plant = BenchPlant::new(&bench()).unwrap();
+            plant.set_peep(5.0);
+            let mut reading = plant.reset(period_us, SEED);
+            let mut breath = ticks[0].sample.breath;
+            for tick in &ticks {
+                if tick.sample.breath != breath {
+                    breath = tick.sample.breath;
+                    plant.set_peep(8.0);
+                }
+                assert_eq!(reading.to_bits(), tick.sample.pressure.to_bits(), "{tick:?}");
+                reading = plant.step(tick.sample.u_in, tick.sample.u_out);
+            }
+            let truths = plant.truths();
+            let logged: Vec<_> = truths.lock().unwrap().iter().copied().map(Some).collect();
+            assert_eq!(logged, ticks.iter().map(|tick| tick.truth).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn a_reset_starts_bench_and_log_anew() {
+        let mut plant = BenchPlant::new(&bench()).unwrap();
+        let run = |plant: &mut BenchPlant| {
+            plant.reset(1000, 1);
+            let readings: Vec<_> = (0..50).map(|_| plant.step(60.0, false).to_bits()).collect();
+            (readings, plant.truths().lock().unwrap().clone())
+        };
+        let first = run(&mut plant);
+        assert_eq!(run(&mut plant), first);
+        assert_eq!(first.1.len(), 50);
+    }
+
+    #[test]
+    fn a_period_that_it_cannot_run_gives_no_number() {
+        let mut plant = BenchPlant::new(&bench()).unwrap();
+        for period_us in [0, 1500] {
+            assert!(plant.reset(period_us, 1).is_nan());
+            assert!(plant.step(10.0, false).is_nan());
+        }
+        assert!(!plant.reset(2000, 1).is_nan());
+    }
+
+    #[test]
+    fn the_peep_valve_has_end_stops() {
+        let mut plant = BenchPlant::new(&bench()).unwrap();
+        plant.set_peep(1e9);
+        plant.set_peep(f32::NAN);
+        assert!(f64::from(plant.reset(1000, 1)) <= *PEEP_RANGE_CMH2O.end());
+    }
+}

@@ -1,0 +1,200 @@
+//! The plant's end of the plant line.
+
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use shared::link::plant::{Decoder, FRAME_BYTES, Frame, Message};
+
+/// How far virtual time may have fallen behind before it stops catching up.
+const SLACK: Duration = Duration::from_millis(100);
+
+/// Whatever is at the other end of the board's plant line.
+pub trait PlantEnd {
+    /// What comes back for the bytes sent; none for silence. Virtual time stands still meanwhile.
+    fn answer(&mut self, request: &[u8]) -> Vec<u8>;
+}
+
+/// A plant in the terms of the plant link.
+pub trait Plant {
+    /// Starts anew, at rest, with steps of `period_us` microseconds and this seed for its random numbers; gives the
+    /// pressure read, cmH2O. NaN says that it cannot.
+    fn reset(&mut self, period_us: u32, seed: u32) -> f32;
+
+    /// One control period with the inspiratory valve at `u_in` percent and the expiratory valve open if `u_out`; gives
+    /// the pressure read at its end, cmH2O.
+    fn step(&mut self, u_in: f32, u_out: bool) -> f32;
+
+    /// Turns the mechanical PEEP valve to `peep` cmH2O; gives the pressure read last, cmH2O.
+    fn set_peep(&mut self, peep: f32) -> f32;
+}
+
+/// A plant behind the frames of the plant link. A frame that comes again gets the same answer again, and nothing moves.
+#[derive(Clone, Debug)]
+pub struct LockstepPlant<P> {
+    plant: P,
+    decoder: Decoder,
+    last: Option<[[u8; FRAME_BYTES]; 2]>,
+}
+
+impl<P: Plant> LockstepPlant<P> {
+    /// Puts a plant at the end of the line.
+    pub fn new(plant: P) -> Self {
+        Self { plant, decoder: Decoder::default(), last: None }
+    }
+
+    fn reply(&mut self, frame: &Frame) -> Option<[u8; FRAME_BYTES]> {
+        let request = frame.encode();
+        if let Some([answered, answer]) = self.last
+            && answered == request
+        {
+            return Some(answer);
+        }
+        let message = match frame.message {
+            Message::Reset { period_us, seed } => {
+                Message::Ready { pressure: self.plant.reset(period_us, seed) }
+            }
+            Message::Step { u_in, u_out } => Message::Pressure { pressure: self.plant.step(u_in, u_out) },
+            Message::Peep { pressure } => Message::Ready { pressure: self.plant.set_peep(pressure) },
+            // A plant's own words.
+            Message::Ready { .. } | Message::Pressure { .. } => return None,
+        };
+        let answer = Frame { tick: frame.tick, message }.encode();
+        self.last = Some([request, answer]);
+        Some(answer)
+    }
+}
+
+impl<P: Plant> PlantEnd for LockstepPlant<P> {
+    fn answer(&mut self, request: &[u8]) -> Vec<u8> {
+        let mut answer = Vec::new();
+        for &byte in request {
+            if let Some(frame) = self.decoder.push(byte) {
+                answer.extend(self.reply(&frame).into_iter().flatten());
+            }
+        }
+        answer
+    }
+}
+
+/// Holds virtual time back to real time, for people who watch: each exchange takes at least its period.
+#[derive(Clone, Debug)]
+pub struct Paced<E> {
+    end: E,
+    period: Duration,
+    due: Option<Instant>,
+}
+
+impl<E: PlantEnd> Paced<E> {
+    /// Paces an end of the line to one exchange per `period`.
+    pub fn new(end: E, period: Duration) -> Self {
+        Self { end, period, due: None }
+    }
+}
+
+impl<E: PlantEnd> PlantEnd for Paced<E> {
+    fn answer(&mut self, request: &[u8]) -> Vec<u8> {
+        let answer = self.end.answer(request);
+        let now = Instant::now();
+        // Who is a little late catches up; who slept for long does not hurry.
+        let due = self.due.filter(|due| now.saturating_duration_since(*due) < SLACK).unwrap_or(now);
+        sleep(due.saturating_duration_since(now));
+        self.due = Some(due + self.period);
+        answer
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Counts what is asked of it.
+    #[derive(Default)]
+    struct Counter {
+        steps: u32,
+        peep: f32,
+    }
+
+    impl Plant for Counter {
+        fn reset(&mut self, period_us: u32, seed: u32) -> f32 {
+            self.steps = 0;
+            (period_us + seed) as f32
+        }
+
+        fn step(&mut self, u_in: f32, _: bool) -> f32 {
+            self.steps += 1;
+            u_in + self.peep
+        }
+
+        fn set_peep(&mut self, peep: f32) -> f32 {
+            self.peep = peep;
+            -1.0
+        }
+    }
+
+    fn frame(tick: u16, message: Message) -> [u8; FRAME_BYTES] {
+        Frame { tick, message }.encode()
+    }
+
+    fn step(tick: u16, u_in: f32) -> [u8; FRAME_BYTES] {
+        frame(tick, Message::Step { u_in, u_out: false })
+    }
+
+    fn pressure(tick: u16, pressure: f32) -> [u8; FRAME_BYTES] {
+        frame(tick, Message::Pressure { pressure })
+    }
+
+    #[test]
+    fn each_request_is_answered_in_its_tick() {
+        let mut plant = LockstepPlant::new(Counter::default());
+        let reset = frame(1, Message::Reset { period_us: 1000, seed: 7 });
+        assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1007.0 }));
+        let peep = frame(2, Message::Peep { pressure: 5.0 });
+        assert_eq!(plant.answer(&peep), frame(2, Message::Ready { pressure: -1.0 }));
+        assert_eq!(plant.answer(&step(3, 20.0)), pressure(3, 25.0));
+    }
+
+    #[test]
+    fn a_repeated_frame_gets_the_same_answer_and_nothing_moves() {
+        let mut plant = LockstepPlant::new(Counter::default());
+        for _ in 0..3 {
+            assert_eq!(plant.answer(&step(9, 20.0)), pressure(9, 20.0));
+        }
+        assert_eq!(plant.plant.steps, 1);
+    }
+
+    #[test]
+    fn a_board_that_starts_anew_is_not_given_an_old_answer() {
+        let mut plant = LockstepPlant::new(Counter::default());
+        plant.answer(&step(1, 20.0));
+        let reset = frame(1, Message::Reset { period_us: 1000, seed: 0 });
+        assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1000.0 }));
+    }
+
+    #[test]
+    fn a_plants_own_words_are_not_answered() {
+        let mut plant = LockstepPlant::new(Counter::default());
+        assert!(plant.answer(&pressure(1, 20.0)).is_empty());
+    }
+
+    proptest! {
+        #[test]
+        fn frames_are_found_however_they_are_cut(cut in 0..FRAME_BYTES, garbage in prop::collection::vec(0..0xA5_u8, 0..40)) {
+            let mut plant = LockstepPlant::new(Counter::default());
+            prop_assert!(plant.answer(&garbage).is_empty());
+            let request = step(4, 30.0);
+            prop_assert!(plant.answer(&request[..cut]).is_empty());
+            prop_assert_eq!(plant.answer(&request[cut..]), pressure(4, 30.0).to_vec());
+        }
+    }
+
+    #[test]
+    fn a_paced_line_takes_its_time() {
+        let mut plant = Paced::new(LockstepPlant::new(Counter::default()), Duration::from_millis(5));
+        let begun = Instant::now();
+        for tick in 0..5 {
+            plant.answer(&step(tick, 0.0));
+        }
+        assert!(begun.elapsed() >= Duration::from_millis(20));
+    }
+}

@@ -1,0 +1,95 @@
+//! QEMU: whether it is there, and the command line of a board.
+
+use std::fs::File;
+use std::io;
+use std::net::TcpListener;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use super::{EmulatorError, tried};
+
+/// Name of the program.
+pub(super) const PROGRAM: &str = "qemu-system-arm";
+/// Older ones lack the core-coupled memory and the serial port's interrupts.
+pub(super) const LEAST_VERSION: u32 = 10;
+
+/// Virtual time: 2^3 ns per instruction, and no waiting for real time while the core sleeps.
+const CLOCK: &str = "shift=3,sleep=off";
+
+/// Whether QEMU can run the board.
+pub(super) fn check() -> Result<(), EmulatorError> {
+    let output = Command::new(PROGRAM).arg("--version").output().map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => EmulatorError::QemuMissing,
+        _ => tried("cannot start QEMU")(error),
+    })?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    match major(&text) {
+        Some(major) if major >= LEAST_VERSION => Ok(()),
+        _ => {
+            let found = text.lines().next().unwrap_or_default().to_owned();
+            Err(EmulatorError::QemuTooOld { found })
+        }
+    }
+}
+
+/// The first number of the version.
+fn major(text: &str) -> Option<u32> {
+    let (_, after) = text.split_once("version ")?;
+    after.split('.').next()?.parse().ok()
+}
+
+/// The command that runs a board. The listening ports reach QEMU as its standard input and output, so that no other
+/// program can take them in between.
+pub(super) fn command(
+    firmware: &Path,
+    shim: &Path,
+    link: TcpListener,
+    debugger: Option<TcpListener>,
+    log: File,
+) -> Command {
+    let mut command = Command::new(PROGRAM);
+    command
+        .args(["-M", "netduinoplus2", "-nodefaults", "-display", "none", "-monitor", "none"])
+        .args(["-semihosting-config", "enable=on,target=native", "-icount", CLOCK])
+        .args(["-chardev", "socket,id=link,fd=0,server=on,wait=off,nodelay=on", "-serial", "chardev:link"])
+        .arg("-kernel")
+        .arg(firmware)
+        .arg("-device")
+        .arg(format!("loader,file={},cpu-num=0", escaped(shim)))
+        .stdin(OwnedFd::from(link))
+        .stderr(log)
+        // Ctrl-C is for the program that started it, which may want to end in order.
+        .process_group(0);
+    match debugger {
+        Some(port) => command
+            .args(["-chardev", "socket,id=debugger,fd=1,server=on,wait=off,nodelay=on"])
+            .args(["-gdb", "chardev:debugger"])
+            .stdout(OwnedFd::from(port)),
+        None => command.stdout(Stdio::null()),
+    };
+    command
+}
+
+/// A path in a list of options, where a comma is written twice.
+fn escaped(path: &Path) -> String {
+    path.display().to_string().replace(',', ",,")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_version_is_read() {
+        assert_eq!(major("QEMU emulator version 10.0.2 (Debian 1:10.0.2+ds-2)\n"), Some(10));
+        assert_eq!(major("QEMU emulator version 7.2.17\n"), Some(7));
+        assert_eq!(major("something else"), None);
+    }
+
+    #[test]
+    fn commas_in_paths_are_kept() {
+        assert_eq!(escaped(Path::new("a,b/shim")), "a,,b/shim");
+    }
+}
