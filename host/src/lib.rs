@@ -11,6 +11,7 @@ pub mod device;
 pub mod engine;
 pub mod evaluate;
 pub mod files;
+pub mod monitor;
 pub mod pipeline;
 pub mod port;
 pub mod provenance;

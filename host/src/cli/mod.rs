@@ -12,6 +12,7 @@ mod evaluate;
 mod fit;
 mod import;
 mod inspect;
+mod monitor;
 mod output;
 mod pack;
 mod settings_args;
@@ -47,6 +48,7 @@ enum Command {
     Pack(pack::Args),
     Inspect(inspect::Args),
     Import(import::Args),
+    Monitor(monitor::Args),
 }
 
 /// Environment variable of the log's level.
@@ -79,6 +81,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Pack(args) => pack::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
+        Command::Monitor(args) => monitor::run(args),
     }
 }
 
