@@ -3,6 +3,7 @@
 use std::fmt;
 use std::io::{self, Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -72,6 +73,9 @@ pub enum PortError {
         /// Which ports there are.
         found: String,
     },
+    /// Another program has it.
+    #[error("{0} is in use by another program; end that one first")]
+    Busy(String),
     /// Not allowed.
     #[error(
         "no permission to open {0}; on Linux join the group that owns it, usually dialout, and log in again"
@@ -120,6 +124,7 @@ impl Port {
 
 fn serial(name: &str, baud: u32) -> Result<Port, PortError> {
     let failed = |error: &serialport::Error| match error.kind {
+        serialport::ErrorKind::NoDevice if Path::new(name).exists() => PortError::Busy(name.to_owned()),
         serialport::ErrorKind::NoDevice | serialport::ErrorKind::Io(io::ErrorKind::NotFound) => {
             PortError::Missing { name: name.to_owned(), found: found() }
         }

@@ -10,11 +10,13 @@ mod controller_args;
 mod demo;
 mod evaluate;
 mod fit;
+mod flash;
 mod import;
 mod inspect;
 mod monitor;
 mod output;
 mod pack;
+mod port_args;
 mod settings_args;
 mod stage_bars;
 mod train;
@@ -46,6 +48,7 @@ enum Command {
     Train(train::Args),
     Evaluate(evaluate::Args),
     Pack(pack::Args),
+    Flash(flash::Args),
     Inspect(inspect::Args),
     Import(import::Args),
     Monitor(monitor::Args),
@@ -79,6 +82,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Pack(args) => pack::run(args),
+        Command::Flash(args) => flash::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
         Command::Monitor(args) => monitor::run(args),

@@ -4,7 +4,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
+use std::thread::{self, JoinHandle};
 
 use serde::Serialize;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
@@ -43,6 +43,7 @@ pub(super) struct Line {
     pub(super) broken: Arc<AtomicBool>,
     counters: Arc<Mutex<LineCounters>>,
     closing: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
 }
 
 impl Line {
@@ -61,11 +62,12 @@ impl Line {
             decoder: FrameDecoder::new(),
         };
         let flags = (Arc::clone(&broken), Arc::clone(&closing));
-        thread::spawn(move || {
+        let thread = thread::spawn(move || {
             reader.run(port.reader, &flags.1);
             flags.0.store(true, Ordering::Relaxed);
         });
-        Self { writer: port.writer, answers: answered, events: happened, broken, counters, closing }
+        let thread = Some(thread);
+        Self { writer: port.writer, answers: answered, events: happened, broken, counters, closing, thread }
     }
 
     pub(super) fn send(&mut self, message: &ToDevice) -> io::Result<()> {
@@ -80,9 +82,21 @@ impl Line {
     }
 }
 
+impl Line {
+    /// Stops reading and closes the port.
+    pub(super) fn end(&mut self) {
+        self.closing.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // Until it has ended the port is in use. A thread that panicked has said so already.
+            let _ = thread.join();
+        }
+        self.writer = Box::new(io::sink());
+    }
+}
+
 impl Drop for Line {
     fn drop(&mut self) {
-        self.closing.store(true, Ordering::Relaxed);
+        self.end();
     }
 }
 

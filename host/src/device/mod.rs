@@ -86,6 +86,8 @@ impl Device {
     /// # Errors
     /// [`DeviceError::Port`].
     pub fn reconnect(&mut self) -> Result<(), DeviceError> {
+        // The old line first: a serial port can be open once.
+        self.line.end();
         self.line = Line::start(Port::open(&self.address)?);
         Ok(())
     }

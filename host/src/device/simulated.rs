@@ -4,15 +4,19 @@
 use std::io::{ErrorKind, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Control;
 use shared::device::desk::{Desk, Facts, Step, Stored};
+use shared::device::timing::TickTime;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, read_request};
 use shared::link::refusal::Refusal;
 use shared::safety::filter::ValveCommand;
+use shared::ventilator::Mode;
 use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::bench::{Bench, BenchConfig, BenchError};
@@ -20,6 +24,8 @@ use crate::port::Port;
 
 /// Control ticks between two looks at the line.
 const TICKS_AT_ONCE: usize = 16;
+/// Pause between looks in standby.
+const STANDBY_PAUSE: Duration = Duration::from_millis(1);
 /// The clock that a simulated device pretends to have, Hz; its ticks take no time.
 const CORE_HZ: u32 = 1_000_000;
 
@@ -89,25 +95,24 @@ impl Chip {
     }
 
     /// Ticks, listens and talks until the line ends.
-    fn run(&mut self, mut port: Port, stop: &AtomicBool) {
-        let mut chunk = [0; 256];
+    fn run(&mut self, port: Port, stop: &Arc<AtomicBool>) {
+        let (mut writer, heard) = (port.writer, listen(port.reader, Arc::clone(stop)));
         while !stop.load(Ordering::Relaxed) {
             for _ in 0..TICKS_AT_ONCE {
                 self.tick();
             }
-            if !self.out.is_empty() {
-                if port.writer.write_all(&self.out).is_err() {
-                    return;
-                }
-                self.out.clear();
-                continue;
+            // Nothing is measured in standby: no need to be fast.
+            let patience =
+                if self.control.mode() == Mode::Ventilating { Duration::ZERO } else { STANDBY_PAUSE };
+            match heard.recv_timeout(patience) {
+                Ok(bytes) => bytes.iter().for_each(|byte| self.hear(*byte)),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
             }
-            match port.reader.read(&mut chunk) {
-                Ok(0) => return,
-                Ok(count) => chunk[..count].iter().for_each(|byte| self.hear(*byte)),
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => {}
-                Err(_) => return,
+            if writer.write_all(&self.out).is_err() {
+                return;
             }
+            self.out.clear();
         }
     }
 
@@ -129,6 +134,7 @@ impl Chip {
         }
         let output = self.control.step(self.reading);
         self.command = output.command;
+        self.control.record(&TickTime { latency: 0, work: 0, period: Some(DEFAULT_PERIOD_US), missed: 0 });
         let mut reports = Vec::new();
         self.control.report(&output, &mut |report| {
             reports.push(report);
@@ -191,6 +197,24 @@ impl Chip {
             self.out.extend_from_slice(frame);
         }
     }
+}
+
+/// Reads a line in a thread of its own.
+fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<Vec<u8>> {
+    let (bytes, heard) = channel();
+    thread::spawn(move || {
+        let mut chunk = [0; 256];
+        while !stop.load(Ordering::Relaxed) {
+            match reader.read(&mut chunk) {
+                Ok(0) => return,
+                Ok(count) if bytes.send(chunk[..count].to_vec()).is_err() => return,
+                Ok(_) => {}
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => {}
+                Err(_) => return,
+            }
+        }
+    });
+    heard
 }
 
 /// Both halves after a start.

@@ -33,8 +33,7 @@ fn terminal() -> (Port, Address, TTYPort) {
 
 /// A simulated device and a connection to it; the terminal stays open as long as the last part lives.
 fn connected() -> (Device, Simulated, TTYPort) {
-    let (port, address, mut slave) = terminal();
-    slave.set_exclusive(false).unwrap();
+    let (port, address, slave) = terminal();
     let simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
     (Device::connect(&address).unwrap(), simulated, slave)
 }
@@ -166,8 +165,7 @@ impl<T: Read> Read for Noisy<T> {
 
 #[test]
 fn requests_get_through_a_line_that_damages_bytes() {
-    let (port, address, mut slave) = terminal();
-    slave.set_exclusive(false).unwrap();
+    let (port, address, _slave) = terminal();
     let reader = Box::new(Noisy { line: port.reader, count: 0, every: 211 });
     let noisy = Port { reader, writer: port.writer };
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), noisy).unwrap();

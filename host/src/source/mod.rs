@@ -81,6 +81,9 @@ pub enum SourceError {
         /// Breath that was running.
         breath: u32,
     },
+    /// Ctrl-C.
+    #[error("stopped before all breaths were run")]
+    Stopped,
     /// The bench steps in milliseconds.
     #[error("the bench runs in steps of 1000 us: a control period of {period_us} us is no multiple of that")]
     Period {

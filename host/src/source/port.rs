@@ -15,10 +15,11 @@ use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event
 use shared::link::refusal::Refusal;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
-use shared::weights::{IMAGE_BYTES, Identity, encode};
+use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 use super::bench::REST_TIME;
 use super::{Source, SourceError, Tick, TickTruth};
+use crate::device::upload::UploadError;
 use crate::device::{Device, DeviceError};
 
 /// How long no sample may come while the device breathes.
@@ -46,6 +47,8 @@ pub struct PortSource {
     handed: usize,
     alarm: Option<shared::safety::supervisor::Fault>,
     truth: Option<Truth>,
+    /// Images whose bytes, and so their names, are known.
+    images: Vec<Vec<u8>>,
 }
 
 impl PortSource {
@@ -77,6 +80,7 @@ impl PortSource {
             handed: 0,
             alarm: None,
             truth: None,
+            images: Vec::new(),
         })
     }
 
@@ -87,13 +91,19 @@ impl PortSource {
         self
     }
 
-    /// The device, stopped.
-    ///
-    /// # Errors
-    /// A device that cannot be reached.
-    pub fn release(mut self) -> Result<Device, SourceError> {
-        self.halt()?;
-        Ok(self.device)
+    /// An image to upload as it is when its controller is chosen, so that it keeps its name.
+    pub fn know(&mut self, image: Vec<u8>) {
+        self.images.push(image);
+    }
+
+    /// With hardware in the loop, the plant starts anew with this seed when the next breaths start.
+    pub fn reseed(&mut self, seed: u64) {
+        self.seed = (self.identity.device != DeviceKind::Ventilator).then_some(seed);
+    }
+
+    /// Who the device is.
+    pub fn identity(&self) -> &DeviceIdentity {
+        &self.identity
     }
 
     /// Stops the device and forgets what it still sends.
@@ -162,10 +172,17 @@ impl PortSource {
         let Controller::Residual(residual) = controller else {
             return Ok(ControllerChoice::Pid(controller.pid().gains()));
         };
-        let mut image = [0; IMAGE_BYTES];
-        encode(residual, &Identity::default(), &mut image)
-            .map_err(crate::device::upload::UploadError::from)?;
-        let id = u32::from_le_bytes(*image.last_chunk().unwrap_or(&[0; 4]));
+        let known =
+            self.images.iter().find(|image| decode(image).is_ok_and(|image| image.residual == *residual));
+        let image = match known {
+            Some(image) => image.clone(),
+            None => {
+                let mut image = vec![0; IMAGE_BYTES];
+                encode(residual, &Identity::default(), &mut image).map_err(UploadError::from)?;
+                image
+            }
+        };
+        let id = decode(&image).map_err(UploadError::from)?.id;
         let slot = self.identity.running.map(|slot| self.identity.slots[slot as usize]);
         if !matches!(slot, Some(SlotState::Valid { id: running, .. }) if running == id) {
             self.device.upload(&image, &mut |_| ())?;
@@ -238,13 +255,23 @@ impl Source for PortSource {
         let ticks = |device: &mut Device| device.timing(false).map(|times| times.ticks);
         let from = ticks(&mut self.device)?;
         let rest = shared::math::ticks(REST_TIME, self.period_us());
-        while ticks(&mut self.device)?.wrapping_sub(from) < rest {
+        let deadline = Instant::now() + SILENCE;
+        while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(20));
         }
         self.device.acknowledge()?;
         // The plant goes on where it was, as a patient would.
         self.seed = None;
         self.halt()
+    }
+}
+
+impl Drop for PortSource {
+    /// What it started it stops; a device that cannot be reached any more goes on by itself.
+    fn drop(&mut self) {
+        if self.running {
+            let _ = self.device.stop();
+        }
     }
 }
 
