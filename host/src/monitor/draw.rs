@@ -23,7 +23,7 @@ const NUMBERS_WIDTH: u16 = 46;
 const LEAST_CHART: u16 = 30;
 /// What the keys do.
 const KEYS: &str =
-    "space start/stop  a acknowledge  ↑↓ PIP  ←→ rate  p PID/learned  q leave, ventilation goes on";
+    "space start/stop  a acknowledge  ↑↓ PIP  ←→ rate  p PID/learned  q leave (ventilation goes on)";
 
 /// Draws a view on the whole terminal.
 pub fn draw(frame: &mut Frame, view: &View) {
@@ -47,7 +47,6 @@ fn headline(view: &View) -> Line<'static> {
     if let Some(identity) = &view.identity {
         line.push_span(format!("  {}", words::identity(identity)));
     }
-    line.push_span("  never for use on a patient".dim());
     line
 }
 
@@ -88,9 +87,10 @@ fn draw_pressure(frame: &mut Frame, area: Rect, view: &View) {
         Some(last) => format!(" pressure {:.1}, target {:.1} cmH2O ", last.pressure, last.target),
         None => " pressure: no telemetry yet ".to_owned(),
     };
+    let warning = Line::from(" never for use on a patient ").dim().right_aligned();
     let mut datasets = pieces(&target, Color::Yellow);
     datasets.extend(pieces(&measured, Color::Cyan));
-    frame.render_widget(chart(datasets, title, bounds, view), area);
+    frame.render_widget(chart(datasets, titled(title).title(warning), bounds, view), area);
 }
 
 fn draw_valves(frame: &mut Frame, area: Rect, view: &View) {
@@ -106,7 +106,7 @@ fn draw_valves(frame: &mut Frame, area: Rect, view: &View) {
     };
     let mut datasets = pieces(&expiratory, Color::DarkGray);
     datasets.extend(pieces(&inspiratory, Color::Green));
-    frame.render_widget(chart(datasets, title, [0.0, 100.0], view), area);
+    frame.render_widget(chart(datasets, titled(title), [0.0, 100.0], view), area);
 }
 
 fn pieces(pieces: &[Points], color: Color) -> Vec<Dataset<'_>> {
@@ -117,18 +117,18 @@ fn pieces(pieces: &[Points], color: Color) -> Vec<Dataset<'_>> {
     pieces.iter().map(|points| line(points.as_slice())).collect()
 }
 
-fn chart<'a>(datasets: Vec<Dataset<'a>>, title: String, bounds: [f64; 2], view: &View) -> Chart<'a> {
+fn titled(title: String) -> Block<'static> {
+    Block::new().borders(Borders::TOP).title(title)
+}
+
+fn chart<'a>(datasets: Vec<Dataset<'a>>, block: Block<'a>, bounds: [f64; 2], view: &View) -> Chart<'a> {
     let seconds = view.trace.seconds();
     let axis = Axis::default().style(Style::new().dim());
     let label = |value: f64| format!("{value:.0}");
     let time = axis.clone().bounds([-seconds, 0.0]).labels([format!("-{seconds:.0} s"), "now".to_owned()]);
     let middle = f64::midpoint(bounds[0], bounds[1]);
     let value = axis.bounds(bounds).labels([label(bounds[0]), label(middle), label(bounds[1])]);
-    Chart::new(datasets)
-        .block(Block::new().borders(Borders::TOP).title(title))
-        .x_axis(time)
-        .y_axis(value)
-        .legend_position(None)
+    Chart::new(datasets).block(block).x_axis(time).y_axis(value).legend_position(None)
 }
 
 /// Bounds of the pressure axis: whole tens around every value, 0 to 30 at least.

@@ -6,7 +6,6 @@ use crate::device::LineCounters;
 
 /// One piece of news.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "a telemetry batch is most of the news")]
 pub enum News {
     /// The device told it unasked.
     Event(Event),

@@ -20,7 +20,7 @@ const PASS_EVERY: Duration = Duration::from_millis(10);
 /// How often a broken line is tried again.
 const TRY_EVERY: Duration = Duration::from_millis(500);
 /// How long an operator who leaves waits for the telemetry to be switched off.
-const LEAVE_TIME: Duration = Duration::from_millis(300);
+const LEAVE_TIME: Duration = Duration::from_secs(1);
 /// Most events passed on between two looks at the wishes.
 const EVENTS_AT_ONCE: usize = 1000;
 /// What a look at the device asks. Its answers tell of restarts too; the greeting comes first and names the cause.

@@ -155,8 +155,8 @@ impl View {
             Err(reason) => self.message = Some(Message::Warning(reason.clone())),
             Ok(response) => {
                 self.learn(response);
-                if let Some(note) = note(request, response) {
-                    self.message = note.map(Message::Note);
+                if !asked_by_itself(request) {
+                    self.message = note(response);
                 }
             }
         }
@@ -278,17 +278,21 @@ fn remember<T>(list: &mut VecDeque<T>, newest: T) {
     list.truncate(REMEMBERED);
 }
 
-/// What to say about a request that was carried out: none where nobody asked for it by a key.
-fn note(request: &Request, response: &Response) -> Option<Option<String>> {
-    Some(match (request, response) {
-        (Request::ApplySettings(_), Response::Settings { in_force, pending }) => {
+/// Whether the monitor asks this by itself, again and again.
+fn asked_by_itself(request: &Request) -> bool {
+    use Request::{GetSettings, GetTiming, Identify, Telemetry};
+    matches!(request, Identify | GetSettings | GetTiming { .. } | Telemetry { .. })
+}
+
+/// What to say about a request that was carried out; nothing where the change shows elsewhere.
+fn note(response: &Response) -> Option<Message> {
+    let text = match response {
+        Response::Settings { in_force, pending } => {
             let Settings { pip, rate, .. } = pending.unwrap_or(*in_force);
-            Some(format!("from the next breath on: PIP {pip} cmH2O, rate {rate} /min"))
+            format!("from the next breath on: PIP {pip} cmH2O, rate {rate} /min")
         }
-        (Request::SetController(_), Response::Controller(choice)) => {
-            Some(format!("from the next breath on: {}", words::controller(*choice)))
-        }
-        (Request::Start | Request::Stop | Request::Acknowledge, _) => None,
+        Response::Controller(choice) => format!("from the next breath on: {}", words::controller(*choice)),
         _ => return None,
-    })
+    };
+    Some(Message::Note(text))
 }

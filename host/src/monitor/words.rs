@@ -17,8 +17,8 @@ pub fn mode(mode: Mode) -> String {
 /// Why the ventilator stands in its safe state.
 pub fn fault(fault: Fault) -> &'static str {
     match fault {
-        Fault::ReadingNotANumber => "pressure reading is no number",
-        Fault::ReadingOutOfRange => "pressure reading out of the sensor's range",
+        Fault::ReadingNotANumber => "sensor reading is no number",
+        Fault::ReadingOutOfRange => "sensor reading out of range",
         Fault::HighPressure => "pressure above its limit",
     }
 }
@@ -68,5 +68,5 @@ pub fn settings(settings: &Settings) -> String {
 
 /// A control tick as time since power-up.
 pub fn moment(tick: u64, period_us: u32) -> String {
-    format!("{:.3} s after power-up", tick as f64 * f64::from(period_us) * 1e-6)
+    format!("at {:.3} s", tick as f64 * f64::from(period_us) * 1e-6)
 }
