@@ -9,7 +9,7 @@ use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
 use shared::device::timing::TickTimes;
 use shared::link::messages::DeviceIdentity;
-use shared::settings::Settings;
+use shared::settings::{FIELDS, Field, Settings};
 
 use super::common::{gains, stop, stopped};
 use super::controller_args::format_gains;
@@ -119,13 +119,40 @@ fn table(state: &State) -> Table {
     row("started by", words::reset(identity.reset).to_owned());
     row("mode", words::mode(identity.mode));
     row("controller", words::controller(identity.controller));
-    row("settings", words::settings(&state.settings));
-    if let Some(next) = &state.next_settings {
-        row("of the next breath", words::settings(next));
+    for field in FIELDS {
+        row(&field.name.replace('_', " "), setting(field, state));
     }
     row("ticks", format!("{}, {} missed", ticks.ticks, ticks.missed));
     row("mean tick", us(ticks.work.mean));
     row("longest tick", us(ticks.work.longest as f32));
     row("longest latency", us(ticks.latency.longest as f32));
     table
+}
+
+/// A setting in force, and what the next breath makes of it.
+fn setting(field: &Field, state: &State) -> String {
+    let now = field.value(&state.settings);
+    let next = state
+        .next_settings
+        .as_ref()
+        .map(|next| field.value(next))
+        .filter(|next| next.total_cmp(&now).is_ne());
+    let next = next.map(|next| format!(", {next} from the next breath on")).unwrap_or_default();
+    format!("{now} {}{next}", field.unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_that_waits_for_its_breath_is_told_beside_the_one_in_force() {
+        let identity = crate::monitor::tests::identity(shared::ventilator::Mode::Ventilating);
+        let settings = Settings::default();
+        let next_settings = Some(Settings { pip: 25.0, ..settings });
+        let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());
+        let text = table(&State { port, identity, settings, next_settings, ticks, line }).to_plain();
+        assert!(text.contains("20 cmH2O, 25 from the next breath on"), "{text}");
+        assert_eq!(text.matches("from the next breath on").count(), 1, "{text}");
+    }
 }

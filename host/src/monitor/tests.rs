@@ -31,7 +31,8 @@ mod device;
 
 const PERIOD_US: u32 = 1000;
 
-fn identity(mode: Mode) -> DeviceIdentity {
+/// A ventilator with weights that a watchdog restarted.
+pub(crate) fn identity(mode: Mode) -> DeviceIdentity {
     DeviceIdentity {
         protocol: PROTOCOL,
         firmware: [0, 1, 0],
