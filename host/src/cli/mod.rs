@@ -11,6 +11,7 @@ mod demo;
 mod evaluate;
 mod fit;
 mod flash;
+mod identify;
 mod import;
 mod inspect;
 mod monitor;
@@ -51,6 +52,7 @@ enum Command {
     Flash(flash::Args),
     Inspect(inspect::Args),
     Import(import::Args),
+    Identify(identify::Args),
     Monitor(monitor::Args),
 }
 
@@ -85,6 +87,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Flash(args) => flash::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
+        Command::Identify(args) => identify::run(args),
         Command::Monitor(args) => monitor::run(args),
     }
 }
