@@ -107,6 +107,8 @@ fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
     master.set_timeout(Duration::from_millis(2)).unwrap();
     let address = Address::Serial { name: cable.name().unwrap(), baud: BAUD };
     let reader = Box::new(master.try_clone_native().unwrap());
+    // A device that cannot send for so long gives up; on a busy machine a reader may well be late.
+    master.set_timeout(LONG).unwrap();
     let port = Port { reader, writer: Box::new(master) };
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
 
