@@ -13,6 +13,7 @@ pub mod emulator;
 pub mod engine;
 pub mod evaluate;
 pub mod files;
+pub mod monitor;
 pub mod pipeline;
 pub mod port;
 pub mod provenance;

@@ -11,8 +11,10 @@ mod demo;
 mod evaluate;
 mod fit;
 mod flash;
+mod identify;
 mod import;
 mod inspect;
+mod monitor;
 mod output;
 mod pack;
 mod port_args;
@@ -50,6 +52,8 @@ enum Command {
     Flash(flash::Args),
     Inspect(inspect::Args),
     Import(import::Args),
+    Identify(identify::Args),
+    Monitor(monitor::Args),
 }
 
 /// Environment variable of the log's level.
@@ -83,6 +87,8 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Flash(args) => flash::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
+        Command::Identify(args) => identify::run(args),
+        Command::Monitor(args) => monitor::run(args),
     }
 }
 
