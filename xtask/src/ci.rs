@@ -29,12 +29,33 @@ const STEPS: &[Step] = &[
         ..step("doc", &["doc", "--no-deps", "--document-private-items"])
     },
     step("setup", &["xtask", "setup"]),
-    step(
-        "clippy-chip",
-        &["clippy", "--release", "-p", "firmware", "--target", CHIP_TARGET, "--", "-D", "warnings"],
-    ),
+    step("clippy-board", &chip_clippy("firmware", "stm32f405")),
+    step("clippy-hil", &chip_clippy("firmware", "stm32f405,hil,cost")),
+    step("clippy-f446", &chip_clippy("firmware", "stm32f446")),
+    step("clippy-shim", &chip_clippy("shim", "")),
     step("firmware", &["xtask", "firmware"]),
+    step("qemu-test", &["xtask", "qemu-test"]),
+    step("cost", &["xtask", "cost"]),
 ];
+
+/// The lints of a package for the chip, with these features.
+const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 13] {
+    [
+        "clippy",
+        "--release",
+        "-p",
+        package,
+        "--no-default-features",
+        "--features",
+        features,
+        "--bins",
+        "--target",
+        CHIP_TARGET,
+        "--",
+        "-D",
+        "warnings",
+    ]
+}
 
 const fn step(name: &'static str, cargo: &'static [&'static str]) -> Step {
     Step { name, environment: None, cargo }

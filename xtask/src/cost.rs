@@ -143,7 +143,7 @@ fn parse(output: &str) -> Result<Counted> {
 fn check_bits(counted: &Counted) -> Result<()> {
     let here = fixture::reference_bits(
         |network, inputs| network.forward_with(inputs, fixture::relu),
-        |network, inputs| network.forward(inputs),
+        fixture::Reference::forward,
     );
     ensure!(
         counted.bits == here,

@@ -74,7 +74,7 @@ impl Chip {
     /// What a load gives, extended by zeros.
     #[inline]
     pub fn load(&mut self, address: u32, width: Width, record: &Record, outside: &mut impl Outside) -> u32 {
-        let offset = address % PART_BYTES & !3;
+        let offset = (address % PART_BYTES) & !3;
         let word = match address - address % PART_BYTES {
             USART2 => self.plant_port.read(offset, outside),
             IWDG => self.iwdg.read(offset),
@@ -98,7 +98,7 @@ impl Chip {
         record: &mut Record,
         outside: &mut impl Outside,
     ) {
-        let (offset, store) = (address % PART_BYTES & !3, Store::new(address, width, value));
+        let (offset, store) = ((address % PART_BYTES) & !3, Store::new(address, width, value));
         match address - address % PART_BYTES {
             USART2 => self.plant_port.write(offset, store, outside),
             IWDG => record.note(self.iwdg.write(offset, store, outside.now())),

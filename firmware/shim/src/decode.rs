@@ -100,7 +100,7 @@ fn wide(first: u16, second: u16) -> Option<Access> {
 /// a register as offset, or a negative 8-bit offset.
 #[inline]
 fn offset_alone(second: u16) -> bool {
-    second >> 6 & 0x3F == 0 || second >> 8 & 0xF == 0b1100
+    (second >> 6).trailing_zeros() >= 6 || second >> 8 & 0xF == 0b1100
 }
 
 /// The program status register behind an instruction that was carried out in its place: the state of an IT block moves
@@ -110,7 +110,7 @@ pub fn behind(status: u32) -> u32 {
     const FIELD: u32 = 0x0600_FC00;
     let state = status >> 8 & 0xFC | status >> 25 & 3;
     // The lower five bits hold the conditions to come; none is left once the last three are zero.
-    let state = if state & 7 == 0 { 0 } else { state & 0xE0 | state << 1 & 0x1F };
+    let state = if state.trailing_zeros() >= 3 { 0 } else { state & 0xE0 | state << 1 & 0x1F };
     status & !FIELD | (state & 0xFC) << 8 | (state & 3) << 25
 }
 

@@ -9,7 +9,7 @@ use crate::store::Store;
 /// Bytes of registers.
 pub const BYTES: u32 = 0x94;
 
-const CR: usize = 0x00 / 4;
+const CR: usize = 0;
 const CFGR: usize = 0x08 / 4;
 const BDCR: usize = 0x70 / 4;
 const CSR: usize = 0x74 / 4;
@@ -55,7 +55,7 @@ impl Rcc {
     pub const fn new(flags: u32) -> Self {
         let mut registers = [0; BYTES as usize / 4];
         registers[CR] = 0x83;
-        registers[0x04 / 4] = 0x2400_3010;
+        registers[1] = 0x2400_3010;
         registers[CSR] = flags & CSR_FLAGS;
         Self { registers }
     }

@@ -14,7 +14,7 @@ use static_cell::StaticCell;
 
 use super::board::{CORE_CLOCK, Plant, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{clock, usable};
+use super::drivers::{clock, link_uart, usable};
 
 /// Reports that can wait for the link task: more than a tenth of a second of samples.
 const REPORTS_LENGTH: usize = 128;
@@ -42,6 +42,7 @@ pub async fn run(control: &'static mut Control, mut plant: SelectedPlant, mut wa
     loop {
         let number = clock::tick().await;
         let (latency, begun) = (clock::since_tick(), clock::now());
+        link_uart::go_on();
         let cue = control.cue();
         let reading = plant.read(&cue);
         let read = clock::now();

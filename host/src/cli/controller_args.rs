@@ -60,7 +60,7 @@ impl ControllerArgs {
         match (&self.controller, &self.weights) {
             (Some(file), _) => {
                 let image = common::learned(file)?.image()?;
-                self.learned(file, image.to_vec())
+                self.learned(file, image)
             }
             (None, Some(file)) => self.learned(file, read(file)?),
             (None, None) => {

@@ -84,7 +84,7 @@ struct Summary {
 
 /// Where breaths are run.
 enum Ventilator {
-    Bench(BenchConfig),
+    Bench(Box<BenchConfig>),
     Device(Box<Mutex<PortSource>>),
 }
 
@@ -112,7 +112,7 @@ impl Setup {
                 let source = port_args::source(address, &chosen, plan.seeds[0])?;
                 Ventilator::Device(Box::new(Mutex::new(source)))
             }
-            None => Ventilator::Bench(args.bench.one()?),
+            None => Ventilator::Bench(Box::new(args.bench.one()?)),
         };
         Ok(Self { ventilator, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
     }

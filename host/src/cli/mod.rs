@@ -18,6 +18,8 @@ mod monitor;
 mod output;
 mod pack;
 mod port_args;
+#[cfg(unix)]
+mod qemu;
 mod settings_args;
 mod stage_bars;
 mod train;
@@ -50,6 +52,8 @@ enum Command {
     Evaluate(evaluate::Args),
     Pack(pack::Args),
     Flash(flash::Args),
+    #[cfg(unix)]
+    Qemu(qemu::Args),
     Inspect(inspect::Args),
     Import(import::Args),
     Identify(identify::Args),
@@ -85,6 +89,8 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Pack(args) => pack::run(args),
         Command::Flash(args) => flash::run(args),
+        #[cfg(unix)]
+        Command::Qemu(args) => qemu::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
         Command::Identify(args) => identify::run(args),

@@ -18,7 +18,7 @@ const CHUNK: usize = 4096;
 
 /// An answer as it came.
 pub(super) enum Answer {
-    Response { sequence: u16, response: Response },
+    Response { sequence: u16, response: Box<Response> },
     OtherProtocol(u16),
 }
 
@@ -144,7 +144,7 @@ impl Reader {
         };
         let alive = match message {
             Ok(ToHost::Response { sequence, response }) => {
-                self.answers.send(Answer::Response { sequence, response }).is_ok()
+                self.answers.send(Answer::Response { sequence, response: Box::new(response) }).is_ok()
             }
             Ok(ToHost::Event(event)) => {
                 self.count_batch(&event);
@@ -161,6 +161,10 @@ impl Reader {
 
     fn count_batch(&mut self, event: &Event) {
         if let Event::Telemetry(batch) = event {
+            // A device that has started anew counts from zero again; what it lost while it was away are no batches.
+            if batch.sequence == 0 {
+                self.losses = self.losses.restarted();
+            }
             self.losses.arrived(batch.sequence);
             let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
             (counters.lost_batches, counters.device) = (self.losses.lost(), batch.counters);

@@ -135,7 +135,7 @@ impl Device {
             let left = deadline.saturating_duration_since(Instant::now());
             match self.line.answers.recv_timeout(left) {
                 Ok(Answer::Response { sequence, response }) if sequence == self.sequence => {
-                    return Ok(Some(response));
+                    return Ok(Some(*response));
                 }
                 // An answer that was given up on.
                 Ok(Answer::Response { .. }) => {}

@@ -28,6 +28,8 @@ fn terminal() -> (Port, Address, TTYPort) {
     master.set_timeout(Duration::from_millis(2)).unwrap();
     let address = Address::Serial { name: slave.name().unwrap(), baud: crate::port::BAUD };
     let reader = Box::new(master.try_clone_native().unwrap());
+    // Writes wait as long as it takes: the host may be busy.
+    master.set_timeout(Duration::from_mins(1)).unwrap();
     (Port { reader, writer: Box::new(master) }, address, slave)
 }
 
@@ -115,7 +117,7 @@ fn settings_in_force_and_refusals_come_back() {
 fn a_recording_over_the_line_is_that_of_the_bench_bit_for_bit() {
     let (device, _simulated, _terminal) = connected();
     let lung = BenchConfig::paper(20.0, 20.0);
-    let config = CollectConfig { breaths: 20, seed: 1 << 50 | 77, ..CollectConfig::default() };
+    let config = CollectConfig { breaths: 20, seed: (1 << 50) + 77, ..CollectConfig::default() };
     let controller = Controller::Residual(residual(3.0));
     let mut bench = BenchSource::new(&lung, controller.clone(), &config.settings, 1000, config.seed).unwrap();
     let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap();

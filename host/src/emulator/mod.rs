@@ -45,7 +45,7 @@ const LOG_FILE: &str = "qemu.log";
 /// Held while a board runs in a folder.
 const LOCK_FILE: &str = "running.lock";
 /// Longest time that the shim may take to start, even on a machine with much else to do.
-const START_PATIENCE: Duration = Duration::from_secs(60);
+const START_PATIENCE: Duration = Duration::from_mins(1);
 /// How often it is looked whether QEMU still lives while it starts.
 const LOOK: Duration = Duration::from_millis(20);
 
@@ -272,13 +272,12 @@ struct Folder {
 
 impl Folder {
     fn open(given: Option<PathBuf>, flash: Option<Vec<u8>>) -> Result<Self, EmulatorError> {
-        let (path, temporary) = match given {
-            Some(path) => (path, None),
-            None => {
-                let folder = tempfile::Builder::new().prefix("eupnea-board-").tempdir();
-                let folder = folder.map_err(tried("cannot make a temporary folder"))?;
-                (folder.path().to_owned(), Some(folder))
-            }
+        let (path, temporary) = if let Some(path) = given {
+            (path, None)
+        } else {
+            let folder = tempfile::Builder::new().prefix("eupnea-board-").tempdir();
+            let folder = folder.map_err(tried("cannot make a temporary folder"))?;
+            (folder.path().to_owned(), Some(folder))
         };
         fs::create_dir_all(&path).map_err(tried("cannot make the board's folder"))?;
         let lock = File::create(path.join(LOCK_FILE)).map_err(tried("cannot write to the board's folder"))?;

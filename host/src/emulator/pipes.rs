@@ -27,7 +27,7 @@ impl PlantThread {
     /// Makes the pipes and starts to answer.
     pub(super) fn start(folder: &Path, plant: impl PlantEnd + Send + 'static) -> io::Result<Self> {
         let pipes = [shim::REQUEST_PIPE, shim::ANSWER_PIPE].map(|pipe| folder.join(name(pipe)));
-        let held = pipes.iter().map(|pipe| make(pipe)).collect::<io::Result<_>>()?;
+        let held = pipes.iter().map(make).collect::<io::Result<_>>()?;
         let requests = File::open(&pipes[0])?;
         let answers = File::options().write(true).open(&pipes[1])?;
         let (sender, started) = channel();

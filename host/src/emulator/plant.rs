@@ -124,7 +124,7 @@ mod tests {
     impl Plant for Counter {
         fn reset(&mut self, period_us: u32, seed: u64) -> f32 {
             self.steps = 0;
-            (period_us + seed) as f32
+            (u64::from(period_us) + seed) as f32
         }
 
         fn step(&mut self, u_in: f32, _: bool) -> f32 {
@@ -153,7 +153,9 @@ mod tests {
     #[test]
     fn each_request_is_answered_in_its_tick() {
         let mut plant = LockstepPlant::new(Counter::default());
-        let reset = frame(1, Message::Reset { period_us: 1000, seed: 7 });
+        let seed = frame(0, Message::Seed { seed: 7 });
+        assert_eq!(plant.answer(&seed), frame(0, Message::Ready { pressure: 0.0 }));
+        let reset = frame(1, Message::Reset { period_us: 1000 });
         assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1007.0 }));
         let peep = frame(2, Message::Peep { pressure: 5.0 });
         assert_eq!(plant.answer(&peep), frame(2, Message::Ready { pressure: -1.0 }));
@@ -173,7 +175,7 @@ mod tests {
     fn a_board_that_starts_anew_is_not_given_an_old_answer() {
         let mut plant = LockstepPlant::new(Counter::default());
         plant.answer(&step(1, 20.0));
-        let reset = frame(1, Message::Reset { period_us: 1000, seed: 0 });
+        let reset = frame(1, Message::Reset { period_us: 1000 });
         assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1000.0 }));
     }
 

@@ -13,6 +13,7 @@ use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, SlotState};
 use shared::link::refusal::Refusal;
+use shared::link::telemetry::PackedSample;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
@@ -155,7 +156,7 @@ impl PortSource {
             }
             match self.device.events().recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(Event::Telemetry(batch)) => {
-                    self.samples.extend(batch.samples.iter().map(|packed| packed.unpack()));
+                    self.samples.extend(batch.samples.iter().map(PackedSample::unpack));
                 }
                 Ok(Event::Alarm { fault, .. }) => self.alarm = Some(fault),
                 Ok(Event::Breath(_)) => {}
@@ -174,13 +175,12 @@ impl PortSource {
         };
         let known =
             self.images.iter().find(|image| decode(image).is_ok_and(|image| image.residual == *residual));
-        let image = match known {
-            Some(image) => image.clone(),
-            None => {
-                let mut image = vec![0; IMAGE_BYTES];
-                encode(residual, &Identity::default(), &mut image).map_err(UploadError::from)?;
-                image
-            }
+        let image = if let Some(image) = known {
+            image.clone()
+        } else {
+            let mut image = vec![0; IMAGE_BYTES];
+            encode(residual, &Identity::default(), &mut image).map_err(UploadError::from)?;
+            image
         };
         let id = decode(&image).map_err(UploadError::from)?.id;
         let slot = self.identity.running.map(|slot| self.identity.slots[slot as usize]);

@@ -26,8 +26,8 @@ use crate::safety::supervisor::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
 
-/// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O,
-/// cautious on all others.
+/// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O, and safe
+/// to explore around; on a stiff lung of low resistance they ring.
 pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
 /// What the desk asks of the control half.

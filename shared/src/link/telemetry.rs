@@ -152,6 +152,12 @@ impl LossCounter {
         missing
     }
 
+    /// The same losses, and whatever comes next follows.
+    #[must_use]
+    pub fn restarted(self) -> Self {
+        Self { next: None, ..self }
+    }
+
     /// Batches lost so far.
     pub fn lost(&self) -> u64 {
         self.lost

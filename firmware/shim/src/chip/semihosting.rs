@@ -1,4 +1,4 @@
-//! Calls to the host: files and the end of the run ("Semihosting for AArch32 and `AArch64`", Arm).
+//! Calls to the host: files and the end of the run (Arm: Semihosting for `AArch32` and `AArch64`).
 
 use core::arch::asm;
 use core::ffi::CStr;

@@ -12,6 +12,7 @@ use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
 
 use super::super::board::CORE_CLOCK;
+use super::link_uart;
 
 /// Cycles of a control tick.
 pub const TICK_CYCLES: u32 = CORE_CLOCK.0 / 1_000_000 * DEFAULT_PERIOD_US;
@@ -50,6 +51,7 @@ pub async fn tick() -> u32 {
 fn SysTick() {
     let number = NUMBER.load(Ordering::Relaxed).wrapping_add(1);
     NUMBER.store(number, Ordering::Relaxed);
+    link_uart::hold();
     TICK.signal(number);
 }
 

@@ -57,6 +57,17 @@ fn USART1() {
     }
 }
 
+/// Lets the line wait while a control tick begins, so that no burst of bytes delays it. A byte lasts longer than that.
+pub fn hold() {
+    interrupt::USART1.disable();
+}
+
+/// Ends [`hold`].
+pub fn go_on() {
+    // SAFETY: the line was opened, with its handler in place, before the first tick.
+    unsafe { interrupt::USART1.enable() };
+}
+
 /// Bytes lost so far.
 pub fn lost() -> u32 {
     LOST.load(Ordering::Relaxed)
