@@ -130,7 +130,6 @@ impl Plant for TraceLung {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn the_boards_own_image_stands_in_the_safe_state_and_names_the_missing_sensor() {
     let board = Emulator::start(config("board"), Silence).unwrap();
     let mut device = connect(&board);
@@ -144,7 +143,6 @@ fn the_boards_own_image_stands_in_the_safe_state_and_names_the_missing_sensor() 
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn golden_trace_of_learned_weights_is_the_hosts_bit_for_bit() {
     let host = trace::run(trace::learned()).unwrap();
     let board = Emulator::start(config("hil"), LockstepPlant::new(TraceLung(Lung::new(5.0)))).unwrap();
@@ -176,7 +174,6 @@ fn golden_trace_of_learned_weights_is_the_hosts_bit_for_bit() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn it_ventilates_all_lungs_of_the_paper() {
     for (resistance, compliance) in
         [5.0, 20.0, 50.0].into_iter().flat_map(|r| [10.0, 20.0, 50.0].map(|c| (r, c)))
@@ -203,7 +200,6 @@ fn it_ventilates_all_lungs_of_the_paper() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_recording_over_the_link_is_that_of_the_bench_in_process_bit_for_bit() {
     let (_board, device) = breathing(config("hil"), &lung());
     let config = CollectConfig { breaths: 30, seed: (1 << 51) + 3, ..CollectConfig::default() };
@@ -223,7 +219,6 @@ fn a_recording_over_the_link_is_that_of_the_bench_in_process_bit_for_bit() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn weights_are_stored_survive_a_reset_and_a_power_cut_and_alternate() {
     let folder = tempfile::tempdir().unwrap();
     let config = || EmulatorConfig { folder: Some(folder.path().to_owned()), ..config("hil") };
@@ -244,7 +239,6 @@ fn weights_are_stored_survive_a_reset_and_a_power_cut_and_alternate() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn torn_and_damaged_images_are_refused_and_the_older_weights_run() {
     let (board, mut device) = breathing(config("hil"), &lung());
     upload(&mut device, 1);
@@ -274,7 +268,6 @@ fn torn_and_damaged_images_are_refused_and_the_older_weights_run() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
     let folder = tempfile::tempdir().unwrap();
     let config = || EmulatorConfig { folder: Some(folder.path().to_owned()), ..config("hil") };
@@ -301,7 +294,6 @@ fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason() {
     let (_board, mut device) = breathing(config("hil"), &lung());
     device.telemetry(true).unwrap();
@@ -358,7 +350,6 @@ impl Samples {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample() {
     let (_board, mut device) = breathing(config("hil"), &lung());
     device.telemetry(true).unwrap();
@@ -392,7 +383,6 @@ fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample()
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_host_that_falls_silent_and_comes_back_finds_the_device_ventilating() {
     let (board, mut device) = breathing(config("hil"), &lung());
     device.apply(paper_settings(25.0)).unwrap();
@@ -413,7 +403,6 @@ fn a_host_that_falls_silent_and_comes_back_finds_the_device_ventilating() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     let mut debugger = Debugger::connect(board.debugger_address().unwrap()).unwrap();
@@ -435,7 +424,6 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_program_that_fails_tells_the_reason_after_its_restart() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     let mut debugger = Debugger::connect(board.debugger_address().unwrap()).unwrap();
@@ -466,7 +454,6 @@ impl<P: PlantEnd> PlantEnd for Vanishing<P> {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_plant_that_vanishes_is_a_sensor_fault() {
     let bench = LockstepPlant::new(BenchPlant::new(&lung()).unwrap());
     let board = Emulator::start(config("hil"), Vanishing(bench, 5_000)).unwrap();
@@ -479,7 +466,6 @@ fn a_plant_that_vanishes_is_a_sensor_fault() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn two_runs_on_the_image_are_equal() {
     let run = || {
         let (_board, device) = breathing(config("hil"), &lung());

@@ -29,13 +29,10 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build(shell)?;
     let folder = images.folder();
     // One after the other: each keeps a core busy with QEMU and another with its plant.
-    cmd!(
-        shell,
-        "cargo test --release -p tests --test emulator --test qemu -- --ignored --test-threads=1 {filters...}"
-    )
-    .env(IMAGES, folder)
-    .quiet()
-    .run()?;
+    cmd!(shell, "cargo test -p tests --features board --test qemu -- --test-threads=1 {filters...}")
+        .env(IMAGES, folder)
+        .quiet()
+        .run()?;
     Ok(())
 }
 
