@@ -18,6 +18,8 @@ use super::{clock, usable};
 const BAUD: u32 = 1_000_000;
 /// How long to wait for an answer, cycles. The ticks that a slow plant costs are counted as missed.
 const PATIENCE: u32 = CORE_CLOCK.0 / 1_000 * 20;
+/// How long to wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
+const DOUBT: u32 = CORE_CLOCK.0 / 2_000;
 
 /// The plant line.
 pub struct PlantLine {
@@ -41,6 +43,7 @@ impl PlantLine {
 
     /// Sends a message and waits for its answer: the pressure in it, cmH2O.
     fn exchange(&mut self, message: Message) -> Option<f32> {
+        let patience = if self.unanswered.is_some() { DOUBT } else { PATIENCE };
         if self.unanswered.is_none() {
             self.tick = self.tick.wrapping_add(1);
         }
@@ -58,7 +61,7 @@ impl PlantLine {
                     self.unanswered = None;
                     return Some(pressure);
                 }
-            } else if clock::now().wrapping_sub(start) > PATIENCE {
+            } else if clock::now().wrapping_sub(start) > patience {
                 return None;
             }
         }
