@@ -172,7 +172,7 @@ mod tests {
             unreachable!("a residual was asked for");
         };
         let mut network = first.network().clone();
-        let weight = &mut network.hidden_1.weights[17][5];
+        let weight = &mut network.hidden_1.weights[5][17];
         *weight = f32::from_bits(weight.to_bits() ^ 1);
         let other = Residual::new(*first.spec(), network).unwrap();
         let last = |residual| *run(Controller::Residual(residual)).unwrap().entries.last().unwrap();

@@ -9,6 +9,10 @@
 mod chip;
 #[cfg(target_os = "none")]
 mod fixture;
+/// The plant of the golden traces.
+#[cfg(target_os = "none")]
+#[path = "../../../tests/src/plant.rs"]
+mod plant;
 
 #[cfg(not(target_os = "none"))]
 fn main() {

@@ -216,18 +216,21 @@ impl Features {
     pub fn step(&self, state: &mut FeatureState, seen: &Observation, integral: f32) -> [f32; FEATURES] {
         let error = (seen.target - seen.pressure) / ERROR_SCALE;
         state.errors.push(state.tick, error, self.error_factors);
-        let error_taps = self.spec.error_taps.iter().map(|tap| state.errors.ago(state.tick, *tap));
-        let command_taps = self.spec.command_taps.iter().map(|tap| state.commands.ago(state.tick, *tap));
-        let rest = self.clocked(seen, integral);
+        let errors = self.spec.error_taps.map(|tap| state.errors.ago(state.tick, tap));
+        let commands = self.spec.command_taps.map(|tap| state.commands.ago(state.tick, tap));
         let mut features = [0.0; FEATURES];
-        let all = error_taps
-            .chain(command_taps)
-            .chain(state.errors.averages)
-            .chain(state.commands.averages)
-            .chain(rest);
-        for (feature, value) in features.iter_mut().zip(all) {
-            *feature = value;
-        }
+        // Group by group: one chain of all values would ask itself for each of them which group it has come to.
+        let mut places = features.iter_mut();
+        let mut put = |group: &[f32]| {
+            for (value, place) in group.iter().zip(places.by_ref()) {
+                *place = *value;
+            }
+        };
+        put(&errors);
+        put(&commands);
+        put(&state.errors.averages);
+        put(&state.commands.averages);
+        put(&self.clocked(seen, integral));
         features
     }
 

@@ -131,18 +131,24 @@ impl Control {
         if self.changed {
             self.changed = false;
             self.ventilator.set_exploration(self.status.exploration);
-            if let Some(controller) = self.controller(self.status.controller) {
-                self.ventilator.set_controller(controller);
-            }
+            self.choose_controller();
         }
     }
 
-    fn controller(&self, choice: ControllerChoice) -> Option<Controller> {
-        match choice {
-            ControllerChoice::Pid(gains) => {
-                Pid::new(gains, self.ventilator.period_us()).ok().map(Controller::Pid)
+    /// Hands the ventilator the controller that was chosen. A learned one is copied straight to its place: it is kilobytes
+    /// long, and each move on the way would cost the tick as much as the network itself.
+    fn choose_controller(&mut self) {
+        match (self.status.controller, &self.learned) {
+            (ControllerChoice::Pid(gains), _) => {
+                // They were validated when they came.
+                if let Ok(pid) = Pid::new(gains, self.ventilator.period_us()) {
+                    self.ventilator.set_controller(Controller::Pid(pid));
+                }
             }
-            ControllerChoice::Learned => self.learned.clone().map(Controller::Residual),
+            (ControllerChoice::Learned, Some(residual)) => {
+                self.ventilator.set_controller(Controller::Residual(residual.clone()));
+            }
+            (ControllerChoice::Learned, None) => {}
         }
     }
 

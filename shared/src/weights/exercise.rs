@@ -81,11 +81,11 @@ mod tests {
     fn every_feature_and_layer_reaches_the_golden_value() {
         let base = built(|_, _| ());
         for input in 0..FEATURES {
-            let changed = built(|_, network| network.hidden_1.weights[3][input] += 0.5);
+            let changed = built(|_, network| network.hidden_1.weights[input][3] += 0.5);
             assert_ne!(changed, base, "input {input}");
         }
-        assert_ne!(built(|_, network| network.hidden_2.weights[2][5] += 0.1), base);
-        assert_ne!(built(|_, network| network.output.weights[0][7] += 0.1), base);
+        assert_ne!(built(|_, network| network.hidden_2.weights[5][2] += 0.1), base);
+        assert_ne!(built(|_, network| network.output.weights[7][0] += 0.1), base);
     }
 
     #[test]
