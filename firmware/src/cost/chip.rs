@@ -222,7 +222,7 @@ fn ticks(counting: &Cost) {
                 inspiring.add(&cost);
             }
             all.add(&cost);
-            plant.step(output.command);
+            plant.step(output.command.u_in(), output.command.u_out());
         }
     }
     all.print("tick", counting);
