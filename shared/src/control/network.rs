@@ -7,10 +7,10 @@
 //! On a Cortex-M4F the bound is two instructions for each weight, its load and its multiply-add, since compilers load one
 //! float at a time. What comes on top is kept small:
 //!
-//! - [`BLOCK`] sums run side by side, so that an input is loaded once for all of them. Half of the core's 32 float registers
+//! - `BLOCK` sums run side by side, so that an input is loaded once for all of them. Half of the core's 32 float registers
 //!   hold sums; with more of them the rest would not do for what is loaded.
 //! - Weights lie input by input, so that those of a block follow each other and are reached from one address.
-//! - [`STEP`] inputs are taken in one turn of the loop. Twice as many make the compiler load inputs that it then has to put
+//! - `STEP` inputs are taken in one turn of the loop. Twice as many make the compiler load inputs that it then has to put
 //!   aside.
 //! - Each layer is a function of its own, with the layer's address as the base of all others: inlined into the network, they
 //!   are too far from its start for the immediate offset of a load.
