@@ -60,27 +60,26 @@ impl<F: NorFlash> Slots<F> {
         Self { flash, starts, refused: [None; 2] }
     }
 
-    /// What both slots hold. A sound checksum is enough to count as valid, unless [`Slots::load`] refused the image.
+    /// What both slots hold; what cannot be read counts as torn. A sound checksum is enough to count as valid, unless [`Slots::load`] refused the image.
     pub fn states(&mut self) -> [SlotState; 2] {
-        [Slot::A, Slot::B].map(|slot| self.state(slot))
+        [Slot::A, Slot::B].map(|slot| self.state(slot).unwrap_or(SlotState::Torn))
     }
 
-    fn state(&mut self, slot: Slot) -> SlotState {
+    fn state(&mut self, slot: Slot) -> Result<SlotState, StoreError> {
         let (mut bytes, mut record, mut commit) = ([0; IMAGE_BYTES], [0; UNIT], [0; UNIT]);
         let start = self.starts[slot as usize];
-        let read = self.read(start, &mut bytes).and_then(|()| self.read(start + RECORD, &mut record));
-        if read.and_then(|()| self.read(start + COMMIT, &mut commit)).is_err() {
-            return SlotState::Torn;
-        }
+        self.read(start, &mut bytes)?;
+        self.read(start + RECORD, &mut record)?;
+        self.read(start + COMMIT, &mut commit)?;
         if bytes.iter().chain(&record).chain(&commit).all(|byte| *byte == ERASED) {
-            return SlotState::Empty;
+            return Ok(SlotState::Empty);
         }
-        match (generation(&record, &commit), identity(&bytes), self.refused[slot as usize]) {
+        Ok(match (generation(&record, &commit), identity(&bytes), self.refused[slot as usize]) {
             (None, ..) => SlotState::Torn,
             (Some(_), None, _) => SlotState::Invalid(ImageProblem::Checksum),
             (Some(_), Some(_), Some(problem)) => SlotState::Invalid(problem),
             (Some(generation), Some(id), None) => SlotState::Valid { generation, id },
-        }
+        })
     }
 
     /// Reads, even where the length is no multiple of the flash's word.
@@ -112,19 +111,20 @@ impl<F: NorFlash> Slots<F> {
     /// validate them before.
     ///
     /// # Errors
-    /// [`StoreError`]; the newest slot is as it was.
+    /// [`StoreError`]; the newest slot is as it was, unless the very last write failed when it was done.
     pub fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> Result<(Slot, u32), StoreError> {
-        let states = self.states();
+        // A slot that cannot be read now may be the one that runs: better no store than that one erased.
+        let states = [self.state(Slot::A)?, self.state(Slot::B)?];
         let newest = by_age(&states).first().copied();
         let (slot, generation) = match newest.map(|slot| (slot, states[slot as usize])) {
             Some((Slot::A, SlotState::Valid { generation, .. })) => (Slot::B, generation.wrapping_add(1)),
             Some((Slot::B, SlotState::Valid { generation, .. })) => (Slot::A, generation.wrapping_add(1)),
             _ => (Slot::A, 0),
         };
-        self.refused[slot as usize] = None;
         let start = self.starts[slot as usize];
         let end = start + SLOT_BYTES.next_multiple_of(F::ERASE_SIZE as u32);
         self.flash.erase(start, end).map_err(|_| StoreError::Flash)?;
+        self.refused[slot as usize] = None;
         self.write(start, image)?;
         self.write(start + RECORD, &record(generation))?;
         self.write(start + COMMIT, &COMMITTED.to_le_bytes())?;

@@ -8,8 +8,11 @@ mod selected;
 #[path = "stm32f446.rs"]
 mod selected;
 
-use embassy_stm32::Peri;
 use embassy_stm32::peripherals::{ADC1, FLASH, IWDG, TIM3, USART1, USART2};
+use embassy_stm32::rcc::{
+    AHBPrescaler, APBPrescaler, Hse, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
+};
+use embassy_stm32::{Config, Peri};
 use shared::device::control::Cue;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
@@ -131,6 +134,25 @@ fn select(_sensors: SensorParts, _valves: ValveParts, line: PlantParts) -> Selec
     // No valve should hang on this board, but one that does stays safe.
     force_valves_safe();
     SelectedPlant::new(line)
+}
+
+/// 168 MHz from a crystal of 8 MHz, on any chip of the F4 family; both serial lines' clocks divide to 1 Mbaud.
+fn clocks(crystal: Hse) -> Config {
+    let mut config = Config::default();
+    config.rcc.hse = Some(crystal);
+    config.rcc.pll_src = PllSource::HSE;
+    config.rcc.pll = Some(Pll {
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL168,
+        divp: Some(PllPDiv::DIV2),
+        divq: Some(PllQDiv::DIV7),
+        divr: None,
+    });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.ahb_pre = AHBPrescaler::DIV1;
+    config.rcc.apb1_pre = APBPrescaler::DIV4;
+    config.rcc.apb2_pre = APBPrescaler::DIV2;
+    config
 }
 
 /// Puts both valves in their safe state, whatever else has gone wrong.

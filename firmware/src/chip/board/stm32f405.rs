@@ -10,14 +10,11 @@
 //! | PA9, PA10 | USART1, the link | idle high by pull-up |
 //! | PA2, PA3 | USART2, the plant line (hardware in the loop only) | idle high by pull-up |
 
-use embassy_stm32::Config;
 use embassy_stm32::peripherals::{PA0, PA1, PA2, PA3, PA4, PA6, PA9, PA10, PB0};
-use embassy_stm32::rcc::{
-    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
-};
+use embassy_stm32::rcc::{Hse, HseMode};
 use embassy_stm32::time::Hertz;
 
-use super::{LinkParts, Parts, PlantParts, SensorParts, ValveParts};
+use super::{LinkParts, Parts, PlantParts, SensorParts, ValveParts, clocks};
 
 /// Clock of the core, and of `SysTick`.
 pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
@@ -45,7 +42,7 @@ pub type PlantTransmit = PA2;
 
 /// Starts the clocks and hands out pins and peripherals.
 pub(super) fn start() -> Parts {
-    let chip = embassy_stm32::init(clocks());
+    let chip = embassy_stm32::init(clocks(Hse { freq: CRYSTAL, mode: HseMode::Oscillator }));
     Parts {
         sensors: SensorParts { adc: chip.ADC1, airway: chip.PA0, outlet: chip.PA1, flow: chip.PA4 },
         valves: ValveParts { pwm: chip.TIM3, inspiratory: chip.PA6, expiratory: chip.PB0 },
@@ -54,22 +51,4 @@ pub(super) fn start() -> Parts {
         watchdog: chip.IWDG,
         flash: chip.FLASH,
     }
-}
-
-fn clocks() -> Config {
-    let mut config = Config::default();
-    config.rcc.hse = Some(Hse { freq: CRYSTAL, mode: HseMode::Oscillator });
-    config.rcc.pll_src = PllSource::HSE;
-    config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
-        mul: PllMul::MUL168,
-        divp: Some(PllPDiv::DIV2),
-        divq: Some(PllQDiv::DIV7),
-        divr: None,
-    });
-    config.rcc.sys = Sysclk::PLL1_P;
-    config.rcc.ahb_pre = AHBPrescaler::DIV1;
-    config.rcc.apb1_pre = APBPrescaler::DIV4;
-    config.rcc.apb2_pre = APBPrescaler::DIV2;
-    config
 }

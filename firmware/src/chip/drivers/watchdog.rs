@@ -11,7 +11,7 @@ use embassy_stm32::wdg::IndependentWatchdog;
 const PATIENCE_US: u32 = 50_000;
 /// Frequency of the watchdog's oscillator, Hz.
 const OSCILLATOR: u32 = 32_000;
-/// Prescaler of the long patience; 128 in 32 kHz are 4 ms.
+/// Prescaler of the long patience.
 const LONG_PRESCALER: Pr = Pr::DIVIDE_BY256;
 /// Reload value of the long patience: 16 s, for erasing a sector takes up to 4 s.
 const LONG_RELOAD: u16 = (16 * OSCILLATOR / 256 - 1) as u16;
@@ -48,9 +48,12 @@ pub fn patiently<T>(work: impl FnOnce() -> T) -> T {
 }
 
 fn set(prescaler: Pr, reload: u16) {
-    IWDG.kr().write(|w| w.set_key(Key::ENABLE));
-    IWDG.pr().write(|w| w.set_pr(prescaler));
-    IWDG.rlr().write(|w| w.set_rl(reload));
+    // Together: a tick that fed the watchdog in between would lock the registers again.
+    cortex_m::interrupt::free(|_| {
+        IWDG.kr().write(|w| w.set_key(Key::ENABLE));
+        IWDG.pr().write(|w| w.set_pr(prescaler));
+        IWDG.rlr().write(|w| w.set_rl(reload));
+    });
     // The watchdog takes the new values over in its own time.
     while IWDG.sr().read().pvu() || IWDG.sr().read().rvu() {}
     IWDG.kr().write(|w| w.set_key(Key::RESET));

@@ -23,6 +23,8 @@ struct Nor<const W: usize> {
     written: Box<[bool; 2 * SECTOR]>,
     /// Bytes that can still be erased or written.
     supply: usize,
+    /// First byte that cannot be read.
+    unreadable: usize,
 }
 
 #[derive(Debug)]
@@ -37,7 +39,7 @@ impl NorFlashError for Cut {
 impl<const W: usize> Nor<W> {
     fn new() -> Self {
         let (cells, written) = (Box::new([ERASED; 2 * SECTOR]), Box::new([false; 2 * SECTOR]));
-        Self { cells, written, supply: usize::MAX }
+        Self { cells, written, supply: usize::MAX, unreadable: usize::MAX }
     }
 
     fn spend(&mut self) -> Result<(), Cut> {
@@ -54,6 +56,9 @@ impl<const W: usize> ReadNorFlash for Nor<W> {
     const READ_SIZE: usize = 1;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Cut> {
+        if offset as usize + bytes.len() > self.unreadable {
+            return Err(Cut);
+        }
         bytes.copy_from_slice(&self.cells[offset as usize..][..bytes.len()]);
         Ok(())
     }
@@ -103,6 +108,15 @@ fn image(gain: f32) -> [u8; IMAGE_BYTES] {
     let mut bytes = [0; IMAGE_BYTES];
     encode(&Residual::new(spec, Network::zero()).unwrap(), &Identity::default(), &mut bytes).unwrap();
     bytes
+}
+
+/// An image with a sound checksum that promises another golden value than it gives.
+fn forged(gain: f32) -> [u8; IMAGE_BYTES] {
+    let mut forged = image(gain);
+    forged[114] ^= 1;
+    let checksum = crc32(&forged[..IMAGE_BYTES - 4]);
+    forged[IMAGE_BYTES - 4..].copy_from_slice(&checksum.to_le_bytes());
+    forged
 }
 
 fn id(image: &[u8; IMAGE_BYTES]) -> u32 {
@@ -203,14 +217,42 @@ fn a_damaged_image_is_refused_and_the_older_one_runs() {
 
 #[test]
 fn a_sound_image_that_the_decoder_refuses_falls_back_and_is_the_one_overwritten() {
-    let (old, mut forged) = (image(1.0), image(2.0));
-    forged[114] ^= 1; // the golden value
-    let checksum = crc32(&forged[..IMAGE_BYTES - 4]);
-    forged[IMAGE_BYTES - 4..].copy_from_slice(&checksum.to_le_bytes());
+    let (old, forged) = (image(1.0), forged(2.0));
     let mut slots = Slots::new(stored(stored(Nor::<4>::new(), &old), &forged), STARTS);
     assert_eq!(slots.load().unwrap().0, Slot::A);
     assert_eq!(slots.states()[1], SlotState::Invalid(ImageProblem::Golden));
     assert_eq!(slots.store(&image(3.0)).unwrap().0, Slot::B, "the slot that runs stays");
+}
+
+#[test]
+fn a_slot_that_cannot_be_read_is_not_overwritten_for_it() {
+    let (old, new) = (image(1.0), image(2.0));
+    let before = stored(stored(Nor::<4>::new(), &old), &new);
+    let mut slots = Slots::new(Nor { unreadable: SECTOR, ..before.clone() }, STARTS);
+    assert_eq!(slots.states()[1], SlotState::Torn);
+    assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash));
+    assert_eq!(slots.flash.cells, before.cells);
+}
+
+#[test]
+fn a_refused_image_stays_refused_when_its_erase_fails() {
+    let (old, forged) = (image(1.0), forged(2.0));
+    let mut slots = Slots::new(stored(stored(Nor::<4>::new(), &old), &forged), STARTS);
+    slots.load().unwrap();
+    let sound = slots.flash.cells.clone();
+    slots.flash.supply = 0;
+    assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash));
+    // The erase had no effect at all.
+    (slots.flash.cells, slots.flash.supply) = (sound, usize::MAX);
+    assert_eq!(slots.states()[1], SlotState::Invalid(ImageProblem::Golden));
+    assert_eq!(slots.store(&image(4.0)).unwrap().0, Slot::B, "the slot that runs stays");
+}
+
+#[test]
+fn an_image_without_its_commit_word_is_torn() {
+    let mut flash = stored(Nor::<4>::new(), &image(1.0));
+    flash.cells[COMMIT as usize..][..4].fill(ERASED);
+    assert_eq!(Slots::new(flash, STARTS).states()[0], SlotState::Torn);
 }
 
 #[test]
