@@ -97,13 +97,14 @@ pub fn collect(
     watch: &Watch<'_>,
 ) -> Result<Collected, CollectError> {
     check(config)?;
-    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut recording = Recording::with_extras(provenance(source, config), &TRUTH);
     let (mut breaths, mut aborts) = (0, 0);
-    source.configure(controller.clone(), exploration(config, 0));
+    let plan = plan(config);
+    source.configure(controller.clone(), exploration(config, 0))?;
+    source.upcoming(&plan)?;
     while breaths < config.breaths && aborts <= config.aborts && !watch.stopped() {
         let number = (breaths + aborts) as u32;
-        let settings = Settings { pip: pip(config, breaths, &mut rng), ..config.settings };
+        let settings = plan[breaths];
         let result = source.breath(&settings, &mut |tick| recording.push(row(tick, number, &settings)));
         match result {
             Ok(()) => breaths += 1,
@@ -111,7 +112,8 @@ pub fn collect(
                 aborts += 1;
                 recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
                 source.acknowledge()?;
-                source.configure(controller.clone(), exploration(config, aborts as u64));
+                source.configure(controller.clone(), exploration(config, aborts as u64))?;
+                source.upcoming(&plan[breaths..])?;
             }
             Err(error) => return Err(error.into()),
         }
@@ -132,6 +134,14 @@ fn check(config: &CollectConfig) -> Result<(), CollectError> {
         return Err(CollectError::PipRange(low, high));
     }
     Ok(())
+}
+
+/// Settings of every breath. A breath that the pressure limit ended is repeated.
+fn plan(config: &CollectConfig) -> Vec<Settings> {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    (0..config.breaths)
+        .map(|breath| Settings { pip: pip(config, breath, &mut rng), ..config.settings })
+        .collect()
 }
 
 /// Every second breath one of the listed waveforms in turn, the others anywhere in between.

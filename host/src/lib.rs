@@ -7,12 +7,15 @@ pub mod cli;
 pub mod collect;
 pub mod dataset;
 pub mod demo;
+pub mod device;
 #[cfg(unix)]
 pub mod emulator;
 pub mod engine;
 pub mod evaluate;
 pub mod files;
+pub mod monitor;
 pub mod pipeline;
+pub mod port;
 pub mod provenance;
 pub mod report;
 pub mod simulator;

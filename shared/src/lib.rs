@@ -22,6 +22,7 @@ pub mod explore;
 pub mod link;
 pub mod math;
 pub mod safety;
+pub mod sensor;
 pub mod settings;
 pub mod ventilator;
 pub mod weights;

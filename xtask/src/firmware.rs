@@ -1,6 +1,6 @@
 //! `cargo xtask firmware`: builds the image for the board and shows how much of the chip it takes.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use object::read::elf::{ElfFile32, FileHeader, SectionHeader};
@@ -20,22 +20,98 @@ struct Section {
     stored: bool,
 }
 
-/// Builds the release image and prints its sizes.
+/// Boards that are built besides the main one, to see that they can be: feature, and linker map.
+const OTHER_BOARDS: [(&str, &str); 1] = [("stm32f446", "firmware/memory/stm32f446.x")];
+
+/// Images of the main board.
+pub struct Images {
+    /// With sensors and valves.
+    pub board: PathBuf,
+    /// With a plant on a serial line in their place.
+    pub hil: PathBuf,
+}
+
+impl Images {
+    /// Where all images lie, the emulator's helper among them.
+    pub fn folder(&self) -> &Path {
+        self.board.parent().unwrap_or(Path::new("."))
+    }
+}
+
+/// Bytes of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size {
+    /// In flash.
+    pub flash: u64,
+    /// In RAM, without the stack.
+    pub ram: u64,
+}
+
+/// Builds all images and prints their sizes.
 pub fn run(shell: &Shell) -> Result<()> {
-    ensure!(setup::can_build(shell)?, "the toolchain cannot build for {CHIP_TARGET}; run: cargo xtask setup");
-    cmd!(shell, "cargo build --release -p firmware --target {CHIP_TARGET}").quiet().run()?;
-    let path = image(shell);
-    let file = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let images = build(shell)?;
     let regions = memory::regions(&shell.read_file("memory.x")?)?;
-    println!("{}", path.display());
-    print!("{}", report(&sections(&file)?, &regions)?);
+    for image in [&images.board, &images.hil] {
+        println!("{}", image.display());
+        print!("{}", report(&sections(&read(image)?)?, &regions)?);
+    }
+    for (board, map) in OTHER_BOARDS {
+        let image = compile(shell, board, &["--no-default-features", "--features", board])?;
+        let Size { flash, ram } = size(&image, Path::new(map))?;
+        println!("{}: flash {flash}, RAM {ram} bytes", image.display());
+    }
     Ok(())
 }
 
-/// Where cargo puts the image.
-fn image(shell: &Shell) -> PathBuf {
+/// Builds the images of the main board, and the shim that lets them run in the emulator.
+pub fn build(shell: &Shell) -> Result<Images> {
+    ensure!(setup::can_build(shell)?, "the toolchain cannot build for {CHIP_TARGET}; run: cargo xtask setup");
+    let hil = compile(shell, "hil", &["--features", "hil"])?;
+    let board = compile(shell, "board", &[])?;
+    cmd!(shell, "cargo build --release -p shim --target {CHIP_TARGET}").quiet().run()?;
+    keep(shell, "shim", "shim")?;
+    Ok(Images { board, hil })
+}
+
+/// Builds the firmware with some features and keeps the image under a name of its own.
+fn compile(shell: &Shell, name: &str, features: &[&str]) -> Result<PathBuf> {
+    cmd!(shell, "cargo build --release -p firmware --bin firmware {features...} --target {CHIP_TARGET}")
+        .quiet()
+        .run()?;
+    keep(shell, "firmware", name)
+}
+
+/// Copies what cargo built to where it is not overwritten by a build with other features; leaves an equal file alone, so
+/// that its age tells when the image changed.
+fn keep(shell: &Shell, built: &str, name: &str) -> Result<PathBuf> {
+    let folder = cargo_folder(shell).join("firmware");
+    shell.create_dir(&folder)?;
+    let from = cargo_folder(shell).join(CHIP_TARGET).join("release").join(built);
+    let to = folder.join(format!("{name}.elf"));
+    if std::fs::read(&to).ok() != Some(read(&from)?) {
+        shell.copy_file(from, &to)?;
+    }
+    Ok(to)
+}
+
+/// Where cargo builds.
+pub fn cargo_folder(shell: &Shell) -> PathBuf {
     let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
-    shell.current_dir().join(target).join(CHIP_TARGET).join("release/firmware")
+    shell.current_dir().join(target)
+}
+
+fn read(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Bytes that an image takes of a linker map's regions.
+pub fn size(image: &Path, map: &Path) -> Result<Size> {
+    let map = String::from_utf8(read(map)?)?;
+    let ram = memory::find(&memory::regions(&map)?, "RAM")?.clone();
+    let sections = sections(&read(image)?)?;
+    let bytes =
+        |chosen: &dyn Fn(&Section) -> bool| sections.iter().filter(|s| chosen(s)).map(|s| s.bytes).sum();
+    Ok(Size { flash: bytes(&|s| s.stored), ram: bytes(&|s| ram.contains(s.address)) })
 }
 
 /// The sections that take room on the chip.

@@ -2,8 +2,10 @@
 #![forbid(unsafe_code)]
 
 mod ci;
+mod cost;
 mod firmware;
 mod memory;
+mod qemu_test;
 mod setup;
 
 use std::path::Path;
@@ -28,8 +30,15 @@ struct Arguments {
 enum Command {
     /// Prepare the toolchain to build for the chip; does nothing if it can
     Setup,
-    /// Build the firmware and show how much flash and RAM it takes
+    /// Build the firmware's images and show how much flash and RAM they take
     Firmware,
+    /// Run all tests on the real image in QEMU
+    QemuTest {
+        /// Run only tests whose names hold one of these words
+        filters: Vec<String>,
+    },
+    /// Count the instructions of the control tick in QEMU and compare them with their ceilings
+    Cost(cost::Arguments),
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -53,6 +62,8 @@ fn run(arguments: &Arguments) -> Result<()> {
     match &arguments.command {
         Command::Setup => setup::run(&shell),
         Command::Firmware => firmware::run(&shell),
+        Command::QemuTest { filters } => qemu_test::run(&shell, filters),
+        Command::Cost(arguments) => cost::run(&shell, arguments),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

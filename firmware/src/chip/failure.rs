@@ -1,26 +1,59 @@
-//! What happens when the program cannot go on: the valves are put in their safe state and everything stops.
+//! What happens when the program cannot go on: the valves are put in their safe state, the reason is kept over the
+//! restart, and the chip starts anew, in standby.
 //!
-//! The chip is not restarted: a program that fails again and again would move the valves each time.
+//! After a restart nothing moves until a host asks for it, and the greeting tells the reason.
 
+use core::fmt::Write;
+use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
+use core::ptr::addr_of_mut;
 
+use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};
-use defmt::{Debug2Format, Display2Format, error};
+use defmt::{Display2Format, error};
+use heapless::String;
+use shared::link::messages::FAILURE_BYTES;
 
 use super::board;
+
+/// Marks a note that was written by this program.
+const MARK: u32 = 0x4661_696C;
+
+/// A failure's reason, kept in memory that no start of the program touches.
+struct Note {
+    mark: u32,
+    length: usize,
+    text: [u8; FAILURE_BYTES],
+}
+
+#[unsafe(link_section = ".uninit.failure")]
+static mut NOTE: MaybeUninit<Note> = MaybeUninit::uninit();
+
+/// The reason of the last failure, once; none if the program did not fail. Called before anything else runs.
+pub fn of_last_run() -> Option<String<FAILURE_BYTES>> {
+    // SAFETY: nothing else runs yet, and every bit pattern is a valid note; what was never written lacks the mark.
+    let note = unsafe { (*addr_of_mut!(NOTE)).assume_init_mut() };
+    let kept = core::mem::replace(&mut note.mark, 0) == MARK;
+    let text = note.text.get(..note.length).filter(|_| kept)?;
+    String::try_from(core::str::from_utf8(text).ok()?).ok()
+}
 
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     stop_safely();
-    error!("{}", Display2Format(info));
-    sleep()
+    let place = info.location().map_or(("", 0), |place| (place.file(), place.line()));
+    let mut text = Text(String::new());
+    // What does not fit is cut off.
+    let _ = write!(text, "{}:{}: {}", place.0, place.1, info.message());
+    start_anew(&text.0)
 }
 
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     stop_safely();
-    error!("hard fault, {}", Debug2Format(frame));
-    sleep()
+    let mut text = Text(String::new());
+    let _ = write!(text, "hard fault at {:#010x}, called from {:#010x}", frame.pc(), frame.lr());
+    start_anew(&text.0)
 }
 
 fn stop_safely() {
@@ -28,8 +61,23 @@ fn stop_safely() {
     board::force_valves_safe();
 }
 
-fn sleep() -> ! {
-    loop {
-        cortex_m::asm::wfi();
+fn start_anew(text: &str) -> ! {
+    error!("{}", Display2Format(text));
+    let mut note = Note { mark: MARK, length: text.len(), text: [0; FAILURE_BYTES] };
+    note.text[..text.len()].copy_from_slice(text.as_bytes());
+    // SAFETY: interrupts are off, so nobody else uses the note.
+    unsafe { addr_of_mut!(NOTE).write(MaybeUninit::new(note)) };
+    SCB::sys_reset()
+}
+
+/// Text that is cut off where the room ends.
+struct Text(String<FAILURE_BYTES>);
+
+impl Write for Text {
+    fn write_str(&mut self, text: &str) -> core::fmt::Result {
+        for character in text.chars() {
+            self.0.push(character).map_err(|_| core::fmt::Error)?;
+        }
+        Ok(())
     }
 }

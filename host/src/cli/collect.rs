@@ -10,12 +10,13 @@ use shared::explore::{Exploration, Range};
 use super::common::{BenchArgs, bar, stop, stopped};
 use super::controller_args::{Chosen, ControllerArgs};
 use super::output::OutputArgs;
+use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use crate::collect::{CollectConfig, Collected, collect};
 use crate::dataset::{INSPIRATION, Recording};
 use crate::evaluate::seeds;
 use crate::report::{Cell, Table};
-use crate::source::BenchSource;
+use crate::source::{BenchSource, Source};
 use crate::watch::Watch;
 
 /// Record breaths with random perturbations of a known-good controller, as in the paper
@@ -24,6 +25,7 @@ use crate::watch::Watch;
 Examples:
   trainer collect --out first.parquet
   trainer collect --out stiff.parquet --lung R50C10 --gains 2,30 --boundary-probability 0.3
+  trainer collect --out real.parquet --port /dev/ttyACM0 --breaths 60
   trainer collect --out slow.parquet --period-us 30000 --pips 15,25 --triangle-height=-20:20
 
 Ctrl-C ends the collection and saves the breaths recorded so far.")]
@@ -33,6 +35,8 @@ pub struct Args {
     out: PathBuf,
     #[command(flatten)]
     bench: BenchArgs,
+    #[command(flatten)]
+    port: PortArgs,
     /// Breaths to record
     #[arg(long, value_name = "N", default_value_t = 200)]
     breaths: usize,
@@ -155,18 +159,22 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
 }
 
 fn record(args: &Args, chosen: &Chosen, config: &CollectConfig) -> anyhow::Result<Collected> {
-    let bench = args.bench.one()?;
     let controller = &chosen.controller;
-    let mut source =
-        BenchSource::new(&bench, controller.clone(), &config.settings, chosen.period_us, config.seed)?;
+    let mut source: Box<dyn Source> = if let Some(address) = &args.port.port {
+        Box::new(port_args::source(address, chosen, config.seed)?)
+    } else {
+        let (bench, period_us) = (args.bench.one()?, chosen.period_us);
+        Box::new(BenchSource::new(&bench, controller.clone(), &config.settings, period_us, config.seed)?)
+    };
+    let plant = source.plant();
     let bar = bar("collecting", config.breaths);
     let progress = |done: u64, total: u64| {
         tracing::debug!(done, total, "breath recorded");
         bar.set_position(done);
     };
-    let collected = collect(&mut source, controller, config, &Watch::new(&progress, stop()));
+    let collected = collect(source.as_mut(), controller, config, &Watch::new(&progress, stop()));
     bar.finish_and_clear();
-    collected.with_context(|| format!("cannot collect from {}", bench.name))
+    collected.with_context(|| format!("cannot collect from {plant}"))
 }
 
 fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Collected) -> Summary {

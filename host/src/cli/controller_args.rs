@@ -8,7 +8,7 @@ use shared::control::Controller;
 use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
 use shared::device::KNOWN_GOOD;
-use shared::weights::{Image, decode};
+use shared::weights::decode;
 
 use super::common;
 
@@ -38,6 +38,8 @@ pub struct Chosen {
     pub period_us: u32,
     /// The name of a learned one: its image's checksum in hex.
     pub weights_id: Option<String>,
+    /// The bytes of a learned one.
+    pub image: Option<Vec<u8>>,
     /// As printed: gains or file.
     pub name: String,
 }
@@ -58,19 +60,20 @@ impl ControllerArgs {
         match (&self.controller, &self.weights) {
             (Some(file), _) => {
                 let image = common::learned(file)?.image()?;
-                self.learned(file, decode(&image)?)
+                self.learned(file, image.to_vec())
             }
-            (None, Some(file)) => self.learned(file, load_image(file)?),
+            (None, Some(file)) => self.learned(file, read(file)?),
             (None, None) => {
                 let (gains, period_us) =
                     (self.gains.unwrap_or(KNOWN_GOOD), self.period_us.unwrap_or(DEFAULT_PERIOD_US));
                 let (controller, name) = (common::pid(gains, period_us)?, format_gains(&gains));
-                Ok(Chosen { controller, period_us, weights_id: None, name })
+                Ok(Chosen { controller, period_us, weights_id: None, image: None, name })
             }
         }
     }
 
-    fn learned(&self, file: &Path, image: Image) -> anyhow::Result<Chosen> {
+    fn learned(&self, file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
+        let image = decode(&bytes).with_context(|| file.display().to_string())?;
         let residual: Residual = image.residual;
         let period_us = residual.spec().period_us;
         if let Some(asked) = self.period_us.filter(|asked| *asked != period_us) {
@@ -83,18 +86,18 @@ impl ControllerArgs {
             controller: Controller::Residual(residual),
             period_us,
             weights_id: Some(image_id(image.id)),
+            image: Some(bytes),
             name: file.display().to_string(),
         })
     }
 }
 
-/// An image from its file.
+/// The bytes of a file.
 ///
 /// # Errors
-/// A file that cannot be read, or whatever is wrong with the image.
-pub fn load_image(file: &Path) -> anyhow::Result<Image> {
-    let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
-    decode(&bytes).with_context(|| file.display().to_string())
+/// A file that cannot be read.
+pub fn read(file: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))
 }
 
 /// The name of an image: its checksum in hex.

@@ -1,6 +1,7 @@
 //! `trainer evaluate`: scores of a controller on a bench, a learned one beside its PID.
 
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, bail};
 use serde::Serialize;
@@ -8,15 +9,18 @@ use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 
-use super::common::{self, BenchArgs, bar, stopped};
+use super::common::{self, BenchArgs, bar, stop, stopped};
 use super::comparison::{Comparison, Pair, WaveformPair};
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::OutputArgs;
+use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use crate::bench::BenchConfig;
-use crate::evaluate::{Plan, Score, Trace, evaluate, trace};
+use crate::evaluate::{Plan, Score, Trace, evaluate, evaluate_port, trace};
 use crate::provenance::Provenance;
 use crate::report::{Block, Plot, Report, Section, Series, Style};
+use crate::source::{PortSource, Source};
+use crate::watch::Watch;
 
 /// Score a controller on the bench, a learned one beside its PID under the same noise
 #[derive(Debug, clap::Args)]
@@ -24,11 +28,13 @@ use crate::report::{Block, Plot, Report, Section, Series, Style};
 Examples:
   trainer evaluate --gains 2,30,0.01 --lung R5C50
   trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
+  trainer evaluate --weights weights.bin --port tcp:localhost:5555
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O, of the true airway pressure,
 which only the bench knows. A learned controller is compared with the PID underneath it, or with
---against.")]
+--against. On a device (--port) the weights are uploaded unless they run there already, and the measured
+pressure is scored.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
@@ -37,6 +43,8 @@ pub struct Args {
     against: Option<PidGains>,
     #[command(flatten)]
     bench: BenchArgs,
+    #[command(flatten)]
+    port: PortArgs,
     /// PIPs of the waveforms, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
@@ -63,6 +71,8 @@ struct Summary {
     lung: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     bench: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    port: Option<String>,
     controller: String,
     weights_id: Option<String>,
     gains: PidGains,
@@ -72,9 +82,15 @@ struct Summary {
     comparison: Comparison,
 }
 
-/// What runs: the bench, the PID and the learned controller.
+/// Where breaths are run.
+enum Ventilator {
+    Bench(BenchConfig),
+    Device(Box<Mutex<PortSource>>),
+}
+
+/// What runs: the ventilator, the PID and the learned controller.
 struct Setup {
-    bench: BenchConfig,
+    ventilator: Ventilator,
     pid: Controller,
     chosen: Chosen,
     plan: Plan,
@@ -84,18 +100,37 @@ impl Setup {
     fn new(args: &Args) -> anyhow::Result<Self> {
         let chosen = args.controller.chosen()?;
         let gains = args.against.unwrap_or(chosen.gains());
-        Ok(Self {
-            bench: args.bench.one()?,
-            pid: common::pid(gains, chosen.period_us)?,
-            plan: Plan {
-                period_us: chosen.period_us,
-                pips: args.pips.clone(),
-                breaths: args.breaths,
-                settings: args.settings.checked(&args.pips)?,
-                ..Plan::evaluation(args.seed)
-            },
-            chosen,
-        })
+        let plan = Plan {
+            period_us: chosen.period_us,
+            pips: args.pips.clone(),
+            breaths: args.breaths,
+            settings: args.settings.checked(&args.pips)?,
+            ..Plan::evaluation(args.seed)
+        };
+        let ventilator = match &args.port.port {
+            Some(address) => {
+                let source = port_args::source(address, &chosen, plan.seeds[0])?;
+                Ventilator::Device(Box::new(Mutex::new(source)))
+            }
+            None => Ventilator::Bench(args.bench.one()?),
+        };
+        Ok(Self { ventilator, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
+    }
+
+    /// Name of what breathes.
+    fn plant(&self) -> String {
+        match &self.ventilator {
+            Ventilator::Bench(bench) => bench.name.clone(),
+            Ventilator::Device(source) => source.lock().unwrap_or_else(PoisonError::into_inner).plant(),
+        }
+    }
+
+    /// Which pressure is scored.
+    fn pressure(&self) -> &'static str {
+        match &self.ventilator {
+            Ventilator::Bench(_) => "true airway pressure, which only the bench knows",
+            Ventilator::Device(_) => "measured airway pressure",
+        }
     }
 
     /// The learned controller, if there is one.
@@ -119,7 +154,13 @@ impl Setup {
 
     fn score(&self, name: &str, controller: &Controller, pip: f32) -> anyhow::Result<Score> {
         let plan = Plan { pips: vec![pip], ..self.plan.clone() };
-        let evaluation = evaluate(&self.bench, controller, &plan);
+        let evaluation = match &self.ventilator {
+            Ventilator::Bench(bench) => evaluate(bench, controller, &plan),
+            Ventilator::Device(source) => {
+                let mut source = source.lock().unwrap_or_else(PoisonError::into_inner);
+                evaluate_port(&mut source, controller, &plan, &Watch::new(&|_, _| (), stop()))
+            }
+        };
         Ok(evaluation.with_context(|| format!("{name}, PIP {pip} cmH2O"))?.mean)
     }
 }
@@ -132,7 +173,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("stopped before the first waveform was complete");
     }
     let title =
-        format!("{} on {}: errors of the true airway pressure, cmH2O", setup.chosen.name, setup.bench.name);
+        format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.plant(), setup.pressure());
     args.output.table(&comparison.table(&title));
     if stopped() {
         args.output.line("stopped: the waveforms run so far");
@@ -143,7 +184,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     args.output.finish(&Summary {
         seed: args.seed,
-        lung: args.bench.bench.is_none().then(|| setup.bench.name.clone()),
+        lung: (args.bench.bench.is_none() && args.port.port.is_none()).then(|| setup.plant()),
+        port: args.port.port.as_ref().map(ToString::to_string),
         bench: args.bench.bench.clone(),
         controller: setup.chosen.name.clone(),
         weights_id: setup.chosen.weights_id.clone(),
@@ -158,25 +200,30 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
     let mut sections = vec![Section {
         heading: "Figures".into(),
         text: format!(
-            "Means over {} breaths under each of {} noise sequences; PID {}. Errors are those of the true airway \
-             pressure, which only the bench knows.",
+            "Means over {} breaths under each of {} noise sequences; PID {}. Errors are those of the {}.",
             setup.plan.breaths,
             setup.plan.seeds.len(),
-            format_gains(&setup.pid.pid().gains())
+            format_gains(&setup.pid.pid().gains()),
+            setup.pressure()
         ),
         blocks: vec![Block::Table(comparison.table(""))],
     }];
-    for waveform in &comparison.waveforms {
-        sections.push(curves(setup, waveform.pip)?);
+    if let Ventilator::Bench(bench) = &setup.ventilator {
+        for waveform in &comparison.waveforms {
+            sections.push(curves(setup, bench, waveform.pip)?);
+        }
     }
     Ok(Report {
         title: "Evaluation".into(),
-        subtitle: format!("{} on {}", setup.chosen.name, setup.bench.name),
+        subtitle: format!("{} on {}", setup.chosen.name, setup.plant()),
         sections,
         provenance: Some(Provenance {
             seed: args.seed,
-            plant: setup.bench.name.clone(),
-            plant_parameters: setup.bench.to_toml(),
+            plant: setup.plant(),
+            plant_parameters: match &setup.ventilator {
+                Ventilator::Bench(bench) => bench.to_toml(),
+                Ventilator::Device(_) => String::new(),
+            },
             settings: serde_json::to_value(&setup.plan)?,
             weights_id: setup.chosen.weights_id.clone().unwrap_or_default(),
             ..Provenance::new(setup.plan.period_us, "trainer evaluate")
@@ -185,11 +232,9 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
 }
 
 /// One breath of a waveform: pressures and valves.
-fn curves(setup: &Setup, pip: f32) -> anyhow::Result<Section> {
+fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Section> {
     let seed = setup.plan.seeds.first().copied().unwrap_or_default();
-    let run = |controller| {
-        trace(&setup.bench, controller, &setup.plan.waveform(pip), setup.plan.period_us, seed, 1)
-    };
+    let run = |controller| trace(bench, controller, &setup.plan.waveform(pip), setup.plan.period_us, seed, 1);
     let mut traces = vec![("PID", run(&setup.pid)?)];
     if let Some(learned) = setup.learned() {
         traces.push(("learned", run(learned)?));

@@ -10,10 +10,14 @@ mod controller_args;
 mod demo;
 mod evaluate;
 mod fit;
+mod flash;
+mod identify;
 mod import;
 mod inspect;
+mod monitor;
 mod output;
 mod pack;
+mod port_args;
 mod settings_args;
 mod stage_bars;
 mod train;
@@ -45,8 +49,11 @@ enum Command {
     Train(train::Args),
     Evaluate(evaluate::Args),
     Pack(pack::Args),
+    Flash(flash::Args),
     Inspect(inspect::Args),
     Import(import::Args),
+    Identify(identify::Args),
+    Monitor(monitor::Args),
 }
 
 /// Environment variable of the log's level.
@@ -77,8 +84,11 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Pack(args) => pack::run(args),
+        Command::Flash(args) => flash::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
+        Command::Identify(args) => identify::run(args),
+        Command::Monitor(args) => monitor::run(args),
     }
 }
 

@@ -20,7 +20,8 @@ use shared::control::Controller;
 use shared::settings::Settings;
 
 use crate::bench::BenchConfig;
-use crate::source::{BenchSource, Source, SourceError};
+use crate::source::{BenchSource, PortSource, Source, SourceError};
+use crate::watch::Watch;
 
 /// What an evaluation runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -109,9 +110,45 @@ pub fn evaluate(
 ) -> Result<Evaluation, SourceError> {
     let jobs: Vec<(f32, u64)> =
         plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
-    let outcomes: Vec<Result<Score, SourceError>> =
-        jobs.par_iter().map(|(pip, seed)| run(bench, controller, plan, *pip, *seed)).collect();
-    let scores = outcomes.into_iter().collect::<Result<Vec<Score>, _>>()?;
+    let outcomes: Vec<Result<Score, SourceError>> = jobs
+        .par_iter()
+        .map(|(pip, seed)| {
+            let settings = plan.waveform(*pip);
+            let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
+            run(&mut source, plan, *pip)
+        })
+        .collect();
+    Ok(summarize(plan, &outcomes.into_iter().collect::<Result<Vec<_>, _>>()?))
+}
+
+/// Runs a controller on a device as planned, one waveform after the other. Where nobody knows the true pressure, the
+/// measured one is scored. `progress` gets the waveforms done and how many there are.
+///
+/// # Errors
+/// The first waveform's that could not be run.
+pub fn evaluate_port(
+    source: &mut PortSource,
+    controller: &Controller,
+    plan: &Plan,
+    watch: &Watch<'_>,
+) -> Result<Evaluation, SourceError> {
+    let mut scores = Vec::new();
+    for pip in &plan.pips {
+        for seed in &plan.seeds {
+            if watch.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            source.reseed(*seed);
+            source.configure(controller.clone(), None)?;
+            scores.push(run(source, plan, *pip)?);
+            watch.progress(scores.len(), plan.pips.len() * plan.seeds.len());
+        }
+    }
+    Ok(summarize(plan, &scores))
+}
+
+/// Scores of all runs, waveform by waveform, each under every seed.
+fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
     let seeds = plan.seeds.len();
     let waveforms: Vec<WaveformScore> = plan
         .pips
@@ -120,46 +157,42 @@ pub fn evaluate(
         .map(|(pip, scores)| WaveformScore { pip: *pip, score: Score::mean(scores) })
         .collect();
     let of_seed = |index| -> Vec<Score> { scores.iter().skip(index).step_by(seeds).copied().collect() };
-    Ok(Evaluation {
+    Evaluation {
         mean: Score::mean(&waveforms.iter().map(|w| w.score).collect::<Vec<_>>()),
         waveforms,
         by_seed: (0..seeds).map(|index| Score::mean(&of_seed(index)).score).collect(),
-    })
+    }
 }
 
-/// All breaths of one waveform under one seed.
-fn run(
-    bench: &BenchConfig,
-    controller: &Controller,
-    plan: &Plan,
-    pip: f32,
-    seed: u64,
-) -> Result<Score, SourceError> {
+/// All breaths of one waveform.
+fn run(source: &mut dyn Source, plan: &Plan, pip: f32) -> Result<Score, SourceError> {
     let settings = plan.waveform(pip);
-    let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, seed)?;
-    for _ in 0..plan.warm_up {
-        source.breath(&settings, &mut |_| ())?;
+    let mut breaths = vec![settings; plan.warm_up + plan.breaths];
+    if let Some(last) = breaths.last_mut() {
+        *last = cut_short(&settings);
     }
+    source.upcoming(&breaths)?;
     let (mut pressure, mut target) = (Vec::new(), Vec::new());
     let mut scores = Vec::with_capacity(plan.breaths);
-    for number in 1..=plan.breaths {
+    for (number, breath) in breaths.iter().enumerate() {
         pressure.clear();
         target.clear();
-        let last = number == plan.breaths;
-        let breath = if last { cut_short(&settings) } else { settings };
-        source.breath(&breath, &mut |tick| {
-            if let (Phase::Inspiration, Some(truth)) = (tick.sample.phase, tick.truth) {
-                pressure.push(f64::from(truth.airway_pressure));
+        source.breath(breath, &mut |tick| {
+            if tick.sample.phase == Phase::Inspiration {
+                let believed = tick.truth.map_or(tick.sample.pressure, |truth| truth.airway_pressure);
+                pressure.push(f64::from(believed));
                 target.push(f64::from(tick.sample.target));
             }
         })?;
-        scores.push(score_breath(&Inspiration {
-            period_s: f64::from(period_s(plan.period_us)),
-            peep: f64::from(settings.peep),
-            pip: f64::from(settings.pip),
-            pressure: &pressure,
-            target: &target,
-        }));
+        if number >= plan.warm_up {
+            scores.push(score_breath(&Inspiration {
+                period_s: f64::from(period_s(plan.period_us)),
+                peep: f64::from(settings.peep),
+                pip: f64::from(settings.pip),
+                pressure: &pressure,
+                target: &target,
+            }));
+        }
     }
     Ok(Score::mean(&scores))
 }

@@ -13,7 +13,7 @@ use crate::bench::{Bench, BenchConfig, STEP_S};
 const STEP_US: u32 = (STEP_S * 1e6) as u32;
 
 /// How long a fault's vented lung rests before the next breath, s.
-const REST_TIME: f32 = 3.0;
+pub(super) const REST_TIME: f32 = 3.0;
 
 /// A ventilator on the virtual bench.
 #[derive(Clone, Debug)]
@@ -77,8 +77,8 @@ impl BenchSource {
 }
 
 impl Bench {
-    /// The true pressures now.
-    pub(crate) fn pressures(&self) -> TickTruth {
+    /// What a recording keeps of the truth.
+    pub fn pressures(&self) -> TickTruth {
         let truth = self.truth();
         TickTruth {
             airway_pressure: truth.airway_pressure as f32,
@@ -100,8 +100,13 @@ impl Source for BenchSource {
         self.config.to_toml()
     }
 
-    fn configure(&mut self, controller: Controller, exploration: Option<Exploration>) {
+    fn configure(
+        &mut self,
+        controller: Controller,
+        exploration: Option<Exploration>,
+    ) -> Result<(), SourceError> {
         self.ventilator = ventilator(self.period_us(), controller, exploration);
+        Ok(())
     }
 
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {

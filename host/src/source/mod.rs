@@ -1,11 +1,13 @@
-//! Where samples come from: one trait for the in-process bench and, later, ports.
+//! Where samples come from: one trait for the in-process bench and for devices at a port.
 //!
 //! A [`Source`] is a whole *ventilator*: it takes settings and a controller and breathes by its own clock. What
 //! it does reaches the host as one sample per control tick.
 
 mod bench;
+mod port;
 
 pub use bench::BenchSource;
+pub use port::{PortSource, Truth};
 
 use shared::control::Controller;
 use shared::explore::Exploration;
@@ -15,6 +17,8 @@ use shared::ventilator::{Sample, Ventilator};
 use thiserror::Error;
 
 use crate::bench::BenchError;
+use crate::device::DeviceError;
+use crate::device::upload::UploadError;
 
 /// What only a bench knows of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,6 +59,31 @@ pub enum SourceError {
     /// The bench cannot be built.
     #[error(transparent)]
     Bench(#[from] BenchError),
+    /// The device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// The device does not take the weights.
+    #[error(transparent)]
+    Upload(#[from] UploadError),
+    /// Samples are missing.
+    #[error(
+        "samples are missing on the line at breath {breath}, tick {tick}; the recording up to there is sound: try a shorter cable or another port"
+    )]
+    Lost {
+        /// Breath of the first missing sample.
+        breath: u32,
+        /// Its tick.
+        tick: u32,
+    },
+    /// The device sends nothing more.
+    #[error("the device stopped sending samples in breath {breath}; look at it with `trainer identify`")]
+    Silent {
+        /// Breath that was running.
+        breath: u32,
+    },
+    /// Ctrl-C.
+    #[error("stopped before all breaths were run")]
+    Stopped,
     /// The bench steps in milliseconds.
     #[error("the bench runs in steps of 1000 us: a control period of {period_us} us is no multiple of that")]
     Period {
@@ -75,7 +104,23 @@ pub trait Source {
     fn plant_parameters(&self) -> String;
 
     /// Chooses controller and exploration; the next breath starts with them.
-    fn configure(&mut self, controller: Controller, exploration: Option<Exploration>);
+    ///
+    /// # Errors
+    /// A source that cannot be reached or cannot run the controller.
+    fn configure(
+        &mut self,
+        controller: Controller,
+        exploration: Option<Exploration>,
+    ) -> Result<(), SourceError>;
+    /// What the next breaths will be asked to run. A source that breathes by a clock of its own has to know before a
+    /// breath ends what comes after it.
+    ///
+    /// # Errors
+    /// A source that cannot be reached.
+    fn upcoming(&mut self, settings: &[Settings]) -> Result<(), SourceError> {
+        let _ = settings;
+        Ok(())
+    }
 
     /// Runs one whole breath with these settings and hands each tick to `sink`.
     ///

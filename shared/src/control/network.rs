@@ -10,6 +10,25 @@ pub const HIDDEN_2: usize = 16;
 /// Largest magnitude of a weight or bias accepted.
 pub const WEIGHT_MAX: f32 = 1.0e3;
 
+/// Rows that are summed side by side, so that an input is loaded once for all of them.
+const ROWS: usize = 4;
+
+/// Sums of some rows, each in the order of the inputs: the number of rows changes no bit.
+#[inline]
+fn rows_times<const I: usize, const R: usize>(
+    rows: &[[f32; I]; R],
+    x: &[f32; I],
+    bias: [f32; R],
+) -> [f32; R] {
+    let mut sums = bias;
+    for (column, x) in x.iter().enumerate() {
+        for (sum, row) in sums.iter_mut().zip(rows) {
+            *sum += row[column] * x;
+        }
+    }
+    sums
+}
+
 /// A fully connected layer, `O` outputs of `I` inputs: `y = weights x + bias`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dense<const I: usize, const O: usize> {
@@ -28,15 +47,17 @@ impl<const I: usize, const O: usize> Dense<I, O> {
         Self { weights: [[0.0; I]; O], bias: [0.0; O] }
     }
 
-    /// `y = weights x + bias`, summed in the order of the inputs.
+    /// `y = activation(weights x + bias)`, summed in the order of the inputs.
     #[inline]
-    pub fn forward(&self, x: &[f32; I], y: &mut [f32; O]) {
-        for ((y, row), bias) in y.iter_mut().zip(&self.weights).zip(&self.bias) {
-            let mut sum = *bias;
-            for (w, x) in row.iter().zip(x) {
-                sum += w * x;
-            }
-            *y = sum;
+    pub fn forward(&self, x: &[f32; I], y: &mut [f32; O], activation: impl Fn(f32) -> f32) {
+        let (blocks, rest) = self.weights.as_chunks::<ROWS>();
+        let (sums, last) = y.as_chunks_mut::<ROWS>();
+        let (biases, last_biases) = self.bias.as_chunks::<ROWS>();
+        for ((sums, rows), bias) in sums.iter_mut().zip(blocks).zip(biases) {
+            *sums = rows_times(rows, x, *bias).map(&activation);
+        }
+        for ((sum, row), bias) in last.iter_mut().zip(rest).zip(last_biases) {
+            [*sum] = rows_times(core::array::from_ref(row), x, [*bias]).map(&activation);
         }
     }
 
@@ -51,42 +72,44 @@ impl<const I: usize, const O: usize> Dense<I, O> {
     }
 }
 
-/// Features to residual: softsign, softsign, linear.
+/// The residual's network: features to residual as a fraction of full opening.
+pub type Network = Perceptron<FEATURES, HIDDEN_1, HIDDEN_2>;
+
+/// Two hidden layers and one linear output.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Network {
+pub struct Perceptron<const I: usize, const H1: usize, const H2: usize> {
     /// First hidden layer.
-    pub hidden_1: Dense<FEATURES, HIDDEN_1>,
+    pub hidden_1: Dense<I, H1>,
     /// Second hidden layer.
-    pub hidden_2: Dense<HIDDEN_1, HIDDEN_2>,
-    /// Output: the residual as a fraction of full opening.
-    pub output: Dense<HIDDEN_2, 1>,
+    pub hidden_2: Dense<H1, H2>,
+    /// Output.
+    pub output: Dense<H2, 1>,
 }
 
-impl Network {
+impl<const I: usize, const H1: usize, const H2: usize> Perceptron<I, H1, H2> {
     /// Sizes from input to output.
-    pub const SHAPE: [usize; 4] = [FEATURES, HIDDEN_1, HIDDEN_2, 1];
+    pub const SHAPE: [usize; 4] = [I, H1, H2, 1];
     /// Number of parameters.
-    pub const PARAMETERS: usize = Dense::<FEATURES, HIDDEN_1>::PARAMETERS
-        + Dense::<HIDDEN_1, HIDDEN_2>::PARAMETERS
-        + Dense::<HIDDEN_2, 1>::PARAMETERS;
+    pub const PARAMETERS: usize =
+        Dense::<I, H1>::PARAMETERS + Dense::<H1, H2>::PARAMETERS + Dense::<H2, 1>::PARAMETERS;
 
     /// A network that gives zero.
     pub const fn zero() -> Self {
         Self { hidden_1: Dense::zero(), hidden_2: Dense::zero(), output: Dense::zero() }
     }
 
-    /// Residual as a fraction of full opening.
-    pub fn forward(&self, features: &[f32; FEATURES]) -> f32 {
-        let (mut first, mut second, mut out) = ([0.0; HIDDEN_1], [0.0; HIDDEN_2], [0.0; 1]);
-        self.hidden_1.forward(features, &mut first);
-        for x in &mut first {
-            *x = math::softsign(*x);
-        }
-        self.hidden_2.forward(&first, &mut second);
-        for x in &mut second {
-            *x = math::softsign(*x);
-        }
-        self.output.forward(&second, &mut out);
+    /// The output, with softsign in the hidden layers.
+    pub fn forward(&self, inputs: &[f32; I]) -> f32 {
+        self.forward_with(inputs, math::softsign)
+    }
+
+    /// The output, with any activation in the hidden layers.
+    #[inline]
+    pub fn forward_with(&self, inputs: &[f32; I], activation: impl Fn(f32) -> f32) -> f32 {
+        let (mut first, mut second, mut out) = ([0.0; H1], [0.0; H2], [0.0; 1]);
+        self.hidden_1.forward(inputs, &mut first, &activation);
+        self.hidden_2.forward(&first, &mut second, &activation);
+        self.output.forward(&second, &mut out, |sum| sum);
         out[0]
     }
 
@@ -117,7 +140,7 @@ mod tests {
     fn a_layer_multiplies_and_adds() {
         let layer = Dense { weights: [[1.0, 2.0], [3.0, 4.0], [0.0, -1.0]], bias: [0.5, 0.0, 1.0] };
         let mut y = [0.0; 3];
-        layer.forward(&[10.0, 1.0], &mut y);
+        layer.forward(&[10.0, 1.0], &mut y, |sum| sum);
         assert_eq!(y.map(f32::to_bits), [12.5, 34.0, 0.0].map(f32::to_bits));
     }
 

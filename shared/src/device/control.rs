@@ -30,7 +30,7 @@ pub struct Cue {
     /// PEEP of the breath that begins, cmH2O, if it is another than before.
     pub peep: Option<f32>,
     /// Start anew, at rest, with this seed; comes in place of a step.
-    pub reset: Option<u32>,
+    pub reset: Option<u64>,
 }
 
 /// The control half.
@@ -48,7 +48,7 @@ pub struct Control {
     timer: TickTimer,
     tick: u64,
     dropped: u32,
-    seed: Option<u32>,
+    seed: Option<u64>,
     /// PEEP that the plant was told last, cmH2O.
     peep: Option<f32>,
 }
@@ -275,7 +275,7 @@ impl Control {
         Response::Timing(times)
     }
 
-    fn reset_plant(&mut self, seed: u32) -> Result<Response, Refusal> {
+    fn reset_plant(&mut self, seed: u64) -> Result<Response, Refusal> {
         if self.kind == DeviceKind::Ventilator {
             return Err(Refusal::NoPlant);
         }

@@ -57,7 +57,7 @@ pub enum Order {
         clear: bool,
     },
     /// At the next start the plant starts anew with this seed.
-    ResetPlant(u32),
+    ResetPlant(u64),
 }
 
 /// What the control half answers.

@@ -91,7 +91,7 @@ pub enum Request {
     /// [`Response::Done`]. Only with hardware in the loop.
     ResetPlant {
         /// The seed.
-        seed: u32,
+        seed: u64,
     },
 }
 

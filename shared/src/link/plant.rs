@@ -13,13 +13,14 @@
 //!
 //! | kind | direction | payload |
 //! |---|---|---|
-//! | 1 Reset | to the plant | control period in microseconds, u32; seed of its random numbers, u32 |
+//! | 1 Reset | to the plant | control period in microseconds, u32; zero, u32 |
 //! | 2 Step | to the plant | inspiratory valve in percent, f32; expiratory valve, u32: 1 open, 0 closed |
 //! | 5 Peep | to the plant | PEEP that its mechanical valve is set to, cmH2O, f32; zero, u32 |
+//! | 6 Seed | to the plant | seed of its random numbers from the next Reset on, u64 |
 //! | 3 Ready | from the plant | pressure at rest in cmH2O, f32; zero, u32 |
 //! | 4 Pressure | from the plant | pressure after the step in cmH2O, f32; zero, u32 |
 //!
-//! The ventilator sends one frame and waits for its answer: Ready to Reset and to Peep, Pressure to Step. No answer in time:
+//! The ventilator sends one frame and waits for its answer: Ready to Reset, Peep and Seed, Pressure to Step. No answer in time:
 //! it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
 //! does not step. Bytes that belong to no frame are skipped.
 //!
@@ -39,8 +40,6 @@ pub enum Message {
     Reset {
         /// Control period, microseconds.
         period_us: u32,
-        /// Seed of the plant's random numbers.
-        seed: u32,
     },
     /// One control period with these valves.
     Step {
@@ -54,7 +53,12 @@ pub enum Message {
         /// PEEP, cmH2O.
         pressure: f32,
     },
-    /// The plant has started anew, or its PEEP valve is set.
+    /// The next Reset starts the plant's random numbers with this seed; without one it starts with the seed before.
+    Seed {
+        /// The seed.
+        seed: u64,
+    },
+    /// The plant has started anew, its PEEP valve is set, or it has the seed.
     Ready {
         /// Pressure now, cmH2O.
         pressure: f32,
@@ -79,11 +83,12 @@ impl Frame {
     /// The frame's bytes.
     pub fn encode(&self) -> [u8; FRAME_BYTES] {
         let (kind, first, second) = match self.message {
-            Message::Reset { period_us, seed } => (1, period_us, seed),
+            Message::Reset { period_us } => (1, period_us, 0),
             Message::Step { u_in, u_out } => (2, u_in.to_bits(), u32::from(u_out)),
             Message::Ready { pressure } => (3, pressure.to_bits(), 0),
             Message::Pressure { pressure } => (4, pressure.to_bits(), 0),
             Message::Peep { pressure } => (5, pressure.to_bits(), 0),
+            Message::Seed { seed } => (6, seed as u32, (seed >> 32) as u32),
         };
         let mut bytes = [0; FRAME_BYTES];
         (bytes[0], bytes[1]) = (START, kind);
@@ -103,11 +108,12 @@ impl Frame {
         let second = u32::from_le_bytes([b0, b1, b2, b3]);
         let real = f32::from_bits(first);
         let message = match (start, kind, second) {
-            (START, 1, seed) => Message::Reset { period_us: first, seed },
+            (START, 1, 0) => Message::Reset { period_us: first },
             (START, 2, 0 | 1) => Message::Step { u_in: real, u_out: second == 1 },
             (START, 3, 0) => Message::Ready { pressure: real },
             (START, 4, 0) => Message::Pressure { pressure: real },
             (START, 5, 0) => Message::Peep { pressure: real },
+            (START, 6, high) => Message::Seed { seed: u64::from(high) << 32 | u64::from(first) },
             _ => return None,
         };
         Some(Self { tick: u16::from_le_bytes([t0, t1]), message })

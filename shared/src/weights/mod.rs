@@ -34,6 +34,7 @@
 mod bytes;
 pub mod exercise;
 mod image;
+pub mod slots;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

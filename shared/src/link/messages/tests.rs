@@ -73,7 +73,7 @@ fn request() -> impl Strategy<Value = Request> {
         Just(Request::Reset),
         settings().prop_map(Request::QueueSettings),
         any::<bool>().prop_map(|clear| Request::GetTiming { clear }),
-        any::<u32>().prop_map(|seed| Request::ResetPlant { seed }),
+        any::<u64>().prop_map(|seed| Request::ResetPlant { seed }),
     ]
 }
 

@@ -8,7 +8,8 @@ use super::*;
 fn frame() -> impl Strategy<Value = Frame> {
     let real = || -200.0f32..200.0;
     let message = prop_oneof![
-        (any::<u32>(), any::<u32>()).prop_map(|(period_us, seed)| Message::Reset { period_us, seed }),
+        any::<u32>().prop_map(|period_us| Message::Reset { period_us }),
+        any::<u64>().prop_map(|seed| Message::Seed { seed }),
         (real(), any::<bool>()).prop_map(|(u_in, u_out)| Message::Step { u_in, u_out }),
         real().prop_map(|pressure| Message::Ready { pressure }),
         real().prop_map(|pressure| Message::Pressure { pressure }),
@@ -41,7 +42,7 @@ fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
         Frame::decode(&bytes)
     };
     assert!(forged(8, 0).is_some());
-    for (at, value) in [(0, 0xA4), (1, 0), (1, 6), (8, 2), (11, 1)] {
+    for (at, value) in [(0, 0xA4), (1, 0), (1, 1), (1, 7), (8, 2), (11, 1)] {
         assert_eq!(forged(at, value), None, "byte {at} = {value}");
     }
 }

@@ -1,0 +1,53 @@
+//! The control task: one tick of the device per millisecond, the watchdog last.
+
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
+use shared::device::control::Control;
+use shared::device::timing::TickTime;
+use shared::device::{Answer, Order, Report};
+
+use super::board::{Plant, SelectedPlant};
+use super::drivers::clock;
+use super::drivers::watchdog::Watchdog;
+
+/// Reports that can wait for the link task: more than a tenth of a second of samples.
+const REPORTS_LENGTH: usize = 128;
+
+/// From the link task; one at a time.
+pub static ORDER: Signal<CriticalSectionRawMutex, Order> = Signal::new();
+/// To the link task.
+pub static ANSWER: Signal<CriticalSectionRawMutex, Answer> = Signal::new();
+/// To the link task.
+pub static REPORTS: Channel<CriticalSectionRawMutex, Report, REPORTS_LENGTH> = Channel::new();
+
+/// Runs for ever.
+#[embassy_executor::task]
+pub async fn run(mut control: Control, mut plant: SelectedPlant, mut watchdog: Watchdog) {
+    let mut before = None;
+    loop {
+        let number = clock::tick().await;
+        let (latency, begun) = (clock::since_tick(), clock::now());
+        let cue = control.cue();
+        let reading = plant.read(&cue);
+        let read = clock::now();
+        let output = control.step(reading);
+        plant.drive(&output.command);
+        control.report(&output, &mut |report| REPORTS.try_send(report).is_ok());
+        if let Some(order) = ORDER.try_take() {
+            ANSWER.signal(control.execute(&order));
+        }
+        let work = clock::now().wrapping_sub(read);
+        let (missed, period) = since(before, number, begun);
+        control.record(&TickTime { latency, work, period, missed });
+        before = Some((number, begun));
+        watchdog.feed();
+    }
+}
+
+/// Ticks missed since the last one, and the cycles between the starts of two that followed each other.
+fn since(before: Option<(u32, u32)>, number: u32, begun: u32) -> (u32, Option<u32>) {
+    let Some((last, start)) = before else { return (0, None) };
+    let missed = number.wrapping_sub(last).wrapping_sub(1);
+    (missed, (missed == 0).then(|| begun.wrapping_sub(start)))
+}

@@ -1,0 +1,39 @@
+//! The ventilator's own sensors and valves.
+
+use shared::device::control::Cue;
+use shared::link::messages::DeviceKind;
+use shared::safety::filter::ValveCommand;
+use shared::sensor::{Counts, Sensors};
+
+use super::super::board::Plant;
+use super::adc::Adc;
+use super::valves::Valves;
+
+/// Sensors and valves.
+pub struct Bedside {
+    adc: Adc,
+    valves: Valves,
+    sensors: Sensors,
+}
+
+impl Bedside {
+    /// Sensors and valves of a board.
+    pub fn new(adc: Adc, valves: Valves) -> Self {
+        Self { adc, valves, sensors: Sensors::default() }
+    }
+}
+
+impl Plant for Bedside {
+    const KIND: DeviceKind = DeviceKind::Ventilator;
+
+    fn read(&mut self, _cue: &Cue) -> f32 {
+        match self.adc.convert() {
+            Some([airway, outlet, flow]) => self.sensors.read(Counts { airway, outlet, flow }).pressure,
+            None => f32::NAN,
+        }
+    }
+
+    fn drive(&mut self, command: &ValveCommand) {
+        self.valves.apply(command);
+    }
+}

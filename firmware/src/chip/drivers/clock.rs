@@ -1,0 +1,73 @@
+//! Time: `SysTick` announces the control ticks, and cycles of the core's clock measure them.
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::scb::SystemHandler;
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::peripheral::{DWT, SCB, SYST};
+use cortex_m_rt::exception;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
+use shared::breath::DEFAULT_PERIOD_US;
+
+use super::super::board::CORE_CLOCK;
+
+/// Cycles of a control tick.
+pub const TICK_CYCLES: u32 = CORE_CLOCK.0 / 1_000_000 * DEFAULT_PERIOD_US;
+/// Priority of `SysTick`, the most urgent: a tick must be announced while anything else runs.
+const TICK_PRIORITY: u8 = 0x00;
+
+/// Number of the tick that has begun.
+static TICK: Signal<CriticalSectionRawMutex, u32> = Signal::new();
+static NUMBER: AtomicU32 = AtomicU32::new(0);
+/// Whether the cycle counter counts. Emulators have none; there `SysTick`'s value, which counts the same cycles, takes
+/// its place.
+static COUNTER: AtomicBool = AtomicBool::new(false);
+
+/// Starts the ticks.
+pub fn start(core: &mut Peripherals) {
+    core.DCB.enable_trace();
+    core.DWT.enable_cycle_counter();
+    let before = DWT::cycle_count();
+    cortex_m::asm::nop();
+    COUNTER.store(DWT::cycle_count() != before, Ordering::Relaxed);
+    // SAFETY: the priority is the highest there is, so no critical section that masks by priority exists above it.
+    unsafe { core.SCB.set_priority(SystemHandler::SysTick, TICK_PRIORITY) };
+    core.SYST.set_clock_source(SystClkSource::Core);
+    core.SYST.set_reload(TICK_CYCLES - 1);
+    core.SYST.clear_current();
+    core.SYST.enable_interrupt();
+    core.SYST.enable_counter();
+}
+
+/// Waits for the next tick; gives its number.
+pub async fn tick() -> u32 {
+    TICK.wait().await
+}
+
+#[exception]
+fn SysTick() {
+    let number = NUMBER.load(Ordering::Relaxed).wrapping_add(1);
+    NUMBER.store(number, Ordering::Relaxed);
+    TICK.signal(number);
+}
+
+/// Cycles since the present tick was due.
+pub fn since_tick() -> u32 {
+    (TICK_CYCLES - 1).saturating_sub(SYST::get_current())
+}
+
+/// Cycles since some moment in the past, wrapping.
+pub fn now() -> u32 {
+    if COUNTER.load(Ordering::Relaxed) {
+        return DWT::cycle_count();
+    }
+    let (number, value) = (NUMBER.load(Ordering::Relaxed), SYST::get_current());
+    if SCB::is_pendst_pending() || NUMBER.load(Ordering::Relaxed) != number {
+        // The timer began anew in between: a value read now belongs to the next tick.
+        let number = number.wrapping_add(1);
+        return number.wrapping_mul(TICK_CYCLES).wrapping_add(since_tick());
+    }
+    number.wrapping_mul(TICK_CYCLES).wrapping_add((TICK_CYCLES - 1).saturating_sub(value))
+}

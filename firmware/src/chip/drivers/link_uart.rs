@@ -1,0 +1,82 @@
+//! The link's serial line: USART1, byte by byte by interrupt.
+//!
+//! The interrupt is more urgent than the control task: at 1 Mbaud a byte lasts 10 us, less than a tick of the controller,
+//! and the receiver holds only one. It never writes the status register: a read-modify-write there would clear a
+//! byte-received flag that rose in between, and the byte with it.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_stm32::interrupt::{self, InterruptExt, Priority};
+use embassy_stm32::pac::USART1;
+use embassy_stm32::usart::{Config, Uart};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::pipe::Pipe;
+
+use super::super::board::LinkParts;
+use super::usable;
+
+/// Speed of the link, baud.
+const BAUD: u32 = 1_000_000;
+/// Bytes that wait on each way: 10 ms of the line.
+const BUFFER: usize = 1024;
+
+static RECEIVED: Pipe<CriticalSectionRawMutex, BUFFER> = Pipe::new();
+static TO_SEND: Pipe<CriticalSectionRawMutex, BUFFER> = Pipe::new();
+/// Bytes that came faster than they were taken.
+static LOST: AtomicU32 = AtomicU32::new(0);
+
+/// Opens the line.
+pub fn start(parts: LinkParts) {
+    let mut config = Config::default();
+    config.baudrate = BAUD;
+    let uart = usable(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
+    // The driver has set up pins, clock and speed; from here on the interrupt owns the registers.
+    core::mem::forget(uart);
+    interrupt::USART1.set_priority(Priority::P2);
+    USART1.cr1().modify(|w| w.set_rxneie(true));
+    // SAFETY: the handler below is there, and what it uses is static.
+    unsafe { interrupt::USART1.enable() };
+}
+
+#[embassy_stm32::interrupt]
+fn USART1() {
+    let status = USART1.sr().read();
+    if status.rxne() || status.ore() {
+        // Reading the byte clears both flags.
+        let byte = USART1.dr().read().dr() as u8;
+        if RECEIVED.try_write(&[byte]).is_err() || status.ore() {
+            LOST.store(lost().wrapping_add(1), Ordering::Relaxed);
+        }
+    }
+    if status.txe() && USART1.cr1().read().txeie() {
+        let mut byte = [0];
+        match TO_SEND.try_read(&mut byte) {
+            Ok(_) => USART1.dr().write(|w| w.set_dr(byte[0].into())),
+            Err(_) => USART1.cr1().modify(|w| w.set_txeie(false)),
+        }
+    }
+}
+
+/// Bytes lost so far.
+pub fn lost() -> u32 {
+    LOST.load(Ordering::Relaxed)
+}
+
+/// Waits for some bytes; gives how many came.
+pub async fn receive(bytes: &mut [u8]) -> usize {
+    RECEIVED.read(bytes).await
+}
+
+/// Sends bytes; waits while there is no room.
+pub async fn send(mut bytes: &[u8]) {
+    while !bytes.is_empty() {
+        let written = TO_SEND.write(bytes).await;
+        bytes = &bytes[written..];
+        cortex_m::interrupt::free(|_| USART1.cr1().modify(|w| w.set_txeie(true)));
+    }
+}
+
+/// Waits until everything is on the line.
+pub fn flush() {
+    while USART1.cr1().read().txeie() || !USART1.sr().read().tc() {}
+}

@@ -1,0 +1,105 @@
+//! Hardware in the loop: the lockstep plant link on USART2 in the place of sensors and valves.
+//!
+//! One exchange per tick, polled: the frame goes out, the answer comes in. A plant that does not answer in time gives no
+//! reading, and the same frame is sent again at the next tick.
+
+use embassy_stm32::pac::USART2;
+use embassy_stm32::usart::{Config, Uart};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::device::control::Cue;
+use shared::link::messages::DeviceKind;
+use shared::link::plant::{Decoder, Frame, Message};
+use shared::safety::filter::ValveCommand;
+
+use super::super::board::{CORE_CLOCK, Plant, PlantParts};
+use super::{clock, usable};
+
+/// Speed of the plant line, baud.
+const BAUD: u32 = 1_000_000;
+/// How long to wait for an answer, cycles. The ticks that a slow plant costs are counted as missed.
+const PATIENCE: u32 = CORE_CLOCK.0 / 1_000 * 20;
+
+/// The plant line.
+pub struct PlantLine {
+    decoder: Decoder,
+    tick: u16,
+    command: ValveCommand,
+    /// Sent and not yet answered.
+    unanswered: Option<Frame>,
+}
+
+impl PlantLine {
+    /// Opens the line.
+    pub fn new(parts: PlantParts) -> Self {
+        let mut config = Config::default();
+        config.baudrate = BAUD;
+        let uart = usable(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
+        // The driver has set up pins, clock and speed; the registers are polled from here on.
+        core::mem::forget(uart);
+        Self { decoder: Decoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }
+    }
+
+    /// Sends a message and waits for its answer: the pressure in it, cmH2O.
+    fn exchange(&mut self, message: Message) -> Option<f32> {
+        if self.unanswered.is_none() {
+            self.tick = self.tick.wrapping_add(1);
+        }
+        let frame = *self.unanswered.get_or_insert(Frame { tick: self.tick, message });
+        let start = clock::now();
+        for byte in frame.encode() {
+            while !USART2.sr().read().txe() {}
+            USART2.dr().write(|w| w.set_dr(byte.into()));
+        }
+        loop {
+            let status = USART2.sr().read();
+            if status.rxne() {
+                let byte = USART2.dr().read().dr() as u8;
+                if let Some(pressure) = self.decoder.push(byte).and_then(|answer| answered(&frame, &answer)) {
+                    self.unanswered = None;
+                    return Some(pressure);
+                }
+            } else if clock::now().wrapping_sub(start) > PATIENCE {
+                return None;
+            }
+        }
+    }
+}
+
+/// The pressure in an answer, if it is the answer to this frame.
+fn answered(asked: &Frame, answer: &Frame) -> Option<f32> {
+    if asked.tick != answer.tick {
+        return None;
+    }
+    match (asked.message, answer.message) {
+        (Message::Step { .. }, Message::Pressure { pressure })
+        | (
+            Message::Reset { .. } | Message::Peep { .. } | Message::Seed { .. },
+            Message::Ready { pressure },
+        ) => Some(pressure),
+        _ => None,
+    }
+}
+
+impl Plant for PlantLine {
+    const KIND: DeviceKind = DeviceKind::HardwareInTheLoop;
+
+    fn read(&mut self, cue: &Cue) -> f32 {
+        let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
+        let turn = |line: &mut Self| cue.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
+        // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
+        let reading = if let Some(seed) = cue.reset {
+            turn(self);
+            self.exchange(Message::Seed { seed });
+            self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US })
+        } else {
+            let reading = self.exchange(Message::Step { u_in, u_out });
+            turn(self);
+            reading
+        };
+        reading.unwrap_or(f32::NAN)
+    }
+
+    fn drive(&mut self, command: &ValveCommand) {
+        self.command = *command;
+    }
+}

@@ -1,0 +1,57 @@
+//! The independent watchdog: it restarts a chip whose control tick does not end.
+
+use embassy_stm32::Peri;
+use embassy_stm32::pac::IWDG;
+use embassy_stm32::pac::iwdg::vals::{Key, Pr};
+use embassy_stm32::peripherals;
+use embassy_stm32::wdg::IndependentWatchdog;
+
+/// How long a tick may take before the chip starts anew, microseconds. The watchdog's oscillator is off by up to a factor
+/// of two, so that this is 25 to 100 ms.
+const PATIENCE_US: u32 = 50_000;
+/// Frequency of the watchdog's oscillator, Hz.
+const OSCILLATOR: u32 = 32_000;
+/// Prescaler of the long patience; 128 in 32 kHz are 4 ms.
+const LONG_PRESCALER: Pr = Pr::DIVIDE_BY256;
+/// Reload value of the long patience: 16 s, for erasing a sector takes up to 4 s.
+const LONG_RELOAD: u16 = (16 * OSCILLATOR / 256 - 1) as u16;
+
+/// The watchdog.
+pub struct Watchdog {
+    driver: IndependentWatchdog<'static, peripherals::IWDG>,
+}
+
+impl Watchdog {
+    /// A watchdog that does not run yet.
+    pub fn new(peripheral: Peri<'static, peripherals::IWDG>) -> Self {
+        Self { driver: IndependentWatchdog::new(peripheral, PATIENCE_US) }
+    }
+
+    /// Starts it; nothing but a reset stops it again.
+    pub fn start(&mut self) {
+        self.driver.unleash();
+    }
+
+    /// Gives the next tick its time. Called once per tick, last.
+    pub fn feed(&mut self) {
+        self.driver.pet();
+    }
+}
+
+/// Runs something that stalls the core for seconds, such as erasing flash, under a long patience. Only in standby.
+pub fn patiently<T>(work: impl FnOnce() -> T) -> T {
+    let (prescaler, reload) = (IWDG.pr().read().pr(), IWDG.rlr().read().rl());
+    set(LONG_PRESCALER, LONG_RELOAD);
+    let result = work();
+    set(prescaler, reload);
+    result
+}
+
+fn set(prescaler: Pr, reload: u16) {
+    IWDG.kr().write(|w| w.set_key(Key::ENABLE));
+    IWDG.pr().write(|w| w.set_pr(prescaler));
+    IWDG.rlr().write(|w| w.set_rl(reload));
+    // The watchdog takes the new values over in its own time.
+    while IWDG.sr().read().pvu() || IWDG.sr().read().rvu() {}
+    IWDG.kr().write(|w| w.set_key(Key::RESET));
+}

@@ -1,0 +1,216 @@
+//! The measurements: each part is run many times on changing inputs, as in a breath.
+
+use core::hint::black_box;
+use core::panic::PanicInfo;
+
+use cortex_m_rt::entry;
+use cortex_m_semihosting::{debug, hprintln};
+use defmt_rtt as _;
+use embassy_stm32::pac::TIM5;
+use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+use shared::control::features::FeatureSpec;
+use shared::control::network::Network;
+use shared::control::residual::{Residual, ResidualSpec};
+use shared::control::{Controller, ControllerState, Observation};
+use shared::device::control::Control;
+use shared::device::{KNOWN_GOOD, Order, Report};
+use shared::explore::Exploration;
+use shared::link::frame::{FRAME_BYTES, encode_frame};
+use shared::link::messages::{ControllerChoice, DeviceKind, Event, ToHost};
+use shared::link::telemetry::{Batcher, Counters};
+use shared::math;
+use shared::safety::supervisor::Supervisor;
+use shared::sensor::{Counts, Sensors};
+use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
+
+use super::fixture::{Numbers, RUNS, reference_bits, relu};
+
+/// Nanoseconds of an instruction: two to the power of QEMU's icount shift.
+const INSTRUCTION_SHIFT: u32 = 3;
+/// Clock of the board that the costs are for; only the tick statistics need it.
+const CORE_HZ: u32 = 168_000_000;
+/// Ticks of the closed loop: two breaths.
+const TICKS: u32 = 6000;
+
+/// Mean and worst cost of a part, instructions.
+#[derive(Clone, Copy)]
+struct Cost {
+    runs: u32,
+    total: u64,
+    worst: u32,
+}
+
+impl Cost {
+    const NONE: Self = Self { runs: 0, total: 0, worst: 0 };
+
+    /// Counts one run of some work.
+    fn of<T>(&mut self, work: impl FnOnce() -> T) -> T {
+        let start = TIM5.cnt().read();
+        let result = black_box(work());
+        let count = TIM5.cnt().read().wrapping_sub(start) >> INSTRUCTION_SHIFT;
+        self.runs += 1;
+        self.total += u64::from(count);
+        self.worst = self.worst.max(count);
+        result
+    }
+
+    /// Prints the part without what the counting itself costs.
+    fn print(&self, name: &str, counting: &Self) {
+        let mean = self.total / u64::from(self.runs.max(1)) - u64::from(counting.worst);
+        hprintln!("{} {} {}", name, mean, self.worst - counting.worst);
+    }
+}
+
+#[entry]
+fn main() -> ! {
+    TIM5.psc().write_value(0);
+    TIM5.arr().write_value(u32::MAX);
+    TIM5.cr1().modify(|w| w.set_cen(true));
+    let mut counting = Cost::NONE;
+    for _ in 0..RUNS {
+        counting.of(|| ());
+    }
+    networks(&counting);
+    parts(&counting);
+    telemetry(&counting);
+    boot(&counting);
+    ticks(&counting);
+    debug::exit(debug::EXIT_SUCCESS);
+    unreachable!("the emulator has ended")
+}
+
+/// The reference network, 40-32-32-1, with the peers' activation and with the product's. The bits of the outputs are
+/// printed too, for the host to compare.
+fn networks(counting: &Cost) {
+    let (mut with_relu, mut with_softsign) = (Cost::NONE, Cost::NONE);
+    let [relu_bits, softsign_bits] = reference_bits(
+        |network, inputs| with_relu.of(|| black_box(network).forward_with(black_box(inputs), relu)),
+        |network, inputs| with_softsign.of(|| black_box(network).forward(black_box(inputs))),
+    );
+    with_relu.print("network_40_32_32_1_relu", counting);
+    with_softsign.print("network_40_32_32_1_softsign", counting);
+    hprintln!("bits {} {}", relu_bits, softsign_bits);
+}
+
+fn residual() -> Residual {
+    let mut network = Network::zero();
+    Numbers(2).fill(network.parameters_mut());
+    let spec = ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains: KNOWN_GOOD,
+        lambda: 0.5,
+        authority: 30.0,
+        features: FeatureSpec::default(),
+    };
+    match Residual::new(spec, network) {
+        Ok(residual) => residual,
+        Err(_) => unreachable!("the specification is in bounds"),
+    }
+}
+
+/// The parts of a tick, each by itself.
+fn parts(counting: &Cost) {
+    let residual = residual();
+    let controller = Controller::Residual(residual.clone());
+    let pid = Controller::Pid(*residual.pid());
+    let breath = shared::breath::Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US);
+    let Ok(breath) = breath else { unreachable!("the paper's settings are in bounds") };
+    let (mut supervisor, mut sensors) = (Supervisor::new(), Sensors::default());
+    let (mut state, mut pid_state) = (ControllerState::new(), ControllerState::new());
+    let mut costs = [Cost::NONE; 6];
+    let [sensor, monitors, network, learned, plain, explore] = &mut costs;
+    let mut numbers = Numbers(3);
+    for run in 0..RUNS {
+        let counts = Counts { airway: 2500 + run as u16, outlet: 2510, flow: 2100 };
+        let reading = sensor.of(|| sensors.read(black_box(counts)));
+        monitors.of(|| supervisor.check(black_box(reading.pressure), &breath));
+        let pressure = 15.0 + 5.0 * numbers.next();
+        let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run };
+        let features = numbers.array();
+        network.of(|| residual.network().forward(black_box(&features)));
+        learned.of(|| {
+            let command = controller.step(&mut state, black_box(&seen));
+            controller.applied(&mut state, command);
+        });
+        plain.of(|| pid.step(&mut pid_state, black_box(&seen)));
+        explore.of(|| Exploration::default().perturbation(&breath, black_box(run)));
+    }
+    for (name, cost) in
+        ["sensor", "monitors", "network", "residual_controller", "pid", "exploration"].iter().zip(&costs)
+    {
+        cost.print(name, counting);
+    }
+    let mut softsign = Cost::NONE;
+    softsign.of(|| math::softsign(black_box(0.3)));
+    softsign.print("softsign", counting);
+}
+
+/// Packing a sample, and encoding a full batch, which is the link's work and not the tick's.
+fn telemetry(counting: &Cost) {
+    let (mut pack, mut encoding) = (Cost::NONE, Cost::NONE);
+    let mut batcher = Batcher::new();
+    let mut control = control();
+    control.execute(&Order::Start);
+    for tick in 0..u64::from(RUNS) {
+        let Some(sample) = control.step(5.0).sample else { continue };
+        let batch = pack.of(|| batcher.push(tick, black_box(&sample), &Counters::ZERO));
+        if let Some(batch) = batch {
+            let event = ToHost::Event(Event::Telemetry(batch));
+            let mut buffer = [0; FRAME_BYTES];
+            let _ = encoding.of(|| encode_frame(black_box(&event), &mut buffer).map(<[u8]>::len));
+        }
+    }
+    pack.print("telemetry_sample", counting);
+    encoding.print("telemetry_frame", counting);
+}
+
+/// Validating the weights at the start of the program.
+fn boot(counting: &Cost) {
+    let mut image = [0; IMAGE_BYTES];
+    if encode(&residual(), &Identity::default(), &mut image).is_err() {
+        unreachable!("the buffer is long enough");
+    }
+    let mut cost = Cost::NONE;
+    if cost.of(|| decode(black_box(&image)).is_err()) {
+        unreachable!("the image was packed here");
+    }
+    cost.print("boot_decode_weights", counting);
+}
+
+fn control() -> Control {
+    match Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ) {
+        Ok(control) => control,
+        Err(_) => unreachable!("the default control period is in bounds"),
+    }
+}
+
+/// Whole ticks of the device's control half, learned and exploring, against a lung that fills and empties.
+fn ticks(counting: &Cost) {
+    let mut control = control();
+    control.execute(&Order::Exploration(Some(Exploration::default())));
+    control.execute(&Order::Controller(ControllerChoice::Learned));
+    control.execute(&Order::Start);
+    let (mut cost, mut pressure) = (Cost::NONE, 5.0_f32);
+    for _ in 0..TICKS {
+        let command = cost.of(|| {
+            let output = control.step(black_box(pressure));
+            control.report(&output, &mut |report: Report| {
+                black_box(report);
+                true
+            });
+            output.command
+        });
+        let flow = if command.u_out() { 0.1 * (5.0 - pressure) } else { 0.004 * command.u_in() };
+        pressure = math::limit(pressure + flow - 0.002 * (pressure - 5.0), 0.0, 40.0);
+    }
+    cost.print("tick", counting);
+}
+
+#[panic_handler]
+fn panic(info: &PanicInfo) -> ! {
+    hprintln!("{}", info);
+    debug::exit(debug::EXIT_FAILURE);
+    loop {
+        cortex_m::asm::nop();
+    }
+}

@@ -1,0 +1,121 @@
+//! `trainer flash`: brings weights onto a device, over its link, or the firmware, by a debug probe.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+use indicatif::ProgressBar;
+use serde::Serialize;
+use shared::link::messages::{DeviceIdentity, Slot, SlotState};
+use shared::weights::{IMAGE_BYTES, decode};
+
+use super::common::bar;
+use super::controller_args::{image_id, read};
+use super::output::OutputArgs;
+use crate::device::Device;
+use crate::port::Address;
+
+/// Chip of the main board, as the probe's software names it.
+const CHIP: &str = "STM32F405RG";
+
+/// Bring learned weights (or, with --firmware, the firmware) onto a device
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer flash weights.bin --port /dev/ttyACM0
+  trainer flash weights.bin --port tcp:localhost:5555 --no-reset
+  trainer flash --firmware target/firmware/board.elf
+
+Weights go into the slot that does not run, are read back, and run after a restart; until then, and if
+anything goes wrong, the old ones stay. An upload that was broken off goes on where it was. A device that
+ventilates refuses. The firmware is loaded through probe-rs and a debug probe.")]
+pub struct Args {
+    /// Weights, as packed by `trainer pack`
+    #[arg(value_name = "weights.bin", required_unless_present = "firmware", requires = "port")]
+    weights: Option<PathBuf>,
+    /// The device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT")]
+    port: Option<Address>,
+    /// Store the weights, but let the old ones run until the next restart
+    #[arg(long)]
+    no_reset: bool,
+    /// Firmware image to load by the debug probe
+    #[arg(long, value_name = "FILE.elf", conflicts_with_all = ["weights", "port"])]
+    firmware: Option<PathBuf>,
+    /// Chip that the firmware is for
+    #[arg(long, value_name = "NAME", default_value = CHIP, requires = "firmware")]
+    chip: String,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Summary {
+    weights_id: String,
+    slot: Slot,
+    running: Option<String>,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    match (&args.weights, &args.port, &args.firmware) {
+        (Some(weights), Some(port), _) => flash_weights(args, weights, port),
+        (_, _, Some(firmware)) => flash_firmware(firmware, &args.chip),
+        _ => bail!("give weights and a port, or --firmware"),
+    }
+}
+
+fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()> {
+    let image = read(file)?;
+    decode(&image).with_context(|| file.display().to_string())?;
+    let mut device = Device::connect(port)?;
+    device.identify()?;
+    let bar: ProgressBar = bar("sending weights, bytes", IMAGE_BYTES);
+    let uploaded = device.upload(&image, &mut |arrived| bar.set_position(arrived as u64));
+    bar.finish_and_clear();
+    let uploaded = uploaded?;
+    let id = image_id(uploaded.id);
+    args.output.line(&format!("weights {id} are stored and verified in slot {:?}", uploaded.slot));
+    let mut summary = Summary { weights_id: id.clone(), slot: uploaded.slot, running: None };
+    if args.no_reset {
+        args.output.line("they run after the next restart");
+    } else {
+        summary.running = running(&device.restart()?);
+        match summary.running.as_ref() {
+            Some(running) if *running == id => args.output.line("restarted: they run now"),
+            other => bail!(
+                "after the restart the device runs {}; look at it with: trainer identify --port {port}",
+                other.map_or("no weights", String::as_str)
+            ),
+        }
+    }
+    args.output.finish(&summary)
+}
+
+/// Name of the weights that were loaded at the start.
+fn running(identity: &DeviceIdentity) -> Option<String> {
+    match identity.slots[identity.running? as usize] {
+        SlotState::Valid { id, .. } => Some(image_id(id)),
+        _ => None,
+    }
+}
+
+fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {
+    if !image.exists() {
+        bail!("there is no {}; build it with: cargo xtask firmware", image.display());
+    }
+    let status =
+        match Command::new("probe-rs").args(["download", "--verify", "--chip", chip]).arg(image).status() {
+            Ok(status) => status,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                bail!("probe-rs is not installed; install it with: cargo install probe-rs-tools --locked")
+            }
+            Err(error) => return Err(error).context("cannot run probe-rs"),
+        };
+    if !status.success() {
+        bail!("probe-rs failed, as it says above; is the probe plugged in and the board powered?");
+    }
+    println!("loaded and verified; press the board's reset, or switch it off and on");
+    Ok(())
+}

@@ -1,0 +1,158 @@
+//! `trainer monitor`: shows what a device is doing, and lets an operator start, stop and set it.
+
+use std::io::{IsTerminal, Write, stdout};
+use std::time::Duration;
+
+use anyhow::bail;
+use serde::Serialize;
+use shared::control::pid::PidGains;
+use shared::device::KNOWN_GOOD;
+use shared::device::timing::TickTimes;
+use shared::link::messages::DeviceIdentity;
+use shared::settings::{FIELDS, Field, Settings};
+
+use super::common::{gains, stop, stopped};
+use super::controller_args::format_gains;
+use super::output::OutputArgs;
+use crate::device::{Device, LineCounters};
+use crate::monitor::plain::Lines;
+use crate::monitor::session::Session;
+use crate::monitor::view::View;
+use crate::monitor::{terminal, words};
+use crate::port::Address;
+use crate::report::{Cell, Table};
+
+/// Watch a device: pressure, valves, breaths, alarms, tick times; start, stop and set it by keys
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer monitor --port /dev/ttyACM0
+  trainer monitor --port tcp:localhost:5555 --plain | tee night.log
+  trainer monitor --port COM3 --once --json -
+
+Keys: space starts and stops, a acknowledges a fault, up and down change PIP, left and right the rate, p changes between
+PID and learned weights, q leaves. Nothing is sent to the device but telemetry on and what a key asks; whoever leaves
+leaves the device as it is, and one that ventilates goes on.")]
+pub struct Args {
+    /// Where the device is: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT")]
+    port: Address,
+    /// Write lines in place of pictures; so does an output that is no terminal
+    #[arg(long, conflicts_with = "once")]
+    plain: bool,
+    /// Tell what the device is doing, and end
+    #[arg(long)]
+    once: bool,
+    /// Gains that p gives to a device that runs learned weights, unless it has named its own
+    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&KNOWN_GOOD))]
+    gains: PidGains,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// How long the line output waits for news before it looks whether to stop.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    if args.output.json.is_some() && !args.once {
+        bail!("--json tells the state once: give --once as well, or leave --json out");
+    }
+    let mut device = Device::connect(&args.port)?;
+    if args.once {
+        return once(args, &mut device);
+    }
+    // Whoever cannot be greeted is told now, as by any other command; later a lost device is waited for.
+    device.identify()?;
+    let session = Session::start(device);
+    if args.plain || !stdout().is_terminal() {
+        write_lines(&session);
+        session.leave();
+        return Ok(());
+    }
+    let mut view = View::new(args.port.to_string(), args.gains);
+    let shown = terminal::run(&session, &mut view, stop());
+    session.leave();
+    args.output.line(&view.farewell());
+    Ok(shown?)
+}
+
+/// Writes lines until Ctrl-C, or until nobody reads them any more.
+fn write_lines(session: &Session) {
+    let mut lines = Lines::default();
+    while !stopped() {
+        for line in session.next(PATIENCE).iter().flat_map(|news| lines.take(news)) {
+            if writeln!(stdout(), "{line}").is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct State {
+    port: String,
+    identity: DeviceIdentity,
+    settings: Settings,
+    next_settings: Option<Settings>,
+    ticks: TickTimes,
+    line: LineCounters,
+}
+
+fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
+    let identity = device.identify()?;
+    let (settings, next_settings) = device.settings()?;
+    let ticks = device.timing(false)?;
+    let (port, line) = (args.port.to_string(), device.counters());
+    let state = State { port, identity, settings, next_settings, ticks, line };
+    args.output.table(&table(&state));
+    args.output.finish(&state)
+}
+
+fn table(state: &State) -> Table {
+    let State { identity, ticks, .. } = state;
+    let us = |cycles: f32| format!("{:.1} us", ticks.microseconds(cycles));
+    let mut table = Table::new("", &["device", &state.port]);
+    let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
+    row("is", words::identity(identity));
+    row("started by", words::reset(identity.reset).to_owned());
+    row("mode", words::mode(identity.mode));
+    row("controller", words::controller(identity.controller));
+    for field in FIELDS {
+        row(&field.name.replace('_', " "), setting(field, state));
+    }
+    row("ticks", format!("{}, {} missed", ticks.ticks, ticks.missed));
+    row("mean tick", us(ticks.work.mean));
+    row("longest tick", us(ticks.work.longest as f32));
+    row("longest latency", us(ticks.latency.longest as f32));
+    table
+}
+
+/// A setting in force, and what the next breath makes of it.
+fn setting(field: &Field, state: &State) -> String {
+    let now = field.value(&state.settings);
+    let next = state
+        .next_settings
+        .as_ref()
+        .map(|next| field.value(next))
+        .filter(|next| next.total_cmp(&now).is_ne());
+    let next = next.map(|next| format!(", {next} from the next breath on")).unwrap_or_default();
+    format!("{now} {}{next}", field.unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_that_waits_for_its_breath_is_told_beside_the_one_in_force() {
+        let identity = crate::monitor::tests::identity(shared::ventilator::Mode::Ventilating);
+        let settings = Settings::default();
+        let next_settings = Some(Settings { pip: 25.0, ..settings });
+        let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());
+        let text = table(&State { port, identity, settings, next_settings, ticks, line }).to_plain();
+        assert!(text.contains("20 cmH2O, 25 from the next breath on"), "{text}");
+        assert_eq!(text.matches("from the next breath on").count(), 1, "{text}");
+    }
+}

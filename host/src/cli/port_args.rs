@@ -1,0 +1,36 @@
+//! A device at a port in the place of the bench.
+
+use anyhow::{Context, bail};
+
+use super::controller_args::Chosen;
+use crate::device::Device;
+use crate::port::Address;
+use crate::source::PortSource;
+
+/// Which device.
+#[derive(Debug, clap::Args)]
+pub struct PortArgs {
+    /// A device in place of the bench: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT", conflicts_with_all = ["lung", "bench"])]
+    pub port: Option<Address>,
+}
+
+/// The device at an address as a source for a controller; with hardware in the loop its plant starts with `seed`.
+///
+/// # Errors
+/// A device that cannot be reached, or has another control period than the controller.
+pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<PortSource> {
+    let device = Device::connect(address)?;
+    let mut source = PortSource::new(device, seed).with_context(|| format!("cannot use {address}"))?;
+    let device_us = source.identity().period_us;
+    if device_us != chosen.period_us {
+        let asked = chosen.period_us;
+        bail!(
+            "the device's control period is {device_us} us, the controller's {asked} us: train one for the device"
+        );
+    }
+    if let Some(image) = &chosen.image {
+        source.know(image.clone());
+    }
+    Ok(source)
+}

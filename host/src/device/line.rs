@@ -1,0 +1,170 @@
+//! The thread that reads a device's line, and the half that writes to it.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+
+use serde::Serialize;
+use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
+use shared::link::messages::{Event, Response, ToDevice, ToHost, greeted_protocol, read_reply};
+use shared::link::telemetry::{Counters, LossCounter};
+
+use crate::port::Port;
+
+/// Bytes read at once.
+const CHUNK: usize = 4096;
+
+/// An answer as it came.
+pub(super) enum Answer {
+    Response { sequence: u16, response: Response },
+    OtherProtocol(u16),
+}
+
+/// What came over a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LineCounters {
+    /// Good frames.
+    pub frames: u64,
+    /// Frames that were damaged on the way here.
+    pub corrupt: u64,
+    /// Telemetry batches that are missing.
+    pub lost_batches: u64,
+    /// What the device counts.
+    pub device: Counters,
+}
+
+/// A line that is being read.
+pub(super) struct Line {
+    writer: Box<dyn Write + Send>,
+    pub(super) answers: Receiver<Answer>,
+    pub(super) events: Receiver<Event>,
+    pub(super) broken: Arc<AtomicBool>,
+    counters: Arc<Mutex<LineCounters>>,
+    closing: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Line {
+    /// Starts the thread.
+    pub(super) fn start(port: Port) -> Self {
+        let (answers, answered) = channel();
+        let (events, happened) = channel();
+        let broken = Arc::new(AtomicBool::new(false));
+        let closing = Arc::new(AtomicBool::new(false));
+        let counters = Arc::new(Mutex::new(LineCounters::default()));
+        let reader = Reader {
+            answers,
+            events,
+            losses: LossCounter::default(),
+            counters: Arc::clone(&counters),
+            decoder: FrameDecoder::new(),
+        };
+        let flags = (Arc::clone(&broken), Arc::clone(&closing));
+        let thread = thread::spawn(move || {
+            reader.run(port.reader, &flags.1);
+            flags.0.store(true, Ordering::Relaxed);
+        });
+        let thread = Some(thread);
+        Self { writer: port.writer, answers: answered, events: happened, broken, counters, closing, thread }
+    }
+
+    pub(super) fn send(&mut self, message: &ToDevice) -> io::Result<()> {
+        let mut buffer = [0; FRAME_BYTES];
+        let frame = encode_frame(message, &mut buffer).map_err(io::Error::other)?;
+        self.writer.write_all(frame)?;
+        self.writer.flush()
+    }
+
+    pub(super) fn counters(&self) -> LineCounters {
+        *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Line {
+    /// Stops reading and closes the port.
+    pub(super) fn end(&mut self) {
+        self.closing.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // Until it has ended the port is in use. A thread that panicked has said so already.
+            let _ = thread.join();
+        }
+        self.writer = Box::new(io::sink());
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+struct Reader {
+    answers: Sender<Answer>,
+    events: Sender<Event>,
+    losses: LossCounter,
+    counters: Arc<Mutex<LineCounters>>,
+    decoder: FrameDecoder<DECODER_BYTES>,
+}
+
+impl Reader {
+    /// Reads until the line breaks or nobody wants it any more.
+    fn run(mut self, mut from: impl Read, closing: &AtomicBool) {
+        let mut chunk = [0; CHUNK];
+        while !closing.load(Ordering::Relaxed) {
+            match from.read(&mut chunk) {
+                Ok(0) => return,
+                Ok(count) => {
+                    for byte in &chunk[..count] {
+                        if !self.take(*byte) {
+                            return;
+                        }
+                    }
+                }
+                Err(error) if patient(error.kind()) => {}
+                Err(error) => {
+                    tracing::debug!(%error, "the line broke");
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Takes in a byte; false when nobody listens any more.
+    fn take(&mut self, byte: u8) -> bool {
+        let message = match self.decoder.push(byte) {
+            Poll::Pending => return true,
+            Poll::Frame(content) => read_reply(content).map_err(|_| greeted_protocol(content)),
+            Poll::Corrupt(_) => Err(None),
+        };
+        let alive = match message {
+            Ok(ToHost::Response { sequence, response }) => {
+                self.answers.send(Answer::Response { sequence, response }).is_ok()
+            }
+            Ok(ToHost::Event(event)) => {
+                self.count_batch(&event);
+                self.events.send(event).is_ok()
+            }
+            Err(Some(protocol)) => self.answers.send(Answer::OtherProtocol(protocol)).is_ok(),
+            Err(None) => true,
+        };
+        let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        counters.frames = self.decoder.counters().frames.into();
+        counters.corrupt = self.decoder.counters().corrupt().into();
+        alive
+    }
+
+    fn count_batch(&mut self, event: &Event) {
+        if let Event::Telemetry(batch) = event {
+            self.losses.arrived(batch.sequence);
+            let mut counters = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+            (counters.lost_batches, counters.device) = (self.losses.lost(), batch.counters);
+        }
+    }
+}
+
+/// Whether a read that failed so may succeed later.
+fn patient(kind: ErrorKind) -> bool {
+    matches!(kind, ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
+}

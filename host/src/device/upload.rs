@@ -1,0 +1,64 @@
+//! Uploading a weights image.
+
+use shared::link::messages::{CHUNK_BYTES, Request, Response, Slot};
+use shared::link::refusal::Refusal;
+use shared::weights::{IMAGE_BYTES, WeightsError, decode};
+use thiserror::Error;
+
+use super::{Device, DeviceError};
+
+/// Why weights are not on the device.
+#[derive(Debug, Error)]
+pub enum UploadError {
+    /// The image is no good; nothing was sent.
+    #[error(transparent)]
+    Image(#[from] WeightsError),
+    /// The device did not take it.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+/// Weights on a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Uploaded {
+    /// The image's id.
+    pub id: u32,
+    /// Where it lies.
+    pub slot: Slot,
+}
+
+impl Device {
+    /// Uploads an image and has it stored; it runs after the next restart. An upload that was broken off goes on where
+    /// it was. `progress` gets the bytes that have arrived, of [`IMAGE_BYTES`].
+    ///
+    /// # Errors
+    /// [`UploadError`]; the weights that run stay.
+    pub fn upload(&mut self, image: &[u8], progress: &mut dyn FnMut(usize)) -> Result<Uploaded, UploadError> {
+        let id = decode(image)?.id;
+        let image = &image[..IMAGE_BYTES];
+        let mut offset = self.progress_of(&Request::BeginWeights { length: IMAGE_BYTES as u32, id })?;
+        while offset < image.len() {
+            progress(offset);
+            let end = image.len().min(offset + CHUNK_BYTES);
+            let bytes = heapless::Vec::from_slice(&image[offset..end]).unwrap_or_default();
+            let chunk = Request::WeightsChunk { offset: offset as u32, bytes };
+            offset = match self.progress_of(&chunk) {
+                // The device knows better what it has, for instance after it was connected anew.
+                Err(DeviceError::Refused(Refusal::WrongOffset { expected })) => expected as usize,
+                other => other?,
+            };
+        }
+        progress(offset);
+        match self.request(&Request::CommitWeights)? {
+            Response::Weights { id: stored, slot } if stored == id => Ok(Uploaded { id, slot }),
+            _ => Err(DeviceError::Unexpected.into()),
+        }
+    }
+
+    fn progress_of(&mut self, request: &Request) -> Result<usize, DeviceError> {
+        match self.request(request)? {
+            Response::Progress { offset } => Ok(offset as usize),
+            _ => Err(DeviceError::Unexpected),
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! The monitor on a terminal: draws a view a few times a second and turns keys into requests.
+
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+use super::draw::draw;
+use super::session::Session;
+use super::view::{Key, View};
+
+/// Time between two pictures.
+const PICTURE_EVERY: Duration = Duration::from_millis(50);
+
+/// What was pressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pressed {
+    /// Something that is asked of the device.
+    Key(Key),
+    /// Leave.
+    Leave,
+    /// Ctrl-C, which a terminal in this mode gives as a key.
+    Interrupt,
+}
+
+/// What a key means; none if nothing.
+pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
+    if event.kind == KeyEventKind::Release {
+        return None;
+    }
+    if event.modifiers.contains(KeyModifiers::CONTROL) {
+        return (event.code == KeyCode::Char('c')).then_some(Pressed::Interrupt);
+    }
+    let key = match event.code {
+        KeyCode::Char(' ') => Key::StartStop,
+        KeyCode::Char('a') => Key::Acknowledge,
+        KeyCode::Char('p') => Key::Controller,
+        KeyCode::Up => Key::PipUp,
+        KeyCode::Down => Key::PipDown,
+        KeyCode::Right => Key::RateUp,
+        KeyCode::Left => Key::RateDown,
+        KeyCode::Char('q') | KeyCode::Esc => return Some(Pressed::Leave),
+        _ => return None,
+    };
+    // A key that is held down must not start and stop a ventilator in turns.
+    let once = matches!(key, Key::StartStop | Key::Acknowledge | Key::Controller);
+    (event.kind == KeyEventKind::Press || !once).then_some(Pressed::Key(key))
+}
+
+/// Shows a device until someone leaves; Ctrl-C sets `stop`, which ends it too. The terminal is as before afterwards.
+///
+/// # Errors
+/// A terminal that cannot be drawn on.
+pub fn run(session: &Session, view: &mut View, stop: &AtomicBool) -> io::Result<()> {
+    let mut terminal = ratatui::try_init()?;
+    let result = show(&mut terminal, session, view, stop);
+    ratatui::try_restore()?;
+    result
+}
+
+fn show(
+    terminal: &mut DefaultTerminal,
+    session: &Session,
+    view: &mut View,
+    stop: &AtomicBool,
+) -> io::Result<()> {
+    while !stop.load(Ordering::Relaxed) {
+        session.news().for_each(|news| view.take(&news));
+        terminal.draw(|frame| draw(frame, view))?;
+        let picture = Instant::now() + PICTURE_EVERY;
+        while event::poll(picture.saturating_duration_since(Instant::now()))? {
+            let Event::Key(key) = event::read()? else { continue };
+            match meaning(&key) {
+                Some(Pressed::Key(key)) => view.press(key).into_iter().for_each(|wish| session.ask(wish)),
+                Some(Pressed::Leave) => return Ok(()),
+                Some(Pressed::Interrupt) => stop.store(true, Ordering::Relaxed),
+                None => {}
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,72 @@
+//! Modes, faults, controllers and reset causes as text.
+
+use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, ResetCause};
+use shared::safety::supervisor::Fault;
+use shared::settings::{FIELDS, Field, Settings};
+use shared::ventilator::Mode;
+
+/// What the ventilator is doing.
+pub fn mode(mode: Mode) -> String {
+    match mode {
+        Mode::Standby => "standby".to_owned(),
+        Mode::Ventilating => "ventilating".to_owned(),
+        Mode::Fault(latched) => format!("safe state: {}", fault(latched)),
+    }
+}
+
+/// Why the ventilator stands in its safe state.
+pub fn fault(fault: Fault) -> &'static str {
+    match fault {
+        Fault::ReadingNotANumber => "sensor reading is no number",
+        Fault::ReadingOutOfRange => "sensor reading out of range",
+        Fault::HighPressure => "pressure above its limit",
+    }
+}
+
+/// Which controller runs.
+pub fn controller(choice: ControllerChoice) -> String {
+    match choice {
+        ControllerChoice::Pid(gains) => format!("PID {},{},{}", gains.p, gains.i, gains.d),
+        ControllerChoice::Learned => "learned".to_owned(),
+    }
+}
+
+/// What a device is.
+pub fn device(kind: DeviceKind) -> &'static str {
+    match kind {
+        DeviceKind::Ventilator => "ventilator",
+        DeviceKind::HardwareInTheLoop => "hardware in the loop",
+        DeviceKind::Simulated => "simulated",
+    }
+}
+
+/// Why a device started.
+pub fn reset(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::PowerOn => "power on",
+        ResetCause::BrownOut => "supply dipped",
+        ResetCause::Pin => "reset pin",
+        ResetCause::Software => "program",
+        ResetCause::Watchdog => "watchdog",
+        ResetCause::Other => "unknown cause",
+    }
+}
+
+/// A device in a line.
+pub fn identity(identity: &DeviceIdentity) -> String {
+    let [major, minor, patch] = identity.firmware;
+    let period = identity.period_us;
+    format!("{}, firmware {major}.{minor}.{patch}, tick {period} us", device(identity.device))
+}
+
+/// Every setting with its unit.
+pub fn settings(settings: &Settings) -> String {
+    let one =
+        |field: &Field| format!("{} {} {}", field.name.replace('_', " "), field.value(settings), field.unit);
+    FIELDS.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+/// A control tick as time since power-up.
+pub fn moment(tick: u64, period_us: u32) -> String {
+    format!("at {:.3} s", tick as f64 * f64::from(period_us) * 1e-6)
+}

@@ -1,0 +1,152 @@
+//! From the converter's counts to pressure and flow: the arithmetic of the sensors' drivers.
+//!
+//! Every sensor gives 0.5 to 4.5 V of a 5 V supply over its range (as, for instance, the MPXV7000 series does), and a
+//! divider of 2/3 brings that to the converter's 3.3 V. So a count far below or above the range means a broken wire or a
+//! short circuit, not a pressure, and gives no number.
+//!
+//! | channel | range | for instance |
+//! |---|---|---|
+//! | airway pressure | -71.4 to 71.4 cmH2O | MPXV7007DP |
+//! | pressure at the machine's outlet, a second opinion | the same | MPXV7007DP |
+//! | pressure across the flow meter's orifice | -20.4 to 20.4 cmH2O | MPXV7002DP |
+
+use crate::math;
+
+/// Counts of the converter at its reference voltage, 3.3 V.
+const FULL_SCALE: f32 = 4095.0;
+/// Counts per volt of a sensor, behind the divider.
+const COUNTS_PER_VOLT: f32 = FULL_SCALE / 3.3 * (2.0 / 3.0);
+/// Voltage of a sensor at zero, V.
+const ZERO: f32 = 2.5;
+/// Voltage of a sensor from zero to the end of its range, V.
+const SPAN: f32 = 2.0;
+/// Below and above these voltages no sound sensor is, V.
+const PLAUSIBLE: (f32, f32) = (0.25, 4.75);
+/// End of the pressure sensors' range, cmH2O (7 kPa).
+pub const PRESSURE_SPAN: f32 = 71.4;
+/// End of the flow meter's range, cmH2O (2 kPa).
+pub const ORIFICE_SPAN: f32 = 20.4;
+/// Flow through the orifice at 1 cmH2O, L/s.
+pub const ORIFICE_FLOW: f32 = 0.66;
+/// How far airway and outlet may be apart, cmH2O: the tube between them takes up to 5 at full flow.
+pub const DISAGREEMENT: f32 = 10.0;
+/// How long they may be further apart before neither is believed, ticks.
+pub const DISAGREEMENT_TICKS: u32 = 20;
+
+/// What the converter gave, 12 bits each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Counts {
+    /// Airway pressure.
+    pub airway: u16,
+    /// Pressure at the outlet.
+    pub outlet: u16,
+    /// Pressure across the orifice.
+    pub flow: u16,
+}
+
+/// What the sensors say; NaN where there is nothing to believe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// Airway pressure, cmH2O.
+    pub pressure: f32,
+    /// Flow towards the patient, L/s.
+    pub flow: f32,
+}
+
+/// The sensors' memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sensors {
+    /// Ticks for which the pressures have been apart.
+    apart: u32,
+}
+
+impl Sensors {
+    /// Takes in one tick's counts.
+    pub fn read(&mut self, counts: Counts) -> Reading {
+        let (airway, outlet) = (value(counts.airway, PRESSURE_SPAN), value(counts.outlet, PRESSURE_SPAN));
+        let agree = (airway - outlet).abs() <= DISAGREEMENT;
+        self.apart = if agree { 0 } else { self.apart.saturating_add(1) };
+        let pressure = if self.apart < DISAGREEMENT_TICKS { airway } else { f32::NAN };
+        Reading { pressure, flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)) }
+    }
+}
+
+/// A sensor's value from its counts, in the unit of its span; NaN from a broken wire.
+fn value(counts: u16, span: f32) -> f32 {
+    let volts = f32::from(counts) / COUNTS_PER_VOLT;
+    if volts >= PLAUSIBLE.0 && volts <= PLAUSIBLE.1 { (volts - ZERO) / SPAN * span } else { f32::NAN }
+}
+
+/// Flow through an orifice, L/s, from the pressure across it, cmH2O: its square root, with its sign.
+fn orifice_flow(pressure: f32) -> f32 {
+    let flow = ORIFICE_FLOW * math::square_root(pressure.abs());
+    if pressure < 0.0 { -flow } else { flow }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Counts of a value, as a sound sensor gives them.
+    fn counts(value: f32, span: f32) -> u16 {
+        ((ZERO + value / span * SPAN) * COUNTS_PER_VOLT + 0.5) as u16
+    }
+
+    fn at(airway: f32, outlet: f32) -> Counts {
+        let pressure = |value| counts(value, PRESSURE_SPAN);
+        Counts { airway: pressure(airway), outlet: pressure(outlet), flow: counts(5.0, ORIFICE_SPAN) }
+    }
+
+    #[test]
+    fn a_sensor_at_its_zero_gives_half_of_the_supply() {
+        assert_eq!(counts(0.0, PRESSURE_SPAN), 2068);
+        assert!(Sensors::default().read(at(0.0, 0.0)).pressure.abs() < 0.05);
+    }
+
+    #[test]
+    fn a_broken_wire_and_a_short_circuit_give_no_number() {
+        for broken in [0, 100, 4000, 4095, u16::MAX] {
+            let reading = Sensors::default().read(Counts { airway: broken, ..at(20.0, 20.0) });
+            assert!(reading.pressure.is_nan() && !reading.flow.is_nan());
+            assert!(Sensors::default().read(Counts { flow: broken, ..at(20.0, 20.0) }).flow.is_nan());
+        }
+    }
+
+    #[test]
+    fn sensors_that_stay_apart_are_not_believed_until_they_agree_again() {
+        let mut sensors = Sensors::default();
+        for tick in 1..=DISAGREEMENT_TICKS {
+            let lost = sensors.read(at(20.0, 35.0)).pressure.is_nan();
+            assert_eq!(lost, tick == DISAGREEMENT_TICKS);
+        }
+        assert!((sensors.read(at(20.0, 24.0)).pressure - 20.0).abs() < 0.05);
+        let broken = Counts { outlet: 0, ..at(20.0, 20.0) };
+        for _ in 1..DISAGREEMENT_TICKS {
+            sensors.read(broken);
+        }
+        assert!(sensors.read(broken).pressure.is_nan(), "a lost second opinion is no agreement");
+    }
+
+    proptest! {
+        #[test]
+        fn a_pressure_survives_its_counts(pressure in -70.0f32..70.0) {
+            let reading = Sensors::default().read(at(pressure, pressure));
+            prop_assert!((reading.pressure - pressure).abs() < 0.03, "half a count");
+        }
+
+        #[test]
+        fn flow_has_the_sign_of_its_pressure_and_its_root(pressure in -20.0f32..20.0) {
+            let flow = orifice_flow(pressure);
+            let exact = 0.66 * f64::from(pressure.abs()).sqrt();
+            prop_assert!((f64::from(flow.abs()) - exact).abs() <= 1e-4 * exact);
+            prop_assert!(flow * pressure >= 0.0);
+        }
+
+        #[test]
+        fn no_counts_panic(airway: u16, outlet: u16, flow: u16) {
+            let reading = Sensors::default().read(Counts { airway, outlet, flow });
+            prop_assert!(reading.pressure.is_nan() || reading.pressure.abs() < 90.0);
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Two slots in flash for weights images, so that a cut supply never leaves the device without the weights it had.
+//!
+//! A slot is a region of whole sectors:
+//!
+//! | from the start of the slot | content |
+//! |---|---|
+//! | 0 | the image, [`IMAGE_BYTES`], filled up with 0xFF |
+//! | [`RECORD`] | generation, u32; its CRC-32, u32; filled up with 0xFF to one [`UNIT`] |
+//! | [`RECORD`] + [`UNIT`] | commit word, u32, filled up to one [`UNIT`] |
+//!
+//! A store erases the slot that is not the newest, writes image and record, reads both back, and writes the commit word
+//! last. Until then the slot counts as torn and the other one stays the newest. Every place is written once after an
+//! erase, in multiples of [`UNIT`], which suits flash with words of up to that size.
+
+use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
+use heapless::Vec;
+use thiserror::Error;
+
+use super::{IMAGE_BYTES, Image, ImageProblem, decode};
+use crate::checksum::{crc32, verified};
+use crate::link::messages::{Slot, SlotState};
+
+/// Written at once: the longest word of the supported flash memories.
+pub const UNIT: usize = 32;
+/// Place of the record in a slot.
+pub const RECORD: u32 = IMAGE_BYTES.next_multiple_of(UNIT) as u32;
+/// Place of the commit word in a slot.
+const COMMIT: u32 = RECORD + UNIT as u32;
+/// Bytes that a slot needs.
+pub const SLOT_BYTES: u32 = COMMIT + UNIT as u32;
+/// Says that everything before it was written and read back.
+const COMMITTED: u32 = 0x4B4F_2121;
+/// What erased flash reads as.
+const ERASED: u8 = 0xFF;
+
+/// Why an image was not stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum StoreError {
+    /// The flash refused an operation.
+    #[error("the flash refused to read, erase or write")]
+    Flash,
+    /// The flash holds something else than what was written.
+    #[error("the flash holds something else than what was written; the sector may be worn out")]
+    Readback,
+}
+
+/// The slots of a flash memory.
+#[derive(Debug)]
+pub struct Slots<F> {
+    flash: F,
+    starts: [u32; 2],
+    /// Why the decoder refused the image of a slot, if it did.
+    refused: [Option<ImageProblem>; 2],
+}
+
+impl<F: NorFlash> Slots<F> {
+    /// Slots that start at these addresses of the flash, each at a sector of its own of at least [`SLOT_BYTES`].
+    pub const fn new(flash: F, starts: [u32; 2]) -> Self {
+        const { assert!(UNIT.is_multiple_of(F::WRITE_SIZE) && UNIT.is_multiple_of(F::READ_SIZE)) };
+        Self { flash, starts, refused: [None; 2] }
+    }
+
+    /// What both slots hold. A sound checksum is enough to count as valid, unless [`Slots::load`] refused the image.
+    pub fn states(&mut self) -> [SlotState; 2] {
+        [Slot::A, Slot::B].map(|slot| self.state(slot))
+    }
+
+    fn state(&mut self, slot: Slot) -> SlotState {
+        let (mut bytes, mut record, mut commit) = ([0; IMAGE_BYTES], [0; UNIT], [0; UNIT]);
+        let start = self.starts[slot as usize];
+        let read = self.read(start, &mut bytes).and_then(|()| self.read(start + RECORD, &mut record));
+        if read.and_then(|()| self.read(start + COMMIT, &mut commit)).is_err() {
+            return SlotState::Torn;
+        }
+        if bytes.iter().chain(&record).chain(&commit).all(|byte| *byte == ERASED) {
+            return SlotState::Empty;
+        }
+        match (generation(&record, &commit), identity(&bytes), self.refused[slot as usize]) {
+            (None, ..) => SlotState::Torn,
+            (Some(_), None, _) => SlotState::Invalid(ImageProblem::Checksum),
+            (Some(_), Some(_), Some(problem)) => SlotState::Invalid(problem),
+            (Some(generation), Some(id), None) => SlotState::Valid { generation, id },
+        }
+    }
+
+    /// Reads, even where the length is no multiple of the flash's word.
+    fn read(&mut self, start: u32, bytes: &mut [u8]) -> Result<(), StoreError> {
+        let mut unit = [0; UNIT];
+        for (index, part) in bytes.chunks_mut(UNIT).enumerate() {
+            let place = start + (index * UNIT) as u32;
+            ReadNorFlash::read(&mut self.flash, place, &mut unit).map_err(|_| StoreError::Flash)?;
+            part.copy_from_slice(&unit[..part.len()]);
+        }
+        Ok(())
+    }
+
+    /// Decodes the newest valid image; falls back to the other slot if it is refused.
+    pub fn load(&mut self) -> Option<(Slot, Image)> {
+        for slot in by_age(&self.states()) {
+            let mut bytes = [0; IMAGE_BYTES];
+            if self.read(self.starts[slot as usize], &mut bytes).is_ok() {
+                match decode(&bytes) {
+                    Ok(image) => return Some((slot, image)),
+                    Err(error) => self.refused[slot as usize] = Some(error.into()),
+                }
+            }
+        }
+        None
+    }
+
+    /// Stores an image in the slot that is not the newest; gives the slot and its generation. Bytes are not decoded here:
+    /// validate them before.
+    ///
+    /// # Errors
+    /// [`StoreError`]; the newest slot is as it was.
+    pub fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> Result<(Slot, u32), StoreError> {
+        let states = self.states();
+        let newest = by_age(&states).first().copied();
+        let (slot, generation) = match newest.map(|slot| (slot, states[slot as usize])) {
+            Some((Slot::A, SlotState::Valid { generation, .. })) => (Slot::B, generation.wrapping_add(1)),
+            Some((Slot::B, SlotState::Valid { generation, .. })) => (Slot::A, generation.wrapping_add(1)),
+            _ => (Slot::A, 0),
+        };
+        self.refused[slot as usize] = None;
+        let start = self.starts[slot as usize];
+        let end = start + SLOT_BYTES.next_multiple_of(F::ERASE_SIZE as u32);
+        self.flash.erase(start, end).map_err(|_| StoreError::Flash)?;
+        self.write(start, image)?;
+        self.write(start + RECORD, &record(generation))?;
+        self.write(start + COMMIT, &COMMITTED.to_le_bytes())?;
+        Ok((slot, generation))
+    }
+
+    /// Writes in whole units and reads each back.
+    fn write(&mut self, start: u32, bytes: &[u8]) -> Result<(), StoreError> {
+        for (index, part) in bytes.chunks(UNIT).enumerate() {
+            let place = start + (index * UNIT) as u32;
+            let (mut unit, mut back) = ([ERASED; UNIT], [0; UNIT]);
+            unit[..part.len()].copy_from_slice(part);
+            self.flash.write(place, &unit).map_err(|_| StoreError::Flash)?;
+            self.read(place, &mut back)?;
+            if unit != back {
+                return Err(StoreError::Readback);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn record(generation: u32) -> [u8; 8] {
+    let [a, b, c, d] = generation.to_le_bytes();
+    let [e, f, g, h] = crc32(&[a, b, c, d]).to_le_bytes();
+    [a, b, c, d, e, f, g, h]
+}
+
+/// Generation of a committed record.
+fn generation(record: &[u8; UNIT], commit: &[u8; UNIT]) -> Option<u32> {
+    if commit[..4] != COMMITTED.to_le_bytes() {
+        return None;
+    }
+    let generation = *verified(&record[..8])?.first_chunk()?;
+    Some(u32::from_le_bytes(generation))
+}
+
+/// Id of an image with a sound checksum: the checksum itself.
+fn identity(image: &[u8; IMAGE_BYTES]) -> Option<u32> {
+    verified(image)?;
+    Some(u32::from_le_bytes(*image.last_chunk()?))
+}
+
+/// The valid slots, the newest first. Generations wrap: the newer of two is less than half of the numbers ahead.
+fn by_age(states: &[SlotState; 2]) -> Vec<Slot, 2> {
+    let generation = |slot: Slot| match states[slot as usize] {
+        SlotState::Valid { generation, .. } => Some(generation),
+        _ => None,
+    };
+    let order = match (generation(Slot::A), generation(Slot::B)) {
+        (Some(a), Some(b)) if b.wrapping_sub(a) as i32 > 0 => [Some(Slot::B), Some(Slot::A)],
+        (a, b) => [a.map(|_| Slot::A), b.map(|_| Slot::B)],
+    };
+    order.into_iter().flatten().collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,243 @@
+use std::boxed::Box;
+use std::vec::Vec;
+
+use embedded_storage::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind};
+use proptest::prelude::*;
+
+use super::*;
+use crate::control::features::FeatureSpec;
+use crate::control::network::Network;
+use crate::control::pid::PidGains;
+use crate::control::residual::{Residual, ResidualSpec};
+use crate::weights::{Identity, encode};
+
+const SECTOR: usize = 8192;
+const STARTS: [u32; 2] = [0, SECTOR as u32];
+
+/// NOR flash with words of `W` bytes: an erase sets bits, a write clears them, a word is written once, and after a number
+/// of bytes the supply fails in the middle of whatever runs.
+#[derive(Clone)]
+struct Nor<const W: usize> {
+    cells: Box<[u8; 2 * SECTOR]>,
+    /// Words written since their erase.
+    written: Box<[bool; 2 * SECTOR]>,
+    /// Bytes that can still be erased or written.
+    supply: usize,
+}
+
+#[derive(Debug)]
+struct Cut;
+
+impl NorFlashError for Cut {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl<const W: usize> Nor<W> {
+    fn new() -> Self {
+        let (cells, written) = (Box::new([ERASED; 2 * SECTOR]), Box::new([false; 2 * SECTOR]));
+        Self { cells, written, supply: usize::MAX }
+    }
+
+    fn spend(&mut self) -> Result<(), Cut> {
+        self.supply = self.supply.checked_sub(1).ok_or(Cut)?;
+        Ok(())
+    }
+}
+
+impl<const W: usize> ErrorType for Nor<W> {
+    type Error = Cut;
+}
+
+impl<const W: usize> ReadNorFlash for Nor<W> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Cut> {
+        bytes.copy_from_slice(&self.cells[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.cells.len()
+    }
+}
+
+impl<const W: usize> NorFlash for Nor<W> {
+    const WRITE_SIZE: usize = W;
+    const ERASE_SIZE: usize = SECTOR;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Cut> {
+        let range = from as usize..to as usize;
+        assert!(range.start.is_multiple_of(SECTOR) && range.end.is_multiple_of(SECTOR));
+        for place in range.clone() {
+            // A sector that is being erased holds anything.
+            self.cells[place] ^= 0x5A;
+        }
+        for place in range {
+            self.spend()?;
+            (self.cells[place], self.written[place]) = (ERASED, false);
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Cut> {
+        assert!((offset as usize).is_multiple_of(W) && bytes.len().is_multiple_of(W));
+        for (place, byte) in (offset as usize..).zip(bytes) {
+            self.spend()?;
+            assert!(!core::mem::replace(&mut self.written[place], true), "byte {place} written twice");
+            self.cells[place] &= byte;
+        }
+        Ok(())
+    }
+}
+
+fn image(gain: f32) -> [u8; IMAGE_BYTES] {
+    let spec = ResidualSpec {
+        period_us: 1000,
+        gains: PidGains { p: gain, i: 1.0, d: 0.0 },
+        lambda: 1.0,
+        authority: 50.0,
+        features: FeatureSpec::default(),
+    };
+    let mut bytes = [0; IMAGE_BYTES];
+    encode(&Residual::new(spec, Network::zero()).unwrap(), &Identity::default(), &mut bytes).unwrap();
+    bytes
+}
+
+fn id(image: &[u8; IMAGE_BYTES]) -> u32 {
+    identity(image).unwrap()
+}
+
+/// What runs after a start: the slot and the image's id.
+fn boot<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
+    let flash = Nor { supply: usize::MAX, ..flash.clone() };
+    Slots::new(flash, STARTS).load().map(|(slot, image)| (slot, image.id))
+}
+
+/// As [`boot`], by the checksums alone: fast enough to be asked after every byte.
+fn newest<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
+    let mut slots = Slots::new(Nor { supply: usize::MAX, ..flash.clone() }, STARTS);
+    let states = slots.states();
+    by_age(&states).first().map(|&slot| match states[slot as usize] {
+        SlotState::Valid { id, .. } => (slot, id),
+        other => panic!("{other:?} counts as valid"),
+    })
+}
+
+fn stored<const W: usize>(flash: Nor<W>, image: &[u8; IMAGE_BYTES]) -> Nor<W> {
+    let mut slots = Slots::new(flash, STARTS);
+    slots.store(image).unwrap();
+    slots.flash
+}
+
+#[test]
+fn an_erased_flash_holds_nothing() {
+    let mut slots = Slots::new(Nor::<4>::new(), STARTS);
+    assert_eq!((slots.load(), slots.states()), (None, [SlotState::Empty; 2]));
+}
+
+#[test]
+fn stores_alternate_and_the_newest_runs() {
+    let mut flash = Nor::<4>::new();
+    for (number, slot) in [(0u8, Slot::A), (1, Slot::B), (2, Slot::A), (3, Slot::B)] {
+        let image = image(f32::from(number));
+        flash = stored(flash, &image);
+        assert_eq!(boot(&flash), Some((slot, id(&image))));
+    }
+}
+
+#[test]
+fn generations_wrap() {
+    let valid = |generation| SlotState::Valid { generation, id: 0 };
+    assert_eq!(by_age(&[valid(u32::MAX), valid(0)])[0], Slot::B);
+    assert_eq!(by_age(&[valid(0), valid(u32::MAX)])[0], Slot::A);
+    assert_eq!(by_age(&[SlotState::Torn, valid(3)])[..], [Slot::B]);
+}
+
+/// Cuts the supply after every single byte that a store erases or writes.
+fn survives_every_cut<const W: usize>() {
+    let (old, new) = (image(1.0), image(2.0));
+    let before = stored(stored(Nor::<W>::new(), &image(0.0)), &old);
+    assert_eq!(boot(&before), Some((Slot::B, id(&old))));
+    let mut finished = 0;
+    for supply in 0.. {
+        let mut slots = Slots::new(Nor { supply, ..before.clone() }, STARTS);
+        let done = slots.store(&new).is_ok();
+        match newest(&slots.flash) {
+            Some((Slot::B, running)) if running == id(&old) => assert!(!done, "a finished store runs"),
+            Some((Slot::A, running)) if running == id(&new) => finished += 1,
+            other => panic!("after a cut at {supply} runs {other:?}"),
+        }
+        // Whatever the cut left behind, the next store succeeds.
+        if supply % 97 == 0 || done {
+            assert_eq!(boot(&slots.flash), newest(&slots.flash));
+            let again = stored(Nor { supply: usize::MAX, ..slots.flash }, &image(3.0));
+            assert_eq!(boot(&again).unwrap().1, id(&image(3.0)));
+        }
+        if done {
+            break;
+        }
+    }
+    assert!(finished <= UNIT, "only the filling after the commit word may be missing");
+}
+
+#[test]
+fn a_cut_at_any_byte_leaves_the_old_or_the_new_weights() {
+    survives_every_cut::<1>();
+    survives_every_cut::<4>();
+    survives_every_cut::<8>();
+    survives_every_cut::<32>();
+}
+
+#[test]
+fn a_damaged_image_is_refused_and_the_older_one_runs() {
+    let (old, new) = (image(1.0), image(2.0));
+    let flash = stored(stored(Nor::<4>::new(), &old), &new);
+    for place in (0..IMAGE_BYTES).step_by(7).chain([RECORD as usize, COMMIT as usize]) {
+        let mut damaged = flash.clone();
+        damaged.cells[SECTOR + place] ^= 0x10;
+        assert_eq!(boot(&damaged), Some((Slot::A, id(&old))), "byte {place}");
+    }
+}
+
+#[test]
+fn a_sound_image_that_the_decoder_refuses_falls_back_and_is_the_one_overwritten() {
+    let (old, mut forged) = (image(1.0), image(2.0));
+    forged[114] ^= 1; // the golden value
+    let checksum = crc32(&forged[..IMAGE_BYTES - 4]);
+    forged[IMAGE_BYTES - 4..].copy_from_slice(&checksum.to_le_bytes());
+    let mut slots = Slots::new(stored(stored(Nor::<4>::new(), &old), &forged), STARTS);
+    assert_eq!(slots.load().unwrap().0, Slot::A);
+    assert_eq!(slots.states()[1], SlotState::Invalid(ImageProblem::Golden));
+    assert_eq!(slots.store(&image(3.0)).unwrap().0, Slot::B, "the slot that runs stays");
+}
+
+#[test]
+fn flash_that_does_not_keep_what_was_written_is_noticed() {
+    let mut flash = Nor::<1>::new();
+    flash.cells[100] = 0; // stuck: the erase below is the only one that could mend it, and the slot is erased already
+    let mut slots = Slots::new(flash, STARTS);
+    assert_eq!(slots.write(96, &[0xAA; 8]), Err(StoreError::Readback));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    /// Stores and cuts in any order: what runs is always the last image that was committed.
+    #[test]
+    fn after_any_stores_and_cuts_the_last_commit_runs(events in prop::collection::vec((0u8..50, 0usize..15_000), 1..8)) {
+        let mut flash = Nor::<4>::new();
+        let mut committed: Vec<u32> = Vec::new();
+        for (number, supply) in events {
+            let image = image(f32::from(number));
+            let mut slots = Slots::new(Nor { supply, ..flash }, STARTS);
+            slots.load();
+            if slots.store(&image).is_ok() || boot(&slots.flash).map(|b| b.1) == Some(id(&image)) {
+                committed.push(id(&image));
+            }
+            flash = slots.flash;
+            prop_assert_eq!(boot(&flash).map(|(_, id)| id), committed.last().copied());
+        }
+    }
+}
