@@ -33,6 +33,24 @@ const STEPS: &[Step] = &[
         "clippy-chip",
         &["clippy", "--release", "-p", "firmware", "--target", CHIP_TARGET, "--", "-D", "warnings"],
     ),
+    step(
+        "clippy-shim",
+        &[
+            "clippy",
+            "--release",
+            "-p",
+            "shim",
+            "--bin",
+            "shim",
+            "--example",
+            "probe",
+            "--target",
+            CHIP_TARGET,
+            "--",
+            "-D",
+            "warnings",
+        ],
+    ),
     step("firmware", &["xtask", "firmware"]),
 ];
 

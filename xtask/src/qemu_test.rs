@@ -27,6 +27,7 @@ pub struct Golden {
 /// Builds the images and runs the tests that need QEMU; arguments are filters of their names.
 pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build(shell)?;
+    firmware::build_probe(shell)?;
     let folder = images.folder();
     // One after the other: each keeps a core busy with QEMU and another with its plant.
     cmd!(

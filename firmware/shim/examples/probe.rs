@@ -1,6 +1,7 @@
 //! A small firmware that does on request, over USART1, what the shim has to answer for: clocks, flash, watchdog, plant.
 //!
 //! A request has 12 bytes: a letter, three bytes that do not matter, two u32, little endian. Each is answered with two u32.
+//! A byte from 0x80 on in the place of a request is a hello, which is sent back.
 //!
 //! | request | does | answer |
 //! |---|---|---|
@@ -8,9 +9,8 @@
 //! | `e` offset, bytes | erases flash | 0 or 1 for an error |
 //! | `p` offset, value | programs a word of flash | 0 or 1 for an error |
 //! | `r` offset | | word of flash |
-//! | `w` µs | starts the watchdog | |
-//! | `f` ticks | feeds it in each of so many ticks | |
-//! | `h` | hangs without a word | none |
+//! | `f` ticks, µs | starts the watchdog, feeds it in each of so many ticks, and no more | ticks |
+//! | `h` µs | starts the watchdog and hangs | none |
 //! | `s` | resets the system | none |
 //! | `x` ticks | a frame to the plant and back in each tick | good answers, instructions per exchange |
 //! | `m` | | instructions per load from the clocks, per look at the plant port |
@@ -32,7 +32,8 @@ mod chip {
     use cortex_m::peripheral::{SCB, SYST};
     use cortex_m_rt::{entry, exception};
     use defmt_rtt as _;
-    use embassy_stm32::flash::{Blocking, Flash};
+    use embassy_stm32::flash::{self, Flash};
+    use embassy_stm32::mode::Blocking;
     use embassy_stm32::pac;
     use embassy_stm32::peripherals::IWDG;
     use embassy_stm32::rcc::{
@@ -47,6 +48,7 @@ mod chip {
     const CORE_CLOCK: u32 = 168_000_000;
     const BAUD: u32 = 1_000_000;
     const REQUEST_BYTES: usize = 12;
+    const FIRST_HELLO: u8 = 0x80;
     const FRAME_BYTES: usize = 16;
     /// Looks at the plant's line without a byte before it counts as silent.
     const PATIENCE: u32 = 100;
@@ -70,7 +72,7 @@ mod chip {
     struct Probe {
         flags: u32,
         core_clock: u32,
-        flash: Flash<'static, Blocking>,
+        flash: Flash<'static, flash::Blocking>,
         watchdog: Peri<'static, IWDG>,
     }
 
@@ -108,9 +110,9 @@ mod chip {
         let mut probe =
             Probe { flags, core_clock, flash: Flash::new_blocking(chip.FLASH), watchdog: chip.IWDG };
         loop {
-            let answer = probe.answer(&receive());
+            let request = receive(&mut link);
+            let answer = probe.answer(&request);
             for word in answer {
-                // Writing waits for room only, so it does not fail.
                 let _ = link.blocking_write(&word.to_le_bytes());
             }
         }
@@ -124,13 +126,21 @@ mod chip {
         timer.enable_counter();
     }
 
-    fn receive() -> [u8; REQUEST_BYTES] {
+    fn receive(link: &mut Uart<'static, Blocking>) -> [u8; REQUEST_BYTES] {
         let mut request = [0; REQUEST_BYTES];
-        for byte in &mut request {
+        let mut length = 0;
+        while length < REQUEST_BYTES {
             while !pac::USART1.sr().read().rxne() {
                 cortex_m::asm::wfi();
             }
-            *byte = pac::USART1.dr().read().dr() as u8;
+            let byte = pac::USART1.dr().read().dr() as u8;
+            if length == 0 && byte >= FIRST_HELLO {
+                // Writing waits for room only, so it does not fail.
+                let _ = link.blocking_write(&[byte]);
+            } else {
+                request[length] = byte;
+                length += 1;
+            }
         }
         request
     }
@@ -148,26 +158,37 @@ mod chip {
                     let failed = self.flash.blocking_read(a, &mut word).is_err();
                     [u32::from_le_bytes(word), failed.into()]
                 }
-                b'w' => {
-                    IndependentWatchdog::new(self.watchdog.reborrow(), a).unleash();
-                    [0, 0]
-                }
                 b'f' => {
+                    self.start_watchdog(b);
                     for _ in 0..a {
                         wait_for_tick();
-                        pac::IWDG.kr().write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
+                        probe_feed();
                     }
                     [a, 0]
                 }
-                b'h' => loop {
-                    cortex_m::asm::nop();
-                },
+                b'h' => {
+                    self.start_watchdog(a);
+                    loop {
+                        cortex_m::asm::nop();
+                    }
+                }
                 b's' => SCB::sys_reset(),
                 b'x' => exchanges(a),
                 b'm' => [cost(|| _ = pac::RCC.cr().read()), cost(|| _ = pac::USART2.sr().read())],
                 _ => [0, 0],
             }
         }
+
+        fn start_watchdog(&mut self, timeout_us: u32) {
+            IndependentWatchdog::new(self.watchdog.reborrow(), timeout_us).unleash();
+        }
+    }
+
+    /// Under a name of its own, for a debugger to find.
+    #[unsafe(no_mangle)]
+    #[inline(never)]
+    extern "C" fn probe_feed() {
+        pac::IWDG.kr().write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
     }
 
     fn wait_for_tick() {
@@ -182,7 +203,9 @@ mod chip {
         let (mut good, mut total_ns) = (0, 0_u64);
         for number in 0..ticks {
             wait_for_tick();
-            let frame = [number as u8; FRAME_BYTES];
+            let mut frame = [number as u8; FRAME_BYTES];
+            // Never all zeros, as a missing answer is.
+            frame[0] = u8::MAX;
             let start = now_ns();
             good += u32::from(exchange(&frame) == frame);
             total_ns += u64::from(now_ns().wrapping_sub(start));

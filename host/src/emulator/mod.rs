@@ -25,7 +25,7 @@ pub use debugger::{Debugger, DebuggerError, symbol};
 pub use plant::{LockstepPlant, Paced, Plant, PlantEnd};
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus};
@@ -78,8 +78,8 @@ pub enum EmulatorError {
         /// What it says of itself.
         found: String,
     },
-    /// An image is not there.
-    #[error("there is no image {}; run: cargo xtask firmware", .0.display())]
+    /// An image is not there, or is none.
+    #[error("{} is no ELF image; run: cargo xtask firmware", .0.display())]
     ImageMissing(PathBuf),
     /// The flash has the wrong size.
     #[error("the initial flash has {0} bytes; both slots together have {FLASH_BYTES}")]
@@ -151,7 +151,7 @@ impl Emulator {
     ) -> Result<Self, EmulatorError> {
         qemu::check()?;
         for image in [&config.firmware, &config.shim] {
-            if !image.is_file() {
+            if !is_elf(image) {
                 return Err(EmulatorError::ImageMissing(image.clone()));
             }
         }
@@ -261,6 +261,13 @@ impl Drop for Emulator {
     }
 }
 
+/// Whether a file begins as an ELF file does; QEMU would load any other as it is.
+fn is_elf(path: &Path) -> bool {
+    let mut start = [0; 4];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start == *b"\x7fELF"
+}
+
 /// The folder of a board, locked.
 #[derive(Debug)]
 struct Folder {
@@ -345,6 +352,6 @@ mod tests {
     fn errors_say_what_to_do() {
         assert!(EmulatorError::QemuMissing.to_string().ends_with("run: cargo xtask setup"));
         let missing = EmulatorError::ImageMissing("a/firmware".into()).to_string();
-        assert_eq!(missing, "there is no image a/firmware; run: cargo xtask firmware");
+        assert_eq!(missing, "a/firmware is no ELF image; run: cargo xtask firmware");
     }
 }
