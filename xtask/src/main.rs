@@ -28,8 +28,8 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Prepare the toolchain to build for the chip; does nothing if it can
-    Setup,
+    /// Prepare the toolchain to build for the chip and install QEMU; does nothing where they are there
+    Setup(setup::Arguments),
     /// Build the firmware's images and show how much flash and RAM they take
     Firmware,
     /// Run all tests on the real image in QEMU
@@ -60,7 +60,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask lies in the root of the workspace")?;
     shell.change_dir(root);
     match &arguments.command {
-        Command::Setup => setup::run(&shell),
+        Command::Setup(arguments) => setup::run(&shell, arguments),
         Command::Firmware => firmware::run(&shell),
         Command::QemuTest { filters } => qemu_test::run(&shell, filters),
         Command::Cost(arguments) => cost::run(&shell, arguments),

@@ -1,9 +1,10 @@
-//! `cargo xtask setup`: makes the toolchain able to build for the chip.
+//! `cargo xtask setup`: makes the toolchain able to build for the chip, and installs QEMU.
 //!
-//! Three ways, the first that works: nothing to do; `rustup target add`; or, on a Debian machine that reaches a
+//! The toolchain in three ways, the first that works: nothing to do; `rustup target add`; or, on a Debian machine that reaches a
 //! package mirror but not rustup's server, the core library built from Debian's source of the same release.
 
 mod debian;
+mod qemu;
 
 use anyhow::{Result, ensure};
 use xshell::{Shell, cmd};
@@ -16,8 +17,21 @@ extern crate alloc;
 pub fn probe(x: f32) -> alloc::vec::Vec<f32> { alloc::vec![x] }
 ";
 
-/// Prepares the toolchain.
-pub fn run(shell: &Shell) -> Result<()> {
+/// Arguments of `cargo xtask setup`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Leave QEMU out: builds for the chip, but no tests of the real image
+    #[arg(long)]
+    target_only: bool,
+}
+
+/// Prepares the toolchain, and QEMU unless it is not wanted.
+pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
+    prepare_toolchain(shell)?;
+    if arguments.target_only { Ok(()) } else { qemu::run(shell) }
+}
+
+fn prepare_toolchain(shell: &Shell) -> Result<()> {
     if can_build(shell)? {
         println!("{CHIP_TARGET}: present");
         return Ok(());
