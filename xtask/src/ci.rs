@@ -28,7 +28,7 @@ const STEPS: &[Step] = &[
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),
         ..step("doc", &["doc", "--no-deps", "--document-private-items"])
     },
-    step("setup", &["xtask", "setup", "--target-only"]),
+    step("setup", &["xtask", "setup"]),
     step("clippy-board", &chip_clippy("firmware", "stm32f405")),
     step("clippy-hil", &chip_clippy("firmware", "stm32f405,hil,cost")),
     step("clippy-f446", &chip_clippy("firmware", "stm32f446")),
@@ -37,7 +37,7 @@ const STEPS: &[Step] = &[
 ];
 
 /// The lints of a package for the chip, with these features.
-const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 13] {
+const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 14] {
     [
         "clippy",
         "--release",
@@ -47,6 +47,7 @@ const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static
         "--features",
         features,
         "--bins",
+        "--examples",
         "--target",
         CHIP_TARGET,
         "--",

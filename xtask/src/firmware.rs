@@ -29,10 +29,12 @@ pub struct Images {
     pub board: PathBuf,
     /// With a plant on a serial line in their place.
     pub hil: PathBuf,
+    /// The emulator's helper.
+    pub shim: PathBuf,
 }
 
 impl Images {
-    /// Where all images lie, the emulator's helper among them.
+    /// Where all images lie.
     pub fn folder(&self) -> &Path {
         self.board.parent().unwrap_or(Path::new("."))
     }
@@ -55,6 +57,7 @@ pub fn run(shell: &Shell) -> Result<()> {
         println!("{}", image.display());
         print!("{}", report(&sections(&read(image)?)?, &regions)?);
     }
+    println!("{}: for the emulator", images.shim.display());
     for (board, map) in OTHER_BOARDS {
         let image = compile(shell, board, &["--no-default-features", "--features", board])?;
         let Size { flash, ram } = size(&image, Path::new(map))?;
@@ -68,9 +71,16 @@ pub fn build(shell: &Shell) -> Result<Images> {
     ensure!(setup::can_build(shell)?, "the toolchain cannot build for {CHIP_TARGET}; run: cargo xtask setup");
     let hil = compile(shell, "hil", &["--features", "hil"])?;
     let board = compile(shell, "board", &[])?;
-    cmd!(shell, "cargo build --release -p shim --target {CHIP_TARGET}").quiet().run()?;
-    keep(shell, "shim", "shim")?;
-    Ok(Images { board, hil })
+    cmd!(shell, "cargo build --release -p shim --bin shim --target {CHIP_TARGET}").quiet().run()?;
+    let shim = keep(shell, "shim", "shim")?;
+    Ok(Images { board, hil, shim })
+}
+
+/// Builds the firmware that tests the emulator, to lie beside the other images.
+pub fn build_probe(shell: &Shell) -> Result<()> {
+    cmd!(shell, "cargo build --release -p shim --example probe --target {CHIP_TARGET}").quiet().run()?;
+    keep(shell, "examples/probe", "probe")?;
+    Ok(())
 }
 
 /// Builds the firmware with some features and keeps the image under a name of its own.

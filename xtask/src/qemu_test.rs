@@ -27,12 +27,16 @@ pub struct Golden {
 /// Builds the images and runs the tests that need QEMU; arguments are filters of their names.
 pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build(shell)?;
+    firmware::build_probe(shell)?;
     let folder = images.folder();
     // One after the other: each keeps a core busy with QEMU and another with its plant.
-    cmd!(shell, "cargo test -p tests --features board --test qemu -- --test-threads=1 {filters...}")
-        .env(IMAGES, folder)
-        .quiet()
-        .run()?;
+    cmd!(
+        shell,
+        "cargo test -p tests --features board --test emulator --test qemu -- --test-threads=1 {filters...}"
+    )
+    .env(IMAGES, folder)
+    .quiet()
+    .run()?;
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! The modelled parts at their addresses.
 
+use crate::decode::Direction;
 use crate::flash::{self, Flash, Operation};
 use crate::iwdg::Iwdg;
 use crate::plant_port::{Line, PlantPort};
@@ -39,6 +40,16 @@ pub const REGIONS: [Region; 6] = [
     Region { address: USART2, bytes: PART_BYTES, readable: false },
     Region { address: flash::SLOTS, bytes: flash::SLOTS_BYTES, readable: true },
 ];
+
+/// Whether an access to an address faults.
+#[inline]
+pub fn is_refused(address: u32, direction: Direction) -> bool {
+    match address - address % PART_BYTES {
+        USART2 | IWDG | PWR | GPIOA | GPIOB | RCC | FLASH => true,
+        flash::SLOTS..=SLOTS_LAST => direction == Direction::Store,
+        _ => false,
+    }
+}
 
 /// What the models need from the outside.
 pub trait Outside: Line {
@@ -165,6 +176,21 @@ mod tests {
                 let apart = region.address + region.bytes <= other.address
                     || other.address + other.bytes <= region.address;
                 assert!(apart, "{region:x?} {other:x?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_refused_is_what_the_regions_cover() {
+        for region in REGIONS {
+            for address in [region.address, region.address + region.bytes - 1] {
+                assert!(is_refused(address, Direction::Store), "{address:#x}");
+                assert_eq!(is_refused(address, Direction::Load), !region.readable, "{address:#x}");
+            }
+            for address in [region.address - 1, region.address + region.bytes] {
+                let elsewhere =
+                    REGIONS.iter().all(|other| address.wrapping_sub(other.address) >= other.bytes);
+                assert_ne!(is_refused(address, Direction::Store), elsewhere, "{address:#x}");
             }
         }
     }

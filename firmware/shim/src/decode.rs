@@ -19,6 +19,20 @@ pub enum Direction {
     Store,
 }
 
+/// What is added to the base register.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Offset {
+    /// A number.
+    Immediate(i32),
+    /// A register, shifted left.
+    Register {
+        /// Number of the register.
+        number: u8,
+        /// By so many bits.
+        shift: u8,
+    },
+}
+
 /// A load or store of one register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Access {
@@ -28,12 +42,29 @@ pub struct Access {
     pub width: Width,
     /// Number of the register, 0 to 12 or 14.
     pub register: u8,
+    /// Number of the register that holds the base of the address, 0 to 12 or 14.
+    pub base: u8,
+    /// What is added to it.
+    pub offset: Offset,
     /// Length of the instruction, bytes.
     pub length: u32,
 }
 
+impl Access {
+    /// Where it goes, with these values of the registers.
+    #[inline]
+    pub fn address(&self, value: impl Fn(u8) -> u32) -> u32 {
+        let offset = match self.offset {
+            Offset::Immediate(offset) => offset as u32,
+            Offset::Register { number, shift } => value(number) << shift,
+        };
+        value(self.base).wrapping_add(offset)
+    }
+}
+
 /// The access that an instruction makes. None where going on behind it would take more than one register: forms that
-/// write the address back, that load or store several registers, exclusive and unprivileged ones.
+/// write the address back, that load or store several registers, exclusive and unprivileged ones; and none where the base is
+/// the stack pointer or the program counter, for no device lies there.
 ///
 /// `second` is looked at only if `first` begins an instruction of 32 bits.
 #[inline]
@@ -69,7 +100,13 @@ fn narrow(first: u16) -> Option<Access> {
         },
         _ => return None,
     };
-    Some(Access { direction, width, register: (first & 7) as u8, length: 2 })
+    let offset = if first >> 12 == 0b0101 {
+        Offset::Register { number: (first >> 6 & 7) as u8, shift: 0 }
+    } else {
+        Offset::Immediate(i32::from(first >> 6 & 0x1F) * width.bytes() as i32)
+    };
+    let (register, base) = ((first & 7) as u8, (first >> 3 & 7) as u8);
+    Some(Access { direction, width, register, base, offset, length: 2 })
 }
 
 #[inline]
@@ -88,19 +125,21 @@ fn wide(first: u16, second: u16) -> Option<Access> {
         (false, false, _) => Direction::Store,
         _ => return None,
     };
+    let offset = if first >> 7 & 1 == 1 {
+        Offset::Immediate((second & 0xFFF).into())
+    } else if (second >> 6).trailing_zeros() >= 6 {
+        Offset::Register { number: (second & 0xF) as u8, shift: (second >> 4 & 3) as u8 }
+    } else if second >> 8 & 0xF == 0b1100 {
+        Offset::Immediate(-i32::from(second & 0xFF))
+    } else {
+        // Written back, or unprivileged.
+        return None;
+    };
     let single = first >> 9 == 0b111_1100;
-    let offset_alone = first >> 7 & 1 == 1 || offset_alone(second);
-    if !single || !offset_alone || base == PC || register == SP || register == PC {
+    if !single || [base, register].iter().any(|&number| number == SP || number == PC) {
         return None;
     }
-    Some(Access { direction, width, register: register as u8, length: 4 })
-}
-
-/// Whether the second half of a form without a 12-bit offset leaves the base register alone and keeps its privilege:
-/// a register as offset, or a negative 8-bit offset.
-#[inline]
-fn offset_alone(second: u16) -> bool {
-    (second >> 6).trailing_zeros() >= 6 || second >> 8 & 0xF == 0b1100
+    Some(Access { direction, width, register: register as u8, base: base as u8, offset, length: 4 })
 }
 
 /// The program status register behind an instruction that was carried out in its place: the state of an IT block moves
@@ -119,23 +158,38 @@ mod tests {
     use super::*;
     use Direction::{Load, LoadSigned, Store};
 
-    fn access(direction: Direction, width: Width, register: u8, length: u32) -> Option<Access> {
-        Some(Access { direction, width, register, length })
+    /// Based on r0.
+    fn access(
+        direction: Direction,
+        width: Width,
+        register: u8,
+        offset: Offset,
+        length: u32,
+    ) -> Option<Access> {
+        Some(Access { direction, width, register, base: 0, offset, length })
+    }
+
+    fn by(offset: i32) -> Offset {
+        Offset::Immediate(offset)
+    }
+
+    fn r1(shift: u8) -> Offset {
+        Offset::Register { number: 1, shift }
     }
 
     #[test]
     fn narrow_forms_are_read() {
         for (code, expected) in [
-            (0x6001, access(Store, Width::Word, 1, 2)),      // str r1, [r0]
-            (0x6842, access(Load, Width::Word, 2, 2)),       // ldr r2, [r0, #4]
-            (0x7003, access(Store, Width::Byte, 3, 2)),      // strb r3, [r0]
-            (0x7804, access(Load, Width::Byte, 4, 2)),       // ldrb r4, [r0]
-            (0x8085, access(Store, Width::Half, 5, 2)),      // strh r5, [r0, #4]
-            (0x8806, access(Load, Width::Half, 6, 2)),       // ldrh r6, [r0]
-            (0x5047, access(Store, Width::Word, 7, 2)),      // str r7, [r0, r1]
-            (0x5647, access(LoadSigned, Width::Byte, 7, 2)), // ldrsb r7, [r0, r1]
-            (0x5E47, access(LoadSigned, Width::Half, 7, 2)), // ldrsh r7, [r0, r1]
-            (0x5847, access(Load, Width::Word, 7, 2)),       // ldr r7, [r0, r1]
+            (0x6001, access(Store, Width::Word, 1, by(0), 2)), // str r1, [r0]
+            (0x6842, access(Load, Width::Word, 2, by(4), 2)),  // ldr r2, [r0, #4]
+            (0x7003, access(Store, Width::Byte, 3, by(0), 2)), // strb r3, [r0]
+            (0x7804, access(Load, Width::Byte, 4, by(0), 2)),  // ldrb r4, [r0]
+            (0x8085, access(Store, Width::Half, 5, by(4), 2)), // strh r5, [r0, #4]
+            (0x8806, access(Load, Width::Half, 6, by(0), 2)),  // ldrh r6, [r0]
+            (0x5047, access(Store, Width::Word, 7, r1(0), 2)), // str r7, [r0, r1]
+            (0x5647, access(LoadSigned, Width::Byte, 7, r1(0), 2)), // ldrsb r7, [r0, r1]
+            (0x5E47, access(LoadSigned, Width::Half, 7, r1(0), 2)), // ldrsh r7, [r0, r1]
+            (0x5847, access(Load, Width::Word, 7, r1(0), 2)),  // ldr r7, [r0, r1]
         ] {
             assert_eq!(decode(code, 0xFFFF), expected, "{code:#06x}");
         }
@@ -144,13 +198,13 @@ mod tests {
     #[test]
     fn wide_forms_are_read() {
         for (first, second, expected) in [
-            (0xF8C0, 0xC004, access(Store, Width::Word, 12, 4)), // str.w r12, [r0, #4]
-            (0xF8D0, 0xE004, access(Load, Width::Word, 14, 4)),  // ldr.w lr, [r0, #4]
-            (0xF880, 0x8004, access(Store, Width::Byte, 8, 4)),  // strb.w r8, [r0, #4]
-            (0xF8B0, 0x9004, access(Load, Width::Half, 9, 4)),   // ldrh.w r9, [r0, #4]
-            (0xF990, 0x9004, access(LoadSigned, Width::Byte, 9, 4)), // ldrsb.w r9, [r0, #4]
-            (0xF840, 0x1C04, access(Store, Width::Word, 1, 4)),  // str r1, [r0, #-4]
-            (0xF850, 0x1021, access(Load, Width::Word, 1, 4)),   // ldr.w r1, [r0, r1, lsl #2]
+            (0xF8C0, 0xC004, access(Store, Width::Word, 12, by(4), 4)), // str.w r12, [r0, #4]
+            (0xF8D0, 0xE004, access(Load, Width::Word, 14, by(4), 4)),  // ldr.w lr, [r0, #4]
+            (0xF880, 0x8004, access(Store, Width::Byte, 8, by(4), 4)),  // strb.w r8, [r0, #4]
+            (0xF8B0, 0x9004, access(Load, Width::Half, 9, by(4), 4)),   // ldrh.w r9, [r0, #4]
+            (0xF990, 0x9004, access(LoadSigned, Width::Byte, 9, by(4), 4)), // ldrsb.w r9, [r0, #4]
+            (0xF840, 0x1C04, access(Store, Width::Word, 1, by(-4), 4)), // str r1, [r0, #-4]
+            (0xF850, 0x1021, access(Load, Width::Word, 1, r1(2), 4)),   // ldr.w r1, [r0, r1, lsl #2]
         ] {
             assert_eq!(decode(first, second), expected, "{first:#06x} {second:#06x}");
         }
@@ -175,10 +229,22 @@ mod tests {
     }
 
     #[test]
-    fn stack_pointer_and_program_counter_are_no_targets() {
+    fn the_address_is_base_and_offset() {
+        let address = |first, second| decode(first, second).unwrap().address(|n| 0x1000 + u32::from(n));
+        assert_eq!(address(0x6842, 0), 0x1004, "ldr r2, [r0, #4]");
+        assert_eq!(address(0x8893, 0), 0x1006, "ldrh r3, [r2, #4]");
+        assert_eq!(address(0xF841, 0x1C04), 0x0FFD, "str r1, [r1, #-4]");
+        assert_eq!(address(0xF850, 0x1021), 0x5004, "ldr.w r1, [r0, r1, lsl #2]");
+        assert_eq!(address(0xF8CE, 0x1FFF), 0x200D, "str.w r1, [lr, #4095]");
+    }
+
+    #[test]
+    fn stack_pointer_and_program_counter_are_no_part_of_it() {
         assert_eq!(decode(0xF8D0, 0xD004), None, "ldr sp, [r0, #4]");
         assert_eq!(decode(0xF8D0, 0xF004), None, "ldr pc, [r0, #4]");
         assert_eq!(decode(0xF8DF, 0x1004), None, "ldr r1, [pc, #4]");
+        assert_eq!(decode(0xF8DD, 0x1004), None, "ldr.w r1, [sp, #4]");
+        assert_eq!(decode(0x9901, 0), None, "ldr r1, [sp, #4]");
     }
 
     #[test]
@@ -199,7 +265,7 @@ mod tests {
     fn the_it_state_moves_on_by_one_instruction() {
         // ITTE EQ: conditions EQ, EQ, NE.
         assert_eq!(behind(status(0b0000_0110)), status(0b0000_1100));
-        assert_eq!(behind(status(0b0000_1100)), status(0b0001_1000) & !0 | 0);
+        assert_eq!(behind(status(0b0000_1100)), status(0b0001_1000));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::iwdg::Effect;
 use crate::rcc::ResetCause;
 
 /// Where the record lies; the linker script says the same.
-pub const ADDRESS: u32 = 0x1000_FC00;
+pub const ADDRESS: u32 = 0x1000_FF00;
 /// Its length in words.
 pub const WORDS: usize = size_of::<Record>() / 4;
 /// Marks a record that was written by this program.
@@ -30,8 +30,8 @@ pub struct Record {
     pub watchdog_resets: u32,
     /// Feedings of the running watchdog.
     pub feeds: u32,
-    /// Longest time between two of them, microseconds.
-    pub longest_gap_us: u32,
+    /// Longest time between two of them, nanoseconds; as much as fits for what is longer.
+    pub longest_gap_ns: u32,
     /// Loads and stores that were answered.
     pub traps: u32,
     /// Handle of the file behind the slots; zero: not open.
@@ -60,7 +60,7 @@ impl Record {
             expired: 0,
             watchdog_resets: 0,
             feeds: 0,
-            longest_gap_us: 0,
+            longest_gap_ns: 0,
             traps: 0,
             flash_file: 0,
             request_pipe: 0,
@@ -97,13 +97,13 @@ impl Record {
     pub fn note(&mut self, effect: Effect) {
         if let Effect::Fed(gap_ns) = effect {
             self.feeds += 1;
-            self.longest_gap_us = self.longest_gap_us.max((gap_ns / 1000) as u32);
+            self.longest_gap_ns = self.longest_gap_ns.max(u32::try_from(gap_ns).unwrap_or(u32::MAX));
         }
     }
 
     /// The record in words read from [`ADDRESS`]; none if no shim has run there.
     pub fn from_words(words: &[u32; WORDS]) -> Option<Self> {
-        let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_us, traps, ..] = *words;
+        let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *words;
         let [.., flash_file, request_pipe, answer_pipe, flash_operations] = *words.first_chunk::<PLAIN>()?;
         let (a, b) = words[PLAIN..].split_first_chunk::<PORT_WORDS>()?;
         let ports = [Gpio::from_words(*a), Gpio::from_words(*b.first_chunk()?)];
@@ -114,7 +114,7 @@ impl Record {
             expired,
             watchdog_resets,
             feeds,
-            longest_gap_us,
+            longest_gap_ns,
             traps,
             flash_file,
             request_pipe,
@@ -192,7 +192,7 @@ mod tests {
         for gap in [3_000_000, 9_000_000, 1_000_000] {
             record.note(Effect::Fed(gap));
         }
-        assert_eq!((record.feeds, record.longest_gap_us), (3, 9000));
+        assert_eq!((record.feeds, record.longest_gap_ns), (3, 9_000_000));
     }
 
     #[test]

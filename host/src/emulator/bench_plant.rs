@@ -11,7 +11,8 @@ use crate::source::TickTruth;
 /// Microseconds of a bench step.
 const STEP_US: u32 = (STEP_S * 1e6) as u32;
 
-/// The true pressures before each step since the last reset: entry `n` belongs to tick `n`, at whose reading they were.
+/// The true pressures since the last reset: entry `n` is from the instant of the `n`-th reading, which is that of tick `n`
+/// since then. It is there before the board has the reading.
 pub type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
 
 /// A bench behind a sensor and two valves. It steps in whole milliseconds; for other periods it reads NaN.
@@ -51,7 +52,6 @@ fn with<T>(log: &TruthLog, work: impl FnOnce(&mut Vec<TickTruth>) -> T) -> T {
 
 impl Plant for BenchPlant {
     fn reset(&mut self, period_us: u32, seed: u64) -> f32 {
-        with(&self.truths, Vec::clear);
         let bench = Bench::new(&self.config, self.peep, seed);
         self.steps_per_period = if period_us.is_multiple_of(STEP_US) { period_us / STEP_US } else { 0 };
         self.reading = match bench {
@@ -61,14 +61,18 @@ impl Plant for BenchPlant {
             }
             _ => f32::NAN,
         };
+        with(&self.truths, |log| {
+            log.clear();
+            log.push(self.bench.pressures());
+        });
         self.reading
     }
 
     fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
-        with(&self.truths, |log| log.push(self.bench.pressures()));
         for _ in 0..self.steps_per_period {
             self.reading = self.bench.step(u_in, u_out).pressure;
         }
+        with(&self.truths, |log| log.push(self.bench.pressures()));
         self.reading
     }
 
@@ -126,7 +130,8 @@ mod tests {
             }
             let truths = plant.truths();
             let logged: Vec<_> = truths.lock().unwrap().iter().copied().map(Some).collect();
-            assert_eq!(logged, ticks.iter().map(|tick| tick.truth).collect::<Vec<_>>());
+            let expected: Vec<_> = ticks.iter().map(|tick| tick.truth).collect();
+            assert_eq!(logged[..ticks.len()], expected);
         }
     }
 
@@ -140,7 +145,7 @@ mod tests {
         };
         let first = run(&mut plant);
         assert_eq!(run(&mut plant), first);
-        assert_eq!(first.1.len(), 50);
+        assert_eq!(first.1.len(), 51, "at rest and after each step");
     }
 
     #[test]

@@ -1,40 +1,103 @@
 //! QEMU never outlives the process that started it, however that ends.
 //!
-//! A shell waits at a pipe whose other end this process holds. A line in it means that QEMU has ended; the end of the pipe
-//! means that this process has, without having ended QEMU: then the shell does it.
+//! A shell starts QEMU and waits for it; beside it, it waits at a pipe whose other end this process alone holds. The end of
+//! the pipe means that this process has ended or wants QEMU to: then the shell kills it. The pipe is there before QEMU is,
+//! so that there is no instant at which nobody would.
 
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, PipeWriter, Write};
+use std::net::TcpListener;
+use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
 
-const SCRIPT: &str = r#"read line || kill -KILL "$1""#;
+/// Arguments: the log, the program, its arguments. The pipe comes as standard error, for no other number can be chosen.
+/// A line in it means that the program has ended already.
+const SCRIPT: &str = r#"
+log=$1
+shift
+exec 3<&0
+"$@" <&3 3<&- 2>"$log" &
+program=$!
+exec </dev/null >/dev/null 3<&-
+{ read -r line || kill -KILL "$program"; } <&2 &
+wait "$program"
+"#;
 
-/// The shell.
+/// A running program, its guard, and this end of the pipe.
 #[derive(Debug)]
-pub(super) struct Guardian {
+pub(super) struct Guarded {
     shell: Child,
+    pipe: Option<PipeWriter>,
 }
 
-impl Guardian {
-    /// Guards a process.
-    pub(super) fn of(process: &Child) -> io::Result<Self> {
+/// What a program gets.
+#[derive(Debug)]
+pub(super) struct Surroundings<'a> {
+    /// Its working directory.
+    pub(super) folder: &'a Path,
+    /// Takes its standard error; from the working directory, unless the path is absolute.
+    pub(super) log: &'a Path,
+    /// Its standard input.
+    pub(super) input: Option<TcpListener>,
+    /// Its standard output.
+    pub(super) output: Option<TcpListener>,
+}
+
+impl Guarded {
+    /// Starts a program with its arguments.
+    pub(super) fn start(program: &Command, surroundings: Surroundings) -> io::Result<Self> {
+        // The log is there from the beginning, whoever reads it first.
+        File::create(surroundings.folder.join(surroundings.log))?;
+        let (theirs, ours) = io::pipe()?;
+        let port =
+            |port: Option<TcpListener>| port.map_or_else(Stdio::null, |port| OwnedFd::from(port).into());
         let shell = Command::new("sh")
-            .args(["-c", SCRIPT, "guardian", &process.id().to_string()])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            // Ctrl-C must not reach it before it has done its work.
+            .args(["-c", SCRIPT, "guardian"])
+            .arg(surroundings.log)
+            .arg(program.get_program())
+            .args(program.get_args())
+            .current_dir(surroundings.folder)
+            .stdin(port(surroundings.input))
+            .stdout(port(surroundings.output))
+            .stderr(theirs)
+            // Ctrl-C is for the program that started it, which may want to end in order.
             .process_group(0)
             .spawn()?;
-        Ok(Self { shell })
+        Ok(Self { shell, pipe: Some(ours) })
     }
 
-    /// The process has ended and been waited for.
-    pub(super) fn dismiss(&mut self) {
-        if let Some(mut pipe) = self.shell.stdin.take() {
-            // A shell that has ended needs no word.
+    /// How the program ended; none while it runs. A signal that ended it counts as 128 and its number.
+    pub(super) fn exit_status(&mut self) -> io::Result<Option<ExitStatus>> {
+        let status = self.shell.try_wait()?;
+        if status.is_some() {
+            self.dismiss();
+        }
+        Ok(status)
+    }
+
+    /// Waits until it ends by itself.
+    pub(super) fn wait(&mut self) -> io::Result<ExitStatus> {
+        let status = self.shell.wait()?;
+        self.dismiss();
+        Ok(status)
+    }
+
+    /// Once the program has ended, the guard must not kill whoever has its number by then.
+    fn dismiss(&mut self) {
+        if let Some(mut pipe) = self.pipe.take() {
+            // A guard that has gone needs no word.
             let _ = pipe.write_all(b"\n");
         }
+    }
+
+    /// Kills the program and waits until it has gone. Nothing happens the second time.
+    pub(super) fn kill(&mut self) {
+        if let Ok(None) = self.exit_status() {
+            drop(self.pipe.take());
+        }
+        // It fails only if there is nothing to wait for.
         let _ = self.shell.wait();
     }
 }
@@ -42,27 +105,43 @@ impl Guardian {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::os::unix::process::ExitStatusExt;
+    use std::fs;
 
-    fn sleeper() -> Child {
-        Command::new("sleep").arg("1000").spawn().unwrap()
+    /// A shell's script under guard.
+    fn start(folder: &Path, script: &str) -> Guarded {
+        let mut program = Command::new("sh");
+        program.args(["-c", script]);
+        let log = folder.join("log");
+        Guarded::start(&program, Surroundings { folder, log: &log, input: None, output: None }).unwrap()
     }
 
     #[test]
-    fn the_end_of_the_pipe_ends_the_process() {
-        let mut process = sleeper();
-        let mut guardian = Guardian::of(&process).unwrap();
-        drop(guardian.shell.stdin.take());
-        assert_eq!(process.wait().unwrap().signal(), Some(9));
-        guardian.dismiss();
+    fn the_end_of_the_pipe_kills_the_program_at_whatever_instant() {
+        for delay_ms in [0, 1, 3, 10, 100] {
+            let folder = tempfile::tempdir().unwrap();
+            let mut program = start(folder.path(), "exec sleep 1000");
+            std::thread::sleep(std::time::Duration::from_millis(delay_ms));
+            drop(program.pipe.take());
+            assert_eq!(program.wait().unwrap().code(), Some(128 + 9));
+        }
     }
 
     #[test]
-    fn a_dismissed_guardian_does_nothing() {
-        let mut process = sleeper();
-        Guardian::of(&process).unwrap().dismiss();
-        assert!(process.try_wait().unwrap().is_none(), "it still runs");
-        process.kill().unwrap();
-        process.wait().unwrap();
+    fn a_program_that_ends_by_itself_tells_how() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut program = start(folder.path(), "echo reason >&2; exit 7");
+        assert_eq!(program.wait().unwrap().code(), Some(7));
+        assert_eq!(fs::read_to_string(folder.path().join("log")).unwrap(), "reason\n");
+        program.kill();
+        assert_eq!(program.exit_status().unwrap().and_then(|status| status.code()), Some(7));
+    }
+
+    #[test]
+    fn a_running_program_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut program = start(folder.path(), "exec sleep 1000");
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        assert!(program.exit_status().unwrap().is_none());
+        program.kill();
     }
 }

@@ -25,17 +25,17 @@ pub use debugger::{Debugger, DebuggerError, symbol};
 pub use plant::{LockstepPlant, Paced, Plant, PlantEnd};
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ExitStatus};
+use std::process::ExitStatus;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 use thiserror::Error;
 
-use guardian::Guardian;
+use guardian::{Guarded, Surroundings};
 use pipes::PlantThread;
 
 /// Bytes of both weights slots together.
@@ -78,8 +78,8 @@ pub enum EmulatorError {
         /// What it says of itself.
         found: String,
     },
-    /// An image is not there.
-    #[error("there is no image {}; run: cargo xtask firmware", .0.display())]
+    /// An image is not there, or is none.
+    #[error("{} is no ELF image; run: cargo xtask firmware", .0.display())]
     ImageMissing(PathBuf),
     /// The flash has the wrong size.
     #[error("the initial flash has {0} bytes; both slots together have {FLASH_BYTES}")]
@@ -131,8 +131,7 @@ fn tried(what: &'static str) -> impl FnOnce(io::Error) -> EmulatorError {
 /// A running virtual board. Dropping it ends QEMU and the plant's thread.
 #[derive(Debug)]
 pub struct Emulator {
-    qemu: Child,
-    guardian: Guardian,
+    qemu: Guarded,
     plant: PlantThread,
     address: SocketAddr,
     debugger: Option<SocketAddr>,
@@ -151,7 +150,7 @@ impl Emulator {
     ) -> Result<Self, EmulatorError> {
         qemu::check()?;
         for image in [&config.firmware, &config.shim] {
-            if !image.is_file() {
+            if !is_elf(image) {
                 return Err(EmulatorError::ImageMissing(image.clone()));
             }
         }
@@ -166,19 +165,11 @@ impl Emulator {
         let (debugger, debug_port) = if config.debugger { Some(port(0)?).unzip() } else { (None, None) };
         let plant =
             PlantThread::start(folder.path(), plant).map_err(tried("cannot open the plant's pipes"))?;
-        let log = File::create(folder.path().join(LOG_FILE)).map_err(tried("cannot write QEMU's log"))?;
-        let mut command = qemu::command(&images[0], &images[1], link, debug_port, log);
-        let mut qemu = command.current_dir(folder.path()).spawn().map_err(tried("cannot start QEMU"))?;
-        // The ports are QEMU's from here on.
-        drop(command);
-        let guardian = match Guardian::of(&qemu) {
-            Ok(guardian) => guardian,
-            Err(error) => {
-                let _ = qemu.kill().and_then(|()| qemu.wait());
-                return Err(tried("cannot start the shell that guards QEMU")(error));
-            }
-        };
-        let mut emulator = Self { qemu, guardian, plant, address, debugger, folder };
+        let command = qemu::command(&images[0], &images[1], config.debugger);
+        let log = Path::new(LOG_FILE);
+        let surroundings = Surroundings { folder: folder.path(), log, input: Some(link), output: debug_port };
+        let qemu = Guarded::start(&command, surroundings).map_err(tried("cannot start QEMU"))?;
+        let mut emulator = Self { qemu, plant, address, debugger, folder };
         emulator.await_shim(&images)?;
         Ok(emulator)
     }
@@ -194,7 +185,7 @@ impl Emulator {
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
             }
-            let ended = self.qemu.try_wait().map_err(tried("cannot look after QEMU"))?;
+            let ended = self.qemu.exit_status().map_err(tried("cannot look after QEMU"))?;
             if let Some(status) = ended {
                 return Err(EmulatorError::Ended { status, log: self.log() });
             }
@@ -234,7 +225,7 @@ impl Emulator {
     /// # Errors
     /// The system does not tell.
     pub fn exit_status(&mut self) -> Result<Option<ExitStatus>, EmulatorError> {
-        self.qemu.try_wait().map_err(tried("cannot look after QEMU"))
+        self.qemu.exit_status().map_err(tried("cannot look after QEMU"))
     }
 
     /// Waits until QEMU ends by itself.
@@ -247,10 +238,7 @@ impl Emulator {
 
     /// Takes the power away, at any instant; what was stored in flash remains. Nothing happens the second time.
     pub fn kill(&mut self) {
-        // It fails only if QEMU has ended already.
-        let _ = self.qemu.kill();
-        let _ = self.qemu.wait();
-        self.guardian.dismiss();
+        self.qemu.kill();
         self.plant.end();
     }
 }
@@ -259,6 +247,13 @@ impl Drop for Emulator {
     fn drop(&mut self) {
         self.kill();
     }
+}
+
+/// Whether a file begins as an ELF file does; QEMU would load any other as it is.
+fn is_elf(path: &Path) -> bool {
+    let mut start = [0; 4];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start == *b"\x7fELF"
 }
 
 /// The folder of a board, locked.
@@ -344,6 +339,6 @@ mod tests {
     fn errors_say_what_to_do() {
         assert!(EmulatorError::QemuMissing.to_string().ends_with("run: cargo xtask setup"));
         let missing = EmulatorError::ImageMissing("a/firmware".into()).to_string();
-        assert_eq!(missing, "there is no image a/firmware; run: cargo xtask firmware");
+        assert_eq!(missing, "a/firmware is no ELF image; run: cargo xtask firmware");
     }
 }

@@ -33,15 +33,18 @@ pub trait Plant {
 pub struct LockstepPlant<P> {
     plant: P,
     decoder: Decoder,
-    last: Option<[[u8; FRAME_BYTES]; 2]>,
-    /// For the next reset.
+    /// Seed of the resets to come.
     seed: u64,
+    /// What the plant read last, cmH2O.
+    reading: f32,
+    /// The frame answered last, and its answer.
+    last: Option<[[u8; FRAME_BYTES]; 2]>,
 }
 
 impl<P: Plant> LockstepPlant<P> {
     /// Puts a plant at the end of the line.
     pub fn new(plant: P) -> Self {
-        Self { plant, decoder: Decoder::default(), last: None, seed: 0 }
+        Self { plant, decoder: Decoder::default(), seed: 0, reading: 0.0, last: None }
     }
 
     fn reply(&mut self, frame: &Frame) -> Option<[u8; FRAME_BYTES]> {
@@ -51,18 +54,18 @@ impl<P: Plant> LockstepPlant<P> {
         {
             return Some(answer);
         }
-        let message = match frame.message {
-            Message::Reset { period_us } => {
-                Message::Ready { pressure: self.plant.reset(period_us, self.seed) }
-            }
-            Message::Seed { seed } => {
-                self.seed = seed;
-                Message::Ready { pressure: 0.0 }
-            }
-            Message::Step { u_in, u_out } => Message::Pressure { pressure: self.plant.step(u_in, u_out) },
-            Message::Peep { pressure } => Message::Ready { pressure: self.plant.set_peep(pressure) },
+        match frame.message {
+            Message::Reset { period_us } => self.reading = self.plant.reset(period_us, self.seed),
+            Message::Step { u_in, u_out } => self.reading = self.plant.step(u_in, u_out),
+            Message::Peep { pressure } => self.reading = self.plant.set_peep(pressure),
+            Message::Seed { seed } => self.seed = seed,
             // A plant's own words.
             Message::Ready { .. } | Message::Pressure { .. } => return None,
+        }
+        let pressure = self.reading;
+        let message = match frame.message {
+            Message::Step { .. } => Message::Pressure { pressure },
+            _ => Message::Ready { pressure },
         };
         let answer = Frame { tick: frame.tick, message }.encode();
         self.last = Some([request, answer]);
@@ -124,7 +127,7 @@ mod tests {
     impl Plant for Counter {
         fn reset(&mut self, period_us: u32, seed: u64) -> f32 {
             self.steps = 0;
-            (u64::from(period_us) + seed) as f32
+            period_us as f32 + seed as f32
         }
 
         fn step(&mut self, u_in: f32, _: bool) -> f32 {
@@ -153,13 +156,23 @@ mod tests {
     #[test]
     fn each_request_is_answered_in_its_tick() {
         let mut plant = LockstepPlant::new(Counter::default());
-        let seed = frame(0, Message::Seed { seed: 7 });
-        assert_eq!(plant.answer(&seed), frame(0, Message::Ready { pressure: 0.0 }));
         let reset = frame(1, Message::Reset { period_us: 1000 });
-        assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1007.0 }));
+        assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1000.0 }));
         let peep = frame(2, Message::Peep { pressure: 5.0 });
         assert_eq!(plant.answer(&peep), frame(2, Message::Ready { pressure: -1.0 }));
         assert_eq!(plant.answer(&step(3, 20.0)), pressure(3, 25.0));
+    }
+
+    #[test]
+    fn a_seed_holds_for_every_reset_until_the_next() {
+        let mut plant = LockstepPlant::new(Counter::default());
+        let ready = |tick, pressure| frame(tick, Message::Ready { pressure });
+        let reset = |tick| frame(tick, Message::Reset { period_us: 1000 });
+        assert_eq!(plant.answer(&frame(1, Message::Seed { seed: 7 })), ready(1, 0.0));
+        assert_eq!(plant.answer(&reset(2)), ready(2, 1007.0));
+        assert_eq!(plant.answer(&reset(3)), ready(3, 1007.0));
+        assert_eq!(plant.answer(&frame(4, Message::Seed { seed: 8 })), ready(4, 1007.0));
+        assert_eq!(plant.answer(&reset(5)), ready(5, 1008.0));
     }
 
     #[test]

@@ -1,12 +1,8 @@
 //! QEMU: whether it is there, and the command line of a board.
 
-use std::fs::File;
 use std::io;
-use std::net::TcpListener;
-use std::os::fd::OwnedFd;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use super::{EmulatorError, tried};
 
@@ -40,15 +36,9 @@ fn major(text: &str) -> Option<u32> {
     after.split('.').next()?.parse().ok()
 }
 
-/// The command that runs a board. The listening ports reach QEMU as its standard input and output, so that no other
-/// program can take them in between.
-pub(super) fn command(
-    firmware: &Path,
-    shim: &Path,
-    link: TcpListener,
-    debugger: Option<TcpListener>,
-    log: File,
-) -> Command {
+/// The command that runs a board. The link's listening port is its standard input and the debugger's its standard output, so
+/// that no other program can take them in between.
+pub(super) fn command(firmware: &Path, shim: &Path, debugger: bool) -> Command {
     let mut command = Command::new(PROGRAM);
     command
         .args(["-M", "netduinoplus2", "-nodefaults", "-display", "none", "-monitor", "none"])
@@ -57,18 +47,12 @@ pub(super) fn command(
         .arg("-kernel")
         .arg(firmware)
         .arg("-device")
-        .arg(format!("loader,file={},cpu-num=0", escaped(shim)))
-        .stdin(OwnedFd::from(link))
-        .stderr(log)
-        // Ctrl-C is for the program that started it, which may want to end in order.
-        .process_group(0);
-    match debugger {
-        Some(port) => command
+        .arg(format!("loader,file={},cpu-num=0", escaped(shim)));
+    if debugger {
+        command
             .args(["-chardev", "socket,id=debugger,fd=1,server=on,wait=off,nodelay=on"])
-            .args(["-gdb", "chardev:debugger"])
-            .stdout(OwnedFd::from(port)),
-        None => command.stdout(Stdio::null()),
-    };
+            .args(["-gdb", "chardev:debugger"]);
+    }
     command
 }
 

@@ -11,7 +11,8 @@ use xshell::{Shell, cmd};
 
 use crate::CHIP_TARGET;
 
-const KEYRING: &str = "/usr/share/keyrings/debian-archive-keyring.gpg";
+/// Debian's own keys.
+pub(super) const KEYRING: &str = "/usr/share/keyrings/debian-archive-keyring.gpg";
 /// Suites that carry recent releases of Rust.
 const SUITES: [&str; 3] = ["trixie-backports", "forky", "sid"];
 /// Libraries that a program without std links.
@@ -121,7 +122,7 @@ fn fetch(shell: &Shell, toolchain: &Toolchain, work: &Path) -> Result<()> {
 }
 
 /// The mirror of the machine's own apt configuration.
-fn configured_mirror(shell: &Shell) -> Result<String> {
+pub(super) fn configured_mirror(shell: &Shell) -> Result<String> {
     let mut files = shell.read_dir("/etc/apt/sources.list.d").unwrap_or_default();
     files.push("/etc/apt/sources.list".into());
     let mut texts = files.iter().filter_map(|file| shell.read_file(file).ok());

@@ -28,7 +28,7 @@ pub struct Arguments {
 /// Prepares whatever is missing.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     prepare_toolchain(shell)?;
-    if arguments.target_only { Ok(()) } else { qemu::install(shell) }
+    if arguments.target_only { Ok(()) } else { qemu::run(shell) }
 }
 
 fn prepare_toolchain(shell: &Shell) -> Result<()> {

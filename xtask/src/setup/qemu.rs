@@ -1,100 +1,113 @@
-//! QEMU for the virtual board: on Debian from the backports of its release, elsewhere by the reader's own hands.
+//! QEMU, in which the tests run the real image.
+//!
+//! Debian has a recent one in its backports, and only there may it differ from what the release brings: the release's own
+//! package does not fit beside newer parts of QEMU that may be installed already.
 
 use anyhow::{Context, Result, bail, ensure};
 use xshell::{Shell, cmd};
 
-/// The emulator of the chip's instruction set.
-const PROGRAM: &str = "qemu-system-arm";
-/// Older versions do not model the serial ports' interrupts.
-const LEAST_VERSION: u32 = 10;
-/// Where our line in apt's configuration goes.
-const SOURCE_LIST: &str = "/etc/apt/sources.list.d/eupnea-backports.list";
-const KEYRING: &str = "/usr/share/keyrings/debian-archive-keyring.gpg";
+use super::debian::{KEYRING, configured_mirror};
 
-/// Installs QEMU unless it is there.
-pub fn install(shell: &Shell) -> Result<()> {
-    if let Some(version) = version(shell) {
-        if version >= LEAST_VERSION {
-            println!("{PROGRAM}: present, version {version}");
-            return Ok(());
-        }
-        println!("{PROGRAM}: version {version} is too old");
+const PROGRAM: &str = "qemu-system-arm";
+/// Older ones lack the core-coupled memory and the serial port's interrupts.
+const LEAST_VERSION: u32 = 10;
+/// Our addition to apt's sources.
+const SOURCES: &str = "/etc/apt/sources.list.d/eupnea-backports.list";
+
+/// How to install QEMU where this program does not do it.
+const INSTRUCTIONS: &str =
+    "install QEMU 10 or newer for Arm, then repeat this; without it (no tests of the real image): \
+    cargo xtask setup --target-only
+    macOS          brew install qemu
+    Fedora         sudo dnf install qemu-system-arm
+    Arch           sudo pacman -S qemu-system-arm
+    Ubuntu 25.10+  sudo apt-get install qemu-system-arm
+    others         https://www.qemu.org/download";
+
+/// Installs QEMU unless it is there and new enough.
+pub fn run(shell: &Shell) -> Result<()> {
+    if let Some(version) = installed(shell) {
+        println!("{PROGRAM}: version {version} present");
+        return Ok(());
     }
     let release = shell.read_file("/etc/os-release").unwrap_or_default();
-    let Some(codename) = debian_codename(&release) else {
-        bail!(
-            "install QEMU {LEAST_VERSION} or newer by hand, so that {PROGRAM} is in the path: on Fedora `dnf install \
-             qemu-system-arm`, on Arch `pacman -S qemu-system-arm`, on macOS `brew install qemu`, on Ubuntu 25.10 or \
-             newer `apt-get install qemu-system-arm`"
-        );
-    };
-    from_backports(shell, &codename)?;
-    let installed =
-        version(shell).with_context(|| format!("{PROGRAM} is not in the path after its installation"))?;
+    ensure!(field(&release, "ID") == Some("debian"), "{PROGRAM} is missing or too old; {INSTRUCTIONS}");
+    let codename =
+        field(&release, "VERSION_CODENAME").context("/etc/os-release names no release of Debian")?;
     ensure!(
-        installed >= LEAST_VERSION,
-        "apt installed version {installed}; version {LEAST_VERSION} is needed"
+        cmd!(shell, "id -u").quiet().read()? == "0",
+        "{PROGRAM} is missing or too old and only root can install it; run as root: cargo xtask setup"
     );
-    println!("{PROGRAM}: installed, version {installed}");
-    Ok(())
-}
-
-/// Major version, if the program is there.
-fn version(shell: &Shell) -> Option<u32> {
-    let said = cmd!(shell, "{PROGRAM} --version").quiet().ignore_stderr().read().ok()?;
-    major(&said)
-}
-
-/// `QEMU emulator version 10.0.2 (Debian ...)` is 10.
-fn major(said: &str) -> Option<u32> {
-    let (_, after) = said.split_once("version ")?;
-    after.split('.').next()?.parse().ok()
-}
-
-/// The release's name, if the system is Debian itself.
-fn debian_codename(os_release: &str) -> Option<String> {
-    let value = |key: &str| {
-        let line = os_release.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('='));
-        line.map(|value| value.trim_matches('"').to_owned())
-    };
-    value("VERSION_CODENAME").filter(|_| value("ID").as_deref() == Some("debian"))
-}
-
-fn from_backports(shell: &Shell, codename: &str) -> Result<()> {
-    let root = cmd!(shell, "id -u").quiet().read()?.trim() == "0";
-    let suite = format!("{codename}-backports");
-    ensure!(
-        root,
-        "installing packages needs root; run as root: cargo xtask setup (or install {PROGRAM} from {suite})"
-    );
-    let known = cmd!(shell, "apt-cache policy").quiet().read()?;
-    if !known.contains(&format!("n={suite}")) {
-        let mirror = mirror(shell).context("apt's configuration names no Debian mirror")?;
-        shell.write_file(SOURCE_LIST, format!("deb [signed-by={KEYRING}] {mirror} {suite} main\n"))?;
-    }
-    cmd!(shell, "apt-get update -q").quiet().run()?;
-    // The release's own package would conflict with tools of QEMU that come from backports.
-    cmd!(shell, "apt-get install -q -y --no-install-recommends -t {suite} {PROGRAM}")
+    let suite = offering_suite(shell, codename)?;
+    println!("{PROGRAM}: installing it from {suite}");
+    cmd!(shell, "apt-get install -y -qq --no-install-recommends -t {suite} {PROGRAM}")
         .env("DEBIAN_FRONTEND", "noninteractive")
         .quiet()
         .run()?;
+    let version = installed(shell).context("QEMU was installed but is still too old")?;
+    println!("{PROGRAM}: version {version} installed");
     Ok(())
 }
 
-/// The Debian mirror that apt uses.
-fn mirror(shell: &Shell) -> Option<String> {
-    let folder = shell.read_dir("/etc/apt/sources.list.d").unwrap_or_default();
-    let files = folder.into_iter().chain([std::path::PathBuf::from("/etc/apt/sources.list")]);
-    let texts: Vec<String> = files.filter_map(|file| shell.read_file(file).ok()).collect();
-    texts.iter().find_map(|text| debian_mirror(text))
+/// The major version that is installed, if it will do.
+fn installed(shell: &Shell) -> Option<u32> {
+    let output = cmd!(shell, "{PROGRAM} --version").quiet().ignore_stderr().read().ok()?;
+    let (_, after) = output.split_once("version ")?;
+    sufficient(after)
 }
 
-/// The first address in a source list, of either format, whose path is that of the main archive.
-fn debian_mirror(text: &str) -> Option<String> {
-    let lines = text.lines().filter(|line| !line.trim_start().starts_with('#'));
-    let mut words = lines.flat_map(str::split_whitespace);
-    let archive = |word: &&str| word.contains("://") && word.trim_end_matches('/').ends_with("/debian");
-    words.find(archive).map(ToOwned::to_owned)
+/// The first number of a version, without a Debian epoch, if it will do.
+fn sufficient(version: &str) -> Option<u32> {
+    let version = version.split_once(':').map_or(version, |(_, upstream)| upstream);
+    version.split('.').next()?.parse().ok().filter(|&major| major >= LEAST_VERSION)
+}
+
+/// The suite that offers a recent QEMU; backports are added to apt's sources if none does.
+fn offering_suite(shell: &Shell, codename: &str) -> Result<String> {
+    let offered = |shell: &Shell| -> Result<Option<String>> {
+        let versions = cmd!(shell, "apt-cache madison {PROGRAM}").quiet().read()?;
+        Ok(suite(&versions).map(str::to_owned))
+    };
+    if let Some(suite) = offered(shell)? {
+        return Ok(suite);
+    }
+    // What apt knows may be old, or nothing.
+    update(shell)?;
+    if let Some(suite) = offered(shell)? {
+        return Ok(suite);
+    }
+    let mirror = configured_mirror(shell)?;
+    println!("{PROGRAM}: adding {codename}-backports to apt's sources in {SOURCES}");
+    shell.write_file(SOURCES, source_line(&mirror, codename))?;
+    update(shell)?;
+    match offered(shell)? {
+        Some(suite) => Ok(suite),
+        None => bail!("Debian {codename} offers no recent QEMU; {INSTRUCTIONS}"),
+    }
+}
+
+fn update(shell: &Shell) -> Result<()> {
+    Ok(cmd!(shell, "apt-get update -qq").quiet().run()?)
+}
+
+fn source_line(mirror: &str, codename: &str) -> String {
+    format!("deb [signed-by={KEYRING}] {mirror} {codename}-backports main\n")
+}
+
+/// The suite of the first version that will do, from apt-cache's list of all versions.
+fn suite(versions: &str) -> Option<&str> {
+    versions.lines().find_map(|line| {
+        let mut columns = line.split('|').map(str::trim);
+        let (version, source) = (columns.nth(1)?, columns.next()?);
+        sufficient(version)?;
+        source.split_whitespace().nth(1)?.split('/').next()
+    })
+}
+
+/// A value of /etc/os-release.
+fn field<'a>(release: &'a str, name: &str) -> Option<&'a str> {
+    let value = release.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='))?;
+    Some(value.trim_matches('"'))
 }
 
 #[cfg(test)]
@@ -102,27 +115,40 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_major_version_is_read() {
-        assert_eq!(major("QEMU emulator version 10.0.2 (Debian 1:10.0.2+ds-2)\nCopyright"), Some(10));
-        assert_eq!(major("no such thing"), None);
+    fn versions_from_ten_on_will_do() {
+        for (version, major) in
+            [("10.0.2 (Debian", Some(10)), ("1:11.1.0+ds-1", Some(11)), ("7.2.17", None), ("", None)]
+        {
+            assert_eq!(sufficient(version), major, "{version}");
+        }
+        assert_eq!(sufficient("1:7.2+dfsg-7"), None, "the epoch is no version");
     }
 
     #[test]
-    fn only_debian_itself_has_its_backports() {
-        let debian = "ID=debian\nVERSION_CODENAME=bookworm\n";
-        assert_eq!(debian_codename(debian).as_deref(), Some("bookworm"));
-        assert_eq!(debian_codename("ID=ubuntu\nID_LIKE=debian\nVERSION_CODENAME=noble\n"), None);
-        assert_eq!(debian_codename("ID=debian\nPRETTY_NAME=\"Debian sid\"\n"), None);
+    fn the_suite_of_a_recent_version_is_taken() {
+        let versions = "\
+qemu-system-arm | 1:7.2+dfsg-7 | http://mirror.example/debian bookworm/main amd64 Packages
+qemu-system-arm | 1:10.0.2+ds-2~bpo12+1 | http://mirror.example/debian bookworm-backports/main amd64 Packages\n";
+        assert_eq!(suite(versions), Some("bookworm-backports"));
+        assert_eq!(suite(versions.lines().next().unwrap()), None);
+        assert_eq!(suite(""), None);
     }
 
     #[test]
-    fn the_mirror_is_found_in_both_formats() {
-        let one_line =
-            "# a comment http://old.example/debian\ndeb http://mirror.example/debian bookworm main\n";
-        assert_eq!(debian_mirror(one_line).as_deref(), Some("http://mirror.example/debian"));
-        let stanza = "Types: deb\nURIs: https://mirror.example/debian/\nSuites: bookworm\n";
-        assert_eq!(debian_mirror(stanza).as_deref(), Some("https://mirror.example/debian/"));
-        assert_eq!(debian_mirror("deb https://other.example/apt stable main"), None);
-        assert_eq!(debian_mirror("deb http://mirror.example/debian-security bookworm-security main"), None);
+    fn the_release_is_read_with_and_without_quotes() {
+        let release =
+            "PRETTY_NAME=\"Debian GNU/Linux\"\nVERSION_ID=\"12\"\nVERSION_CODENAME=bookworm\nID=debian\n";
+        assert_eq!(field(release, "ID"), Some("debian"));
+        assert_eq!(field(release, "VERSION_ID"), Some("12"));
+        assert_eq!(field(release, "VERSION"), None);
+    }
+
+    #[test]
+    fn backports_come_from_the_mirror_in_use_under_debians_key() {
+        let line = source_line("http://mirror.example/debian", "bookworm");
+        assert_eq!(
+            line,
+            format!("deb [signed-by={KEYRING}] http://mirror.example/debian bookworm-backports main\n")
+        );
     }
 }

@@ -1,13 +1,18 @@
 //! The hard fault: answers refused accesses, and hands any other fault to the firmware.
+//!
+//! A refused access is known by its instruction alone. The core's fault registers would tell as well, but in QEMU each access
+//! to a register of the core costs more than all the rest of this.
 
 use core::arch::naked_asm;
+use core::ops::Range;
 use core::ptr::{read_volatile, with_exposed_provenance};
 
+use shim::bus;
 use shim::decode::{self, Access, Direction};
 use shim::store::Width;
 
 use super::files::{Files, Handles};
-use super::{FIRMWARE_HARD_FAULT, registers, semihosting};
+use super::{FIRMWARE_HARD_FAULT, registers};
 
 /// What the core has put on the stack: r0 to r3, r12, lr, pc, status.
 type Frame = [u32; 8];
@@ -17,6 +22,9 @@ const FRAME_PC: usize = 6;
 const FRAME_STATUS: usize = 7;
 /// What the core has left in its registers: r4 to r11.
 type Kept = [u32; 8];
+
+/// Where programs run: flash without the slots, and RAM, without the last word of each.
+const PROGRAM: [Range<u32>; 2] = [0x0800_0000..0x080B_FFFC, 0x2000_0000..0x2001_FFFC];
 
 /// Runs on the shim's own stack, so that the firmware needs no more than the frame that the core has put on its own.
 #[unsafe(naked)]
@@ -49,11 +57,13 @@ pub unsafe extern "C" fn hard_fault() {
 /// Carries out the refused instruction on the models. False if the fault has another cause, or the instruction is none
 /// that can be carried out: then it is the firmware's.
 unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
-    let Some(address) = registers::refused_address() else { return false };
-    let Some(access) = instruction(frame[FRAME_PC]) else {
-        semihosting::tell(c"shim: an instruction that it cannot carry out\n");
+    let Some(access) = instruction(frame[FRAME_PC]) else { return false };
+    let address = access.address(|number| value(number, frame, kept));
+    if !bus::is_refused(address, access.direction) {
+        // The firmware shall see the status of its own fault alone.
+        registers::forget_refusals();
         return false;
-    };
+    }
     // SAFETY: the hard fault interrupts only the firmware, and nothing interrupts it.
     let (chip, record) = unsafe { (super::chip(), super::record()) };
     record.traps = record.traps.wrapping_add(1);
@@ -72,17 +82,31 @@ unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
     }
     frame[FRAME_PC] += access.length;
     frame[FRAME_STATUS] = decode::behind(frame[FRAME_STATUS]);
-    registers::clear_fault();
     true
 }
 
+/// The load or store at an address, if there is a program at all.
 #[inline]
 fn instruction(address: u32) -> Option<Access> {
-    // SAFETY: the core has just read the instruction from there.
+    if !PROGRAM.iter().any(|memory| memory.contains(&address)) {
+        return None;
+    }
+    // SAFETY: there is memory, and no instruction begins at its last bytes.
     let half = |address: u32| unsafe { read_volatile(with_exposed_provenance::<u16>(address as usize)) };
     let first = half(address);
     let second = if decode::is_wide(first) { half(address + 2) } else { 0 };
     decode::decode(first, second)
+}
+
+/// A register's value.
+#[inline]
+fn value(number: u8, frame: &Frame, kept: &Kept) -> u32 {
+    match number {
+        0..=3 => frame[usize::from(number)],
+        4..=11 => kept[usize::from(number - 4)],
+        12 => frame[FRAME_R12],
+        _ => frame[FRAME_LR],
+    }
 }
 
 /// Where a register's value is while the fault is handled.

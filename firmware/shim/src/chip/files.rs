@@ -9,7 +9,7 @@ use super::registers;
 use super::semihosting::{self, Mode};
 
 /// Bytes that are erased at once.
-const PAGE: usize = 1024;
+const PAGE: usize = 512;
 /// Bytes sent to the plant at once.
 const PIECE: usize = 256;
 

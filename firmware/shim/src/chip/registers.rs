@@ -7,8 +7,6 @@ use shim::bus::Region;
 const VECTOR_TABLE: u32 = 0xE000_ED08;
 const APPLICATION_RESET: u32 = 0xE000_ED0C;
 const FAULT_STATUS: u32 = 0xE000_ED28;
-const HARD_FAULT_STATUS: u32 = 0xE000_ED2C;
-const FAULT_ADDRESS: u32 = 0xE000_ED34;
 const PROTECTION_CONTROL: u32 = 0xE000_ED94;
 const REGION_NUMBER: u32 = 0xE000_ED98;
 const REGION_ADDRESS: u32 = 0xE000_ED9C;
@@ -62,18 +60,10 @@ pub fn enable_protection() {
     write(PROTECTION_CONTROL, ENABLE | ELSEWHERE_AS_WITHOUT);
 }
 
-/// The address of the load or store that the protection has refused; none if a fault has another cause.
-#[inline]
-pub fn refused_address() -> Option<u32> {
+/// Forgets that accesses were refused.
+pub fn forget_refusals() {
     const REFUSED_AT_ADDRESS: u32 = 1 << 7 | 1 << 1;
-    (read(FAULT_STATUS) & REFUSED_AT_ADDRESS == REFUSED_AT_ADDRESS).then(|| read(FAULT_ADDRESS))
-}
-
-/// Forgets the fault.
-#[inline]
-pub fn clear_fault() {
-    write(FAULT_STATUS, !0);
-    write(HARD_FAULT_STATUS, !0);
+    write(FAULT_STATUS, REFUSED_AT_ADDRESS);
 }
 
 /// Starts the clock behind [`now`].
