@@ -133,7 +133,6 @@ impl Probe {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn the_clocks_start_and_the_core_runs_at_168_mhz() {
     let [flags, clock] = Probe::start(config()).ask(b'c', 0, 0);
     assert_eq!(clock, 168_000_000);
@@ -141,7 +140,6 @@ fn the_clocks_start_and_the_core_runs_at_168_mhz() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn programming_clears_bits_and_only_erasing_sets_them() {
     let mut probe = Probe::start(config());
     assert_eq!(probe.word(SLOT_A), 0xFFFF_FFFF, "a new board's flash is erased");
@@ -155,14 +153,12 @@ fn programming_clears_bits_and_only_erasing_sets_them() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn the_programs_own_sectors_are_not_erased() {
     let mut probe = Probe::start(config());
     assert_eq!(probe.ask(b'e', SLOT_A - SECTOR, SECTOR)[0], 1);
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn what_was_programmed_outlives_a_reset() {
     let mut probe = Probe::start(config());
     probe.program(SLOT_A + 16, 0xCAFE_F00D);
@@ -172,7 +168,6 @@ fn what_was_programmed_outlives_a_reset() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn what_was_programmed_outlives_a_loss_of_power_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let on = || EmulatorConfig { folder: Some(folder.path().to_owned()), ..config() };
@@ -191,7 +186,6 @@ fn what_was_programmed_outlives_a_loss_of_power_at_once() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_board_starts_with_the_flash_it_is_given() {
     let flash = (0..FLASH_BYTES).map(|n| (n / 4) as u8).collect();
     let mut probe = Probe::start(EmulatorConfig { flash: Some(flash), ..config() });
@@ -199,7 +193,6 @@ fn a_board_starts_with_the_flash_it_is_given() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_fed_watchdog_leaves_the_board_alone() {
     let mut probe = Probe::start(EmulatorConfig { debugger: true, ..config() });
     assert_eq!(probe.ask(b'f', 500, 5_000)[0], 500, "all of it without a reset");
@@ -211,7 +204,6 @@ fn a_fed_watchdog_leaves_the_board_alone() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_hung_image_is_reset_and_can_read_the_cause() {
     let mut probe = Probe::start(config());
     probe.reset_flags();
@@ -226,7 +218,6 @@ fn a_hung_image_is_reset_and_can_read_the_cause() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_debugger_hangs_the_image_and_the_watchdog_frees_it() {
     let mut probe = Probe::start(EmulatorConfig { debugger: true, ..config() });
     probe.send(b'f', u32::MAX, 50_000);
@@ -247,19 +238,17 @@ fn a_debugger_hangs_the_image_and_the_watchdog_frees_it() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn the_debugger_sees_the_pins() {
     let probe = Probe::start(EmulatorConfig { debugger: true, ..config() });
     let mut debugger = Debugger::connect(probe.board.debugger_address().unwrap()).unwrap();
     let [a, _] = debugger.record().unwrap().ports;
-    const ALTERNATE: u32 = 2;
+    let alternate = 2;
     for pin in [2, 3, 9, 10] {
-        assert_eq!(a.mode(pin), ALTERNATE, "the serial ports' pin {pin}");
+        assert_eq!(a.mode(pin), alternate, "the serial ports' pin {pin}");
     }
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn frames_go_to_the_plant_and_back_in_every_tick() {
     let mut probe = Probe::start(EmulatorConfig { debugger: true, ..config() });
     let ticks = 5_000;
@@ -272,7 +261,6 @@ fn frames_go_to_the_plant_and_back_in_every_tick() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_trap_costs_few_instructions() {
     let [clocks, port] = Probe::start(config()).ask(b'm', 0, 0);
     println!("a load from the clocks: {clocks} instructions, a look at the plant port: {port}");
@@ -280,7 +268,6 @@ fn a_trap_costs_few_instructions() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_silent_plant_holds_nothing_up() {
     let mut probe = Probe::with(config(), Silence);
     assert_eq!(probe.ask(b'x', 20, 0)[0], 0);
@@ -288,7 +275,6 @@ fn a_silent_plant_holds_nothing_up() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn the_plant_stays_on_the_line_over_a_reset() {
     let mut probe = Probe::start(config());
     assert_eq!(probe.ask(b'x', 10, 0)[0], 10);
@@ -297,7 +283,6 @@ fn the_plant_stays_on_the_line_over_a_reset() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_plant_that_breaks_ends_the_board() {
     struct Broken;
     impl PlantEnd for Broken {
@@ -313,7 +298,6 @@ fn a_plant_that_breaks_ends_the_board() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_dropped_board_leaves_nothing_behind() {
     let folder = tempfile::tempdir().unwrap();
     let probe = Probe::start(EmulatorConfig { folder: Some(folder.path().to_owned()), ..config() });
@@ -336,7 +320,6 @@ fn processes_in(folder: &str) -> usize {
 
 /// Runs in a process of its own, which the test below kills.
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_killed_parent_child_process() {
     let Some(folder) = std::env::var_os("EUPNEA_PARENT_FOLDER") else { return };
     let _probe = Probe::start(EmulatorConfig { folder: Some(folder.into()), ..config() });
@@ -344,12 +327,11 @@ fn a_killed_parent_child_process() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_killed_parent_takes_the_board_with_it() {
     let folder = tempfile::tempdir().unwrap();
     let mark = folder.path().to_str().unwrap();
     let mut parent = Command::new(std::env::current_exe().unwrap())
-        .args(["--ignored", "--exact", "a_killed_parent_child_process"])
+        .args(["--exact", "a_killed_parent_child_process"])
         .env("EUPNEA_PARENT_FOLDER", folder.path())
         .spawn()
         .unwrap();
@@ -367,7 +349,6 @@ fn a_killed_parent_takes_the_board_with_it() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn an_image_that_is_none_ends_with_what_qemu_said() {
     // For another processor.
     let wrong = std::env::current_exe().unwrap();
@@ -378,7 +359,6 @@ fn an_image_that_is_none_ends_with_what_qemu_said() {
 }
 
 #[test]
-#[ignore = "needs QEMU: cargo xtask qemu-test"]
 fn a_file_that_is_no_image_is_refused() {
     let wrong = tempfile::NamedTempFile::new().unwrap();
     fs::write(wrong.path(), "no image").unwrap();

@@ -3,7 +3,7 @@
 use embassy_futures::select::{Either, select};
 use shared::control::residual::Residual;
 use shared::device::Report;
-use shared::device::desk::{Desk, Facts, Step, Stored};
+use shared::device::desk::{Desk, Facts, Step};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{Slot, SlotState, ToDevice, ToHost, read_request};
 use shared::weights::IMAGE_BYTES;
@@ -52,10 +52,11 @@ impl Storage {
         }
     }
 
-    /// Stores a validated image; the core stands still while a sector is erased.
-    fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> Option<Stored> {
+    /// Stores a validated image; the core stands still while a sector is erased. Gives the slot that took it, if one
+    /// did, and what both hold now.
+    fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> (Option<Slot>, [SlotState; 2]) {
         let stored = watchdog::patiently(|| self.slots.store(image));
-        stored.ok().map(|(slot, generation)| Stored { slot, generation })
+        (stored.ok().map(|(slot, _)| slot), self.slots.states())
     }
 }
 
@@ -106,8 +107,8 @@ async fn serve(desk: &mut Desk, storage: &mut Storage, request: &ToDevice) {
                 desk.answered(ANSWER.wait().await)
             }
             Step::Store => {
-                let stored = storage.store(desk.image());
-                desk.stored(stored)
+                let (slot, states) = storage.store(desk.image());
+                desk.stored(slot, states)
             }
             Step::Restart(answer) => {
                 send(&answer).await;

@@ -2,14 +2,18 @@
 
 use std::path::PathBuf;
 
+#[cfg(unix)]
+use anyhow::ensure;
 use shared::breath::DEFAULT_PERIOD_US;
 
 use super::common::{BenchArgs, stop};
 use super::output::OutputArgs;
+#[cfg(unix)]
+use super::qemu::ImageArgs;
 use super::stage_bars::StageBars;
 use super::train::stage_name;
 use crate::baselines::Search;
-use crate::demo::{DemoConfig, Step, run as run_demo};
+use crate::demo::{DemoConfig, Step, Venue, run as run_demo};
 use crate::pipeline::PipelineConfig;
 
 /// Run the whole pipeline on one lung: search the best PID, record, fit, train, compare, report
@@ -20,6 +24,10 @@ Examples:
   trainer demo --seed 2 --out out/seed-2
   trainer demo --lung R50C10 --rounds 4 --out out/stiff
   trainer demo --period-us 30000 --out out/paper
+  trainer demo --board qemu --out out/board
+
+With --board qemu breaths are recorded and compared by the real firmware in QEMU, the weights flashed over its link; the
+table is the same to the last bit. The images come from `cargo xtask firmware`, QEMU from `cargo xtask setup`.
 
 Ctrl-C stops it; the same command goes on where it was. Scores are of the true airway pressure, which the bench
 knows; PID and learned controller meet the same noise, under seeds that neither tuning nor training has seen.")]
@@ -38,8 +46,23 @@ pub struct Args {
     /// Seed of everything
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Let a board breathe instead of this process
+    #[cfg(unix)]
+    #[arg(long, value_name = "BOARD")]
+    board: Option<Board>,
+    #[cfg(unix)]
+    #[command(flatten)]
+    images: ImageArgs,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+/// Boards to choose from.
+#[cfg(unix)]
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Board {
+    /// The virtual board
+    Qemu,
 }
 
 /// Runs the command.
@@ -52,6 +75,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             rounds: args.rounds,
             ..PipelineConfig::for_period(args.period_us)
         },
+        venue: args.venue()?,
     };
     let bars = StageBars::default();
     let observer = |step, done, total| bars.show(&name(step), done, total);
@@ -86,6 +110,24 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line("Stopped early: this is the controller so far; the same command goes on from here.");
     }
     args.output.finish(summary)
+}
+
+impl Args {
+    /// Where to breathe.
+    #[cfg(unix)]
+    fn venue(&self) -> anyhow::Result<Venue> {
+        let Some(Board::Qemu) = self.board else { return Ok(Venue::InProcess) };
+        ensure!(
+            self.period_us == DEFAULT_PERIOD_US,
+            "the firmware's control period is {DEFAULT_PERIOD_US} us; leave out --period-us with --board"
+        );
+        Ok(Venue::Board(self.images.board()))
+    }
+
+    #[cfg(not(unix))]
+    fn venue(&self) -> anyhow::Result<Venue> {
+        Ok(Venue::InProcess)
+    }
 }
 
 fn name(step: Step) -> String {

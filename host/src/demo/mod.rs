@@ -5,11 +5,13 @@ mod report;
 mod summary;
 #[cfg(test)]
 mod tests;
+mod venue;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{GainError, Pid, PidGains};
@@ -18,15 +20,16 @@ use thiserror::Error;
 use crate::baselines::{Best, Search, TuneError, tune_pid};
 use crate::bench::BenchConfig;
 use crate::dataset::DatasetError;
-use crate::evaluate::{Evaluation, Plan, Trace, evaluate, trace};
+use crate::evaluate::{Evaluation, Plan, Trace};
 use crate::files::write_atomically;
 use crate::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError, Stage};
 use crate::report::ReportError;
-use crate::source::{BenchSource, Source, SourceError};
+use crate::source::SourceError;
 use crate::tensors::TensorError;
 use crate::train::learned::LearnedError;
 
 pub use summary::{Compared, Means, Summary};
+pub use venue::Venue;
 
 /// What to run.
 #[derive(Clone, Debug)]
@@ -38,6 +41,8 @@ pub struct DemoConfig {
     /// Rounds of collect, fit and train; seed and period hold for everything else too. Its gains are replaced
     /// by those of the best PID found.
     pub pipeline: PipelineConfig,
+    /// Where breaths are recorded and compared; the search is always in this process.
+    pub venue: Venue,
 }
 
 /// Which part is under way.
@@ -150,7 +155,7 @@ pub fn run(
     let best = tuned(config, out, observer, stop)?;
     let outcome = learn(config, best.pid.gains, out, observer, stop)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
-    let contestants = compare(config, &best, &outcome, &plan, observer)?;
+    let contestants = compare(config, &best, &outcome, &plan, observer, stop)?;
     let mut summary = Summary::new(config, &best, &outcome, &contestants);
     summary.wall_s = started.elapsed().as_secs_f64();
     let demo = Demo { summary, best, outcome, contestants, plan };
@@ -195,10 +200,7 @@ fn learn(
     let pipeline = PipelineConfig { gains, ..config.pipeline.clone() };
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
-    let source = |seed| {
-        let source = BenchSource::new(&config.bench, base.clone(), &settings, period_us, seed)?;
-        Ok(Box::new(source) as Box<dyn Source>)
-    };
+    let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Folder::new(out.join("run"));
     let progress = |round, stage, done, total| observer(Step::Round(round, stage), done, total);
     Ok(pipeline::run(&pipeline, &source, Some(&folder), &progress, stop)?)
@@ -210,6 +212,7 @@ fn compare(
     outcome: &Outcome,
     plan: &Plan,
     observer: Observer<'_>,
+    stop: &AtomicBool,
 ) -> Result<Vec<Contestant>, DemoError> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
     // A vector: on the stack, controllers with their weights would be large.
@@ -219,22 +222,17 @@ fn compare(
         ("PID", pid(best.pid.gains)?),
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
-    let total = controllers.len();
-    let mut contestants = Vec::with_capacity(total);
-    for (done, (name, controller)) in controllers.into_iter().enumerate() {
-        observer(Step::Evaluate, done, total);
-        let evaluation = evaluate(&config.bench, &controller, plan)?;
-        let traces = TRACED_PIPS
-            .iter()
-            .map(|pip| {
-                let settings = plan.waveform(*pip);
-                trace(&config.bench, &controller, &settings, plan.period_us, plan.seeds[0], TRACED_BREATHS)
-            })
-            .collect::<Result<_, _>>()?;
-        contestants.push(Contestant { name, controller, evaluation, traces });
-    }
-    observer(Step::Evaluate, total, total);
-    Ok(contestants)
+    let total = controllers.len() * plan.pips.len() * plan.seeds.len();
+    let done = AtomicUsize::new(0);
+    observer(Step::Evaluate, 0, total);
+    // Side by side: a board keeps one core busy.
+    let contestant = |(name, controller): (&'static str, Controller)| {
+        let one_more = || observer(Step::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &one_more, stop)?;
+        let traces = config.venue.traces(&config.bench, &controller, plan)?;
+        Ok(Contestant { name, controller, evaluation, traces })
+    };
+    controllers.into_par_iter().map(contestant).collect()
 }
 
 impl Demo {

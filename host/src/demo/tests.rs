@@ -19,7 +19,7 @@ fn small(seed: u64) -> DemoConfig {
     pipeline.train.batch = 32;
     pipeline.train.validate_every = 20;
     let search = Search { grid, refinements: 0, exhaustive: true };
-    DemoConfig { bench: BenchConfig::paper(20.0, 20.0), search, pipeline }
+    DemoConfig { bench: BenchConfig::paper(20.0, 20.0), search, pipeline, venue: Venue::InProcess }
 }
 
 fn run_small(out: &Path, seed: u64) -> Demo {

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use serde::Serialize;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
@@ -15,6 +16,8 @@ use crate::port::Port;
 
 /// Bytes read at once.
 const CHUNK: usize = 4096;
+/// Pause after what has come, for more to come.
+const LULL: Duration = Duration::from_millis(1);
 
 /// An answer as it came.
 pub(super) enum Answer {
@@ -125,6 +128,8 @@ impl Reader {
                             return;
                         }
                     }
+                    // A virtual board sends byte by byte; who wakes for each of them slows it down.
+                    thread::sleep(LULL);
                 }
                 Err(error) if patient(error.kind()) => {}
                 Err(error) => {

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Control;
-use shared::device::desk::{Desk, Facts, Step, Stored};
+use shared::device::desk::{Desk, Facts, Step};
 use shared::device::timing::TickTime;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, read_request};
@@ -171,8 +171,8 @@ impl Chip {
                 Step::Send(answer) => return self.say(&answer),
                 Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
                 Step::Store => {
-                    let stored = self.store();
-                    self.desk.stored(Some(stored))
+                    let slot = self.store();
+                    self.desk.stored(Some(slot), states(&self.flash))
                 }
                 Step::Restart(answer) => {
                     self.say(&answer);
@@ -184,11 +184,11 @@ impl Chip {
         }
     }
 
-    fn store(&mut self) -> Stored {
+    fn store(&mut self) -> Slot {
         let slot = if self.newest == Some(Slot::A) { Slot::B } else { Slot::A };
         self.flash[slot as usize] = Some(*self.desk.image());
         self.newest = Some(slot);
-        Stored { slot, generation: 0 }
+        slot
     }
 
     fn say(&mut self, message: &ToHost) {
@@ -217,25 +217,29 @@ fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<V
     heard
 }
 
+/// What the slots hold.
+fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
+    flash.map(|bytes| match bytes.and_then(|bytes| decode(&bytes).ok()) {
+        Some(image) => SlotState::Valid { generation: 0, id: image.id },
+        None => SlotState::Empty,
+    })
+}
+
 /// Both halves after a start.
 fn halves(
     reset: ResetCause,
     flash: &[Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
 ) -> (Control, Desk) {
-    let images = flash.map(|bytes| bytes.and_then(|bytes| decode(&bytes).ok()));
-    let slots = [0, 1].map(|index| match &images[index] {
-        Some(image) => SlotState::Valid { generation: 0, id: image.id },
-        None => SlotState::Empty,
-    });
-    let learned = newest.and_then(|slot| images[slot as usize].as_ref()).map(|image| image.residual.clone());
+    let image = newest.and_then(|slot| flash[slot as usize]).and_then(|bytes| decode(&bytes).ok());
+    let learned = image.map(|image| image.residual);
     let running = newest.filter(|_| learned.is_some());
     let device = DeviceKind::Simulated;
     let facts = Facts {
         firmware: [0; 3],
         device,
         period_us: DEFAULT_PERIOD_US,
-        slots,
+        slots: states(flash),
         running,
         reset,
         failure: None,

@@ -11,7 +11,7 @@ mod tests;
 mod trace;
 
 pub use score::{Inspiration, Score, score_breath};
-pub use trace::{Trace, trace};
+pub use trace::{Trace, trace, trace_source};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

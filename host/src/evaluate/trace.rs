@@ -41,7 +41,21 @@ pub fn trace(
     breaths: usize,
 ) -> Result<Trace, SourceError> {
     let mut source = BenchSource::new(bench, controller.clone(), settings, period_us, seed)?;
+    trace_source(&mut source, settings, breaths)
+}
+
+/// The same on whatever ventilator.
+///
+/// # Errors
+/// As [`trace`].
+pub fn trace_source(
+    source: &mut dyn Source,
+    settings: &Settings,
+    breaths: usize,
+) -> Result<Trace, SourceError> {
+    let period = f64::from(period_s(source.period_us()));
     let mut trace = Trace::default();
+    source.upcoming(&vec![*settings; WARM_UP + breaths])?;
     for _ in 0..WARM_UP {
         source.breath(settings, &mut |_| ())?;
     }
@@ -49,7 +63,7 @@ pub fn trace(
         source.breath(settings, &mut |tick| {
             let sample = &tick.sample;
             let measured = f64::from(sample.pressure);
-            trace.time_s.push(trace.time_s.len() as f64 * f64::from(period_s(period_us)));
+            trace.time_s.push(trace.time_s.len() as f64 * period);
             trace.target.push(f64::from(sample.target));
             trace.pressure.push(tick.truth.map_or(measured, |truth| f64::from(truth.airway_pressure)));
             trace.measured.push(measured);

@@ -5,9 +5,13 @@
 
 mod bench;
 mod port;
+#[cfg(unix)]
+mod virtual_board;
 
 pub use bench::BenchSource;
 pub use port::{PortSource, Truth};
+#[cfg(unix)]
+pub use virtual_board::VirtualBoard;
 
 use shared::control::Controller;
 use shared::explore::Exploration;
@@ -62,6 +66,10 @@ pub enum SourceError {
     /// The device.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// The virtual board.
+    #[cfg(unix)]
+    #[error(transparent)]
+    Emulator(#[from] crate::emulator::EmulatorError),
     /// The device does not take the weights.
     #[error(transparent)]
     Upload(#[from] UploadError),
@@ -112,6 +120,7 @@ pub trait Source {
         controller: Controller,
         exploration: Option<Exploration>,
     ) -> Result<(), SourceError>;
+
     /// What the next breaths will be asked to run. A source that breathes by a clock of its own has to know before a
     /// breath ends what comes after it.
     ///

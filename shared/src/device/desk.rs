@@ -52,15 +52,6 @@ pub enum Step {
     Restart(ToHost),
 }
 
-/// An image in its slot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stored {
-    /// Where it lies.
-    pub slot: Slot,
-    /// Its generation.
-    pub generation: u32,
-}
-
 /// What happens with the control half's answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Purpose {
@@ -195,14 +186,11 @@ impl Desk {
         }
     }
 
-    /// Goes on after a store; none: the flash failed.
-    pub fn stored(&mut self, stored: Option<Stored>) -> Step {
+    /// Goes on after [`Step::Store`]: the slot that took the image, if one did, and what both slots hold now.
+    pub fn stored(&mut self, slot: Option<Slot>, slots: [SlotState; 2]) -> Step {
+        self.facts.slots = slots;
         let id = self.committed;
-        let answer = stored.ok_or(Refusal::Storage).map(|Stored { slot, generation }| {
-            self.facts.slots[slot as usize] = SlotState::Valid { generation, id };
-            Response::Weights { id, slot }
-        });
-        self.send(answer)
+        self.send(slot.map(|slot| Response::Weights { id, slot }).ok_or(Refusal::Storage))
     }
 
     fn send(&mut self, result: Result<Response, Refusal>) -> Step {

@@ -3,7 +3,7 @@ use std::vec::Vec;
 use proptest::prelude::*;
 
 use super::control::{Control, QUEUE_LENGTH};
-use super::desk::{Desk, Facts, Step, Stored};
+use super::desk::{Desk, Facts, Step};
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
 use crate::control::features::FeatureSpec;
@@ -27,6 +27,7 @@ struct Rig {
     events: Vec<ToHost>,
     sequence: u16,
     stored: Vec<[u8; IMAGE_BYTES]>,
+    flash_fails: bool,
     restarts: usize,
 }
 
@@ -48,6 +49,7 @@ impl Rig {
             events: Vec::new(),
             sequence: 0,
             stored: Vec::new(),
+            flash_fails: false,
             restarts: 0,
         }
     }
@@ -89,8 +91,15 @@ impl Rig {
                 }
                 Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
                 Step::Store => {
-                    self.stored.push(*self.desk.image());
-                    self.desk.stored(Some(Stored { slot: Slot::B, generation: 4 }))
+                    let image = *self.desk.image();
+                    if self.flash_fails {
+                        self.desk.stored(None, [SlotState::Empty, SlotState::Torn])
+                    } else {
+                        self.stored.push(image);
+                        let id = decode(&image).unwrap().id;
+                        self.desk
+                            .stored(Some(Slot::B), [SlotState::Empty, SlotState::Valid { generation: 4, id }])
+                    }
                 }
                 other => panic!("no answer: {other:?}"),
             };
@@ -264,6 +273,15 @@ fn an_uploaded_image_is_stored_and_named() {
     assert_eq!(rig.stored, [image.0]);
     let Response::Identity(identity) = rig.ask(Request::Identify) else { panic!("no greeting") };
     assert_eq!(identity.slots[1], SlotState::Valid { generation: 4, id: image.1 });
+}
+
+#[test]
+fn a_store_that_failed_is_refused_and_the_greeting_tells_what_it_left() {
+    let (mut rig, image) = (Rig { flash_fails: true, ..Rig::new(None) }, image());
+    upload(&mut rig, &image);
+    assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(Refusal::Storage));
+    let Response::Identity(identity) = rig.ask(Request::Identify) else { panic!("no greeting") };
+    assert_eq!(identity.slots, [SlotState::Empty, SlotState::Torn]);
 }
 
 #[test]

@@ -19,6 +19,9 @@ pub const TICK_CYCLES: u32 = CORE_CLOCK.0 / 1_000_000 * DEFAULT_PERIOD_US;
 /// Priority of `SysTick`, the most urgent: a tick must be announced while anything else runs.
 const TICK_PRIORITY: u8 = 0x00;
 
+/// Cycles from the tick to its sample: longer than whatever the tick may have interrupted takes to let it through.
+const SAMPLING_DELAY: u32 = CORE_CLOCK.0 / 1_000_000 * 8;
+
 /// Number of the tick that has begun.
 static TICK: Signal<CriticalSectionRawMutex, u32> = Signal::new();
 static NUMBER: AtomicU32 = AtomicU32::new(0);
@@ -42,9 +45,15 @@ pub fn start(core: &mut Peripherals) {
     core.SYST.enable_counter();
 }
 
-/// Waits for the next tick; gives its number.
+/// Waits for the instant to sample in the next tick; gives its number. The instant is fixed, so that an interrupt or a
+/// critical section at the start of a tick does not become jitter of the sampling.
 pub async fn tick() -> u32 {
-    TICK.wait().await
+    let number = TICK.wait().await;
+    // A delay of so many cycles may take twice as many; each round at least halves what is left.
+    while let Some(left @ 1..) = SAMPLING_DELAY.checked_sub(since_tick()) {
+        cortex_m::asm::delay(left / 2);
+    }
+    number
 }
 
 #[exception]
