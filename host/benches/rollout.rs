@@ -35,7 +35,12 @@ fn training(batch: usize) -> Training {
     };
     // So many iterations that the learning rate's schedule does not end within the measurement.
     let config = TrainConfig { batch, iterations: usize::MAX, ..TrainConfig::default() };
-    match Training::new(spec, std::slice::from_ref(&simulator), &simulator, config, None) {
+    match Training::new(
+        spec,
+        &[Plant { trained_on: std::slice::from_ref(&simulator), held_out: &simulator }],
+        config,
+        None,
+    ) {
         Ok(training) => training,
         Err(error) => panic!("{error}"),
     }

@@ -34,6 +34,8 @@ const STEPS: &[Step] = &[
     step("clippy-f446", &chip_clippy("firmware", "stm32f446")),
     step("clippy-shim", &chip_clippy("shim", "")),
     step("firmware", &["xtask", "firmware"]),
+    step("qemu-test", &["xtask", "qemu-test"]),
+    step("cost", &["xtask", "cost"]),
 ];
 
 /// The lints of a package for the chip, with these features.

@@ -18,7 +18,7 @@ use crate::report::{Cell, Table};
 use crate::simulator::model::Simulator;
 use crate::source::{BenchSource, Source};
 use crate::train::learned::{Learned, Origin};
-use crate::train::{Progress, TrainConfig, Training};
+use crate::train::{Plant, Progress, TrainConfig, Training};
 
 /// Train a controller by back-propagation through learned simulators
 #[derive(Debug, clap::Args)]
@@ -180,7 +180,7 @@ impl Args {
         let bars = StageBars::default();
         let observer = |round, stage, done, total| bars.show(&stage_name(round, stage), done, total);
         let folder = Folder::new(&self.out);
-        let outcome = pipeline::run(config, &source, Some(&folder), &observer, stop())?;
+        let outcome = pipeline::run(config, &[&source], Some(&folder), &observer, stop())?;
         bars.finish();
         self.output.table(&rounds_table(&outcome.rounds));
         let controller = self.out.join(CONTROLLER);
@@ -203,7 +203,8 @@ impl Args {
         // A single simulator judges too, under noise that training does not see.
         let trained_on = if rest.is_empty() { &simulators[..] } else { rest };
         let train = TrainConfig { seed: seeds::training(self.seed, 0), ..config.train.clone() };
-        let mut training = Training::new(config.residual(), trained_on, held_out, train, None)?;
+        let plant = Plant { trained_on, held_out };
+        let mut training = Training::new(config.residual(), &[plant], train, None)?;
         let checkpoint = self.out.join("training.json");
         if let Ok(text) = std::fs::read_to_string(&checkpoint) {
             let earlier = serde_json::from_str(&text)

@@ -203,7 +203,7 @@ fn learn(
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Folder::new(out.join("run"));
     let progress = |round, stage, done, total| observer(Step::Round(round, stage), done, total);
-    Ok(pipeline::run(&pipeline, &source, Some(&folder), &progress, stop)?)
+    Ok(pipeline::run(&pipeline, &[&source], Some(&folder), &progress, stop)?)
 }
 
 fn compare(
@@ -237,8 +237,8 @@ fn compare(
 
 impl Demo {
     fn save(&self, out: &Path) -> Result<(), DemoError> {
-        self.outcome.recording.save(out.join("recording.parquet"))?;
-        if let Some(simulator) = self.outcome.simulators.first() {
+        self.outcome.plants[0].recording.save(out.join("recording.parquet"))?;
+        if let Some(simulator) = self.outcome.plants[0].simulators.first() {
             simulator.save(&out.join("simulator.safetensors"))?;
         }
         self.outcome.learned.save(&out.join("controller.safetensors"))?;

@@ -26,7 +26,7 @@ impl Demo {
             provenance: Some(Provenance {
                 seed: summary.seed,
                 plant: summary.lung.clone(),
-                ..self.outcome.recording.provenance.clone()
+                ..self.outcome.plants[0].recording.provenance.clone()
             }),
         }
     }
@@ -134,8 +134,8 @@ impl Demo {
     }
 
     fn simulator(&self) -> Section {
-        let Some(simulator) = self.outcome.simulators.first() else { return Section::default() };
-        let all = episodes(&self.outcome.recording, simulator.architecture.timing());
+        let Some(simulator) = self.outcome.plants[0].simulators.first() else { return Section::default() };
+        let all = episodes(&self.outcome.plants[0].recording, simulator.architecture.timing());
         let (_, held_out) = split(&all, self.outcome.hold_out);
         let shown: Vec<&Episode> = held_out
             .iter()

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! run.json                     configuration: another one is refused
-//! round-0/recording.parquet    breaths of the round
-//! round-0/simulator-N.safetensors, round-0/fit.json
+//! round-0/recording-P.parquet  breaths of the round, from plant P
+//! round-0/simulator-P-N.safetensors, round-0/fit.json
 //! round-0/training.json        checkpoint of the training
 //! round-0/controller.safetensors, round-0/round.json
 //! ```

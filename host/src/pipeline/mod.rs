@@ -1,4 +1,4 @@
-//! Rounds of collect, fit and train: from a ventilator to a learned controller.
+//! Rounds of collect, fit and train: from one or several ventilators to one learned controller.
 //!
 //! In the first round a known-good PID explores, in later ones the controller learned so far. Each round adds to
 //! the recording, fits an ensemble of simulators to all of it (the last member is held out of training and
@@ -180,7 +180,7 @@ pub struct Round {
     pub aborts: usize,
     /// Mean loss of each epoch, first ensemble member.
     pub fit_curve: Vec<f64>,
-    /// Errors of each ensemble member (held-out member last) on held-out breaths.
+    /// Errors of each ensemble member (held-out member last) on held-out breaths, plant after plant.
     pub open_loop: Vec<OpenLoop>,
     /// Training curve.
     pub train_curve: Vec<Progress>,
@@ -192,13 +192,20 @@ pub struct Round {
     pub improved: bool,
 }
 
-/// What a run leaves.
+/// What is known of a plant after a run.
 #[derive(Clone, Debug)]
-pub struct Outcome {
+pub struct Studied {
     /// Everything recorded.
     pub recording: Recording,
     /// Simulators of the last round; the last one was held out.
     pub simulators: Vec<Simulator>,
+}
+
+/// What a run leaves.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Each plant, as the sources were given.
+    pub plants: Vec<Studied>,
     /// The controller.
     pub learned: Learned,
     /// Round by round.
@@ -212,13 +219,14 @@ pub struct Outcome {
 /// Makes the source of a round from its seed.
 pub type MakeSource<'a> = &'a (dyn Fn(u64) -> Result<Box<dyn Source>, SourceError> + Sync);
 
-/// Runs the rounds, in memory or with a folder to go on from.
+/// Runs the rounds on one or several plants, in memory or with a folder to go on from. Each plant has its own recording
+/// and its own simulators; the controller is trained on all of them at once.
 ///
 /// # Errors
 /// The first stage that fails; files of earlier stages stay.
 pub fn run(
     config: &PipelineConfig,
-    source: MakeSource<'_>,
+    sources: &[MakeSource<'_>],
     folder: Option<&Folder>,
     observer: Observer<'_>,
     stop: &std::sync::atomic::AtomicBool,
@@ -226,7 +234,7 @@ pub fn run(
     if let Some(folder) = folder {
         folder.claim(config)?;
     }
-    let mut run = stages::Run::new(config, source, folder, observer, stop);
+    let mut run = stages::Run::new(config, sources, folder, observer, stop);
     for round in 0..config.rounds.max(1) {
         if !run.round(round)? {
             break;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage};
+use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage, Studied};
 use crate::collect::{CollectConfig, Collected, collect};
 use crate::dataset::Recording;
 use crate::evaluate::seeds;
@@ -15,7 +15,7 @@ use crate::simulator::episode::{Episode, episodes};
 use crate::simulator::fit::{Fit, FitConfig, OpenLoop, open_loop, split};
 use crate::simulator::model::Simulator;
 use crate::train::learned::{Learned, Origin};
-use crate::train::{Checkpoint, Progress, TrainConfig, Trained, Training};
+use crate::train::{Checkpoint, Plant, Progress, TrainConfig, Trained, Training};
 use crate::watch::Watch;
 
 /// Least number of complete breaths worth a fit.
@@ -24,12 +24,13 @@ const BREATHS_NEEDED: usize = 8;
 /// A run under way.
 pub(super) struct Run<'a> {
     config: &'a PipelineConfig,
-    source: MakeSource<'a>,
+    sources: &'a [MakeSource<'a>],
     folder: Option<&'a Folder>,
     observer: Observer<'a>,
     stop: &'a AtomicBool,
-    recording: Option<Recording>,
-    simulators: Vec<Simulator>,
+    recordings: Vec<Recording>,
+    /// Of each plant, the held-out one last.
+    simulators: Vec<Vec<Simulator>>,
     learned: Option<Learned>,
     rounds: Vec<Round>,
     complete: bool,
@@ -52,18 +53,18 @@ struct Pause {
 impl<'a> Run<'a> {
     pub(super) fn new(
         config: &'a PipelineConfig,
-        source: MakeSource<'a>,
+        sources: &'a [MakeSource<'a>],
         folder: Option<&'a Folder>,
         observer: Observer<'a>,
         stop: &'a AtomicBool,
     ) -> Self {
         Self {
             config,
-            source,
+            sources,
             folder,
             observer,
             stop,
-            recording: None,
+            recordings: Vec::new(),
             simulators: Vec::new(),
             learned: None,
             rounds: Vec::new(),
@@ -100,83 +101,102 @@ impl<'a> Run<'a> {
 
     /// What there is at the end.
     pub(super) fn outcome(self) -> Result<Outcome, PipelineError> {
-        match (self.recording, self.learned) {
-            (Some(recording), Some(learned)) => Ok(Outcome {
-                recording,
-                simulators: self.simulators,
-                learned,
-                rounds: self.rounds,
-                hold_out: self.config.hold_out,
-                complete: self.complete,
-            }),
-            _ => Err(PipelineError::Stopped),
-        }
+        let learned = self.learned.ok_or(PipelineError::Stopped)?;
+        let plants = self.recordings.into_iter().zip(self.simulators);
+        Ok(Outcome {
+            plants: plants.map(|(recording, simulators)| Studied { recording, simulators }).collect(),
+            learned,
+            rounds: self.rounds,
+            hold_out: self.config.hold_out,
+            complete: self.complete,
+        })
     }
 
-    /// Records the round's breaths, or takes those already recorded; complete and aborted breaths.
+    /// Records the round's breaths on every plant, or takes those already recorded; complete and aborted breaths.
     fn collect(&mut self, round: usize) -> Result<(usize, usize), PipelineError> {
-        let file = self.folder.map(|folder| folder.file(round, "recording.parquet"));
-        let recording = match &file {
-            Some(file) if file.exists() => Recording::load(file)?,
-            _ => {
-                let collected = self.record(round)?;
-                if let (Some(file), false) = (&file, self.stopped()) {
-                    collected.recording.save(file)?;
-                }
-                collected.recording
+        let done = AtomicUsize::new(0);
+        let recordings: Vec<Recording> = (0..self.sources.len())
+            .into_par_iter()
+            .map(|plant| self.recorded(round, plant, &done))
+            .collect::<Result<_, _>>()?;
+        let breaths = recordings.iter().map(|recording| recording.inspirations().len()).sum();
+        let all: usize = recordings.iter().map(|recording| recording.breaths().len()).sum();
+        if self.recordings.is_empty() {
+            self.recordings = recordings;
+        } else {
+            for (earlier, recording) in self.recordings.iter_mut().zip(&recordings) {
+                earlier.append(recording)?;
             }
-        };
-        let breaths = recording.inspirations().len();
-        let aborts = recording.breaths().len() - breaths;
-        match &mut self.recording {
-            Some(all) => all.append(&recording)?,
-            None => self.recording = Some(recording),
         }
-        Ok((breaths, aborts))
+        Ok((breaths, all - breaths))
     }
 
-    fn record(&self, round: usize) -> Result<Collected, PipelineError> {
-        let seed = seeds::collection(self.config.seed, round as u64);
-        let mut source = (self.source)(seed)?;
+    /// A plant's recording of the round.
+    fn recorded(&self, round: usize, plant: usize, done: &AtomicUsize) -> Result<Recording, PipelineError> {
+        let file = self.folder.map(|folder| folder.file(round, &format!("recording-{plant}.parquet")));
+        if let Some(file) = file.as_ref().filter(|file| file.exists()) {
+            return Ok(Recording::load(file)?);
+        }
+        let collected = self.record(round, plant, done)?;
+        if let (Some(file), false) = (&file, self.stop.load(Ordering::Relaxed)) {
+            collected.recording.save(file)?;
+        }
+        Ok(collected.recording)
+    }
+
+    fn record(&self, round: usize, plant: usize, done: &AtomicUsize) -> Result<Collected, PipelineError> {
+        let seed = seeds::collection(self.config.seed, of_plant(round as u64, plant));
+        let mut source = (self.sources[plant])(seed)?;
         let controller = match &self.learned {
             Some(learned) => Controller::Residual(learned.controller.clone()),
             None => self.config.base()?,
         };
         let config = CollectConfig { seed, ..self.config.collect.clone() };
-        let progress = |done, total| (self.observer)(round, Stage::Collect, done as usize, total as usize);
+        let total = config.breaths * self.sources.len();
+        let progress = |_, _| {
+            (self.observer)(round, Stage::Collect, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        };
         Ok(collect(source.as_mut(), &controller, &config, &Watch::new(&progress, self.stop))?)
     }
 
-    /// Fits the ensemble to everything recorded; none when stopped.
+    /// Fits each plant's ensemble to everything recorded from it; none when stopped.
     fn fit(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
         if let Some(fitted) = self.fitted(round)? {
             return Ok(Some(fitted));
         }
-        let Some(recording) = &self.recording else { return Ok(None) };
-        let episodes = episodes(recording, self.config.timing());
-        if episodes.len() < BREATHS_NEEDED {
-            let (found, needed) = (episodes.len(), BREATHS_NEEDED);
-            return Err(PipelineError::TooFewBreaths { found, needed });
+        let episodes: Vec<Vec<Episode>> =
+            self.recordings.iter().map(|recording| episodes(recording, self.config.timing())).collect();
+        if let Some(found) = episodes.iter().map(Vec::len).find(|found| *found < BREATHS_NEEDED) {
+            return Err(PipelineError::TooFewBreaths { found, needed: BREATHS_NEEDED });
         }
-        let (train, held_out) = split(&episodes, self.config.hold_out);
-        let plant = recording.provenance.plant.clone();
+        let parts: Vec<_> = episodes.iter().map(|episodes| split(episodes, self.config.hold_out)).collect();
+        let members = self.config.ensemble.max(1) + 1;
         let done = AtomicUsize::new(0);
-        let members: Vec<Option<(Simulator, Vec<f64>)>> = (0..=self.config.ensemble.max(1))
+        let fits: Vec<Option<(Simulator, Vec<f64>)>> = (0..parts.len() * members)
             .into_par_iter()
-            .map(|member| self.fit_member(round, member, &train, &plant, &done))
+            .map(|job| {
+                let (plant, member) = (job / members, job % members);
+                self.fit_member(round, plant, member, &parts[plant].0, &done)
+            })
             .collect();
-        let Some(members) = members.into_iter().collect::<Option<Vec<_>>>() else {
+        let Some(fits) = fits.into_iter().collect::<Option<Vec<_>>>() else {
             self.stopped();
             return Ok(None);
         };
         let fitted = Fitted {
-            curve: members[0].1.clone(),
-            open_loop: members.iter().map(|(simulator, _)| open_loop(simulator, &held_out)).collect(),
+            curve: fits[0].1.clone(),
+            open_loop: (0..)
+                .zip(&fits)
+                .map(|(job, (simulator, _))| open_loop(simulator, &parts[job / members].1))
+                .collect(),
         };
-        self.simulators = members.into_iter().map(|(simulator, _)| simulator).collect();
+        let mut simulators = fits.into_iter().map(|(simulator, _)| simulator);
+        self.simulators = (0..parts.len()).map(|_| simulators.by_ref().take(members).collect()).collect();
         if let Some(folder) = self.folder {
-            for (member, simulator) in self.simulators.iter().enumerate() {
-                simulator.save(&folder.file(round, &simulator_name(member)))?;
+            for (plant, simulators) in self.simulators.iter().enumerate() {
+                for (member, simulator) in simulators.iter().enumerate() {
+                    simulator.save(&folder.file(round, &simulator_name(plant, member)))?;
+                }
             }
             folder.save(round, "fit.json", &fitted)?;
         }
@@ -187,24 +207,29 @@ impl<'a> Run<'a> {
     fn fitted(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
         let Some(folder) = self.folder else { return Ok(None) };
         let Some(fitted) = folder.load::<Fitted>(round, "fit.json")? else { return Ok(None) };
-        self.simulators = (0..fitted.open_loop.len())
-            .map(|member| Simulator::load(&folder.file(round, &simulator_name(member))))
-            .collect::<Result<_, _>>()?;
+        let plants = self.sources.len();
+        let of_plant = |plant| {
+            let members = 0..fitted.open_loop.len() / plants;
+            members
+                .map(|member| Simulator::load(&folder.file(round, &simulator_name(plant, member))))
+                .collect::<Result<Vec<_>, _>>()
+        };
+        self.simulators = (0..plants).map(of_plant).collect::<Result<_, _>>()?;
         Ok(Some(fitted))
     }
 
-    /// One member of the ensemble; none when stopped.
+    /// One member of a plant's ensemble; none when stopped.
     fn fit_member(
         &self,
         round: usize,
+        plant: usize,
         member: usize,
         train: &[&Episode],
-        plant: &str,
         done: &AtomicUsize,
     ) -> Option<(Simulator, Vec<f64>)> {
-        let warm = self.simulators.get(member);
-        let config = self.fit_config(round, member, warm.is_some());
-        let total = config.epochs * (self.config.ensemble.max(1) + 1);
+        let warm = self.simulators.get(plant).and_then(|members| members.get(member));
+        let config = self.fit_config(round, plant, member, warm.is_some());
+        let total = config.epochs * (self.config.ensemble.max(1) + 1) * self.sources.len();
         let mut fit = Fit::new(self.config.architecture, train, config, warm);
         let mut curve = Vec::new();
         while let Some(loss) = fit.epoch() {
@@ -214,15 +239,15 @@ impl<'a> Run<'a> {
                 return None;
             }
         }
-        Some((fit.simulator(plant), curve))
+        Some((fit.simulator(&self.recordings[plant].provenance.plant), curve))
     }
 
     /// Members differ by their seed alone; a warm start takes fewer, smaller steps.
-    fn fit_config(&self, round: usize, member: usize, warm: bool) -> FitConfig {
+    fn fit_config(&self, round: usize, plant: usize, member: usize, warm: bool) -> FitConfig {
         let seed = if member == self.config.ensemble.max(1) {
             seeds::held_out_simulator(self.config.seed)
         } else {
-            seeds::training(self.config.seed, member as u64)
+            seeds::training(self.config.seed, of_plant(member as u64, plant))
         };
         let mut config = FitConfig { seed: seed.wrapping_add(round as u64), ..self.config.fit };
         if warm {
@@ -274,15 +299,21 @@ impl<'a> Run<'a> {
         if warm.is_some() {
             config.adam.rate *= 0.5;
         }
-        let (held_out, trained_on) = match self.simulators.split_last() {
-            Some((last, rest)) if !rest.is_empty() => (last, rest),
-            _ => return Err(PipelineError::Stopped),
-        };
-        Ok(Training::new(self.config.residual(), trained_on, held_out, config, warm.as_deref())?)
+        let plants: Option<Vec<Plant<'_>>> = self
+            .simulators
+            .iter()
+            .map(|simulators| {
+                let (held_out, trained_on) = simulators.split_last()?;
+                (!trained_on.is_empty()).then_some(Plant { trained_on, held_out })
+            })
+            .collect();
+        let plants = plants.ok_or(PipelineError::Stopped)?;
+        Ok(Training::new(self.config.residual(), &plants, config, warm.as_deref())?)
     }
 
     fn learned(&self, trained: &Trained) -> Learned {
-        let plant = self.recording.as_ref().map_or_else(String::new, |r| r.provenance.plant.clone());
+        let plants: Vec<&str> = self.recordings.iter().map(|r| r.provenance.plant.as_str()).collect();
+        let plant = plants.join(" ");
         Learned {
             controller: trained.controller.clone(),
             origin: Origin {
@@ -296,6 +327,11 @@ impl<'a> Run<'a> {
     }
 }
 
-fn simulator_name(member: usize) -> String {
-    format!("simulator-{member}.safetensors")
+fn simulator_name(plant: usize, member: usize) -> String {
+    format!("simulator-{plant}-{member}.safetensors")
+}
+
+/// A number that differs from plant to plant and is itself for the first.
+fn of_plant(number: u64, plant: usize) -> u64 {
+    number + ((plant as u64) << 32)
 }

@@ -10,6 +10,7 @@ use super::*;
 use crate::bench::BenchConfig;
 use crate::evaluate::{Plan, evaluate};
 use crate::source::BenchSource;
+use crate::train::Weighting;
 
 fn small() -> PipelineConfig {
     let mut config = PipelineConfig { rounds: 2, ensemble: 1, ..PipelineConfig::default() };
@@ -36,7 +37,7 @@ fn run_small(
     observer: Observer<'_>,
 ) -> Result<Outcome, PipelineError> {
     let (config, folder) = (small(), folder.map(Folder::new));
-    run(&config, &source(&config), folder.as_ref(), observer, stop)
+    run(&config, &[&source(&config)], folder.as_ref(), observer, stop)
 }
 
 fn whole(folder: Option<&Path>) -> Outcome {
@@ -89,9 +90,36 @@ fn a_stopped_run_goes_on_as_if_it_had_not_been_stopped() {
     }
     let resumed = whole(Some(&stopped));
     assert_eq!(resumed.learned, expected.learned);
-    for name in ["recording.parquet", "simulator-0.safetensors", "controller.safetensors"] {
+    for name in ["recording-0.parquet", "simulator-0-0.safetensors", "controller.safetensors"] {
         let file = |folder: &Path| fs::read(folder.join("round-1").join(name)).unwrap();
         assert!(file(&straight) == file(&stopped), "{name} differs");
+    }
+}
+
+#[test]
+fn one_controller_learns_from_several_plants() {
+    let mut config = PipelineConfig { rounds: 1, ..small() };
+    config.train.weighting = Weighting::Softmax(0.5);
+    let lungs = [BenchConfig::paper(20.0, 20.0), BenchConfig::paper(50.0, 10.0)];
+    let base = config.base().unwrap();
+    let make = |lung: usize, seed| -> Result<Box<dyn Source>, SourceError> {
+        let (settings, period_us) = (config.collect.settings, config.period_us);
+        Ok(Box::new(BenchSource::new(&lungs[lung], base.clone(), &settings, period_us, seed)?))
+    };
+    let (first, second) = (|seed| make(0, seed), |seed| make(1, seed));
+    let never = AtomicBool::new(false);
+    let silent: Observer<'_> = &|_, _, _, _| ();
+    let both = run(&config, &[&first, &second], None, silent, &never).unwrap();
+    let alone = run(&config, &[&first], None, silent, &never).unwrap();
+    assert_eq!(both.plants.len(), 2);
+    assert_eq!(both.plants[0].recording, alone.plants[0].recording, "a plant does not depend on the others");
+    assert_ne!(both.plants[0].recording.u_in, both.plants[1].recording.u_in);
+    assert_eq!((both.rounds[0].breaths, both.rounds[0].open_loop.len()), (48, 4));
+    let controller = Controller::Residual(both.learned.controller);
+    for lung in &lungs {
+        let score = |controller| evaluate(lung, controller, &Plan::evaluation(3)).unwrap().mean.score;
+        let (pid, learned) = (score(&base), score(&controller));
+        assert!(learned < 0.95 * pid, "{}: learned {learned:.3}, PID {pid:.3}", lung.name);
     }
 }
 
@@ -102,7 +130,7 @@ fn a_folder_of_another_run_is_refused() {
     let other = PipelineConfig { seed: 2, ..small() };
     let result = run(
         &other,
-        &source(&other),
+        &[&source(&other)],
         Some(&Folder::new(folder.path())),
         &|_, _, _, _| (),
         &AtomicBool::new(false),
@@ -117,7 +145,7 @@ fn a_training_that_does_not_help_ends_with_the_pid() {
     config.train.adam.rate = 1.0e2;
     config.train.iterations = 4;
     config.train.validate_every = 4;
-    let outcome = run(&config, &source(&config), None, &|_, _, _, _| (), &AtomicBool::new(false)).unwrap();
+    let outcome = run(&config, &[&source(&config)], None, &|_, _, _, _| (), &AtomicBool::new(false)).unwrap();
     assert!(!outcome.rounds[0].improved);
     assert!(outcome.learned.controller.network().parameters().all(|weight| weight.to_bits() == 0));
 }

@@ -25,7 +25,7 @@ use crate::simulator::state_space::StateSpaceTape;
 use crate::simulator::stitched::StitchedTape;
 use crate::simulator::{Dynamics, Start};
 use network::{chip_network, initial_parameters};
-use rollout::{LaneController, Scenario, Tape};
+use rollout::{LaneController, Loss, Scenario, Tape};
 
 /// How to train.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,6 +49,8 @@ pub struct TrainConfig {
     pub overshoot_weight: f32,
     /// Standard deviation of how far the starting pressure strays from its mean, cmH2O.
     pub start_spread: f32,
+    /// How much each plant counts, where there are several.
+    pub weighting: Weighting,
     /// Steps between validations.
     pub validate_every: usize,
     /// Optimiser.
@@ -69,11 +71,65 @@ impl Default for TrainConfig {
             inspiratory_time: 1.0,
             overshoot_weight: 1.0,
             start_spread: 0.05,
+            weighting: Weighting::Sum,
             validate_every: 25,
             adam: AdamConfig { rate: 4e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,
         }
     }
+}
+
+/// How much each plant's error counts in the loss.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Weighting {
+    /// All the same: the mean score becomes small.
+    #[default]
+    Sum,
+    /// By the softmax of the scores over this temperature, cmH2O, as the paper's authors do: the worst score becomes
+    /// small.
+    Softmax(f64),
+}
+
+impl Weighting {
+    /// Factors with mean one, from the plants' last scores.
+    fn factors(self, scores: &[f64]) -> Vec<f32> {
+        let Self::Softmax(temperature) = self else { return vec![1.0; scores.len()] };
+        let highest = scores.iter().copied().fold(f64::MIN, f64::max);
+        let powers: Vec<f64> = scores.iter().map(|score| ((score - highest) / temperature).exp()).collect();
+        let mean = powers.iter().sum::<f64>() / powers.len() as f64;
+        powers.iter().map(|power| (power / mean) as f32).collect()
+    }
+}
+
+/// The learned simulators of one plant.
+#[derive(Clone, Copy, Debug)]
+pub struct Plant<'a> {
+    /// Those to train on.
+    pub trained_on: &'a [Simulator],
+    /// The one that judges.
+    pub held_out: &'a Simulator,
+}
+
+/// A simulator in use.
+#[derive(Debug)]
+struct Member {
+    model: Model,
+    noise: f32,
+    start: f32,
+}
+
+impl Member {
+    fn new(simulator: &Simulator) -> Self {
+        Self { model: simulator.model(), noise: simulator.noise, start: simulator.start_pressure }
+    }
+}
+
+/// A plant's simulators in use.
+#[derive(Debug)]
+struct Ensemble {
+    trained_on: Vec<Member>,
+    held_out: Member,
 }
 
 /// A point of the training curve.
@@ -113,11 +169,9 @@ enum ShardTape {
 pub struct Training {
     config: TrainConfig,
     base: Residual,
-    models: Vec<Model>,
-    noise: Vec<f32>,
-    held_out: Model,
-    held_out_noise: f32,
-    start: f32,
+    plants: Vec<Ensemble>,
+    /// Factor on each plant's loss.
+    factors: Vec<f32>,
     ticks: usize,
     parameters: Vec<f32>,
     adam: Adam,
@@ -138,63 +192,72 @@ pub struct Checkpoint {
     pub adam: Adam,
     /// Best validation score and its parameters.
     pub best: (f64, Vec<f32>),
+    /// Factor on each plant's loss.
+    pub factors: Vec<f32>,
 }
 
 /// Number of the validation's random stream; training uses those of its steps.
 const VALIDATION_STREAM: u64 = u64::MAX;
 
 impl Training {
-    /// Prepares a training of the residual of `spec` on `simulators`, validated on `held_out`; from `warm`
-    /// parameters or from scratch.
+    /// Prepares a training of the residual of `spec` on the simulators of one or several plants, from `warm` parameters
+    /// or from scratch.
     ///
     /// # Errors
     /// A specification that cannot be built.
     ///
     /// # Panics
-    /// Without a simulator.
+    /// Without a plant, or with one that has no simulator to train on.
     pub fn new(
         spec: ResidualSpec,
-        simulators: &[Simulator],
-        held_out: &Simulator,
+        plants: &[Plant<'_>],
         config: TrainConfig,
         warm: Option<&[f32]>,
     ) -> Result<Self, ResidualError> {
-        assert!(!simulators.is_empty(), "training needs at least one simulator");
+        assert!(!plants.is_empty(), "training needs at least one plant");
+        assert!(plants.iter().all(|plant| !plant.trained_on.is_empty()), "each plant needs a simulator");
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let fresh = initial_parameters(&mut rng);
         let base = Residual::new(spec, chip_network(&vec![0.0; fresh.len()]))?;
         let parameters = warm.map_or(fresh, <[f32]>::to_vec);
         let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
-        let shards = config.batch.div_ceil(LANES).max(1);
-        let models: Vec<Model> = simulators.iter().map(Simulator::model).collect();
+        let plants: Vec<Ensemble> = plants
+            .iter()
+            .map(|plant| Ensemble {
+                trained_on: plant.trained_on.iter().map(Member::new).collect(),
+                held_out: Member::new(plant.held_out),
+            })
+            .collect();
+        // Each plant has as many shards as any other.
+        let shards = config.batch.div_ceil(LANES).max(1).next_multiple_of(plants.len());
         let lanes = LaneController::new(&base, &parameters);
-        let tapes = (0..shards).map(|s| tape(&lanes, &models[s % models.len()], ticks)).collect();
+        let tapes = (0..shards)
+            .map(|shard| tape(&lanes, &plants[shard % plants.len()].trained_on[0].model, ticks))
+            .collect();
         let adam = Adam::new(config.adam, parameters.len());
         let mut training = Self {
-            noise: simulators.iter().map(|s| s.noise).collect(),
-            held_out: held_out.model(),
-            held_out_noise: held_out.noise,
-            start: held_out.start_pressure,
+            factors: vec![1.0; plants.len()],
             best: (f64::INFINITY, parameters.clone()),
             base_score: 0.0,
             iteration: 0,
             config,
             base,
-            models,
+            plants,
             ticks,
             parameters,
             adam,
             tapes,
         };
-        training.base_score = training.validate(&vec![0.0; training.parameters.len()]);
+        training.base_score = mean(&training.validate(&vec![0.0; training.parameters.len()]));
         training.keep_best();
         Ok(training)
     }
 
     /// Goes on from a checkpoint.
     pub fn resume(&mut self, checkpoint: Checkpoint) {
-        let Checkpoint { iteration, parameters, adam, best } = checkpoint;
+        let Checkpoint { iteration, parameters, adam, best, factors } = checkpoint;
         (self.iteration, self.parameters, self.adam, self.best) = (iteration, parameters, adam, best);
+        self.factors = factors;
     }
 
     /// What to keep so that training can go on later.
@@ -204,6 +267,7 @@ impl Training {
             parameters: self.parameters.clone(),
             adam: self.adam.clone(),
             best: self.best.clone(),
+            factors: self.factors.clone(),
         }
     }
 
@@ -226,9 +290,11 @@ impl Training {
         Some(Progress { iteration: self.iteration, training, validation })
     }
 
-    /// Validates the present parameters and keeps them if they are the best so far.
+    /// Validates the present parameters and keeps them if they are the best so far; the mean score over the plants.
     fn keep_best(&mut self) -> f64 {
-        let validation = self.validate(&self.parameters);
+        let scores = self.validate(&self.parameters);
+        self.factors = self.config.weighting.factors(&scores);
+        let validation = mean(&scores);
         if validation < self.best.0 {
             self.best = (validation, self.parameters.clone());
         }
@@ -269,41 +335,44 @@ impl Training {
         work: impl Fn(&LaneController<'_>, &Model, &Scenario, &mut ShardTape) -> T + Sync,
     ) -> Vec<T> {
         let controller = LaneController::new(&self.base, &self.parameters);
-        let (config, models, noise, ticks, start) =
-            (&self.config, &self.models, &self.noise, self.ticks, self.start);
-        let iteration = self.iteration as u64;
+        let (config, plants, factors, ticks, iteration) =
+            (&self.config, &self.plants, &self.factors, self.ticks, self.iteration);
+        let shards_each = self.tapes.len() / plants.len();
         self.tapes
             .par_iter_mut()
             .enumerate()
             .map(|(shard, tape)| {
-                let model = shard % models.len();
-                let stream = iteration.wrapping_mul(1 << 16) + shard as u64;
-                let scenario = draw(config, ticks, start, noise[model], stream);
-                work(&controller, &models[model], &scenario, tape)
+                let (plant, turn) = (shard % plants.len(), shard / plants.len());
+                let members = &plants[plant].trained_on;
+                // With fewer shards than members these take turns.
+                let turn = if shards_each < members.len() { turn + iteration } else { turn };
+                let member = &members[turn % members.len()];
+                let stream = (iteration as u64).wrapping_mul(1 << 16) + shard as u64;
+                let mut scenario = draw(config, ticks, member, stream);
+                scenario.weight = Lane::splat(factors[plant]);
+                work(&controller, &member.model, &scenario, tape)
             })
             .collect()
     }
 
-    /// Mean score over the waveforms on the held-out simulator, cmH2O.
-    fn validate(&self, parameters: &[f32]) -> f64 {
-        let pips = &self.config.pips;
-        let mut scenario = draw(&self.config, self.ticks, self.start, self.held_out_noise, VALIDATION_STREAM);
-        scenario.pip = Lane::from_fn(|l| pips[l % pips.len()]);
-        scenario.start.plateau = scenario.pip;
+    /// Score of every plant on its held-out simulator, mean over the waveforms, cmH2O.
+    fn validate(&self, parameters: &[f32]) -> Vec<f64> {
         let controller = LaneController::new(&self.base, parameters);
-        let score = match &self.held_out {
-            Model::StateSpace(model) => {
-                controller.forward(model, &scenario, &mut controller.tape(model, self.ticks)).score
-            }
-            Model::Stitched(model) => {
-                controller.forward(model, &scenario, &mut controller.tape(model, self.ticks)).score
-            }
+        let pips = &self.config.pips;
+        let of_plant = |plant: &Ensemble| {
+            let mut scenario = draw(&self.config, self.ticks, &plant.held_out, VALIDATION_STREAM);
+            scenario.pip = Lane::from_fn(|l| pips[l % pips.len()]);
+            scenario.start.plateau = scenario.pip;
+            let mut tape = tape(&controller, &plant.held_out.model, self.ticks);
+            let score = loss_of(&controller, &plant.held_out.model, &scenario, &mut tape).score;
+            let of_pip = |pip: usize| {
+                let own: Vec<f64> =
+                    (0..LANES).filter(|l| l % pips.len() == pip).map(|l| f64::from(score[l])).collect();
+                mean(&own)
+            };
+            mean(&(0..pips.len()).map(of_pip).collect::<Vec<_>>())
         };
-        let of = |pip: usize| -> f64 {
-            let own: Vec<usize> = (0..LANES).filter(|l| l % pips.len() == pip).collect();
-            own.iter().map(|l| f64::from(score[*l])).sum::<f64>() / own.len() as f64
-        };
-        (0..pips.len()).map(of).sum::<f64>() / pips.len() as f64
+        self.plants.par_iter().map(of_plant).collect()
     }
 
     /// Ends the training with the best controller.
@@ -361,12 +430,25 @@ fn score_of(
     scenario: &Scenario,
     tape: &mut ShardTape,
 ) -> f64 {
-    let loss = match (model, tape) {
+    f64::from(loss_of(controller, model, scenario, tape).score.sum()) / LANES as f64
+}
+
+/// A shard's forward pass.
+fn loss_of(
+    controller: &LaneController<'_>,
+    model: &Model,
+    scenario: &Scenario,
+    tape: &mut ShardTape,
+) -> Loss {
+    match (model, tape) {
         (Model::StateSpace(model), ShardTape::StateSpace(tape)) => controller.forward(model, scenario, tape),
         (Model::Stitched(model), ShardTape::Stitched(tape)) => controller.forward(model, scenario, tape),
         _ => unreachable!("each shard's tape was made for its model"),
-    };
-    f64::from(loss.score.sum()) / LANES as f64
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
 }
 
 fn both_ways<M: Dynamics>(
@@ -382,7 +464,7 @@ fn both_ways<M: Dynamics>(
 }
 
 /// Draws a shard's inspirations.
-fn draw(config: &TrainConfig, ticks: usize, start: f32, noise: f32, stream: u64) -> Scenario {
+fn draw(config: &TrainConfig, ticks: usize, simulator: &Member, stream: u64) -> Scenario {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     rng.set_stream(stream);
     let pip = Lane::from_fn(|l| match config.pips.get(l) {
@@ -394,10 +476,28 @@ fn draw(config: &TrainConfig, ticks: usize, start: f32, noise: f32, stream: u64)
         ticks,
         pip,
         peep: config.peep,
-        start: Start { pressure: Lane::from_fn(|_| start + normal(config.start_spread)), plateau: pip },
+        start: Start {
+            pressure: Lane::from_fn(|_| simulator.start + normal(config.start_spread)),
+            plateau: pip,
+        },
         rest: config.rest,
-        noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
+        noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(simulator.noise))).collect(),
         weight: Lane::splat(1.0),
         overshoot_weight: config.overshoot_weight,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_plant_weighs_most_and_the_mean_weight_is_one() {
+        let factors = Weighting::Softmax(0.5).factors(&[1.0, 2.0, 1.0]);
+        assert!(factors[1] > 5.0 * factors[0], "{factors:?}");
+        assert!((factors.iter().sum::<f32>() - 3.0).abs() < 1e-5);
+        assert_eq!(Weighting::Sum.factors(&[1.0, 2.0]), [1.0, 1.0]);
+        let far_apart = Weighting::Softmax(0.1).factors(&[0.0, 1e6]);
+        assert!(far_apart.iter().all(|factor| factor.is_finite()), "{far_apart:?}");
     }
 }
