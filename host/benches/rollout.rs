@@ -6,7 +6,7 @@
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use host::simulator::model::{Architecture, Simulator};
 use host::simulator::state_space::StateSpaceConfig;
-use host::train::{TrainConfig, Training};
+use host::train::{Plant, TrainConfig, Training};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::breath::DEFAULT_PERIOD_US;

@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
 
     // No folder: nothing to go on from; no observer; never stopped.
-    let outcome = pipeline::run(&config, &source, None, &|_, _, _, _| (), &AtomicBool::new(false))?;
+    let outcome = pipeline::run(&config, &[&source], None, &|_, _, _, _| (), &AtomicBool::new(false))?;
 
     let plan = Plan::evaluation(config.seed);
     let learned = Controller::Residual(outcome.learned.controller.clone());

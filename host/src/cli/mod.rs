@@ -20,6 +20,7 @@ mod pack;
 mod port_args;
 #[cfg(unix)]
 mod qemu;
+mod reproduce;
 mod settings_args;
 mod stage_bars;
 mod train;
@@ -50,6 +51,7 @@ enum Command {
     Fit(fit::Args),
     Train(train::Args),
     Evaluate(evaluate::Args),
+    Reproduce(reproduce::Args),
     Pack(pack::Args),
     Flash(flash::Args),
     #[cfg(unix)]
@@ -87,6 +89,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Fit(args) => fit::run(args),
         Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Reproduce(args) => reproduce::run(args),
         Command::Pack(args) => pack::run(args),
         Command::Flash(args) => flash::run(args),
         #[cfg(unix)]

@@ -1,4 +1,5 @@
-//! `trainer train`: rounds of collect, fit and train on a bench, or one training on simulators already fitted.
+//! `trainer train`: rounds of collect, fit and train on one or several benches, or one training on simulators already
+//! fitted.
 
 use std::path::{Path, PathBuf};
 
@@ -12,13 +13,13 @@ use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
 use super::stage_bars::StageBars;
 use crate::evaluate::seeds;
-use crate::pipeline::{self, Folder, PipelineConfig, Round, Stage};
+use crate::pipeline::{self, Folder, MakeSource, PipelineConfig, Round, Stage};
 use crate::provenance::git_revision;
 use crate::report::{Cell, Table};
 use crate::simulator::model::Simulator;
-use crate::source::{BenchSource, Source};
+use crate::source::{BenchSource, Source, SourceError};
 use crate::train::learned::{Learned, Origin};
-use crate::train::{Plant, Progress, TrainConfig, Training};
+use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
 
 /// Train a controller by back-propagation through learned simulators
 #[derive(Debug, clap::Args)]
@@ -26,6 +27,7 @@ use crate::train::{Plant, Progress, TrainConfig, Training};
 Examples:
   trainer train --out out/train
   trainer train --lung R50C10 --gains 0.5,5 --rounds 4 --out out/stiff
+  trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
 
 Without --simulator it records on the bench, fits and trains, round after round. With it, it trains once; the last
@@ -69,6 +71,13 @@ pub struct Args {
     /// Decay of the weights
     #[arg(long, value_name = "D", default_value_t = TrainConfig::default().adam.weight_decay)]
     weight_decay: f32,
+    /// With several lungs: make the worst score small rather than the mean; the temperature of the softmax over the
+    /// lungs' scores, cmH2O
+    #[arg(long, value_name = "T", value_parser = temperature)]
+    softmax: Option<f64>,
+    /// Simulators of each lung to train on; one more is held out
+    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().ensemble)]
+    ensemble: usize,
     /// Factor on errors above the target
     #[arg(long, value_name = "F", default_value_t = TrainConfig::default().overshoot_weight)]
     overshoot_weight: f32,
@@ -126,6 +135,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.output.finish(&summary)
 }
 
+fn temperature(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(temperature) if temperature > 0.0 && temperature.is_finite() => Ok(temperature),
+        _ => Err("a temperature is a number above zero, for instance 0.5".into()),
+    }
+}
+
 /// A stage of a round (from 0) as people read it.
 pub fn stage_name(round: usize, stage: Stage) -> String {
     let stage = match stage {
@@ -148,6 +164,7 @@ impl Args {
             gains: self.gains,
             lambda: self.lambda,
             authority: self.authority,
+            ensemble: self.ensemble,
             ..PipelineConfig::for_period(self.period_us)
         };
         config.collect.breaths = self.breaths;
@@ -162,6 +179,7 @@ impl Args {
             rest: settings.expiratory_bias,
             inspiratory_time: settings.inspiratory_time,
             overshoot_weight: self.overshoot_weight,
+            weighting: self.softmax.map_or(Weighting::Sum, Weighting::Softmax),
             ..config.train
         };
         config.train.adam.rate = self.learning_rate;
@@ -170,17 +188,22 @@ impl Args {
     }
 
     fn rounds_on_bench(&self, config: &PipelineConfig) -> anyhow::Result<Summary> {
-        let bench = self.bench.one()?;
+        let benches = self.bench.benches()?;
         let base = pid(config.gains, config.period_us)?;
         let (settings, period_us) = (config.collect.settings, config.period_us);
-        let source = |seed| {
-            let source = BenchSource::new(&bench, base.clone(), &settings, period_us, seed)?;
-            Ok(Box::new(source) as Box<dyn Source>)
-        };
+        let plants: Vec<_> = benches
+            .iter()
+            .map(|bench| {
+                |seed| -> Result<Box<dyn Source>, SourceError> {
+                    Ok(Box::new(BenchSource::new(bench, base.clone(), &settings, period_us, seed)?))
+                }
+            })
+            .collect();
+        let sources: Vec<MakeSource<'_>> = plants.iter().map(|plant| plant as MakeSource<'_>).collect();
         let bars = StageBars::default();
         let observer = |round, stage, done, total| bars.show(&stage_name(round, stage), done, total);
         let folder = Folder::new(&self.out);
-        let outcome = pipeline::run(config, &[&source], Some(&folder), &observer, stop())?;
+        let outcome = pipeline::run(config, &sources, Some(&folder), &observer, stop())?;
         bars.finish();
         self.output.table(&rounds_table(&outcome.rounds));
         let controller = self.out.join(CONTROLLER);

@@ -1,6 +1,6 @@
 //! Curves of a few breaths, for plots.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
 use shared::control::Controller;
 use shared::settings::Settings;
@@ -12,7 +12,7 @@ use crate::source::{BenchSource, Source, SourceError};
 const WARM_UP: usize = 1;
 
 /// Columns of equal length, a row for every control tick.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Trace {
     /// Time since the start of the first breath shown, s.
     pub time_s: Vec<f64>,

@@ -83,6 +83,7 @@ impl Bench {
         TickTruth {
             airway_pressure: truth.airway_pressure as f32,
             sensor_pressure: truth.sensor_pressure as f32,
+            lung_volume: truth.lung_volume_ml as f32,
         }
     }
 }

@@ -31,6 +31,8 @@ pub struct TickTruth {
     pub airway_pressure: f32,
     /// Pressure behind the sensor's lag, before noise and quantum, cmH2O.
     pub sensor_pressure: f32,
+    /// Gas in the lung above its volume at rest, mL.
+    pub lung_volume: f32,
 }
 
 /// One control tick as the host sees it.

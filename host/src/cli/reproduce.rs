@@ -1,0 +1,57 @@
+//! `trainer reproduce`: the paper's experiments, with a report.
+
+use std::path::PathBuf;
+
+use super::common::stop;
+use super::output::OutputArgs;
+use super::stage_bars::StageBars;
+use crate::bench::BenchConfig;
+use crate::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
+
+/// Run the paper's experiments on the virtual bench and write one report
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer reproduce --quick --out out/quick
+  trainer reproduce --seed 1 --out out/paper
+  trainer reproduce --only unseen --only iso --out out/paper
+
+Each experiment keeps its result in the folder and finds there what others have left, so that Ctrl-C loses nothing: the
+same command goes on. results.json has all figures, report.html shows them.")]
+pub struct Args {
+    /// Folder of all results
+    #[arg(long, value_name = "DIR", default_value = "out/reproduce")]
+    out: PathBuf,
+    /// Spend less: the same order of results in a few minutes
+    #[arg(long)]
+    quick: bool,
+    /// This experiment and those it needs; may be repeated [default: all]
+    #[arg(long, value_name = "NAME")]
+    only: Vec<Experiment>,
+    /// Seed of everything
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let reproduction = Reproduction {
+        seed: args.seed,
+        budget: if args.quick { Budget::quick() } else { Budget::full() },
+        lungs: BenchConfig::paper_lungs(),
+        out: args.out.clone(),
+        only: if args.only.is_empty() { Experiment::ALL.to_vec() } else { args.only.clone() },
+    };
+    let bars = StageBars::default();
+    let observer = |what: &str, done, total| bars.show(what, done, total);
+    let results = reproduce(&reproduction, &observer, stop())?;
+    bars.finish();
+    if !results.lungs.is_empty() {
+        args.output.table(&lungs_table(&results));
+    }
+    args.output.line(&headline(&results));
+    args.output.line(&format!("report: {}", args.out.join("report.html").display()));
+    args.output.finish(&results)
+}

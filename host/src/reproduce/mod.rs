@@ -1,0 +1,173 @@
+//! The paper's experiments on the virtual bench, and those that go beyond it (Suo et al. 2021, section 6).
+//!
+//! [`run`] carries out experiments one after the other. Each keeps its result as JSON in the folder, so that a stopped run
+//! goes on where it was and an experiment finds what an earlier one has left. At the end all results found there become
+//! `results.json` and one report.
+//!
+//! | file | subject |
+//! |---|---|
+//! | `study` | the folder, budgets and progress that experiments share |
+//! | `lungs` | the best PIDs, and a controller for each lung |
+//! | `generalist` | one controller for all lungs |
+//! | `tracking` | curves of the controllers on one lung |
+//! | `unseen` | lungs and ventilators that nobody trained on |
+//! | `changes` | a lung that changes from one breath to the next |
+//! | `iso` | the rows of the pressure-control test table |
+//! | `results` | everything found, in numbers |
+//! | `report` | the same for people |
+
+mod changes;
+mod generalist;
+mod iso;
+mod lungs;
+mod report;
+mod results;
+mod study;
+#[cfg(test)]
+mod tests;
+mod tracking;
+mod unseen;
+
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+use serde::{Deserialize, Serialize};
+use shared::control::pid::GainError;
+use thiserror::Error;
+
+use crate::baselines::TuneError;
+use crate::bench::{BenchConfig, BenchError};
+use crate::pipeline::PipelineError;
+use crate::report::ReportError;
+use crate::source::SourceError;
+use crate::train::learned::LearnedError;
+
+pub use report::{headline, lungs_table};
+pub use results::{IsoFigures, LungFigures, Means, Results, UnseenFigures};
+pub use study::Budget;
+use study::Study;
+
+/// An experiment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum Experiment {
+    /// The best P, I and PID for each lung and for all of them
+    Tuning,
+    /// A learned controller for each lung
+    Lungs,
+    /// One learned controller for all lungs
+    Generalist,
+    /// Curves of all controllers on one lung
+    Tracking,
+    /// Lungs and ventilators outside of the training
+    Unseen,
+    /// A lung that changes from one breath to the next
+    Changes,
+    /// The pressure-control rows of the test table
+    Iso,
+}
+
+impl Experiment {
+    /// All, in the order in which they are run.
+    pub const ALL: [Self; 7] =
+        [Self::Tuning, Self::Lungs, Self::Generalist, Self::Tracking, Self::Unseen, Self::Changes, Self::Iso];
+
+    /// As it is called on the command line and in the folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tuning => "tuning",
+            Self::Lungs => "lungs",
+            Self::Generalist => "generalist",
+            Self::Tracking => "tracking",
+            Self::Unseen => "unseen",
+            Self::Changes => "changes",
+            Self::Iso => "iso",
+        }
+    }
+}
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct Reproduction {
+    /// Seed of everything.
+    pub seed: u64,
+    /// How much to spend.
+    pub budget: Budget,
+    /// The lungs to train on.
+    pub lungs: Vec<BenchConfig>,
+    /// Folder of all results.
+    pub out: PathBuf,
+    /// Which experiments; those that they need are run as well.
+    pub only: Vec<Experiment>,
+}
+
+/// Why an experiment cannot be finished.
+#[derive(Debug, Error)]
+pub enum ReproduceError {
+    /// Search of a PID.
+    #[error(transparent)]
+    Tune(#[from] TuneError),
+    /// Learning.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// Evaluation.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// A bench.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    /// Gains.
+    #[error(transparent)]
+    Gain(#[from] GainError),
+    /// A controller's file.
+    #[error(transparent)]
+    Learned(#[from] LearnedError),
+    /// Report.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// The folder holds another run.
+    #[error(
+        "{0} holds a run with another seed, budget or choice of lungs; choose another folder or remove it"
+    )]
+    OtherRun(String),
+    /// A file.
+    #[error("{path}: {reason}")]
+    File {
+        /// File.
+        path: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// Ctrl-C.
+    #[error("stopped; the same command goes on from here")]
+    Stopped,
+}
+
+/// Progress: what is under way, steps done, and in all.
+pub type Observer<'a> = &'a (dyn Fn(&str, usize, usize) + Sync);
+
+/// Runs the experiments, then writes `results.json` and `report.html` of everything that the folder holds.
+///
+/// # Errors
+/// The first experiment that fails; what earlier ones left stays.
+pub fn run(
+    reproduction: &Reproduction,
+    observer: Observer<'_>,
+    stop: &AtomicBool,
+) -> Result<Results, ReproduceError> {
+    let study = Study::new(reproduction, observer, stop)?;
+    for experiment in Experiment::ALL.into_iter().filter(|e| reproduction.only.contains(e)) {
+        match experiment {
+            Experiment::Tuning => drop(lungs::tuned(&study)?),
+            Experiment::Lungs => drop(lungs::lungs(&study)?),
+            Experiment::Generalist => drop(generalist::generalist(&study)?),
+            Experiment::Tracking => drop(tracking::tracking(&study)?),
+            Experiment::Unseen => drop(unseen::unseen(&study)?),
+            Experiment::Changes => drop(changes::changes(&study)?),
+            Experiment::Iso => drop(iso::iso(&study)?),
+        }
+    }
+    let results = Results::gather(&study)?;
+    study.write("results.json", &results)?;
+    report::report(&study, &results)?.save(study.path("report.html"))?;
+    Ok(results)
+}

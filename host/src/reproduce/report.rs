@@ -1,0 +1,282 @@
+//! The experiments' report: figures as a reader of the paper knows them, tables beside them.
+
+use super::changes::Change;
+use super::results::Results;
+use super::study::Study;
+use super::{ReproduceError, changes, iso, lungs, tracking};
+use crate::evaluate::Trace;
+use crate::provenance::Provenance;
+use crate::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+
+/// Length of the inspiration that is shown enlarged, s.
+const ZOOM_S: f64 = 1.0;
+
+/// Everything that the study's folder holds.
+pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, ReproduceError> {
+    let mut sections = Vec::new();
+    sections.extend(tracking::kept(study)?.map(|tracking| tracking_section(&tracking)));
+    if !results.lungs.is_empty() {
+        sections.push(lungs_section(study, results)?);
+    }
+    if !results.unseen.is_empty() {
+        sections.push(unseen_section(results));
+    }
+    sections.extend(changes::kept(study)?.map(|changes| changes_section(&changes)));
+    sections.extend(iso::kept(study)?.map(|rows| iso_section(&rows)));
+    Ok(Report {
+        title: "Machine learning for mechanical ventilation control, reproduced".into(),
+        subtitle: headline(results),
+        sections,
+        provenance: Some(Provenance {
+            seed: results.seed,
+            plant: "the paper's lungs on the virtual bench".into(),
+            ..Provenance::new(study.plan().period_us, "reproduce")
+        }),
+    })
+}
+
+/// The result in a sentence.
+pub fn headline(results: &Results) -> String {
+    let Some(mean) = &results.mean else { return "not all lungs have been run yet".into() };
+    let own = format!(
+        "A controller for each lung: mean error {:.3} cmH2O, {:.0} % of each lung's best PID.",
+        mean.learned,
+        100.0 * mean.learned / mean.pid
+    );
+    match mean.generalist {
+        Some(generalist) => format!(
+            "{own} One controller for all: {:.3} cmH2O, {:.0} % of the best single PID and {:.0} % of each lung's best PID.",
+            generalist,
+            100.0 * generalist / mean.single_pid,
+            100.0 * generalist / mean.pid
+        ),
+        None => own,
+    }
+}
+
+/// The lungs, and their mean.
+pub fn lungs_table(results: &Results) -> Table {
+    let mut table = Table::new(
+        "Mean absolute error of the true airway pressure over the inspiration, cmH2O",
+        &["lung", "own best PID", "single PID", "learned", "spread", "learned for all"],
+    );
+    let generalist =
+        |value: Option<f64>| value.map_or_else(|| Cell::right("-"), |value| Cell::number(value, 3));
+    for lung in &results.lungs {
+        let most = lung.learned_by_seed.iter().copied().fold(f64::MIN, f64::max);
+        let least = lung.learned_by_seed.iter().copied().fold(f64::MAX, f64::min);
+        table.row(vec![
+            Cell::text(&lung.lung),
+            Cell::number(lung.pid, 3),
+            Cell::number(lung.single_pid, 3),
+            Cell::number(lung.learned, 3).best_if(lung.learned < lung.pid),
+            Cell::number(most - least, 3),
+            generalist(lung.generalist).best_if(lung.generalist.is_some_and(|score| score < lung.pid)),
+        ]);
+    }
+    if let Some(mean) = &results.mean {
+        table.row(vec![
+            Cell::text("mean"),
+            Cell::number(mean.pid, 3),
+            Cell::number(mean.single_pid, 3),
+            Cell::number(mean.learned, 3).best_if(mean.learned < mean.pid),
+            Cell::text(""),
+            generalist(mean.generalist).best_if(mean.generalist.is_some_and(|score| score < mean.pid)),
+        ]);
+    }
+    table
+}
+
+fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, ReproduceError> {
+    let at = |of: &dyn Fn(&super::LungFigures) -> Option<f64>| -> Vec<(f64, f64)> {
+        (1..).zip(&results.lungs).filter_map(|(n, lung)| Some((f64::from(n), of(lung)?))).collect()
+    };
+    let mut series = vec![
+        Series::new("single PID", Style::Points, at(&|lung| Some(lung.single_pid))),
+        Series::new("own best PID", Style::Points, at(&|lung| Some(lung.pid))),
+        Series::new("learned", Style::Points, at(&|lung| Some(lung.learned))),
+    ];
+    let generalist = at(&|lung| lung.generalist);
+    if !generalist.is_empty() {
+        series.push(Series::new("learned for all", Style::Points, generalist));
+    }
+    let names: Vec<&str> = results.lungs.iter().map(|lung| lung.lung.as_str()).collect();
+    let simulators = lungs::kept(study)?.unwrap_or_default();
+    let mut distances = Table::new(
+        "Open-loop distance of the learned simulators, cmH2O, and what they were learned from",
+        &["lung", "distance", "minutes recorded"],
+    );
+    for (bench, lung) in study.lungs().iter().zip(&simulators) {
+        let seconds = lung.ticks.iter().sum::<usize>() as f64 * 1e-6 * f64::from(study.plan().period_us);
+        distances.row(vec![
+            Cell::text(&bench.name),
+            Cell::number(lung.open_loop.iter().sum::<f64>() / lung.open_loop.len().max(1) as f64, 3),
+            Cell::number(seconds / lung.ticks.len().max(1) as f64 / 60.0, 1),
+        ]);
+    }
+    Ok(Section {
+        heading: "Performance and robustness".into(),
+        text: format!(
+            "Best PID of a search on the very bench against the controller trained on the simulator learned for that lung; \
+             and one controller for all lungs against the best single PID. Lungs from left to right: {}.",
+            names.join(", ")
+        ),
+        blocks: vec![
+            Block::Table(lungs_table(results)),
+            Block::Plot(Plot {
+                title: "Score by lung".into(),
+                x_label: "lung".into(),
+                y_label: "mean error, cmH2O".into(),
+                series,
+                x_range: Some((0.5, results.lungs.len() as f64 + 0.5)),
+                ..Plot::default()
+            }),
+            Block::Table(distances),
+        ],
+    })
+}
+
+fn tracking_section(tracking: &tracking::Tracking) -> Section {
+    let plot = |title: &str, y_label: &str, series| Plot {
+        title: title.into(),
+        x_label: "time, s".into(),
+        y_label: y_label.into(),
+        series,
+        ..Plot::default()
+    };
+    let pressures = |until: f64| {
+        let mut series = Vec::new();
+        if let Some((_, trace)) = tracking.controllers.first() {
+            series.push(Series::new("target", Style::Dashed, points(trace, &trace.target, until)));
+        }
+        series.extend(
+            tracking
+                .controllers
+                .iter()
+                .map(|(name, trace)| Series::new(name, Style::Line, points(trace, &trace.pressure, until))),
+        );
+        series
+    };
+    let inspiratory = tracking
+        .controllers
+        .iter()
+        .map(|(name, trace)| Series::new(name, Style::Line, points(trace, &trace.u_in, ZOOM_S)));
+    let expiratory = tracking.controllers.first().map(|(_, trace)| {
+        let open: Vec<f64> = trace.u_out.iter().map(|open| f64::from(u8::from(*open)) * 100.0).collect();
+        Series::new("expiratory valve", Style::Step, points(trace, &open, f64::INFINITY))
+    });
+    Section {
+        heading: "Tracking".into(),
+        text: format!(
+            "True airway pressure on {} under the best P-only, I-only and PID controllers and the learned ones.",
+            tracking.lung
+        ),
+        blocks: vec![
+            Block::Plot(plot("Three breaths", "airway pressure, cmH2O", pressures(f64::INFINITY))),
+            Block::Plot(plot("One inspiration", "airway pressure, cmH2O", pressures(ZOOM_S))),
+            Block::PlotRow(vec![
+                plot("Inspiratory valve", "opening, %", inspiratory.collect()),
+                plot("Expiratory valve", "opening, %", expiratory.into_iter().collect()),
+            ]),
+        ],
+    }
+}
+
+fn points(trace: &Trace, values: &[f64], until: f64) -> Vec<(f64, f64)> {
+    let both = trace.time_s.iter().copied().zip(values.iter().copied());
+    both.take_while(|(time, _)| *time < until).collect()
+}
+
+fn unseen_section(results: &Results) -> Section {
+    let mut table = Table::new(
+        "Mean error, cmH2O",
+        &["plant", "within the trained lungs", "own best PID", "single PID", "learned for all"],
+    );
+    for plant in &results.unseen {
+        table.row(vec![
+            Cell::text(&plant.plant),
+            Cell::text(if plant.inside { "yes" } else { "no" }),
+            Cell::number(plant.pid, 3),
+            Cell::number(plant.single_pid, 3),
+            Cell::number(plant.generalist, 3).best_if(plant.generalist < plant.single_pid),
+        ]);
+    }
+    Section {
+        heading: "Unseen plants".into(),
+        text: "The controller for all lungs and the best single PID on plants that neither has met.".into(),
+        blocks: vec![Block::Table(table)],
+    }
+}
+
+fn changes_section(changes: &[Change]) -> Section {
+    let mut table = Table::new(
+        "Breaths until the score stays within 10 % of where it settles, the breath of the change included",
+        &["change", "learned for all", "single PID"],
+    );
+    for change in changes {
+        table.row(vec![
+            Cell::text(&change.what),
+            Cell::count(Change::breaths_to_reconverge(&change.generalist)),
+            Cell::count(Change::breaths_to_reconverge(&change.single_pid)),
+        ]);
+    }
+    let series = |change: &Change| {
+        let points = (1..).zip(&change.generalist).map(|(breath, score)| (f64::from(breath), *score));
+        Series::new(&change.what, Style::Line, points.collect())
+    };
+    Section {
+        heading: "Changes of the lung".into(),
+        text: "R20C20 becomes another lung between the fourth and the fifth breath.".into(),
+        blocks: vec![
+            Block::Plot(Plot {
+                title: "Score of each breath, learned for all".into(),
+                x_label: "breath".into(),
+                y_label: "mean error, cmH2O".into(),
+                series: changes.iter().map(series).collect(),
+                ..Plot::default()
+            }),
+            Block::Table(table),
+        ],
+    }
+}
+
+fn iso_section(rows: &[iso::Row]) -> Section {
+    let mut table = Table::new(
+        "Plateau error and overshoot in cmH2O, rise in ms, tidal volume in mL; PID / learned for all",
+        &["row", "R", "C", "PIP/PEEP", "plateau", "overshoot", "rise", "volume", "expected", "kept"],
+    );
+    let pair = |row: &iso::Row, of: &dyn Fn(&iso::Outcome) -> f64, decimals: usize| {
+        let text = |outcome: &Option<iso::Outcome>| {
+            outcome
+                .as_ref()
+                .map_or_else(|| "fault".to_owned(), |outcome| format!("{:.decimals$}", of(outcome)))
+        };
+        Cell::right(format!("{} / {}", text(&row.single_pid), text(&row.generalist)))
+    };
+    let kept = |outcome: &Option<iso::Outcome>| {
+        if outcome.is_some_and(|outcome| outcome.pass) { "yes" } else { "no" }
+    };
+    for row in rows {
+        table.row(vec![
+            Cell::count(row.number.into()),
+            Cell::right(row.lung.0.to_string()),
+            Cell::right(row.lung.1.to_string()),
+            Cell::right(format!("{}/{}", row.pressures.0, row.pressures.1)),
+            pair(row, &|outcome| outcome.score.plateau_error, 2),
+            pair(row, &|outcome| outcome.score.overshoot, 1),
+            pair(row, &|outcome| outcome.score.rise_ms, 0),
+            pair(row, &|outcome| outcome.tidal_volume, 0),
+            Cell::number(row.expected_volume, 0),
+            Cell::text(format!("{} / {}", kept(&row.single_pid), kept(&row.generalist))),
+        ]);
+    }
+    Section {
+        heading: "Pressure-control test table".into(),
+        text: "Rows of ISO 80601-2-12, table 201.105, as the open-ventilator community transcribed them. A row is kept if the \
+               plateau's mean distance from PIP is at most 2 cmH2O and 4 % of PIP. From row 9 on the lungs are those of \
+               infants: the least flow that this bench's valve can set raises their pressure by far more than a millisecond \
+               of control can answer, so what fails there fails by the valve."
+            .into(),
+        blocks: vec![Block::Table(table)],
+    }
+}
