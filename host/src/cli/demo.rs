@@ -26,11 +26,13 @@ Examples:
   trainer demo --period-us 30000 --out out/paper
   trainer demo --board qemu --out out/board
 
-With --board qemu breaths are recorded and compared by the real firmware in QEMU, the weights flashed over its link; the
-table is the same to the last bit. The images come from `cargo xtask firmware`, QEMU from `cargo xtask setup`.
+With --board qemu breaths are recorded and compared by the real firmware in QEMU, the weights
+flashed over its link; the table is the same to the last bit. The images come from `cargo xtask
+firmware`, QEMU from `cargo xtask setup`.
 
-Ctrl-C stops it; the same command goes on where it was. Scores are of the true airway pressure, which the bench
-knows; PID and learned controller meet the same noise, under seeds that neither tuning nor training has seen.")]
+Ctrl-C stops it; the same command goes on where it was. Scores are of the true airway pressure,
+which the bench knows; PID and learned controller meet the same noise, under seeds that neither
+tuning nor training has seen.")]
 pub struct Args {
     /// Folder to write summary.json, report.html, the recording, simulator, controller and weights image to
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
@@ -46,7 +48,7 @@ pub struct Args {
     /// Seed of everything
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Let a board breathe instead of this process
+    /// Let a board breathe instead of this process: `qemu` is the virtual one
     #[cfg(unix)]
     #[arg(long, value_name = "BOARD")]
     board: Option<Board>,
@@ -61,7 +63,6 @@ pub struct Args {
 #[cfg(unix)]
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Board {
-    /// The virtual board
     Qemu,
 }
 

@@ -33,8 +33,8 @@ Examples:
 
 The score is the mean absolute error over the inspiration, in cmH2O, of the true airway pressure,
 which only the bench knows. A learned controller is compared with the PID underneath it, or with
---against. On a device (--port) the weights are uploaded unless they run there already, and the measured
-pressure is scored.")]
+--against. On a device (--port) the weights are uploaded unless they run there already, and the
+measured pressure is scored.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,

@@ -26,9 +26,9 @@ Examples:
   trainer flash weights.bin --port tcp:localhost:5555 --no-reset
   trainer flash --firmware target/firmware/board.elf
 
-Weights go into the slot that does not run, are read back, and run after a restart; until then, and if
-anything goes wrong, the old ones stay. An upload that was broken off goes on where it was. A device that
-ventilates refuses. The firmware is loaded through probe-rs and a debug probe.")]
+Weights go into the slot that does not run, are read back, and run after a restart; until then,
+and if anything goes wrong, the old ones stay. An upload that was broken off goes on where it was.
+A device that ventilates refuses. The firmware is loaded through probe-rs and a debug probe.")]
 pub struct Args {
     /// Weights, as packed by `trainer pack`
     #[arg(value_name = "weights.bin", required_unless_present = "firmware", requires = "port")]

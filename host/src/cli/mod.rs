@@ -35,9 +35,9 @@ use tracing_subscriber::filter::LevelFilter;
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
 #[derive(Debug, Parser)]
 #[command(name = "trainer", version, long_about = None, after_help = "\
-Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the result.
-EUPNEA_LOG sets what is logged, as in EUPNEA_LOG=debug.
-Research software: never for use on a patient.")]
+Start with `cargo trainer demo`: it runs the whole pipeline on the virtual bench and shows the
+result. EUPNEA_LOG sets what is logged, as in EUPNEA_LOG=debug. Research software: never for use
+on a patient.")]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

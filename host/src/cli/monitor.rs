@@ -30,9 +30,10 @@ Examples:
   trainer monitor --port tcp:localhost:5555 --plain | tee night.log
   trainer monitor --port COM3 --once --json -
 
-Keys: space starts and stops, a acknowledges a fault, up and down change PIP, left and right the rate, p changes between
-PID and learned weights, q leaves. Nothing is sent to the device but telemetry on and what a key asks; whoever leaves
-leaves the device as it is, and one that ventilates goes on.")]
+Keys: space starts and stops, a acknowledges a fault, up and down change PIP, left and right the
+rate, p changes between PID and learned weights, q leaves. Nothing is sent to the device but
+telemetry on and what a key asks; whoever leaves leaves the device as it is, and one that
+ventilates goes on.")]
 pub struct Args {
     /// Where the device is: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]

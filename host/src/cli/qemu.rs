@@ -19,11 +19,11 @@ const LOOK: Duration = Duration::from_millis(100);
 #[command(after_help = "\
 Examples:
   trainer qemu --listen 5555
-  trainer qemu --listen 5555 --lung R50C10 --folder board   (the weights in flash stay in the folder)
-  trainer monitor --port tcp:localhost:5555                 (in another terminal)
+  trainer qemu --listen 5555 --lung R50C10 --folder board   (keeps the weights in flash)
+  trainer monitor --port tcp:localhost:5555                (in another terminal)
 
-The images come from `cargo xtask firmware`, QEMU from `cargo xtask setup`. Time runs as on a real board; with --fast it
-runs as fast as the machine allows. Ctrl-C switches the board off.")]
+The images come from `cargo xtask firmware`, QEMU from `cargo xtask setup`. Time runs as on a real
+board; with --fast it runs as fast as the machine allows. Ctrl-C switches the board off.")]
 pub struct Args {
     /// TCP port for the device's link; 0 takes any that is free
     #[arg(long, value_name = "PORT", default_value_t = 0)]

@@ -16,8 +16,9 @@ Examples:
   trainer reproduce --seed 1 --out out/paper
   trainer reproduce --only unseen --only iso --out out/paper
 
-Each experiment keeps its result in the folder and finds there what others have left, so that Ctrl-C loses nothing: the
-same command goes on. results.json has all figures, report.html shows them.")]
+Each experiment keeps its result in the folder and finds there what others have left, so that
+Ctrl-C loses nothing: the same command goes on. results.json has all figures; report.html and
+results.md show them.")]
 pub struct Args {
     /// Folder of all results
     #[arg(long, value_name = "DIR", default_value = "out/reproduce")]

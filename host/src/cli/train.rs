@@ -30,8 +30,9 @@ Examples:
   trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
 
-Without --simulator it records on the bench, fits and trains, round after round. With it, it trains once; the last
-of several simulators is held out and judges the controller. Ctrl-C stops it; the same command goes on where it was.")]
+Without --simulator it records on the bench, fits and trains, round after round. With it, it
+trains once; the last of several simulators is held out and judges the controller. Ctrl-C stops
+it; the same command goes on where it was.")]
 pub struct Args {
     /// Folder for the controller (controller.safetensors) and what is needed to go on
     #[arg(long, value_name = "DIR")]

@@ -3,6 +3,7 @@
 mod curve;
 mod heat_map;
 mod html;
+mod markdown;
 mod plot;
 mod table;
 #[cfg(test)]

@@ -20,6 +20,8 @@ pub enum Style {
     Step,
     /// Dots.
     Points,
+    /// Bars from zero upwards; those of several series stand side by side around each whole number.
+    Bars,
 }
 
 /// One curve.
@@ -55,6 +57,8 @@ pub struct Plot {
     pub series: Vec<Series>,
     /// Ends of the vertical axis; `None` fits the points.
     pub y_range: Option<(f64, f64)>,
+    /// Names of 1, 2 and so on along the horizontal axis; empty for numbers.
+    pub x_names: Vec<String>,
     /// Ends of the horizontal axis; `None` fits the points.
     pub x_range: Option<(f64, f64)>,
     /// Logarithmic vertical axis.
@@ -71,6 +75,7 @@ impl Default for Plot {
             y_label: String::new(),
             series: Vec::new(),
             y_range: None,
+            x_names: Vec::new(),
             x_range: None,
             log_y: false,
             size: (800, 400),
@@ -98,6 +103,8 @@ const TITLE_SIZE: u32 = 17;
 const TEXT_SIZE: u32 = 14;
 const LINE_HEIGHT: u32 = 20;
 const MARGIN: u32 = 8;
+/// Part of the distance from one whole number to the next that its bars fill.
+const BARS_SHARE: f64 = 0.8;
 /// Line sample of a legend entry, pixels.
 const SAMPLE: u32 = 26;
 /// Mean width of a character as a share of the text size.
@@ -233,6 +240,31 @@ impl Plot {
         (self.size.1 / 45).max(3) as usize
     }
 
+    /// How many marks the horizontal axis has room for.
+    fn x_marks(&self) -> usize {
+        match self.x_names.len() {
+            0 => (self.size.0 / 75).max(3) as usize,
+            names => names + 1,
+        }
+    }
+
+    fn x_mark(&self, value: f64) -> String {
+        if self.x_names.is_empty() {
+            return number(value);
+        }
+        let name = self.x_names.get((value as usize).wrapping_sub(1)).filter(|_| value.fract() == 0.0);
+        name.cloned().unwrap_or_default()
+    }
+
+    /// Opposite corners of a series' bars, beside those of the other series with bars.
+    fn bars(&self, series: &Series, floor: f64) -> impl Iterator<Item = [Point; 2]> {
+        let beside: Vec<&Series> = self.series.iter().filter(|other| other.style == Style::Bars).collect();
+        let place = beside.iter().position(|other| std::ptr::eq(*other, series)).unwrap_or(0);
+        let width = BARS_SHARE / beside.len().max(1) as f64;
+        let left = place as f64 * width - BARS_SHARE / 2.0;
+        series.points.iter().map(move |(x, y)| [(x + left, floor), (x + left + width, *y)])
+    }
+
     fn draw_panel<Y>(&self, panel: &Area, x: Limits, y_coord: Y, y: Limits) -> Drawn
     where
         Y: AsRangedCoord<Value = f64>,
@@ -249,9 +281,9 @@ impl Plot {
             .configure_mesh()
             .x_desc(self.x_label.as_str())
             .y_desc(self.y_label.as_str())
-            .x_labels((self.size.0 / 75).max(3) as usize)
+            .x_labels(self.x_marks())
             .y_labels(self.y_marks())
-            .x_label_formatter(&|value| number(*value))
+            .x_label_formatter(&|value| self.x_mark(*value))
             .y_label_formatter(&|value| number(*value))
             .label_style(font(TEXT_SIZE, FontStyle::Normal))
             .axis_desc_style(font(TEXT_SIZE, FontStyle::Normal))
@@ -262,6 +294,13 @@ impl Plot {
             .draw()
             .map_err(text)?;
         for (series, color) in self.series.iter().zip(self.colors()) {
+            if series.style == Style::Bars {
+                let bars = self.bars(series, y.0.max(0.0));
+                chart
+                    .draw_series(bars.map(|corners| Rectangle::new(corners, color.filled())))
+                    .map_err(text)?;
+                continue;
+            }
             let thin = curve::decimate(&series.points, MAX_POINTS);
             if series.style == Style::Points {
                 let shown = thin.into_iter().filter(|&point| curve::inside(point, x, y));
@@ -300,11 +339,17 @@ fn draw_sample(root: &Area, style: Style, color: RGBColor, left: u32, middle: u3
     let pieces: &[(u32, u32)] = match style {
         Style::Line | Style::Step => &[(0, SAMPLE)],
         Style::Dashed => &[(0, 10), (16, SAMPLE)],
-        Style::Points => &[],
+        Style::Points | Style::Bars => &[],
     };
     for (start, end) in pieces {
         let ends = vec![at(left + start), at(left + end)];
         root.draw(&PathElement::new(ends, color.stroke_width(2 * FINE))).map_err(text)?;
+    }
+    if style == Style::Bars {
+        let corners = [at(left + SAMPLE / 2 - 5), at(left + SAMPLE / 2 + 5)];
+        let [(x0, y), (x1, _)] = corners;
+        let half = (5 * FINE) as i32;
+        root.draw(&Rectangle::new([(x0, y - half), (x1, y + half)], color.filled())).map_err(text)?;
     }
     if style == Style::Points {
         root.draw(&Circle::new(at(left + SAMPLE / 2), 3 * FINE, color.filled())).map_err(text)?;

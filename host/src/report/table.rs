@@ -23,6 +23,12 @@ impl Cell {
         Self { text: text.into(), ..Self::default() }
     }
 
+    /// For Markdown: the best of its kind is bold.
+    pub(super) fn to_markdown(&self) -> String {
+        let text = self.text.replace('|', "\\|");
+        if self.best { format!("**{text}**") } else { text }
+    }
+
     /// A number with so many decimals, to the right. NaN shows as `NaN`.
     pub fn number(value: f64, decimals: usize) -> Self {
         Self { text: format!("{value:.decimals$}"), numeric: true, best: false }
@@ -129,7 +135,7 @@ impl Table {
         self.header.get(index).map_or("", String::as_str)
     }
 
-    fn is_numeric(&self, index: usize) -> bool {
+    pub(super) fn is_numeric(&self, index: usize) -> bool {
         self.rows.first().and_then(|row| row.get(index)).is_some_and(|cell| cell.numeric)
     }
 

@@ -159,6 +159,33 @@ fn every_style_and_a_logarithmic_axis_draw() {
 }
 
 #[test]
+fn bars_stand_side_by_side_over_their_names() {
+    let bars = |name: &str| Series::new(name, Style::Bars, vec![(1.0, 2.0), (2.0, 1.0)]);
+    let x_names = vec!["first".to_owned(), "second".to_owned()];
+    let (x_range, y_range) = (Some((0.5, 2.5)), Some((0.0, 3.0)));
+    let plot = Plot { series: vec![bars("a"), bars("b")], x_names, x_range, y_range, ..plot() };
+    let svg = plot.to_svg().unwrap();
+    for name in ["first", "second"] {
+        assert_eq!(svg.lines().filter(|line| line.trim() == name).count(), 1, "{name}");
+    }
+    let attribute = |line: &str, name: &str| -> i64 {
+        let (_, after) = line.split_once(&format!(" {name}=\"")).unwrap();
+        after.split('"').next().unwrap().parse().unwrap()
+    };
+    // Two samples in the legend, then the bars of each series.
+    let blue = "#0072B2";
+    let places = |color: &str| -> Vec<(i64, i64)> {
+        let bars = svg.lines().filter(|line| line.starts_with("<rect") && line.contains(color));
+        bars.map(|line| (attribute(line, "x"), attribute(line, "width"))).collect()
+    };
+    let (first, second) = (places(blue), places("#D55E00"));
+    assert_eq!((first.len(), second.len()), (3, 3));
+    for (one, other) in first[1..].iter().zip(&second[1..]) {
+        assert!((one.0 + one.1 - other.0).abs() <= 1, "{one:?} {other:?}");
+    }
+}
+
+#[test]
 fn a_narrow_logarithmic_axis_still_has_marks() {
     let series = vec![Series::new("", Style::Line, vec![(0.0, 1.2), (1.0, 1.9)])];
     let svg = Plot { series, log_y: true, ..plot() }.to_svg().unwrap();

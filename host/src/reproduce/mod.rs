@@ -145,7 +145,7 @@ pub enum ReproduceError {
 /// Progress: what is under way, steps done, and in all.
 pub type Observer<'a> = &'a (dyn Fn(&str, usize, usize) + Sync);
 
-/// Runs the experiments, then writes `results.json` and `report.html` of everything that the folder holds.
+/// Runs the experiments, then writes everything that the folder holds as `results.json`, `report.html` and `results.md`.
 ///
 /// # Errors
 /// The first experiment that fails; what earlier ones left stays.
@@ -168,6 +168,8 @@ pub fn run(
     }
     let results = Results::gather(&study)?;
     study.write("results.json", &results)?;
-    report::report(&study, &results)?.save(study.path("report.html"))?;
+    let report = report::report(&study, &results)?;
+    report.save(study.path("report.html"))?;
+    report.save_markdown(&reproduction.out, "results")?;
     Ok(results)
 }

@@ -92,15 +92,14 @@ fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, Reprod
         (1..).zip(&results.lungs).filter_map(|(n, lung)| Some((f64::from(n), of(lung)?))).collect()
     };
     let mut series = vec![
-        Series::new("single PID", Style::Points, at(&|lung| Some(lung.single_pid))),
-        Series::new("own best PID", Style::Points, at(&|lung| Some(lung.pid))),
-        Series::new("learned", Style::Points, at(&|lung| Some(lung.learned))),
+        Series::new("single PID", Style::Bars, at(&|lung| Some(lung.single_pid))),
+        Series::new("own best PID", Style::Bars, at(&|lung| Some(lung.pid))),
+        Series::new("learned", Style::Bars, at(&|lung| Some(lung.learned))),
     ];
     let generalist = at(&|lung| lung.generalist);
     if !generalist.is_empty() {
-        series.push(Series::new("learned for all", Style::Points, generalist));
+        series.push(Series::new("learned for all", Style::Bars, generalist));
     }
-    let names: Vec<&str> = results.lungs.iter().map(|lung| lung.lung.as_str()).collect();
     let simulators = lungs::kept(study)?.unwrap_or_default();
     let mut distances = Table::new(
         "Open-loop distance of the learned simulators, cmH2O, and what they were learned from",
@@ -116,24 +115,29 @@ fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, Reprod
     }
     Ok(Section {
         heading: "Performance and robustness".into(),
-        text: format!(
-            "Best PID of a search on the very bench against the controller trained on the simulator learned for that lung; \
-             and one controller for all lungs against the best single PID. Lungs from left to right: {}.",
-            names.join(", ")
-        ),
+        text: "Best PID of a search on the very bench against the controller trained on the simulator learned for that lung; \
+               and one controller for all lungs against the best single PID."
+            .into(),
         blocks: vec![
             Block::Table(lungs_table(results)),
             Block::Plot(Plot {
                 title: "Score by lung".into(),
                 x_label: "lung".into(),
                 y_label: "mean error, cmH2O".into(),
+                y_range: Some((0.0, highest(&series))),
                 series,
+                x_names: results.lungs.iter().map(|lung| lung.lung.clone()).collect(),
                 x_range: Some((0.5, results.lungs.len() as f64 + 0.5)),
                 ..Plot::default()
             }),
             Block::Table(distances),
         ],
     })
+}
+
+/// Upper end of an axis with these bars.
+fn highest(series: &[Series]) -> f64 {
+    1.05 * series.iter().flat_map(|series| &series.points).fold(0.0, |most: f64, (_, y)| most.max(*y))
 }
 
 fn tracking_section(tracking: &tracking::Tracking) -> Section {

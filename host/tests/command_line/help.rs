@@ -16,6 +16,11 @@ fn every_command_explains_itself() {
         "inspect",
         "import",
         "import respiraworks",
+        "reproduce",
+        "identify",
+        "monitor",
+        "flash",
+        "qemu",
     ] {
         let help = place.ok(&format!("{command} --help"));
         assert!(help.contains("Examples:"), "{command}");
