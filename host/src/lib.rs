@@ -3,6 +3,7 @@
 
 pub mod baselines;
 pub mod bench;
+pub mod bound;
 pub mod cli;
 pub mod collect;
 pub mod dataset;
