@@ -1,6 +1,7 @@
 //! The learning side of Eupnea: virtual bench, data, learned simulator, controller training, evaluation.
 #![forbid(unsafe_code)]
 
+pub mod balloon;
 pub mod baselines;
 pub mod bench;
 pub mod bound;

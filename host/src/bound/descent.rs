@@ -1,6 +1,8 @@
 //! Gauss-Newton steps for the mean absolute error: the response of the pressure to every node, measured on the bench
 //! itself, and the best step within the valve's range by reweighted least squares.
 
+use std::ops::Range;
+
 use shared::control::COMMAND_MAX;
 
 use super::breathing::Breathing;
@@ -73,11 +75,11 @@ impl<'a> Descent<'a> {
         self.score = self.score_of(&self.shape);
     }
 
-    /// Moves every node by what `distance` gives, percent, within the valve's range.
-    pub(super) fn displace(&mut self, mut distance: impl FnMut() -> f64) {
-        let step: Vec<f64> = self.shape.values.iter().map(|_| distance()).collect();
+    /// Moves some nodes by `distance` percent, within the valve's range.
+    pub(super) fn displace(&mut self, nodes: Range<usize>, distance: f64) {
+        let step: Vec<f64> =
+            (0..self.shape.nodes.len()).map(|n| if nodes.contains(&n) { distance } else { 0.0 }).collect();
         self.shape = self.moved(&step, 1.0);
-        self.score = self.score_of(&self.shape);
         self.reach = FIRST_REACH_PERCENT;
     }
 
@@ -179,11 +181,11 @@ impl<'a> Descent<'a> {
         for (row, response) in responses.iter().enumerate() {
             let weighted: Vec<f64> =
                 response.change.iter().zip(&weights[response.first..]).map(|(c, w)| c * w).collect();
-            slope[row] = weighted.iter().zip(&errors[response.first..]).map(|(c, e)| c * e).sum();
+            slope[row] = dot(&weighted, &errors[response.first..]);
             for (column, other) in responses[..=row].iter().enumerate() {
                 // Nodes are in the order of their ticks: an earlier one reaches at least as far back.
                 let overlap = &other.change[response.first - other.first..];
-                let product: f64 = weighted.iter().zip(overlap).map(|(a, b)| a * b).sum();
+                let product = dot(&weighted, overlap);
                 normal[row * count + column] = product;
                 normal[column * count + row] = product;
             }
@@ -193,7 +195,7 @@ impl<'a> Descent<'a> {
             for n in 0..count {
                 let row = &normal[n * count..(n + 1) * count];
                 let own = row[n] + DAMPING * mean;
-                let pull: f64 = row.iter().zip(&*step).map(|(a, d)| a * d).sum::<f64>() + slope[n];
+                let pull = dot(row, step) + slope[n];
                 let (low, high) = self.range(n);
                 step[n] = (step[n] - (pull + DAMPING * mean * step[n]) / own).clamp(low, high);
             }
@@ -205,4 +207,17 @@ impl<'a> Descent<'a> {
         let value = self.shape.values[node];
         ((-value).max(-self.reach), (f64::from(COMMAND_MAX) - value).min(self.reach))
     }
+}
+
+/// Sum of products of two rows of the same length, in four sums side by side: one sum is four times as slow.
+fn dot(one: &[f64], other: &[f64]) -> f64 {
+    let (ones, others) = (one.as_chunks::<4>(), other.as_chunks::<4>());
+    let mut sums = [0.0; 4];
+    for (a, b) in ones.0.iter().zip(others.0) {
+        for lane in 0..4 {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    let rest: f64 = ones.1.iter().zip(others.1).map(|(a, b)| a * b).sum();
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }

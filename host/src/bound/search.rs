@@ -27,9 +27,11 @@ const BEND_PERCENT: f64 = 0.5;
 /// Most steps on a level.
 const STEPS: usize = 15;
 /// Shaken copies of the best.
-const SHAKES: usize = 4;
-/// How far a shake moves a node, percent.
-const SHAKE_PERCENT: f64 = 12.0;
+const SHAKES: usize = 6;
+/// How far a shake moves its nodes, percent.
+const SHAKE_PERCENT: f64 = 40.0;
+/// Most neighbouring nodes that a shake moves.
+const SHAKEN_NODES: usize = 8;
 /// A level is done when both directions of probing gained less than this part of the score.
 const ENOUGH: f64 = 2e-5;
 /// Command of the breaths before the first start, percent: anything that fills the lung somewhat.
@@ -107,7 +109,7 @@ fn go_down(descent: &mut Descent<'_>, steps: usize, watch: &Watch<'_>) -> Option
     Some(())
 }
 
-/// Moves the nodes of the best at random, goes down again and keeps what is better.
+/// Moves a few neighbouring nodes of the best, goes down again and keeps what is better.
 fn shake<'a>(
     mut best: Descent<'a>,
     config: &BoundConfig,
@@ -119,7 +121,10 @@ fn shake<'a>(
     rng.set_stream(number);
     for _ in 0..shakes(config) {
         let mut shaken = best.clone();
-        shaken.displace(|| SHAKE_PERCENT * rng.random_range(-1.0..1.0));
+        // Nodes are dense where the command bends, so most shakes fall there.
+        let first = rng.random_range(0..shaken.shape.nodes.len());
+        let moved = first..first + rng.random_range(1..=SHAKEN_NODES);
+        shaken.displace(moved, SHAKE_PERCENT * rng.random_range(-1.0..1.0));
         go_down(&mut shaken, steps(config), watch)?;
         if shaken.score < best.score {
             best = shaken;

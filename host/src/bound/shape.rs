@@ -36,19 +36,13 @@ impl Shape {
     /// Ticks that a node moves, and how far per percent of its own movement.
     pub(super) fn reach(&self, node: usize) -> impl Iterator<Item = (usize, f64)> {
         let here = self.nodes[node];
-        let before = node.checked_sub(1).map_or(here, |n| self.nodes[n]);
-        let after = self.nodes.get(node + 1).copied().unwrap_or(here);
-        let first = if before < here { before + 1 } else { here };
-        (first..after.max(here + 1)).map(move |tick| {
-            let share = if tick < here {
-                (tick - before) as f64 / (here - before) as f64
-            } else if tick > here {
-                (after - tick) as f64 / (after - here) as f64
-            } else {
-                1.0
-            };
-            (tick, share)
-        })
+        let before = node.checked_sub(1).map(|n| self.nodes[n]);
+        let after = self.nodes.get(node + 1).copied().unwrap_or(here + 1);
+        let part = |of: usize, width: usize| of as f64 / width as f64;
+        let rising = before.into_iter().flat_map(move |before| {
+            (before + 1..here).map(move |tick| (tick, part(tick - before, here - before)))
+        });
+        rising.chain((here..after).map(move |tick| (tick, part(after - tick, after - here))))
     }
 
     /// The same sequence with further nodes wherever it bends by more than `bend` percent at an end of an interval.
@@ -81,5 +75,53 @@ impl Shape {
         let share = (here - left) as f64 / (right - left) as f64;
         let line = self.values[node - 1] + share * (self.values[node + 1] - self.values[node - 1]);
         (self.values[node] - line).abs()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn shape() -> impl Strategy<Value = Shape> {
+        (prop::collection::vec(0.0f32..100.0, 2..200), 1usize..30)
+            .prop_map(|(commands, spacing)| Shape::through(&commands, spacing))
+    }
+
+    proptest! {
+        #[test]
+        fn a_node_in_every_tick_keeps_every_command(commands in prop::collection::vec(0.0f32..100.0, 1..100)) {
+            prop_assert_eq!(Shape::through(&commands, 1).commands(), commands);
+        }
+
+        #[test]
+        fn more_nodes_are_the_same_sequence(shape in shape()) {
+            let refined = shape.refined(0.5);
+            prop_assert!(refined.nodes.windows(2).all(|pair| pair[0] < pair[1]));
+            for (one, other) in shape.commands().iter().zip(refined.commands()) {
+                prop_assert!((one - other).abs() < 1e-3, "{} {}", one, other);
+            }
+        }
+
+        #[test]
+        fn a_node_moves_the_ticks_in_its_reach_and_no_others(shape in shape(), node in any::<prop::sample::Index>()) {
+            let node = node.index(shape.nodes.len());
+            let mut moved = shape.clone();
+            moved.values[node] += 1.0;
+            let mut expected = shape.commands();
+            for (tick, share) in shape.reach(node) {
+                expected[tick] += share as f32;
+            }
+            for (one, other) in moved.commands().iter().zip(expected) {
+                prop_assert!((one - other).abs() < 1e-3, "{} {}", one, other);
+            }
+        }
+    }
+
+    #[test]
+    fn nodes_are_added_where_the_command_bends() {
+        let commands: Vec<f32> = (0..65).map(|tick| if tick < 32 { 80.0 } else { 10.0 }).collect();
+        let refined = Shape::through(&commands, 8).refined(0.5);
+        assert_eq!(refined.nodes, [0, 8, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64]);
     }
 }

@@ -49,6 +49,10 @@ pub struct TrainConfig {
     pub overshoot_weight: f32,
     /// Standard deviation of how far the starting pressure strays from its mean, cmH2O.
     pub start_spread: f32,
+    /// Standard deviation of the sensor's noise, cmH2O; none takes what the simulators' recordings let estimate, which
+    /// needs a control period far shorter than the changes of the pressure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor_noise: Option<f32>,
     /// Steps between validations.
     pub validate_every: usize,
     /// Optimiser.
@@ -69,6 +73,7 @@ impl Default for TrainConfig {
             inspiratory_time: 1.0,
             overshoot_weight: 1.0,
             start_spread: 0.05,
+            sensor_noise: None,
             validate_every: 25,
             adam: AdamConfig { rate: 4e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,
@@ -170,10 +175,11 @@ impl Training {
         let lanes = LaneController::new(&base, &parameters);
         let tapes = (0..shards).map(|s| tape(&lanes, &models[s % models.len()], ticks)).collect();
         let adam = Adam::new(config.adam, parameters.len());
+        let noise = |simulator: &Simulator| config.sensor_noise.unwrap_or(simulator.noise);
         let mut training = Self {
-            noise: simulators.iter().map(|s| s.noise).collect(),
+            noise: simulators.iter().map(noise).collect(),
             held_out: held_out.model(),
-            held_out_noise: held_out.noise,
+            held_out_noise: noise(held_out),
             start: held_out.start_pressure,
             best: (f64::INFINITY, parameters.clone()),
             base_score: 0.0,
