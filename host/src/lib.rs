@@ -1,8 +1,10 @@
 //! The learning side of Eupnea: virtual bench, data, learned simulator, controller training, evaluation.
 #![forbid(unsafe_code)]
 
+pub mod balloon;
 pub mod baselines;
 pub mod bench;
+pub mod bound;
 pub mod cli;
 pub mod collect;
 pub mod dataset;

@@ -209,6 +209,11 @@ impl Bench {
         }
     }
 
+    /// Pressure at the airway opening, cmH2O: what [`Bench::truth`] says of it, for those who need nothing else.
+    pub fn airway_pressure(&self) -> f64 {
+        self.circuit.pressure()
+    }
+
     /// Time since the start, s.
     pub fn time_s(&self) -> f64 {
         self.steps as f64 * STEP_S

@@ -70,6 +70,20 @@ impl BenchArgs {
     }
 }
 
+/// The benches of these files or, if there are none, the lungs of these names.
+pub fn benches(lungs: &[String], files: &[PathBuf]) -> anyhow::Result<Vec<BenchConfig>> {
+    let mut benches = Vec::new();
+    for file in files {
+        benches.push(BenchConfig::load(file)?);
+    }
+    if benches.is_empty() {
+        for name in lungs {
+            benches.extend(BenchConfig::preset(name)?);
+        }
+    }
+    Ok(benches)
+}
+
 /// Gains as typed: `P,I` or `P,I,D`.
 pub fn gains(text: &str) -> Result<PidGains, String> {
     let numbers: Vec<f32> = text

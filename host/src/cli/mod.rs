@@ -3,6 +3,7 @@
 //! Each command reads its arguments, calls the library, prints a table and writes what was asked for. Whatever a
 //! command computes is the library's; nothing is computed here.
 
+mod bound;
 mod collect;
 mod common;
 mod comparison;
@@ -48,6 +49,7 @@ enum Command {
     Demo(demo::Args),
     Collect(collect::Args),
     TunePid(tune_pid::Args),
+    Bound(bound::Args),
     Fit(fit::Args),
     Train(train::Args),
     Evaluate(evaluate::Args),
@@ -86,6 +88,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Demo(args) => demo::run(args),
         Command::Collect(args) => collect::run(args),
         Command::TunePid(args) => tune_pid::run(args),
+        Command::Bound(args) => bound::run(args),
         Command::Fit(args) => fit::run(args),
         Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 
-use super::common::{bar, stop};
+use super::common::{bar, benches, stop};
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
@@ -70,7 +70,7 @@ struct Summary<'a> {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let benches = benches(args)?;
+    let benches = benches(&args.lung, &args.bench)?;
     let search = search(args);
     let plan = Plan {
         period_us: args.period_us,
@@ -97,19 +97,6 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line(&format!("saved {}", path.display()));
     }
     args.output.finish(&Summary { seed: args.seed, plan: &plan, result: &result })
-}
-
-fn benches(args: &Args) -> anyhow::Result<Vec<BenchConfig>> {
-    let mut benches = Vec::new();
-    for file in &args.bench {
-        benches.push(BenchConfig::load(file)?);
-    }
-    if benches.is_empty() {
-        for name in &args.lung {
-            benches.extend(BenchConfig::preset(name)?);
-        }
-    }
-    Ok(benches)
 }
 
 fn search(args: &Args) -> Search {

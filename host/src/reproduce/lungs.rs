@@ -115,6 +115,16 @@ pub(super) fn train(
         })
         .collect();
     let sources: Vec<MakeSource<'_>> = make.iter().map(|make| make as MakeSource<'_>).collect();
+    train_on(study, &sources, config, folder)
+}
+
+/// The same on any plants.
+pub(super) fn train_on(
+    study: &Study<'_>,
+    sources: &[MakeSource<'_>],
+    config: &PipelineConfig,
+    folder: &str,
+) -> Result<Outcome, ReproduceError> {
     let observer = |round: usize, stage: Stage, done, total| {
         let stage = match stage {
             Stage::Collect => "collect",
@@ -124,7 +134,7 @@ pub(super) fn train(
         (study.observer)(&format!("{folder} {}: {stage}", round + 1), done, total);
     };
     let run = Folder::new(study.path(folder));
-    let outcome = pipeline::run(config, &sources, Some(&run), &observer, study.stop)?;
+    let outcome = pipeline::run(config, sources, Some(&run), &observer, study.stop)?;
     if !outcome.complete {
         return Err(ReproduceError::Stopped);
     }

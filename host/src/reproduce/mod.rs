@@ -9,6 +9,8 @@
 //! | `study` | the folder, budgets and progress that experiments share |
 //! | `lungs` | the best PIDs, and a controller for each lung |
 //! | `generalist` | one controller for all lungs |
+//! | `limits` | what no controller can beat |
+//! | `balloon` | the authors' own plant |
 //! | `tracking` | curves of the controllers on one lung |
 //! | `unseen` | lungs and ventilators that nobody trained on |
 //! | `changes` | a lung that changes from one breath to the next |
@@ -16,9 +18,11 @@
 //! | `results` | everything found, in numbers |
 //! | `report` | the same for people |
 
+mod balloon;
 mod changes;
 mod generalist;
 mod iso;
+mod limits;
 mod lungs;
 mod report;
 mod results;
@@ -37,13 +41,14 @@ use thiserror::Error;
 
 use crate::baselines::TuneError;
 use crate::bench::{BenchConfig, BenchError};
+use crate::bound::BoundError;
 use crate::pipeline::PipelineError;
 use crate::report::ReportError;
 use crate::source::SourceError;
 use crate::train::learned::LearnedError;
 
 pub use report::{headline, lungs_table};
-pub use results::{IsoFigures, LungFigures, Means, Results, UnseenFigures};
+pub use results::{BalloonFigures, IsoFigures, LungFigures, Means, Results, UnseenFigures};
 pub use study::Budget;
 use study::Study;
 
@@ -56,6 +61,8 @@ pub enum Experiment {
     Lungs,
     /// One learned controller for all lungs
     Generalist,
+    /// What no controller can beat: the best commands for a bench that is known in every detail
+    Bound,
     /// Curves of all controllers on one lung
     Tracking,
     /// Lungs and ventilators outside of the training
@@ -64,25 +71,23 @@ pub enum Experiment {
     Changes,
     /// The pressure-control rows of the test table
     Iso,
+    /// The authors' own plant, side by side with their figures
+    Balloon,
 }
 
 impl Experiment {
     /// All, in the order in which they are run.
-    pub const ALL: [Self; 7] =
-        [Self::Tuning, Self::Lungs, Self::Generalist, Self::Tracking, Self::Unseen, Self::Changes, Self::Iso];
-
-    /// As it is called on the command line and in the folder.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tuning => "tuning",
-            Self::Lungs => "lungs",
-            Self::Generalist => "generalist",
-            Self::Tracking => "tracking",
-            Self::Unseen => "unseen",
-            Self::Changes => "changes",
-            Self::Iso => "iso",
-        }
-    }
+    pub const ALL: [Self; 9] = [
+        Self::Tuning,
+        Self::Lungs,
+        Self::Generalist,
+        Self::Bound,
+        Self::Tracking,
+        Self::Unseen,
+        Self::Changes,
+        Self::Iso,
+        Self::Balloon,
+    ];
 }
 
 /// What to run.
@@ -115,6 +120,9 @@ pub enum ReproduceError {
     /// A bench.
     #[error(transparent)]
     Bench(#[from] BenchError),
+    /// What no controller can beat.
+    #[error(transparent)]
+    Bound(#[from] BoundError),
     /// Gains.
     #[error(transparent)]
     Gain(#[from] GainError),
@@ -160,6 +168,8 @@ pub fn run(
             Experiment::Tuning => drop(lungs::tuned(&study)?),
             Experiment::Lungs => drop(lungs::lungs(&study)?),
             Experiment::Generalist => drop(generalist::generalist(&study)?),
+            Experiment::Bound => drop(limits::limits(&study)?),
+            Experiment::Balloon => drop(balloon::balloon(&study)?),
             Experiment::Tracking => drop(tracking::tracking(&study)?),
             Experiment::Unseen => drop(unseen::unseen(&study)?),
             Experiment::Changes => drop(changes::changes(&study)?),

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::changes::{self, Change};
 use super::study::Study;
-use super::{ReproduceError, generalist, iso, lungs, unseen};
+use super::{ReproduceError, balloon, generalist, iso, limits, lungs, unseen};
 use crate::evaluate::Evaluation;
 use crate::provenance::git_revision;
 
@@ -27,6 +27,15 @@ pub struct LungFigures {
     pub learned_by_seed: Vec<f64>,
     /// The controller learned for all lungs.
     pub generalist: Option<f64>,
+    /// What no controller can beat.
+    pub bound: Option<f64>,
+}
+
+impl LungFigures {
+    /// Part of the way from the best PID to the bound that the learned controllers have gone.
+    pub fn gap_closed(&self) -> Option<f64> {
+        Some((self.pid - self.learned) / (self.pid - self.bound?))
+    }
 }
 
 /// Means over the lungs, cmH2O.
@@ -40,6 +49,21 @@ pub struct Means {
     pub learned: f64,
     /// The controller learned for all lungs.
     pub generalist: Option<f64>,
+    /// What no controller can beat.
+    pub bound: Option<f64>,
+}
+
+/// The authors' own plant: mean of |p - PIP| over the samples, cmH2O.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BalloonFigures {
+    /// Full flow, then an exact hold.
+    pub floor: f64,
+    /// Best PI of the authors' grid.
+    pub grid_pi: f64,
+    /// Trained through simulators learned from recordings: mean over seeds.
+    pub learned: f64,
+    /// The same, by seed.
+    pub learned_by_seed: Vec<f64>,
 }
 
 /// Scores on a plant outside of the training, cmH2O.
@@ -91,6 +115,8 @@ pub struct Results {
     pub iso_rows: Vec<IsoFigures>,
     /// Most breaths that the generalist needed after a change of the lung.
     pub breaths_to_reconverge: Option<usize>,
+    /// The authors' own plant.
+    pub balloon: Option<BalloonFigures>,
 }
 
 impl Results {
@@ -102,12 +128,17 @@ impl Results {
             Some(generalist) => generalist.lungs.iter().map(Some).collect(),
             None => vec![None; kept.len()],
         };
+        let bounds: Vec<Option<f64>> = match limits::kept(study)? {
+            Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
+            None => vec![None; kept.len()],
+        };
         let lungs: Vec<LungFigures> = study
             .lungs()
             .iter()
             .zip(&kept)
             .zip(&everyone)
-            .map(|((bench, lung), generalist)| {
+            .zip(bounds)
+            .map(|(((bench, lung), generalist), bound)| {
                 let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
                 LungFigures {
                     lung: bench.name.clone(),
@@ -118,6 +149,7 @@ impl Results {
                     learned: mean(learned.iter().copied()),
                     learned_by_seed: learned,
                     generalist: generalist.map(|e| e.mean.score),
+                    bound,
                 }
             })
             .collect();
@@ -125,11 +157,8 @@ impl Results {
             pid: mean(lungs.iter().map(|lung| lung.pid)),
             single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
             learned: mean(lungs.iter().map(|lung| lung.learned)),
-            generalist: lungs
-                .iter()
-                .map(|lung| lung.generalist)
-                .collect::<Option<Vec<_>>>()
-                .map(|all| mean(all.into_iter())),
+            generalist: mean_of_all(&lungs, |lung| lung.generalist),
+            bound: mean_of_all(&lungs, |lung| lung.bound),
         });
         let cells = kept.iter().zip(&everyone).filter_map(|(lung, generalist)| {
             let pairs = generalist.as_ref()?.waveforms.iter().zip(&lung.single_pid.waveforms);
@@ -141,6 +170,12 @@ impl Results {
             worst_cell_ratio: cells.reduce(f64::max),
             unseen: unseen_figures(study)?,
             iso_rows: iso_figures(study)?,
+            balloon: balloon::kept(study)?.map(|found| BalloonFigures {
+                floor: found.floor,
+                grid_pi: found.grid_pi,
+                learned: mean(found.learned.iter().copied()),
+                learned_by_seed: found.learned,
+            }),
             breaths_to_reconverge: changes::kept(study)?.and_then(|changes| {
                 changes.iter().map(|change| Change::breaths_to_reconverge(&change.generalist)).max()
             }),
@@ -175,4 +210,10 @@ fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, ReproduceError> {
 fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     let count = values.len() as f64;
     values.sum::<f64>() / count
+}
+
+/// The mean over the lungs, if every lung has the figure.
+fn mean_of_all(lungs: &[LungFigures], of: impl Fn(&LungFigures) -> Option<f64>) -> Option<f64> {
+    let all = lungs.iter().map(of).collect::<Option<Vec<_>>>()?;
+    Some(mean(all.into_iter()))
 }

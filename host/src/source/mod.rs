@@ -3,11 +3,13 @@
 //! A [`Source`] is a whole *ventilator*: it takes settings and a controller and breathes by its own clock. What
 //! it does reaches the host as one sample per control tick.
 
+mod balloon;
 mod bench;
 mod port;
 #[cfg(unix)]
 mod virtual_board;
 
+pub use balloon::BalloonSource;
 pub use bench::BenchSource;
 pub use port::{PortSource, Truth};
 #[cfg(unix)]

@@ -49,6 +49,10 @@ pub struct TrainConfig {
     pub overshoot_weight: f32,
     /// Standard deviation of how far the starting pressure strays from its mean, cmH2O.
     pub start_spread: f32,
+    /// Standard deviation of the sensor's noise, cmH2O; none takes what the simulators' recordings let estimate, which
+    /// needs a control period far shorter than the changes of the pressure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor_noise: Option<f32>,
     /// How much each plant counts, where there are several.
     pub weighting: Weighting,
     /// Steps between validations.
@@ -71,6 +75,7 @@ impl Default for TrainConfig {
             inspiratory_time: 1.0,
             overshoot_weight: 1.0,
             start_spread: 0.05,
+            sensor_noise: None,
             weighting: Weighting::Sum,
             validate_every: 25,
             adam: AdamConfig { rate: 4e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
@@ -120,8 +125,9 @@ struct Member {
 }
 
 impl Member {
-    fn new(simulator: &Simulator) -> Self {
-        Self { model: simulator.model(), noise: simulator.noise, start: simulator.start_pressure }
+    fn new(simulator: &Simulator, config: &TrainConfig) -> Self {
+        let noise = config.sensor_noise.unwrap_or(simulator.noise);
+        Self { model: simulator.model(), noise, start: simulator.start_pressure }
     }
 }
 
@@ -224,8 +230,12 @@ impl Training {
         let plants: Vec<Ensemble> = plants
             .iter()
             .map(|plant| Ensemble {
-                trained_on: plant.trained_on.iter().map(Member::new).collect(),
-                held_out: Member::new(plant.held_out),
+                trained_on: plant
+                    .trained_on
+                    .iter()
+                    .map(|simulator| Member::new(simulator, &config))
+                    .collect(),
+                held_out: Member::new(plant.held_out, &config),
             })
             .collect();
         // Each plant has as many shards as any other.

@@ -10,6 +10,7 @@ fn every_command_explains_itself() {
         "train",
         "collect",
         "tune-pid",
+        "bound",
         "fit",
         "evaluate",
         "pack",

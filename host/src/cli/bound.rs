@@ -1,0 +1,142 @@
+//! `trainer bound`: the score that no controller can beat, per lung and waveform.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use serde::Serialize;
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
+
+use super::common::{bar, benches, stop, stopped};
+use super::output::OutputArgs;
+use super::settings_args::SettingsArgs;
+use crate::bound::{Bound, BoundConfig, bounds};
+use crate::evaluate::Plan;
+use crate::report::{Cell, Table};
+use crate::watch::Watch;
+
+/// Search the best commands for a bench that is known in every detail: what no controller can beat
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer bound --lung R20C20
+  trainer bound --lung R5C50 --lung R50C10 --pips 15,35
+  trainer bound --lung paper --json bound.json
+  trainer bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
+
+The search knows the bench, has no noise and tries every breath as often as it likes; a controller sees a noisy
+pressure once. Scores are those of `trainer evaluate`: the mean absolute error of the true airway pressure.
+Ctrl-C ends the search with the waveforms that are done.")]
+pub struct Args {
+    /// Lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 of the test table; may be repeated
+    #[arg(long, value_name = "NAME", default_value = "R20C20")]
+    lung: Vec<String>,
+    /// Benches from TOML files, in place of a lung
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
+    bench: Vec<PathBuf>,
+    /// PIPs of the waveforms, cmH2O
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    pips: Vec<f32>,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Control period, microseconds: how often the command may change
+    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
+    period_us: u32,
+    /// Factor on the length of the search; 2 tells whether 1 was enough
+    #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = clap::value_parser!(u32).range(1..=100))]
+    effort: u32,
+    /// Put pressure, target and command of every waveform into the JSON
+    #[arg(long)]
+    trace: bool,
+    /// Seed of the search
+    #[arg(long, default_value_t = BoundConfig::default().seed)]
+    seed: u64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Summary<'a> {
+    search: &'a BoundConfig,
+    period_us: u32,
+    lungs: &'a [Bound],
+    complete: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let benches = benches(&args.lung, &args.bench)?;
+    let search = BoundConfig { seed: args.seed, effort: args.effort, trace: args.trace };
+    let plan = Plan {
+        period_us: args.period_us,
+        pips: args.pips.clone(),
+        settings: args.settings.checked(&args.pips)?,
+        ..Plan::default()
+    };
+    let bar = bar("searching, stages", 0);
+    let progress = |done: u64, total: u64| {
+        tracing::debug!(done, total, "stages searched");
+        bar.set_length(total);
+        bar.set_position(done);
+    };
+    let found = bounds(&benches, &plan, &search, &Watch::new(&progress, stop()));
+    bar.finish_and_clear();
+    let lungs = found?;
+    if lungs.iter().all(|lung| lung.waveforms.is_empty()) {
+        bail!("stopped before the first waveform was complete");
+    }
+    args.output.table(&table(&args.pips, &lungs));
+    if stopped() {
+        args.output.line("stopped: the waveforms that were done");
+    }
+    let complete = lungs.iter().all(|lung| lung.complete);
+    args.output.finish(&Summary { search: &search, period_us: args.period_us, lungs: &lungs, complete })
+}
+
+fn table(pips: &[f32], lungs: &[Bound]) -> Table {
+    let title = "Least mean absolute error of the true airway pressure that any commands reach, cmH2O";
+    let mut table = Table::new(title, &["lung"]);
+    table.header.extend(pips.iter().map(|pip| format!("PIP {pip}")));
+    table.header.extend(["mean".to_owned(), "starts differ by".to_owned()]);
+    for lung in lungs {
+        table.row(row(pips, lung));
+    }
+    table
+}
+
+fn row(pips: &[f32], lung: &Bound) -> Vec<Cell> {
+    let mut cells = vec![Cell::text(&lung.lung)];
+    cells.extend(pips.iter().map(|pip| {
+        let own = lung.waveforms.iter().find(|waveform| waveform.pip.total_cmp(pip).is_eq());
+        own.map_or(Cell::right("-"), |waveform| Cell::number(waveform.score.score, 3))
+    }));
+    cells.push(if lung.complete { Cell::number(lung.mean.score, 3) } else { Cell::right("-") });
+    let widest = lung.waveforms.iter().map(|waveform| waveform.spread).fold(0.0, f64::max);
+    cells.push(Cell::number(widest, 4));
+    cells
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bound::WaveformBound;
+    use crate::evaluate::Score;
+
+    fn lung(complete: bool) -> Bound {
+        let score = Score { score: 0.75, ..Score::default() };
+        Bound {
+            lung: "R20C20".into(),
+            waveforms: vec![WaveformBound { pip: 15.0, score, spread: 0.002, trace: None }],
+            mean: score,
+            complete,
+        }
+    }
+
+    #[test]
+    fn a_waveform_that_is_missing_shows_and_leaves_no_mean() {
+        let whole = table(&[15.0], &[lung(true)]).to_plain();
+        assert_eq!(whole.matches("0.750").count(), 2, "{whole}");
+        let part = table(&[15.0, 35.0], &[lung(false)]).to_plain();
+        assert_eq!((part.matches("0.750").count(), part.matches(" -").count()), (1, 2), "{part}");
+    }
+}
