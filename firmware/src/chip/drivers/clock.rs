@@ -20,7 +20,7 @@ pub const TICK_CYCLES: u32 = CORE_CLOCK.0 / 1_000_000 * DEFAULT_PERIOD_US;
 const TICK_PRIORITY: u8 = 0x00;
 
 /// Cycles from the tick to its sample: longer than whatever the tick may have interrupted takes to let it through.
-const SAMPLING_DELAY: u32 = CORE_CLOCK.0 / 1_000_000 * 8;
+const SAMPLING_DELAY: u32 = CORE_CLOCK.0 / 1_000_000 * 12;
 
 /// Number of the tick that has begun.
 static TICK: Signal<CriticalSectionRawMutex, u32> = Signal::new();
