@@ -114,6 +114,15 @@ mod tests {
     }
 
     #[test]
+    fn the_window_of_sound_voltages_is_that_from_a_quarter_of_a_volt_to_the_same_below_the_supply() {
+        // 0.25 V are 206.8 counts behind the divider, 4.75 V are 3929.5.
+        for (counts, sound) in [(206, false), (207, true), (3929, true), (3930, false)] {
+            let reading = Sensors::default().read(Counts { airway: counts, outlet: counts, ..at(0.0, 0.0) });
+            assert_eq!(!reading.pressure.is_nan(), sound, "{counts} counts");
+        }
+    }
+
+    #[test]
     fn sensors_that_stay_apart_are_not_believed_until_they_agree_again() {
         let mut sensors = Sensors::default();
         for tick in 1..=DISAGREEMENT_TICKS {

@@ -72,7 +72,11 @@ fn number(text: &str) -> Result<u64> {
 mod tests {
     use super::*;
 
-    const CHIP: &str = include_str!("../../memory.x");
+    /// The map of each board, and the bytes of its flash.
+    const CHIPS: [(&str, u64); 2] = [
+        (include_str!("../../memory.x"), 1024 * 1024),
+        (include_str!("../../firmware/memory/stm32f446.x"), 512 * 1024),
+    ];
 
     #[test]
     fn units_and_bases_are_read() {
@@ -91,21 +95,25 @@ mod tests {
     #[test]
     fn the_weight_slots_are_the_flashs_last_two_sectors() {
         const SECTOR: u64 = 128 * 1024;
-        let regions = regions(CHIP).unwrap();
-        let [flash, a, b] = ["FLASH", "SLOT_A", "SLOT_B"].map(|name| find(&regions, name).unwrap());
-        let end = flash.origin + 1024 * 1024;
-        assert_eq!((a.origin, a.length), (end - 2 * SECTOR, SECTOR));
-        assert_eq!((b.origin, b.length), (end - SECTOR, SECTOR));
-        assert_eq!(flash.origin + flash.length, a.origin, "the program ends where the slots begin");
+        for (map, bytes) in CHIPS {
+            let regions = regions(map).unwrap();
+            let [flash, a, b] = ["FLASH", "SLOT_A", "SLOT_B"].map(|name| find(&regions, name).unwrap());
+            let end = flash.origin + bytes;
+            assert_eq!((a.origin, a.length), (end - 2 * SECTOR, SECTOR));
+            assert_eq!((b.origin, b.length), (end - SECTOR, SECTOR));
+            assert_eq!(flash.origin + flash.length, a.origin, "the program ends where the slots begin");
+        }
     }
 
     #[test]
     fn no_two_regions_overlap() {
-        let mut regions = regions(CHIP).unwrap();
-        assert_eq!(regions.len(), 5);
-        regions.sort_by_key(|region| region.origin);
-        for pair in regions.windows(2) {
-            assert!(pair[0].origin + pair[0].length <= pair[1].origin, "{pair:?}");
+        for ((map, _), count) in CHIPS.iter().zip([5, 4]) {
+            let mut regions = regions(map).unwrap();
+            assert_eq!(regions.len(), count);
+            regions.sort_by_key(|region| region.origin);
+            for pair in regions.windows(2) {
+                assert!(pair[0].origin + pair[0].length <= pair[1].origin, "{pair:?}");
+            }
         }
     }
 }

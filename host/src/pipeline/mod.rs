@@ -44,6 +44,12 @@ pub struct PipelineConfig {
     pub rounds: usize,
     /// Gains of the PID that collects first and lies under the residual.
     pub gains: PidGains,
+    /// Gains of the PID that collects first, if not that under the residual.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub collector: Option<PidGains>,
+    /// What the network sees, if not what suits the control period.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub features: Option<FeatureSpec>,
     /// Scale of the residual.
     pub lambda: f32,
     /// Largest residual, percent.
@@ -78,6 +84,8 @@ impl PipelineConfig {
             seed: 1,
             rounds: 3,
             gains: KNOWN_GOOD,
+            collector: None,
+            features: None,
             lambda: 1.0,
             authority: COMMAND_MAX,
             ensemble: 2,
@@ -97,12 +105,14 @@ impl PipelineConfig {
             gains: self.gains,
             lambda: self.lambda,
             authority: self.authority,
-            features: FeatureSpec::for_period(self.period_us),
+            features: self.features.unwrap_or_else(|| FeatureSpec::for_period(self.period_us)),
         }
     }
 
-    fn base(&self) -> Result<Controller, PipelineError> {
-        Ok(Controller::Pid(Pid::new(self.gains, self.period_us).map_err(ResidualError::from)?))
+    /// The PID that collects first.
+    fn collector(&self) -> Result<Controller, PipelineError> {
+        let gains = self.collector.unwrap_or(self.gains);
+        Ok(Controller::Pid(Pid::new(gains, self.period_us).map_err(ResidualError::from)?))
     }
 
     fn timing(&self) -> &Timing {

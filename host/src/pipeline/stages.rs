@@ -149,7 +149,7 @@ impl<'a> Run<'a> {
         let mut source = (self.sources[plant])(seed)?;
         let controller = match &self.learned {
             Some(learned) => Controller::Residual(learned.controller.clone()),
-            None => self.config.base()?,
+            None => self.config.collector()?,
         };
         let config = CollectConfig { seed, ..self.config.collect.clone() };
         let total = config.breaths * self.sources.len();

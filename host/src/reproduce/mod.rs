@@ -11,6 +11,7 @@
 //! | `generalist` | one controller for all lungs |
 //! | `limits` | what no controller can beat |
 //! | `balloon` | the authors' own plant |
+//! | `ablations` | what each part of the system is worth |
 //! | `tracking` | curves of the controllers on one lung |
 //! | `unseen` | lungs and ventilators that nobody trained on |
 //! | `changes` | a lung that changes from one breath to the next |
@@ -18,6 +19,7 @@
 //! | `results` | everything found, in numbers |
 //! | `report` | the same for people |
 
+mod ablations;
 mod balloon;
 mod changes;
 mod generalist;
@@ -47,6 +49,7 @@ use crate::report::ReportError;
 use crate::source::SourceError;
 use crate::train::learned::LearnedError;
 
+pub use ablations::Ablation;
 pub use report::{headline, lungs_table};
 pub use results::{BalloonFigures, IsoFigures, LungFigures, Means, Results, UnseenFigures};
 pub use study::Budget;
@@ -73,11 +76,13 @@ pub enum Experiment {
     Iso,
     /// The authors' own plant, side by side with their figures
     Balloon,
+    /// What each part of the system is worth, on one lung
+    Ablations,
 }
 
 impl Experiment {
     /// All, in the order in which they are run.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Tuning,
         Self::Lungs,
         Self::Generalist,
@@ -87,6 +92,7 @@ impl Experiment {
         Self::Changes,
         Self::Iso,
         Self::Balloon,
+        Self::Ablations,
     ];
 }
 
@@ -170,6 +176,7 @@ pub fn run(
             Experiment::Generalist => drop(generalist::generalist(&study)?),
             Experiment::Bound => drop(limits::limits(&study)?),
             Experiment::Balloon => drop(balloon::balloon(&study)?),
+            Experiment::Ablations => drop(ablations::ablations(&study)?),
             Experiment::Tracking => drop(tracking::tracking(&study)?),
             Experiment::Unseen => drop(unseen::unseen(&study)?),
             Experiment::Changes => drop(changes::changes(&study)?),

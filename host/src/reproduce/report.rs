@@ -4,7 +4,7 @@ use super::balloon::AUTHORS;
 use super::changes::Change;
 use super::results::{BalloonFigures, Means, Results};
 use super::study::Study;
-use super::{LungFigures, ReproduceError, changes, iso, lungs, tracking};
+use super::{Ablation, LungFigures, ReproduceError, changes, iso, lungs, tracking};
 use crate::evaluate::Trace;
 use crate::provenance::Provenance;
 use crate::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
@@ -25,6 +25,9 @@ pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, Rep
     sections.extend(changes::kept(study)?.map(|changes| changes_section(&changes)));
     sections.extend(iso::kept(study)?.map(|rows| iso_section(&rows)));
     sections.extend(results.balloon.as_ref().map(balloon_section));
+    if !results.ablations.is_empty() {
+        sections.push(ablations_section(&results.ablations));
+    }
     Ok(Report {
         title: "Machine learning for mechanical ventilation control, reproduced".into(),
         subtitle: headline(results),
@@ -321,6 +324,43 @@ fn iso_section(rows: &[iso::Row]) -> Section {
                of control can answer, so what fails there fails by the valve."
             .into(),
         blocks: vec![Block::Table(table)],
+    }
+}
+
+fn ablations_section(found: &[Ablation]) -> Section {
+    let mut table = Table::new(
+        "One round of collect, fit and train on the lung in the middle of the list, cmH2O",
+        &["varied", "variant", "score", "its PID", "open loop", "breaths"],
+    );
+    for ablation in found {
+        table.row(vec![
+            Cell::text(&ablation.group),
+            Cell::text(&ablation.variant),
+            Cell::number(ablation.score, 3),
+            Cell::number(ablation.pid, 3),
+            Cell::number(ablation.open_loop, 3),
+            Cell::count(ablation.breaths),
+        ]);
+    }
+    let of_group = |group: &str| {
+        let own = found.iter().filter(|ablation| ablation.group == group);
+        Series::new(group, Style::Points, own.map(|a| (a.open_loop, a.score)).collect())
+    };
+    Section {
+        heading: "Ablations".into(),
+        text: "Each variant differs from the lung's pipeline in one thing. Open-loop distance says how good a simulator is, the \
+               score how good the controller trained through it."
+            .into(),
+        blocks: vec![
+            Block::Table(table),
+            Block::Plot(Plot {
+                title: "Open-loop distance against closed-loop score".into(),
+                x_label: "open-loop distance, cmH2O".into(),
+                y_label: "score on the true bench, cmH2O".into(),
+                series: ["exploration", "breaths", "rounds"].map(of_group).to_vec(),
+                ..Plot::default()
+            }),
+        ],
     }
 }
 

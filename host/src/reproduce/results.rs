@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::changes::{self, Change};
 use super::study::Study;
-use super::{ReproduceError, balloon, generalist, iso, limits, lungs, unseen};
+use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, limits, lungs, unseen};
 use crate::evaluate::Evaluation;
 use crate::provenance::git_revision;
 
@@ -117,6 +117,8 @@ pub struct Results {
     pub breaths_to_reconverge: Option<usize>,
     /// The authors' own plant.
     pub balloon: Option<BalloonFigures>,
+    /// What each part of the system is worth.
+    pub ablations: Vec<Ablation>,
 }
 
 impl Results {
@@ -170,6 +172,7 @@ impl Results {
             worst_cell_ratio: cells.reduce(f64::max),
             unseen: unseen_figures(study)?,
             iso_rows: iso_figures(study)?,
+            ablations: ablations::kept(study)?.unwrap_or_default(),
             balloon: balloon::kept(study)?.map(|found| BalloonFigures {
                 floor: found.floor,
                 grid_pi: found.grid_pi,
