@@ -18,6 +18,7 @@ pub mod pipeline;
 pub mod port;
 pub mod provenance;
 pub mod report;
+pub mod rl;
 pub mod simulator;
 pub mod source;
 pub mod tensors;
