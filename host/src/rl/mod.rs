@@ -18,10 +18,14 @@
 //! policy whatever the number of threads.
 
 pub mod cart_pole;
+pub mod compare;
 pub mod dqn;
 pub mod head;
 pub mod network;
+pub mod plant;
+pub mod policy;
 pub mod ppo;
+pub mod ventilation;
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
