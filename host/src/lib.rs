@@ -21,6 +21,7 @@ pub mod port;
 pub mod provenance;
 pub mod report;
 pub mod reproduce;
+pub mod rl;
 pub mod simulator;
 pub mod source;
 pub mod tensors;

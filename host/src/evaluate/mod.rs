@@ -148,7 +148,7 @@ pub fn evaluate_port(
 }
 
 /// Scores of all runs, waveform by waveform, each under every seed.
-fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
+pub(crate) fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
     let seeds = plan.seeds.len();
     let waveforms: Vec<WaveformScore> = plan
         .pips

@@ -11,6 +11,7 @@
 //! | `generalist` | one controller for all lungs |
 //! | `limits` | what no controller can beat |
 //! | `balloon` | the authors' own plant |
+//! | `learning` | reinforcement learning as the rival |
 //! | `ablations` | what each part of the system is worth |
 //! | `tracking` | curves of the controllers on one lung |
 //! | `unseen` | lungs and ventilators that nobody trained on |
@@ -24,6 +25,7 @@ mod balloon;
 mod changes;
 mod generalist;
 mod iso;
+mod learning;
 mod limits;
 mod lungs;
 mod report;
@@ -39,6 +41,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde::{Deserialize, Serialize};
 use shared::control::pid::GainError;
+use shared::control::residual::ResidualError;
 use thiserror::Error;
 
 use crate::baselines::TuneError;
@@ -51,7 +54,9 @@ use crate::train::learned::LearnedError;
 
 pub use ablations::Ablation;
 pub use report::{headline, lungs_table};
-pub use results::{BalloonFigures, IsoFigures, LungFigures, Means, Results, UnseenFigures};
+pub use results::{
+    BalloonFigures, IsoFigures, LungFigures, Means, Results, RlFigure, RlFigures, UnseenFigures,
+};
 pub use study::Budget;
 use study::Study;
 
@@ -76,13 +81,15 @@ pub enum Experiment {
     Iso,
     /// The authors' own plant, side by side with their figures
     Balloon,
+    /// PPO and DQN on the learned simulators of one lung
+    Rl,
     /// What each part of the system is worth, on one lung
     Ablations,
 }
 
 impl Experiment {
     /// All, in the order in which they are run.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Tuning,
         Self::Lungs,
         Self::Generalist,
@@ -92,6 +99,7 @@ impl Experiment {
         Self::Changes,
         Self::Iso,
         Self::Balloon,
+        Self::Rl,
         Self::Ablations,
     ];
 }
@@ -132,6 +140,9 @@ pub enum ReproduceError {
     /// Gains.
     #[error(transparent)]
     Gain(#[from] GainError),
+    /// A policy.
+    #[error(transparent)]
+    Policy(#[from] ResidualError),
     /// A controller's file.
     #[error(transparent)]
     Learned(#[from] LearnedError),
@@ -176,6 +187,7 @@ pub fn run(
             Experiment::Generalist => drop(generalist::generalist(&study)?),
             Experiment::Bound => drop(limits::limits(&study)?),
             Experiment::Balloon => drop(balloon::balloon(&study)?),
+            Experiment::Rl => drop(learning::learning(&study)?),
             Experiment::Ablations => drop(ablations::ablations(&study)?),
             Experiment::Tracking => drop(tracking::tracking(&study)?),
             Experiment::Unseen => drop(unseen::unseen(&study)?),

@@ -2,9 +2,10 @@
 
 use super::balloon::AUTHORS;
 use super::changes::Change;
+use super::learning::{Learner, Learning};
 use super::results::{BalloonFigures, Means, Results};
 use super::study::Study;
-use super::{Ablation, LungFigures, ReproduceError, changes, iso, lungs, tracking};
+use super::{Ablation, LungFigures, ReproduceError, changes, iso, learning, lungs, tracking};
 use crate::evaluate::Trace;
 use crate::provenance::Provenance;
 use crate::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
@@ -25,6 +26,7 @@ pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, Rep
     sections.extend(changes::kept(study)?.map(|changes| changes_section(&changes)));
     sections.extend(iso::kept(study)?.map(|rows| iso_section(&rows)));
     sections.extend(results.balloon.as_ref().map(balloon_section));
+    sections.extend(learning::kept(study)?.map(|learning| learning_section(&learning, results)));
     if !results.ablations.is_empty() {
         sections.push(ablations_section(&results.ablations));
     }
@@ -324,6 +326,50 @@ fn iso_section(rows: &[iso::Row]) -> Section {
                of control can answer, so what fails there fails by the valve."
             .into(),
         blocks: vec![Block::Table(table)],
+    }
+}
+
+fn learning_section(found: &Learning, results: &Results) -> Section {
+    let learners = [("PPO", &found.ppo), ("DQN", &found.dqn), ("ours", &found.ours)];
+    let mut table = Table::new(
+        "Reinforcement learning and ours on the same learned simulators",
+        &["learner", "score on the true bench, cmH2O", "on the held-out simulator", "million ticks"],
+    );
+    for (name, learner) in learners {
+        table.row(vec![
+            Cell::text(name),
+            Cell::number(learner.score, 3),
+            Cell::number(learner.best(), 3),
+            Cell::number(learner.samples as f64 * 1e-6, 1),
+        ]);
+    }
+    let curve = |(name, learner): (&str, &Learner)| {
+        let points = learner.curve.iter().map(|(samples, score)| (*samples as f64 * 1e-6, *score));
+        Series::new(name, Style::Line, points.collect())
+    };
+    let until = results.rl.and_then(|rl| rl.ours_until_rival).map_or_else(String::new, |ticks| {
+        format!(
+            " Ours was as good as the better rival ever was after {:.2} million ticks.",
+            ticks as f64 * 1e-6
+        )
+    });
+    Section {
+        heading: "Reinforcement learning".into(),
+        text: format!(
+            "PPO and DQN see the simulators from outside, with the observations of our controller; ours differentiates them. A \
+             tick is 1 ms of one simulated inspiration.{until}"
+        ),
+        blocks: vec![
+            Block::Table(table),
+            Block::Plot(Plot {
+                title: "Score against samples".into(),
+                x_label: "million simulated ticks".into(),
+                y_label: "mean error on the held-out simulator, cmH2O".into(),
+                series: learners.into_iter().map(curve).collect(),
+                log_y: true,
+                ..Plot::default()
+            }),
+        ],
     }
 }
 

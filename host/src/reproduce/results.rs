@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::changes::{self, Change};
+use super::learning::{Learner, Learning};
 use super::study::Study;
-use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, limits, lungs, unseen};
+use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
 use crate::evaluate::Evaluation;
 use crate::provenance::git_revision;
 
@@ -66,6 +67,28 @@ pub struct BalloonFigures {
     pub learned_by_seed: Vec<f64>,
 }
 
+/// A way to learn.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RlFigure {
+    /// Score on the true bench, cmH2O.
+    pub score: f64,
+    /// Simulated control ticks that it took.
+    pub samples: u64,
+}
+
+/// Reinforcement learning and ours, on the same simulators.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RlFigures {
+    /// Proximal policy optimisation.
+    pub ppo: RlFigure,
+    /// Deep Q-learning.
+    pub dqn: RlFigure,
+    /// Back-propagation through the simulators.
+    pub ours: RlFigure,
+    /// Ticks that ours took to be as good as the better rival ever was, on the held-out simulator.
+    pub ours_until_rival: Option<u64>,
+}
+
 /// Scores on a plant outside of the training, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnseenFigures {
@@ -117,6 +140,8 @@ pub struct Results {
     pub breaths_to_reconverge: Option<usize>,
     /// The authors' own plant.
     pub balloon: Option<BalloonFigures>,
+    /// Reinforcement learning.
+    pub rl: Option<RlFigures>,
     /// What each part of the system is worth.
     pub ablations: Vec<Ablation>,
 }
@@ -172,6 +197,7 @@ impl Results {
             worst_cell_ratio: cells.reduce(f64::max),
             unseen: unseen_figures(study)?,
             iso_rows: iso_figures(study)?,
+            rl: learning::kept(study)?.as_ref().map(rl_figures),
             ablations: ablations::kept(study)?.unwrap_or_default(),
             balloon: balloon::kept(study)?.map(|found| BalloonFigures {
                 floor: found.floor,
@@ -185,6 +211,16 @@ impl Results {
             lungs,
             mean: means,
         })
+    }
+}
+
+fn rl_figures(found: &Learning) -> RlFigures {
+    let figure = |learner: &Learner| RlFigure { score: learner.score, samples: learner.samples };
+    RlFigures {
+        ppo: figure(&found.ppo),
+        dqn: figure(&found.dqn),
+        ours: figure(&found.ours),
+        ours_until_rival: found.ours.samples_until(found.ppo.best().min(found.dqn.best())),
     }
 }
 

@@ -15,6 +15,7 @@ use crate::bench::BenchConfig;
 use crate::evaluate::{Evaluation, Plan, evaluate};
 use crate::files::write_atomically;
 use crate::pipeline::PipelineConfig;
+use crate::rl::compare::RlConfig;
 
 /// How much to spend.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,6 +28,8 @@ pub struct Budget {
     pub lung: PipelineConfig,
     /// The same for all lungs at once.
     pub generalist: PipelineConfig,
+    /// PPO and DQN; the seed is replaced.
+    pub learners: RlConfig,
 }
 
 impl Budget {
@@ -36,7 +39,7 @@ impl Budget {
         let mut generalist = PipelineConfig { ensemble: 1, ..lung.clone() };
         generalist.collect.breaths = 60;
         generalist.train.iterations = 1200;
-        Self { repeats: 2, search: Search::default(), lung, generalist }
+        Self { repeats: 2, search: Search::default(), lung, generalist, learners: RlConfig::default() }
     }
 
     /// The same order of results in a few minutes.
@@ -47,7 +50,9 @@ impl Budget {
         lung.train.iterations = 300;
         let mut generalist = lung.clone();
         generalist.collect.breaths = 40;
-        Self { repeats: 1, search: Search { refinements: 1, ..Search::default() }, lung, generalist }
+        let search = Search { refinements: 1, ..Search::default() };
+        let learners = RlConfig { ppo_samples: 5_000_000, dqn_samples: 5_000_000, ..RlConfig::default() };
+        Self { repeats: 1, search, lung, generalist, learners }
     }
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::*;
 use crate::baselines::{Grid, Search};
 use crate::pipeline::PipelineConfig;
+use crate::rl::compare::RlConfig;
 
 fn small(out: &Path, only: &[Experiment]) -> Reproduction {
     let grid = Grid { p: vec![1.0, 4.0], i: vec![15.0, 80.0], d: vec![0.0] };
@@ -18,7 +19,13 @@ fn small(out: &Path, only: &[Experiment]) -> Reproduction {
     let search = Search { grid, refinements: 0, exhaustive: true };
     Reproduction {
         seed: 1,
-        budget: Budget { repeats: 1, search, lung: lung.clone(), generalist: lung },
+        budget: Budget {
+            repeats: 1,
+            search,
+            lung: lung.clone(),
+            generalist: lung,
+            learners: RlConfig::default(),
+        },
         lungs: vec![BenchConfig::paper(20.0, 20.0), BenchConfig::paper(50.0, 10.0)],
         out: out.to_owned(),
         only: only.to_vec(),

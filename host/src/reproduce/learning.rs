@@ -1,0 +1,128 @@
+//! Reinforcement learning as the rival: PPO and DQN on the same learned simulators with the same observations, their score
+//! against the samples that they took, next to ours.
+
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+
+use super::study::Study;
+use super::{ReproduceError, Reproduction, lungs};
+use crate::bench::BenchConfig;
+use crate::engine::LANES;
+use crate::pipeline::{Outcome, PipelineConfig};
+use crate::rl::compare::{Kind, RlConfig, train};
+use crate::rl::policy::evaluate;
+use crate::simulator::model::Simulator;
+use crate::watch::Watch;
+
+/// One way to learn.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Learner {
+    /// Score on the true bench, cmH2O.
+    pub(super) score: f64,
+    /// Simulated control ticks that it took.
+    pub(super) samples: u64,
+    /// Ticks taken and the score on the held-out simulator then, cmH2O.
+    pub(super) curve: Vec<(u64, f64)>,
+}
+
+impl Learner {
+    /// Ticks taken until the score on the held-out simulator was at least as good as this.
+    pub(super) fn samples_until(&self, score: f64) -> Option<u64> {
+        self.curve.iter().find(|(_, reached)| *reached <= score).map(|(samples, _)| *samples)
+    }
+
+    /// The best score on the held-out simulator, cmH2O.
+    pub(super) fn best(&self) -> f64 {
+        self.curve.iter().map(|(_, score)| *score).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// The comparison.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Learning {
+    /// Proximal policy optimisation.
+    pub(super) ppo: Learner,
+    /// Deep Q-learning.
+    pub(super) dqn: Learner,
+    /// Back-propagation through the simulators.
+    pub(super) ours: Learner,
+}
+
+/// Trains both rivals on the simulators learned for the lung in the middle of the list.
+pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
+    study.keep("rl", || {
+        let Reproduction { seed, budget, .. } = study.reproduction;
+        let index = study.lungs().len() / 2;
+        let bench = &study.lungs()[index];
+        let gains = lungs::tuned(study)?.lungs[index].pid.gains;
+        lungs::lungs(study)?;
+        let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
+        // Its folder holds the whole run already.
+        let outcome =
+            lungs::train(study, std::slice::from_ref(bench), &config, &format!("lungs/{}-0", bench.name))?;
+        let simulators = &outcome.plants[0].simulators;
+        Ok(Learning {
+            ppo: rival(study, bench, Kind::Ppo, simulators)?,
+            dqn: rival(study, bench, Kind::Dqn, simulators)?,
+            ours: ours(study, bench, &config, &outcome)?,
+        })
+    })
+}
+
+/// What the folder holds.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError> {
+    study.kept("rl")
+}
+
+fn rival(
+    study: &Study<'_>,
+    bench: &BenchConfig,
+    kind: Kind,
+    simulators: &[Simulator],
+) -> Result<Learner, ReproduceError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+    let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
+    let progress = |done, total| (study.observer)(kind.name(), done as usize, total as usize);
+    let watch = Watch::new(&progress, study.stop);
+    let trained = train(kind, trained_on, held_out, &config, &watch)?;
+    Ok(Learner {
+        score: evaluate(bench, &trained.policy, &study.plan())?.mean.score,
+        samples: trained.curve.last().map_or(0, |(samples, _)| *samples),
+        curve: trained.curve,
+    })
+}
+
+fn ours(
+    study: &Study<'_>,
+    bench: &BenchConfig,
+    config: &PipelineConfig,
+    outcome: &Outcome,
+) -> Result<Learner, ReproduceError> {
+    let ticks = shared::math::ticks(config.train.inspiratory_time, config.period_us);
+    let step = (config.train.batch.next_multiple_of(LANES) as u64) * u64::from(ticks);
+    let whole_round = step * config.train.iterations as u64;
+    let curve = (0..).zip(&outcome.rounds).flat_map(|(round, found)| {
+        let at = move |iteration: usize| round * whole_round + step * iteration as u64;
+        found.train_curve.iter().map(move |progress| (at(progress.iteration), progress.validation))
+    });
+    let controller = Controller::Residual(outcome.learned.controller.clone());
+    Ok(Learner {
+        score: study.evaluate(bench, &controller)?.mean.score,
+        samples: whole_round * outcome.rounds.len() as u64,
+        curve: curve.collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_samples_that_reach_a_score_count() {
+        let curve = vec![(10, 3.0), (20, 1.5), (30, 1.8), (40, 1.2)];
+        let learner = Learner { score: 1.3, samples: 40, curve };
+        assert_eq!(learner.samples_until(1.6), Some(20));
+        assert_eq!(learner.samples_until(1.0), None);
+        assert!((learner.best() - 1.2).abs() < 1e-12);
+    }
+}
