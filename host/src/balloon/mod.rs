@@ -65,6 +65,7 @@ pub fn score(controller: &Controller) -> Result<f64, SourceError> {
 }
 
 /// The pipeline for the balloon: its period, its breaths, and a training without the noise that it does not have.
+/// Inspirations of 29 ticks are cheap, so that fit and training can be longer than those at 1 kHz.
 pub fn pipeline(seed: u64) -> PipelineConfig {
     let breath = settings(Settings::default().pip);
     let mut config = PipelineConfig { seed, gains: GAINS, ..PipelineConfig::for_period(PERIOD_US) };
@@ -72,6 +73,9 @@ pub fn pipeline(seed: u64) -> PipelineConfig {
     config.train.peep = breath.peep;
     config.train.rest = breath.expiratory_bias;
     config.train.inspiratory_time = breath.inspiratory_time;
+    config.fit.epochs = 5000;
+    config.train.iterations = 3000;
+    config.train.adam.rate = 2e-3;
     config.train.start_spread = 0.0;
     config.train.sensor_noise = Some(0.0);
     config

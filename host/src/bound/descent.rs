@@ -12,7 +12,7 @@ use crate::bench::Bench;
 /// How far a node is moved to measure its response, percent.
 const PROBE_PERCENT: f64 = 1.0;
 /// Rounds of reweighting in a step.
-const REWEIGHTINGS: usize = 8;
+const REWEIGHTINGS: usize = 6;
 /// Sweeps over all nodes in a round.
 const SWEEPS: usize = 60;
 /// Error below which a sample's weight grows no more, cmH2O: first and last round.

@@ -20,20 +20,20 @@ const LEAST_HORIZON_MS: f64 = 5.0;
 const BLOCK_MS: f64 = 5.0;
 /// Spacing of the first nodes, ms; each level halves it where the command bends.
 const SPACING_MS: f64 = 8.0;
-/// Levels of refinement: the last has a node in every millisecond that needs one.
-const LEVELS: usize = 4;
+/// Levels of refinement of every start, down to 2 ms; the best one gets another.
+const LEVELS: usize = 3;
 /// Bend of the command that calls for more nodes, percent.
 const BEND_PERCENT: f64 = 0.5;
 /// Most steps on a level.
 const STEPS: usize = 15;
 /// Shaken copies of the best.
-const SHAKES: usize = 6;
+const SHAKES: usize = 4;
 /// How far a shake moves its nodes, percent.
 const SHAKE_PERCENT: f64 = 40.0;
 /// Most neighbouring nodes that a shake moves.
 const SHAKEN_NODES: usize = 8;
 /// A level is done when both directions of probing gained less than this part of the score.
-const ENOUGH: f64 = 2e-5;
+const ENOUGH: f64 = 1e-4;
 /// Command of the breaths before the first start, percent: anything that fills the lung somewhat.
 const BEFORE_PERCENT: f32 = 20.0;
 
@@ -47,7 +47,7 @@ pub(super) struct Found {
 
 /// Stages of a search, for its progress.
 pub(super) fn stages(config: &BoundConfig) -> usize {
-    HORIZONS.len() * LEVELS + shakes(config)
+    HORIZONS.len() * LEVELS + 1 + shakes(config)
 }
 
 fn shakes(config: &BoundConfig) -> usize {
@@ -87,7 +87,11 @@ pub(super) fn search(
     }
     ends.sort_by(|one, other| one.score.total_cmp(&other.score));
     let spread = ends[1].score - ends[0].score;
-    let best = shake(ends.swap_remove(0), config, number, progress, watch)?;
+    let mut best = ends.swap_remove(0);
+    best.refine(BEND_PERCENT);
+    go_down(&mut best, steps(config), watch)?;
+    progress();
+    let best = shake(best, config, number, progress, watch)?;
     Some(Found { commands: best.shape.commands(), spread })
 }
 

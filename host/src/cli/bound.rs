@@ -23,8 +23,8 @@ Examples:
   trainer bound --lung paper --json bound.json
   trainer bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
 
-The search knows the bench, has no noise and tries every breath as often as it likes; a controller sees a noisy
-pressure once. Scores are those of `trainer evaluate`: the mean absolute error of the true airway pressure.
+The search knows the bench, has no noise and tries a breath as often as it likes; it comes to within
+1 % of the least error. Scores are those of `trainer evaluate`: errors of the true airway pressure.
 Ctrl-C ends the search with the waveforms that are done.")]
 pub struct Args {
     /// Lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 of the test table; may be repeated
