@@ -211,7 +211,7 @@ fn validate(task: &mut Inspirations, greedy: &Greedy, config: &TaskConfig, seed:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::ventilation::untrained;
+    use crate::rl::ventilation::first_order;
     use std::sync::atomic::AtomicBool;
 
     fn small() -> RlConfig {
@@ -226,7 +226,7 @@ mod tests {
     }
 
     fn run(kind: Kind, config: &RlConfig, watch: &Watch<'_>) -> Trained {
-        train(kind, &[untrained(0)], &untrained(0), config, watch).unwrap()
+        train(kind, &[first_order(1.0)], &first_order(1.0), config, watch).unwrap()
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
             let trained = run(kind, &small(), &Watch::silent());
             let best = trained.curve.iter().map(|(_, score)| *score).fold(f64::INFINITY, f64::min);
             assert!((trained.validation - best).abs() < f64::EPSILON, "{kind:?}");
-            assert!(best < 0.9 * trained.curve[0].1, "{kind:?}: {:?}", trained.curve);
+            assert!(best < 0.5 * trained.curve[0].1, "{kind:?}: {:?}", trained.curve);
         }
     }
 
