@@ -211,13 +211,13 @@ fn validate(task: &mut Inspirations, greedy: &Greedy, config: &TaskConfig, seed:
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::ventilation::untrained;
+    use crate::rl::ventilation::first_order;
     use std::sync::atomic::AtomicBool;
 
     fn small() -> RlConfig {
         RlConfig {
             ppo_samples: 130_000,
-            dqn_samples: 50_000,
+            dqn_samples: 200_000,
             validations: 4,
             ppo: PpoConfig { horizon: 100, ..PpoConfig::default() },
             dqn: DqnConfig { warm_up: 320, ..DqnConfig::default() },
@@ -226,7 +226,7 @@ mod tests {
     }
 
     fn run(kind: Kind, config: &RlConfig, watch: &Watch<'_>) -> Trained {
-        train(kind, &[untrained(0)], &untrained(0), config, watch).unwrap()
+        train(kind, &[first_order(1.0)], &first_order(1.0), config, watch).unwrap()
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
             let trained = run(kind, &small(), &Watch::silent());
             let best = trained.curve.iter().map(|(_, score)| *score).fold(f64::INFINITY, f64::min);
             assert!((trained.validation - best).abs() < f64::EPSILON, "{kind:?}");
-            assert!(best < 0.9 * trained.curve[0].1, "{kind:?}: {:?}", trained.curve);
+            assert!(best < 0.5 * trained.curve[0].1, "{kind:?}: {:?}", trained.curve);
         }
     }
 
@@ -243,7 +243,7 @@ mod tests {
     fn samples_are_control_ticks_and_cover_the_budget() {
         for (kind, per_round) in [(Kind::Ppo, 16_000), (Kind::Dqn, 160)] {
             let curve = run(kind, &small(), &Watch::silent()).curve;
-            let budget = if kind == Kind::Ppo { 130_000 } else { 50_000 };
+            let budget = if kind == Kind::Ppo { small().ppo_samples } else { small().dqn_samples };
             let (last, _) = curve[curve.len() - 1];
             assert!((budget..budget + per_round).contains(&last), "{kind:?}: {last}");
             assert!(curve.iter().all(|(samples, _)| samples % per_round == 0));

@@ -45,16 +45,16 @@ pub struct DqnConfig {
 impl Default for DqnConfig {
     fn default() -> Self {
         Self {
-            hidden: vec![64, 64],
+            hidden: vec![128],
             capacity: 100_000,
             warm_up: 2_000,
             batch: 64,
             updates: 4,
-            target_every: 250,
+            target_every: 50,
             discount: 0.99,
-            epsilon: (1.0, 0.02),
-            epsilon_time: 0.3,
-            huber: 1.0,
+            epsilon: (1.0, 0.1),
+            epsilon_time: 0.6,
+            huber: 10.0,
             adam: AdamConfig { rate: 1e-3, final_share: 0.02, weight_decay: 0.0, clip: 10.0 },
         }
     }
@@ -275,7 +275,7 @@ mod tests {
 
     #[test]
     fn cart_pole_is_solved() {
-        let greedy = trained(6000, 6000, 1);
+        let greedy = trained(5000, 5000, 1);
         let mut rng = ChaCha8Rng::seed_from_u64(999);
         let mean = greedy.mean_return(&mut Copies::of(&CartPole::default()), 100, &mut rng);
         assert!(mean >= 475.0, "mean return {mean}");

@@ -310,7 +310,7 @@ mod tests {
     #[test]
     fn an_action_is_held() {
         let network = Mlp::with_hidden(FEATURES, &[8], 1);
-        let parameters = network.initialise(1.0, &mut ChaCha8Rng::seed_from_u64(2));
+        let parameters = network.initialise(0.1, &mut ChaCha8Rng::seed_from_u64(2));
         let policy =
             Policy { greedy: Greedy { network, parameters, actions: Actions::Continuous }, ..stubborn(0) };
         let mut flight = Flight::new(&policy);

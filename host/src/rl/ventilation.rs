@@ -308,15 +308,21 @@ impl Shard for Inspirations {
     }
 }
 
-/// An untrained simulator, for tests.
+/// A simulator for tests: the pressure follows the command with a lag of 50 ms, from 5 cmH2O at 0 % to 5 + 30 `gain`
+/// cmH2O at 50 %.
 #[cfg(test)]
-pub(super) fn untrained(seed: u64) -> Simulator {
+pub(super) fn first_order(gain: f32) -> Simulator {
+    use crate::simulator::Timing;
     use crate::simulator::model::Architecture;
     use crate::simulator::state_space::StateSpaceConfig;
-    use rand_chacha::rand_core::SeedableRng;
 
-    let config = StateSpaceConfig::for_period(1000, 1);
-    let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(seed));
+    let timing = Timing::for_period(1000, 1);
+    let config = StateSpaceConfig { timing, states: 1, hidden: 1, history: 1 };
+    let (hidden, start) = ([0.0; 4], [0.0; 3]);
+    // The state goes to the mean of the two scaled commands; it keeps five sixths of itself in 10 ms.
+    let (drive, decay) = ([0.0, 0.5, 0.5, 0.0], [5.0_f32.ln()]);
+    let readout = [3.0 * gain, 0.0, 3.0 * gain, 0.0, -1.5, -1.5];
+    let parameters = [&hidden[..], &drive, &readout, &start, &decay].concat();
     let architecture = Architecture::StateSpace(config);
     Simulator { architecture, parameters, noise: 0.1, start_pressure: 5.0, plant: "test".into() }
 }
@@ -330,8 +336,9 @@ mod tests {
         ChaCha8Rng::seed_from_u64(3)
     }
 
-    fn inspirations(simulators: u64, config: &TaskConfig) -> Inspirations {
-        let simulators: Vec<Simulator> = (0..simulators).map(untrained).collect();
+    fn inspirations(simulators: u8, config: &TaskConfig) -> Inspirations {
+        let simulators: Vec<Simulator> =
+            (0..simulators).map(|n| first_order(1.0 + 0.1 * f32::from(n))).collect();
         let mut task = Inspirations::new(&simulators, config, Actions::Discrete(config.levels)).unwrap();
         task.reset(&[true; LANES], &mut rng());
         task
@@ -364,6 +371,16 @@ mod tests {
     }
 
     #[test]
+    fn the_plant_of_the_tests_is_what_it_says() {
+        let mut task = inspirations(1, &TaskConfig::default());
+        for _ in 0..60 {
+            task.step(&Lane::splat(10.0));
+        }
+        let pressure = task.simulators[0].plant.pressure();
+        assert!(pressure.0.iter().all(|p| (p - 35.0).abs() < 0.01), "{pressure:?}");
+    }
+
+    #[test]
     fn rewards_sum_up_to_the_score() {
         let config = TaskConfig { reward_scale: 1.0, ..TaskConfig::default() };
         let mut task = inspirations(1, &config);
@@ -383,7 +400,7 @@ mod tests {
         let features = Features::new(FeatureSpec::default(), 1000).unwrap();
         let mut state = FeatureState::new();
         state.start_breath(5.0);
-        let mut plant = plant(&untrained(0), 1000);
+        let mut plant = plant(&first_order(1.0), 1000);
         let start = Start { pressure: task.simulators[0].plant.pressure(), plateau: task.pip };
         plant.begin(&start, 5.0);
         for tick in 0..=10 {
