@@ -156,9 +156,9 @@ impl<S: Shard> Dqn<S> {
         self.network.load(&self.parameters).forward(&mut tape);
         let greedy = best(Actions::Discrete(self.choices), tape.outputs(0));
         let epsilon = epsilon(&self.config, progress);
-        greedy.map(|choice| match self.rng.random::<f32>() < epsilon {
-            true => self.rng.random_range(0..self.choices) as f32,
-            false => choice,
+        greedy.map(|choice| {
+            let explores = self.rng.random::<f32>() < epsilon;
+            if explores { self.rng.random_range(0..self.choices) as f32 } else { choice }
         })
     }
 

@@ -120,7 +120,9 @@ fn softmax(outputs: &[Lane]) -> Vec<Lane> {
     let highest = outputs[1..].iter().fold(outputs[0], |highest, y| highest.zip(y, f32::max));
     let mut powers: Vec<Lane> = outputs.iter().map(|y| y.zip(&highest, |y, h| (y - h).exp())).collect();
     let total = powers.iter().fold(Lane::ZERO, |total, power| total.zip(power, |a, b| a + b));
-    powers.iter_mut().for_each(|power| *power = power.zip(&total, |power, total| power / total));
+    for power in &mut powers {
+        *power = power.zip(&total, |power, total| power / total);
+    }
     powers
 }
 
