@@ -217,7 +217,7 @@ mod tests {
     fn small() -> RlConfig {
         RlConfig {
             ppo_samples: 130_000,
-            dqn_samples: 50_000,
+            dqn_samples: 200_000,
             validations: 4,
             ppo: PpoConfig { horizon: 100, ..PpoConfig::default() },
             dqn: DqnConfig { warm_up: 320, ..DqnConfig::default() },
@@ -243,7 +243,7 @@ mod tests {
     fn samples_are_control_ticks_and_cover_the_budget() {
         for (kind, per_round) in [(Kind::Ppo, 16_000), (Kind::Dqn, 160)] {
             let curve = run(kind, &small(), &Watch::silent()).curve;
-            let budget = if kind == Kind::Ppo { 130_000 } else { 50_000 };
+            let budget = if kind == Kind::Ppo { small().ppo_samples } else { small().dqn_samples };
             let (last, _) = curve[curve.len() - 1];
             assert!((budget..budget + per_round).contains(&last), "{kind:?}: {last}");
             assert!(curve.iter().all(|(samples, _)| samples % per_round == 0));

@@ -157,11 +157,8 @@ impl<S: Shard> Dqn<S> {
         let greedy = best(Actions::Discrete(self.choices), tape.outputs(0));
         let epsilon = epsilon(&self.config, progress);
         greedy.map(|choice| {
-            if self.rng.random::<f32>() < epsilon {
-                self.rng.random_range(0..self.choices) as f32
-            } else {
-                choice
-            }
+            let explores = self.rng.random::<f32>() < epsilon;
+            if explores { self.rng.random_range(0..self.choices) as f32 } else { choice }
         })
     }
 

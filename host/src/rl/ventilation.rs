@@ -366,7 +366,7 @@ mod tests {
     fn the_last_action_is_held_for_the_ticks_that_are_left() {
         let config = TaskConfig { hold_time: 0.03, inspiratory_time: 0.1, ..TaskConfig::default() };
         let mut task = inspirations(1, &config);
-        let steps = (1..=100).find(|_| task.step(&Lane::ZERO)[0].end == End::Terminal);
+        let steps = (1..100).find(|_| task.step(&Lane::ZERO)[0].end == End::Terminal);
         assert_eq!((steps, task.tick), (Some(4), 100));
     }
 
