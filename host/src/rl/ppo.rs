@@ -422,6 +422,43 @@ mod tests {
         assert!(ppo.spread() < 0.5 * before, "{} after {before}", ppo.spread());
     }
 
+    /// One step, one point, ended in one way.
+    #[derive(Clone, Debug)]
+    struct OneStep(End);
+
+    impl Environment for OneStep {
+        fn observations(&self) -> usize {
+            1
+        }
+
+        fn actions(&self) -> Actions {
+            Actions::Discrete(2)
+        }
+
+        fn reset(&mut self, _: &mut ChaCha8Rng) {}
+
+        fn step(&mut self, _: f32) -> Transition {
+            Transition { reward: 1.0, end: self.0 }
+        }
+
+        fn observe(&self, observation: &mut [f32]) {
+            observation[0] = 1.0;
+        }
+    }
+
+    #[test]
+    fn an_episode_that_was_cut_has_a_future_and_one_that_ended_has_none() {
+        // Forever a point per step, half of its worth later, is two points.
+        for (end, worth) in [(End::TimeLimit, 2.0), (End::Terminal, 1.0)] {
+            let value = AdamConfig { rate: 1e-2, ..PpoConfig::default().value };
+            let config = PpoConfig { discount: 0.5, horizon: 16, value, ..PpoConfig::default() };
+            let mut ppo = Ppo::new(config, Copies::of(&OneStep(end)), 1);
+            (0..60).for_each(|round| ppo.round(round as f32 / 60.0));
+            let learned = Critic::new(&ppo.value, &ppo.value_parameters).value(&[Lane::splat(1.0)])[0];
+            assert!((learned - worth).abs() < 0.05, "{end:?}: {learned}");
+        }
+    }
+
     #[test]
     fn advantages_stop_at_the_end_of_an_episode() {
         let mut rollout = Rollout::new(1, 3);
