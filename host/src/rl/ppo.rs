@@ -46,14 +46,15 @@ pub struct PpoConfig {
 }
 
 impl Default for PpoConfig {
+    /// The best found by hand for the inspirations of [`super::ventilation`] at R 20 C 20.
     fn default() -> Self {
-        let adam = AdamConfig { rate: 1e-3, final_share: 0.05, weight_decay: 0.0, clip: 0.5 };
+        let adam = AdamConfig { rate: 1e-3, final_share: 0.02, weight_decay: 0.0, clip: 0.5 };
         Self {
             hidden: vec![64, 64],
-            horizon: 128,
+            horizon: 800,
             epochs: 10,
-            minibatch: 256,
-            discount: 0.99,
+            minibatch: 1024,
+            discount: 0.98,
             lambda: 0.95,
             clip: 0.2,
             entropy: 0.0,
@@ -359,12 +360,13 @@ mod tests {
     use crate::rl::{Copies, Environment};
     use rand_distr::{Distribution, StandardNormal};
 
-    fn cart_pole() -> PpoConfig {
-        PpoConfig { horizon: 64, ..PpoConfig::default() }
+    /// For tasks that need fewer samples per round.
+    fn quick() -> PpoConfig {
+        PpoConfig { horizon: 64, minibatch: 256, discount: 0.99, ..PpoConfig::default() }
     }
 
     fn trained(rounds: usize, seed: u64) -> Greedy {
-        let mut ppo = Ppo::new(cart_pole(), Copies::of(&CartPole::default()), seed);
+        let mut ppo = Ppo::new(quick(), Copies::of(&CartPole::default()), seed);
         (0..rounds).for_each(|round| ppo.round(round as f32 / rounds as f32));
         ppo.greedy()
     }
@@ -411,7 +413,7 @@ mod tests {
 
     #[test]
     fn a_continuous_action_is_learned_and_its_spread_shrinks() {
-        let config = PpoConfig { horizon: 32, ..PpoConfig::default() };
+        let config = PpoConfig { horizon: 32, ..quick() };
         let mut ppo = Ppo::new(config, Copies::of(&Follow::default()), 2);
         let before = ppo.spread();
         (0..100).for_each(|round| ppo.round(round as f32 / 100.0));
@@ -420,6 +422,43 @@ mod tests {
         let worst = act(&[shown]).zip(&shown, |a, x| (a - 0.5 * x).abs()).0.into_iter().fold(0.0, f32::max);
         assert!(worst < 0.1, "off by {worst}");
         assert!(ppo.spread() < 0.5 * before, "{} after {before}", ppo.spread());
+    }
+
+    /// One step, one point, ended in one way.
+    #[derive(Clone, Debug)]
+    struct OneStep(End);
+
+    impl Environment for OneStep {
+        fn observations(&self) -> usize {
+            1
+        }
+
+        fn actions(&self) -> Actions {
+            Actions::Discrete(2)
+        }
+
+        fn reset(&mut self, _: &mut ChaCha8Rng) {}
+
+        fn step(&mut self, _: f32) -> Transition {
+            Transition { reward: 1.0, end: self.0 }
+        }
+
+        fn observe(&self, observation: &mut [f32]) {
+            observation[0] = 1.0;
+        }
+    }
+
+    #[test]
+    fn an_episode_that_was_cut_has_a_future_and_one_that_ended_has_none() {
+        // Forever a point per step, half of its worth later, is two points.
+        for (end, worth) in [(End::TimeLimit, 2.0), (End::Terminal, 1.0)] {
+            let value = AdamConfig { rate: 1e-2, ..PpoConfig::default().value };
+            let config = PpoConfig { discount: 0.5, horizon: 16, value, ..quick() };
+            let mut ppo = Ppo::new(config, Copies::of(&OneStep(end)), 1);
+            (0..60).for_each(|round| ppo.round(round as f32 / 60.0));
+            let learned = Critic::new(&ppo.value, &ppo.value_parameters).value(&[Lane::splat(1.0)])[0];
+            assert!((learned - worth).abs() < 0.05, "{end:?}: {learned}");
+        }
     }
 
     #[test]
