@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
-use shared::control::features::FeatureSpec;
+use shared::control::features::{CLOCK, FEATURES, FeatureSpec, LEAKY, PAST_COMMANDS, PAST_ERRORS};
 use shared::control::pid::{Pid, PidGains};
 use shared::explore::Exploration;
 
@@ -35,11 +35,18 @@ pub struct Ablation {
     pub breaths: usize,
 }
 
+/// Units of the fleet to train on, where there are several, and one that nobody trains on.
+const UNITS: (std::ops::RangeInclusive<u32>, u32) = (1..=4, 7);
+
 /// A variant to run.
 struct Variant {
     group: &'static str,
     name: String,
     config: PipelineConfig,
+    /// Benches to train on.
+    benches: Vec<BenchConfig>,
+    /// The bench that judges.
+    judge: BenchConfig,
 }
 
 /// Trains and scores every variant on the lung in the middle of the list.
@@ -48,28 +55,31 @@ pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>, ReproduceErr
     let gains = lungs::tuned(study)?.lungs[index].pid.gains;
     let bench = &study.lungs()[index];
     let run = |variant: Variant| {
-        let name = format!("ablations/{}-{}", variant.group, variant.name).replace(' ', "-");
-        study.keep(&name, || ablation(study, bench, &variant, &name))
+        let name = variant.place();
+        study.keep(&name, || ablation(study, &variant, &name))
     };
-    variants(study.reproduction, gains).into_iter().map(run).collect()
+    variants(study.reproduction, bench, gains).into_iter().map(run).collect()
 }
 
 /// What the folder holds, if it holds every variant.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>, ReproduceError> {
-    let variants = variants(study.reproduction, PidGains::default()).into_iter();
-    variants.map(|v| study.kept(&format!("ablations/{}-{}", v.group, v.name).replace(' ', "-"))).collect()
+    let bench = &study.lungs()[study.lungs().len() / 2];
+    let variants = variants(study.reproduction, bench, PidGains::default()).into_iter();
+    variants.map(|variant| study.kept(&variant.place())).collect()
 }
 
-fn ablation(
-    study: &Study<'_>,
-    bench: &BenchConfig,
-    variant: &Variant,
-    folder: &str,
-) -> Result<Ablation, ReproduceError> {
+impl Variant {
+    /// Its name in the study's folder.
+    fn place(&self) -> String {
+        format!("ablations/{}-{}", self.group, self.name).replace(' ', "-")
+    }
+}
+
+fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablation, ReproduceError> {
     let config = &variant.config;
-    let outcome = lungs::train(study, std::slice::from_ref(bench), config, folder)?;
+    let outcome = lungs::train(study, &variant.benches, config, folder)?;
     let plan = Plan { period_us: config.period_us, ..study.plan() };
-    let score = |controller: &Controller| evaluate(bench, controller, &plan).map(|e| e.mean.score);
+    let score = |controller: &Controller| evaluate(&variant.judge, controller, &plan).map(|e| e.mean.score);
     let last = outcome.rounds.last().and_then(|round| round.open_loop.first());
     Ok(Ablation {
         group: variant.group.to_owned(),
@@ -81,21 +91,45 @@ fn ablation(
     })
 }
 
-fn variants(reproduction: &Reproduction, gains: PidGains) -> Vec<Variant> {
+fn variants(reproduction: &Reproduction, bench: &BenchConfig, gains: PidGains) -> Vec<Variant> {
     let Reproduction { seed, budget, .. } = reproduction;
-    let base = PipelineConfig { gains, seed: *seed, rounds: 1, ..budget.lung.clone() };
-    let mut all = Vec::new();
-    let mut add = |group, name: String, change: &dyn Fn(&mut PipelineConfig)| {
-        let mut config = base.clone();
-        change(&mut config);
-        all.push(Variant { group, name, config });
+    let config = PipelineConfig { gains, seed: *seed, rounds: 1, ..budget.lung.clone() };
+    let base = Variant {
+        group: "",
+        name: String::new(),
+        config,
+        benches: vec![bench.clone()],
+        judge: bench.clone(),
     };
-    for lambda in [0.0, 0.1, 0.3, 1.0] {
-        add("lambda", lambda.to_string(), &|config| config.lambda = lambda);
+    let groups = [residuals, recordings, inputs, units, simulators];
+    groups.iter().flat_map(|group| group(&base)).collect()
+}
+
+impl Variant {
+    /// The same but for one thing.
+    fn but(&self, group: &'static str, name: &str, change: impl FnOnce(&mut PipelineConfig)) -> Self {
+        let mut config = self.config.clone();
+        change(&mut config);
+        let (benches, judge) = (self.benches.clone(), self.judge.clone());
+        Self { group, name: name.to_owned(), config, benches, judge }
     }
-    add("lambda", "network alone".into(), &|config| {
+}
+
+/// How much the residual may say.
+fn residuals(base: &Variant) -> Vec<Variant> {
+    let mut all: Vec<_> = [0.0, 0.1, 0.3, 1.0]
+        .iter()
+        .map(|lambda| base.but("lambda", &lambda.to_string(), |config| config.lambda = *lambda))
+        .collect();
+    all.push(base.but("lambda", "network alone", |config| {
         (config.collector, config.gains) = (Some(config.gains), PidGains::default());
-    });
+    }));
+    all
+}
+
+/// What is recorded, and how much of it.
+fn recordings(base: &Variant) -> Vec<Variant> {
+    let mut all = Vec::new();
     let explorations = [
         ("none", None),
         ("triangular", Some(0.0)),
@@ -103,39 +137,81 @@ fn variants(reproduction: &Reproduction, gains: PidGains) -> Vec<Variant> {
         ("both", Some(Exploration::default().boundary_probability)),
     ];
     for (name, boundary) in explorations {
-        add("exploration", name.into(), &|config| {
+        all.push(base.but("exploration", name, |config| {
             config.collect.exploration = boundary
                 .map(|boundary_probability| Exploration { boundary_probability, ..Exploration::default() });
-        });
+        }));
     }
     for breaths in [16, 32, 64, 128, 256] {
-        add("breaths", breaths.to_string(), &|config| config.collect.breaths = breaths);
+        all.push(base.but("breaths", &breaths.to_string(), |config| config.collect.breaths = breaths));
     }
     for rounds in 1..=3 {
-        add("rounds", rounds.to_string(), &|config| config.rounds = rounds);
+        all.push(base.but("rounds", &rounds.to_string(), |config| config.rounds = rounds));
     }
+    all
+}
+
+/// What the network sees.
+fn inputs(base: &Variant) -> Vec<Variant> {
+    let mut all = Vec::new();
     let histories: [(&str, [u8; 8], [u8; 6]); 3] = [
         ("8 ms", [0, 1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 4, 6, 8]),
         ("32 ms", [0, 1, 2, 4, 8, 16, 24, 32], [1, 2, 4, 8, 16, 32]),
         ("64 ms", [0, 1, 2, 4, 8, 16, 32, 64], [1, 2, 4, 8, 16, 64]),
     ];
     for (name, error_taps, command_taps) in histories {
-        add("history", name.into(), &|config| {
+        all.push(base.but("history", name, |config| {
             config.features = Some(FeatureSpec { error_taps, command_taps, ..FeatureSpec::default() });
-        });
+        }));
     }
-    for (name, architecture) in [
-        ("ours at 30 ms", None),
-        ("authors at 30 ms", Some(Architecture::Stitched(StitchedConfig::for_period(AUTHORS_PERIOD_US)))),
-    ] {
-        add("simulator", name.into(), &|config| {
-            let slow = PipelineConfig::for_period(AUTHORS_PERIOD_US);
-            config.period_us = slow.period_us;
-            config.architecture = architecture.unwrap_or(slow.architecture);
-            if architecture.is_some() {
-                config.fit = FitConfig::authors();
-            }
-        });
+    let without: [(&str, Vec<usize>); 5] = [
+        ("all", Vec::new()),
+        ("no past commands", PAST_COMMANDS.collect()),
+        ("no leaky averages", LEAKY.collect()),
+        ("no time", CLOCK.collect()),
+        // As the authors' controller, which sees the last errors and nothing else.
+        ("past errors alone", (PAST_ERRORS.end..FEATURES).collect()),
+    ];
+    for (name, blind_to) in without {
+        all.push(base.but("features", name, |config| config.train.blind_to = blind_to));
     }
     all
+}
+
+/// Training on one unit of the fleet or on several (domain randomisation), judged by one that nobody trained on.
+fn units(base: &Variant) -> Vec<Variant> {
+    let unit = |number: u32| {
+        let mut bench =
+            BenchConfig { name: format!("{}, unit {number}", base.judge.name), ..base.judge.clone() };
+        bench.unit.number = number;
+        bench
+    };
+    let (trained_on, judge) = UNITS;
+    let several: Vec<_> = trained_on.map(unit).collect();
+    // Each the same number of breaths in all.
+    let share = base.config.collect.breaths / several.len();
+    let one =
+        Variant { benches: vec![several[0].clone()], judge: unit(judge), ..base.but("units", "one", |_| ()) };
+    let many = Variant {
+        benches: several,
+        judge: unit(judge),
+        ..base.but("units", "four", |config| config.collect.breaths = share)
+    };
+    vec![one, many]
+}
+
+/// Ours and the authors' simulator at the authors' control period.
+fn simulators(base: &Variant) -> Vec<Variant> {
+    let slow = PipelineConfig::for_period(AUTHORS_PERIOD_US);
+    let theirs = StitchedConfig::for_period(AUTHORS_PERIOD_US);
+    let at_their_period = |config: &mut PipelineConfig| {
+        (config.period_us, config.architecture) = (slow.period_us, slow.architecture);
+    };
+    vec![
+        base.but("simulator", "ours at 30 ms", at_their_period),
+        base.but("simulator", "authors at 30 ms", |config| {
+            at_their_period(config);
+            (config.architecture, config.fit) = (Architecture::Stitched(theirs), FitConfig::authors());
+        }),
+    ]
 }

@@ -24,7 +24,7 @@ use crate::simulator::model::{Model, Simulator};
 use crate::simulator::state_space::StateSpaceTape;
 use crate::simulator::stitched::StitchedTape;
 use crate::simulator::{Dynamics, Start};
-use network::{chip_network, initial_parameters};
+use network::{blind_to, chip_network, initial_parameters};
 use rollout::{LaneController, Loss, Scenario, Tape};
 
 /// How to train.
@@ -55,6 +55,10 @@ pub struct TrainConfig {
     pub sensor_noise: Option<f32>,
     /// How much each plant counts, where there are several.
     pub weighting: Weighting,
+    /// Features that the network does not get to see, by their index in [`shared::control::features`]; tells what a
+    /// feature is worth.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub blind_to: Vec<usize>,
     /// Steps between validations.
     pub validate_every: usize,
     /// Optimiser.
@@ -77,6 +81,7 @@ impl Default for TrainConfig {
             start_spread: 0.05,
             sensor_noise: None,
             weighting: Weighting::Sum,
+            blind_to: Vec::new(),
             validate_every: 25,
             adam: AdamConfig { rate: 4e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,
@@ -213,7 +218,7 @@ impl Training {
     /// A specification that cannot be built.
     ///
     /// # Panics
-    /// Without a plant, or with one that has no simulator to train on.
+    /// Without a plant, with one that has no simulator to train on, or blind to a feature that does not exist.
     pub fn new(
         spec: ResidualSpec,
         plants: &[Plant<'_>],
@@ -225,7 +230,8 @@ impl Training {
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let fresh = initial_parameters(&mut rng);
         let base = Residual::new(spec, chip_network(&vec![0.0; fresh.len()]))?;
-        let parameters = warm.map_or(fresh, <[f32]>::to_vec);
+        let mut parameters = warm.map_or(fresh, <[f32]>::to_vec);
+        blind_to(&config.blind_to, &mut parameters);
         let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
         let plants: Vec<Ensemble> = plants
             .iter()
@@ -327,6 +333,7 @@ impl Training {
                 *sum += part / (parts.len() * LANES) as f32;
             }
         }
+        blind_to(&self.config.blind_to, &mut gradient);
         let progress = self.iteration as f32 / self.config.iterations as f32;
         self.adam.step(&mut self.parameters, &gradient, progress);
         self.iteration += 1;

@@ -118,6 +118,20 @@ pub fn initial_parameters(rng: &mut rand_chacha::ChaCha8Rng) -> Vec<f32> {
     parameters
 }
 
+/// Takes features out of a parameter vector, or out of a gradient: a network whose weights of a feature are zero and stay
+/// zero does not see it.
+///
+/// # Panics
+/// If there is no such feature.
+pub fn blind_to(features: &[usize], parameters: &mut [f32]) {
+    let [first, ..] = layout();
+    for row in first.slice_mut(parameters)[..first.inputs * first.outputs].chunks_exact_mut(first.inputs) {
+        for feature in features {
+            row[*feature] = 0.0;
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -149,6 +163,20 @@ mod tests {
             let chip = chip_network(&parameters).forward(&features);
             assert!((chip - output[l]).abs() < 1e-5, "{chip} against {}", output[l]);
         }
+    }
+
+    #[test]
+    fn a_network_that_is_blind_to_a_feature_does_not_see_it_but_sees_all_others() {
+        let (mut parameters, mut tape) = (parameters(), with_features());
+        blind_to(&[3, 9], &mut parameters);
+        let network = LaneNetwork::new(&parameters);
+        let output = network.forward(&mut tape, 0);
+        let d_features = network.backward(&mut tape, 0, Lane::splat(1.0));
+        for (feature, gradient) in d_features.iter().enumerate() {
+            assert_eq!(*gradient == Lane::ZERO, [3, 9].contains(&feature), "feature {feature}");
+        }
+        tape.features(0)[9] = Lane::splat(100.0);
+        assert_eq!(network.forward(&mut tape, 0), output);
     }
 
     #[test]

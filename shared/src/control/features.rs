@@ -12,6 +12,8 @@
 //! | 22 | PIP |
 //! | 23 | PEEP |
 
+use core::ops::Range;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -27,8 +29,18 @@ pub const COMMAND_TAPS: usize = 6;
 pub const AVERAGES: usize = 2;
 /// Number of time features.
 pub const TIMES: usize = 3;
-/// Length of the feature vector.
-pub const FEATURES: usize = ERROR_TAPS + COMMAND_TAPS + 2 * AVERAGES + 1 + TIMES + 2;
+/// Features of past errors.
+pub const PAST_ERRORS: Range<usize> = 0..ERROR_TAPS;
+/// Features of past commands.
+pub const PAST_COMMANDS: Range<usize> = PAST_ERRORS.end..PAST_ERRORS.end + COMMAND_TAPS;
+/// Leaky averages of the error, then of the command.
+pub const LEAKY: Range<usize> = PAST_COMMANDS.end..PAST_COMMANDS.end + 2 * AVERAGES;
+/// The PID's integral.
+pub const INTEGRAL: usize = LEAKY.end;
+/// Features of time.
+pub const CLOCK: Range<usize> = INTEGRAL + 1..INTEGRAL + 1 + TIMES;
+/// Length of the feature vector: after the time PIP and PEEP.
+pub const FEATURES: usize = CLOCK.end + 2;
 /// Longest tap, ticks.
 pub const TAP_MAX: u8 = (HISTORY - 1) as u8;
 
