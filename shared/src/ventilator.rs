@@ -17,10 +17,13 @@
 use serde::{Deserialize, Serialize};
 
 use crate::breath::{Breath, Phase};
-use crate::control::{Controller, ControllerState, Observation};
+use crate::control::{Controller, ControllerState, Observation, Wish};
 use crate::explore::{Exploration, Perturbation};
+use crate::safety::alarms::Fault;
 use crate::safety::filter::ValveCommand;
-use crate::safety::supervisor::{Fault, Supervisor};
+use crate::safety::ladder::Level;
+use crate::safety::monitors::Monitors;
+use crate::safety::supervisor::Supervisor;
 use crate::settings::{Settings, SettingsError};
 
 /// What the ventilator is doing.
@@ -73,6 +76,7 @@ pub struct Ventilator {
     period_us: u32,
     controller: Controller,
     exploration: Option<Exploration>,
+    monitors: Monitors,
 }
 
 /// Everything that changes from tick to tick.
@@ -92,7 +96,14 @@ pub struct VentilatorState {
 impl Ventilator {
     /// A ventilator with a control period in microseconds.
     pub fn new(period_us: u32, controller: Controller) -> Self {
-        Self { period_us, controller, exploration: None }
+        Self { period_us, controller, exploration: None, monitors: Monitors::ALL }
+    }
+
+    /// The same with these monitors alone, for a plant that is no ventilator, or to see what a monitor is there for.
+    #[must_use]
+    pub fn with_monitors(mut self, monitors: Monitors) -> Self {
+        self.monitors = monitors;
+        self
     }
 
     /// The same, exploring.
@@ -141,7 +152,7 @@ impl Ventilator {
             last_command: 0.0,
             perturbation: Perturbation::default(),
             controller: ControllerState::new(),
-            supervisor: Supervisor::new(),
+            supervisor: Supervisor::new(self.period_us, self.monitors),
         })
     }
 
@@ -157,7 +168,15 @@ impl Ventilator {
     /// One control tick with the pressure reading in cmH2O.
     #[inline]
     pub fn step(&self, state: &mut VentilatorState, reading: f32) -> Output {
-        let believed = state.supervisor.check(reading, &state.breath);
+        let tick = if state.mode == Mode::Ventilating {
+            if state.tick == 0 {
+                self.start_breath(state);
+            }
+            Some(state.tick)
+        } else {
+            None
+        };
+        let believed = state.supervisor.check(reading, &state.breath, tick);
         if let Some(fault) = state.supervisor.fault() {
             state.mode = Mode::Fault(fault);
         }
@@ -165,27 +184,28 @@ impl Ventilator {
             (Mode::Ventilating, Some(pressure)) => self.breathe(state, reading, pressure),
             (mode, _) => {
                 state.last_command = 0.0;
-                Output { command: ValveCommand::SAFE, mode, sample: None }
+                Output { command: state.supervisor.rest(), mode, sample: None }
             }
         }
     }
 
     /// One tick of a breath; `pressure` is the reading or, for a moment, what replaces it.
     fn breathe(&self, state: &mut VentilatorState, reading: f32, pressure: f32) -> Output {
-        if state.tick == 0 {
-            self.start_breath(state);
-        }
         let (tick, breath) = (state.tick, state.breath);
-        let (phase, target) = (breath.phase(tick), breath.target(tick));
         let settings = breath.settings();
+        let (phase, target) = match breath.phase(tick) {
+            // An inspiration that has met the pressure limit is over.
+            Phase::Inspiration if state.supervisor.cut() => (Phase::Fall, settings.peep),
+            phase => (phase, breath.target(tick)),
+        };
         let (wish, explore) = match phase {
             Phase::Inspiration => {
                 let seen = Observation { pressure, target, pip: settings.pip, peep: settings.peep, tick };
                 let explore = state.perturbation.at(tick, self.period_us);
-                (self.controller.step(&mut state.controller, &seen) + explore, explore)
+                (self.controller.step(&mut state.controller, &seen).plus(explore), explore)
             }
-            Phase::Fall => (0.0, 0.0),
-            Phase::Expiration => (settings.expiratory_bias, 0.0),
+            Phase::Fall => (Wish::plain(0.0), 0.0),
+            Phase::Expiration => (Wish::plain(settings.expiratory_bias), 0.0),
         };
         let command = state.supervisor.command(wish, phase != Phase::Inspiration);
         if phase == Phase::Inspiration {
@@ -253,9 +273,37 @@ impl VentilatorState {
         &self.controller
     }
 
+    /// Who commands the inspiratory valve.
+    pub fn level(&self) -> Level {
+        self.supervisor.level()
+    }
+
+    /// Whether the running inspiration was ended at the pressure limit.
+    pub fn cut(&self) -> bool {
+        self.supervisor.cut()
+    }
+
+    /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the lung as the last inspiration showed them.
+    pub fn lung(&self) -> Option<(f32, f32)> {
+        self.supervisor.lung()
+    }
+
+    /// The newest alarm that nobody has asked for yet.
+    pub fn take_raised(&mut self) -> Option<Fault> {
+        self.supervisor.take_raised()
+    }
+
+    /// Control ticks have been missed since the last step.
+    pub fn missed(&mut self, ticks: u32) {
+        if self.mode == Mode::Ventilating {
+            self.supervisor.missed(ticks);
+        }
+    }
+
     /// From standby, starts the first breath at the next tick. A latched fault must be acknowledged first.
     pub fn start(&mut self) {
         if self.mode == Mode::Standby {
+            self.supervisor.begin();
             (self.mode, self.number, self.tick) = (Mode::Ventilating, 0, 0);
         }
     }
@@ -283,9 +331,10 @@ mod tests {
     use crate::control::pid::{Pid, PidGains};
     use proptest::prelude::*;
 
+    /// With a plant that does as the tests say.
     fn ventilator() -> Ventilator {
         let pid = Pid::new(PidGains { p: 2.0, i: 20.0, d: 0.0 }, DEFAULT_PERIOD_US).unwrap();
-        Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid))
+        Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid)).with_monitors(Monitors::ANY_PLANT)
     }
 
     fn started(ventilator: &Ventilator) -> VentilatorState {
@@ -351,14 +400,27 @@ mod tests {
     }
 
     #[test]
-    fn a_high_pressure_latches_until_acknowledged() {
+    fn at_the_pressure_limit_the_inspiration_ends() {
         let ventilator = ventilator();
         let mut state = started(&ventilator);
-        let output = run(&ventilator, &mut state, 10, 61.0);
-        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure)));
+        let over = run(&ventilator, &mut state, 3, 61.0);
+        assert_eq!((over.command, over.mode), (ValveCommand::SAFE, Mode::Ventilating));
+        let sample = run(&ventilator, &mut state, 800, 7.0).sample.unwrap();
+        assert_eq!((sample.phase, sample.u_out, sample.target as i32), (Phase::Fall, true, 5));
+        let next = run(&ventilator, &mut state, 2198, 5.0).sample.unwrap();
+        assert_eq!((next.tick, next.phase, next.u_out), (0, Phase::Inspiration, false));
+    }
+
+    #[test]
+    fn a_pressure_far_above_its_limit_latches_until_acknowledged() {
+        let ventilator = ventilator();
+        let mut state = started(&ventilator);
+        let output = run(&ventilator, &mut state, 3, 76.0);
+        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
+        assert_eq!((state.take_raised(), state.take_raised()), (Some(Fault::HardLimit), None));
         state.start();
         let output = run(&ventilator, &mut state, 10_000, 5.0);
-        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HighPressure)));
+        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
         state.acknowledge();
         assert_eq!(state.mode(), Mode::Standby);
         state.start();
@@ -399,6 +461,7 @@ mod tests {
                         prop_assert!((0.0..=100.0).contains(&output.command.u_in()));
                         let inspiring = output.sample.is_some_and(|s| s.phase == Phase::Inspiration);
                         prop_assert_eq!(output.command.u_out(), !inspiring);
+                        prop_assert!(!state.cut() || output.command.u_out());
                     }
                 }
                 if let Mode::Fault(_) = before {

@@ -25,7 +25,7 @@ use shared::control::pid::{Pid, PidGains};
 use shared::device::KNOWN_GOOD;
 use shared::link::messages::{ControllerChoice, DeviceKind, Event, ResetCause, Slot, SlotState};
 use shared::link::telemetry::{Counters, PackedSample};
-use shared::safety::supervisor::Fault;
+use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};

@@ -75,7 +75,7 @@ mod tests {
     use shared::device::KNOWN_GOOD;
     use shared::link::PROTOCOL;
     use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, Slot};
-    use shared::safety::supervisor::Fault;
+    use shared::safety::alarms::Fault;
     use shared::ventilator::Mode;
     use shared::weights::ImageProblem;
 

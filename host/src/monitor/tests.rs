@@ -15,7 +15,7 @@ use shared::link::messages::{
 };
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
-use shared::safety::supervisor::Fault;
+use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 

@@ -10,7 +10,7 @@ use shared::control::pid::PidGains;
 use shared::device::timing::TickTimes;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::telemetry::BreathSummary;
-use shared::safety::supervisor::Fault;
+use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 

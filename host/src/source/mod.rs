@@ -17,7 +17,7 @@ pub use virtual_board::VirtualBoard;
 
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::safety::supervisor::Fault;
+use shared::safety::alarms::Fault;
 use shared::settings::{Settings, SettingsError};
 use shared::ventilator::{Sample, Ventilator};
 use thiserror::Error;

@@ -46,7 +46,7 @@ pub struct PortSource {
     begun: bool,
     /// Samples handed out since the start.
     handed: usize,
-    alarm: Option<shared::safety::supervisor::Fault>,
+    alarm: Option<shared::safety::alarms::Fault>,
     truth: Option<Truth>,
     /// Images whose bytes, and so their names, are known.
     images: Vec<Vec<u8>>,

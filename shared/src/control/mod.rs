@@ -30,6 +30,28 @@ pub struct Observation {
     pub tick: u32,
 }
 
+/// What a controller wants of the inspiratory valve, percent, both within `0..=100`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wish {
+    /// What its PID would command alone, in the same state.
+    pub base: f32,
+    /// What it commands, with what it has learned.
+    pub command: f32,
+}
+
+impl Wish {
+    /// A command with nothing learned in it.
+    pub const fn plain(command: f32) -> Self {
+        Self { base: command, command }
+    }
+
+    /// The same with so many percent more.
+    #[must_use]
+    pub fn plus(self, percent: f32) -> Self {
+        Self { base: self.base + percent, command: self.command + percent }
+    }
+}
+
 /// A built controller.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "one controller exists at a time, and nothing may allocate")]
@@ -60,8 +82,8 @@ impl Controller {
         state.residual.start_breath(command);
     }
 
-    /// One tick: the command wanted, percent, limited to `0..=100`.
-    pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> f32 {
+    /// One tick: the command wanted.
+    pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> Wish {
         match self {
             Self::Pid(pid) => pid.step(&mut state.residual.pid, seen, 0.0),
             Self::Residual(residual) => residual.step(&mut state.residual, seen),

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{COMMAND_MAX, Observation};
+use super::{COMMAND_MAX, Observation, Wish};
 use crate::breath::period_s;
 use crate::math;
 
@@ -112,22 +112,23 @@ impl Pid {
         self.derivative_factor
     }
 
-    /// One tick with `extra` percent added (the residual): the limited command, percent.
+    /// One tick with `extra` percent added (the residual): the limited commands with it and without.
     ///
     /// The integral is frozen while the whole command is saturated and the error would drive it further.
     #[inline]
-    pub fn step(&self, state: &mut PidState, seen: &Observation, extra: f32) -> f32 {
+    pub fn step(&self, state: &mut PidState, seen: &Observation, extra: f32) -> Wish {
         let error = seen.target - seen.pressure;
         let change = state.pressure.map_or(0.0, |last| seen.pressure - last);
         state.pressure = Some(seen.pressure);
         state.derivative += self.derivative_factor * (-self.derivative_scale * change - state.derivative);
-        let wanted = self.gains.p * error + state.integral + state.derivative + extra;
+        let base = self.gains.p * error + state.integral + state.derivative;
+        let wanted = base + extra;
         let winds_up = (wanted >= COMMAND_MAX && error > 0.0) || (wanted <= 0.0 && error < 0.0);
         if !winds_up {
             state.integral =
                 math::limit(state.integral + self.integral_step * error, -COMMAND_MAX, COMMAND_MAX);
         }
-        math::limit(wanted, 0.0, COMMAND_MAX)
+        Wish { base: math::limit(base, 0.0, COMMAND_MAX), command: math::limit(wanted, 0.0, COMMAND_MAX) }
     }
 
     /// Sets the integral so that the PID's own command, at this observation, is `command` percent: who takes
@@ -156,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_proportional_part_follows_the_error() {
-        let command = pid(2.0, 0.0, 0.0).step(&mut PidState::new(), &seen(10.0, 20.0), 0.0);
+        let command = pid(2.0, 0.0, 0.0).step(&mut PidState::new(), &seen(10.0, 20.0), 0.0).command;
         assert!((command - 20.0).abs() < 1e-6);
     }
 
@@ -173,7 +174,7 @@ mod tests {
     fn the_integral_does_not_wind_up_while_the_command_is_saturated() {
         let (pid, mut state) = (pid(10.0, 100.0, 0.0), PidState::new());
         for _ in 0..500 {
-            assert!((pid.step(&mut state, &seen(5.0, 35.0), 0.0) - 100.0).abs() < 1e-6);
+            assert!((pid.step(&mut state, &seen(5.0, 35.0), 0.0).command - 100.0).abs() < 1e-6);
         }
         assert!(state.integral.abs() < 1e-6, "integral {}", state.integral);
     }
@@ -209,14 +210,14 @@ mod tests {
             let (pid, mut state) = (pid(p, i, 0.0), PidState::new());
             let seen = seen(20.0 - error, 20.0);
             pid.observe(&mut state, &seen, command);
-            prop_assert!((pid.step(&mut state, &seen, 0.0) - command).abs() < 1e-3);
+            prop_assert!((pid.step(&mut state, &seen, 0.0).command - command).abs() < 1e-3);
         }
 
         #[test]
         fn commands_stay_in_range_whatever_is_measured(pressure in prop::num::f32::ANY) {
             let (pid, mut state) = (pid(5.0, 50.0, 0.05), PidState::new());
             for _ in 0..3 {
-                let command = pid.step(&mut state, &seen(pressure, 20.0), 0.0);
+                let command = pid.step(&mut state, &seen(pressure, 20.0), 0.0).command;
                 prop_assert!((0.0..=100.0).contains(&command));
             }
         }

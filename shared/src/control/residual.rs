@@ -6,7 +6,7 @@ use thiserror::Error;
 use super::features::{FeatureError, FeatureSpec, FeatureState, Features};
 use super::network::Network;
 use super::pid::{GainError, Pid, PidGains, PidState};
-use super::{COMMAND_MAX, Controller, Observation};
+use super::{COMMAND_MAX, Controller, Observation, Wish};
 use crate::breath::PERIOD_BOUNDS_US;
 use crate::math;
 
@@ -129,8 +129,8 @@ impl Residual {
         &self.network
     }
 
-    /// One tick: the command wanted, percent, limited to `0..=100`.
-    pub fn step(&self, state: &mut ResidualState, seen: &Observation) -> f32 {
+    /// One tick: the command wanted.
+    pub fn step(&self, state: &mut ResidualState, seen: &Observation) -> Wish {
         let features = self.features.step(&mut state.features, seen, state.pid.integral);
         let residual = self.correction(self.network.forward(&features));
         self.pid.step(&mut state.pid, seen, residual)
@@ -170,7 +170,7 @@ mod tests {
         let mut command = 0.0;
         for tick in 0..ticks {
             let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick };
-            command = controller.step(&mut state, &seen);
+            command = controller.step(&mut state, &seen).command;
             controller.applied(&mut state, command);
         }
         command

@@ -16,6 +16,7 @@ use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters};
+use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
 
@@ -88,6 +89,16 @@ impl Control {
             seed: None,
             peep: None,
         })
+    }
+
+    /// The same with these monitors alone, for a plant that is no ventilator; before anything is started.
+    #[must_use]
+    pub fn with_monitors(mut self, monitors: Monitors) -> Self {
+        self.ventilator = self.ventilator.with_monitors(monitors);
+        if let Ok(state) = self.ventilator.standby(self.state.breath().settings()) {
+            self.state = state;
+        }
+        self
     }
 
     /// What the ventilator is doing.
@@ -172,8 +183,10 @@ impl Control {
         if before == Mode::Ventilating && output.mode != Mode::Ventilating {
             tell(Report::Stopped);
         }
-        if let (Mode::Fault(fault), true) = (output.mode, before != output.mode) {
+        if let (Mode::Fault(_), true) = (output.mode, before != output.mode) {
             self.queue.clear();
+        }
+        if let Some(fault) = self.state.take_raised() {
             tell(Report::Alarm { fault, tick });
         }
         if let Some(counters) = counters {
@@ -190,7 +203,9 @@ impl Control {
     /// Takes in how long a tick took.
     #[inline]
     pub fn record(&mut self, time: &TickTime) {
+        let before = self.timer.missed();
         self.timer.record(time);
+        self.state.missed(self.timer.missed().saturating_sub(before));
     }
 
     /// Carries out an order.

@@ -22,7 +22,7 @@ use crate::control::pid::PidGains;
 use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, Response};
 use crate::link::telemetry::{BreathSummary, Counters};
-use crate::safety::supervisor::Fault;
+use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
 
@@ -92,7 +92,7 @@ pub enum Report {
     },
     /// A breath has ended.
     Breath(BreathSummary),
-    /// A fault has latched.
+    /// A monitor has found something; what follows from it says its row in [`crate::safety::alarms::ALARMS`].
     Alarm {
         /// Which.
         fault: Fault,

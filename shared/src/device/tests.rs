@@ -14,12 +14,13 @@ use crate::link::messages::{
 };
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
+use crate::safety::monitors::Monitors;
 use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 const CORE_HZ: u32 = 168_000_000;
 const TICKS_OF_A_BREATH: usize = 3000;
 
-/// A device without a chip: both halves, a plant that is always at 5 cmH2O, and what would go over the link.
+/// A device without a chip: both halves, a plant that is always at 5 cmH2O and no ventilator, and what would go over the link.
 struct Rig {
     control: Control,
     desk: Desk,
@@ -43,7 +44,9 @@ impl Rig {
             failure: None,
         };
         Self {
-            control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ).unwrap(),
+            control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ)
+                .unwrap()
+                .with_monitors(Monitors::ANY_PLANT),
             desk: Desk::new(facts),
             reports: Vec::new(),
             events: Vec::new(),
@@ -301,7 +304,9 @@ fn nothing_is_stored_and_nothing_restarts_while_ventilating() {
 
 #[test]
 fn reports_that_find_no_room_are_counted() {
-    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ)
+        .unwrap()
+        .with_monitors(Monitors::ANY_PLANT);
     control.execute(&Order::Start);
     let mut counted = 0;
     for tick in 0..=64 {

@@ -17,7 +17,7 @@ use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
 use crate::device::timing::TickTimes;
 use crate::explore::Exploration;
-use crate::safety::supervisor::Fault;
+use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::Mode;
 use crate::weights::ImageProblem;

@@ -35,7 +35,7 @@ pub fn golden(residual: &Residual) -> Golden {
     let mut all = CRC_32.digest();
     let mut last = 0;
     for tick in 0..TICKS {
-        let command = controller.step(&mut state, &script(tick));
+        let command = controller.step(&mut state, &script(tick)).command;
         controller.applied(&mut state, command);
         last = command.to_bits();
         all.update(&last.to_le_bytes());

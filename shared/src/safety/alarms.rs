@@ -1,0 +1,261 @@
+//! Everything that a monitor can find: its name, how urgent it is, what is done about it, when it begins and ends.
+//!
+//! [`ALARMS`] is the one table: the chip acts on it, the trainer prints it, and the table in SAFETY.md is generated from it.
+
+use serde::{Deserialize, Serialize};
+
+/// What a monitor has found. The order is that of the link and only ever grows at its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Fault {
+    /// The pressure reading is no number.
+    ReadingNotANumber,
+    /// The pressure reading is outside of what the sensor can give.
+    ReadingOutOfRange,
+    /// The airway pressure exceeded its limit again and again.
+    HighPressure,
+    /// Readings jump faster than any pressure can.
+    ReadingJumps,
+    /// The reading does not even move by its noise.
+    ReadingFrozen,
+    /// The reading is far noisier than a sound sensor's.
+    ReadingNoisy,
+    /// The airway pressure exceeded its limit by far, or did not fall after venting.
+    HardLimit,
+    /// The airway pressure has not come back to PEEP for a long time.
+    SustainedPressure,
+    /// At the end of the expiration the airway pressure stands above PEEP.
+    BaselineHigh,
+    /// At the end of the expiration the airway pressure stands below PEEP.
+    BaselineLow,
+    /// The inspiration does not reach its pressure although the valve is wide open.
+    LowPressure,
+    /// The airway pressure is gone in the middle of an inspiration.
+    Disconnection,
+    /// The same pressure now takes a small part of the volume that it took before.
+    Occlusion,
+    /// The pressure does not answer to what the valve delivers.
+    NoResponse,
+    /// Control ticks came too late.
+    MissedTicks,
+    /// A breath of the learned controller ended at the pressure limit: the PID goes on.
+    LearnedDistrusted,
+    /// A breath of the PID ended at the pressure limit too: its command is capped.
+    CommandCapped,
+}
+
+/// How urgent an alarm is (IEC 60601-1-8).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Priority {
+    /// Awareness is required.
+    Low,
+    /// A prompt response is required.
+    Medium,
+    /// An immediate response is required.
+    High,
+}
+
+/// What the ventilator does about it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Action {
+    /// The PID alone controls.
+    Pid,
+    /// The PID controls with a capped command.
+    CappedPid,
+    /// Inspiratory valve closed, expiratory valve open until an operator acknowledges.
+    Vent,
+}
+
+/// A row of the table of alarms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Alarm {
+    /// What it is about.
+    pub fault: Fault,
+    /// Name that scripts can rely on.
+    pub id: &'static str,
+    /// How urgent it is.
+    pub priority: Priority,
+    /// What is done.
+    pub action: Action,
+    /// When it begins.
+    pub entry: &'static str,
+    /// When it ends.
+    pub exit: &'static str,
+    /// What the operator reads.
+    pub text: &'static str,
+}
+
+/// What ends a latched alarm.
+const ACKNOWLEDGED: &str = "an operator acknowledges";
+/// What ends a step down the ladder.
+const CLEAN_BREATHS: &str = "5 breaths without another, at most 3 times; then an operator acknowledges";
+
+const fn vent(
+    fault: Fault,
+    id: &'static str,
+    priority: Priority,
+    entry: &'static str,
+    text: &'static str,
+) -> Alarm {
+    Alarm { fault, id, priority, action: Action::Vent, entry, exit: ACKNOWLEDGED, text }
+}
+
+/// All alarms, in the order of [`Fault`].
+pub const ALARMS: [Alarm; 17] = [
+    vent(
+        Fault::ReadingNotANumber,
+        "reading-nan",
+        Priority::High,
+        "5 ms without a number, or more than a tenth of the readings missing",
+        "sensor reading is no number",
+    ),
+    vent(
+        Fault::ReadingOutOfRange,
+        "reading-range",
+        Priority::High,
+        "readings outside of -30 to 110 cmH2O, counted as missing",
+        "sensor reading out of range",
+    ),
+    vent(
+        Fault::HighPressure,
+        "high-pressure",
+        Priority::High,
+        "a breath of the capped PID ends at the pressure limit",
+        "pressure above its limit",
+    ),
+    vent(
+        Fault::ReadingJumps,
+        "reading-jumps",
+        Priority::High,
+        "readings that differ by more than 15 cmH2O in 1 ms, counted as missing",
+        "sensor reading jumps",
+    ),
+    vent(
+        Fault::ReadingFrozen,
+        "reading-frozen",
+        Priority::High,
+        "the same reading to the last bit for 40 ms",
+        "sensor reading is frozen",
+    ),
+    Alarm {
+        fault: Fault::ReadingNoisy,
+        id: "reading-noisy",
+        priority: Priority::Medium,
+        action: Action::CappedPid,
+        entry: "noise of more than 0.4 cmH2O (standard deviation) over 50 ms",
+        exit: CLEAN_BREATHS,
+        text: "sensor reading is noisy",
+    },
+    vent(
+        Fault::HardLimit,
+        "hard-limit",
+        Priority::High,
+        "3 ms at more than 15 cmH2O above the limit, or 150 ms above the limit with the expiratory valve open",
+        "pressure far above its limit",
+    ),
+    vent(
+        Fault::SustainedPressure,
+        "sustained-pressure",
+        Priority::High,
+        "15 s without the airway pressure coming within 3 cmH2O of PEEP",
+        "pressure does not come down",
+    ),
+    vent(
+        Fault::BaselineHigh,
+        "baseline-high",
+        Priority::High,
+        "more than 3 cmH2O above PEEP at the end of 2 expirations in a row",
+        "pressure does not return to PEEP",
+    ),
+    vent(
+        Fault::BaselineLow,
+        "baseline-low",
+        Priority::Medium,
+        "more than 2 cmH2O below PEEP at the end of 3 expirations in a row",
+        "PEEP is lost: leak?",
+    ),
+    vent(
+        Fault::LowPressure,
+        "low-pressure",
+        Priority::High,
+        "less than 30 % of the way from PEEP to PIP at the end of 2 inspirations in a row",
+        "inspiration does not reach its pressure",
+    ),
+    vent(
+        Fault::Disconnection,
+        "disconnection",
+        Priority::High,
+        "200 ms at more than 2 cmH2O below PEEP while the inspiratory valve is more than half open",
+        "patient disconnected",
+    ),
+    vent(
+        Fault::Occlusion,
+        "occlusion",
+        Priority::High,
+        "less than a third of the volume for the same pressure in 2 breaths in a row",
+        "tube occluded",
+    ),
+    vent(
+        Fault::NoResponse,
+        "no-response",
+        Priority::High,
+        "40 ms with less than a fifth of the rise that valve, resistance and compliance foretell",
+        "pressure does not answer to the valve",
+    ),
+    vent(
+        Fault::MissedTicks,
+        "missed-ticks",
+        Priority::High,
+        "5 control ticks missed within a breath; from the first one on the PID controls",
+        "control is late",
+    ),
+    Alarm {
+        fault: Fault::LearnedDistrusted,
+        id: "learned-distrusted",
+        priority: Priority::Low,
+        action: Action::Pid,
+        entry: "2 of the learned controller's breaths in a row end at the pressure limit",
+        exit: CLEAN_BREATHS,
+        text: "learned controller replaced by PID",
+    },
+    Alarm {
+        fault: Fault::CommandCapped,
+        id: "command-capped",
+        priority: Priority::Medium,
+        action: Action::CappedPid,
+        entry: "a breath of the PID that follows ends at the pressure limit too",
+        exit: CLEAN_BREATHS,
+        text: "valve command capped",
+    },
+];
+
+impl Fault {
+    /// All of them.
+    pub fn all() -> impl Iterator<Item = Self> {
+        ALARMS.iter().map(|alarm| alarm.fault)
+    }
+
+    /// Its row in the table.
+    pub fn alarm(self) -> &'static Alarm {
+        &ALARMS[self as usize % ALARMS.len()]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_fault_finds_its_own_row() {
+        for (place, alarm) in ALARMS.iter().enumerate() {
+            assert_eq!(alarm.fault as usize, place);
+            assert_eq!(alarm.fault.alarm(), alarm);
+        }
+    }
+
+    #[test]
+    fn names_and_texts_are_told_apart() {
+        for (place, alarm) in ALARMS.iter().enumerate() {
+            assert!(ALARMS[..place].iter().all(|other| other.id != alarm.id && other.text != alarm.text));
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! The ladder of trust: learned controller, PID, PID with a capped command; below it stands only the latched safe state.
+//!
+//! A breath that ends at the pressure limit is a strike. Strikes lead down, clean breaths up again, but not for ever.
+
+use serde::{Deserialize, Serialize};
+
+use super::alarms::Fault;
+
+/// Highest command of the capped PID, percent.
+pub const CAP: f32 = 40.0;
+/// Strikes in a row that the learned controller may have.
+const LEARNED_STRIKES: u32 = 2;
+/// Clean breaths that lead one step up.
+const CLEAN_BREATHS: u32 = 5;
+/// Times that the ladder is climbed again before an operator has to acknowledge.
+const RETURNS: u32 = 3;
+
+/// Who commands the inspiratory valve.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Level {
+    /// The controller that was chosen, learned residual included.
+    #[default]
+    Learned,
+    /// Its PID alone.
+    Pid,
+    /// Its PID, with the command capped at [`CAP`].
+    CappedPid,
+}
+
+/// Where the ventilator stands on the ladder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ladder {
+    level: Level,
+    strikes: u32,
+    clean: u32,
+    returns: u32,
+}
+
+impl Ladder {
+    /// At the top.
+    pub const fn new() -> Self {
+        Self { level: Level::Learned, strikes: 0, clean: 0, returns: 0 }
+    }
+
+    /// Who commands.
+    pub fn level(&self) -> Level {
+        self.level
+    }
+
+    /// Down to at least this level.
+    pub fn step_down(&mut self, level: Level) {
+        self.level = self.level.max(level);
+        self.clean = 0;
+    }
+
+    /// A breath has ended, at the pressure limit or cleanly; what there is to tell.
+    pub fn breath_ended(&mut self, cut: bool) -> Option<Fault> {
+        if cut { self.strike() } else { self.clean_breath() }
+    }
+
+    fn strike(&mut self) -> Option<Fault> {
+        (self.strikes, self.clean) = (self.strikes + 1, 0);
+        match self.level {
+            Level::Learned if self.strikes < LEARNED_STRIKES => None,
+            Level::Learned => {
+                self.level = Level::Pid;
+                Some(Fault::LearnedDistrusted)
+            }
+            Level::Pid => {
+                self.level = Level::CappedPid;
+                Some(Fault::CommandCapped)
+            }
+            Level::CappedPid => Some(Fault::HighPressure),
+        }
+    }
+
+    fn clean_breath(&mut self) -> Option<Fault> {
+        (self.strikes, self.clean) = (0, self.clean.saturating_add(1));
+        if self.level != Level::Learned && self.clean >= CLEAN_BREATHS && self.returns < RETURNS {
+            self.level = if self.level == Level::CappedPid { Level::Pid } else { Level::Learned };
+            (self.clean, self.returns) = (0, self.returns + 1);
+        }
+        None
+    }
+}
+
+impl Default for Ladder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec;
+    use std::vec::Vec;
+
+    fn after(breaths: &[bool]) -> (Ladder, Vec<Fault>) {
+        let mut ladder = Ladder::new();
+        let told = breaths.iter().filter_map(|cut| ladder.breath_ended(*cut)).collect();
+        (ladder, told)
+    }
+
+    #[test]
+    fn a_single_breath_at_the_limit_is_a_cough() {
+        let (ladder, told) = after(&[false, true, false, true, false]);
+        assert_eq!((ladder.level(), told), (Level::Learned, vec![]));
+    }
+
+    #[test]
+    fn strikes_in_a_row_lead_all_the_way_down() {
+        let (ladder, told) = after(&[true; 4]);
+        assert_eq!(ladder.level(), Level::CappedPid);
+        assert_eq!(told, [Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure]);
+    }
+
+    #[test]
+    fn five_clean_breaths_lead_up_again_but_only_three_times() {
+        let mut ladder = Ladder::new();
+        for time in 0..5 {
+            ladder.breath_ended(true);
+            ladder.breath_ended(true);
+            for _ in 0..4 {
+                ladder.breath_ended(false);
+            }
+            assert_eq!(ladder.level(), Level::Pid, "the {time}th time");
+            ladder.breath_ended(false);
+            if time >= 3 {
+                assert_eq!(ladder.level(), Level::Pid);
+                return;
+            }
+            assert_eq!(ladder.level(), Level::Learned);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn nothing_leads_up_but_clean_breaths(breaths in prop::collection::vec(any::<bool>(), 0..200)) {
+            let mut ladder = Ladder::new();
+            for cut in breaths {
+                let before = ladder.level();
+                ladder.breath_ended(cut);
+                prop_assert!(!cut || ladder.level() >= before);
+            }
+        }
+    }
+}
