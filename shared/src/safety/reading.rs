@@ -157,7 +157,7 @@ mod tests {
         assert_eq!(found([f32::INFINITY; 5]), Some(Fault::ReadingOutOfRange));
         assert_eq!(found([-31.0; 5]), Some(Fault::ReadingOutOfRange));
         let every = |nth: usize| {
-            let with_gaps = move |(n, p)| if n % nth == 0 { f32::NAN } else { p };
+            let with_gaps = move |(n, p)| if n.is_multiple_of(nth) { f32::NAN } else { p };
             found(alive(15.0).enumerate().map(with_gaps).take(3000))
         };
         assert_eq!((every(20), every(5)), (None, nan));
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn jumps_are_not_believed() {
-        let jumping = |n: usize, p: f32| if n % 3 == 0 { p + 40.0 } else { p };
+        let jumping = |n: usize, p: f32| if n.is_multiple_of(3) { p + 40.0 } else { p };
         let readings = || alive(5.0).enumerate().map(move |(n, p)| jumping(n, p)).take(200);
         assert_eq!(found(readings()), Some(Fault::ReadingJumps));
         let steep = (0..8).map(|n| 5.0 + 11.0 * n as f32);
