@@ -93,7 +93,7 @@ fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablati
 
 fn variants(reproduction: &Reproduction, bench: &BenchConfig, gains: PidGains) -> Vec<Variant> {
     let Reproduction { seed, budget, .. } = reproduction;
-    let config = PipelineConfig { gains, seed: *seed, rounds: 1, ..budget.lung.clone() };
+    let config = PipelineConfig { gains, seed: *seed, ..budget.ablation.clone() };
     let base = Variant {
         group: "",
         name: String::new(),

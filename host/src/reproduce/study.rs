@@ -10,7 +10,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::{Observer, ReproduceError, Reproduction};
-use crate::baselines::Search;
+use crate::baselines::{Grid, Search};
 use crate::bench::BenchConfig;
 use crate::evaluate::{Evaluation, Plan, evaluate};
 use crate::files::write_atomically;
@@ -28,6 +28,8 @@ pub struct Budget {
     pub lung: PipelineConfig,
     /// The same for all lungs at once.
     pub generalist: PipelineConfig,
+    /// What the ablations vary.
+    pub ablation: PipelineConfig,
     /// PPO and DQN; the seed is replaced.
     pub learners: RlConfig,
 }
@@ -39,20 +41,26 @@ impl Budget {
         let mut generalist = PipelineConfig { ensemble: 1, ..lung.clone() };
         generalist.collect.breaths = 60;
         generalist.train.iterations = 1200;
-        Self { repeats: 2, search: Search::default(), lung, generalist, learners: RlConfig::default() }
+        let ablation = PipelineConfig { rounds: 1, ..lung.clone() };
+        let (search, learners) = (Search::default(), RlConfig::default());
+        Self { repeats: 2, search, lung, generalist, ablation, learners }
     }
 
     /// The same order of results in a few minutes.
     pub fn quick() -> Self {
-        let mut lung = PipelineConfig { rounds: 2, ensemble: 1, ..PipelineConfig::default() };
+        let mut lung = PipelineConfig { rounds: 1, ensemble: 1, ..PipelineConfig::default() };
         lung.collect.breaths = 60;
         lung.fit.epochs /= 2;
-        lung.train.iterations = 300;
-        let mut generalist = lung.clone();
+        lung.train.iterations = 250;
+        let mut generalist = PipelineConfig { rounds: 2, ..lung.clone() };
         generalist.collect.breaths = 40;
-        let search = Search { refinements: 1, ..Search::default() };
-        let learners = RlConfig { ppo_samples: 5_000_000, dqn_samples: 5_000_000, ..RlConfig::default() };
-        Self { repeats: 1, search, lung, generalist, learners }
+        let mut ablation = lung.clone();
+        ablation.collect.breaths = 40;
+        ablation.fit.epochs /= 2;
+        ablation.train.iterations = 120;
+        let search = Search { grid: Grid::coarse(), refinements: 2, ..Search::default() };
+        let learners = RlConfig { ppo_samples: 2_000_000, dqn_samples: 1_000_000, ..RlConfig::default() };
+        Self { repeats: 1, search, lung, generalist, ablation, learners }
     }
 }
 

@@ -7,8 +7,8 @@
 
 use shared::control::COMMAND_MAX;
 use shared::control::features::{
-    AVERAGES, COMMAND_SCALE, COMMAND_TAPS, ERROR_SCALE, ERROR_TAPS, FEATURES, Features, PEEP_SCALE,
-    PIP_SCALE, TIMES,
+    AVERAGES, CLOCK, COMMAND_SCALE, ERROR_SCALE, FEATURES, Features, INTEGRAL, LEAKY, PAST_COMMANDS,
+    PEEP_SCALE, PIP_SCALE,
 };
 use shared::control::pid::Pid;
 use shared::control::residual::Residual;
@@ -18,13 +18,10 @@ use super::network::{LaneNetwork, NetworkTape};
 use crate::engine::Lane;
 use crate::simulator::{self, CommandLog, Dynamics, Start, Timing};
 
-/// Index of each group of features, in the order of [`shared::control::features`].
-const COMMANDS_AT: usize = ERROR_TAPS;
-const ERROR_AVERAGES_AT: usize = COMMANDS_AT + COMMAND_TAPS;
-const COMMAND_AVERAGES_AT: usize = ERROR_AVERAGES_AT + AVERAGES;
-const INTEGRAL_AT: usize = COMMAND_AVERAGES_AT + AVERAGES;
-const TIMES_AT: usize = INTEGRAL_AT + 1;
-const PIP_AT: usize = TIMES_AT + TIMES;
+/// Where the leaky averages of the command begin.
+const COMMAND_AVERAGES_AT: usize = LEAKY.start + AVERAGES;
+/// Places of PIP and PEEP.
+const PIP_AT: usize = CLOCK.end;
 const PEEP_AT: usize = PIP_AT + 1;
 
 /// Error below which the L1 loss is rounded off, cmH2O: its kink would make the last steps of training rattle.
@@ -219,16 +216,16 @@ impl<'a> LaneController<'a> {
                 None => Lane::ZERO,
             };
         }
-        for (feature, tap) in features[COMMANDS_AT..].iter_mut().zip(spec.command_taps) {
+        for (feature, tap) in features[PAST_COMMANDS.start..].iter_mut().zip(spec.command_taps) {
             *feature = match tick.checked_sub(usize::from(tap)) {
                 Some(then) => tape.command[then].map(|u| u / COMMAND_SCALE),
                 None => Lane::splat(scenario.rest / COMMAND_SCALE),
             };
         }
-        features[ERROR_AVERAGES_AT..COMMAND_AVERAGES_AT].copy_from_slice(&carried.error_averages);
-        features[COMMAND_AVERAGES_AT..INTEGRAL_AT].copy_from_slice(&carried.command_averages);
-        features[INTEGRAL_AT] = carried.integral.map(|i| i / COMMAND_SCALE);
-        for (feature, time) in features[TIMES_AT..].iter_mut().zip(self.features().times(tick as u32)) {
+        features[LEAKY.start..COMMAND_AVERAGES_AT].copy_from_slice(&carried.error_averages);
+        features[COMMAND_AVERAGES_AT..INTEGRAL].copy_from_slice(&carried.command_averages);
+        features[INTEGRAL] = carried.integral.map(|i| i / COMMAND_SCALE);
+        for (feature, time) in features[CLOCK.start..].iter_mut().zip(self.features().times(tick as u32)) {
             *feature = Lane::splat(time);
         }
         [features[PIP_AT], features[PEEP_AT]] = *fixed;
@@ -358,14 +355,13 @@ impl<'a> LaneController<'a> {
                 tape.d_error[then].add_scaled(1.0 / ERROR_SCALE, d);
             }
         }
-        for (d, tap) in d[COMMANDS_AT..].iter().zip(spec.command_taps) {
+        for (d, tap) in d[PAST_COMMANDS.start..].iter().zip(spec.command_taps) {
             if let Some(then) = tick.checked_sub(usize::from(tap)) {
                 tape.d_command[then].add_scaled(1.0 / COMMAND_SCALE, d);
             }
         }
         let factors = self.features().error_factors();
-        for ((carried, d), factor) in back.error_averages.iter_mut().zip(&d[ERROR_AVERAGES_AT..]).zip(factors)
-        {
+        for ((carried, d), factor) in back.error_averages.iter_mut().zip(&d[LEAKY.start..]).zip(factors) {
             carried.add_scaled(1.0, d);
             tape.d_error[tick].add_scaled(factor / ERROR_SCALE, carried);
             *carried = carried.map(|d| (1.0 - factor) * d);
@@ -373,7 +369,7 @@ impl<'a> LaneController<'a> {
         for (carried, d) in back.command_averages.iter_mut().zip(&d[COMMAND_AVERAGES_AT..]) {
             carried.add_scaled(1.0, d);
         }
-        back.integral.add_scaled(1.0 / COMMAND_SCALE, &d[INTEGRAL_AT]);
+        back.integral.add_scaled(1.0 / COMMAND_SCALE, &d[INTEGRAL]);
     }
 }
 
