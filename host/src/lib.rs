@@ -14,6 +14,7 @@ pub mod device;
 pub mod emulator;
 pub mod engine;
 pub mod evaluate;
+pub mod faults;
 pub mod files;
 pub mod monitor;
 pub mod pipeline;

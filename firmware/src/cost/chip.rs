@@ -11,7 +11,7 @@ use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::features::{FeatureSpec, FeatureState};
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualSpec};
-use shared::control::{Controller, ControllerState, Observation};
+use shared::control::{Controller, ControllerState, Observation, Wish};
 use shared::device::control::Control;
 use shared::device::timing::TickTime;
 use shared::device::{KNOWN_GOOD, Order, Report};
@@ -20,6 +20,7 @@ use shared::link::frame::{FRAME_BYTES, encode_frame};
 use shared::link::messages::{ControllerChoice, DeviceKind, Event, ToHost};
 use shared::link::telemetry::{Batcher, Counters};
 use shared::math;
+use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::Supervisor;
 use shared::sensor::{Counts, Sensors};
 use shared::ventilator::Output;
@@ -125,7 +126,8 @@ fn parts(counting: &Cost) {
     let pid = Controller::Pid(*residual.pid());
     let breath = shared::breath::Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US);
     let Ok(breath) = breath else { unreachable!("the paper's settings are in bounds") };
-    let (mut supervisor, mut sensors) = (Supervisor::new(), Sensors::default());
+    let (mut supervisor, mut sensors) =
+        (Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL), Sensors::default());
     let (mut state, mut pid_state) = (ControllerState::new(), ControllerState::new());
     let mut feature_state = FeatureState::new();
     let mut costs = [Cost::NONE; 7];
@@ -134,13 +136,16 @@ fn parts(counting: &Cost) {
     for run in 0..RUNS {
         let counts = Counts { airway: 2500 + run as u16, outlet: 2510, flow: 2100 };
         let reading = sensor.of(|| sensors.read(black_box(counts)));
-        monitors.of(|| supervisor.check(black_box(reading.pressure), &breath));
+        monitors.of(|| {
+            supervisor.check(black_box(reading.pressure), &breath, Some(run));
+            supervisor.command(black_box(Wish { base: 20.0, command: 21.0 }), false)
+        });
         let pressure = 15.0 + 5.0 * numbers.next();
         let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run };
         let input = features.of(|| residual.features().step(&mut feature_state, black_box(&seen), 30.0));
         network.of(|| residual.network().forward(black_box(&input)));
         learned.of(|| {
-            let command = controller.step(&mut state, black_box(&seen));
+            let command = controller.step(&mut state, black_box(&seen)).command;
             controller.applied(&mut state, command);
         });
         plain.of(|| pid.step(&mut pid_state, black_box(&seen)));

@@ -40,6 +40,11 @@ impl Circuit {
         self.pressure = pressure;
     }
 
+    /// Another leak to the room, L/s at 30 cmH2O.
+    pub(super) fn set_leak(&mut self, flow: f64) {
+        self.leak = flow;
+    }
+
     /// The compliance as a branch to the present pressure.
     pub(super) fn storage(&self) -> Branch {
         Branch { conductance: self.storage, source: self.pressure }

@@ -11,6 +11,10 @@ pub(super) struct Expiratory {
     linear: f64,
     quadratic: f64,
     peep: f64,
+    /// It does not open any more.
+    shut: bool,
+    /// The PEEP valve does not turn any more.
+    held: bool,
 }
 
 impl Expiratory {
@@ -21,16 +25,35 @@ impl Expiratory {
             linear: config.laminar_resistance_cmh2o_per_l_s,
             quadratic: config.orifice_l_per_s_per_sqrt_cmh2o.powi(-2),
             peep,
+            shut: false,
+            held: false,
         }
     }
 
     pub(super) fn set_peep(&mut self, peep: f64) {
-        self.peep = peep;
+        if !self.held {
+            self.peep = peep;
+        }
+    }
+
+    /// From now on the PEEP valve holds this pressure, cmH2O.
+    pub(super) fn stick_at(&mut self, peep: f64) {
+        (self.peep, self.held) = (peep, true);
+    }
+
+    /// From now on the valve is closed.
+    pub(super) fn stay_closed(&mut self) {
+        self.shut = true;
+    }
+
+    /// From now on only this part of the flow gets through.
+    pub(super) fn clog(&mut self, part: f64) {
+        (self.linear, self.quadratic) = (self.linear / part, self.quadratic / (part * part));
     }
 
     /// Moves the valve by one sub-step towards open (`u_out`) or closed.
     pub(super) fn advance(&mut self, u_out: bool) {
-        self.opening.advance(if u_out { 1.0 } else { 0.0 });
+        self.opening.advance(if u_out && !self.shut { 1.0 } else { 0.0 });
     }
 
     /// The valves as a branch towards PEEP while the airway is at `pressure`; closed below PEEP.

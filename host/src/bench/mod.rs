@@ -11,6 +11,7 @@ mod branch;
 mod circuit;
 mod config;
 mod expiratory;
+mod failure;
 mod lag;
 mod lung;
 mod patient;
@@ -20,6 +21,8 @@ mod sensor;
 mod tests;
 mod unit;
 mod valve;
+
+pub use failure::Failure;
 
 pub use config::{
     BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LungConfig,
@@ -143,6 +146,12 @@ impl Bench {
             self.expiratory
                 .set_peep(f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end()));
         }
+    }
+
+    /// The patient coughs now, cmH2O.
+    pub fn cough(&mut self, peak: f64) {
+        let now = self.time_s();
+        self.patient.cough(peak, now);
     }
 
     /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if

@@ -23,6 +23,11 @@ impl Patient {
         Self { config, venting: true, breath: 0 }
     }
 
+    /// Coughs at this time, s.
+    pub(super) fn cough(&mut self, peak: f64, at_s: f64) {
+        (self.config.cough_cmh2o, self.config.cough_at_s) = (peak, at_s);
+    }
+
     /// Counts the breath if one starts; returns the factors on resistance and compliance if they change now.
     pub(super) fn observe(&mut self, u_out: bool) -> Option<(f64, f64)> {
         let starts = self.venting && !u_out;

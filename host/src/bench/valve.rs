@@ -85,6 +85,8 @@ pub(super) struct Valve {
     characteristic: Characteristic,
     full_flow_l_s: f64,
     supply: f64,
+    /// The stem does not move any more.
+    stuck: bool,
 }
 
 impl Valve {
@@ -104,7 +106,18 @@ impl Valve {
             characteristic: Characteristic::new(config.dead_zone_percent, config.curve_exponent),
             full_flow_l_s: config.max_flow_l_per_s * gain,
             supply: config.supply_pressure_cmh2o,
+            stuck: false,
         }
+    }
+
+    /// From now on the stem stands still at so many percent of its travel.
+    pub(super) fn stick_at(&mut self, percent: f64) {
+        (self.stem, self.stuck) = (percent, true);
+    }
+
+    /// From now on no gas comes to the valve.
+    pub(super) fn lose_supply(&mut self) {
+        self.full_flow_l_s = 0.0;
     }
 
     /// Takes the command of a new step, in percent. What no driver can output is limited; what is no
@@ -117,7 +130,9 @@ impl Valve {
     /// Moves actuator and stem by one sub-step.
     pub(super) fn advance(&mut self, sub_step: u32) {
         let actuator = self.actuator.advance(self.dead_time.delayed(sub_step));
-        self.stem = follow_with_play(self.stem, actuator, self.play);
+        if !self.stuck {
+            self.stem = follow_with_play(self.stem, actuator, self.play);
+        }
     }
 
     /// The valve as a branch towards its supply while the airway is at `pressure`: the flow falls with the

@@ -3,6 +3,7 @@
 //! A line is written when something changed, not when it was looked at.
 
 use shared::link::messages::{ControllerChoice, Event, Request, Response};
+use shared::safety::alarms::Action;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
@@ -47,7 +48,9 @@ impl Lines {
                 breath.breath, breath.mean_absolute_error, breath.peak_pressure, breath.end_pressure
             )),
             Event::Alarm { fault, tick } => {
-                self.mode = Some(Mode::Fault(*fault));
+                if fault.alarm().action == Action::Vent {
+                    self.mode = Some(Mode::Fault(*fault));
+                }
                 Some(format!("alarm {}: {}", words::moment(*tick, self.period_us), words::fault(*fault)))
             }
         }

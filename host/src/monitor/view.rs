@@ -10,7 +10,7 @@ use shared::control::pid::PidGains;
 use shared::device::timing::TickTimes;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::telemetry::BreathSummary;
-use shared::safety::alarms::Fault;
+use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
@@ -139,7 +139,9 @@ impl View {
             }
             Event::Alarm { fault, tick } => {
                 remember(&mut self.alarms, Alarm { fault: *fault, tick: *tick });
-                self.mode = Some(Mode::Fault(*fault));
+                if fault.alarm().action == Action::Vent {
+                    self.mode = Some(Mode::Fault(*fault));
+                }
             }
         }
     }

@@ -14,13 +14,9 @@ pub fn mode(mode: Mode) -> String {
     }
 }
 
-/// Why the ventilator stands in its safe state.
+/// What a monitor has found.
 pub fn fault(fault: Fault) -> &'static str {
-    match fault {
-        Fault::ReadingNotANumber => "sensor reading is no number",
-        Fault::ReadingOutOfRange => "sensor reading out of range",
-        Fault::HighPressure => "pressure above its limit",
-    }
+    fault.alarm().text
 }
 
 /// Which controller runs.

@@ -9,9 +9,11 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::breath::{Breath, Phase, period_s};
-use shared::control::Observation;
 use shared::control::features::FEATURES;
 use shared::control::residual::ResidualError;
+use shared::control::{Observation, Wish};
+use shared::safety::alarms::Fault;
+use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::Supervisor;
 
 use super::network::{Mlp, Tape, Weights};
@@ -171,7 +173,7 @@ fn run(
     let mut lung = Lung {
         bench: Bench::new(config, settings.peep, seed)?,
         breath,
-        supervisor: Supervisor::new(),
+        supervisor: Supervisor::new(plan.period_us, Monitors::ALL),
         reading: settings.peep,
         last_command: 0.0,
     };
@@ -218,8 +220,9 @@ impl Lung {
 
     fn tick(&mut self, pilot: &mut impl Pilot, number: u32, tick: u32) -> Result<(), SourceError> {
         let (phase, settings) = (self.breath.phase(tick), *self.breath.settings());
-        let believed = self.supervisor.check(self.reading, &self.breath);
-        if let Some(fault) = self.supervisor.fault() {
+        let believed = self.supervisor.check(self.reading, &self.breath, Some(tick));
+        let cut = self.supervisor.cut().then_some(Fault::HighPressure);
+        if let Some(fault) = self.supervisor.fault().or(cut) {
             return Err(SourceError::Fault { fault, breath: number, tick });
         }
         let wish = match phase {
@@ -233,7 +236,7 @@ impl Lung {
             Phase::Fall => 0.0,
             Phase::Expiration => settings.expiratory_bias,
         };
-        let command = self.supervisor.command(wish, phase != Phase::Inspiration);
+        let command = self.supervisor.command(Wish::plain(wish), phase != Phase::Inspiration);
         if phase == Phase::Inspiration {
             pilot.applied(command.u_in());
         }

@@ -2,6 +2,8 @@
 
 use shared::control::Controller;
 use shared::explore::Exploration;
+use shared::safety::alarms::Fault;
+use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Ventilator, VentilatorState};
 
@@ -23,7 +25,7 @@ impl BalloonSource {
     /// # Errors
     /// Settings that are refused.
     pub fn new(controller: Controller) -> Result<Self, SourceError> {
-        let ventilator = ventilator(PERIOD_US, controller, None);
+        let ventilator = ventilator(PERIOD_US, controller, None).with_monitors(Monitors::ANY_PLANT);
         let mut state = ventilator.standby(&settings(Settings::default().pip))?;
         state.start();
         Ok(Self { balloon: Balloon::default(), ventilator, state })
@@ -39,6 +41,10 @@ impl BalloonSource {
         }
         let truth = Some(TickTruth { airway_pressure: pressure, sensor_pressure: pressure, lung_volume });
         match (output.sample, output.mode) {
+            (Some(_), _) if self.state.cut() => {
+                let (breath, tick) = (self.state.breath_number(), self.state.tick());
+                Err(SourceError::Fault { fault: Fault::HighPressure, breath, tick })
+            }
             (Some(sample), _) => Ok(Tick { sample, truth }),
             (None, Mode::Fault(fault)) => {
                 let (breath, tick) = (self.state.breath_number(), self.state.tick());

@@ -2,6 +2,7 @@
 
 use shared::control::Controller;
 use shared::explore::Exploration;
+use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Ventilator, VentilatorState};
@@ -63,6 +64,10 @@ impl BenchSource {
             self.reading = self.bench.step(output.command.u_in(), output.command.u_out()).pressure;
         }
         match (output.sample, output.mode) {
+            (Some(_), _) if self.state.cut() => {
+                let (breath, tick) = (self.state.breath_number(), self.state.tick());
+                Err(SourceError::Fault { fault: Fault::HighPressure, breath, tick })
+            }
             (Some(sample), _) => Ok(Tick { sample, truth: Some(truth) }),
             (None, Mode::Fault(fault)) => {
                 let (breath, tick) = (self.state.breath_number(), self.state.tick());
@@ -126,6 +131,7 @@ impl Source for BenchSource {
         for _ in 0..shared::math::ticks(REST_TIME, STEP_US) {
             self.reading = self.bench.step(ValveCommand::SAFE.u_in(), ValveCommand::SAFE.u_out()).pressure;
         }
+        self.state.stop();
         self.state.acknowledge();
         self.state.start();
         Ok(())

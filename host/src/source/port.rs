@@ -14,6 +14,7 @@ use shared::explore::Exploration;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, SlotState};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::PackedSample;
+use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
@@ -46,7 +47,7 @@ pub struct PortSource {
     begun: bool,
     /// Samples handed out since the start.
     handed: usize,
-    alarm: Option<shared::safety::alarms::Fault>,
+    alarm: Option<Fault>,
     truth: Option<Truth>,
     /// Images whose bytes, and so their names, are known.
     images: Vec<Vec<u8>>,
@@ -158,7 +159,11 @@ impl PortSource {
                 Ok(Event::Telemetry(batch)) => {
                     self.samples.extend(batch.samples.iter().map(PackedSample::unpack));
                 }
-                Ok(Event::Alarm { fault, .. }) => self.alarm = Some(fault),
+                // What does not end ventilation does not end a recording.
+                Ok(Event::Alarm { fault, .. }) if fault.alarm().action == Action::Vent => {
+                    self.alarm = Some(fault)
+                }
+                Ok(Event::Alarm { .. }) => {}
                 Ok(Event::Breath(_)) => {}
                 Err(RecvTimeoutError::Timeout) => return Err(SourceError::Silent { breath }),
                 Err(RecvTimeoutError::Disconnected) => {
@@ -225,7 +230,8 @@ impl Source for PortSource {
     }
 
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
-        let ticks = Breath::new(settings, self.period_us())?.total_ticks();
+        let asked = Breath::new(settings, self.period_us())?;
+        let (inspiration, ticks) = (asked.inspiration_ticks(), asked.total_ticks());
         if self.plan.front() != Some(settings) {
             self.upcoming(core::slice::from_ref(settings))?;
         }
@@ -237,6 +243,12 @@ impl Source for PortSource {
             let Some(sample) = self.sample(breath.unwrap_or(0))? else {
                 return Err(self.fault(breath.unwrap_or(0), tick));
             };
+            if sample.u_out && tick < inspiration {
+                // The inspiration was ended at the pressure limit: not the breath that was asked for.
+                self.device.stop()?;
+                self.alarm = Some(Fault::HighPressure);
+                return Err(self.fault(sample.breath, tick));
+            }
             let expected = (*breath.get_or_insert(sample.breath), tick);
             if (sample.breath, sample.tick) != expected {
                 return Err(SourceError::Lost { breath: expected.0, tick });
@@ -259,7 +271,9 @@ impl Source for PortSource {
         while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(20));
         }
-        self.device.acknowledge()?;
+        if let Mode::Fault(_) = self.device.identify()?.mode {
+            self.device.acknowledge()?;
+        }
         // The plant goes on where it was, as a patient would.
         self.seed = None;
         self.halt()

@@ -574,7 +574,7 @@ mod tests {
                 let pressure = tape.pressure[tick][l] + scenario.noise[tick][l];
                 let (target, pip) = (scenario.pip[l], scenario.pip[l]);
                 let seen = Observation { pressure, target, pip, peep: 5.0, tick: tick as u32 };
-                let command = chip.step(&mut state, &seen);
+                let command = chip.step(&mut state, &seen).command;
                 chip.applied(&mut state, command);
                 // The chip follows the lanes' pressures, so a difference cannot build up through the plant.
                 assert!((command - tape.command[tick][l]).abs() < 1e-2, "tick {tick}");

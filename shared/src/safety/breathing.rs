@@ -25,6 +25,8 @@ pub struct Breathing {
     pressure: Mean,
     command: Mean,
     gone: u32,
+    /// The running inspiration was cut short.
+    cut: bool,
     /// Breaths in a row with each complaint.
     high: u32,
     low: u32,
@@ -63,6 +65,7 @@ impl Breathing {
             pressure: Mean::EMPTY,
             command: Mean::EMPTY,
             gone: 0,
+            cut: false,
             high: 0,
             low: 0,
             weak: 0,
@@ -72,7 +75,7 @@ impl Breathing {
     }
 
     /// Takes in a tick: the believed pressure, cmH2O, the last command, percent, and the volume delivered so far, mL. A
-    /// breath that was cut short tells nothing of its inspiration.
+    /// breath that is cut short tells of the tube at that moment, and of nothing else.
     #[inline]
     pub fn check(
         &mut self,
@@ -89,6 +92,12 @@ impl Breathing {
         if monitors.has(Fault::Disconnection) && self.gone >= times.disconnected {
             return Some(Fault::Disconnection);
         }
+        // Where the baseline stands high another part has failed.
+        if inspires && cut && !self.cut && self.high == 0 && self.occluded(pressure - peep, volume, monitors)
+        {
+            return Some(Fault::Occlusion);
+        }
+        self.cut = cut;
         if tick + times.end_of_phase >= end {
             self.pressure.add(pressure);
             self.command.add(command);
@@ -100,7 +109,7 @@ impl Breathing {
         match (inspires, cut) {
             (true, true) => None,
             (true, false) => self.inspired(pressure, command, volume, breath, monitors),
-            (false, _) => self.expired(pressure - peep, monitors),
+            (false, cut) => self.expired(pressure - peep, cut, monitors),
         }
     }
 
@@ -116,22 +125,31 @@ impl Breathing {
         let rise = pressure - settings.peep;
         let again = |count: u32, complaint: bool| if complaint { count.saturating_add(1) } else { 0 };
         self.weak = again(self.weak, rise < REACHED * (settings.pip - settings.peep) && command > WIDE_OPEN);
-        let compliance = (rise > TELLING_RISE).then(|| volume / rise);
-        let occluded =
-            matches!((compliance, self.compliance), (Some(now), Some(then)) if now < OCCLUDED * then);
-        self.occluded = again(self.occluded, occluded);
-        if !occluded {
-            self.compliance = compliance.or(self.compliance);
-        }
+        let occluded = self.occluded(rise, volume, monitors);
         if monitors.has(Fault::LowPressure) && self.weak >= 2 {
             return Some(Fault::LowPressure);
         }
-        (monitors.has(Fault::Occlusion) && self.occluded >= 2).then_some(Fault::Occlusion)
+        occluded.then_some(Fault::Occlusion)
     }
 
-    fn expired(&mut self, above_peep: f32, monitors: Monitors) -> Option<Fault> {
+    /// Compares volume and rise with those of the last good breath; whether the tube is occluded.
+    fn occluded(&mut self, rise: f32, volume: f32, monitors: Monitors) -> bool {
+        if rise <= TELLING_RISE {
+            return false;
+        }
+        let compliance = volume / rise;
+        if self.compliance.is_some_and(|before| compliance < OCCLUDED * before) {
+            self.occluded = self.occluded.saturating_add(1);
+        } else {
+            (self.occluded, self.compliance) = (0, Some(compliance));
+        }
+        monitors.has(Fault::Occlusion) && self.occluded >= 2
+    }
+
+    fn expired(&mut self, above_peep: f32, cut: bool, monitors: Monitors) -> Option<Fault> {
         self.high = if above_peep > ABOVE_PEEP { self.high + 1 } else { 0 };
-        self.low = if above_peep < -BELOW_PEEP { self.low + 1 } else { 0 };
+        // After a cough the lung holds less than at PEEP.
+        self.low = if above_peep < -BELOW_PEEP && !cut { self.low + 1 } else { 0 };
         if monitors.has(Fault::BaselineHigh) && self.high >= 2 {
             return Some(Fault::BaselineHigh);
         }

@@ -28,6 +28,8 @@ const RESISTANCE_MAX: f32 = 300.0;
 const TELLING_RISE: f32 = 10.0;
 /// Part of the rise foretold that must be seen.
 const ANSWER: f32 = 0.2;
+/// A fall from the start beyond which gas is lost, cmH2O.
+const FALL: f32 = 1.5;
 /// Volume below which an inspiration tells nothing of the lung, mL.
 const TELLING_VOLUME: f32 = 20.0;
 
@@ -120,7 +122,8 @@ impl Opinion {
         sums.qy += q * rise;
         let (elastance, resistance) = self.lung.unwrap_or((SOFTEST, 0.0));
         let foretold = elastance * v + resistance * q;
-        let silent = foretold > TELLING_RISE && rise < ANSWER * foretold;
+        // A pressure that has gone below its start is an open tube, which another monitor finds.
+        let silent = foretold > TELLING_RISE && rise < ANSWER * foretold && rise > -FALL;
         self.unanswered = if silent { self.unanswered.saturating_add(1) } else { 0 };
         self.unanswered >= times.unanswered
     }

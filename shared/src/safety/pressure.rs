@@ -107,7 +107,7 @@ mod tests {
     fn three_milliseconds_above_the_limit_end_the_breath_and_a_spike_does_not() {
         let slow = |n: usize| 30.0 + 0.1 * n as f32;
         assert_eq!(first((0..400).map(slow), false), Some((103, Bearable::EndBreath)));
-        let spikes = (0..400).map(|n| if n % 10 == 0 { 40.5 } else { 39.5 });
+        let spikes = (0..400).map(|n| if u32::is_multiple_of(n, 10) { 40.5 } else { 39.5 });
         assert_eq!(first((0..200).map(|n| 39.5_f32.min(slow(n))).chain(spikes), false), None);
     }
 

@@ -26,6 +26,8 @@ pub struct Reading {
     before: f32,
     /// Missing readings, each counted [`MAKE_UP`] times, less the good ones since.
     debt: u32,
+    /// How often each problem has come since there was none: no number, out of range, jumps.
+    problems: [u32; 3],
     /// Consecutive ticks without a good reading.
     gap: u32,
     same: u32,
@@ -46,7 +48,15 @@ pub struct Believed {
 impl Reading {
     /// Nothing has been read yet.
     pub const fn new() -> Self {
-        Self { last_good: None, before: 0.0, debt: 0, gap: 0, same: 0, second_difference: 0.0 }
+        Self {
+            last_good: None,
+            before: 0.0,
+            debt: 0,
+            problems: [0; 3],
+            gap: 0,
+            same: 0,
+            second_difference: 0.0,
+        }
     }
 
     /// Takes in one reading; `moving` says that a breath runs, so that a sound sensor cannot stand still.
@@ -56,6 +66,9 @@ impl Reading {
             return self.bridge(problem, times);
         }
         self.debt = self.debt.saturating_sub(1);
+        if self.debt == 0 {
+            self.problems = [0; 3];
+        }
         let fault = self.good(reading, moving, monitors, times);
         Believed { pressure: Some(reading), fresh: true, fault }
     }
@@ -78,8 +91,27 @@ impl Reading {
     fn bridge(&mut self, problem: Fault, times: &Times) -> Believed {
         self.gap = self.gap.saturating_add(1);
         self.debt = self.debt.saturating_add(MAKE_UP);
-        let fault = (self.debt >= times.missing * MAKE_UP).then_some(problem);
+        let [no_number, out_of_range, jumps] = &mut self.problems;
+        let count = match problem {
+            Fault::ReadingNotANumber => no_number,
+            Fault::ReadingOutOfRange => out_of_range,
+            _ => jumps,
+        };
+        *count = count.saturating_add(1);
+        let fault = (self.debt >= times.missing * MAKE_UP).then(|| self.main_problem());
         Believed { pressure: self.last_good, fresh: false, fault }
+    }
+
+    /// The problem that came most often.
+    fn main_problem(&self) -> Fault {
+        let [no_number, out_of_range, jumps] = self.problems;
+        if jumps >= no_number.max(out_of_range) {
+            Fault::ReadingJumps
+        } else if out_of_range >= no_number {
+            Fault::ReadingOutOfRange
+        } else {
+            Fault::ReadingNotANumber
+        }
     }
 
     fn good(&mut self, reading: f32, moving: bool, monitors: Monitors, times: &Times) -> Option<Fault> {
