@@ -25,6 +25,14 @@ fn main() {
             );
         }
     }
+    let alarms = host::faults::matrix::false_alarms(
+        &lungs,
+        1120,
+        &host::faults::matrix::sound_pid().unwrap(),
+        &Watch::silent(),
+    )
+    .unwrap();
+    println!("false alarms {} {:?}", alarms.len(), &alarms[..alarms.len().min(30)]);
     for f in Fault::all() {
         let rows = matrix(&lungs[4..5], &[1], Monitors::ALL.without(f), &Watch::silent()).unwrap();
         let failed: Vec<_> = rows.iter().filter(|r| !r.pass).map(|r| r.fault).collect();

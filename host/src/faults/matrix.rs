@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
-use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
 use shared::control::Controller;
 use shared::control::features::FeatureSpec;
 use shared::control::network::Network;
@@ -32,6 +32,8 @@ const MID_INSPIRATION_MS: u32 = 6400;
 const BEFORE_INSPIRATION_MS: u32 = 8900;
 /// In the middle of the second inspiration at 4 breaths a minute, ms.
 const SLOW_INSPIRATION_MS: u32 = 15_500;
+/// Breaths of a run with nothing wrong.
+const NOMINAL_BREATHS: u32 = 10;
 /// How long a trial is watched after its fault, ms.
 const WATCHED_MS: u32 = 21_000;
 
@@ -157,7 +159,7 @@ const MACHINE: [FaultCase; 14] = [
     before("tube occluded", Injection::Part(Failure::TubeOccluded), &[Fault::Occlusion]),
     stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]),
     part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]),
-    part("leak of 1 L/s", Failure::Leak(1.0), &[Fault::BaselineLow]),
+    before("leak of 0.8 L/s", Injection::Part(Failure::Leak(0.8)), &[Fault::BaselineLow]),
     FaultCase {
         onset_ms: 0,
         ..part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure])
@@ -253,6 +255,62 @@ fn alternating() -> Network {
     network.hidden_2.weights[0][0] = 100.0;
     network.output.weights[0][0] = -2.0;
     network
+}
+
+/// Breathes so many breaths on every lung with effort and coughs and nothing wrong; the alarms that came.
+///
+/// # Errors
+/// A bench that is refused; the wish to stop.
+pub fn false_alarms(
+    lungs: &[BenchConfig],
+    breaths: u32,
+    controller: &Controller,
+    watch: &Watch<'_>,
+) -> Result<Vec<(String, Fault)>, SourceError> {
+    let runs: Vec<(u64, BenchConfig)> = (0..u64::from(breaths / NOMINAL_BREATHS))
+        .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
+        .collect();
+    let found: Result<Vec<_>, _> = runs
+        .par_iter()
+        .map(|(seed, bench)| {
+            if watch.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            let pip = PAPER_PIPS[*seed as usize % PAPER_PIPS.len()];
+            let outcome = run(&Trial {
+                bench,
+                settings: paper_settings(pip),
+                controller,
+                monitors: Monitors::ALL,
+                injection: Injection::Controller,
+                onset_ms: 0,
+                watched_ms: NOMINAL_BREATHS * 3000,
+                seed: *seed,
+            })?;
+            let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
+            Ok(alarms.collect::<Vec<_>>())
+        })
+        .collect();
+    Ok(found?.concat())
+}
+
+/// A unit of the fleet, and a patient who breathes and coughs, each time otherwise.
+fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
+    let mut bench = lung.clone();
+    bench.unit.number = seed as u32;
+    bench.patient.effort_cmh2o = [0.0, 3.0, 6.0][seed as usize % 3];
+    bench.patient.effort_rate_per_min = 11.0 + (seed % 7) as f64;
+    bench.patient.cough_cmh2o = 20.0;
+    bench.patient.cough_at_s = 9.0 + 0.137 * (seed % 90) as f64;
+    bench
+}
+
+/// The PID that is best for all the paper's lungs.
+///
+/// # Errors
+/// Never; its gains are in range.
+pub fn sound_pid() -> Result<Controller, SourceError> {
+    Pilot::Sound.controller()
 }
 
 /// Tries every case on every lung under every seed.

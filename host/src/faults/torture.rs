@@ -31,6 +31,8 @@ pub const BREATHS_PER_RUN: u64 = 10;
 pub const LIMIT: f32 = 40.0;
 /// Highest true airway pressure, cmH2O.
 pub const BOUND: f64 = 60.0;
+/// No fault comes before the second opinion has seen two breaths, ms.
+const WARM_UP_MS: u32 = 6000;
 /// Runs between two looks at the wish to stop.
 const BATCH: u64 = 500;
 /// Ranges of resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
@@ -100,7 +102,7 @@ fn torment(seed: u64, number: u64) -> Result<(f64, bool), SourceError> {
         Settings { pressure_limit: LIMIT, ..paper_settings(rng.random_range(8.0_f32..=LIMIT - 5.0)) };
     let controller = hostile(&mut rng).ok_or(SourceError::Stopped)?;
     let watched_ms = 3000 * BREATHS_PER_RUN as u32;
-    let onset_ms = rng.random_range(0..watched_ms / 2);
+    let onset_ms = rng.random_range(WARM_UP_MS..watched_ms / 2);
     let trial = Trial {
         bench: &bench,
         settings,

@@ -184,7 +184,7 @@ pub const ALARMS: [Alarm; 17] = [
         Fault::Disconnection,
         "disconnection",
         Priority::High,
-        "200 ms at more than 2 cmH2O below PEEP while the inspiratory valve is more than half open",
+        "150 ms at more than 2 cmH2O below PEEP while the inspiratory valve is commanded more than 30 % open",
         "patient disconnected",
     ),
     vent(
@@ -198,7 +198,7 @@ pub const ALARMS: [Alarm; 17] = [
         Fault::NoResponse,
         "no-response",
         Priority::High,
-        "40 ms with less than a fifth of the rise that valve, resistance and compliance foretell",
+        "40 ms with less than a fifth of the rise that valve, resistance and compliance foretell, or 20 ms without any",
         "pressure does not answer to the valve",
     ),
     vent(

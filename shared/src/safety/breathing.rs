@@ -12,8 +12,8 @@ const BELOW_PEEP: f32 = 2.0;
 const REACHED: f32 = 0.3;
 /// Mean command above which the valve counts as wide open, percent.
 const WIDE_OPEN: f32 = 60.0;
-/// Command above which the valve counts as half open, percent.
-const HALF_OPEN: f32 = 50.0;
+/// Command above which an airway cannot stay empty, percent.
+const FILLING: f32 = 30.0;
 /// Part of the compliance before that is left when the tube is occluded.
 const OCCLUDED: f32 = 1.0 / 3.0;
 /// Rise that is needed to tell a compliance, cmH2O.
@@ -87,7 +87,7 @@ impl Breathing {
         let peep = breath.settings().peep;
         let inspires = breath.phase(tick) == Phase::Inspiration;
         let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
-        let gone = inspires && !cut && command > HALF_OPEN && pressure < peep - BELOW_PEEP;
+        let gone = inspires && !cut && command > FILLING && pressure < peep - BELOW_PEEP;
         self.gone = if gone { self.gone.saturating_add(1) } else { 0 };
         if monitors.has(Fault::Disconnection) && self.gone >= times.disconnected {
             return Some(Fault::Disconnection);

@@ -57,6 +57,8 @@ pub struct Times {
     pub disconnected: u32,
     /// It may leave the valve's delivery unanswered for so long.
     pub unanswered: u32,
+    /// It may stand still against it for so long.
+    pub stands: u32,
 }
 
 impl Times {
@@ -71,8 +73,9 @@ impl Times {
             venting: at_least_one(0.15),
             sustained: at_least_one(15.0),
             end_of_phase: at_least_one(0.05),
-            disconnected: at_least_one(0.2),
+            disconnected: at_least_one(0.15),
             unanswered: at_least_one(0.04),
+            stands: at_least_one(0.02),
         }
     }
 }

@@ -26,10 +26,14 @@ const ELASTANCES: (f32, f32) = (SOFTEST, 1.0);
 const RESISTANCE_MAX: f32 = 300.0;
 /// A rise below this tells nothing, cmH2O.
 const TELLING_RISE: f32 = 10.0;
+/// A change below this is no change but noise, cmH2O.
+const STANDS: f32 = 1.0;
 /// Part of the rise foretold that must be seen.
 const ANSWER: f32 = 0.2;
 /// A fall from the start beyond which gas is lost, cmH2O.
 const FALL: f32 = 1.5;
+/// Ticks over which a change is foretold, so that a reading that freezes in the middle of an inspiration is found as well.
+const WINDOW: usize = 64;
 /// Volume below which an inspiration tells nothing of the lung, mL.
 const TELLING_VOLUME: f32 = 20.0;
 
@@ -61,6 +65,10 @@ pub struct Opinion {
     /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the last inspiration.
     lung: Option<(f32, f32)>,
     unanswered: u32,
+    frozen: u32,
+    /// Pressure and rise foretold of the last ticks, and how many of them belong to this inspiration.
+    past: [(f32, f32); WINDOW],
+    ticks: usize,
 }
 
 impl Opinion {
@@ -80,6 +88,9 @@ impl Opinion {
             sums: Sums::default(),
             lung: None,
             unanswered: 0,
+            frozen: 0,
+            past: [(0.0, 0.0); WINDOW],
+            ticks: 0,
         }
     }
 
@@ -95,7 +106,8 @@ impl Opinion {
 
     /// An inspiration starts at a pressure, cmH2O.
     pub fn start(&mut self, pressure: f32) {
-        (self.start, self.volume, self.sums, self.unanswered) = (pressure, 0.0, Sums::default(), 0);
+        (self.start, self.volume, self.sums) = (pressure, 0.0, Sums::default());
+        (self.unanswered, self.frozen, self.ticks) = (0, 0, 0);
     }
 
     /// Takes in the command that was applied, percent.
@@ -122,10 +134,17 @@ impl Opinion {
         sums.qy += q * rise;
         let (elastance, resistance) = self.lung.unwrap_or((SOFTEST, 0.0));
         let foretold = elastance * v + resistance * q;
+        let (pressure_before, foretold_before) =
+            if self.ticks < WINDOW { (self.start, 0.0) } else { self.past[self.ticks % WINDOW] };
+        self.past[self.ticks % WINDOW] = (pressure, foretold);
+        self.ticks += 1;
+        let count = |counter: u32, yes: bool| if yes { counter.saturating_add(1) } else { 0 };
         // A pressure that has gone below its start is an open tube, which another monitor finds.
         let silent = foretold > TELLING_RISE && rise < ANSWER * foretold && rise > -FALL;
-        self.unanswered = if silent { self.unanswered.saturating_add(1) } else { 0 };
-        self.unanswered >= times.unanswered
+        self.unanswered = count(self.unanswered, silent);
+        let stands = (pressure - pressure_before).abs() < STANDS && rise > -FALL;
+        self.frozen = count(self.frozen, stands && foretold - foretold_before > TELLING_RISE);
+        self.unanswered >= times.unanswered || self.frozen >= times.stands
     }
 
     /// The inspiration has ended: learns what the lung is like.

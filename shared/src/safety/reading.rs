@@ -151,8 +151,9 @@ mod tests {
         venting: 150,
         sustained: 15_000,
         end_of_phase: 50,
-        disconnected: 200,
+        disconnected: 150,
         unanswered: 40,
+        stands: 20,
     };
 
     /// What is found in readings one after the other.

@@ -128,7 +128,12 @@ impl Supervisor {
         let (limit, peep) = (settings.pressure_limit, settings.peep);
         match self.pressure.check(pressure, limit, peep, self.venting, self.monitors, &self.times) {
             Bearable::Yes => {}
-            Bearable::EndBreath => self.cut = true,
+            Bearable::EndBreath => {
+                if !self.cut && !self.venting {
+                    self.opinion.learn();
+                }
+                self.cut = true;
+            }
             Bearable::No(fault) => self.found(fault),
         }
     }
