@@ -23,7 +23,9 @@ const SOFTEST: f32 = 1.0 / 120.0;
 /// Stiffest and softest elastance that is believed, cmH2O/mL.
 const ELASTANCES: (f32, f32) = (SOFTEST, 1.0);
 /// Highest resistance that is believed, cmH2O/(L/s).
-const RESISTANCE_MAX: f32 = 300.0;
+const RESISTANCE_MAX: f32 = 100.0;
+/// Part of the rise's square that elastance and resistance may leave unexplained.
+const UNEXPLAINED: f32 = 0.1;
 /// A rise below this tells nothing, cmH2O.
 const TELLING_RISE: f32 = 10.0;
 /// A change below this is no change but noise, cmH2O.
@@ -45,6 +47,7 @@ struct Sums {
     qq: f32,
     vy: f32,
     qy: f32,
+    yy: f32,
 }
 
 /// What the second opinion knows.
@@ -62,8 +65,8 @@ pub struct Opinion {
     /// Pressure at the start of the inspiration, cmH2O.
     start: f32,
     sums: Sums,
-    /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the last inspiration.
-    lung: Option<(f32, f32)>,
+    /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the last two inspirations that told of them, the newer first.
+    lungs: [Option<(f32, f32)>; 2],
     unanswered: u32,
     frozen: u32,
     /// Pressure and rise foretold of the last ticks, and how many of them belong to this inspiration.
@@ -86,7 +89,7 @@ impl Opinion {
             volume: 0.0,
             start: 0.0,
             sums: Sums::default(),
-            lung: None,
+            lungs: [None; 2],
             unanswered: 0,
             frozen: 0,
             past: [(0.0, 0.0); WINDOW],
@@ -96,7 +99,7 @@ impl Opinion {
 
     /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the last inspiration that told of them.
     pub fn lung(&self) -> Option<(f32, f32)> {
-        self.lung
+        self.lungs[0]
     }
 
     /// Volume that the valve has delivered in this inspiration, mL.
@@ -132,8 +135,8 @@ impl Opinion {
         sums.qq += q * q;
         sums.vy += v * rise;
         sums.qy += q * rise;
-        let (elastance, resistance) = self.lung.unwrap_or((SOFTEST, 0.0));
-        let foretold = elastance * v + resistance * q;
+        sums.yy += rise * rise;
+        let foretold = self.foretold(v, q);
         let (pressure_before, foretold_before) =
             if self.ticks < WINDOW { (self.start, 0.0) } else { self.past[self.ticks % WINDOW] };
         self.past[self.ticks % WINDOW] = (pressure, foretold);
@@ -147,19 +150,34 @@ impl Opinion {
         self.unanswered >= times.unanswered || self.frozen >= times.stands
     }
 
-    /// The inspiration has ended: learns what the lung is like.
+    /// The rise that a volume and a flow must make at least: a patient's effort may have spoilt one of the two last
+    /// inspirations.
+    fn foretold(&self, volume: f32, flow: f32) -> f32 {
+        let of = |(elastance, resistance): (f32, f32)| elastance * volume + resistance * flow;
+        match self.lungs {
+            [Some(last), Some(before)] => of(last).min(of(before)),
+            [Some(lung), None] | [None, Some(lung)] => of(lung),
+            [None, None] => of((SOFTEST, 0.0)),
+        }
+    }
+
+    /// The inspiration has ended: learns what the lung is like, if it behaved like one.
     pub fn learn(&mut self) {
-        let Sums { vv, vq, qq, vy, qy } = self.sums;
+        let Sums { vv, vq, qq, vy, qy, yy } = self.sums;
         let determinant = vv * qq - vq * vq;
         if self.volume < TELLING_VOLUME || determinant <= 1e-3 * vv * qq {
             return;
         }
         let elastance = (vy * qq - qy * vq) / determinant;
         let resistance = (qy * vv - vy * vq) / determinant;
-        self.lung = Some((
+        if yy - elastance * vy - resistance * qy > UNEXPLAINED * yy {
+            return;
+        }
+        let lung = (
             math::limit(elastance, ELASTANCES.0, ELASTANCES.1),
             math::limit(resistance, 0.0, RESISTANCE_MAX),
-        ));
+        );
+        self.lungs = [Some(lung), self.lungs[0]];
     }
 }
 

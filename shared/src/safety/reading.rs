@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(found([f32::INFINITY; 5]), Some(Fault::ReadingOutOfRange));
         assert_eq!(found([-31.0; 5]), Some(Fault::ReadingOutOfRange));
         let every = |nth: usize| {
-            let with_gaps = move |(n, p)| if n.is_multiple_of(nth) { f32::NAN } else { p };
+            let with_gaps = move |(n, p): (usize, f32)| if n.is_multiple_of(nth) { f32::NAN } else { p };
             found(alive(15.0).enumerate().map(with_gaps).take(3000))
         };
         assert_eq!((every(20), every(5)), (None, nan));

@@ -308,10 +308,10 @@ mod tests {
         run(&mut supervisor, 100..110, 60.5, LEARNED);
         assert!(supervisor.cut());
         assert_eq!(supervisor.command(LEARNED, false), ValveCommand::SAFE);
-        for (tick, falling) in (110..).zip([48.0, 35.0, 22.0, 12.0]) {
-            run(&mut supervisor, tick..tick + 1, falling, LEARNED);
+        for tick in 110..120 {
+            run(&mut supervisor, tick..tick + 1, 60.0 - 5.0 * (tick - 109) as f32, LEARNED);
         }
-        run(&mut supervisor, 114..1000, 7.0, LEARNED);
+        run(&mut supervisor, 120..1000, 7.0, LEARNED);
         assert_eq!(supervisor.command(LEARNED, false), ValveCommand::SAFE, "until the breath has ended");
         run(&mut supervisor, 1000..3000, 5.0, Wish { base: 5.0, command: 5.0 });
         assert!((run(&mut supervisor, 0..1, 5.0, LEARNED)[0] - 24.0).abs() < 1e-4);
