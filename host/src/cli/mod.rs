@@ -10,6 +10,7 @@ mod comparison;
 mod controller_args;
 mod demo;
 mod evaluate;
+mod faults;
 mod fit;
 mod flash;
 mod identify;
@@ -24,6 +25,7 @@ mod qemu;
 mod reproduce;
 mod settings_args;
 mod stage_bars;
+mod torture;
 mod train;
 mod tune_pid;
 
@@ -62,6 +64,8 @@ enum Command {
     Import(import::Args),
     Identify(identify::Args),
     Monitor(monitor::Args),
+    Faults(faults::Args),
+    Torture(torture::Args),
 }
 
 /// Environment variable of the log's level.
@@ -101,6 +105,8 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Import(args) => import::run(args),
         Command::Identify(args) => identify::run(args),
         Command::Monitor(args) => monitor::run(args),
+        Command::Faults(args) => faults::run(args),
+        Command::Torture(args) => torture::run(args),
     }
 }
 

@@ -146,7 +146,7 @@ fn fault(rng: &mut ChaCha8Rng) -> Injection {
     match rng.random_range(0..26) {
         0 => Injection::StuckAtLast,
         1 => Injection::StuckAt(30.0 * size),
-        2 => Injection::NoisyAt(4.5 + size),
+        2 => Injection::StuckAt(5.0),
         3 => Injection::Reads(f32::NAN),
         4 => Injection::Drift(4.0 * size - 2.0),
         5 => Injection::Offset(10.0 * size - 5.0),

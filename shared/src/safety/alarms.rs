@@ -198,7 +198,7 @@ pub const ALARMS: [Alarm; 17] = [
         Fault::NoResponse,
         "no-response",
         Priority::High,
-        "40 ms with less than a fifth of the rise that valve, resistance and compliance foretell, or 20 ms without any",
+        "40 ms with less than an eighth of the rise that valve, resistance and compliance foretell, or 20 ms without any",
         "pressure does not answer to the valve",
     ),
     vent(

@@ -31,7 +31,7 @@ const TELLING_RISE: f32 = 10.0;
 /// A change below this is no change but noise, cmH2O.
 const STANDS: f32 = 1.0;
 /// Part of the rise foretold that must be seen.
-const ANSWER: f32 = 0.2;
+const ANSWER: f32 = 0.12;
 /// A fall from the start beyond which gas is lost, cmH2O.
 const FALL: f32 = 1.5;
 /// Ticks over which a change is foretold, so that a reading that freezes in the middle of an inspiration is found as well.
@@ -107,8 +107,10 @@ impl Opinion {
         self.volume
     }
 
-    /// An inspiration starts at a pressure, cmH2O.
-    pub fn start(&mut self, pressure: f32) {
+    /// An inspiration starts at a pressure, cmH2O. Of one that a cough holds up no more than PEEP is taken, so that the end
+    /// of the cough is not a missing rise.
+    pub fn start(&mut self, pressure: f32, peep: f32) {
+        let pressure = pressure.min(peep);
         (self.start, self.volume, self.sums) = (pressure, 0.0, Sums::default());
         (self.unanswered, self.frozen, self.ticks) = (0, 0, 0);
     }
@@ -198,7 +200,7 @@ mod tests {
     /// An inspiration with a constant command into a lung; the ticks at which the pressure was called silent.
     fn inspire(opinion: &mut Opinion, command: f32, pressure: impl Fn(&Opinion) -> f32) -> Vec<usize> {
         let times = Times::new(PERIOD_US);
-        opinion.start(5.0);
+        opinion.start(5.0, 5.0);
         let silent = (0..1000).filter(|_| {
             let silent = opinion.check(pressure(opinion), &times);
             opinion.applied(command);

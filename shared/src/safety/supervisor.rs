@@ -140,7 +140,7 @@ impl Supervisor {
 
     fn check_breath(&mut self, pressure: f32, breath: &Breath, tick: u32) {
         if tick == 0 {
-            self.start_breath(pressure);
+            self.start_breath(pressure, breath.settings().peep);
         }
         let inspires = breath.phase(tick) == Phase::Inspiration;
         if inspires && !self.cut {
@@ -160,12 +160,12 @@ impl Supervisor {
     }
 
     /// Judges the breath that has ended, and starts the next one.
-    fn start_breath(&mut self, pressure: f32) {
+    fn start_breath(&mut self, pressure: f32, peep: f32) {
         if let Some(fault) = self.ladder.breath_ended(self.cut) {
             self.found(fault);
         }
         (self.cut, self.missed, self.learned) = (false, 0, 0.0);
-        self.opinion.start(pressure);
+        self.opinion.start(pressure, peep);
     }
 
     /// Acts on a finding as its alarm's row says.

@@ -1,0 +1,71 @@
+//! `trainer torture`: random breaths with hostile weights.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+
+use super::common::{bar, stop, stopped, write_json};
+use super::output::OutputArgs;
+use crate::faults::torture::{BOUND, Torture};
+use crate::watch::Watch;
+
+/// Breathe with random weights, random lungs and random faults: how high does the true pressure get?
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer torture --breaths 100000
+  trainer torture --breaths 1000000 --seed 7 --keep torture.json --json result.json
+
+The result does not depend on the number of threads. With --keep, Ctrl-C loses nothing: the same
+command goes on. A true airway pressure above 60 cmH2O makes the command fail.")]
+pub struct Args {
+    /// Breaths
+    #[arg(long, default_value_t = 10_000)]
+    breaths: u64,
+    /// Seed of lungs, weights and faults
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Keep here how far it has come, and go on from there
+    #[arg(long, value_name = "FILE")]
+    keep: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let mut torture = match &args.keep {
+        Some(file) if file.exists() => read(file, args.seed)?,
+        _ => Torture::new(args.seed),
+    };
+    let bar = bar("breaths", args.breaths as usize);
+    let progress = |done: u64, _| bar.set_position(done);
+    torture.advance(args.breaths, &Watch::new(&progress, stop()), &mut |so_far| match &args.keep {
+        Some(file) => write_json(file, so_far),
+        None => Ok(()),
+    })?;
+    bar.finish_and_clear();
+    let Torture { breaths, peak_true, worst_run, above_limit, latched, .. } = torture;
+    args.output.line(&format!(
+        "{breaths} breaths: highest true airway pressure {peak_true:.1} cmH2O (run {worst_run}); \
+         {latched} runs ended in the safe state"
+    ));
+    args.output.finish(&torture)?;
+    if stopped() {
+        args.output.line("stopped; with --keep the same command goes on");
+    }
+    if above_limit > 0 {
+        bail!("{above_limit} runs went above {BOUND} cmH2O");
+    }
+    Ok(())
+}
+
+fn read(file: &Path, seed: u64) -> anyhow::Result<Torture> {
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let torture: Torture = serde_json::from_str(&text)
+        .with_context(|| format!("{} is no torture; remove it", file.display()))?;
+    if torture.seed != seed {
+        bail!("{} belongs to seed {}; choose another file or that seed", file.display(), torture.seed);
+    }
+    Ok(torture)
+}
