@@ -74,7 +74,12 @@ pub struct RlFigure {
     pub score: f64,
     /// Simulated control ticks that it took.
     pub samples: u64,
+    /// Ticks until it was, on the held-out simulator, within [`NEAR`] of the best that any of the three reached.
+    pub samples_to_near_best: Option<u64>,
 }
+
+/// A score that exceeds another by at most this part of it is near it.
+pub const NEAR: f64 = 0.02;
 
 /// Reinforcement learning and ours, on the same simulators.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -85,8 +90,6 @@ pub struct RlFigures {
     pub dqn: RlFigure,
     /// Back-propagation through the simulators.
     pub ours: RlFigure,
-    /// Ticks that ours took to be as good as the better rival ever was, on the held-out simulator.
-    pub ours_until_rival: Option<u64>,
 }
 
 /// Scores on a plant outside of the training, cmH2O.
@@ -215,13 +218,13 @@ impl Results {
 }
 
 fn rl_figures(found: &Learning) -> RlFigures {
-    let figure = |learner: &Learner| RlFigure { score: learner.score, samples: learner.samples };
-    RlFigures {
-        ppo: figure(&found.ppo),
-        dqn: figure(&found.dqn),
-        ours: figure(&found.ours),
-        ours_until_rival: found.ours.samples_until(found.ppo.best().min(found.dqn.best())),
-    }
+    let best = [&found.ppo, &found.dqn, &found.ours].map(Learner::best).into_iter().fold(f64::MAX, f64::min);
+    let figure = |learner: &Learner| RlFigure {
+        score: learner.score,
+        samples: learner.samples,
+        samples_to_near_best: learner.samples_until((1.0 + NEAR) * best),
+    };
+    RlFigures { ppo: figure(&found.ppo), dqn: figure(&found.dqn), ours: figure(&found.ours) }
 }
 
 fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceError> {
