@@ -74,7 +74,7 @@ pub struct RlFigure {
     pub score: f64,
     /// Simulated control ticks that it took.
     pub samples: u64,
-    /// Ticks until it was, on the held-out simulator, within [`NEAR`] of the best that any of the three reached.
+    /// Ticks until it was, on the held-out simulator, within `NEAR` of the best that any of the three reached.
     pub samples_to_near_best: Option<u64>,
 }
 
