@@ -57,7 +57,7 @@ pub(super) struct Learning {
 /// Trains all three on the simulators learned for the lung in the middle of the list.
 pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
-    let index = study.lungs().len() / 2;
+    let index = study.middle();
     let bench = &study.lungs()[index];
     let gains = lungs::tuned(study)?.lungs[index].pid.gains;
     lungs::lungs(study)?;

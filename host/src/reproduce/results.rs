@@ -259,3 +259,20 @@ fn mean_of_all(lungs: &[LungFigures], of: impl Fn(&LungFigures) -> Option<f64>) 
     let all = lungs.iter().map(of).collect::<Option<Vec<_>>>()?;
     Some(mean(all.into_iter()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn near_the_best_is_judged_by_the_best_of_all_three() {
+        let learner = |curve: &[(u64, f64)]| Learner { score: 1.0, samples: 9, curve: curve.to_vec() };
+        let figures = rl_figures(&Learning {
+            ppo: learner(&[(1, 2.0), (5, 1.0)]),
+            dqn: learner(&[(1, 1.5), (9, 1.03)]),
+            ours: learner(&[(1, 1.02), (2, 1.01)]),
+        });
+        let until = [figures.ppo, figures.dqn, figures.ours].map(|figure| figure.samples_to_near_best);
+        assert_eq!(until, [Some(5), None, Some(1)]);
+    }
+}
