@@ -68,14 +68,19 @@ impl Default for Grid {
     /// Wider than the optimum on any of the paper's lungs at 1 kHz, denser where gains are small. With R 20 and C 20
     /// the best PID is near P 7, I 250, D 0.13; with a low resistance the best P alone is above 50.
     fn default() -> Self {
-        Self { p: geometric(0.1, 80.0, 20), i: geometric(0.5, 5000.0, 24), d: geometric(0.01, 0.5, 8) }
+        Self::of(20, 24, 8)
     }
 }
 
 impl Grid {
     /// The same range as the default with an eighth of its points.
     pub fn coarse() -> Self {
-        Self { p: geometric(0.1, 80.0, 10), i: geometric(0.5, 5000.0, 12), d: geometric(0.01, 0.5, 4) }
+        Self::of(10, 12, 4)
+    }
+
+    /// So many values of each gain over the default's range.
+    fn of(p: usize, i: usize, d: usize) -> Self {
+        Self { p: geometric(0.1, 80.0, p), i: geometric(0.5, 5000.0, i), d: geometric(0.01, 0.5, d) }
     }
 
     /// The authors' grid: P and I on 0, 0.1 .. 0.9, 1 .. 10, no D. Their integral leaks; the gains here are

@@ -51,27 +51,39 @@ struct Variant {
 
 /// Trains and scores every variant on the lung in the middle of the list.
 pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>, ReproduceError> {
-    let index = study.lungs().len() / 2;
-    let gains = lungs::tuned(study)?.lungs[index].pid.gains;
-    let bench = &study.lungs()[index];
-    let run = |variant: Variant| {
-        let name = variant.place();
-        study.keep(&name, || ablation(study, &variant, &name))
-    };
-    variants(study.reproduction, bench, gains).into_iter().map(run).collect()
+    let gains = lungs::tuned(study)?.lungs[study.middle()].pid.gains;
+    let mut done: Vec<(Variant, Ablation)> = Vec::new();
+    for variant in variants(study, gains) {
+        let place = variant.place();
+        let ablation = study.keep(&place, || match done.iter().find(|(other, _)| other.is(&variant)) {
+            // Groups meet where nothing is varied.
+            Some((_, found)) => Ok(variant.named(found)),
+            None => ablation(study, &variant, &place),
+        })?;
+        done.push((variant, ablation));
+    }
+    Ok(done.into_iter().map(|(_, ablation)| ablation).collect())
 }
 
 /// What the folder holds, if it holds every variant.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>, ReproduceError> {
-    let bench = &study.lungs()[study.lungs().len() / 2];
-    let variants = variants(study.reproduction, bench, PidGains::default()).into_iter();
-    variants.map(|variant| study.kept(&variant.place())).collect()
+    variants(study, PidGains::default()).iter().map(|variant| study.kept(&variant.place())).collect()
 }
 
 impl Variant {
     /// Its name in the study's folder.
     fn place(&self) -> String {
         format!("ablations/{}-{}", self.group, self.name).replace(' ', "-")
+    }
+
+    /// Whether another one is the same but for its name.
+    fn is(&self, other: &Self) -> bool {
+        (&self.config, &self.benches, &self.judge) == (&other.config, &other.benches, &other.judge)
+    }
+
+    /// What another one has found, under this one's name.
+    fn named(&self, found: &Ablation) -> Ablation {
+        Ablation { group: self.group.to_owned(), variant: self.name.clone(), ..found.clone() }
     }
 }
 
@@ -91,8 +103,9 @@ fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablati
     })
 }
 
-fn variants(reproduction: &Reproduction, bench: &BenchConfig, gains: PidGains) -> Vec<Variant> {
-    let Reproduction { seed, budget, .. } = reproduction;
+fn variants(study: &Study<'_>, gains: PidGains) -> Vec<Variant> {
+    let Reproduction { seed, budget, .. } = study.reproduction;
+    let bench = &study.lungs()[study.middle()];
     let config = PipelineConfig { gains, seed: *seed, ..budget.ablation.clone() };
     let base = Variant {
         group: "",
@@ -214,4 +227,37 @@ fn simulators(base: &Variant) -> Vec<Variant> {
             (config.architecture, config.fit) = (Architecture::Stitched(theirs), FitConfig::authors());
         }),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn base() -> Variant {
+        let bench = BenchConfig::paper(20.0, 20.0);
+        let config = PipelineConfig { rounds: 1, ..PipelineConfig::default() };
+        Variant { group: "", name: String::new(), config, benches: vec![bench.clone()], judge: bench }
+    }
+
+    #[test]
+    fn every_variant_has_a_place_of_its_own() {
+        let groups = [residuals, recordings, inputs, units, simulators];
+        let all: Vec<Variant> = groups.iter().flat_map(|group| group(&base())).collect();
+        let places: BTreeSet<String> = all.iter().map(Variant::place).collect();
+        assert_eq!(places.len(), all.len());
+    }
+
+    #[test]
+    fn groups_meet_where_nothing_is_varied_and_nowhere_else() {
+        let like_base = |group: fn(&Variant) -> Vec<Variant>| {
+            let same: Vec<String> =
+                group(&base()).into_iter().filter(|v| v.is(&base())).map(|v| v.name).collect();
+            same
+        };
+        assert_eq!(like_base(residuals), ["1"]);
+        assert_eq!(like_base(recordings), ["both", "1"]);
+        assert_eq!(like_base(inputs), ["all"]);
+        assert!(like_base(units).is_empty() && like_base(simulators).is_empty());
+    }
 }

@@ -1,6 +1,8 @@
 //! Reinforcement learning as the rival: PPO and DQN on the same learned simulators with the same observations, their score
 //! against the samples that they took, next to ours.
 
+use std::sync::atomic::Ordering;
+
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
@@ -8,11 +10,15 @@ use super::study::Study;
 use super::{ReproduceError, Reproduction, lungs};
 use crate::bench::BenchConfig;
 use crate::engine::LANES;
-use crate::pipeline::{Outcome, PipelineConfig};
+use crate::pipeline::PipelineConfig;
 use crate::rl::compare::{Kind, RlConfig, train};
 use crate::rl::policy::evaluate;
 use crate::simulator::model::Simulator;
+use crate::train::{Plant, TrainConfig, Training};
 use crate::watch::Watch;
+
+/// Gradient steps between two validations of ours.
+const OURS_VALIDATED_EVERY: usize = 10;
 
 /// One way to learn.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -48,30 +54,34 @@ pub(super) struct Learning {
     pub(super) ours: Learner,
 }
 
-/// Trains both rivals on the simulators learned for the lung in the middle of the list.
+/// Trains all three on the simulators learned for the lung in the middle of the list.
 pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
-    study.keep("rl", || {
-        let Reproduction { seed, budget, .. } = study.reproduction;
-        let index = study.lungs().len() / 2;
-        let bench = &study.lungs()[index];
-        let gains = lungs::tuned(study)?.lungs[index].pid.gains;
-        lungs::lungs(study)?;
-        let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
-        // Its folder holds the whole run already.
-        let outcome =
-            lungs::train(study, std::slice::from_ref(bench), &config, &format!("lungs/{}-0", bench.name))?;
-        let simulators = &outcome.plants[0].simulators;
-        Ok(Learning {
-            ppo: rival(study, bench, Kind::Ppo, simulators)?,
-            dqn: rival(study, bench, Kind::Dqn, simulators)?,
-            ours: ours(study, bench, &config, &outcome)?,
-        })
+    let Reproduction { seed, budget, .. } = study.reproduction;
+    let index = study.middle();
+    let bench = &study.lungs()[index];
+    let gains = lungs::tuned(study)?.lungs[index].pid.gains;
+    lungs::lungs(study)?;
+    let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
+    // Its folder holds the whole run already.
+    let simulators = || -> Result<Vec<Simulator>, ReproduceError> {
+        let folder = format!("lungs/{}-0", bench.name);
+        let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
+        Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
+    };
+    Ok(Learning {
+        ppo: study.keep("rl/ppo", || rival(study, bench, Kind::Ppo, &simulators()?))?,
+        dqn: study.keep("rl/dqn", || rival(study, bench, Kind::Dqn, &simulators()?))?,
+        ours: study.keep("rl/ours", || ours(study, bench, &config, &simulators()?))?,
     })
 }
 
-/// What the folder holds.
+/// What the folder holds, if it holds all three.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError> {
-    study.kept("rl")
+    let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
+    Ok(match (ppo, dqn, ours) {
+        (Some(ppo), Some(dqn), Some(ours)) => Some(Learning { ppo, dqn, ours }),
+        _ => None,
+    })
 }
 
 fn rival(
@@ -92,25 +102,34 @@ fn rival(
     })
 }
 
+/// Trains our controller from scratch on the same simulators, a single shard at a time: what counts here are samples.
 fn ours(
     study: &Study<'_>,
     bench: &BenchConfig,
     config: &PipelineConfig,
-    outcome: &Outcome,
+    simulators: &[Simulator],
 ) -> Result<Learner, ReproduceError> {
-    let ticks = shared::math::ticks(config.train.inspiratory_time, config.period_us);
-    let step = (config.train.batch.next_multiple_of(LANES) as u64) * u64::from(ticks);
-    let whole_round = step * config.train.iterations as u64;
-    let curve = (0..).zip(&outcome.rounds).flat_map(|(round, found)| {
-        let at = move |iteration: usize| round * whole_round + step * iteration as u64;
-        found.train_curve.iter().map(move |progress| (at(progress.iteration), progress.validation))
-    });
-    let controller = Controller::Residual(outcome.learned.controller.clone());
-    Ok(Learner {
-        score: study.evaluate(bench, &controller)?.mean.score,
-        samples: whole_round * outcome.rounds.len() as u64,
-        curve: curve.collect(),
-    })
+    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+    let train = TrainConfig {
+        batch: LANES,
+        validate_every: OURS_VALIDATED_EVERY,
+        seed: study.reproduction.seed,
+        ..config.train.clone()
+    };
+    let ticks = u64::from(shared::math::ticks(train.inspiratory_time, config.period_us));
+    let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
+    let iterations = train.iterations;
+    let mut training = Training::new(config.residual(), &[Plant { trained_on, held_out }], train, None)?;
+    let mut curve = Vec::new();
+    while let Some(progress) = training.advance() {
+        if study.stop.load(Ordering::Relaxed) {
+            return Err(ReproduceError::Stopped);
+        }
+        (study.observer)("ours", progress.iteration, iterations);
+        curve.push((samples(progress.iteration), progress.validation));
+    }
+    let controller = Controller::Residual(training.finish()?.controller);
+    Ok(Learner { score: study.evaluate(bench, &controller)?.mean.score, samples: samples(iterations), curve })
 }
 
 #[cfg(test)]

@@ -74,7 +74,12 @@ pub struct RlFigure {
     pub score: f64,
     /// Simulated control ticks that it took.
     pub samples: u64,
+    /// Ticks until it was, on the held-out simulator, within `NEAR` of the best that any of the three reached.
+    pub samples_to_near_best: Option<u64>,
 }
+
+/// A score that exceeds another by at most this part of it is near it.
+pub const NEAR: f64 = 0.02;
 
 /// Reinforcement learning and ours, on the same simulators.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -85,8 +90,6 @@ pub struct RlFigures {
     pub dqn: RlFigure,
     /// Back-propagation through the simulators.
     pub ours: RlFigure,
-    /// Ticks that ours took to be as good as the better rival ever was, on the held-out simulator.
-    pub ours_until_rival: Option<u64>,
 }
 
 /// Scores on a plant outside of the training, cmH2O.
@@ -215,13 +218,13 @@ impl Results {
 }
 
 fn rl_figures(found: &Learning) -> RlFigures {
-    let figure = |learner: &Learner| RlFigure { score: learner.score, samples: learner.samples };
-    RlFigures {
-        ppo: figure(&found.ppo),
-        dqn: figure(&found.dqn),
-        ours: figure(&found.ours),
-        ours_until_rival: found.ours.samples_until(found.ppo.best().min(found.dqn.best())),
-    }
+    let best = [&found.ppo, &found.dqn, &found.ours].map(Learner::best).into_iter().fold(f64::MAX, f64::min);
+    let figure = |learner: &Learner| RlFigure {
+        score: learner.score,
+        samples: learner.samples,
+        samples_to_near_best: learner.samples_until((1.0 + NEAR) * best),
+    };
+    RlFigures { ppo: figure(&found.ppo), dqn: figure(&found.dqn), ours: figure(&found.ours) }
 }
 
 fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceError> {
@@ -255,4 +258,21 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 fn mean_of_all(lungs: &[LungFigures], of: impl Fn(&LungFigures) -> Option<f64>) -> Option<f64> {
     let all = lungs.iter().map(of).collect::<Option<Vec<_>>>()?;
     Some(mean(all.into_iter()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn near_the_best_is_judged_by_the_best_of_all_three() {
+        let learner = |curve: &[(u64, f64)]| Learner { score: 1.0, samples: 9, curve: curve.to_vec() };
+        let figures = rl_figures(&Learning {
+            ppo: learner(&[(1, 2.0), (5, 1.0)]),
+            dqn: learner(&[(1, 1.5), (9, 1.03)]),
+            ours: learner(&[(1, 1.02), (2, 1.01)]),
+        });
+        let until = [figures.ppo, figures.dqn, figures.ours].map(|figure| figure.samples_to_near_best);
+        assert_eq!(until, [Some(5), None, Some(1)]);
+    }
 }

@@ -103,6 +103,11 @@ impl<'a> Study<'a> {
         &self.reproduction.lungs
     }
 
+    /// Place in the list of the lung that stands for all where one has to do: the one in the middle.
+    pub(super) fn middle(&self) -> usize {
+        self.lungs().len() / 2
+    }
+
     /// A file or folder within the study's.
     pub(super) fn path(&self, name: &str) -> PathBuf {
         self.reproduction.out.join(name)

@@ -312,7 +312,7 @@ impl Shard for Inspirations {
 /// A simulator for tests: the pressure follows the command with a lag of 50 ms, from 5 cmH2O at 0 % to 5 + 30 `gain`
 /// cmH2O at 50 %.
 #[cfg(test)]
-pub(super) fn first_order(gain: f32) -> Simulator {
+pub(crate) fn first_order(gain: f32) -> Simulator {
     use crate::simulator::Timing;
     use crate::simulator::model::Architecture;
     use crate::simulator::state_space::StateSpaceConfig;

@@ -507,6 +507,40 @@ fn draw(config: &TrainConfig, ticks: usize, simulator: &Member, stream: u64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rl::ventilation::first_order;
+    use shared::control::features::{FEATURES, FeatureSpec};
+    use shared::control::network::HIDDEN_1;
+    use shared::control::pid::PidGains;
+
+    #[test]
+    fn what_training_is_blind_to_stays_without_weight_and_all_else_is_learned() {
+        let spec = ResidualSpec {
+            period_us: 1000,
+            gains: PidGains { p: 1.0, i: 20.0, d: 0.0 },
+            lambda: 1.0,
+            authority: 100.0,
+            features: FeatureSpec::default(),
+        };
+        let config = TrainConfig { iterations: 3, batch: 16, blind_to: vec![3, 9], ..TrainConfig::default() };
+        let simulator = first_order(1.0);
+        let plant = Plant { trained_on: std::slice::from_ref(&simulator), held_out: &simulator };
+        let mut training = Training::new(spec, &[plant], config, None).unwrap();
+        let before = training.parameters().to_vec();
+        for _ in 0..3 {
+            training.step();
+        }
+        let column = |parameters: &[f32], feature: usize| -> Vec<f32> {
+            (0..HIDDEN_1).map(|row| parameters[row * FEATURES + feature]).collect()
+        };
+        for feature in 0..FEATURES {
+            let learned = column(training.parameters(), feature);
+            if [3, 9].contains(&feature) {
+                assert!(learned.iter().all(|weight| *weight == 0.0), "feature {feature}");
+            } else {
+                assert_ne!(learned, column(&before, feature), "feature {feature}");
+            }
+        }
+    }
 
     #[test]
     fn the_worst_plant_weighs_most_and_the_mean_weight_is_one() {
