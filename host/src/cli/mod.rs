@@ -3,6 +3,7 @@
 //! Each command reads its arguments, calls the library, prints a table and writes what was asked for. Whatever a
 //! command computes is the library's; nothing is computed here.
 
+mod blackbox;
 mod bound;
 mod collect;
 mod common;
@@ -62,6 +63,7 @@ enum Command {
     Import(import::Args),
     Identify(identify::Args),
     Monitor(monitor::Args),
+    Blackbox(blackbox::Args),
 }
 
 /// Environment variable of the log's level.
@@ -101,6 +103,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Import(args) => import::run(args),
         Command::Identify(args) => identify::run(args),
         Command::Monitor(args) => monitor::run(args),
+        Command::Blackbox(args) => blackbox::run(args),
     }
 }
 
