@@ -4,6 +4,7 @@
 pub mod balloon;
 pub mod baselines;
 pub mod bench;
+pub mod blackbox;
 pub mod bound;
 pub mod cli;
 pub mod collect;

@@ -21,6 +21,7 @@ pub mod device;
 pub mod explore;
 pub mod link;
 pub mod math;
+pub mod recorder;
 pub mod safety;
 pub mod sensor;
 pub mod settings;

@@ -67,6 +67,8 @@ pub struct Output {
     pub mode: Mode,
     /// The tick's sample; none outside of ventilation.
     pub sample: Option<Sample>,
+    /// An alarm that begins.
+    pub alarm: Option<Fault>,
 }
 
 /// The configuration of a ventilator: control period, controller, exploration. Replacing it leaves the state,
@@ -184,7 +186,8 @@ impl Ventilator {
             (Mode::Ventilating, Some(pressure)) => self.breathe(state, reading, pressure),
             (mode, _) => {
                 state.last_command = 0.0;
-                Output { command: state.supervisor.rest(), mode, sample: None }
+                let command = state.supervisor.rest();
+                Output { command, mode, sample: None, alarm: state.supervisor.take_raised() }
             }
         }
     }
@@ -227,7 +230,8 @@ impl Ventilator {
             state.tick = 0;
             state.number = state.number.wrapping_add(1);
         }
-        Output { command, mode: state.mode, sample: Some(sample) }
+        let alarm = state.supervisor.take_raised();
+        Output { command, mode: state.mode, sample: Some(sample), alarm }
     }
 
     fn start_breath(&self, state: &mut VentilatorState) {
@@ -286,11 +290,6 @@ impl VentilatorState {
     /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the lung as the last inspiration showed them.
     pub fn lung(&self) -> Option<(f32, f32)> {
         self.supervisor.lung()
-    }
-
-    /// The newest alarm that nobody has asked for yet.
-    pub fn take_raised(&mut self) -> Option<Fault> {
-        self.supervisor.take_raised()
     }
 
     /// Control ticks have been missed since the last step.
@@ -417,7 +416,8 @@ mod tests {
         let mut state = started(&ventilator);
         let output = run(&ventilator, &mut state, 3, 76.0);
         assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
-        assert_eq!((state.take_raised(), state.take_raised()), (Some(Fault::HardLimit), None));
+        assert_eq!(output.alarm, Some(Fault::HardLimit));
+        assert_eq!(run(&ventilator, &mut state, 1, 76.0).alarm, None, "told once");
         state.start();
         let output = run(&ventilator, &mut state, 10_000, 5.0);
         assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));

@@ -7,12 +7,15 @@ use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use std::{env, fs};
 
 use host::bench::BenchConfig;
 use host::collect::{CollectConfig, collect};
 use host::device::Device;
+use host::device::blackbox::{Blackbox, Trace};
 use host::emulator::{
     BenchPlant, Debugger, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd, symbol,
 };
@@ -25,6 +28,7 @@ use shared::control::pid::{Pid, PidGains};
 use shared::device::KNOWN_GOOD;
 use shared::link::messages::{ControllerChoice, DeviceKind, Event, ResetCause, Slot, SlotState};
 use shared::link::telemetry::{Counters, PackedSample};
+use shared::recorder::{Activity, FAST_ENTRIES, FAST_TAIL, Happening, Recording, Status, TickEntry};
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
@@ -465,6 +469,127 @@ fn a_plant_that_vanishes_is_a_sensor_fault() {
     let deadline = Instant::now() + Duration::from_mins(1);
     while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
     assert_eq!(device.identify().unwrap().mode, Mode::Fault(Fault::ReadingNotANumber));
+}
+
+/// A plant whose cable someone can pull.
+struct Unplugged<P>(P, Arc<AtomicBool>);
+
+impl<P: PlantEnd> PlantEnd for Unplugged<P> {
+    fn answer(&mut self, request: &[u8]) -> Vec<u8> {
+        if self.1.load(Ordering::Relaxed) { Vec::new() } else { self.0.answer(request) }
+    }
+}
+
+/// Waits until the device greets after a start by this cause.
+fn restarted_by(device: &mut Device, cause: ResetCause) {
+    let deadline = Instant::now() + Duration::from_mins(1);
+    loop {
+        match device.identify() {
+            Ok(identity) if identity.reset == cause => return,
+            other => assert!(Instant::now() < deadline, "no start by {cause:?}: {other:?}"),
+        }
+    }
+}
+
+fn happened(blackbox: &Blackbox, wanted: Happening) -> bool {
+    blackbox.log.iter().any(|event| event.happening == wanted)
+}
+
+#[test]
+fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
+    let gone = Arc::new(AtomicBool::new(false));
+    let bench = LockstepPlant::new(BenchPlant::new(&lung()).unwrap());
+    let board = Emulator::start(config("hil"), Unplugged(bench, Arc::clone(&gone))).unwrap();
+    let mut device = connect(&board);
+    device.telemetry(true).unwrap();
+    device.apply(paper_settings(25.0)).unwrap();
+    device.start().unwrap();
+    Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (2, 0));
+    gone.store(true, Ordering::Relaxed);
+    let alarm = |event: &Event| matches!(event, Event::Alarm { .. });
+    let deadline = Instant::now() + Duration::from_mins(1);
+    while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
+    // The recording goes on for its tail.
+    let ended = |status: &Status| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
+    while !ended(&device.recorder().unwrap()) {
+        assert!(Instant::now() < deadline, "the recording goes on and on");
+    }
+    let before = device.blackbox(&mut |_| ()).unwrap();
+    let fault = Fault::ReadingNotANumber;
+    assert_eq!(before.status.recording, Recording::Fault(fault));
+    assert_eq!(before.fast.entries.len(), FAST_ENTRIES);
+    let end = before.fast.ticks().filter(|tick| tick.activity == Activity::Fault).count();
+    assert_eq!(end, FAST_TAIL as usize);
+    assert!(
+        before.fast.ticks().all(|tick| tick.activity != Activity::Fault || (tick.u_out && tick.u_in <= 0.0))
+    );
+    assert!(before.slow.ticks().any(|tick| tick.pressure > 20.0), "the breaths before are in it");
+    device.restart().unwrap();
+    let after = device.blackbox(&mut |_| ()).unwrap();
+    assert_eq!(
+        (after.status.boot, after.status.recording),
+        (before.status.boot + 1, before.status.recording)
+    );
+    let bits = |trace: &Trace| trace.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
+    assert!(bits(&after.fast) == bits(&before.fast), "the ticks are those of before");
+    assert!(bits(&after.slow).starts_with(&bits(&before.slow)), "the last minute had its tail to go on with");
+    assert!(after.log.starts_with(&before.log) && after.unread == 0);
+    assert!(happened(&after, Happening::Fault(fault)) && happened(&after, Happening::Start));
+    assert!(happened(&after, Happening::Boot { cause: ResetCause::Software, failed: false }));
+    device.clear_recorder().unwrap();
+    assert_eq!(device.recorder().unwrap().recording, Recording::Nothing);
+}
+
+#[test]
+fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    let mut samples = Samples::default();
+    samples.until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
+    let mut debugger = Debugger::connect(board.debugger_address().unwrap()).unwrap();
+    let step = symbol(&image("hil"), "shared::ventilator::Ventilator::breathe").unwrap();
+    debugger.write(step, &[0xFE, 0xE7]).unwrap();
+    debugger.detach().unwrap();
+    restarted_by(&mut device, ResetCause::Watchdog);
+    let blackbox = device.blackbox(&mut |_| ()).unwrap();
+    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, Recording::Reset));
+    assert_eq!(blackbox.status.tick_boot, 1);
+    assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
+    // The newest ticks that came over the link before it hung are the recorder's, to its resolution.
+    let recorded: Vec<_> = blackbox.fast.ticks().collect();
+    assert_eq!(recorded.len(), FAST_ENTRIES);
+    let mut sent = samples.all;
+    for event in device.events().try_iter() {
+        if let Event::Telemetry(batch) = event {
+            sent.extend(batch.samples.iter().map(PackedSample::unpack));
+        }
+    }
+    let sent = &sent[sent.len() - 500..];
+    let same = |kept: &TickEntry, sent: &Sample| {
+        (kept.pressure - sent.pressure).abs() < 0.011 && (kept.u_in - sent.u_in).abs() < 0.11
+    };
+    let found =
+        recorded.windows(sent.len()).any(|part| part.iter().zip(sent).all(|(kept, sent)| same(kept, sent)));
+    assert!(found, "what was sent last is not what was recorded");
+}
+
+#[test]
+fn reading_the_recorder_disturbs_no_tick() {
+    let (_board, mut device) = breathing(config("hil"), &lung());
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    let mut samples = Samples::default();
+    samples.until(&device, |sample| sample.breath == 1);
+    device.timing(true).unwrap();
+    let blackbox = device.blackbox(&mut |_| ()).unwrap();
+    samples.until(&device, |sample| sample.breath == 3);
+    let times = device.timing(false).unwrap();
+    assert_eq!((blackbox.status.recording, blackbox.unread), (Recording::Running, 0));
+    assert!(blackbox.fast.ticks().all(|tick| tick.activity == Activity::Ventilating));
+    assert_eq!((times.missed, samples.counters.missed_ticks, samples.counters.dropped), (0, 0, 0));
+    let jitter = times.period.longest.abs_diff(TICK_CYCLES).max(times.period.shortest.abs_diff(TICK_CYCLES));
+    assert!(jitter <= 2 * MICROSECOND, "{jitter} cycles");
 }
 
 #[test]

@@ -24,6 +24,7 @@ const STEPS: &[Step] = &[
     step("test", &["test", "--workspace", "--exclude", "firmware"]),
     // The test step ran them in debug; an optimiser that changed a bit of a command would show here.
     step("golden", &["test", "--release", "-p", "tests", "golden"]),
+    step("frames", &["test", "--release", "-p", "tests", "--test", "fuzz", "--", "--ignored"]),
     Step {
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),
         ..step("doc", &["doc", "--no-deps", "--document-private-items"])

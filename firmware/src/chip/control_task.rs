@@ -9,6 +9,7 @@ use shared::device::control::Control;
 use shared::device::timing::TickTime;
 use shared::device::{Answer, Order, Report};
 use shared::link::messages::DeviceKind;
+use shared::recorder::Recorder;
 
 use static_cell::StaticCell;
 
@@ -37,7 +38,12 @@ pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Cont
 
 /// Runs for ever.
 #[embassy_executor::task]
-pub async fn run(control: &'static mut Control, mut plant: SelectedPlant, mut watchdog: Watchdog) {
+pub async fn run(
+    control: &'static mut Control,
+    mut recorder: Recorder<'static>,
+    mut plant: SelectedPlant,
+    mut watchdog: Watchdog,
+) {
     let mut before = None;
     loop {
         let number = clock::tick().await;
@@ -52,8 +58,9 @@ pub async fn run(control: &'static mut Control, mut plant: SelectedPlant, mut wa
         if let Some(order) = ORDER.try_take() {
             ANSWER.signal(control.execute(&order));
         }
-        let work = clock::now().wrapping_sub(read);
         let (missed, period) = since(before, number, begun);
+        recorder.record(&control.moment(reading, &output, missed));
+        let work = clock::now().wrapping_sub(read);
         control.record(&TickTime { latency, work, period, missed });
         before = Some((number, begun));
         watchdog.feed();

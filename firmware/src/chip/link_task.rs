@@ -14,6 +14,7 @@ use static_cell::StaticCell;
 use super::control_task::{ANSWER, ORDER, REPORTS};
 use super::drivers::flash::{WeightsFlash, slots};
 use super::drivers::{link_uart, watchdog};
+use super::recorder;
 
 /// Version of the firmware: major, minor, patch.
 pub const VERSION: [u16; 3] = [
@@ -106,6 +107,7 @@ async fn serve(desk: &mut Desk, storage: &mut Storage, request: &ToDevice) {
                 ORDER.signal(order);
                 desk.answered(ANSWER.wait().await)
             }
+            Step::Look(look) => desk.looked(recorder::memory().look(look)),
             Step::Store => {
                 let (slot, states) = storage.store(desk.image());
                 desk.stored(slot, states)

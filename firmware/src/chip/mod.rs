@@ -13,6 +13,7 @@ mod control_task;
 mod drivers;
 mod failure;
 mod link_task;
+mod recorder;
 
 use cortex_m_rt::entry;
 use defmt::{Debug2Format, info};
@@ -49,6 +50,7 @@ fn start() {
     let kind = board::SelectedPlant::KIND;
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let control = control_task::prepare(kind, learned);
+    let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
     let facts = Facts {
         firmware: link_task::VERSION,
         device: kind,
@@ -61,7 +63,7 @@ fn start() {
     interrupt::CAN2_SCE.set_priority(Priority::P4);
     let spawner = CONTROL.start(interrupt::CAN2_SCE);
     board.watchdog.start();
-    spawner.spawn(usable(control_task::run(control, board.plant, board.watchdog).ok()));
+    spawner.spawn(usable(control_task::run(control, recorder, board.plant, board.watchdog).ok()));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0).spawn(usable(link_task::run(link_task::prepare(facts), storage).ok()));
     clock::start(&mut board.core);

@@ -17,9 +17,10 @@ use shared::device::timing::TickTime;
 use shared::device::{KNOWN_GOOD, Order, Report};
 use shared::explore::Exploration;
 use shared::link::frame::{FRAME_BYTES, encode_frame};
-use shared::link::messages::{ControllerChoice, DeviceKind, Event, ToHost};
+use shared::link::messages::{ControllerChoice, DeviceKind, Event, ResetCause, ToHost};
 use shared::link::telemetry::{Batcher, Counters};
 use shared::math;
+use shared::recorder::{Boot, Memory, Recorder};
 use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::Supervisor;
 use shared::sensor::{Counts, Sensors};
@@ -85,6 +86,7 @@ fn main() -> ! {
     parts(&counting);
     telemetry(&counting);
     boot(&counting);
+    recording(&counting);
     ticks(&counting);
     debug::exit(debug::EXIT_SUCCESS);
     unreachable!("the emulator has ended")
@@ -202,10 +204,31 @@ fn control() -> Control {
     }
 }
 
+/// The flight recorder's memory.
+static MEMORY: Memory = Memory::new();
+
+fn recorder() -> Recorder<'static> {
+    Recorder::attach(&MEMORY, Boot { cause: ResetCause::PowerOn, failed: false, weights: None })
+}
+
+/// What the flight recorder adds to a tick.
+fn recording(counting: &Cost) {
+    let (mut control, mut recorder, mut cost) = (control(), recorder(), Cost::NONE);
+    control.execute(&Order::Start);
+    for tick in 0..2 * TICKS {
+        let reading = 5.0 + (tick % 1000) as f32 / 100.0;
+        let output = control.step(reading);
+        let moment = control.moment(reading, &output, 0);
+        cost.of(|| recorder.record(black_box(&moment)));
+    }
+    cost.print("flight_recorder", counting);
+}
+
 /// Whole ticks of the device's control half, learned and exploring, on the plant of the golden traces: reading, step, report
 /// and an order, as the control task runs them. A tick in which the network runs is counted apart, since most do not need it.
 fn ticks(counting: &Cost) {
     let mut control = control();
+    let mut recorder = recorder();
     let mut plant = Plant::new(paper_settings(PAPER_PIPS[0]).peep);
     control.execute(&Order::Start);
     let (mut all, mut inspiring) = (Cost::NONE, Cost::NONE);
@@ -221,7 +244,7 @@ fn ticks(counting: &Cost) {
         .into_iter();
         for _ in 0..TICKS {
             let (mut cost, order, reading) = (Cost::NONE, orders.next(), plant.pressure());
-            let output = cost.of(|| tick(&mut control, black_box(reading), black_box(order)));
+            let output = cost.of(|| tick(&mut control, &mut recorder, black_box(reading), black_box(order)));
             let Some(sample) = output.sample else { unreachable!("the ventilator ventilates to the end") };
             if sample.phase == Phase::Inspiration {
                 inspiring.add(&cost);
@@ -234,7 +257,7 @@ fn ticks(counting: &Cost) {
     inspiring.print("tick_of_inspiration", counting);
 }
 
-fn tick(control: &mut Control, reading: f32, order: Option<Order>) -> Output {
+fn tick(control: &mut Control, recorder: &mut Recorder, reading: f32, order: Option<Order>) -> Output {
     let output = control.step(reading);
     control.report(&output, &mut |report: Report| {
         black_box(report);
@@ -243,6 +266,7 @@ fn tick(control: &mut Control, reading: f32, order: Option<Order>) -> Output {
     if let Some(order) = order {
         black_box(control.execute(&order));
     }
+    recorder.record(&control.moment(reading, &output, black_box(0)));
     control.record(black_box(&TickTime { latency: 20, work: 5000, period: Some(168_000), missed: 0 }));
     output
 }

@@ -3,6 +3,7 @@
 //! Each command reads its arguments, calls the library, prints a table and writes what was asked for. Whatever a
 //! command computes is the library's; nothing is computed here.
 
+mod blackbox;
 mod bound;
 mod collect;
 mod common;
@@ -66,6 +67,7 @@ enum Command {
     Monitor(monitor::Args),
     Faults(faults::Args),
     Torture(torture::Args),
+    Blackbox(blackbox::Args),
 }
 
 /// Environment variable of the log's level.
@@ -107,6 +109,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Monitor(args) => monitor::run(args),
         Command::Faults(args) => faults::run(args),
         Command::Torture(args) => torture::run(args),
+        Command::Blackbox(args) => blackbox::run(args),
     }
 }
 

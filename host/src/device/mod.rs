@@ -3,6 +3,7 @@
 //! A thread reads the line and sorts what comes. A request is sent again under the same sequence number while its answer
 //! is missing; the device does nothing twice. After a connection the host only reads; nothing is pushed unasked.
 
+pub mod blackbox;
 mod line;
 pub mod simulated;
 #[cfg(test)]

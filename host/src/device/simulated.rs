@@ -15,6 +15,7 @@ use shared::device::timing::TickTime;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, read_request};
 use shared::link::refusal::Refusal;
+use shared::recorder::{Boot, Memory, Recorder};
 use shared::safety::filter::ValveCommand;
 use shared::ventilator::Mode;
 use shared::weights::{IMAGE_BYTES, decode};
@@ -41,10 +42,16 @@ impl Simulated {
     /// # Errors
     /// A bench that cannot be built.
     pub fn start(bench: &BenchConfig, port: Port) -> Result<Self, BenchError> {
-        let mut chip = Chip::new(bench)?;
+        let config = bench.clone();
+        // A bench that cannot be built is told here, not in the thread.
+        let bench = Bench::new(&config, shared::settings::Settings::default().peep, 0)?;
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
-        let thread = thread::spawn(move || chip.run(port, &stopped));
+        let thread = thread::spawn(move || {
+            // It survives the device's resets, as the chip's does.
+            let memory = Box::new(Memory::new());
+            Chip::new(config, bench, &memory).run(port, &stopped);
+        });
         Ok(Self { stop, thread: Some(thread) })
     }
 }
@@ -60,7 +67,9 @@ impl Drop for Simulated {
 }
 
 /// What a chip would hold.
-struct Chip {
+struct Chip<'a> {
+    memory: &'a Memory,
+    recorder: Recorder<'a>,
     config: BenchConfig,
     bench: Bench,
     peep: f32,
@@ -75,13 +84,15 @@ struct Chip {
     out: Vec<u8>,
 }
 
-impl Chip {
-    fn new(config: &BenchConfig) -> Result<Self, BenchError> {
+impl<'a> Chip<'a> {
+    fn new(config: BenchConfig, bench: Bench, memory: &'a Memory) -> Self {
         let (control, desk) = halves(ResetCause::PowerOn, &[None; 2], None);
         let peep = shared::settings::Settings::default().peep;
-        Ok(Self {
-            config: config.clone(),
-            bench: Bench::new(config, peep, 0)?,
+        Self {
+            memory,
+            recorder: attach(memory, ResetCause::PowerOn, &[None; 2], None),
+            config,
+            bench,
             peep,
             control,
             desk,
@@ -91,7 +102,7 @@ impl Chip {
             flash: [None; 2],
             newest: None,
             out: Vec::new(),
-        })
+        }
     }
 
     /// Ticks, listens and talks until the line ends.
@@ -135,6 +146,7 @@ impl Chip {
         let output = self.control.step(self.reading);
         self.command = output.command;
         self.control.record(&TickTime { latency: 0, work: 0, period: Some(DEFAULT_PERIOD_US), missed: 0 });
+        self.recorder.record(&self.control.moment(self.reading, &output, 0));
         let mut reports = Vec::new();
         self.control.report(&output, &mut |report| {
             reports.push(report);
@@ -170,13 +182,16 @@ impl Chip {
             step = match step {
                 Step::Send(answer) => return self.say(&answer),
                 Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
+                Step::Look(look) => self.desk.looked(self.memory.look(look)),
                 Step::Store => {
                     let slot = self.store();
                     self.desk.stored(Some(slot), states(&self.flash))
                 }
                 Step::Restart(answer) => {
                     self.say(&answer);
-                    (self.control, self.desk) = halves(ResetCause::Software, &self.flash, self.newest);
+                    let cause = ResetCause::Software;
+                    (self.control, self.desk) = halves(cause, &self.flash, self.newest);
+                    self.recorder = attach(self.memory, cause, &self.flash, self.newest);
                     self.command = ValveCommand::SAFE;
                     return;
                 }
@@ -223,6 +238,20 @@ fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
         Some(image) => SlotState::Valid { generation: 0, id: image.id },
         None => SlotState::Empty,
     })
+}
+
+/// The flight recorder after a start.
+fn attach<'a>(
+    memory: &'a Memory,
+    cause: ResetCause,
+    flash: &[Option<[u8; IMAGE_BYTES]>; 2],
+    newest: Option<Slot>,
+) -> Recorder<'a> {
+    let weights = newest.and_then(|slot| match states(flash)[slot as usize] {
+        SlotState::Valid { id, .. } => Some(id),
+        _ => None,
+    });
+    Recorder::attach(memory, Boot { cause, failed: false, weights })
 }
 
 /// Both halves after a start.

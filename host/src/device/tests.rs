@@ -12,6 +12,7 @@ use shared::control::pid::Pid;
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::device::KNOWN_GOOD;
 use shared::link::messages::{DeviceKind, ResetCause, Slot};
+use shared::recorder::{FAST_ENTRIES, Happening, Recording};
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use super::simulated::Simulated;
@@ -175,6 +176,31 @@ fn requests_get_through_a_line_that_damages_bytes() {
     for pip in [10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0, 24.0] {
         assert_eq!(device.apply(paper_settings(pip)).unwrap().1, Some(paper_settings(pip)));
     }
+}
+
+#[test]
+fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_restart() {
+    let (mut device, _simulated, _terminal) = connected();
+    device.start().unwrap();
+    let deadline = Instant::now() + Duration::from_mins(1);
+    while device.recorder().unwrap().fast.next < 4000 {
+        assert!(Instant::now() < deadline, "no breath comes");
+    }
+    let mut shares = Vec::new();
+    let running = device.blackbox(&mut |share| shares.push(share)).unwrap();
+    assert!(shares.is_sorted() && shares.last().is_some_and(|share| (share - 1.0).abs() < 1e-9));
+    assert_eq!((running.status.recording, running.unread), (Recording::Running, 0));
+    assert!(running.slow.ticks().any(|tick| tick.pressure > 15.0), "a breath is in it");
+    device.stop().unwrap();
+    device.restart().unwrap();
+    let after = device.blackbox(&mut |_| ()).unwrap();
+    assert_eq!((after.status.boot, after.status.recording), (2, Recording::Stopped));
+    assert_eq!(after.fast.entries.len(), FAST_ENTRIES);
+    let again = device.blackbox(&mut |_| ()).unwrap();
+    assert_eq!((after.fast, after.slow), (again.fast, again.slow), "it stands still");
+    assert!(after.log.starts_with(&running.log));
+    let boot = Happening::Boot { cause: ResetCause::Software, failed: false };
+    assert_eq!(after.log.last().map(|event| event.happening), Some(boot));
 }
 
 #[test]

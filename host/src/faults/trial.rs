@@ -88,6 +88,7 @@ struct Run<'a> {
     sensor: SensorFault,
     reading: f32,
     command: ValveCommand,
+    alarm: Option<Fault>,
     missed: u32,
     above_limit: Option<u32>,
     outcome: Outcome,
@@ -109,6 +110,7 @@ pub fn run(trial: &Trial<'_>) -> Result<Outcome, SourceError> {
         sensor: SensorFault::new(trial.injection, ChaCha8Rng::seed_from_u64(trial.seed)),
         reading: trial.settings.peep,
         command: ValveCommand::SAFE,
+        alarm: None,
         missed: 0,
         above_limit: None,
         outcome: Outcome::default(),
@@ -143,11 +145,10 @@ impl Run<'_> {
             }
         }
         self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
+        // An alarm before there was anything to find is one too.
+        self.outcome.alarms.extend(self.alarm.take().map(|fault| (fault, since.unwrap_or(0))));
         if let Some(since) = since {
             self.watch(since);
-        } else if let Some(fault) = self.state.take_raised() {
-            // An alarm before there was anything to find is one too.
-            self.outcome.alarms.push((fault, 0));
         }
     }
 
@@ -155,15 +156,13 @@ impl Run<'_> {
         if self.missed > 0 {
             self.state.missed(std::mem::take(&mut self.missed));
         }
-        self.command = self.ventilator.step(&mut self.state, self.reading).command;
+        let output = self.ventilator.step(&mut self.state, self.reading);
+        (self.command, self.alarm) = (output.command, output.alarm);
     }
 
     /// Notes what the fault has led to.
     fn watch(&mut self, since: u32) {
         let outcome = &mut self.outcome;
-        if let Some(fault) = self.state.take_raised() {
-            outcome.alarms.push((fault, since));
-        }
         let pressure = self.bench.airway_pressure();
         outcome.peak_true = outcome.peak_true.max(pressure);
         outcome.level = outcome.level.max(self.state.level());

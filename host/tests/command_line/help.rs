@@ -20,6 +20,7 @@ fn every_command_explains_itself() {
         "reproduce",
         "identify",
         "monitor",
+        "blackbox",
         "flash",
         "qemu",
     ] {

@@ -1,6 +1,8 @@
 //! The `trainer` command line as its users meet it: the real program, its output, its files, its exit codes.
 
 mod bad_input;
+#[cfg(unix)]
+mod blackbox;
 mod help;
 mod interrupted;
 mod pipeline;

@@ -1,8 +1,9 @@
 //! The half of a device that runs with the control tick.
 //!
 //! A tick is [`Control::cue`] (hardware in the loop only) -> reading -> [`Control::step`] -> valves ->
-//! [`Control::report`] -> at most one [`Control::execute`] -> [`Control::record`]. Orders about settings, controller and
-//! exploration wait for the breath boundary, so that no breath changes while it runs.
+//! [`Control::report`] -> at most one [`Control::execute`] -> the flight recorder, by [`Control::moment`] ->
+//! [`Control::record`]. Orders about settings, controller and exploration wait for the breath boundary, so that no breath
+//! changes while it runs.
 
 use heapless::Deque;
 
@@ -16,6 +17,7 @@ use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters};
+use crate::recorder::Moment;
 use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
@@ -186,7 +188,7 @@ impl Control {
         if let (Mode::Fault(_), true) = (output.mode, before != output.mode) {
             self.queue.clear();
         }
-        if let Some(fault) = self.state.take_raised() {
+        if let Some(fault) = output.alarm {
             tell(Report::Alarm { fault, tick });
         }
         if let Some(counters) = counters {
@@ -198,6 +200,13 @@ impl Control {
         let (worst_tick_us, mean_tick_us) = self.timer.work_us();
         let (dropped, missed_ticks) = (self.dropped, self.timer.missed());
         Counters { dropped, corrupt_frames: 0, missed_ticks, worst_tick_us, mean_tick_us }
+    }
+
+    /// What a step did, for the flight recorder: the reading that it was given, its output, and the ticks missed before it.
+    #[inline]
+    pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
+        let learned = self.status.controller == ControllerChoice::Learned;
+        Moment { reading, output, settings: self.state.breath().settings(), learned, missed }
     }
 
     /// Takes in how long a tick took.

@@ -17,6 +17,7 @@ use crate::link::messages::{
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{Batcher, Counters};
 use crate::link::upload::Upload;
+use crate::recorder::Look;
 use crate::ventilator::Mode;
 use crate::weights::IMAGE_BYTES;
 
@@ -46,6 +47,8 @@ pub enum Step {
     Send(ToHost),
     /// Have the control half carry out this order, then call [`Desk::answered`].
     Ask(Order),
+    /// Look into the flight recorder's memory, then call [`Desk::looked`].
+    Look(Look),
     /// Store [`Desk::image`] in a slot that does not run, then call [`Desk::stored`].
     Store,
     /// Send this, wait until it is out, and start anew.
@@ -139,6 +142,9 @@ impl Desk {
             }
             Request::CommitWeights => self.ask(Purpose::Commit, Order::Status),
             Request::Reset => self.ask(Purpose::Restart, Order::Status),
+            Request::GetRecorder => Step::Look(Look::Status),
+            Request::ReadRecorder { part, from } => Step::Look(Look::Page { part: *part, from: *from }),
+            Request::ClearRecorder => Step::Look(Look::Clear),
             Request::WeightsChunk { offset, bytes } => {
                 let progress = self.upload.chunk(*offset, bytes).map(|offset| Response::Progress { offset });
                 self.send(progress)
@@ -184,6 +190,11 @@ impl Desk {
                 Err(refusal) => self.send(Err(refusal)),
             },
         }
+    }
+
+    /// Goes on after [`Step::Look`] with what was found.
+    pub fn looked(&mut self, found: Response) -> Step {
+        self.send(Ok(found))
     }
 
     /// Goes on after [`Step::Store`]: the slot that took the image, if one did, and what both slots hold now.

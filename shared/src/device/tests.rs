@@ -1,3 +1,4 @@
+use std::boxed::Box;
 use std::vec::Vec;
 
 use proptest::prelude::*;
@@ -14,6 +15,7 @@ use crate::link::messages::{
 };
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
+use crate::recorder::{Boot, Memory, Part, Recorder, Recording, Status};
 use crate::safety::monitors::Monitors;
 use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
 
@@ -30,6 +32,8 @@ struct Rig {
     stored: Vec<[u8; IMAGE_BYTES]>,
     flash_fails: bool,
     restarts: usize,
+    memory: &'static Memory,
+    recorder: Recorder<'static>,
 }
 
 impl Rig {
@@ -43,7 +47,11 @@ impl Rig {
             reset: ResetCause::PowerOn,
             failure: None,
         };
+        let memory: &'static Memory = Box::leak(Box::new(Memory::new()));
+        let boot = Boot { cause: facts.reset, failed: false, weights: None };
         Self {
+            memory,
+            recorder: Recorder::attach(memory, boot),
             control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ)
                 .unwrap()
                 .with_monitors(Monitors::ANY_PLANT),
@@ -64,7 +72,8 @@ impl Rig {
     fn run_at(&mut self, ticks: usize, pressure: f32) {
         for _ in 0..ticks {
             let output = self.control.step(pressure);
-            let Self { control, reports, .. } = self;
+            let Self { control, reports, recorder, .. } = self;
+            recorder.record(&control.moment(pressure, &output, 0));
             control.report(&output, &mut |report| {
                 reports.push(report);
                 true
@@ -93,6 +102,7 @@ impl Rig {
                     return response;
                 }
                 Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
+                Step::Look(look) => self.desk.looked(self.memory.look(look)),
                 Step::Store => {
                     let image = *self.desk.image();
                     if self.flash_fails {
@@ -268,6 +278,29 @@ fn a_fault_is_an_alarm_after_the_last_samples_and_empties_the_queue() {
     assert!(matches!(rig.ask(Request::GetSettings), Response::Settings { pending: None, .. }));
 }
 
+fn recorded(rig: &mut Rig) -> Status {
+    match rig.ask(Request::GetRecorder) {
+        Response::Recorder(status) => status,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn the_flight_recorder_is_read_while_ventilating_and_emptied_on_request() {
+    let mut rig = Rig::new(None);
+    rig.ask(Request::Start);
+    rig.run(100);
+    let status = recorded(&mut rig);
+    assert_eq!((status.recording, status.fast.next - status.fast.first), (Recording::Running, 101));
+    let page = rig.ask(Request::ReadRecorder { part: Part::Fast, from: status.fast.next - 2 });
+    assert!(matches!(page, Response::Recorded(page) if page.first == 99 && page.bytes.len() == 12));
+    rig.run_at(20, f32::NAN);
+    assert_eq!(recorded(&mut rig).recording, Recording::Fault(Fault::ReadingNotANumber));
+    assert_eq!(rig.ask(Request::ClearRecorder), Response::Done);
+    rig.run(1);
+    assert_eq!(recorded(&mut rig).recording, Recording::Nothing);
+}
+
 #[test]
 fn an_uploaded_image_is_stored_and_named() {
     let (mut rig, image) = (Rig::new(None), image());
@@ -331,7 +364,7 @@ fn a_ventilator_has_no_plant_to_reset() {
 proptest! {
     /// Requests in any order, in any mode: each is answered, and the valves are safe unless a breath runs.
     #[test]
-    fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..14, -10.0f32..70.0), 1..60)) {
+    fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..16, -10.0f32..70.0), 1..60)) {
         let mut rig = Rig::new(Some(residual()));
         for (kind, value) in kinds {
             let request = match kind {
@@ -347,6 +380,8 @@ proptest! {
                 10 => Request::BeginWeights { length: IMAGE_BYTES as u32, id: 3 },
                 11 => Request::CommitWeights,
                 12 => Request::Reset,
+                13 => Request::ReadRecorder { part: Part::Log, from: value as u32 },
+                14 => Request::ClearRecorder,
                 _ => Request::GetTiming { clear: true },
             };
             rig.ask(request);

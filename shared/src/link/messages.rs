@@ -17,6 +17,7 @@ use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
 use crate::device::timing::TickTimes;
 use crate::explore::Exploration;
+use crate::recorder::{Page, Part, Status};
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::Mode;
@@ -93,6 +94,17 @@ pub enum Request {
         /// The seed.
         seed: u64,
     },
+    /// What does the flight recorder hold? Answered by [`Response::Recorder`].
+    GetRecorder,
+    /// Entries of the flight recorder; answered by [`Response::Recorded`].
+    ReadRecorder {
+        /// Of which part?
+        part: Part,
+        /// Number of the first entry.
+        from: u32,
+    },
+    /// Empties the flight recorder's ticks with the next control tick; its log stays. Answered by [`Response::Done`].
+    ClearRecorder,
 }
 
 /// Which controller to run.
@@ -165,6 +177,10 @@ pub enum Response {
     },
     /// Statistics of the control ticks.
     Timing(TickTimes),
+    /// What the flight recorder holds.
+    Recorder(Status),
+    /// Entries of the flight recorder.
+    Recorded(Page),
 }
 
 /// The greeting.

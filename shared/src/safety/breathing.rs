@@ -123,8 +123,8 @@ impl Breathing {
     ) -> Option<Fault> {
         let settings = breath.settings();
         let rise = pressure - settings.peep;
-        let again = |count: u32, complaint: bool| if complaint { count.saturating_add(1) } else { 0 };
-        self.weak = again(self.weak, rise < REACHED * (settings.pip - settings.peep) && command > WIDE_OPEN);
+        let weak = rise < REACHED * (settings.pip - settings.peep) && command > WIDE_OPEN;
+        self.weak = if weak { self.weak.saturating_add(1) } else { 0 };
         let occluded = self.occluded(rise, volume, monitors);
         if monitors.has(Fault::LowPressure) && self.weak >= 2 {
             return Some(Fault::LowPressure);

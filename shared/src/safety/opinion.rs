@@ -139,17 +139,24 @@ impl Opinion {
         sums.qy += q * rise;
         sums.yy += rise * rise;
         let foretold = self.foretold(v, q);
-        let (pressure_before, foretold_before) =
-            if self.ticks < WINDOW { (self.start, 0.0) } else { self.past[self.ticks % WINDOW] };
+        let (pressure_before, foretold_before) = self.before(WINDOW);
+        let (pressure_between, _) = self.before(WINDOW / 2);
         self.past[self.ticks % WINDOW] = (pressure, foretold);
         self.ticks += 1;
         let count = |counter: u32, yes: bool| if yes { counter.saturating_add(1) } else { 0 };
         // A pressure that has gone below its start is an open tube, which another monitor finds.
         let silent = foretold > TELLING_RISE && rise < ANSWER * foretold && rise > -FALL;
         self.unanswered = count(self.unanswered, silent);
-        let stands = (pressure - pressure_before).abs() < STANDS && rise > -FALL;
+        let still = |before: f32| (pressure - before).abs() < STANDS;
+        // Between the end of a cough and the next rise the pressure is where it was, but was not there all the time.
+        let stands = still(pressure_before) && still(pressure_between) && rise > -FALL;
         self.frozen = count(self.frozen, stands && foretold - foretold_before > TELLING_RISE);
         self.unanswered >= times.unanswered || self.frozen >= times.stands
+    }
+
+    /// Pressure and rise foretold of so many ticks ago, at most [`WINDOW`]; of the start, if the inspiration is younger.
+    fn before(&self, ticks: usize) -> (f32, f32) {
+        if self.ticks < ticks { (self.start, 0.0) } else { self.past[(self.ticks - ticks) % WINDOW] }
     }
 
     /// The rise that a volume and a flow must make at least: a patient's effort may have spoilt one of the two last

@@ -10,6 +10,7 @@ use crate::device::timing::Span;
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
 use crate::link::refusal::SettingsRefusal;
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
+use crate::recorder::{Held, PAGE_BYTES, Recording};
 use crate::ventilator::Sample;
 use crate::weights::ImageProblem;
 
@@ -74,6 +75,9 @@ fn request() -> impl Strategy<Value = Request> {
         settings().prop_map(Request::QueueSettings),
         any::<bool>().prop_map(|clear| Request::GetTiming { clear }),
         any::<u64>().prop_map(|seed| Request::ResetPlant { seed }),
+        Just(Request::GetRecorder),
+        any::<u32>().prop_map(|from| Request::ReadRecorder { part: Part::Slow, from }),
+        Just(Request::ClearRecorder),
     ]
 }
 
@@ -127,6 +131,14 @@ fn response() -> impl Strategy<Value = Response> {
         refusal().prop_map(Response::Refused),
         any::<u8>().prop_map(|free| Response::Queued { free }),
         any::<u32>().prop_map(|ticks| Response::Timing(TickTimes { ticks, ..TickTimes::default() })),
+        (any::<u16>(), any::<u32>(), mode()).prop_map(|(boot, first, mode)| {
+            let recording =
+                if let Mode::Fault(fault) = mode { Recording::Fault(fault) } else { Recording::Running };
+            Response::Recorder(Status { boot, recording, fast: Held { first, ..HELD }, ..STATUS })
+        }),
+        (any::<u32>(), prop::collection::vec(any::<u8>(), 0..=PAGE_BYTES)).prop_map(|(first, bytes)| {
+            Response::Recorded(Page { part: Part::Log, first, bytes: Vec::from_slice(&bytes).unwrap() })
+        }),
     ]
 }
 
@@ -138,6 +150,17 @@ const TIMES: TickTimes = TickTimes {
     work: Span { shortest: 0, mean: 0.0, longest: 0 },
     period: Span { shortest: 0, mean: 0.0, longest: 0 },
     histogram: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 12],
+};
+
+const HELD: Held = Held { first: 1, next: 300, origin: u32::MAX };
+const STATUS: Status = Status {
+    boot: 2,
+    recording: Recording::Fault(Fault::HighPressure),
+    tick: 128,
+    tick_boot: 1,
+    fast: HELD,
+    slow: Held { first: 0, next: 15, origin: 19 },
+    log: Held { first: 0, next: 4, origin: 0 },
 };
 
 fn sample(breath: u32, tick: u32, values: [f32; 4]) -> PackedSample {
@@ -239,6 +262,9 @@ fn the_bytes_of_every_request_are_pinned() {
         ),
         (Request::GetTiming { clear: true }, "ac020e01"),
         (Request::ResetPlant { seed: 128 }, "ac020f8001"),
+        (Request::GetRecorder, "ac0210"),
+        (Request::ReadRecorder { part: Part::Log, from: 300 }, "ac021102ac02"),
+        (Request::ClearRecorder, "ac0212"),
     ];
     for (request, expected) in requests {
         let message = ToDevice { sequence: 300, request };
@@ -279,6 +305,15 @@ fn the_bytes_of_every_response_are_pinned() {
         (
             Response::Timing(TIMES),
             "00050b80080100020000803f0400000000000000000000000000000000000000000000000c",
+        ),
+        (Response::Recorder(STATUS), "00050c02030280010101ac02ffffffff0f000f13000400"),
+        (
+            Response::Recorded(Page {
+                part: Part::Slow,
+                first: 128,
+                bytes: Vec::from_slice(&[7, 8]).unwrap(),
+            }),
+            "00050d018001020708",
         ),
     ];
     for (response, expected) in responses {
@@ -355,6 +390,9 @@ fn the_longest_messages_fit_into_a_frame() {
     assert_eq!(read_reply(&through(&event)), Ok(event));
     let chunk =
         Request::WeightsChunk { offset: u32::MAX, bytes: Vec::from_slice(&[0xFF; CHUNK_BYTES]).unwrap() };
+    let page = Page { part: Part::Fast, first: u32::MAX, bytes: Vec::from_slice(&[1; PAGE_BYTES]).unwrap() };
+    let answer = ToHost::Response { sequence: u16::MAX, response: Response::Recorded(page) };
+    assert_eq!(read_reply(&through(&answer)), Ok(answer));
     let message = ToDevice { sequence: u16::MAX, request: chunk };
     assert_eq!(read_request(&through(&message)), Ok(message));
 }

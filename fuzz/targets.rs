@@ -1,0 +1,201 @@
+//! What must hold for any bytes from outside: one function per target, for the fuzzer and for the ordinary test in
+//! `tests/tests/fuzz.rs`, which runs the same functions on seeds and their mutations.
+
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::checksum::{CHECKSUM_BYTES, crc32, verified};
+use shared::device::control::Control;
+use shared::device::desk::{Desk, Facts, Step};
+use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
+use shared::link::messages::{
+    DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, greeted_protocol, read_reply, read_request,
+};
+use shared::link::plant;
+use shared::recorder::{Boot, LogEntry, Memory, Recorder, TickEntry};
+use shared::ventilator::Mode;
+use shared::weights::{IMAGE_BYTES, decode, encode};
+
+/// Clock of the device, Hz.
+const CORE_HZ: u32 = 168_000_000;
+
+/// Every run of bytes between zeros is counted once, as good or as what is wrong with it; a good one carries its checksum,
+/// and framed again it comes back.
+pub fn frames(data: &[u8]) {
+    let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
+    let (mut good, mut bad) = (0, 0);
+    for byte in data.iter().chain(&[0]) {
+        match decoder.push(*byte) {
+            Poll::Pending => {}
+            Poll::Frame(content) => {
+                good += 1;
+                let mut bytes = content.to_vec();
+                bytes.extend_from_slice(&crc32(content).to_le_bytes());
+                assert_eq!(verified(&bytes), Some(content));
+            }
+            Poll::Corrupt(_) => bad += 1,
+        }
+    }
+    let runs = data.split(|byte| *byte == 0).filter(|run| !run.is_empty()).count();
+    let counters = decoder.counters();
+    assert_eq!((counters.frames as usize, counters.corrupt() as usize), (good, bad));
+    assert_eq!(good + bad, runs);
+    plant_frames(data);
+}
+
+/// A frame of the plant link is accepted only with the very bytes that it is written with.
+fn plant_frames(data: &[u8]) {
+    let (mut decoder, mut found) = (plant::Decoder::default(), 0);
+    for (index, byte) in data.iter().enumerate() {
+        if let Some(frame) = decoder.push(*byte) {
+            found += 1;
+            let bytes = frame.encode();
+            assert_eq!(data.get((index + 1).wrapping_sub(plant::FRAME_BYTES)..=index), Some(&bytes[..]));
+        }
+    }
+    assert!(found * plant::FRAME_BYTES + decoder.skipped() as usize <= data.len());
+}
+
+/// What is understood says the same when it is sent again, and fits into a frame.
+pub fn messages(data: &[u8]) {
+    if let Ok(request) = read_request(data) {
+        let again = through(&request);
+        assert_eq!(read_request(&again).map(|request| through(&request)), Ok(again));
+    }
+    if let Ok(reply) = read_reply(data) {
+        let again = through(&reply);
+        assert_eq!(read_reply(&again).map(|reply| through(&reply)), Ok(again));
+    }
+    let _ = greeted_protocol(data);
+    for entry in data.as_chunks().0 {
+        if let Some(tick) = TickEntry::read(*entry) {
+            assert!(tick.pressure.is_nan() || tick.pressure.abs() < 230.0);
+        }
+    }
+    for entry in data.as_chunks().0 {
+        let _ = LogEntry::read(*entry);
+    }
+}
+
+/// Sends a message through a frame; gives the content that arrives. Bits are compared, since no NaN equals itself.
+fn through<M: serde::Serialize>(message: &M) -> Vec<u8> {
+    let (mut buffer, mut decoder) = ([0; FRAME_BYTES], FrameDecoder::<DECODER_BYTES>::new());
+    let frame = encode_frame(message, &mut buffer).expect("every message fits into a frame");
+    let mut content = Vec::new();
+    for byte in frame {
+        if let Poll::Frame(arrived) = decoder.push(*byte) {
+            content = arrived.to_vec();
+        }
+    }
+    content
+}
+
+/// An image is accepted only if packing it again gives the same bytes; so is one whose checksum was mended, since a damaged
+/// image with a right checksum is what an attacker or a broken trainer would send.
+pub fn weights(data: &[u8]) {
+    accept(data);
+    if let Some(image) = data.get(..IMAGE_BYTES) {
+        let mut mended = image.to_vec();
+        let (covered, checksum) = mended.split_at_mut(IMAGE_BYTES - CHECKSUM_BYTES);
+        checksum.copy_from_slice(&crc32(covered).to_le_bytes());
+        accept(&mended);
+    }
+}
+
+fn accept(data: &[u8]) {
+    let Ok(image) = decode(data) else { return };
+    let mut again = [0; IMAGE_BYTES];
+    encode(&image.residual, &image.identity, &mut again).expect("there is room");
+    assert_eq!(data.get(..IMAGE_BYTES), Some(&again[..]));
+}
+
+/// A device that is told anything: each request is answered once, under its number, and whatever it is told the valves are
+/// safe unless a breath runs.
+pub fn device(data: &[u8]) {
+    conversation(data);
+}
+
+/// All that a device says to a stream of bytes.
+pub fn conversation(data: &[u8]) -> Vec<ToHost> {
+    let (memory, mut said) = (Box::new(Memory::new()), Vec::new());
+    let mut rig = Rig::new(&memory);
+    for (number, byte) in data.iter().enumerate() {
+        said.extend(rig.hear(*byte));
+        if number % 16 == 0 {
+            // A reading that any byte can spoil.
+            said.extend(rig.tick(if *byte == 0xEE { f32::NAN } else { f32::from(*byte) / 4.0 }));
+        }
+    }
+    said
+}
+
+struct Rig<'a> {
+    memory: &'a Memory,
+    recorder: Recorder<'a>,
+    control: Control,
+    desk: Desk,
+    decoder: FrameDecoder<DECODER_BYTES>,
+}
+
+impl<'a> Rig<'a> {
+    fn new(memory: &'a Memory) -> Self {
+        let facts = Facts {
+            firmware: [0; 3],
+            device: DeviceKind::HardwareInTheLoop,
+            period_us: DEFAULT_PERIOD_US,
+            slots: [SlotState::Empty; 2],
+            running: None,
+            reset: ResetCause::PowerOn,
+            failure: None,
+        };
+        let boot = Boot { cause: facts.reset, failed: false, weights: None };
+        Self {
+            memory,
+            recorder: Recorder::attach(memory, boot),
+            control: Control::new(facts.device, facts.period_us, None, CORE_HZ)
+                .expect("the period is in bounds"),
+            desk: Desk::new(facts),
+            decoder: FrameDecoder::new(),
+        }
+    }
+
+    fn hear(&mut self, byte: u8) -> Option<ToHost> {
+        let request = match self.decoder.push(byte) {
+            Poll::Frame(content) => read_request(content),
+            Poll::Pending | Poll::Corrupt(_) => return None,
+        };
+        match request {
+            Ok(request) => Some(self.serve(&request)),
+            Err(unreadable) => unreadable.sequence.map(|sequence| self.desk.unreadable(sequence)),
+        }
+    }
+
+    fn serve(&mut self, request: &ToDevice) -> ToHost {
+        let mut step = self.desk.receive(request);
+        loop {
+            step = match step {
+                Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
+                Step::Look(look) => self.desk.looked(self.memory.look(look)),
+                Step::Store => self.desk.stored(Some(Slot::A), [SlotState::Torn; 2]),
+                Step::Send(answer) | Step::Restart(answer) => {
+                    let answered =
+                        matches!(answer, ToHost::Response { sequence, .. } if sequence == request.sequence);
+                    assert!(answered, "{request:?}: {answer:?}");
+                    return answer;
+                }
+            };
+        }
+    }
+
+    fn tick(&mut self, reading: f32) -> Vec<ToHost> {
+        let _ = self.control.cue();
+        let output = self.control.step(reading);
+        assert!(output.mode == Mode::Ventilating || (output.command.u_out() && output.command.u_in() <= 0.0));
+        assert!((0.0..=100.0).contains(&output.command.u_in()));
+        self.recorder.record(&self.control.moment(reading, &output, 0));
+        let (Self { control, desk, .. }, mut events) = (self, Vec::new());
+        control.report(&output, &mut |report| {
+            events.extend(desk.report(&report));
+            true
+        });
+        events
+    }
+}

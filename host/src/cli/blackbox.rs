@@ -1,0 +1,110 @@
+//! `trainer blackbox`: reads a device's flight recorder.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+use shared::link::messages::DeviceIdentity;
+
+use super::common::{bar, write_json};
+use super::output::OutputArgs;
+use crate::blackbox::{events, report, summary};
+use crate::device::Device;
+use crate::device::blackbox::Blackbox;
+use crate::files::write_atomically;
+use crate::monitor::words;
+use crate::port::Address;
+
+/// Read a device's flight recorder: the last seconds before a fault, and what happened when
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer blackbox --port /dev/ttyACM0
+  trainer blackbox --port /dev/ttyACM0 --out fault.csv --html fault.html
+  trainer blackbox --port tcp:localhost:5555 --json - --clear
+
+It holds the last 2 s of control ticks, the last 60 s at a twentieth of their rate, and a log of a
+thousand events. It records while the device ventilates and for a short time after a fault or a
+stop; then it stands still until ventilation starts again. It survives a reset, which ends a running
+recording, but no lost supply. A device that ventilates goes on.")]
+pub struct Args {
+    /// The device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT")]
+    port: Address,
+    /// Write the recorded ticks as CSV, or everything as JSON
+    #[arg(long, value_name = "FILE.csv|FILE.json", value_parser = out)]
+    out: Option<PathBuf>,
+    /// Write a page with plots of pressure, target and valve, and the whole log
+    #[arg(long, value_name = "FILE.html")]
+    html: Option<PathBuf>,
+    /// How many of the newest events to print
+    #[arg(long, value_name = "N", default_value_t = 40)]
+    events: usize,
+    /// Then empty the recording; the log stays
+    #[arg(long)]
+    clear: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Found<'a> {
+    port: String,
+    identity: &'a DeviceIdentity,
+    #[serde(flatten)]
+    blackbox: &'a Blackbox,
+}
+
+/// A file whose name says what to write.
+fn out(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match kind(&path) {
+        Some("csv" | "json") => Ok(path),
+        _ => Err("name it *.csv for the ticks or *.json for everything".to_owned()),
+    }
+}
+
+fn kind(path: &Path) -> Option<&str> {
+    path.extension().and_then(|extension| extension.to_str())
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let mut device = Device::connect(&args.port)?;
+    let identity = device.identify()?;
+    let steps = 1000;
+    let bar = bar("reading the recorder", steps);
+    let blackbox = device.blackbox(&mut |share| bar.set_position((share * steps as f64) as u64));
+    bar.finish_and_clear();
+    let blackbox = blackbox?;
+    let port = args.port.to_string();
+    let name = format!("{port}: {}", words::identity(&identity));
+    args.output.table(&summary(&blackbox, &name));
+    args.output.table(&events(&blackbox, args.events));
+    let found = Found { port, identity: &identity, blackbox: &blackbox };
+    if let Some(path) = &args.out {
+        save(path, &found)?;
+        args.output.line(&format!("saved {}", path.display()));
+    }
+    if let Some(path) = &args.html {
+        report(&blackbox, &name).save(path)?;
+        args.output.line(&format!("saved {}", path.display()));
+    }
+    args.output.finish(&found)?;
+    // Only what is saved is given up.
+    if args.clear {
+        device.clear_recorder()?;
+        args.output.line("the recording is emptied; the log stays");
+    }
+    Ok(())
+}
+
+fn save(path: &Path, found: &Found) -> anyhow::Result<()> {
+    match kind(path) {
+        Some("csv") => write_atomically(path, found.blackbox.to_csv().as_bytes())
+            .with_context(|| format!("cannot write {}", path.display())),
+        Some("json") => write_json(path, found),
+        _ => bail!("{} is neither CSV nor JSON", path.display()),
+    }
+}

@@ -1,0 +1,294 @@
+//! What one entry holds: a control tick in six bytes, an event in twelve.
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::breath::Phase;
+use crate::link::messages::ResetCause;
+use crate::safety::alarms::Fault;
+use crate::settings::Settings;
+
+/// Sixteen-bit halves of a tick's entry.
+pub(super) const TICK_HALVES: usize = 3;
+/// Bytes of a tick's entry.
+pub const TICK_BYTES: usize = 2 * TICK_HALVES;
+/// Sixteen-bit halves of an event's entry.
+pub(super) const EVENT_HALVES: usize = 6;
+/// Bytes of an event's entry.
+pub const EVENT_BYTES: usize = 2 * EVENT_HALVES;
+
+/// Lowest pressure that can be told from lower ones, cmH2O.
+const PRESSURE_OFFSET: f32 = -100.0;
+/// Steps of pressure and target per cmH2O.
+const PRESSURE_STEPS: f32 = 100.0;
+/// Steps of a valve command per percent.
+const COMMAND_STEPS: f32 = 10.0;
+/// Highest code of a pressure, 15 bits; 0 stands for no number.
+const PRESSURE_CODE: u32 = 32_767;
+/// Highest code of a target, 13 bits; 0 stands for none.
+const TARGET_CODE: u32 = 8_191;
+/// Highest code of a valve command, 10 bits.
+const COMMAND_CODE: u32 = 1_023;
+/// Steps of a setting in an event's argument.
+const SETTING_STEPS: f32 = 10.0;
+
+/// What the ventilator was doing in a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Activity {
+    /// Standing by.
+    Standby,
+    /// Breathing.
+    Ventilating,
+    /// In the latched safe state.
+    Fault,
+}
+
+/// A control tick as it is recorded.
+///
+/// | value | bits | resolution, range |
+/// |---|---|---|
+/// | pressure | 15 | 0.01 cmH2O, -99.99 to 227.67; one code for "no number" |
+/// | expiratory valve | 1 | open or not |
+/// | target | 13 | 0.01 cmH2O, 0 to 81.9; one code for "none" |
+/// | phase | 2 | one code for "no breath" |
+/// | explored | 1 | whether exploration moved the valve |
+/// | inspiratory valve | 10 | 0.1 % |
+/// | activity | 2 | one code for a gap |
+/// | breath | 4 | number of the breath, its lowest bits |
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TickEntry {
+    /// Pressure as read, cmH2O; NaN for a reading that is no number.
+    pub pressure: f32,
+    /// Target, cmH2O; none outside of a breath.
+    pub target: Option<f32>,
+    /// Command of the inspiratory valve, percent.
+    pub u_in: f32,
+    /// Expiratory valve open?
+    pub u_out: bool,
+    /// Phase of the breath; none outside of one.
+    pub phase: Option<Phase>,
+    /// Whether exploration moved the inspiratory valve.
+    pub explored: bool,
+    /// What the ventilator was doing.
+    pub activity: Activity,
+    /// Number of the breath, modulo 16.
+    pub breath: u8,
+}
+
+/// Stands between ticks that did not follow each other.
+pub(super) const GAP: [u16; TICK_HALVES] = [0, 0, 3 << 4];
+
+impl TickEntry {
+    /// The entry's halves; what is out of range is at its end.
+    #[inline]
+    pub(super) fn pack(&self) -> [u16; TICK_HALVES] {
+        let pressure = (self.pressure - PRESSURE_OFFSET) * PRESSURE_STEPS;
+        let pressure = if self.pressure.is_nan() { 0 } else { code(pressure, 1, PRESSURE_CODE) };
+        let target = self.target.map_or(0, |target| code(target * PRESSURE_STEPS + 1.0, 1, TARGET_CODE));
+        let phase = match self.phase {
+            Some(Phase::Inspiration) => 0,
+            Some(Phase::Fall) => 1,
+            Some(Phase::Expiration) => 2,
+            None => 3,
+        };
+        let activity = match self.activity {
+            Activity::Standby => 0,
+            Activity::Ventilating => 1,
+            Activity::Fault => 2,
+        };
+        let u_in = code(self.u_in * COMMAND_STEPS, 0, COMMAND_CODE);
+        [
+            pressure << 1 | u16::from(self.u_out),
+            target << 3 | phase << 1 | u16::from(self.explored),
+            u_in << 6 | activity << 4 | u16::from(self.breath & 15),
+        ]
+    }
+
+    /// Reads an entry's bytes; none if it marks a gap: what follows it did not follow what is before it.
+    pub fn read(bytes: [u8; TICK_BYTES]) -> Option<Self> {
+        let [first, second, third] = halves(bytes);
+        let activity = match third >> 4 & 3 {
+            0 => Activity::Standby,
+            1 => Activity::Ventilating,
+            2 => Activity::Fault,
+            _ => return None,
+        };
+        let phase = match second >> 1 & 3 {
+            0 => Some(Phase::Inspiration),
+            1 => Some(Phase::Fall),
+            2 => Some(Phase::Expiration),
+            _ => None,
+        };
+        let pressure = match first >> 1 {
+            0 => f32::NAN,
+            code => f32::from(code) / PRESSURE_STEPS + PRESSURE_OFFSET,
+        };
+        let target = match second >> 3 {
+            0 => None,
+            code => Some(f32::from(code - 1) / PRESSURE_STEPS),
+        };
+        Some(Self {
+            pressure,
+            target,
+            u_in: f32::from(third >> 6) / COMMAND_STEPS,
+            u_out: first & 1 != 0,
+            phase,
+            explored: second & 1 != 0,
+            activity,
+            breath: (third & 15) as u8,
+        })
+    }
+}
+
+/// The nearest whole number within two bounds. Limited as a whole number, which takes fewer instructions: the cast itself
+/// makes 0 of what is negative or no number, and the largest number of what is too large.
+#[inline]
+fn code(value: f32, low: u32, high: u32) -> u16 {
+    ((value + 0.5) as u32).clamp(low, high) as u16
+}
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Happening {
+    /// The device started.
+    Boot {
+        /// Why.
+        cause: ResetCause,
+        /// Whether the program had failed before.
+        failed: bool,
+    },
+    /// Weights with this id were loaded at the start.
+    Weights(u32),
+    /// Ventilation started.
+    Start,
+    /// Ventilation was stopped.
+    Stop,
+    /// A fault latched.
+    Fault(Fault),
+    /// The fault was acknowledged.
+    Acknowledged,
+    /// Another controller runs.
+    Controller {
+        /// Learned weights, or a PID.
+        learned: bool,
+    },
+    /// Settings of a breath, each to a tenth of its unit.
+    Settings {
+        /// Peak inspiratory pressure, cmH2O.
+        pip: f32,
+        /// Positive end-expiratory pressure, cmH2O.
+        peep: f32,
+        /// Breaths per minute.
+        rate: f32,
+    },
+    /// Control ticks that did not run, since the start.
+    Missed {
+        /// How many.
+        ticks: u32,
+    },
+    /// A host emptied the recording.
+    Cleared,
+    /// A monitor raised an alarm, and ventilation went on.
+    Alarm(Fault),
+}
+
+impl Happening {
+    /// Settings as they are logged.
+    pub(super) fn settings(settings: &Settings) -> Self {
+        Self::Settings { pip: settings.pip, peep: settings.peep, rate: settings.rate }
+    }
+
+    /// Kind, never 0, and argument.
+    fn pack(self) -> (u8, u32) {
+        match self {
+            Self::Boot { cause, failed } => (1, u32::from(cause as u8) | u32::from(failed) << 8),
+            Self::Weights(id) => (2, id),
+            Self::Start => (3, 0),
+            Self::Stop => (4, 0),
+            Self::Fault(fault) => (5, u32::from(fault as u8)),
+            Self::Acknowledged => (6, 0),
+            Self::Controller { learned } => (7, u32::from(learned)),
+            Self::Settings { pip, peep, rate } => {
+                let tenths = |value: f32, highest: u32| u32::from(code(value * SETTING_STEPS, 0, highest));
+                (8, tenths(pip, 1023) | tenths(peep, 1023) << 10 | tenths(rate, 4095) << 20)
+            }
+            Self::Missed { ticks } => (9, ticks),
+            Self::Cleared => (10, 0),
+            Self::Alarm(fault) => (11, u32::from(fault as u8)),
+        }
+    }
+
+    fn unpack(kind: u8, argument: u32) -> Option<Self> {
+        let tenths = |shift: u32, bits: u32| (argument >> shift & ((1 << bits) - 1)) as f32 / SETTING_STEPS;
+        Some(match kind {
+            1 => Self::Boot { cause: variant(argument as u8)?, failed: argument >> 8 != 0 },
+            2 => Self::Weights(argument),
+            3 => Self::Start,
+            4 => Self::Stop,
+            5 => Self::Fault(variant(argument as u8)?),
+            6 => Self::Acknowledged,
+            7 => Self::Controller { learned: argument != 0 },
+            8 => Self::Settings { pip: tenths(0, 10), peep: tenths(10, 10), rate: tenths(20, 12) },
+            9 => Self::Missed { ticks: argument },
+            10 => Self::Cleared,
+            11 => Self::Alarm(variant(argument as u8)?),
+            _ => return None,
+        })
+    }
+}
+
+/// The variant of this number, as the link counts them too.
+pub(super) fn variant<V: DeserializeOwned>(number: u8) -> Option<V> {
+    postcard::from_bytes(&[number]).ok()
+}
+
+/// An event of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LogEntry {
+    /// Control tick since the device started.
+    pub tick: u32,
+    /// Which start that was; they are counted since the memory was last without power.
+    pub boot: u16,
+    /// What happened.
+    pub happening: Happening,
+}
+
+impl LogEntry {
+    /// The entry's halves: tick, argument, boot, kind and check.
+    pub(super) fn pack(&self) -> [u16; EVENT_HALVES] {
+        let (kind, argument) = self.happening.pack();
+        let check = check(self.tick, argument, self.boot, kind);
+        [
+            self.tick as u16,
+            (self.tick >> 16) as u16,
+            argument as u16,
+            (argument >> 16) as u16,
+            self.boot,
+            u16::from(kind) | u16::from(check) << 8,
+        ]
+    }
+
+    /// Reads an entry's bytes; none if they were damaged or come from a newer device.
+    pub fn read(bytes: [u8; EVENT_BYTES]) -> Option<Self> {
+        let [tick, tick_high, argument, argument_high, boot, last] = halves(bytes);
+        let tick = u32::from(tick) | u32::from(tick_high) << 16;
+        let argument = u32::from(argument) | u32::from(argument_high) << 16;
+        let [kind, stored] = last.to_le_bytes();
+        if stored != check(tick, argument, boot, kind) {
+            return None;
+        }
+        Some(Self { tick, boot, happening: Happening::unpack(kind, argument)? })
+    }
+}
+
+/// Eight bits that change with any single bit of an event.
+fn check(tick: u32, argument: u32, boot: u16, kind: u8) -> u8 {
+    let mixed = tick ^ argument.rotate_left(7) ^ (u32::from(boot) << 8 | u32::from(kind));
+    (mixed.wrapping_mul(0x9E37_79B1) >> 24) as u8
+}
+
+/// Bytes as halves, little endian.
+fn halves<const BYTES: usize, const HALVES: usize>(bytes: [u8; BYTES]) -> [u16; HALVES] {
+    let (pairs, _) = bytes.as_chunks::<2>();
+    core::array::from_fn(|index| pairs.get(index).map_or(0, |pair| u16::from_le_bytes(*pair)))
+}

@@ -1,0 +1,265 @@
+//! The one that writes: ticks while the ventilator ventilates and shortly after, events always.
+
+use super::entry::{Activity, GAP, Happening, LogEntry, TickEntry};
+use super::{CLEAR, FAST_TAIL, Memory, Recording, SLOW_STRIDE, SLOW_TAIL};
+use crate::link::messages::ResetCause;
+use crate::settings::Settings;
+use crate::ventilator::{Mode, Output};
+
+/// Ticks between two events of a kind that could come with every tick or breath: the log is for what is rare.
+const SELDOM: u32 = 60_000;
+
+/// How the device started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Boot {
+    /// Why.
+    pub cause: ResetCause,
+    /// Whether the program had failed before.
+    pub failed: bool,
+    /// Id of the weights that were loaded.
+    pub weights: Option<u32>,
+}
+
+/// A control tick, for the recorder.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// Pressure as read, cmH2O.
+    pub reading: f32,
+    /// What the tick gave.
+    pub output: &'a Output,
+    /// Settings in force.
+    pub settings: &'a Settings,
+    /// Whether learned weights run.
+    pub learned: bool,
+    /// Ticks that did not run since the last one that did.
+    pub missed: u32,
+}
+
+/// Writes a [`Memory`]. There is one writer at a time.
+#[derive(Debug)]
+pub struct Recorder<'a> {
+    memory: &'a Memory,
+    boot: u16,
+    /// Number of the tick to come.
+    now: u32,
+    mode: Mode,
+    /// Ticks to record after ventilation has ended.
+    fast_left: u32,
+    slow_left: u32,
+    /// Ticks until the next entry of [`super::Part::Slow`].
+    until_slow: u32,
+    /// Highest pressure since the last one, cmH2O; NaN if there was no number.
+    highest: f32,
+    learned: Option<bool>,
+    settings: Seldom<Happening>,
+    missed: u32,
+    missed_logged: Seldom<u32>,
+}
+
+/// A value that is logged when it has changed, but not too often.
+#[derive(Clone, Copy, Debug)]
+struct Seldom<T> {
+    logged: Option<(T, u32)>,
+}
+
+impl<T: Copy + PartialEq> Seldom<T> {
+    const NEVER: Self = Self { logged: None };
+
+    /// Whether this value is to be logged now.
+    fn is_due(&mut self, value: T, now: u32) -> bool {
+        let due = self.logged.is_none_or(|(last, when)| last != value && now.wrapping_sub(when) >= SELDOM);
+        if due {
+            self.logged = Some((value, now));
+        }
+        due
+    }
+}
+
+impl<'a> Recorder<'a> {
+    /// Takes over memory that holds anything, as the first one to use it since the device started. What an earlier run left
+    /// stays, unless the supply was gone since then: after power-up nothing does, after a dip of the supply only the log,
+    /// whose every entry has a check.
+    pub fn attach(memory: &'a Memory, boot: Boot) -> Self {
+        if boot.cause == ResetCause::PowerOn || !memory.is_sound() {
+            memory.format();
+        } else if boot.cause == ResetCause::BrownOut {
+            forget(memory);
+        }
+        if let Some((Recording::Running, before)) = memory.recording() {
+            let fast = memory.fast.held();
+            memory.tick.store(fast.tick(fast.next.wrapping_sub(1), 1));
+            memory.set_recording(Recording::Reset, before);
+        }
+        memory.clear.store(0);
+        let number = memory.boots().unwrap_or(0).wrapping_add(1);
+        memory.set_boots(number);
+        let recorder = Self {
+            memory,
+            boot: number,
+            now: 0,
+            mode: Mode::Standby,
+            fast_left: 0,
+            slow_left: 0,
+            until_slow: 0,
+            highest: f32::NAN,
+            learned: None,
+            settings: Seldom::NEVER,
+            missed: 0,
+            missed_logged: Seldom { logged: Some((0, SELDOM.wrapping_neg())) },
+        };
+        recorder.log(Happening::Boot { cause: boot.cause, failed: boot.failed });
+        if let Some(id) = boot.weights {
+            recorder.log(Happening::Weights(id));
+        }
+        recorder
+    }
+
+    /// Takes in a tick, after all else that it does.
+    #[inline]
+    pub fn record(&mut self, moment: &Moment) {
+        if self.memory.clear.load() == CLEAR {
+            self.clear();
+        }
+        if moment.output.mode != self.mode {
+            self.change(moment.output.mode);
+        }
+        match (moment.output.alarm, self.mode) {
+            // A latched fault is logged as the change of mode that it is.
+            (None, _) | (_, Mode::Fault(_)) => {}
+            (Some(alarm), _) => self.log(Happening::Alarm(alarm)),
+        }
+        if moment.missed > 0 {
+            self.missed = self.missed.saturating_add(moment.missed);
+        }
+        if moment.output.sample.is_none_or(|sample| sample.tick == 0) {
+            self.log_changes(moment);
+        }
+        if self.slow_left > 0 {
+            self.record_tick(moment);
+        }
+        self.now = self.now.wrapping_add(1);
+    }
+
+    /// Records a tick in the ring of all and, if it is its turn, in that of every 20th.
+    fn record_tick(&mut self, moment: &Moment) {
+        let mut entry = entry(moment);
+        if self.fast_left > 0 {
+            self.memory.fast.push(entry.pack(), 1);
+        }
+        if entry.pressure > self.highest || self.highest.is_nan() {
+            self.highest = entry.pressure;
+        }
+        self.until_slow = self.until_slow.saturating_sub(1);
+        if self.until_slow == 0 {
+            self.until_slow = SLOW_STRIDE;
+            entry.pressure = core::mem::replace(&mut self.highest, f32::NAN);
+            self.memory.slow.push(entry.pack(), SLOW_STRIDE);
+        }
+        if self.mode != Mode::Ventilating {
+            self.fast_left = self.fast_left.saturating_sub(1);
+            self.slow_left -= 1;
+        }
+    }
+
+    /// The mode is another than in the tick before.
+    #[cold]
+    fn change(&mut self, mode: Mode) {
+        let before = core::mem::replace(&mut self.mode, mode);
+        match mode {
+            Mode::Ventilating => {
+                self.log(Happening::Start);
+                self.begin();
+            }
+            Mode::Standby if before == Mode::Ventilating => {
+                self.log(Happening::Stop);
+                self.note(Recording::Stopped);
+            }
+            Mode::Standby => self.log(Happening::Acknowledged),
+            Mode::Fault(fault) => {
+                self.log(Happening::Fault(fault));
+                if before == Mode::Ventilating {
+                    self.note(Recording::Fault(fault));
+                }
+            }
+        }
+    }
+
+    /// A recording begins.
+    fn begin(&mut self) {
+        let Memory { fast, slow, .. } = self.memory;
+        fast.push(GAP, 1);
+        fast.set_origin(self.now.wrapping_sub(fast.next()));
+        slow.push(GAP, SLOW_STRIDE);
+        let first = self.now.wrapping_add(SLOW_STRIDE - 1);
+        slow.set_origin(first.wrapping_sub(slow.next().wrapping_mul(SLOW_STRIDE)));
+        (self.until_slow, self.highest) = (SLOW_STRIDE, f32::NAN);
+        (self.fast_left, self.slow_left) = (FAST_TAIL, SLOW_TAIL);
+        self.note(Recording::Running);
+    }
+
+    /// What the recording is about from this tick on.
+    fn note(&self, recording: Recording) {
+        self.memory.tick.store(self.now);
+        self.memory.set_recording(recording, self.boot);
+    }
+
+    /// What may have changed with a breath.
+    fn log_changes(&mut self, moment: &Moment) {
+        if self.missed_logged.is_due(self.missed, self.now) {
+            self.log(Happening::Missed { ticks: self.missed });
+        }
+        if self.mode != Mode::Ventilating {
+            return;
+        }
+        if self.learned.replace(moment.learned) != Some(moment.learned) {
+            self.log(Happening::Controller { learned: moment.learned });
+        }
+        let settings = Happening::settings(moment.settings);
+        if self.settings.is_due(settings, self.now) {
+            self.log(settings);
+        }
+    }
+
+    #[cold]
+    fn clear(&mut self) {
+        self.log(Happening::Cleared);
+        self.memory.fast.empty();
+        self.memory.slow.empty();
+        if self.mode != Mode::Ventilating {
+            (self.fast_left, self.slow_left) = (0, 0);
+            self.note(Recording::Nothing);
+        }
+        self.memory.clear.store(0);
+    }
+
+    fn log(&self, happening: Happening) {
+        let entry = LogEntry { tick: self.now, boot: self.boot, happening };
+        self.memory.log.push(entry.pack(), 0);
+    }
+}
+
+/// Forgets what has no check of its own.
+fn forget(memory: &Memory) {
+    memory.fast.empty();
+    memory.slow.empty();
+    memory.set_recording(Recording::Nothing, 0);
+}
+
+fn entry(moment: &Moment) -> TickEntry {
+    let Output { command, mode, sample, .. } = moment.output;
+    let activity = match mode {
+        Mode::Standby => Activity::Standby,
+        Mode::Ventilating => Activity::Ventilating,
+        Mode::Fault(_) => Activity::Fault,
+    };
+    TickEntry {
+        pressure: moment.reading,
+        target: sample.map(|sample| sample.target),
+        u_in: command.u_in(),
+        u_out: command.u_out(),
+        phase: sample.map(|sample| sample.phase),
+        explored: sample.is_some_and(|sample| sample.explore != 0.0),
+        activity,
+        breath: sample.map_or(0, |sample| sample.breath as u8),
+    }
+}

@@ -1,0 +1,275 @@
+//! The fuzz targets on an ordinary compiler: each on its committed seeds and on mutations of them, the same on every machine;
+//! and ten million damaged frames, of which none may get through.
+//!
+//! A fuzzer that found something leaves its bytes here: put the file into `fuzz/seeds/<target>`, and it is tried for ever.
+//! `EUPNEA_BLESS=1` writes the seeds that stand for every message anew.
+
+use std::path::{Path, PathBuf};
+use std::{env, fs};
+
+use rand_chacha::ChaCha8Rng;
+use rand_core::{Rng, SeedableRng};
+use serde::Serialize;
+use shared::breath::paper_settings;
+use shared::explore::Exploration;
+use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
+use shared::link::messages::{CHUNK_BYTES, ControllerChoice, Event, Request, ToDevice, ToHost, read_request};
+use shared::link::plant;
+use shared::link::telemetry::BreathSummary;
+use shared::recorder::Part;
+use shared::safety::alarms::Fault;
+use shared::weights::IMAGE_BYTES;
+use tests::trace::LEARNED;
+
+#[path = "../../fuzz/targets.rs"]
+mod targets;
+
+/// Frames of the great run.
+const FRAMES: u32 = 10_000_000;
+
+fn folder(target: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds").join(target)
+}
+
+/// Seeds of a target, by name.
+fn seeds(target: &str) -> Vec<Vec<u8>> {
+    let entries = fs::read_dir(folder(target)).expect("the target has seeds");
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("a seed").path()).collect();
+    files.sort();
+    assert!(!files.is_empty(), "no seeds in {}", folder(target).display());
+    files.iter().map(|file| fs::read(file).expect("a seed can be read")).collect()
+}
+
+/// Bytes from a seeded generator.
+struct Dice(ChaCha8Rng);
+
+impl Dice {
+    fn new(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        self.0.next_u32() as usize % end.max(1)
+    }
+
+    fn byte(&mut self) -> u8 {
+        // Zeros and ones are what lengths, signs and delimiters are made of.
+        match self.below(4) {
+            0 => 0,
+            1 => 0xFF,
+            _ => self.0.next_u32() as u8,
+        }
+    }
+
+    /// Damages bytes in one of the ways in which lines, memories and programs do.
+    fn mutate(&mut self, bytes: &mut Vec<u8>, other: &[u8]) {
+        let at = self.below(bytes.len());
+        match (self.below(7), bytes.is_empty()) {
+            (0, false) => bytes[at] ^= 1 << self.below(8),
+            (1, false) => bytes[at] = self.byte(),
+            (2, false) => drop(bytes.remove(at)),
+            (3, false) => bytes.truncate(at),
+            (4, _) => bytes.insert(at, self.byte()),
+            (5, _) => {
+                let part = &other[self.below(other.len())..];
+                bytes.splice(at..at, part.iter().take(40).copied());
+            }
+            _ => {
+                let end = bytes.len().min(at + 8);
+                let part = bytes[at..end].to_vec();
+                bytes.extend_from_slice(&part);
+            }
+        }
+    }
+}
+
+/// Runs a target on its seeds as they are and on so many mutations.
+fn run(target: &str, function: fn(&[u8]), mutations: u64) {
+    let seeds = seeds(target);
+    seeds.iter().for_each(|seed| function(seed));
+    let mut dice = Dice::new(mutations);
+    for _ in 0..mutations {
+        let mut bytes = seeds[dice.below(seeds.len())].clone();
+        let other = &seeds[dice.below(seeds.len())];
+        for _ in 0..=dice.below(4) {
+            dice.mutate(&mut bytes, other);
+        }
+        function(&bytes);
+    }
+}
+
+#[test]
+fn no_bytes_upset_the_frame_decoder() {
+    run("frames", targets::frames, 100_000);
+}
+
+#[test]
+fn no_bytes_upset_the_messages() {
+    run("messages", targets::messages, 200_000);
+}
+
+#[test]
+fn no_bytes_upset_a_device() {
+    run("device", targets::device, 10_000);
+}
+
+#[test]
+fn no_bytes_become_weights_that_were_not_packed() {
+    run("weights", targets::weights, 2_000);
+}
+
+/// One request of every kind.
+fn requests() -> Vec<Request> {
+    let image = u32::from_le_bytes(*LEARNED.last_chunk().expect("an image ends with its id"));
+    vec![
+        Request::Identify,
+        Request::GetSettings,
+        Request::ApplySettings(paper_settings(20.0)),
+        Request::QueueSettings(paper_settings(30.0)),
+        Request::Start,
+        Request::Stop,
+        Request::Acknowledge,
+        Request::SetController(ControllerChoice::Pid(shared::device::KNOWN_GOOD)),
+        Request::SetController(ControllerChoice::Learned),
+        Request::SetExploration(Some(Exploration::default())),
+        Request::Telemetry { on: true },
+        Request::BeginWeights { length: IMAGE_BYTES as u32, id: image },
+        Request::WeightsChunk {
+            offset: 0,
+            bytes: LEARNED[..CHUNK_BYTES].try_into().expect("a chunk has room for it"),
+        },
+        Request::CommitWeights,
+        Request::GetTiming { clear: true },
+        Request::ResetPlant { seed: 1 << 40 },
+        Request::GetRecorder,
+        Request::ReadRecorder { part: Part::Log, from: 0 },
+        Request::ClearRecorder,
+        Request::Reset,
+    ]
+}
+
+fn frame(sequence: u16, request: Request) -> Vec<u8> {
+    framed(&ToDevice { sequence, request })
+}
+
+fn framed<M: Serialize>(message: &M) -> Vec<u8> {
+    let mut buffer = [0; FRAME_BYTES];
+    encode_frame(message, &mut buffer).expect("every message fits").to_vec()
+}
+
+/// What a device says to these frames, and the events that take it longer.
+fn replies(frames: &[u8]) -> Vec<ToHost> {
+    let breath =
+        BreathSummary { breath: 7, mean_absolute_error: 1.5, peak_pressure: 21.0, end_pressure: 5.0 };
+    let alarm = Event::Alarm { fault: Fault::HighPressure, tick: 1 << 33 };
+    let events = [Event::Breath(breath), alarm].map(ToHost::Event);
+    targets::conversation(frames).into_iter().chain(events).collect()
+}
+
+/// A frame of each kind on the plant link.
+fn plant_frames() -> Vec<u8> {
+    let messages = [
+        plant::Message::Reset { period_us: 1000 },
+        plant::Message::Step { u_in: 50.0, u_out: false },
+        plant::Message::Peep { pressure: 5.0 },
+        plant::Message::Seed { seed: 9 },
+        plant::Message::Ready { pressure: 5.0 },
+        plant::Message::Pressure { pressure: 20.0 },
+    ];
+    (0..).zip(messages).flat_map(|(tick, message)| plant::Frame { tick, message }.encode()).collect()
+}
+
+fn content(frame: &[u8]) -> Vec<u8> {
+    let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
+    let mut content = Vec::new();
+    for byte in frame {
+        if let Poll::Frame(arrived) = decoder.push(*byte) {
+            content = arrived.to_vec();
+        }
+    }
+    content
+}
+
+/// Seeds that a change of a message makes stale, as pairs of a file and its bytes.
+fn fresh_seeds() -> Vec<(PathBuf, Vec<u8>)> {
+    let frames: Vec<_> = (0..).zip(requests()).map(|(number, request)| frame(number, request)).collect();
+    let mut seeds = vec![
+        (folder("frames").join("requests"), frames.concat()),
+        (folder("frames").join("plant"), plant_frames()),
+        (folder("device").join("requests"), with_time(&frames)),
+        (folder("weights").join("learned"), LEARNED.to_vec()),
+    ];
+    for (number, frame) in frames.iter().enumerate() {
+        seeds.push((folder("messages").join(format!("request-{number:02}")), content(frame)));
+    }
+    let replies = replies(&with_time(&frames));
+    for (number, reply) in replies.iter().enumerate() {
+        seeds.push((folder("messages").join(format!("reply-{number:02}")), content(&framed(reply))));
+    }
+    seeds
+}
+
+/// Frames with bytes in between that are no frame, in which control ticks pass.
+fn with_time(frames: &[Vec<u8>]) -> Vec<u8> {
+    frames.iter().flat_map(|frame| [&frame[..], &[0; 64]].concat()).collect()
+}
+
+#[test]
+fn the_seeds_hold_every_message() {
+    let bless = env::var_os("EUPNEA_BLESS").is_some();
+    for (file, bytes) in fresh_seeds() {
+        if bless {
+            fs::create_dir_all(file.parent().expect("a folder")).expect("the folder can be made");
+            fs::write(&file, &bytes).expect("the seed can be written");
+        }
+        let found = fs::read(&file).unwrap_or_default();
+        assert!(
+            found == bytes,
+            "{} is stale: EUPNEA_BLESS=1 cargo test -p tests --test fuzz",
+            file.display()
+        );
+    }
+}
+
+/// Ten million frames, damaged or random, in one stream: none of them is taken for another one, and each is counted.
+#[test]
+#[ignore = "takes half a minute, and needs an optimiser: cargo test --release -p tests --test fuzz -- --ignored"]
+fn of_ten_million_damaged_frames_none_gets_through_as_another() {
+    let frames: Vec<Vec<u8>> =
+        (0..).zip(requests()).map(|(number, request)| frame(number, request)).collect();
+    let contents: Vec<Vec<u8>> = frames.iter().map(|frame| content(frame)).collect();
+    let (mut dice, mut decoder) = (Dice::new(10), FrameDecoder::<DECODER_BYTES>::new());
+    let (mut runs, mut good, mut bad, mut bytes) = (0, 0, 0, Vec::new());
+    for _ in 0..FRAMES {
+        let chosen = dice.below(frames.len());
+        bytes.clear();
+        if dice.below(4) == 0 {
+            let length = dice.below(24);
+            bytes.extend((0..length).map(|_| dice.byte()));
+            bytes.push(0);
+        } else {
+            bytes.extend_from_slice(&frames[chosen]);
+            for _ in 0..dice.below(3) {
+                dice.mutate(&mut bytes, &frames[chosen]);
+            }
+            // What a frame lost at its end must not hang on the next one.
+            bytes.push(0);
+        }
+        runs += bytes.split(|byte| *byte == 0).filter(|run| !run.is_empty()).count();
+        for byte in &bytes {
+            match decoder.push(*byte) {
+                Poll::Pending => {}
+                Poll::Frame(arrived) => {
+                    good += 1;
+                    assert!(contents.iter().any(|content| content == arrived), "accepted: {arrived:02x?}");
+                    assert!(read_request(arrived).is_ok());
+                }
+                Poll::Corrupt(_) => bad += 1,
+            }
+        }
+    }
+    let counters = decoder.counters();
+    assert_eq!((counters.frames as usize, counters.corrupt() as usize), (good, bad));
+    assert_eq!(good + bad, runs);
+    assert!(good > FRAMES as usize / 5 && bad > FRAMES as usize / 3, "{good} good, {bad} bad");
+}
