@@ -125,6 +125,11 @@ impl Ventilator {
         self.exploration = exploration;
     }
 
+    /// Which monitors are at work.
+    pub fn monitors(&self) -> Monitors {
+        self.monitors
+    }
+
     /// How it explores.
     pub fn exploration(&self) -> Option<&Exploration> {
         self.exploration.as_ref()

@@ -22,6 +22,7 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
+use shared::device::Start;
 use shared::device::desk::Facts;
 
 use board::Plant;
@@ -51,6 +52,7 @@ fn start() {
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let control = control_task::prepare(kind, learned);
     let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
+    control.started(&Start { cause: reset, interrupted: recorder.interrupted(), slots });
     let facts = Facts {
         firmware: link_task::VERSION,
         device: kind,

@@ -148,6 +148,7 @@ fn table(rows: &[Row]) -> Table {
     for row in rows {
         let action = match row.action {
             None => "none",
+            Some(Action::Tell) => "tell",
             Some(Action::Pid) => "PID",
             Some(Action::CappedPid) => "capped PID",
             Some(Action::Vent) => "vent",

@@ -9,6 +9,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use shared::breath::DEFAULT_PERIOD_US;
+use shared::device::Start;
 use shared::device::control::Control;
 use shared::device::desk::{Desk, Facts, Step};
 use shared::device::timing::TickTime;
@@ -86,11 +87,11 @@ struct Chip<'a> {
 
 impl<'a> Chip<'a> {
     fn new(config: BenchConfig, bench: Bench, memory: &'a Memory) -> Self {
-        let (control, desk) = halves(ResetCause::PowerOn, &[None; 2], None);
+        let (control, desk, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
         let peep = shared::settings::Settings::default().peep;
         Self {
             memory,
-            recorder: attach(memory, ResetCause::PowerOn, &[None; 2], None),
+            recorder,
             config,
             bench,
             peep,
@@ -190,8 +191,8 @@ impl<'a> Chip<'a> {
                 Step::Restart(answer) => {
                     self.say(&answer);
                     let cause = ResetCause::Software;
-                    (self.control, self.desk) = halves(cause, &self.flash, self.newest);
-                    self.recorder = attach(self.memory, cause, &self.flash, self.newest);
+                    (self.control, self.desk, self.recorder) =
+                        boot(self.memory, cause, &self.flash, self.newest);
                     self.command = ValveCommand::SAFE;
                     return;
                 }
@@ -240,26 +241,19 @@ fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
     })
 }
 
-/// The flight recorder after a start.
-fn attach<'a>(
+/// Both halves and the flight recorder after a start.
+fn boot<'a>(
     memory: &'a Memory,
-    cause: ResetCause,
-    flash: &[Option<[u8; IMAGE_BYTES]>; 2],
-    newest: Option<Slot>,
-) -> Recorder<'a> {
-    let weights = newest.and_then(|slot| match states(flash)[slot as usize] {
-        SlotState::Valid { id, .. } => Some(id),
-        _ => None,
-    });
-    Recorder::attach(memory, Boot { cause, failed: false, weights })
-}
-
-/// Both halves after a start.
-fn halves(
     reset: ResetCause,
     flash: &[Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
-) -> (Control, Desk) {
+) -> (Control, Desk, Recorder<'a>) {
+    let slots = states(flash);
+    let weights = newest.and_then(|slot| match slots[slot as usize] {
+        SlotState::Valid { id, .. } => Some(id),
+        _ => None,
+    });
+    let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights });
     let image = newest.and_then(|slot| flash[slot as usize]).and_then(|bytes| decode(&bytes).ok());
     let learned = image.map(|image| image.residual);
     let running = newest.filter(|_| learned.is_some());
@@ -268,11 +262,13 @@ fn halves(
         firmware: [0; 3],
         device,
         period_us: DEFAULT_PERIOD_US,
-        slots: states(flash),
+        slots,
         running,
         reset,
         failure: None,
     };
     let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
-    (control.expect("the default control period is in bounds"), Desk::new(facts))
+    let mut control = control.expect("the default control period is in bounds");
+    control.started(&Start { cause: reset, interrupted: recorder.interrupted(), slots });
+    (control, Desk::new(facts), recorder)
 }

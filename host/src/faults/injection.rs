@@ -5,12 +5,16 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
+use shared::link::messages::ResetCause;
+
 use crate::bench::Failure;
 
 /// Units of the word in which a sensor's reading travels, per cmH2O, and the pressure of the word zero, cmH2O.
 const WORD: (f32, f32) = (600.0, -25.0);
 /// The valve controller is reset so long after its task hangs, ms: the watchdog's period.
 const WATCHDOG_MS: u32 = 20;
+/// A host takes so long to start the device again after a reset, ms.
+pub(super) const RESTART_MS: u32 = 500;
 
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,12 +44,28 @@ pub enum Injection {
     MissedTicks(u32),
     /// The control task hangs until the watchdog resets the chip.
     Hang,
-    /// The chip is reset.
-    Reset,
+    /// The supply dips, which resets the chip.
+    BrownOut,
     /// The patient coughs with this peak, cmH2O, in the middle of every inspiration.
     Coughs(f64),
+    /// The host falls silent.
+    HostSilent,
+    /// Another host comes and sends its own settings and gains.
+    OtherHost,
+    /// The supply dips, the chip finds its weights like this, and the host starts it again.
+    Weights(Damage),
     /// Nothing: the controller itself is hostile from the start.
     Controller,
+}
+
+/// What has become of the weights in flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Damage {
+    /// A bit of the newer image is flipped; the slot of the older one is empty.
+    FlippedBit,
+    /// The supply was cut while the newer image was stored; the older one is whole.
+    TornStore,
 }
 
 /// What a fault does to the readings.
@@ -95,8 +115,8 @@ pub enum Task {
     Runs,
     /// It misses the tick: the valves stay as they were.
     Misses,
-    /// The chip is being reset or stands in standby after it: the pins are in their safe state.
-    Reset,
+    /// The chip is reset at this tick.
+    Reset(ResetCause),
 }
 
 impl Injection {
@@ -105,7 +125,8 @@ impl Injection {
         match self {
             Self::MissedTicks(part) if ms % 100 < part => Task::Misses,
             Self::Hang if ms < WATCHDOG_MS => Task::Misses,
-            Self::Hang | Self::Reset => Task::Reset,
+            Self::Hang if ms == WATCHDOG_MS => Task::Reset(ResetCause::Watchdog),
+            Self::BrownOut | Self::Weights(_) if ms == 0 => Task::Reset(ResetCause::BrownOut),
             _ => Task::Runs,
         }
     }
@@ -133,6 +154,6 @@ mod tests {
     #[test]
     fn a_hanging_task_is_ended_by_the_watchdog() {
         let tasks = [0, WATCHDOG_MS - 1, WATCHDOG_MS, 5000].map(|ms| Injection::Hang.task(ms));
-        assert_eq!(tasks, [Task::Misses, Task::Misses, Task::Reset, Task::Reset]);
+        assert_eq!(tasks, [Task::Misses, Task::Misses, Task::Reset(ResetCause::Watchdog), Task::Runs]);
     }
 }

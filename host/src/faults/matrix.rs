@@ -12,7 +12,7 @@ use shared::safety::alarms::{Action, Fault};
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 
-use super::injection::Injection;
+use super::injection::{Damage, Injection};
 use super::trial::{Outcome, Trial, run};
 use crate::bench::{BenchConfig, Failure};
 use crate::source::SourceError;
@@ -32,6 +32,10 @@ const MID_INSPIRATION_MS: u32 = 6400;
 const BEFORE_INSPIRATION_MS: u32 = 8900;
 /// In the middle of the second inspiration at 4 breaths a minute, ms.
 const SLOW_INSPIRATION_MS: u32 = 15_500;
+/// A breath at the usual rate, ms.
+const BREATH_MS: u32 = 3000;
+/// Longest time from the command to vent to a pressure near PEEP where the valves obey, ms: two breaths.
+const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
 /// Breaths of a run with nothing wrong.
 const NOMINAL_BREATHS: u32 = 10;
 /// How long a trial is watched after its fault, ms.
@@ -63,6 +67,8 @@ pub struct FaultCase {
     onset_ms: u32,
     settings: fn() -> Settings,
     peak_allowed: f64,
+    /// How long the first of the monitors may take, ms.
+    within_ms: u32,
 }
 
 /// A fault on a lung, and what came of it.
@@ -115,6 +121,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         onset_ms: MID_INSPIRATION_MS,
         settings: usual,
         peak_allowed: PEAKS.0,
+        within_ms: WATCHED_MS,
     }
 }
 
@@ -133,6 +140,11 @@ const fn stuck(name: &'static str, failure: Failure, monitors: &'static [Fault])
     FaultCase { peak_allowed: PEAKS.1, ..part(name, failure, monitors) }
 }
 
+/// A fault that must be found before the next breath ends.
+const fn within_a_breath(case: FaultCase) -> FaultCase {
+    FaultCase { within_ms: BREATH_MS, ..case }
+}
+
 const fn flown_by(pilot: Pilot, case: FaultCase) -> FaultCase {
     FaultCase { pilot, ..case }
 }
@@ -140,9 +152,13 @@ const fn flown_by(pilot: Pilot, case: FaultCase) -> FaultCase {
 /// Faults of the sensor.
 const SENSOR: [FaultCase; 13] = [
     case("reading stuck at its last value", Injection::StuckAtLast, &[Fault::ReadingFrozen]),
-    before("reading stuck at PEEP", Injection::StuckAt(5.0), &[Fault::ReadingFrozen]),
-    before("reading stuck at 0", Injection::StuckAt(0.0), &[Fault::ReadingFrozen]),
-    before("reading stuck at PEEP, with noise", Injection::NoisyAt(5.0), &[Fault::NoResponse]),
+    within_a_breath(before("reading stuck at PEEP", Injection::StuckAt(5.0), &[Fault::ReadingFrozen])),
+    within_a_breath(before("reading stuck at 0", Injection::StuckAt(0.0), &[Fault::ReadingFrozen])),
+    within_a_breath(before(
+        "reading stuck at PEEP, with noise",
+        Injection::NoisyAt(5.0),
+        &[Fault::NoResponse],
+    )),
     case("reading is no number", Injection::Reads(f32::NAN), &[Fault::ReadingNotANumber]),
     case("reading is infinite", Injection::Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
     case("reading drifts up by 1 cmH2O/s", Injection::Drift(1.0), &[Fault::BaselineHigh]),
@@ -191,10 +207,28 @@ const MACHINE: [FaultCase; 14] = [
 ];
 
 /// Faults of chip and controller.
-const CONTROL: [FaultCase; 6] = [
+const CONTROL: [FaultCase; 10] = [
     case("every tenth tick missed", Injection::MissedTicks(10), &[Fault::MissedTicks]),
-    case("control task hangs", Injection::Hang, &[]),
-    case("reset in mid-inspiration", Injection::Reset, &[]),
+    case("control task hangs", Injection::Hang, &[Fault::Restarted]),
+    case("supply dips in mid-inspiration", Injection::BrownOut, &[Fault::Restarted]),
+    case("host falls silent while exploring", Injection::HostSilent, &[Fault::HostSilent]),
+    case("another host sends settings and gains of its own", Injection::OtherHost, &[]),
+    flown_by(
+        Pilot::Greedy,
+        case(
+            "a bit of the stored weights flipped",
+            Injection::Weights(Damage::FlippedBit),
+            &[Fault::WeightsRefused],
+        ),
+    ),
+    flown_by(
+        Pilot::Greedy,
+        case(
+            "supply cut while weights are stored",
+            Injection::Weights(Damage::TornStore),
+            &[Fault::WeightsRefused],
+        ),
+    ),
     flown_by(Pilot::Greedy, case("weights that ask for more", Injection::Controller, &[])),
     flown_by(
         Pilot::Alternating,
@@ -284,7 +318,7 @@ pub fn false_alarms(
                 monitors: Monitors::ALL,
                 injection: Injection::Controller,
                 onset_ms: 0,
-                watched_ms: NOMINAL_BREATHS * 3000,
+                watched_ms: NOMINAL_BREATHS * BREATH_MS,
                 seed: *seed,
             })?;
             let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
@@ -361,15 +395,18 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[Outcome]) -> Row {
     let always = outcomes.iter().all(fired);
     let peak_true = outcomes.iter().map(|outcome| outcome.peak_true).fold(0.0, f64::max);
     let limit_to_vent_ms = longest(&|outcome| outcome.limit_to_vent_ms);
+    let back_at_peep_ms = longest(&|outcome| outcome.back_at_peep_ms);
+    let detect_ms = if always { longest(&detected) } else { None };
+    let obey = case.peak_allowed < PEAKS.1;
     Row {
         fault: case.name,
         lung: lung.name.clone(),
         monitor: case.monitors.iter().map(|monitor| monitor.alarm().id).collect(),
-        detect_ms: if always { longest(&detected) } else { None },
+        detect_ms,
         action: outcomes.last().and_then(Outcome::action),
         peak_true,
         peak_allowed: case.peak_allowed,
-        back_at_peep_ms: longest(&|outcome| outcome.back_at_peep_ms),
+        back_at_peep_ms,
         limit_to_vent_ms,
         alarms: outcomes
             .iter()
@@ -379,6 +416,8 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[Outcome]) -> Row {
             .unwrap_or_default(),
         pass: always
             && peak_true <= case.peak_allowed
-            && limit_to_vent_ms.is_none_or(|ms| ms <= VENT_WITHIN_MS),
+            && limit_to_vent_ms.is_none_or(|ms| ms <= VENT_WITHIN_MS)
+            && detect_ms.is_none_or(|ms| ms <= case.within_ms)
+            && (!obey || back_at_peep_ms.is_none_or(|ms| ms <= BACK_WITHIN_MS)),
     }
 }

@@ -3,11 +3,15 @@
 //! | file | what |
 //! |---|---|
 //! | [`injection`] | what can go wrong: sensor, parts, controller, time |
-//! | [`trial`] | one ventilator, one lung, one fault |
+//! | [`flash`] | weights in a flash memory that loses its supply |
+//! | [`rig`] | the device of a trial, its weights and its host |
+//! | [`trial`] | one device, one lung, one fault |
 //! | [`matrix`] | every fault on every lung, each with the monitor that must fire |
 //! | [`torture`] | random breaths with random lungs, hostile weights and random faults |
 
+mod flash;
 pub mod injection;
 pub mod matrix;
+mod rig;
 pub mod torture;
 pub mod trial;

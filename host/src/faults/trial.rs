@@ -1,18 +1,21 @@
-//! One ventilator on one lung, and one fault in the middle of a breath.
+//! One device on one lung, and one fault in the middle of a breath.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::Serialize;
-use shared::breath::{DEFAULT_PERIOD_US, Phase};
+use shared::breath::Phase;
 use shared::control::Controller;
+use shared::explore::Exploration;
+use shared::link::messages::ResetCause;
 use shared::safety::alarms::{Action, Fault};
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
-use shared::ventilator::{Mode, Ventilator, VentilatorState};
+use shared::ventilator::Mode;
 
-use super::injection::{Injection, SensorFault, Task};
+use super::injection::{Injection, RESTART_MS, SensorFault, Task};
+use super::rig::Rig;
 use crate::bench::{Bench, BenchConfig};
 use crate::source::SourceError;
 
@@ -74,7 +77,7 @@ impl Outcome {
             (Some(_), _) => Some(Action::Vent),
             (None, Level::CappedPid) => Some(Action::CappedPid),
             (None, Level::Pid) => Some(Action::Pid),
-            (None, Level::Learned) => None,
+            (None, Level::Learned) => (!self.alarms.is_empty()).then_some(Action::Tell),
         }
     }
 }
@@ -82,13 +85,13 @@ impl Outcome {
 /// A trial under way.
 struct Run<'a> {
     trial: &'a Trial<'a>,
-    ventilator: Ventilator,
-    state: VentilatorState,
+    rig: Rig,
     bench: Bench,
     sensor: SensorFault,
+    /// For what happens to flash.
+    rng: ChaCha8Rng,
     reading: f32,
     command: ValveCommand,
-    alarm: Option<Fault>,
     missed: u32,
     above_limit: Option<u32>,
     outcome: Outcome,
@@ -99,80 +102,98 @@ struct Run<'a> {
 /// # Errors
 /// A bench or settings that are refused.
 pub fn run(trial: &Trial<'_>) -> Result<Outcome, SourceError> {
-    let ventilator =
-        Ventilator::new(DEFAULT_PERIOD_US, trial.controller.clone()).with_monitors(trial.monitors);
-    let mut state = ventilator.standby(&trial.settings)?;
-    state.start();
+    // Exploration is what must end without a host.
+    let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
+    let rng = ChaCha8Rng::seed_from_u64(trial.seed);
     let mut run = Run {
-        ventilator,
-        state,
+        rig: Rig::started(trial.controller, &trial.settings, trial.monitors, exploration)?,
         bench: Bench::new(trial.bench, trial.settings.peep, trial.seed)?,
-        sensor: SensorFault::new(trial.injection, ChaCha8Rng::seed_from_u64(trial.seed)),
+        sensor: SensorFault::new(trial.injection, rng.clone()),
+        rng,
         reading: trial.settings.peep,
         command: ValveCommand::SAFE,
-        alarm: None,
         missed: 0,
         above_limit: None,
         outcome: Outcome::default(),
         trial,
     };
     for ms in 0..trial.onset_ms + trial.watched_ms {
-        run.tick(ms);
+        run.tick(ms)?;
     }
     Ok(run.outcome)
 }
 
 impl Run<'_> {
-    fn tick(&mut self, ms: u32) {
+    fn tick(&mut self, ms: u32) -> Result<(), SourceError> {
         let since = ms.checked_sub(self.trial.onset_ms);
-        if let (Some(0), Injection::Part(failure)) = (since, self.trial.injection) {
-            self.bench.fail(failure);
-        }
-        if let (Some(_), Injection::Coughs(peak), COUGH_TICK) =
-            (since, self.trial.injection, self.state.tick())
-        {
-            self.bench.cough(peak);
-        }
-        if since.is_some() {
-            self.reading = self.sensor.reading(self.reading);
-        }
-        match since.map_or(Task::Runs, |since| self.trial.injection.task(since)) {
-            Task::Runs => self.step(),
-            Task::Misses => self.missed += 1,
-            Task::Reset => {
-                self.state.stop();
-                self.command = ValveCommand::SAFE;
+        let task = match since {
+            Some(since) => {
+                self.inject(since);
+                self.trial.injection.task(since)
             }
-        }
-        self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
+            None => Task::Runs,
+        };
+        let alarm = match task {
+            Task::Runs => self.step(),
+            Task::Misses => {
+                self.missed += 1;
+                None
+            }
+            Task::Reset(cause) => {
+                self.reset(cause)?;
+                None
+            }
+        };
         // An alarm before there was anything to find is one too.
-        self.outcome.alarms.extend(self.alarm.take().map(|fault| (fault, since.unwrap_or(0))));
+        self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
+        self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
         if let Some(since) = since {
             self.watch(since);
         }
+        Ok(())
     }
 
-    fn step(&mut self) {
-        if self.missed > 0 {
-            self.state.missed(std::mem::take(&mut self.missed));
+    /// Makes the fault go wrong.
+    fn inject(&mut self, since: u32) {
+        match (self.trial.injection, since) {
+            (Injection::Part(failure), 0) => self.bench.fail(failure),
+            (Injection::HostSilent, 0) => self.rig.silence_host(),
+            (Injection::OtherHost, 0) => self.rig.other_host(),
+            (Injection::Weights(_), RESTART_MS) => self.rig.start(),
+            (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
+            _ => {}
         }
-        let output = self.ventilator.step(&mut self.state, self.reading);
-        (self.command, self.alarm) = (output.command, output.alarm);
+        self.reading = self.sensor.reading(self.reading);
+    }
+
+    fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
+        self.command = ValveCommand::SAFE;
+        self.missed = 0;
+        match self.trial.injection {
+            Injection::Weights(damage) => self.rig.reset_with(damage, &mut self.rng),
+            _ => self.rig.reset(cause),
+        }
+    }
+
+    fn step(&mut self) -> Option<Fault> {
+        let output = self.rig.step(self.reading, std::mem::take(&mut self.missed));
+        self.command = output.command;
+        output.alarm
     }
 
     /// Notes what the fault has led to.
     fn watch(&mut self, since: u32) {
-        let outcome = &mut self.outcome;
+        let (outcome, state) = (&mut self.outcome, self.rig.state());
         let pressure = self.bench.airway_pressure();
         outcome.peak_true = outcome.peak_true.max(pressure);
-        outcome.level = outcome.level.max(self.state.level());
-        if let Mode::Fault(_) = self.state.mode() {
+        outcome.level = outcome.level.max(state.level());
+        if let Mode::Fault(_) = state.mode() {
             outcome.latched_ms.get_or_insert(since);
         }
-        let breath = self.state.breath();
-        let inspires = breath.phase(self.state.tick().saturating_sub(1)) == Phase::Inspiration;
+        let breath = state.breath();
+        let inspires = breath.phase(state.tick().saturating_sub(1)) == Phase::Inspiration;
         let vents = self.command.u_out();
-        if vents && (inspires || self.state.mode() != Mode::Ventilating) {
+        if vents && (inspires || state.mode() != Mode::Ventilating) {
             outcome.vented_ms.get_or_insert(since);
         }
         if self.reading <= breath.settings().pressure_limit {

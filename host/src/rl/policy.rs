@@ -265,7 +265,7 @@ mod tests {
         }
 
         fn step(&mut self, seen: &Observation) -> f32 {
-            self.0.step(&mut self.1, seen)
+            self.0.step(&mut self.1, seen).command
         }
 
         fn applied(&mut self, command: f32) {

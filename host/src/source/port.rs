@@ -24,6 +24,8 @@ use super::{Source, SourceError, Tick, TickTruth};
 use crate::device::upload::UploadError;
 use crate::device::{Device, DeviceError};
 
+/// Samples between two signs of life for the device.
+const HEARD_EVERY: usize = 2000;
 /// How long no sample may come while the device breathes.
 const SILENCE: Duration = Duration::from_secs(20);
 
@@ -48,6 +50,8 @@ pub struct PortSource {
     /// Samples handed out since the start.
     handed: usize,
     alarm: Option<Fault>,
+    /// Samples that came since the device last heard of this host.
+    unheard: usize,
     truth: Option<Truth>,
     /// Images whose bytes, and so their names, are known.
     images: Vec<Vec<u8>>,
@@ -81,6 +85,7 @@ impl PortSource {
             begun: false,
             handed: 0,
             alarm: None,
+            unheard: 0,
             truth: None,
             images: Vec::new(),
         })
@@ -142,6 +147,16 @@ impl PortSource {
         Ok(())
     }
 
+    /// Asks for something every now and then, as the device's clock goes: it explores only for a host that is there.
+    fn be_heard(&mut self, samples: usize) -> Result<(), SourceError> {
+        self.unheard += samples;
+        if self.unheard >= HEARD_EVERY {
+            self.unheard = 0;
+            self.device.settings()?;
+        }
+        Ok(())
+    }
+
     /// The next sample, or the fault that came in its place.
     fn sample(&mut self, breath: u32) -> Result<Option<Sample>, SourceError> {
         let deadline = Instant::now() + SILENCE;
@@ -158,13 +173,13 @@ impl PortSource {
             match self.device.events().recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(Event::Telemetry(batch)) => {
                     self.samples.extend(batch.samples.iter().map(PackedSample::unpack));
+                    self.be_heard(batch.samples.len())?;
                 }
                 // What does not end ventilation does not end a recording.
                 Ok(Event::Alarm { fault, .. }) if fault.alarm().action == Action::Vent => {
-                    self.alarm = Some(fault)
+                    self.alarm = Some(fault);
                 }
-                Ok(Event::Alarm { .. }) => {}
-                Ok(Event::Breath(_)) => {}
+                Ok(Event::Alarm { .. } | Event::Breath(_)) => {}
                 Err(RecvTimeoutError::Timeout) => return Err(SourceError::Silent { breath }),
                 Err(RecvTimeoutError::Disconnected) => {
                     return Err(DeviceError::Gone(self.device.address().clone()).into());

@@ -8,7 +8,7 @@
 use heapless::Deque;
 
 use super::timing::{TickTime, TickTimer};
-use super::{Answer, KNOWN_GOOD, Order, Report, Status};
+use super::{Answer, KNOWN_GOOD, Order, Report, Start, Status};
 use crate::breath::Breath;
 use crate::control::Controller;
 use crate::control::pid::Pid;
@@ -18,6 +18,8 @@ use crate::link::messages::{ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters};
 use crate::recorder::Moment;
+use crate::safety::alarms::Fault;
+use crate::safety::host::HostWatch;
 use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
@@ -51,6 +53,9 @@ pub struct Control {
     timer: TickTimer,
     tick: u64,
     dropped: u32,
+    host: HostWatch,
+    /// Alarms that wait to be told.
+    alarms: Deque<Fault, 2>,
     seed: Option<u64>,
     /// PEEP that the plant was told last, cmH2O.
     peep: Option<f32>,
@@ -88,6 +93,8 @@ impl Control {
             timer: TickTimer::new(core_hz),
             tick: 0,
             dropped: 0,
+            host: HostWatch::new(period_us),
+            alarms: Deque::new(),
             seed: None,
             peep: None,
         })
@@ -101,6 +108,26 @@ impl Control {
             self.state = state;
         }
         self
+    }
+
+    /// Tells with the first ticks what the start has found.
+    pub fn started(&mut self, start: &Start) {
+        let found = [(Fault::Restarted, start.by_itself()), (Fault::WeightsRefused, start.refused_weights())];
+        for (fault, _) in found.into_iter().filter(|(_, is)| *is) {
+            self.tell(fault);
+        }
+    }
+
+    fn tell(&mut self, fault: Fault) {
+        if self.ventilator.monitors().has(fault) {
+            // There is room for what a start can find and for what a tick can.
+            let _ = self.alarms.push_back(fault);
+        }
+    }
+
+    /// The ventilator's state.
+    pub fn state(&self) -> &VentilatorState {
+        &self.state
     }
 
     /// What the ventilator is doing.
@@ -127,7 +154,23 @@ impl Control {
             self.begin_breath();
         }
         self.tick = self.tick.wrapping_add(1);
-        self.ventilator.step(&mut self.state, reading)
+        if self.host.is_gone(self.state.mode() == Mode::Ventilating) {
+            self.go_on_alone();
+        }
+        let mut output = self.ventilator.step(&mut self.state, reading);
+        if output.alarm.is_none() {
+            output.alarm = self.alarms.pop_front();
+        }
+        output
+    }
+
+    /// The host is gone: nobody watches what exploration does.
+    #[cold]
+    fn go_on_alone(&mut self) {
+        self.tell(Fault::HostSilent);
+        if self.ventilator.monitors().has(Fault::HostSilent) {
+            (self.status.exploration, self.changed) = (None, true);
+        }
     }
 
     /// Whether the next step starts a breath.
@@ -219,6 +262,7 @@ impl Control {
 
     /// Carries out an order.
     pub fn execute(&mut self, order: &Order) -> Answer {
+        self.host.heard();
         let response = match *order {
             Order::Status => return Answer::Status(Status { mode: self.state.mode(), ..self.status }),
             Order::Settings => Ok(self.settings()),

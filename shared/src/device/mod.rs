@@ -20,7 +20,7 @@ mod tests;
 
 use crate::control::pid::PidGains;
 use crate::explore::Exploration;
-use crate::link::messages::{ControllerChoice, Response};
+use crate::link::messages::{ControllerChoice, ResetCause, Response, SlotState};
 use crate::link::telemetry::{BreathSummary, Counters};
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
@@ -29,6 +29,29 @@ use crate::ventilator::{Mode, Sample};
 /// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O, and safe
 /// to explore around; on a stiff lung of low resistance they ring.
 pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
+
+/// How a device started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Start {
+    /// Why.
+    pub cause: ResetCause,
+    /// Whether it ventilated when the last run ended.
+    pub interrupted: bool,
+    /// What each weights slot holds.
+    pub slots: [SlotState; 2],
+}
+
+impl Start {
+    /// Whether nobody asked for it.
+    pub fn by_itself(&self) -> bool {
+        self.interrupted || matches!(self.cause, ResetCause::BrownOut | ResetCause::Watchdog)
+    }
+
+    /// Whether a slot holds something that is no usable weights.
+    pub fn refused_weights(&self) -> bool {
+        self.slots.iter().any(|slot| matches!(slot, SlotState::Torn | SlotState::Invalid(_)))
+    }
+}
 
 /// What the desk asks of the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]

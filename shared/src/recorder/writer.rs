@@ -40,6 +40,7 @@ pub struct Moment<'a> {
 pub struct Recorder<'a> {
     memory: &'a Memory,
     boot: u16,
+    interrupted: bool,
     /// Number of the tick to come.
     now: u32,
     mode: Mode,
@@ -85,7 +86,8 @@ impl<'a> Recorder<'a> {
         } else if boot.cause == ResetCause::BrownOut {
             forget(memory);
         }
-        if let Some((Recording::Running, before)) = memory.recording() {
+        let running = memory.recording().filter(|(recording, _)| *recording == Recording::Running);
+        if let Some((_, before)) = running {
             let fast = memory.fast.held();
             memory.tick.store(fast.tick(fast.next.wrapping_sub(1), 1));
             memory.set_recording(Recording::Reset, before);
@@ -96,6 +98,7 @@ impl<'a> Recorder<'a> {
         let recorder = Self {
             memory,
             boot: number,
+            interrupted: running.is_some(),
             now: 0,
             mode: Mode::Standby,
             fast_left: 0,
@@ -112,6 +115,11 @@ impl<'a> Recorder<'a> {
             recorder.log(Happening::Weights(id));
         }
         recorder
+    }
+
+    /// Whether the last run ended while the device ventilated.
+    pub fn interrupted(&self) -> bool {
+        self.interrupted
     }
 
     /// Takes in a tick, after all else that it does.

@@ -41,6 +41,12 @@ pub enum Fault {
     LearnedDistrusted,
     /// A breath of the PID ended at the pressure limit too: its command is capped.
     CommandCapped,
+    /// The host has fallen silent.
+    HostSilent,
+    /// Weights in flash are torn or damaged.
+    WeightsRefused,
+    /// The device has started anew without being told to.
+    Restarted,
 }
 
 /// How urgent an alarm is (IEC 60601-1-8).
@@ -57,6 +63,8 @@ pub enum Priority {
 /// What the ventilator does about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Action {
+    /// It is told; what else follows, the entry says.
+    Tell,
     /// The PID alone controls.
     Pid,
     /// The PID controls with a capped command.
@@ -100,7 +108,7 @@ const fn vent(
 }
 
 /// All alarms, in the order of [`Fault`].
-pub const ALARMS: [Alarm; 17] = [
+pub const ALARMS: [Alarm; 20] = [
     vent(
         Fault::ReadingNotANumber,
         "reading-nan",
@@ -225,6 +233,33 @@ pub const ALARMS: [Alarm; 17] = [
         entry: "a breath of the PID that follows ends at the pressure limit too",
         exit: CLEAN_BREATHS,
         text: "valve command capped",
+    },
+    Alarm {
+        fault: Fault::HostSilent,
+        id: "host-silent",
+        priority: Priority::Low,
+        action: Action::Tell,
+        entry: "10 s without a request while ventilating; ventilation goes on, exploration ends",
+        exit: "a host asks for something",
+        text: "host has fallen silent",
+    },
+    Alarm {
+        fault: Fault::WeightsRefused,
+        id: "weights-refused",
+        priority: Priority::Low,
+        action: Action::Tell,
+        entry: "at the start a slot holds weights that are torn or damaged; the other slot's or the PID control",
+        exit: "weights are stored in that slot",
+        text: "stored weights refused",
+    },
+    Alarm {
+        fault: Fault::Restarted,
+        id: "restarted",
+        priority: Priority::High,
+        action: Action::Tell,
+        entry: "a start after the watchdog, after a dip of the supply, or out of a running breath; it ends in standby",
+        exit: "an operator starts ventilation",
+        text: "device has restarted by itself",
     },
 ];
 

@@ -8,6 +8,7 @@
 //! | [`pressure`] | monitors: is the pressure bearable? |
 //! | [`breathing`] | monitors: does breath after breath go as it must? |
 //! | [`opinion`] | monitor: does the pressure answer to what the valve delivers? |
+//! | [`host`] | monitor: is a host still there? |
 //! | [`ladder`] | learned controller, PID, capped PID |
 //! | [`alarms`] | all that can be found, how urgent it is and what is done |
 //! | [`monitors`] | which monitors are at work, and their times |
@@ -15,6 +16,7 @@
 pub mod alarms;
 pub mod breathing;
 pub mod filter;
+pub mod host;
 pub mod ladder;
 pub mod monitors;
 pub mod opinion;

@@ -29,7 +29,7 @@ const UNEXPLAINED: f32 = 0.1;
 /// A rise below this tells nothing, cmH2O.
 const TELLING_RISE: f32 = 10.0;
 /// A change below this is no change but noise, cmH2O.
-const STANDS: f32 = 1.0;
+const STANDS: f32 = 0.6;
 /// Part of the rise foretold that must be seen.
 const ANSWER: f32 = 0.12;
 /// A fall from the start beyond which gas is lost, cmH2O.

@@ -175,6 +175,7 @@ impl Supervisor {
         }
         let level = self.ladder.level();
         match fault.alarm().action {
+            Action::Tell => {}
             Action::Vent => self.fault = Some(fault),
             Action::Pid => self.ladder.step_down(Level::Pid),
             Action::CappedPid => self.ladder.step_down(Level::CappedPid),

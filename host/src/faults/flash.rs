@@ -1,0 +1,91 @@
+//! A flash memory whose supply can fail in the middle of a write.
+
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
+use shared::weights::IMAGE_BYTES;
+use shared::weights::slots::Slots;
+
+/// Bytes of a sector, each of which holds a slot.
+const SECTOR: usize = 16 * 1024;
+/// What erased flash reads as.
+const ERASED: u8 = 0xFF;
+
+/// Two sectors.
+#[derive(Clone, Debug)]
+pub struct Flash {
+    cells: Vec<u8>,
+    /// Bytes that can still be written.
+    supply: usize,
+}
+
+/// The supply has failed.
+#[derive(Debug)]
+pub struct Cut;
+
+impl NorFlashError for Cut {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl Flash {
+    /// Erased.
+    pub fn new() -> Self {
+        Self { cells: vec![ERASED; 2 * SECTOR], supply: usize::MAX }
+    }
+
+    /// The weights slots in it.
+    pub fn slots(&mut self) -> Slots<&mut Self> {
+        Slots::new(self, [0, SECTOR as u32])
+    }
+
+    /// The supply fails after so many bytes more.
+    pub fn fail_after(&mut self, bytes: usize) {
+        self.supply = bytes;
+    }
+
+    /// The supply is back.
+    pub fn repair(&mut self) {
+        self.supply = usize::MAX;
+    }
+
+    /// Flips a bit of the image in the first slot.
+    pub fn flip(&mut self, bit: usize) {
+        let bit = bit % (8 * IMAGE_BYTES);
+        self.cells[bit / 8] ^= 1 << (bit % 8);
+    }
+}
+
+impl ErrorType for Flash {
+    type Error = Cut;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Cut> {
+        bytes.copy_from_slice(&self.cells[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.cells.len()
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Cut> {
+        self.cells[from as usize..to as usize].fill(ERASED);
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Cut> {
+        for (cell, byte) in self.cells[offset as usize..].iter_mut().zip(bytes) {
+            self.supply = self.supply.checked_sub(1).ok_or(Cut)?;
+            *cell &= byte;
+        }
+        Ok(())
+    }
+}
