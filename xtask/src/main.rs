@@ -5,6 +5,7 @@ mod ci;
 mod cost;
 mod firmware;
 mod memory;
+mod mutate_monitors;
 mod qemu_test;
 mod setup;
 
@@ -39,6 +40,8 @@ enum Command {
     },
     /// Count the instructions of the control tick in QEMU and compare them with their ceilings
     Cost(cost::Arguments),
+    /// Prove every safety monitor: without it the fault matrix must fail
+    MutateMonitors,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -64,6 +67,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Firmware => firmware::run(&shell),
         Command::QemuTest { filters } => qemu_test::run(&shell, filters),
         Command::Cost(arguments) => cost::run(&shell, arguments),
+        Command::MutateMonitors => mutate_monitors::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

@@ -66,7 +66,8 @@ pub struct FaultCase {
     pilot: Pilot,
     onset_ms: u32,
     settings: fn() -> Settings,
-    peak_allowed: f64,
+    /// Highest true airway pressure after it, cmH2O.
+    pub peak_allowed: f64,
     /// How long the first of the monitors may take, ms.
     within_ms: u32,
 }
