@@ -86,7 +86,9 @@ impl Dice {
 /// Runs a target on its seeds as they are and on so many mutations.
 fn run(target: &str, function: fn(&[u8]), mutations: u64) {
     let seeds = seeds(target);
-    seeds.iter().for_each(|seed| function(seed));
+    for seed in &seeds {
+        function(seed);
+    }
     let mut dice = Dice::new(mutations);
     for _ in 0..mutations {
         let mut bytes = seeds[dice.below(seeds.len())].clone();

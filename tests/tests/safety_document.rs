@@ -14,7 +14,8 @@ fn document() -> PathBuf {
 
 /// Every alarm with priority, action, entry and exit.
 fn alarms() -> String {
-    let mut table = "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
+    let mut table =
+        "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
     for alarm in &ALARMS {
         let priority = match alarm.priority {
             Priority::Low => "low",
@@ -35,12 +36,16 @@ fn alarms() -> String {
 
 /// Every fault of the matrix with the monitors that must find it.
 fn faults() -> String {
-    let mut table = "| fault | monitors that must fire | highest true pressure allowed |\n|---|---|---|\n".to_owned();
+    let mut table =
+        "| fault | monitors that must fire | highest true pressure allowed |\n|---|---|---|\n".to_owned();
     for case in cases() {
         let monitors: Vec<String> =
             case.monitors.iter().map(|monitor| format!("`{}`", monitor.alarm().id)).collect();
-        let monitors =
-            if monitors.is_empty() { "none: the pressure alone is judged".to_owned() } else { monitors.join(", ") };
+        let monitors = if monitors.is_empty() {
+            "none: the pressure alone is judged".to_owned()
+        } else {
+            monitors.join(", ")
+        };
         writeln!(table, "| {} | {monitors} | {:.0} cmH2O |", case.name, case.peak_allowed).unwrap();
     }
     table
@@ -62,7 +67,10 @@ fn the_tables_are_those_of_the_code() {
         std::fs::write(document(), &wanted).unwrap();
     }
     let now = std::fs::read_to_string(document()).unwrap();
-    assert!(now == wanted, "SAFETY.md is behind the code: UPDATE_SAFETY=1 cargo test -p tests --test safety_document");
+    assert!(
+        now == wanted,
+        "SAFETY.md is behind the code: UPDATE_SAFETY=1 cargo test -p tests --test safety_document"
+    );
 }
 
 #[test]

@@ -84,6 +84,7 @@ fn main() -> ! {
     }
     networks(&counting);
     parts(&counting);
+    monitors(&counting);
     telemetry(&counting);
     boot(&counting);
     recording(&counting);
@@ -128,20 +129,15 @@ fn parts(counting: &Cost) {
     let pid = Controller::Pid(*residual.pid());
     let breath = shared::breath::Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US);
     let Ok(breath) = breath else { unreachable!("the paper's settings are in bounds") };
-    let (mut supervisor, mut sensors) =
-        (Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL), Sensors::default());
+    let mut sensors = Sensors::default();
     let (mut state, mut pid_state) = (ControllerState::new(), ControllerState::new());
     let mut feature_state = FeatureState::new();
-    let mut costs = [Cost::NONE; 7];
-    let [sensor, monitors, features, network, learned, plain, explore] = &mut costs;
+    let mut costs = [Cost::NONE; 6];
+    let [sensor, features, network, learned, plain, explore] = &mut costs;
     let mut numbers = Numbers(3);
     for run in 0..RUNS {
         let counts = Counts { airway: 2500 + run as u16, outlet: 2510, flow: 2100 };
-        let reading = sensor.of(|| sensors.read(black_box(counts)));
-        monitors.of(|| {
-            supervisor.check(black_box(reading.pressure), &breath, Some(run));
-            supervisor.command(black_box(Wish { base: 20.0, command: 21.0 }), false)
-        });
+        black_box(sensor.of(|| sensors.read(black_box(counts))));
         let pressure = 15.0 + 5.0 * numbers.next();
         let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run };
         let input = features.of(|| residual.features().step(&mut feature_state, black_box(&seen), 30.0));
@@ -154,15 +150,38 @@ fn parts(counting: &Cost) {
         explore.of(|| Exploration::default().perturbation(&breath, black_box(run)));
     }
     for (name, cost) in
-        ["sensor", "monitors", "features", "network", "residual_controller", "pid", "exploration"]
-            .iter()
-            .zip(&costs)
+        ["sensor", "features", "network", "residual_controller", "pid", "exploration"].iter().zip(&costs)
     {
         cost.print(name, counting);
     }
     let mut softsign = Cost::NONE;
     softsign.of(|| math::softsign(black_box(0.3)));
     softsign.print("softsign", counting);
+}
+
+/// All monitors, ladder and filter through whole breaths of a learned controller, so that what is judged or learned once in a
+/// phase is in it.
+fn monitors(counting: &Cost) {
+    let Ok(breath) = shared::breath::Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US) else {
+        unreachable!("the paper's settings are in bounds")
+    };
+    let (mut supervisor, mut cost) = (Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL), Cost::NONE);
+    let mut plant = Plant::new(breath.settings().peep);
+    for tick in (0..3).flat_map(|_| 0..breath.total_ticks()) {
+        let inspires = breath.phase(tick) == Phase::Inspiration;
+        let (reading, asked) = (plant.pressure(), breath.target(tick) - plant.pressure());
+        let base = if inspires { math::limit(20.0 + 5.0 * asked, 0.0, 90.0) } else { 0.0 };
+        let wish = Wish { base, command: base + 1.0 };
+        let command = cost.of(|| {
+            supervisor.check(black_box(reading), &breath, Some(tick));
+            supervisor.command(black_box(wish), !inspires)
+        });
+        plant.step(command.u_in(), command.u_out());
+    }
+    if supervisor.fault().is_some() {
+        unreachable!("nothing is wrong with the plant of the golden traces")
+    }
+    cost.print("monitors", counting);
 }
 
 /// Packing a sample, and encoding a full batch, which is the link's work and not the tick's.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::Start;
@@ -28,6 +28,8 @@ use crate::port::Port;
 const TICKS_AT_ONCE: usize = 16;
 /// Pause between looks in standby.
 const STANDBY_PAUSE: Duration = Duration::from_millis(1);
+/// Least time between looks while it ventilates.
+const TICKS_TIME: Duration = Duration::from_micros(10 * TICKS_AT_ONCE as u64);
 /// The clock that a simulated device pretends to have, Hz; its ticks take no time.
 const CORE_HZ: u32 = 1_000_000;
 
@@ -38,7 +40,8 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Runs a device on a bench at the end of a line, as fast as the line allows.
+    /// Runs a device on a bench at the end of a line, at most a hundred times as fast as a chip: a host that reads what the
+    /// flight recorder holds must not be lapped.
     ///
     /// # Errors
     /// A bench that cannot be built.
@@ -110,12 +113,15 @@ impl<'a> Chip<'a> {
     fn run(&mut self, port: Port, stop: &Arc<AtomicBool>) {
         let (mut writer, heard) = (port.writer, listen(port.reader, Arc::clone(stop)));
         while !stop.load(Ordering::Relaxed) {
+            let begun = Instant::now();
             for _ in 0..TICKS_AT_ONCE {
                 self.tick();
             }
             // Nothing is measured in standby: no need to be fast.
-            let patience =
-                if self.control.mode() == Mode::Ventilating { Duration::ZERO } else { STANDBY_PAUSE };
+            let patience = match self.control.mode() {
+                Mode::Ventilating => TICKS_TIME.saturating_sub(begun.elapsed()),
+                _ => STANDBY_PAUSE,
+            };
             match heard.recv_timeout(patience) {
                 Ok(bytes) => bytes.iter().for_each(|byte| self.hear(*byte)),
                 Err(RecvTimeoutError::Timeout) => {}

@@ -93,6 +93,7 @@ impl Source for BalloonSource {
 
     fn acknowledge(&mut self) -> Result<(), SourceError> {
         self.balloon = Balloon::default();
+        self.state.stop();
         self.state.acknowledge();
         self.state.start();
         Ok(())
