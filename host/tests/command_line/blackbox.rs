@@ -9,8 +9,7 @@ use host::device::simulated::Simulated;
 use host::port::{Address, BAUD, Port};
 use serialport::{SerialPort, TTYPort};
 use shared::breath::paper_settings;
-use shared::control::pid::PidGains;
-use shared::link::messages::{ControllerChoice, Event};
+use shared::link::messages::Event;
 use shared::recorder::FAST_TAIL;
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
@@ -19,8 +18,8 @@ use super::support::Place;
 
 /// Longest time that a device here may take to send.
 const LONG: Duration = Duration::from_mins(1);
-/// Pressure above which the device goes to its safe state, cmH2O.
-const LIMIT: f32 = 20.0;
+/// Pressure that the leak lets go, cmH2O.
+const PEEP: f32 = 5.0;
 
 #[test]
 fn a_fault_is_read_drawn_and_cleared() {
@@ -30,23 +29,25 @@ fn a_fault_is_read_drawn_and_cleared() {
     let reader = Box::new(master.try_clone_native().unwrap());
     master.set_timeout(LONG).unwrap();
     let port = Port { reader, writer: Box::new(master) };
-    let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
+    let mut bench = BenchConfig::paper(20.0, 20.0);
+    bench.circuit.leak_l_per_s_at_30_cmh2o = 0.8;
+    let _simulated = Simulated::start(&bench, port).unwrap();
     fail(&name);
 
     let place = Place::new();
     let json = place.json(&format!("blackbox --port {name} --out ticks.csv --html page.html"));
-    assert_eq!(json["status"]["recording"]["Fault"], "HighPressure");
+    assert_eq!(json["status"]["recording"]["Fault"], "BaselineLow");
     assert!(
         json["fast"]["entries"].as_array().unwrap().len() > FAST_TAIL as usize,
         "half a second follows the fault"
     );
     let csv = fs::read_to_string(place.path("ticks.csv")).unwrap();
-    let highest = csv.lines().skip(1).filter_map(|line| line.split(',').nth(2)?.parse::<f32>().ok());
-    assert!(highest.reduce(f32::max).unwrap() > LIMIT, "the pressure that was too high is in it");
+    let lowest = csv.lines().skip(1).filter_map(|line| line.split(',').nth(2)?.parse::<f32>().ok());
+    assert!(lowest.reduce(f32::min).unwrap() < PEEP - 2.0, "the pressure that was too low is in it");
     assert!(csv.lines().any(|line| line.contains(",fault,")) && csv.contains("inspiration"));
     assert!(fs::read_to_string(place.path("page.html")).unwrap().contains("<svg"));
     let text = place.ok(&format!("blackbox --port {name} --out all.json --clear"));
-    assert!(text.contains("fault: pressure above its limit") && text.contains("emptied"), "{text}");
+    assert!(text.contains("fault: PEEP is lost") && text.contains("emptied"), "{text}");
     let saved: serde_json::Value =
         serde_json::from_slice(&fs::read(place.path("all.json")).unwrap()).unwrap();
     assert_eq!(saved["status"]["recording"], json["status"]["recording"]);
@@ -59,17 +60,16 @@ fn a_fault_is_read_drawn_and_cleared() {
     drop(cable);
 }
 
-/// Lets the device ventilate with gains that no lung bears, until it stands in its safe state and the tail is recorded.
+/// Lets the device ventilate with its leak until it stands in its safe state and the tail is recorded.
 fn fail(name: &str) {
     let mut device = Device::connect(&Address::Serial { name: name.to_owned(), baud: BAUD }).unwrap();
-    device.choose(ControllerChoice::Pid(PidGains { p: 40.0, i: 900.0, d: 0.0 })).unwrap();
-    device.apply(Settings { pressure_limit: LIMIT, ..paper_settings(15.0) }).unwrap();
+    device.apply(Settings { peep: PEEP, ..paper_settings(15.0) }).unwrap();
     device.start().unwrap();
     let deadline = Instant::now() + LONG;
     loop {
         let left = deadline.saturating_duration_since(Instant::now());
         if let Event::Alarm { fault, .. } = device.events().recv_timeout(left).expect("a fault comes") {
-            assert_eq!(fault, Fault::HighPressure);
+            assert_eq!(fault, Fault::BaselineLow);
             break;
         }
     }

@@ -21,6 +21,8 @@ fn every_command_explains_itself() {
         "identify",
         "monitor",
         "blackbox",
+        "faults",
+        "torture",
         "flash",
         "qemu",
     ] {

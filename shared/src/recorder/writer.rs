@@ -110,9 +110,9 @@ impl<'a> Recorder<'a> {
             missed: 0,
             missed_logged: Seldom { logged: Some((0, SELDOM.wrapping_neg())) },
         };
-        recorder.log(Happening::Boot { cause: boot.cause, failed: boot.failed });
+        recorder.enter(Happening::Boot { cause: boot.cause, failed: boot.failed });
         if let Some(id) = boot.weights {
-            recorder.log(Happening::Weights(id));
+            recorder.enter(Happening::Weights(id));
         }
         recorder
     }
@@ -134,7 +134,7 @@ impl<'a> Recorder<'a> {
         match (moment.output.alarm, self.mode) {
             // A latched fault is logged as the change of mode that it is.
             (None, _) | (_, Mode::Fault(_)) => {}
-            (Some(alarm), _) => self.log(Happening::Alarm(alarm)),
+            (Some(alarm), _) => self.enter(Happening::Alarm(alarm)),
         }
         if moment.missed > 0 {
             self.missed = self.missed.saturating_add(moment.missed);
@@ -175,16 +175,16 @@ impl<'a> Recorder<'a> {
         let before = core::mem::replace(&mut self.mode, mode);
         match mode {
             Mode::Ventilating => {
-                self.log(Happening::Start);
+                self.enter(Happening::Start);
                 self.begin();
             }
             Mode::Standby if before == Mode::Ventilating => {
-                self.log(Happening::Stop);
+                self.enter(Happening::Stop);
                 self.note(Recording::Stopped);
             }
-            Mode::Standby => self.log(Happening::Acknowledged),
+            Mode::Standby => self.enter(Happening::Acknowledged),
             Mode::Fault(fault) => {
-                self.log(Happening::Fault(fault));
+                self.enter(Happening::Fault(fault));
                 if before == Mode::Ventilating {
                     self.note(Recording::Fault(fault));
                 }
@@ -214,23 +214,23 @@ impl<'a> Recorder<'a> {
     /// What may have changed with a breath.
     fn log_changes(&mut self, moment: &Moment) {
         if self.missed_logged.is_due(self.missed, self.now) {
-            self.log(Happening::Missed { ticks: self.missed });
+            self.enter(Happening::Missed { ticks: self.missed });
         }
         if self.mode != Mode::Ventilating {
             return;
         }
         if self.learned.replace(moment.learned) != Some(moment.learned) {
-            self.log(Happening::Controller { learned: moment.learned });
+            self.enter(Happening::Controller { learned: moment.learned });
         }
         let settings = Happening::settings(moment.settings);
         if self.settings.is_due(settings, self.now) {
-            self.log(settings);
+            self.enter(settings);
         }
     }
 
     #[cold]
     fn clear(&mut self) {
-        self.log(Happening::Cleared);
+        self.enter(Happening::Cleared);
         self.memory.fast.empty();
         self.memory.slow.empty();
         if self.mode != Mode::Ventilating {
@@ -240,9 +240,10 @@ impl<'a> Recorder<'a> {
         self.memory.clear.store(0);
     }
 
-    fn log(&self, happening: Happening) {
+    fn enter(&self, happening: Happening) {
         let entry = LogEntry { tick: self.now, boot: self.boot, happening };
-        self.memory.log.push(entry.pack(), 0);
+        let Memory { log, .. } = self.memory;
+        log.push(entry.pack(), 0);
     }
 }
 

@@ -221,9 +221,9 @@ pub const ALARMS: [Alarm; 20] = [
         id: "learned-distrusted",
         priority: Priority::Low,
         action: Action::Pid,
-        entry: "2 of the learned controller's breaths in a row end at the pressure limit",
+        entry: "2 breaths of the chosen controller in a row end at the pressure limit",
         exit: CLEAN_BREATHS,
-        text: "learned controller replaced by PID",
+        text: "pressure limit met twice: PID alone",
     },
     Alarm {
         fault: Fault::CommandCapped,
