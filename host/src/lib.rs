@@ -17,6 +17,7 @@ pub mod evaluate;
 pub mod files;
 pub mod monitor;
 pub mod pipeline;
+pub mod plant;
 pub mod port;
 pub mod provenance;
 pub mod report;

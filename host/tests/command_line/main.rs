@@ -4,4 +4,5 @@ mod bad_input;
 mod help;
 mod interrupted;
 mod pipeline;
+mod plant;
 mod support;
