@@ -5,6 +5,7 @@ mod ci;
 mod cost;
 mod firmware;
 mod memory;
+mod python;
 mod qemu_test;
 mod setup;
 
@@ -39,6 +40,8 @@ enum Command {
     },
     /// Count the instructions of the control tick in QEMU and compare them with their ceilings
     Cost(cost::Arguments),
+    /// Run the examples in Python, with a plant that exists in Python alone
+    Python,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -64,6 +67,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Firmware => firmware::run(&shell),
         Command::QemuTest { filters } => qemu_test::run(&shell, filters),
         Command::Cost(arguments) => cost::run(&shell, arguments),
+        Command::Python => python::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }
