@@ -16,7 +16,7 @@ use crate::provenance::Provenance;
 use crate::source::{Source, SourceError, Tick};
 use crate::watch::Watch;
 
-/// What only a bench knows; a source without it would leave the columns out.
+/// What only a bench knows; what a source does not know is left out at the end.
 const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
 
 /// What to collect.
@@ -67,9 +67,17 @@ pub enum CollectError {
         "random PIPs from {0} to {1} cmH2O: the range must rise from PEEP and stay {LIMIT_MARGIN} cmH2O below the pressure limit"
     )]
     PipRange(f32, f32),
-    /// The source failed.
+    /// The source failed before anything was recorded.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// The source failed on the way.
+    #[error("{reason}")]
+    Interrupted {
+        /// How.
+        reason: SourceError,
+        /// What was recorded up to then.
+        collected: Box<Collected>,
+    },
 }
 
 /// A recording, and how collection went.
@@ -89,7 +97,8 @@ pub struct Collected {
 /// goes on after the fault is acknowledged, until there were too many. A wish to stop ends it after a breath.
 ///
 /// # Errors
-/// A configuration that makes no sense, or a source that fails for another reason than a fault.
+/// A configuration that makes no sense, or a source that fails for another reason than a fault; what was recorded up to
+/// then is in the error.
 pub fn collect(
     source: &mut dyn Source,
     controller: &Controller,
@@ -97,29 +106,52 @@ pub fn collect(
     watch: &Watch<'_>,
 ) -> Result<Collected, CollectError> {
     check(config)?;
-    let mut recording = Recording::with_extras(provenance(source, config), &TRUTH);
-    let (mut breaths, mut aborts) = (0, 0);
+    let recording = Recording::with_extras(provenance(source, config), &TRUTH);
+    let mut collected = Collected { recording, breaths: 0, aborts: 0 };
+    let outcome = record(source, controller, config, watch, &mut collected);
+    collected.recording.leave_out_unknown();
+    match outcome {
+        Ok(()) => Ok(collected),
+        Err(reason) if collected.recording.is_empty() => Err(reason.into()),
+        Err(reason) => {
+            let number = collected.breaths + collected.aborts;
+            let notes = &mut collected.recording.provenance.notes;
+            notes.push(format!("the recording ended in breath {number}: {reason}"));
+            Err(CollectError::Interrupted { reason, collected: Box::new(collected) })
+        }
+    }
+}
+
+/// Adds breaths to what is collected until it is all, or the source fails.
+fn record(
+    source: &mut dyn Source,
+    controller: &Controller,
+    config: &CollectConfig,
+    watch: &Watch<'_>,
+    collected: &mut Collected,
+) -> Result<(), SourceError> {
+    let Collected { recording, breaths, aborts } = collected;
     let plan = plan(config);
     source.configure(controller.clone(), exploration(config, 0))?;
     source.upcoming(&plan)?;
-    while breaths < config.breaths && aborts <= config.aborts && !watch.stopped() {
-        let number = (breaths + aborts) as u32;
-        let settings = plan[breaths];
+    while *breaths < config.breaths && *aborts <= config.aborts && !watch.stopped() {
+        let number = (*breaths + *aborts) as u32;
+        let settings = plan[*breaths];
         let result = source.breath(&settings, &mut |tick| recording.push(row(tick, number, &settings)));
         match result {
-            Ok(()) => breaths += 1,
+            Ok(()) => *breaths += 1,
             Err(SourceError::Fault { fault, .. }) => {
-                aborts += 1;
+                *aborts += 1;
                 recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
                 source.acknowledge()?;
-                source.configure(controller.clone(), exploration(config, aborts as u64))?;
-                source.upcoming(&plan[breaths..])?;
+                source.configure(controller.clone(), exploration(config, *aborts as u64))?;
+                source.upcoming(&plan[*breaths..])?;
             }
-            Err(error) => return Err(error.into()),
+            Err(error) => return Err(error),
         }
-        watch.progress(breaths, config.breaths);
+        watch.progress(*breaths, config.breaths);
     }
-    Ok(Collected { recording, breaths, aborts })
+    Ok(())
 }
 
 fn check(config: &CollectConfig) -> Result<(), CollectError> {

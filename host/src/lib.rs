@@ -19,6 +19,7 @@ pub mod faults;
 pub mod files;
 pub mod monitor;
 pub mod pipeline;
+pub mod plant;
 pub mod port;
 pub mod provenance;
 pub mod report;

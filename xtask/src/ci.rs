@@ -22,6 +22,7 @@ const STEPS: &[Step] = &[
     step("format", &["fmt", "--all", "--check"]),
     step("clippy", &["clippy", "--all-targets", "--features", "tests/board", "--", "-D", "warnings"]),
     step("test", &["test", "--workspace", "--exclude", "firmware"]),
+    step("python", &["xtask", "python"]),
     // The test step ran them in debug; an optimiser that changed a bit of a command would show here.
     step("golden", &["test", "--release", "-p", "tests", "golden"]),
     step("faults", &["trainer", "faults"]),

@@ -6,6 +6,7 @@ mod cost;
 mod firmware;
 mod memory;
 mod mutate_monitors;
+mod python;
 mod qemu_test;
 mod setup;
 
@@ -42,6 +43,8 @@ enum Command {
     Cost(cost::Arguments),
     /// Prove every safety monitor: without it the fault matrix must fail
     MutateMonitors,
+    /// Run the examples in Python, with a plant that exists in Python alone
+    Python,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -68,6 +71,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::QemuTest { filters } => qemu_test::run(&shell, filters),
         Command::Cost(arguments) => cost::run(&shell, arguments),
         Command::MutateMonitors => mutate_monitors::run(&shell),
+        Command::Python => python::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

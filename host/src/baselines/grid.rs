@@ -5,7 +5,7 @@ use shared::control::pid::{GAINS_MAX, PidGains};
 
 /// Time constant of the authors' leaky integral with its sample, s: their integral gain of 1 acts, at first,
 /// like 1/0.53 %/(cmH2O s) of ours.
-const AUTHORS_INTEGRAL_S: f32 = 0.53;
+pub(crate) const AUTHORS_INTEGRAL_S: f32 = 0.53;
 
 /// Which parts of a PID may work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

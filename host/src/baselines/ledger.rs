@@ -9,8 +9,7 @@ use shared::control::pid::{Pid, PidGains};
 
 use super::TuneError;
 use super::grid::Kind;
-use crate::bench::BenchConfig;
-use crate::evaluate::{Plan, evaluate};
+use crate::evaluate::{Ground, Plan};
 use crate::source::SourceError;
 
 /// Score of gains with which the ventilator goes to its safe state, cmH2O: worse than any pressure, yet finite.
@@ -64,16 +63,16 @@ pub(super) enum Patience {
 type Key = [u32; 3];
 
 /// Scores by gains and lung.
-pub(super) struct Ledger<'a> {
-    benches: &'a [BenchConfig],
+pub(super) struct Ledger<'a, G> {
+    grounds: &'a [G],
     plan: Plan,
     watch: &'a Watch<'a>,
     scores: BTreeMap<Key, Vec<Option<f64>>>,
 }
 
-impl<'a> Ledger<'a> {
-    pub fn new(benches: &'a [BenchConfig], plan: Plan, watch: &'a Watch<'a>) -> Self {
-        Self { benches, plan, watch, scores: BTreeMap::new() }
+impl<'a, G: Ground> Ledger<'a, G> {
+    pub fn new(grounds: &'a [G], plan: Plan, watch: &'a Watch<'a>) -> Self {
+        Self { grounds, plan, watch, scores: BTreeMap::new() }
     }
 
     /// Measures what is not yet known of the candidates on the lungs of a group.
@@ -97,7 +96,7 @@ impl<'a> Ledger<'a> {
                 if patience == Patience::Stoppable && self.watch.stopped() {
                     return Ok(None);
                 }
-                let score = score(&self.benches[*lung], gains(*key), &self.plan)?;
+                let score = score(&self.grounds[*lung], gains(*key), &self.plan)?;
                 self.watch.advance(cost);
                 Ok(Some(score))
             })
@@ -105,7 +104,7 @@ impl<'a> Ledger<'a> {
         for ((key, lung), outcome) in missing.into_iter().zip(outcomes) {
             if let Some(score) = outcome? {
                 let lungs = self.scores.entry(key);
-                lungs.or_insert_with(|| vec![None; self.benches.len()])[lung] = Some(score);
+                lungs.or_insert_with(|| vec![None; self.grounds.len()])[lung] = Some(score);
             }
         }
         Ok(())
@@ -143,10 +142,10 @@ fn gains(key: Key) -> PidGains {
     PidGains { p, i, d }
 }
 
-/// Mean score of gains on a bench, cmH2O; [`FAULT_SCORE`] if the ventilator goes to its safe state.
-fn score(bench: &BenchConfig, gains: PidGains, plan: &Plan) -> Result<f64, TuneError> {
+/// Mean score of gains on a lung, cmH2O; [`FAULT_SCORE`] if the ventilator goes to its safe state.
+fn score(ground: &impl Ground, gains: PidGains, plan: &Plan) -> Result<f64, TuneError> {
     let controller = Controller::Pid(Pid::new(gains, plan.period_us)?);
-    match evaluate(bench, &controller, plan) {
+    match ground.evaluate(&controller, plan) {
         Ok(evaluation) => Ok(evaluation.mean.score),
         Err(SourceError::Fault { .. }) => Ok(FAULT_SCORE),
         Err(other) => Err(other.into()),

@@ -9,6 +9,7 @@ mod ledger;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use grid::AUTHORS_INTEGRAL_S;
 pub use grid::{Grid, Kind};
 pub use ledger::FAULT_SCORE;
 
@@ -18,8 +19,7 @@ use serde::{Deserialize, Serialize};
 use shared::control::pid::{GainError, PidGains};
 use thiserror::Error;
 
-use crate::bench::BenchConfig;
-use crate::evaluate::Plan;
+use crate::evaluate::{Ground, Plan};
 use crate::source::SourceError;
 use ledger::{Ledger, Patience, Watch};
 
@@ -142,42 +142,42 @@ pub enum TuneError {
     Source(#[from] SourceError),
 }
 
-/// Searches the best P, I, PI and PID for each bench and for all of them together, on all threads; the result
+/// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads; the result
 /// does not depend on their number.
 ///
 /// `progress` gets simulated breaths, done and in total (an estimate that may grow). Once `stop` is set, the
 /// best found so far comes back, marked incomplete.
 ///
 /// # Errors
-/// No bench, a gain in the grid that is out of range, or a plan whose breaths cannot be run. Gains that make the
+/// No lung, a gain in the grid that is out of range, or a plan whose breaths cannot be run. Gains that make the
 /// ventilator go to its safe state are no error: they count as [`FAULT_SCORE`].
-pub fn tune_pid(
-    benches: &[BenchConfig],
+pub fn tune_pid<G: Ground>(
+    lungs: &[G],
     search: &Search,
     plan: &Plan,
     progress: &(dyn Fn(u64, u64) + Sync),
     stop: &AtomicBool,
 ) -> Result<TuneResult, TuneError> {
-    if benches.is_empty() {
+    if lungs.is_empty() {
         return Err(TuneError::NoLung);
     }
     let grid = search.grid.completed();
-    let watch = Watch::new(progress, stop, planned(&grid, search, plan, benches.len()));
+    let watch = Watch::new(progress, stop, planned(&grid, search, plan, lungs.len()));
     let mut tuning = Tuning {
-        screen: Ledger::new(benches, screening(plan), &watch),
-        full: Ledger::new(benches, plan.clone(), &watch),
+        screen: Ledger::new(lungs, screening(plan), &watch),
+        full: Ledger::new(lungs, plan.clone(), &watch),
         points: grid.points(),
         grid,
         search,
     };
-    let all: Vec<usize> = (0..benches.len()).collect();
+    let all: Vec<usize> = (0..lungs.len()).collect();
     // Gains of zero belong to every kind: with them, there is a result however early the search is stopped.
     tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
-    let mut lungs = Vec::with_capacity(benches.len());
-    for (index, bench) in benches.iter().enumerate() {
+    let mut results = Vec::with_capacity(lungs.len());
+    for (index, lung) in lungs.iter().enumerate() {
         let best = tuning.best(&[index])?;
-        lungs.push(LungResult {
-            lung: bench.name.clone(),
+        results.push(LungResult {
+            lung: lung.name(),
             best,
             map: tuning.map(&[index]),
             complete: !watch.stopped(),
@@ -186,19 +186,19 @@ pub fn tune_pid(
     let over_all = tuning.best(&all)?;
     watch.finish();
     let complete = !watch.stopped();
-    Ok(TuneResult { lungs, over_all, complete })
+    Ok(TuneResult { lungs: results, over_all, complete })
 }
 
 /// A search under way.
-struct Tuning<'a> {
-    screen: Ledger<'a>,
-    full: Ledger<'a>,
+struct Tuning<'a, G> {
+    screen: Ledger<'a, G>,
+    full: Ledger<'a, G>,
     points: Vec<PidGains>,
     grid: Grid,
     search: &'a Search,
 }
 
-impl Tuning<'_> {
+impl<G: Ground> Tuning<'_, G> {
     /// The best of each kind for a group of lungs, by their mean.
     fn best(&mut self, group: &[usize]) -> Result<Best, TuneError> {
         if self.search.exhaustive {

@@ -9,6 +9,7 @@ use shared::control::pid::Pid;
 use shared::settings::Settings;
 
 use super::*;
+use crate::bench::BenchConfig;
 use crate::evaluate::evaluate;
 
 fn lung(resistance: f64, compliance: f64) -> BenchConfig {
@@ -185,7 +186,7 @@ fn a_whole_search_is_complete_and_reports_all_of_its_work() {
 #[test]
 fn what_cannot_be_searched_is_refused() {
     let stop = AtomicBool::new(false);
-    let none = tune_pid(&[], &small(), &short(), &|_, _| (), &stop);
+    let none = tune_pid::<BenchConfig>(&[], &small(), &short(), &|_, _| (), &stop);
     assert!(matches!(none, Err(TuneError::NoLung)));
     let negative = Search { grid: Grid { p: vec![-1.0], i: vec![], d: vec![] }, ..small() };
     let refused = tune_pid(&[lung(20.0, 20.0)], &negative, &short(), &|_, _| (), &stop);

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, Range};
@@ -10,13 +10,14 @@ use shared::explore::{Exploration, Range};
 use super::common::{BenchArgs, bar, stop, stopped};
 use super::controller_args::{Chosen, ControllerArgs};
 use super::output::OutputArgs;
+use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
-use crate::collect::{CollectConfig, Collected, collect};
+use crate::collect::{CollectConfig, CollectError, Collected, collect};
 use crate::dataset::{INSPIRATION, Recording};
 use crate::evaluate::seeds;
 use crate::report::{Cell, Table};
-use crate::source::{BenchSource, Source};
+use crate::source::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 use crate::watch::Watch;
 
 /// Record breaths with random perturbations of a known-good controller, as in the paper
@@ -26,9 +27,12 @@ Examples:
   trainer collect --out first.parquet
   trainer collect --out stiff.parquet --lung R50C10 --gains 2,30 --boundary-probability 0.3
   trainer collect --out real.parquet --port /dev/ttyACM0 --breaths 60
+  trainer collect --out mine.parquet --plant tcp:localhost:7000
+  trainer collect --out mine.parquet --plant 'pipe:python3 examples/python/plant.py'
   trainer collect --out slow.parquet --period-us 30000 --pips 15,25 --triangle-height=-20:20
 
-Ctrl-C ends the collection and saves the breaths recorded so far.")]
+Ctrl-C ends the collection and saves the breaths recorded so far; so does a plant or a device
+that fails.")]
 pub struct Args {
     /// File to write the recording to
     #[arg(long, value_name = "FILE.parquet")]
@@ -37,6 +41,8 @@ pub struct Args {
     bench: BenchArgs,
     #[command(flatten)]
     port: PortArgs,
+    #[command(flatten)]
+    plant: PlantArgs,
     /// Breaths to record
     #[arg(long, value_name = "N", default_value_t = 200)]
     breaths: usize,
@@ -121,9 +127,14 @@ struct Summary {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let chosen = args.controller.chosen()?;
+    let plant = args.plant.connect()?;
+    let chosen = args.controller.chosen(plant.as_ref())?;
     let config = config(args)?;
-    let mut collected = record(args, &chosen, &config)?;
+    let (mut collected, failure) = match record(args, plant, &chosen, &config)? {
+        Ok(collected) => (collected, None),
+        Err(CollectError::Interrupted { reason, collected }) => (*collected, Some(reason)),
+        Err(error) => return Err(error.into()),
+    };
     if collected.breaths == 0 && stopped() {
         bail!("stopped before the first breath was complete; nothing is saved");
     }
@@ -135,6 +146,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.output.table(&table(&summary));
     args.output.line(&format!("saved {}", args.out.display()));
     args.output.finish(&summary)?;
+    if let Some(reason) = failure {
+        return Err(interrupted(args, &summary, reason));
+    }
     if !summary.complete && !stopped() {
         bail!(
             "gave up after {} breaths ended early, {} of {} are saved: use lower gains, less exploration, or more --aborts",
@@ -158,15 +172,31 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
     })
 }
 
-fn record(args: &Args, chosen: &Chosen, config: &CollectConfig) -> anyhow::Result<Collected> {
+/// What to say when the source failed on the way.
+fn interrupted(args: &Args, summary: &Summary, reason: SourceError) -> anyhow::Error {
+    let (breaths, file) = (summary.breaths, args.out.display());
+    anyhow::Error::new(reason).context(format!(
+        "cannot collect any further from {}: {breaths} whole breaths are saved in {file}",
+        summary.plant
+    ))
+}
+
+/// What was collected, or why nothing was; the outer error is that of a source which cannot be made.
+fn record(
+    args: &Args,
+    plant: Option<SharedLink>,
+    chosen: &Chosen,
+    config: &CollectConfig,
+) -> anyhow::Result<Result<Collected, CollectError>> {
     let controller = &chosen.controller;
     let mut source: Box<dyn Source> = if let Some(address) = &args.port.port {
         Box::new(port_args::source(address, chosen, config.seed)?)
+    } else if let Some(link) = plant {
+        Box::new(PlantSource::new(link, controller.clone(), chosen.period_us, config.seed))
     } else {
         let (bench, period_us) = (args.bench.one()?, chosen.period_us);
         Box::new(BenchSource::new(&bench, controller.clone(), &config.settings, period_us, config.seed)?)
     };
-    let plant = source.plant();
     let bar = bar("collecting", config.breaths);
     let progress = |done: u64, total: u64| {
         tracing::debug!(done, total, "breath recorded");
@@ -174,7 +204,7 @@ fn record(args: &Args, chosen: &Chosen, config: &CollectConfig) -> anyhow::Resul
     };
     let collected = collect(source.as_mut(), controller, config, &Watch::new(&progress, stop()));
     bar.finish_and_clear();
-    collected.with_context(|| format!("cannot collect from {plant}"))
+    Ok(collected)
 }
 
 fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Collected) -> Summary {

@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
 use shared::device::KNOWN_GOOD;
 use shared::weights::decode;
 
-use super::common;
+use super::{common, plant_args};
+use crate::source::SharedLink;
 
 /// Which controller.
 #[derive(Debug, clap::Args)]
@@ -24,7 +24,7 @@ pub struct ControllerArgs {
     /// A learned controller, as packed for the chip
     #[arg(long, value_name = "FILE", group = "which")]
     weights: Option<PathBuf>,
-    /// Control period, microseconds [default: 1000, or that of the learned controller]
+    /// Control period, microseconds [default: 1000, or that of the learned controller or the plant]
     #[arg(long, value_name = "US")]
     period_us: Option<u32>,
 }
@@ -52,11 +52,23 @@ impl Chosen {
 }
 
 impl ControllerArgs {
-    /// The controller meant.
+    /// The controller meant, for a plant if it is one.
     ///
     /// # Errors
     /// A file that holds no sound controller, one that is trained for another control period, or impossible gains.
-    pub fn chosen(&self) -> anyhow::Result<Chosen> {
+    pub fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
+        let chosen = self.built(plant)?;
+        match plant_args::own_period_us(plant) {
+            Some(own) if own != chosen.period_us => bail!(
+                "{} is trained for a control period of {} us, the plant's is {own} us: train one for the plant",
+                chosen.name,
+                chosen.period_us
+            ),
+            _ => Ok(chosen),
+        }
+    }
+
+    fn built(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
         match (&self.controller, &self.weights) {
             (Some(file), _) => {
                 let image = common::learned(file)?.image()?;
@@ -64,8 +76,8 @@ impl ControllerArgs {
             }
             (None, Some(file)) => self.learned(file, read(file)?),
             (None, None) => {
-                let (gains, period_us) =
-                    (self.gains.unwrap_or(KNOWN_GOOD), self.period_us.unwrap_or(DEFAULT_PERIOD_US));
+                let gains = self.gains.unwrap_or(KNOWN_GOOD);
+                let period_us = plant_args::period_us(self.period_us, plant)?;
                 let (controller, name) = (common::pid(gains, period_us)?, format_gains(&gains));
                 Ok(Chosen { controller, period_us, weights_id: None, image: None, name })
             }

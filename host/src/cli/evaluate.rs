@@ -13,13 +13,14 @@ use super::common::{self, BenchArgs, bar, stop, stopped};
 use super::comparison::{Comparison, Pair, WaveformPair};
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::OutputArgs;
+use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use crate::bench::BenchConfig;
-use crate::evaluate::{Plan, Score, Trace, evaluate, evaluate_port, trace};
+use crate::evaluate::{Plan, Score, Trace, evaluate, evaluate_source, trace};
 use crate::provenance::Provenance;
 use crate::report::{Block, Plot, Report, Section, Series, Style};
-use crate::source::{PortSource, Source};
+use crate::source::{PlantSource, Reseed};
 use crate::watch::Watch;
 
 /// Score a controller on the bench, a learned one beside its PID under the same noise
@@ -29,12 +30,13 @@ Examples:
   trainer evaluate --gains 2,30,0.01 --lung R5C50
   trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
   trainer evaluate --weights weights.bin --port tcp:localhost:5555
+  trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O, of the true airway pressure,
-which only the bench knows. A learned controller is compared with the PID underneath it, or with
---against. On a device (--port) the weights are uploaded unless they run there already, and the
-measured pressure is scored.")]
+which only a bench knows; with --plant the true one if the plant tells it, with --port the measured
+one. A learned controller is compared with the PID underneath it, or with --against. On a device
+(--port) the weights are uploaded unless they run there already.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
@@ -45,6 +47,8 @@ pub struct Args {
     bench: BenchArgs,
     #[command(flatten)]
     port: PortArgs,
+    #[command(flatten)]
+    plant: PlantArgs,
     /// PIPs of the waveforms, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
@@ -73,6 +77,8 @@ struct Summary {
     bench: Option<PathBuf>,
     #[serde(skip_serializing_if = "Option::is_none")]
     port: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    plant: Option<String>,
     controller: String,
     weights_id: Option<String>,
     gains: PidGains,
@@ -85,12 +91,15 @@ struct Summary {
 /// Where breaths are run.
 enum Ventilator {
     Bench(Box<BenchConfig>),
-    Device(Box<Mutex<PortSource>>),
+    /// A device at a port, or somebody else's plant.
+    Source(Box<Mutex<dyn Reseed + Send>>),
 }
 
 /// What runs: the ventilator, the PID and the learned controller.
 struct Setup {
     ventilator: Ventilator,
+    /// Which pressure is scored.
+    pressure: &'static str,
     pid: Controller,
     chosen: Chosen,
     plan: Plan,
@@ -98,7 +107,8 @@ struct Setup {
 
 impl Setup {
     fn new(args: &Args) -> anyhow::Result<Self> {
-        let chosen = args.controller.chosen()?;
+        let plant = args.plant.connect()?;
+        let chosen = args.controller.chosen(plant.as_ref())?;
         let gains = args.against.unwrap_or(chosen.gains());
         let plan = Plan {
             period_us: chosen.period_us,
@@ -107,29 +117,31 @@ impl Setup {
             settings: args.settings.checked(&args.pips)?,
             ..Plan::evaluation(args.seed)
         };
-        let ventilator = match &args.port.port {
-            Some(address) => {
-                let source = port_args::source(address, &chosen, plan.seeds[0])?;
-                Ventilator::Device(Box::new(Mutex::new(source)))
-            }
-            None => Ventilator::Bench(Box::new(args.bench.one()?)),
+        let pressure = match (&args.port.port, &plant) {
+            (Some(_), _) => "measured airway pressure",
+            (None, Some(_)) => "airway pressure, the true one if the plant tells it",
+            (None, None) => "true airway pressure, which only the bench knows",
         };
-        Ok(Self { ventilator, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
+        let ventilator = match (&args.port.port, plant) {
+            (Some(address), _) => {
+                let source = port_args::source(address, &chosen, plan.seeds[0])?;
+                Ventilator::Source(Box::new(Mutex::new(source)))
+            }
+            (None, Some(link)) => {
+                let controller = chosen.controller.clone();
+                let source = PlantSource::new(link, controller, chosen.period_us, plan.seeds[0]);
+                Ventilator::Source(Box::new(Mutex::new(source)))
+            }
+            (None, None) => Ventilator::Bench(Box::new(args.bench.one()?)),
+        };
+        Ok(Self { ventilator, pressure, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
     }
 
     /// Name of what breathes.
     fn plant(&self) -> String {
         match &self.ventilator {
             Ventilator::Bench(bench) => bench.name.clone(),
-            Ventilator::Device(source) => source.lock().unwrap_or_else(PoisonError::into_inner).plant(),
-        }
-    }
-
-    /// Which pressure is scored.
-    fn pressure(&self) -> &'static str {
-        match &self.ventilator {
-            Ventilator::Bench(_) => "true airway pressure, which only the bench knows",
-            Ventilator::Device(_) => "measured airway pressure",
+            Ventilator::Source(source) => source.lock().unwrap_or_else(PoisonError::into_inner).plant(),
         }
     }
 
@@ -156,9 +168,9 @@ impl Setup {
         let plan = Plan { pips: vec![pip], ..self.plan.clone() };
         let evaluation = match &self.ventilator {
             Ventilator::Bench(bench) => evaluate(bench, controller, &plan),
-            Ventilator::Device(source) => {
+            Ventilator::Source(source) => {
                 let mut source = source.lock().unwrap_or_else(PoisonError::into_inner);
-                evaluate_port(&mut source, controller, &plan, &Watch::new(&|_, _| (), stop()))
+                evaluate_source(&mut *source, controller, &plan, &Watch::new(&|_, _| (), stop()))
             }
         };
         Ok(evaluation.with_context(|| format!("{name}, PIP {pip} cmH2O"))?.mean)
@@ -173,7 +185,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("stopped before the first waveform was complete");
     }
     let title =
-        format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.plant(), setup.pressure());
+        format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.plant(), setup.pressure);
     args.output.table(&comparison.table(&title));
     if stopped() {
         args.output.line("stopped: the waveforms run so far");
@@ -184,7 +196,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     args.output.finish(&Summary {
         seed: args.seed,
-        lung: (args.bench.bench.is_none() && args.port.port.is_none()).then(|| setup.plant()),
+        lung: match (&setup.ventilator, &args.bench.bench) {
+            (Ventilator::Bench(bench), None) => Some(bench.name.clone()),
+            _ => None,
+        },
+        plant: args.plant.plant.as_ref().map(ToString::to_string),
         port: args.port.port.as_ref().map(ToString::to_string),
         bench: args.bench.bench.clone(),
         controller: setup.chosen.name.clone(),
@@ -204,7 +220,7 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
             setup.plan.breaths,
             setup.plan.seeds.len(),
             format_gains(&setup.pid.pid().gains()),
-            setup.pressure()
+            setup.pressure
         ),
         blocks: vec![Block::Table(comparison.table(""))],
     }];
@@ -222,7 +238,7 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
             plant: setup.plant(),
             plant_parameters: match &setup.ventilator {
                 Ventilator::Bench(bench) => bench.to_toml(),
-                Ventilator::Device(_) => String::new(),
+                Ventilator::Source(_) => String::new(),
             },
             settings: serde_json::to_value(&setup.plan)?,
             weights_id: setup.chosen.weights_id.clone().unwrap_or_default(),

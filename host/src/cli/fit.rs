@@ -12,8 +12,10 @@ use serde::Serialize;
 
 use super::common::{bar, stopped};
 use super::output::OutputArgs;
+use super::preset::Preset;
 use crate::dataset::Recording;
 use crate::evaluate::seeds;
+use crate::pipeline::PAPER_PERIOD_US;
 use crate::report::{Cell, Table};
 use crate::simulator::episode::{Episode, channels, episodes};
 use crate::simulator::fit::{ByWaveform, Fit, FitConfig, OpenLoop, by_waveform, open_loop, split};
@@ -28,6 +30,7 @@ Examples:
   trainer fit --data first.parquet --out simulator.safetensors
   trainer fit --data first.parquet second.parquet --out simulator.safetensors --report fit.html
   trainer fit --data slow.parquet --out paper.safetensors --architecture stitched
+  trainer fit --data slow.parquet --out paper.safetensors --preset paper-30ms
 
 The open-loop distance replays recorded commands from rest, without pressure feedback: the mean
 absolute error over the inspiration. Ctrl-C ends the fit and saves the simulator as it is.")]
@@ -38,10 +41,13 @@ pub struct Args {
     /// File to write the simulator to
     #[arg(long, value_name = "FILE.safetensors")]
     out: PathBuf,
+    /// Another's setting: the recording must be of it, and its simulator is fitted unless told otherwise
+    #[arg(long, value_enum, value_name = "NAME")]
+    preset: Option<Preset>,
     /// Our state-space model, trained on whole breaths open loop, or the stitched networks of the paper's authors,
-    /// trained on single steps of about 30 ms
-    #[arg(long, value_enum, default_value_t = Kind::StateSpace)]
-    architecture: Kind,
+    /// trained on single steps of about 30 ms [default: state-space, or that of the preset]
+    #[arg(long, value_enum, value_name = "KIND")]
+    architecture: Option<Kind>,
     /// Passes over the recording [default: enough for 10000 gradient steps, 500 for stitched]
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
@@ -89,8 +95,6 @@ const MOST_EPOCHS: usize = 3_000;
 /// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its
 /// history of five has to reach beyond the valve's dead time.
 const STITCHED_LEAST_US: u32 = 5_000;
-/// The period that the paper's authors used, microseconds.
-const PAPER_PERIOD_US: u32 = 30_000;
 
 /// What `--json` gives.
 #[derive(Debug, Serialize)]
@@ -120,9 +124,17 @@ struct ByGroup {
     open_loop: OpenLoop,
 }
 
+impl Args {
+    fn kind(&self) -> Kind {
+        let usual = self.preset.map_or(Kind::StateSpace, |Preset::Paper30Ms| Kind::Stitched);
+        self.architecture.unwrap_or(usual)
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let recording = load(&args.data)?;
+    args.preset.map_or(Ok(()), |preset| preset.check(&recording))?;
     let architecture = architecture(args, &recording)?;
     let all = episodes(&recording, architecture.timing());
     let (training, held_out) = split(&all, usize::from(args.hold_out));
@@ -162,7 +174,7 @@ fn load(files: &[PathBuf]) -> anyhow::Result<Recording> {
 
 fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architecture> {
     let period_us = recording.provenance.period_us;
-    if args.architecture == Kind::Stitched {
+    if args.kind() == Kind::Stitched {
         if period_us < STITCHED_LEAST_US {
             bail!(
                 "the stitched architecture steps one control tick at a time, and this recording's are {period_us} us: \
@@ -183,12 +195,12 @@ fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architectu
 
 /// How to fit so many breaths: a small recording takes more passes, since it is gradient steps that count.
 fn config(args: &Args, breaths: usize) -> FitConfig {
-    let base = match args.architecture {
+    let base = match args.kind() {
         Kind::StateSpace => FitConfig { batch: BATCH, ..FitConfig::default() },
         Kind::Stitched => FitConfig::authors(),
     };
     let batch = args.batch.map_or(base.batch, usize::from);
-    let epochs = match args.architecture {
+    let epochs = match args.kind() {
         Kind::StateSpace => (STEPS * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS),
         Kind::Stitched => base.epochs,
     };

@@ -20,7 +20,9 @@ mod inspect;
 mod monitor;
 mod output;
 mod pack;
+mod plant_args;
 mod port_args;
+mod preset;
 #[cfg(unix)]
 mod qemu;
 mod reproduce;

@@ -5,19 +5,21 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use serde::Serialize;
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 
 use super::common::{BenchArgs, bar, gains, pid, stop, stopped};
 use super::output::OutputArgs;
+use super::plant_args::{self, PlantArgs};
+use super::preset::Preset;
 use super::settings_args::SettingsArgs;
 use super::stage_bars::StageBars;
 use crate::evaluate::seeds;
-use crate::pipeline::{self, Folder, MakeSource, PipelineConfig, Round, Stage};
+use crate::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
 use crate::provenance::git_revision;
 use crate::report::{Cell, Table};
 use crate::simulator::model::Simulator;
-use crate::source::{BenchSource, Source, SourceError};
+use crate::source::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 use crate::train::learned::{Learned, Origin};
 use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
 
@@ -27,9 +29,13 @@ use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
 Examples:
   trainer train --out out/train
   trainer train --lung R50C10 --gains 0.5,5 --rounds 4 --out out/stiff
+  trainer train --plant tcp:localhost:7000 --gains 2,30 --out out/mine
+  trainer train --preset paper-30ms --out out/paper
   trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
 
+With --preset paper-30ms it works as the paper's authors do: a control period of 30 ms, PEEP 5, their
+exploration around their PID, their simulator with their optimiser; residual and training are ours.
 Without --simulator it records on the bench, fits and trains, round after round. With it, it
 trains once; the last of several simulators is held out and judges the controller. Ctrl-C stops
 it; the same command goes on where it was.")]
@@ -39,12 +45,17 @@ pub struct Args {
     out: PathBuf,
     #[command(flatten)]
     bench: BenchArgs,
+    #[command(flatten)]
+    plant: PlantArgs,
     /// Train on these simulators, made by `trainer fit`, instead of recording
-    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["lung", "bench"])]
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["lung", "bench", "plant"])]
     simulator: Vec<PathBuf>,
-    /// Gains of the PID that collects first and lies under the residual
-    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = "3,30,0")]
-    gains: PidGains,
+    /// Another's setting, where nothing else is said: paper-30ms is that of the paper's authors
+    #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
+    preset: Option<Preset>,
+    /// Gains of the PID that collects first and lies under the residual [default: 3,30,0, or those of the preset]
+    #[arg(long, value_name = "P,I,D", value_parser = gains)]
+    gains: Option<PidGains>,
     /// Scale of the residual, 0 to 1
     #[arg(long, value_name = "L", default_value_t = PipelineConfig::default().lambda)]
     lambda: f32,
@@ -57,9 +68,9 @@ pub struct Args {
     /// Breaths recorded in each round
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().collect.breaths)]
     breaths: usize,
-    /// Passes over the recording in the first fit
-    #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().fit.epochs)]
-    epochs: usize,
+    /// Passes over the recording in the first fit [default: 2500, or 500 with paper-30ms]
+    #[arg(long, value_name = "N")]
+    epochs: Option<usize>,
     /// Gradient steps of each training
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().iterations)]
     iterations: usize,
@@ -85,9 +96,9 @@ pub struct Args {
     /// Waveforms in every batch beside random PIPs, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
-    /// Control period, microseconds
-    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
-    period_us: u32,
+    /// Control period, microseconds [default: 1000, or that of the plant or the simulators]
+    #[arg(long, value_name = "US")]
+    period_us: Option<u32>,
     #[command(flatten)]
     settings: SettingsArgs,
     /// Seed of everything
@@ -115,11 +126,14 @@ const CONTROLLER: &str = "controller.safetensors";
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let config = args.config()?;
-    let summary = if args.simulator.is_empty() {
-        args.rounds_on_bench(&config)?
-    } else {
-        args.once_on_simulators(&config)?
+    let plant = args.plant.connect()?;
+    let simulators: Vec<Simulator> =
+        args.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
+    let config = args.config(args.period_us(plant.as_ref(), &simulators)?)?;
+    let summary = match plant {
+        Some(link) => args.rounds_on_plant(&config, &link)?,
+        None if simulators.is_empty() => args.rounds_on_bench(&config)?,
+        None => args.once_on_simulators(&config, &simulators)?,
     };
     args.output.line(&format!(
         "held-out simulator: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
@@ -154,24 +168,40 @@ pub fn stage_name(round: usize, stage: Stage) -> String {
 }
 
 impl Args {
-    fn config(&self) -> anyhow::Result<PipelineConfig> {
+    /// The control period asked for, or that of what the controller is trained on.
+    fn period_us(&self, plant: Option<&SharedLink>, simulators: &[Simulator]) -> anyhow::Result<u32> {
+        let of_simulators = simulators.first().map(|simulator| simulator.architecture.timing().period_us);
+        let of_preset = self.preset.map(|Preset::Paper30Ms| PAPER_PERIOD_US);
+        match (self.period_us, of_preset) {
+            (Some(asked), Some(preset)) if asked != preset => {
+                bail!("the preset's control period is {preset} us, not {asked}: leave one of both out")
+            }
+            (asked, preset) => plant_args::period_us(asked.or(preset).or(of_simulators), plant),
+        }
+    }
+
+    fn config(&self, period_us: u32) -> anyhow::Result<PipelineConfig> {
         let settings = self.settings.checked(&self.pips)?;
         if settings.rise_time > 0.0 {
             bail!("controllers are trained on the square rise of the paper; leave --rise-time at 0");
         }
+        let preset = match self.preset {
+            Some(Preset::Paper30Ms) => PipelineConfig::paper_30ms(),
+            None => PipelineConfig::for_period(period_us),
+        };
         let mut config = PipelineConfig {
             seed: self.seed,
             rounds: self.rounds,
-            gains: self.gains,
+            gains: self.gains.unwrap_or(preset.gains),
             lambda: self.lambda,
             authority: self.authority,
             ensemble: self.ensemble,
-            ..PipelineConfig::for_period(self.period_us)
+            ..preset
         };
         config.collect.breaths = self.breaths;
         config.collect.pips.clone_from(&self.pips);
         config.collect.settings = settings;
-        config.fit.epochs = self.epochs;
+        config.fit.epochs = self.epochs.unwrap_or(config.fit.epochs);
         config.train = TrainConfig {
             iterations: self.iterations,
             batch: self.batch,
@@ -201,10 +231,23 @@ impl Args {
             })
             .collect();
         let sources: Vec<MakeSource<'_>> = plants.iter().map(|plant| plant as MakeSource<'_>).collect();
+        self.rounds(config, &sources)
+    }
+
+    /// All rounds use one link: a plant need not know that there are several.
+    fn rounds_on_plant(&self, config: &PipelineConfig, link: &SharedLink) -> anyhow::Result<Summary> {
+        let base = pid(config.gains, config.period_us)?;
+        let plant = |seed| -> Result<Box<dyn Source>, SourceError> {
+            Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
+        };
+        self.rounds(config, &[&plant])
+    }
+
+    fn rounds(&self, config: &PipelineConfig, sources: &[MakeSource<'_>]) -> anyhow::Result<Summary> {
         let bars = StageBars::default();
         let observer = |round, stage, done, total| bars.show(&stage_name(round, stage), done, total);
         let folder = Folder::new(&self.out);
-        let outcome = pipeline::run(config, &sources, Some(&folder), &observer, stop())?;
+        let outcome = pipeline::run(config, sources, Some(&folder), &observer, stop())?;
         bars.finish();
         self.output.table(&rounds_table(&outcome.rounds));
         let controller = self.out.join(CONTROLLER);
@@ -221,11 +264,17 @@ impl Args {
         })
     }
 
-    fn once_on_simulators(&self, config: &PipelineConfig) -> anyhow::Result<Summary> {
-        let simulators = self.simulators(config.period_us)?;
+    fn once_on_simulators(
+        &self,
+        config: &PipelineConfig,
+        simulators: &[Simulator],
+    ) -> anyhow::Result<Summary> {
+        for (path, simulator) in self.simulator.iter().zip(simulators) {
+            check(path, simulator, config.period_us)?;
+        }
         let (held_out, rest) = simulators.split_last().context("name at least one simulator")?;
         // A single simulator judges too, under noise that training does not see.
-        let trained_on = if rest.is_empty() { &simulators[..] } else { rest };
+        let trained_on = if rest.is_empty() { simulators } else { rest };
         let train = TrainConfig { seed: seeds::training(self.seed, 0), ..config.train.clone() };
         let plant = Plant { trained_on, held_out };
         let mut training = Training::new(config.residual(), &[plant], train, None)?;
@@ -265,15 +314,6 @@ impl Args {
             train_curve,
         })
     }
-
-    fn simulators(&self, period_us: u32) -> anyhow::Result<Vec<Simulator>> {
-        let simulators: Vec<Simulator> =
-            self.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
-        for (path, simulator) in self.simulator.iter().zip(&simulators) {
-            check(path, simulator, period_us)?;
-        }
-        Ok(simulators)
-    }
 }
 
 /// A simulator that a controller of this period can be trained on.
@@ -281,7 +321,9 @@ fn check(path: &Path, simulator: &Simulator, period_us: u32) -> anyhow::Result<(
     let timing = simulator.architecture.timing();
     if timing.period_us != period_us {
         let (path, own) = (path.display(), timing.period_us);
-        bail!("{path} was fitted at a control period of {own} us; add --period-us {own}");
+        bail!(
+            "{path} was fitted at a control period of {own} us, not {period_us}: a controller takes simulators of one"
+        );
     }
     if timing.channels != 1 {
         bail!("{} has {} valves to command; a controller commands one", path.display(), timing.channels);
@@ -311,10 +353,54 @@ fn rounds_table(rounds: &[Round]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulator::fit::FitConfig;
+    use crate::simulator::model::Architecture;
     use shared::device::KNOWN_GOOD;
 
+    fn config(arguments: &[&str]) -> anyhow::Result<PipelineConfig> {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            args: Args,
+        }
+        let line = ["train", "--out", "run"].iter().chain(arguments);
+        let args = <Line as clap::Parser>::try_parse_from(line)?.args;
+        args.config(args.period_us(None, &[])?)
+    }
+
     #[test]
-    fn the_default_gains_are_the_known_good_ones() {
-        assert_eq!(gains("3,30,0"), Ok(KNOWN_GOOD));
+    fn the_default_is_the_pipelines_with_the_known_good_gains() {
+        let config = config(&[]).unwrap();
+        assert_eq!(config, PipelineConfig::default());
+        assert_eq!(gains("3,30,0"), Ok(config.gains));
+        assert_eq!((config.gains, config.fit.epochs), (KNOWN_GOOD, 2500));
+    }
+
+    /// Numbers as in section 4 of the paper and in the authors' code.
+    #[test]
+    fn the_papers_preset_has_the_papers_numbers() {
+        let config = config(&["--preset", "paper-30ms"]).unwrap();
+        let (settings, explore) = (config.collect.settings, config.collect.exploration.unwrap());
+        assert_eq!((config.period_us, settings.peep, settings.rate), (30_000, 5.0, 20.0));
+        assert_eq!((settings.inspiratory_time, config.train.inspiratory_time), (1.0, 1.0));
+        assert_eq!((config.train.peep, &config.train.pips), (5.0, &config.collect.pips));
+        assert_eq!(config.collect.pips, [10.0, 15.0, 20.0, 25.0, 30.0, 35.0]);
+        assert_eq!((explore.boundary_probability, explore.boundary_height), (0.15, (0.0, 100.0)));
+        assert_eq!(explore.boundary_duration, (0.05, 0.3));
+        assert_eq!((explore.triangle_height, explore.triangle_duration), ((-30.0, 30.0), (0.1, 0.5)));
+        assert!(matches!(config.architecture, Architecture::Stitched(_)));
+        assert_eq!(config.fit, FitConfig::authors());
+        assert!((config.gains.p - 3.0).abs() < 1e-6 && (config.gains.i - 4.0 / 0.53).abs() < 1e-5);
+    }
+
+    #[test]
+    fn what_is_typed_beside_a_preset_has_precedence_and_another_period_is_refused() {
+        let config = config(&["--preset", "paper-30ms", "--gains", "1,9", "--peep", "7", "--epochs", "3"]);
+        let config = config.unwrap();
+        assert_eq!((config.gains, config.fit.epochs), (PidGains { p: 1.0, i: 9.0, d: 0.0 }, 3));
+        assert_eq!((config.collect.settings.peep, config.train.peep), (7.0, 7.0));
+        let refused =
+            self::config(&["--preset", "paper-30ms", "--period-us", "1000"]).unwrap_err().to_string();
+        assert!(refused.contains("30000 us, not 1000"), "{refused}");
     }
 }

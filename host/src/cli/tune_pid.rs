@@ -3,17 +3,20 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::breath::PAPER_PIPS;
+use shared::control::pid::PidGains;
 
-use super::common::{bar, benches, stop};
+use super::common::{self, bar, benches, stop};
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
+use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
-use crate::baselines::{Best, Candidate, FAULT_SCORE, Kind, LungResult, Search, TuneResult, tune_pid};
+use crate::baselines::{Best, Candidate, FAULT_SCORE, Grid, Kind, LungResult, Search, TuneResult, tune_pid};
 use crate::bench::BenchConfig;
-use crate::evaluate::Plan;
+use crate::evaluate::{Ground, Plan};
 use crate::provenance::Provenance;
 use crate::report::{Block, Cell, HeatMap, Report, Section, Table};
+use crate::source::{PlantGround, PlantSource};
 
 /// Search the best PID for one or several lungs: what a learned controller has to beat
 #[derive(Debug, clap::Args)]
@@ -22,6 +25,7 @@ Examples:
   trainer tune-pid --lung R20C20
   trainer tune-pid --lung R5C50 --lung R50C10 --report tuned.html
   trainer tune-pid --lung paper --authors-grid --json tuned.json
+  trainer tune-pid --plant tcp:localhost:7000 --coarse
 
 Gains are P in percent per cmH2O, I in percent per cmH2O and second, D in percent per cmH2O/s.
 Ctrl-C ends the search with the best found so far.")]
@@ -32,6 +36,11 @@ pub struct Args {
     /// Benches from TOML files, in place of a lung
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
     bench: Vec<PathBuf>,
+    #[command(flatten)]
+    plant: PlantArgs,
+    /// Search an eighth of the grid's points over the same range, for a plant that takes its time
+    #[arg(long, conflicts_with = "authors_grid")]
+    coarse: bool,
     /// Run every point of the grid in full rather than screening first
     #[arg(long)]
     exhaustive: bool,
@@ -46,9 +55,9 @@ pub struct Args {
     breaths: usize,
     #[command(flatten)]
     settings: SettingsArgs,
-    /// Control period, microseconds
-    #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
-    period_us: u32,
+    /// Control period, microseconds [default: 1000, or that of the plant]
+    #[arg(long, value_name = "US")]
+    period_us: Option<u32>,
     /// Seed of the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -70,22 +79,41 @@ struct Summary<'a> {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let benches = benches(&args.lung, &args.bench)?;
+    let plant = args.plant.connect()?;
     let search = search(args);
     let plan = Plan {
-        period_us: args.period_us,
+        period_us: plant_args::period_us(args.period_us, plant.as_ref())?,
         pips: args.pips.clone(),
         breaths: args.breaths,
         settings: args.settings.checked(&args.pips)?,
         ..Plan::tuning(args.seed)
     };
+    if let Some(link) = plant {
+        // Every evaluation brings its own gains.
+        let idle = common::pid(PidGains::default(), plan.period_us)?;
+        let source = PlantSource::new(link, idle, plan.period_us, args.seed);
+        return tune(args, &[PlantGround::new(source)], "", &search, &plan);
+    }
+    let benches = benches(&args.lung, &args.bench)?;
+    let parameters = benches.iter().map(BenchConfig::to_toml).collect::<Vec<_>>().join("\n");
+    tune(args, &benches, &parameters, &search, &plan)
+}
+
+/// Searches on these lungs, shows and writes what is found.
+fn tune<G: Ground>(
+    args: &Args,
+    lungs: &[G],
+    parameters: &str,
+    search: &Search,
+    plan: &Plan,
+) -> anyhow::Result<()> {
     let bar = bar("tuning, simulated breaths", 0);
     let progress = |done: u64, total: u64| {
         tracing::debug!(done, total, "breaths simulated");
         bar.set_length(total);
         bar.set_position(done);
     };
-    let result = tune_pid(&benches, &search, &plan, &progress, stop());
+    let result = tune_pid(lungs, search, plan, &progress, stop());
     bar.finish_and_clear();
     let result = result?;
     args.output.table(&table(&result));
@@ -93,19 +121,23 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line("stopped: the best found so far");
     }
     if let Some(path) = &args.report {
-        report(args, &benches, &search, &result).save(path)?;
+        report(args, plan, parameters, search, &result).save(path)?;
         args.output.line(&format!("saved {}", path.display()));
     }
-    args.output.finish(&Summary { seed: args.seed, plan: &plan, result: &result })
+    args.output.finish(&Summary { seed: args.seed, plan, result: &result })
 }
 
 fn search(args: &Args) -> Search {
-    let search = if args.authors_grid { Search::authors() } else { Search::default() };
+    let search = match (args.authors_grid, args.coarse) {
+        (true, _) => Search::authors(),
+        (false, true) => Search { grid: Grid::coarse(), ..Search::default() },
+        (false, false) => Search::default(),
+    };
     Search { exhaustive: search.exhaustive || args.exhaustive, ..search }
 }
 
 fn table(result: &TuneResult) -> Table {
-    let mut table = Table::new("Mean absolute error of the true airway pressure, cmH2O", &["lung"]);
+    let mut table = Table::new("Mean absolute error of the airway pressure, cmH2O", &["lung"]);
     table.header.extend(Kind::ALL.iter().flat_map(|kind| {
         let gains = match kind {
             Kind::POnly => "P",
@@ -145,7 +177,7 @@ fn score_cell(score: f64) -> Cell {
     if score < FAULT_SCORE { Cell::number(score, 3) } else { Cell::right("fault") }
 }
 
-fn report(args: &Args, benches: &[BenchConfig], search: &Search, result: &TuneResult) -> Report {
+fn report(args: &Args, plan: &Plan, parameters: &str, search: &Search, result: &TuneResult) -> Report {
     let best = result.over_all.pid;
     let mut overview = vec![Block::Table(table(result))];
     if !result.complete {
@@ -158,10 +190,7 @@ fn report(args: &Args, benches: &[BenchConfig], search: &Search, result: &TuneRe
         blocks: overview,
     }];
     sections.extend(result.lungs.iter().map(map_section));
-    let [plant, parameters] = [
-        benches.iter().map(|bench| bench.name.clone()).collect::<Vec<_>>().join(", "),
-        benches.iter().map(BenchConfig::to_toml).collect::<Vec<_>>().join("\n"),
-    ];
+    let plant = result.lungs.iter().map(|lung| lung.lung.clone()).collect::<Vec<_>>().join(", ");
     Report {
         title: "PID search".into(),
         subtitle: plant.clone(),
@@ -169,9 +198,9 @@ fn report(args: &Args, benches: &[BenchConfig], search: &Search, result: &TuneRe
         provenance: Some(Provenance {
             seed: args.seed,
             plant,
-            plant_parameters: parameters,
+            plant_parameters: parameters.to_owned(),
             settings: serde_json::json!({ "search": search, "breaths": args.breaths }),
-            ..Provenance::new(args.period_us, "trainer tune-pid")
+            ..Provenance::new(plan.period_us, "trainer tune-pid")
         }),
     }
 }

@@ -137,6 +137,16 @@ impl Recording {
         }
     }
 
+    /// Leaves the columns of the truth out that nobody filled.
+    pub fn leave_out_unknown(&mut self) {
+        for column in [&mut self.pressure_true, &mut self.pressure_sensor_true] {
+            let unknown = |values: &Vec<f32>| !values.is_empty() && values.iter().all(|value| value.is_nan());
+            if column.as_ref().is_some_and(unknown) {
+                *column = None;
+            }
+        }
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.breath.len()

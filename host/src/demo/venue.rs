@@ -10,7 +10,7 @@ use crate::bench::BenchConfig;
 #[cfg(unix)]
 use crate::emulator::EmulatorConfig;
 #[cfg(unix)]
-use crate::evaluate::evaluate_port;
+use crate::evaluate::evaluate_source;
 use crate::evaluate::{Evaluation, Plan, Trace, evaluate, trace_source};
 #[cfg(unix)]
 use crate::source::VirtualBoard;
@@ -68,7 +68,7 @@ impl Venue {
             Self::Board(config) => {
                 let mut board = VirtualBoard::start(config.clone(), bench, 0)?;
                 let progress = |_, _| done();
-                evaluate_port(board.port(), controller, plan, &Watch::new(&progress, stop))
+                evaluate_source(board.port(), controller, plan, &Watch::new(&progress, stop))
             }
         }
     }

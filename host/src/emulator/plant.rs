@@ -3,10 +3,15 @@
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use shared::link::plant::{Decoder, FRAME_BYTES, Frame, Message};
+use shared::link::plant::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
 
 /// How far virtual time may have fallen behind before it stops catching up.
 const SLACK: Duration = Duration::from_millis(100);
+
+/// Pressure that no plant exceeds, cmH2O: far above what a sensor can read.
+const HIGHEST: u16 = 1000;
+/// A plant in a greeting that runs at any control period; one that it cannot run reads NaN.
+const ANY_PERIOD: u32 = 0;
 
 /// Whatever is at the other end of the board's plant line.
 pub trait PlantEnd {
@@ -59,11 +64,20 @@ impl<P: Plant> LockstepPlant<P> {
             Message::Step { u_in, u_out } => self.reading = self.plant.step(u_in, u_out),
             Message::Peep { pressure } => self.reading = self.plant.set_peep(pressure),
             Message::Seed { seed } => self.seed = seed,
+            Message::Hello { .. } => {}
             // A plant's own words.
-            Message::Ready { .. } | Message::Pressure { .. } => return None,
+            Message::Ready { .. }
+            | Message::Pressure { .. }
+            | Message::Greeting { .. }
+            | Message::Truth { .. } => {
+                return None;
+            }
         }
         let pressure = self.reading;
         let message = match frame.message {
+            Message::Hello { .. } => {
+                Message::Greeting { version: VERSION, highest: HIGHEST, period_us: ANY_PERIOD }
+            }
             Message::Step { .. } => Message::Pressure { pressure },
             _ => Message::Ready { pressure },
         };

@@ -20,7 +20,7 @@ use shared::control::Controller;
 use shared::settings::Settings;
 
 use crate::bench::BenchConfig;
-use crate::source::{BenchSource, PortSource, Source, SourceError};
+use crate::source::{BenchSource, Reseed, Source, SourceError};
 use crate::watch::Watch;
 
 /// What an evaluation runs.
@@ -121,13 +121,35 @@ pub fn evaluate(
     Ok(summarize(plan, &outcomes.into_iter().collect::<Result<Vec<_>, _>>()?))
 }
 
-/// Runs a controller on a device as planned, one waveform after the other. Where nobody knows the true pressure, the
+/// What controllers can be evaluated on.
+pub trait Ground: Sync {
+    /// Name of the plant.
+    fn name(&self) -> String;
+
+    /// Runs a controller as planned.
+    ///
+    /// # Errors
+    /// The first waveform's that could not be run.
+    fn evaluate(&self, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError>;
+}
+
+impl Ground for BenchConfig {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn evaluate(&self, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError> {
+        evaluate(self, controller, plan)
+    }
+}
+
+/// Runs a controller on any other source as planned, one waveform after the other. Where nobody knows the true pressure, the
 /// measured one is scored. `progress` gets the waveforms done and how many there are.
 ///
 /// # Errors
 /// The first waveform's that could not be run.
-pub fn evaluate_port(
-    source: &mut PortSource,
+pub fn evaluate_source(
+    source: &mut dyn Reseed,
     controller: &Controller,
     plan: &Plan,
     watch: &Watch<'_>,

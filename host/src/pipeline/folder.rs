@@ -3,6 +3,7 @@
 //! ```text
 //! run.json                     configuration: another one is refused
 //! round-0/recording-P.parquet  breaths of the round, from plant P
+//! round-0/recording-P.partial.parquet  what there was of them when the plant failed
 //! round-0/simulator-P-N.safetensors, round-0/fit.json
 //! round-0/training.json        checkpoint of the training
 //! round-0/controller.safetensors, round-0/round.json

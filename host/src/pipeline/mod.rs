@@ -11,26 +11,37 @@ mod folder;
 mod stages;
 
 use serde::{Deserialize, Serialize};
-use shared::breath::DEFAULT_PERIOD_US;
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 use shared::control::features::FeatureSpec;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::{ResidualError, ResidualSpec};
 use shared::control::{COMMAND_MAX, Controller};
 use shared::device::KNOWN_GOOD;
+use shared::explore::Exploration;
+use shared::settings::Settings;
 use thiserror::Error;
 
+use crate::baselines::AUTHORS_INTEGRAL_S;
 use crate::collect::{CollectConfig, CollectError};
 use crate::dataset::{DatasetError, Recording};
 use crate::simulator::Timing;
 use crate::simulator::fit::{FitConfig, OpenLoop};
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
+use crate::simulator::stitched::StitchedConfig;
 use crate::source::{Source, SourceError};
 use crate::tensors::TensorError;
 use crate::train::learned::{Learned, LearnedError};
 use crate::train::{Progress, TrainConfig};
 
 pub use folder::Folder;
+
+/// Control period of the paper's authors, microseconds.
+pub const PAPER_PERIOD_US: u32 = 30_000;
+/// Their PEEP, cmH2O.
+pub const PAPER_PEEP: f32 = 5.0;
+/// Gains of the PID with which they record: percent per cmH2O, and percent per cmH2O of a leaky integral.
+const PAPER_GAINS: (f32, f32) = (3.0, 4.0);
 
 /// What to run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -98,6 +109,29 @@ impl PipelineConfig {
         }
     }
 
+    /// The setting of the paper's authors (Suo et al. 2021, and the constants of their code): a control period of 30 ms,
+    /// PEEP 5 cmH2O, 20 breaths a minute with an inspiration of 1 s, PIPs of 10 to 35 cmH2O, their exploration around
+    /// their PID, their stitched simulator with their optimiser. Residual and training are ours; their integral leaks, ours
+    /// starts as steeply.
+    pub fn paper_30ms() -> Self {
+        let (p, leaky) = PAPER_GAINS;
+        let gains = PidGains { p, i: leaky / AUTHORS_INTEGRAL_S, d: 0.0 };
+        let mut config = Self { gains, fit: FitConfig::authors(), ..Self::for_period(PAPER_PERIOD_US) };
+        config.architecture = Architecture::Stitched(StitchedConfig::for_period(PAPER_PERIOD_US));
+        config.collect.pips = PAPER_PIPS.to_vec();
+        config.collect.settings =
+            Settings { peep: PAPER_PEEP, rate: 20.0, inspiratory_time: 1.0, ..Settings::default() };
+        config.collect.exploration = Some(Exploration {
+            boundary_probability: 0.15,
+            boundary_height: (0.0, 100.0),
+            boundary_duration: (0.05, 0.3),
+            triangle_height: (-30.0, 30.0),
+            triangle_duration: (0.1, 0.5),
+            ..Exploration::default()
+        });
+        config
+    }
+
     /// The residual's fixed parts.
     pub fn residual(&self) -> ResidualSpec {
         ResidualSpec {
@@ -147,6 +181,18 @@ pub enum PipelineError {
     /// Stopped before there was a controller.
     #[error("stopped before the first controller was trained; the same command goes on from here")]
     Stopped,
+    /// A plant failed while it was recorded.
+    #[error(
+        "{reason}; {breaths} whole breaths of this round are saved in {file}, and the same command records it anew"
+    )]
+    Interrupted {
+        /// How.
+        reason: SourceError,
+        /// Complete breaths.
+        breaths: usize,
+        /// Where they are.
+        file: String,
+    },
     /// Collection.
     #[error(transparent)]
     Collect(#[from] CollectError),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
 use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage, Studied};
-use crate::collect::{CollectConfig, Collected, collect};
+use crate::collect::{CollectConfig, CollectError, Collected, collect};
 use crate::dataset::Recording;
 use crate::evaluate::seeds;
 use crate::provenance::git_revision;
@@ -137,7 +137,15 @@ impl<'a> Run<'a> {
         if let Some(file) = file.as_ref().filter(|file| file.exists()) {
             return Ok(Recording::load(file)?);
         }
-        let collected = self.record(round, plant, done)?;
+        let collected = match (self.record(round, plant, done), self.folder) {
+            (Err(PipelineError::Collect(CollectError::Interrupted { reason, collected })), Some(folder)) => {
+                let file = folder.file(round, &format!("recording-{plant}.partial.parquet"));
+                collected.recording.save(&file)?;
+                let (breaths, file) = (collected.breaths, file.display().to_string());
+                return Err(PipelineError::Interrupted { reason, breaths, file });
+            }
+            (outcome, _) => outcome?,
+        };
         if let (Some(file), false) = (&file, self.stop.load(Ordering::Relaxed)) {
             collected.recording.save(file)?;
         }

@@ -10,13 +10,10 @@ use super::study::Study;
 use super::{ReproduceError, Reproduction, lungs};
 use crate::bench::BenchConfig;
 use crate::evaluate::{Plan, evaluate};
-use crate::pipeline::PipelineConfig;
+use crate::pipeline::{PAPER_PERIOD_US, PipelineConfig};
 use crate::simulator::fit::FitConfig;
 use crate::simulator::model::Architecture;
 use crate::simulator::stitched::StitchedConfig;
-
-/// Control period at which the authors' simulator steps, microseconds.
-const AUTHORS_PERIOD_US: u32 = 30_000;
 
 /// A variant and what became of it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -215,8 +212,8 @@ fn units(base: &Variant) -> Vec<Variant> {
 
 /// Ours and the authors' simulator at the authors' control period.
 fn simulators(base: &Variant) -> Vec<Variant> {
-    let slow = PipelineConfig::for_period(AUTHORS_PERIOD_US);
-    let theirs = StitchedConfig::for_period(AUTHORS_PERIOD_US);
+    let slow = PipelineConfig::for_period(PAPER_PERIOD_US);
+    let theirs = StitchedConfig::for_period(PAPER_PERIOD_US);
     let at_their_period = |config: &mut PipelineConfig| {
         (config.period_us, config.architecture) = (slow.period_us, slow.architecture);
     };

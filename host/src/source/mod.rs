@@ -1,16 +1,18 @@
-//! Where samples come from: one trait for the in-process bench and for devices at a port.
+//! Where samples come from: one trait for the in-process bench, for plants behind the plant link and for devices at a port.
 //!
 //! A [`Source`] is a whole *ventilator*: it takes settings and a controller and breathes by its own clock. What
 //! it does reaches the host as one sample per control tick.
 
 mod balloon;
 mod bench;
+mod plant;
 mod port;
 #[cfg(unix)]
 mod virtual_board;
 
 pub use balloon::BalloonSource;
 pub use bench::BenchSource;
+pub use plant::{PlantGround, PlantSource, SharedLink};
 pub use port::{PortSource, Truth};
 #[cfg(unix)]
 pub use virtual_board::VirtualBoard;
@@ -25,6 +27,7 @@ use thiserror::Error;
 use crate::bench::BenchError;
 use crate::device::DeviceError;
 use crate::device::upload::UploadError;
+use crate::plant::PlantError;
 
 /// What only a bench knows of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,6 +73,9 @@ pub enum SourceError {
     /// The device.
     #[error(transparent)]
     Device(#[from] DeviceError),
+    /// The plant behind the plant link.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
     /// The virtual board.
     #[cfg(unix)]
     #[error(transparent)]
@@ -146,6 +152,12 @@ pub trait Source {
     /// # Errors
     /// A source that cannot be reached.
     fn acknowledge(&mut self) -> Result<(), SourceError>;
+}
+
+/// A source whose plant can be brought back to rest.
+pub trait Reseed: Source {
+    /// The plant starts anew with this seed for its noise before the next breath.
+    fn reseed(&mut self, seed: u64);
 }
 
 /// A ventilator's configuration from its parts.

@@ -20,7 +20,7 @@ use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 use super::bench::REST_TIME;
-use super::{Source, SourceError, Tick, TickTruth};
+use super::{Reseed, Source, SourceError, Tick, TickTruth};
 use crate::device::upload::UploadError;
 use crate::device::{Device, DeviceError};
 
@@ -101,11 +101,6 @@ impl PortSource {
     /// An image to upload as it is when its controller is chosen, so that it keeps its name.
     pub fn know(&mut self, image: Vec<u8>) {
         self.images.push(image);
-    }
-
-    /// With hardware in the loop, the plant starts anew with this seed when the next breaths start.
-    pub fn reseed(&mut self, seed: u64) {
-        self.seed = (self.identity.device != DeviceKind::Ventilator).then_some(seed);
     }
 
     /// Who the device is.
@@ -292,6 +287,13 @@ impl Source for PortSource {
         // The plant goes on where it was, as a patient would.
         self.seed = None;
         self.halt()
+    }
+}
+
+impl Reseed for PortSource {
+    /// A real ventilator's plant goes on as it is; the simulated one of hardware in the loop starts anew.
+    fn reseed(&mut self, seed: u64) {
+        self.seed = (self.identity.device != DeviceKind::Ventilator).then_some(seed);
     }
 }
 

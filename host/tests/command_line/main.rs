@@ -6,4 +6,5 @@ mod blackbox;
 mod help;
 mod interrupted;
 mod pipeline;
+mod plant;
 mod support;

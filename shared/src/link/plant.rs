@@ -1,5 +1,5 @@
-//! The plant link: a ventilator's firmware on one end, a lung simulator in any language on the other, in
-//! lockstep. It takes the place of sensor and valves.
+//! The plant link: a ventilator on one end (firmware or trainer), a lung simulator in any language on the other, in
+//! lockstep. It takes the place of sensor and valves. `docs/PLANT_LINK.md` explains it for those who write a plant.
 //!
 //! Every frame has 16 bytes, little endian:
 //!
@@ -17,17 +17,23 @@
 //! | 2 Step | to the plant | inspiratory valve in percent, f32; expiratory valve, u32: 1 open, 0 closed |
 //! | 5 Peep | to the plant | PEEP that its mechanical valve is set to, cmH2O, f32; zero, u32 |
 //! | 6 Seed | to the plant | seed of its random numbers from the next Reset on, u64 |
+//! | 7 Hello | to the plant | version of this protocol that the ventilator speaks, u32; zero, u32 |
 //! | 3 Ready | from the plant | pressure at rest in cmH2O, f32; zero, u32 |
 //! | 4 Pressure | from the plant | pressure after the step in cmH2O, f32; zero, u32 |
+//! | 8 Greeting | from the plant | version, u16; highest pressure that it tells, cmH2O, u16; control period in microseconds, u32: 0 is any |
+//! | 9 Truth | from the plant | in the place of Ready and Pressure: pressure measured, cmH2O, f32; true airway pressure, cmH2O, f32 |
 //!
-//! The ventilator sends one frame and waits for its answer: Ready to Reset, Peep and Seed, Pressure to Step. No answer in time:
-//! it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
-//! does not step. Bytes that belong to no frame are skipped.
+//! The ventilator sends one frame and waits for its answer: Greeting to Hello, Ready to Reset, Peep and Seed, Pressure to
+//! Step; a plant that knows the true pressure may answer Truth to Reset and Step. No answer in time on a line that may lose
+//! bytes: it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
+//! does not step. Bytes that belong to no frame are skipped. The firmware, whose plant is wired to it, does not say Hello.
 //!
 //! In Python: `struct.pack("<BBHfI", 0xA5, 4, tick, pressure, 0)`, then `struct.pack("<I", zlib.crc32(...))`.
 
 use crate::checksum::{crc32, verified};
 
+/// Version of the protocol: changes whenever the bytes of an existing message change.
+pub const VERSION: u16 = 1;
 /// First byte of a frame.
 pub const START: u8 = 0xA5;
 /// Length of a frame.
@@ -57,6 +63,27 @@ pub enum Message {
     Seed {
         /// The seed.
         seed: u64,
+    },
+    /// Who is there?
+    Hello {
+        /// [`VERSION`] of the one who asks.
+        version: u32,
+    },
+    /// What the plant is.
+    Greeting {
+        /// Its [`VERSION`].
+        version: u16,
+        /// Highest magnitude of a pressure that it tells, cmH2O.
+        highest: u16,
+        /// The control period that it is made for, microseconds; 0 if it runs any.
+        period_us: u32,
+    },
+    /// In the place of Ready and Pressure, from a plant that knows the truth.
+    Truth {
+        /// Pressure measured, cmH2O.
+        pressure: f32,
+        /// True airway pressure at the same instant, cmH2O.
+        airway: f32,
     },
     /// The plant has started anew, its PEEP valve is set, or it has the seed.
     Ready {
@@ -89,6 +116,11 @@ impl Frame {
             Message::Pressure { pressure } => (4, pressure.to_bits(), 0),
             Message::Peep { pressure } => (5, pressure.to_bits(), 0),
             Message::Seed { seed } => (6, seed as u32, (seed >> 32) as u32),
+            Message::Hello { version } => (7, version, 0),
+            Message::Greeting { version, highest, period_us } => {
+                (8, u32::from(highest) << 16 | u32::from(version), period_us)
+            }
+            Message::Truth { pressure, airway } => (9, pressure.to_bits(), airway.to_bits()),
         };
         let mut bytes = [0; FRAME_BYTES];
         (bytes[0], bytes[1]) = (START, kind);
@@ -114,6 +146,11 @@ impl Frame {
             (START, 4, 0) => Message::Pressure { pressure: real },
             (START, 5, 0) => Message::Peep { pressure: real },
             (START, 6, high) => Message::Seed { seed: u64::from(high) << 32 | u64::from(first) },
+            (START, 7, 0) => Message::Hello { version: first },
+            (START, 8, period_us) => {
+                Message::Greeting { version: first as u16, highest: (first >> 16) as u16, period_us }
+            }
+            (START, 9, second) => Message::Truth { pressure: real, airway: f32::from_bits(second) },
             _ => return None,
         };
         Some(Self { tick: u16::from_le_bytes([t0, t1]), message })

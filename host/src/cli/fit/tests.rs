@@ -48,6 +48,21 @@ fn the_stitched_architecture_refuses_fast_ticks_and_says_what_to_do() {
 }
 
 #[test]
+fn the_papers_preset_takes_its_simulator_and_refuses_other_recordings() {
+    let preset = args(&["--preset", "paper-30ms"]);
+    assert!(matches!(architecture(&preset, &recording(30_000)).unwrap(), Architecture::Stitched(_)));
+    assert_eq!(config(&preset, 100).epochs, FitConfig::authors().epochs);
+    let ours = args(&["--preset", "paper-30ms", "--architecture", "state-space"]);
+    assert!(matches!(architecture(&ours, &recording(30_000)).unwrap(), Architecture::StateSpace(_)));
+    let check = |recording: &Recording| preset.preset.unwrap().check(recording);
+    assert!(check(&recording(30_000)).is_ok());
+    assert!(check(&recording(1_000)).unwrap_err().to_string().contains("--period-us 30000"));
+    let mut high = recording(30_000);
+    high.push(crate::dataset::Row { peep: 8.0, ..crate::dataset::Row::default() });
+    assert!(check(&high).unwrap_err().to_string().contains("PEEP 8"));
+}
+
+#[test]
 fn sizes_are_the_models_unless_given() {
     let shape = |arguments: &[&str]| match architecture(&args(arguments), &recording(1_000)).unwrap() {
         Architecture::StateSpace(shape) => shape,

@@ -14,6 +14,10 @@ fn frame() -> impl Strategy<Value = Frame> {
         real().prop_map(|pressure| Message::Ready { pressure }),
         real().prop_map(|pressure| Message::Pressure { pressure }),
         real().prop_map(|pressure| Message::Peep { pressure }),
+        any::<u32>().prop_map(|version| Message::Hello { version }),
+        (any::<u16>(), any::<u16>(), any::<u32>())
+            .prop_map(|(version, highest, period_us)| { Message::Greeting { version, highest, period_us } }),
+        (real(), real()).prop_map(|(pressure, airway)| Message::Truth { pressure, airway }),
     ];
     (any::<u16>(), message).prop_map(|(tick, message)| Frame { tick, message })
 }
@@ -32,6 +36,29 @@ fn a_step_has_the_bytes_that_python_packs() {
     assert_eq!(frame.encode(), PYTHON_STEP);
 }
 
+/// Made with Python: `struct.pack("<BBHHHI", 0xA5, 8, 1, 1, 120, 30000)` and `zlib.crc32`.
+const PYTHON_GREETING: [u8; FRAME_BYTES] =
+    [0xA5, 0x08, 0x01, 0x00, 0x01, 0x00, 0x78, 0x00, 0x30, 0x75, 0x00, 0x00, 0x34, 0x52, 0x4B, 0x47];
+
+#[test]
+fn a_greeting_has_the_bytes_that_python_packs() {
+    let message = Message::Greeting { version: 1, highest: 120, period_us: 30_000 };
+    assert_eq!(Frame { tick: 1, message }.encode(), PYTHON_GREETING);
+}
+
+/// The document shows two frames as bytes.
+#[test]
+fn the_frames_of_the_document_are_these() {
+    let document = include_str!("../../../../docs/PLANT_LINK.md");
+    let hello = Message::Hello { version: VERSION.into() };
+    let greeting = Message::Greeting { version: VERSION, highest: 150, period_us: 30_000 };
+    for message in [hello, greeting] {
+        let bytes = Frame { tick: 1, message }.encode();
+        let shown = bytes.iter().map(|byte| std::format!("{byte:02X}")).collect::<Vec<_>>().join(" ");
+        assert!(document.contains(&shown), "{shown}");
+    }
+}
+
 #[test]
 fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
     let forged = |at: usize, value: u8| {
@@ -42,7 +69,7 @@ fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
         Frame::decode(&bytes)
     };
     assert!(forged(8, 0).is_some());
-    for (at, value) in [(0, 0xA4), (1, 0), (1, 1), (1, 7), (8, 2), (11, 1)] {
+    for (at, value) in [(0, 0xA4), (1, 0), (1, 1), (1, 7), (1, 10), (8, 2), (11, 1)] {
         assert_eq!(forged(at, value), None, "byte {at} = {value}");
     }
 }

@@ -1,0 +1,162 @@
+"""Opens what the trainer writes, and runs a learned controller in numpy as the chip does (docs/FILES.md).
+
+  python3 files.py recording.parquet simulator.safetensors controller.safetensors [weights.bin]
+
+The recording must be one of that controller without exploration (trainer collect --controller F --no-exploration).
+Its pressures go through the controller again; the commands must be the recorded ones to 1e-6 percent.
+"""
+import json, struct, sys, zlib
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+from safetensors import safe_open
+
+F = np.float32  # everything is calculated in single precision, in the order of the documentation
+TOLERANCE = 1e-6  # percent of the valve
+
+
+def opened(path, kind):
+    """A safetensors file of the trainer: its description and its only vector."""
+    with safe_open(path, framework="np") as file:
+        (name,) = file.keys()
+        return json.loads(file.metadata()["eupnea-" + kind]), file.get_tensor(name)
+
+
+def lag_factor(tau, period):
+    return period / (F(tau) + period)
+
+
+def limit(value, low, high):
+    return F(min(max(value, low), high))
+
+
+class Controller:
+    SHAPE = (24, 32, 16, 1)
+
+    def __init__(self, spec, parameters):
+        self.period = F(spec["period_us"]) * F(1e-6)
+        self.p, self.i, self.d = (F(spec["gains"][name]) for name in "pid")
+        self.reach, self.authority = F(spec["lambda"]) * F(100), F(spec["authority"])
+        seen = spec["features"]
+        self.error_taps, self.command_taps = seen["error_taps"], seen["command_taps"]
+        self.error_factors = [lag_factor(tau, self.period) for tau in seen["error_averages"]]
+        self.command_factors = [lag_factor(tau, self.period) for tau in seen["command_averages"]]
+        self.times = [F(tau) for tau in seen["times"]]
+        self.layers, at = [], 0
+        for inputs, outputs in zip(self.SHAPE, self.SHAPE[1:]):
+            weights = parameters[at : at + inputs * outputs].reshape(outputs, inputs)
+            at += weights.size
+            self.layers.append((weights, parameters[at : at + outputs]))
+            at += outputs
+        assert at == parameters.size, "a network of another shape"
+
+    def start_breath(self, command):
+        """A breath begins; the valve stands at `command` percent."""
+        self.errors, self.commands = [], []
+        self.before = F(command) / F(50)  # what the commands were before the breath
+        self.error_averages, self.command_averages = [F(0)] * 2, [self.before] * 2
+        self.integral, self.derivative, self.last, self.tick = F(0), F(0), None, 0
+
+    def network(self, values):
+        for number, (weights, bias) in enumerate(self.layers):
+            sums = bias.copy()
+            for column, value in zip(weights.T, values):  # input by input: the order of the roundings
+                sums += column * value
+            hidden = number < len(self.layers) - 1
+            values = sums / (F(1) + np.abs(sums)) if hidden else sums
+        return values[0]
+
+    def features(self, pressure, target, pip, peep):
+        error = (target - pressure) / F(10)
+        self.errors.append(error)
+        self.error_averages = averaged(self.error_averages, self.error_factors, error)
+        ago = lambda past, age, first: past[self.tick - age] if age <= self.tick else first
+        time = F(self.tick) * self.period
+        return [
+            *(ago(self.errors, age, F(0)) for age in self.error_taps),
+            *(ago(self.commands, age, self.before) for age in self.command_taps),
+            *self.error_averages,
+            *self.command_averages,
+            self.integral / F(50),
+            *(time / (time + tau) for tau in self.times),
+            (pip - F(20)) / F(15),
+            (peep - F(5)) / F(5),
+        ]
+
+    def command(self, pressure, target, pip, peep):
+        """The command of one tick, percent."""
+        output = self.network(self.features(pressure, target, pip, peep))
+        residual = limit(self.reach * output, -self.authority, self.authority)
+        error = target - pressure
+        change = F(0) if self.last is None else pressure - self.last
+        self.last = pressure
+        slope = -(self.d / self.period) * change
+        self.derivative += lag_factor(0.01, self.period) * (slope - self.derivative)
+        wanted = self.p * error + self.integral + self.derivative + residual
+        if not (wanted >= 100 and error > 0 or wanted <= 0 and error < 0):
+            self.integral = limit(self.integral + self.i * self.period * error, F(-100), F(100))
+        return limit(wanted, F(0), F(100))
+
+    def applied(self, command):
+        """What the valve was told in the end; the tick is over."""
+        self.commands.append(command / F(50))
+        self.command_averages = averaged(self.command_averages, self.command_factors, command / F(50))
+        self.tick += 1
+
+
+def averaged(averages, factors, value):
+    return [average + factor * (value - average) for average, factor in zip(averages, factors)]
+
+
+def replayed(controller, recording):
+    """Largest difference to the recorded commands over all inspirations, and the number of ticks."""
+    worst, ticks, command = 0.0, 0, 0.0
+    for _, breath in recording.groupby("breath"):
+        controller.start_breath(command)
+        for row in breath[breath.phase == 0].itertuples():
+            wanted = controller.command(F(row.pressure), F(row.target), F(row.pip), F(row.peep))
+            worst, ticks = max(worst, abs(float(wanted) - row.u_in)), ticks + 1
+            controller.applied(F(row.u_in))
+        command = breath.u_in.iloc[-1]
+    return worst, ticks
+
+
+def exercised(controller):
+    """Last command and CRC-32 of all commands of the weights image's exercise."""
+    controller.start_breath(5)
+    commands = b""
+    for tick in range(160):
+        error = F(0.5) * F(7 * tick % 16) - F(2)
+        command = controller.command(F(25) - error, F(25), F(25), F(8))
+        controller.applied(command)
+        commands += struct.pack("<f", command)
+    return commands[-4:], zlib.crc32(commands)
+
+
+def main(recording_path, simulator_path, controller_path, image_path=None):
+    recording = pd.read_parquet(recording_path)
+    origin = json.loads(pq.read_metadata(recording_path).metadata[b"eupnea"])
+    print(f"recording: {recording.breath.nunique()} breaths of {origin['plant']}, {origin['period_us']} us")
+    print(recording.groupby("pip").pressure.agg(["count", "max"]).head(3).to_string())
+    simulator, parameters = opened(simulator_path, "simulator")
+    assert np.isfinite(parameters).all()
+    print(f"simulator: {simulator['architecture']}, {parameters.size} parameters, of {simulator['plant']}")
+    spec, network = opened(controller_path, "controller")
+    controller = Controller(spec, network)
+    assert spec["period_us"] == origin["period_us"], "a recording of another controller"
+    worst, ticks = replayed(controller, recording)
+    print(f"controller: {ticks} commands replayed, the largest difference is {worst:.1e} percent")
+    if not (ticks > 0 and worst <= TOLERANCE):
+        sys.exit(f"the commands differ by more than {TOLERANCE} percent")
+    if image_path:
+        with open(image_path, "rb") as file:
+            image = file.read()
+        golden = image[114:118], struct.unpack("<I", image[118:122])[0]
+        if exercised(controller) != golden:
+            sys.exit("the exercise of the weights image gives other bits")
+        print("weights image: all 160 commands of its exercise are the same, bit for bit")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
