@@ -2,12 +2,11 @@
 
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::safety::alarms::Fault;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
-use shared::ventilator::{Mode, Ventilator, VentilatorState};
+use shared::ventilator::{Ventilator, VentilatorState};
 
-use super::{Source, SourceError, Tick, TickTruth, ventilator};
+use super::{Source, SourceError, Tick, TickTruth, broken_off, ventilator};
 use crate::balloon::{Balloon, PERIOD_US, settings};
 
 /// A ventilator on the balloon. Expiration is no part of that plant: once the expiratory valve opens, the balloon is
@@ -40,21 +39,14 @@ impl BalloonSource {
             self.balloon.step(f64::from(output.command.u_in()), false);
         }
         let truth = Some(TickTruth { airway_pressure: pressure, sensor_pressure: pressure, lung_volume });
-        match (output.sample, output.mode) {
-            (Some(_), _) if self.state.cut() => {
-                let (breath, tick) = (self.state.breath_number(), self.state.tick());
-                Err(SourceError::Fault { fault: Fault::HighPressure, breath, tick })
-            }
-            (Some(sample), _) => Ok(Tick { sample, truth }),
-            (None, Mode::Fault(fault)) => {
-                let (breath, tick) = (self.state.breath_number(), self.state.tick());
-                Err(SourceError::Fault { fault, breath, tick })
-            }
-            (None, _) => {
-                self.state.start();
-                self.tick()
-            }
+        if let Some(error) = broken_off(&self.state, &output) {
+            return Err(error);
         }
+        let Some(sample) = output.sample else {
+            self.state.start();
+            return self.tick();
+        };
+        Ok(Tick { sample, truth })
     }
 }
 

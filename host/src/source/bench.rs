@@ -2,12 +2,11 @@
 
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
 use shared::settings::Settings;
-use shared::ventilator::{Mode, Ventilator, VentilatorState};
+use shared::ventilator::{Ventilator, VentilatorState};
 
-use super::{Source, SourceError, Tick, TickTruth, ventilator};
+use super::{Source, SourceError, Tick, TickTruth, broken_off, ventilator};
 use crate::bench::{Bench, BenchConfig, STEP_S};
 
 /// Microseconds of a bench step.
@@ -63,21 +62,14 @@ impl BenchSource {
         for _ in 0..self.steps_per_tick {
             self.reading = self.bench.step(output.command.u_in(), output.command.u_out()).pressure;
         }
-        match (output.sample, output.mode) {
-            (Some(_), _) if self.state.cut() => {
-                let (breath, tick) = (self.state.breath_number(), self.state.tick());
-                Err(SourceError::Fault { fault: Fault::HighPressure, breath, tick })
-            }
-            (Some(sample), _) => Ok(Tick { sample, truth: Some(truth) }),
-            (None, Mode::Fault(fault)) => {
-                let (breath, tick) = (self.state.breath_number(), self.state.tick());
-                Err(SourceError::Fault { fault, breath, tick })
-            }
-            (None, _) => {
-                self.state.start();
-                self.tick()
-            }
+        if let Some(error) = broken_off(&self.state, &output) {
+            return Err(error);
         }
+        let Some(sample) = output.sample else {
+            self.state.start();
+            return self.tick();
+        };
+        Ok(Tick { sample, truth: Some(truth) })
     }
 }
 

@@ -21,7 +21,7 @@ use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::safety::alarms::Fault;
 use shared::settings::{Settings, SettingsError};
-use shared::ventilator::{Sample, Ventilator};
+use shared::ventilator::{Mode, Output, Sample, Ventilator, VentilatorState};
 use thiserror::Error;
 
 use crate::bench::BenchError;
@@ -158,6 +158,16 @@ pub trait Source {
 pub trait Reseed: Source {
     /// The plant starts anew with this seed for its noise before the next breath.
     fn reseed(&mut self, seed: u64);
+}
+
+/// Why a tick ends its breath before its time, if it does: a latched fault, or the pressure limit.
+fn broken_off(state: &VentilatorState, output: &Output) -> Option<SourceError> {
+    let fault = match output.mode {
+        Mode::Fault(fault) => fault,
+        _ if state.cut() => Fault::HighPressure,
+        _ => return None,
+    };
+    Some(SourceError::Fault { fault, breath: state.breath_number(), tick: state.tick() })
 }
 
 /// A ventilator's configuration from its parts.

@@ -4,14 +4,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
-use shared::ventilator::{Mode, Ventilator, VentilatorState};
+use shared::ventilator::{Ventilator, VentilatorState};
 
 use super::bench::REST_TIME;
-use super::{Reseed, Source, SourceError, Tick, TickTruth, ventilator};
+use super::{Reseed, Source, SourceError, Tick, TickTruth, broken_off, ventilator};
 use crate::evaluate::{Evaluation, Ground, Plan, evaluate_source};
 use crate::plant::{PlantError, PlantLink, Reading};
 use crate::watch::Watch;
@@ -89,21 +88,14 @@ impl PlantSource {
             sink(&Tick { sample, truth: truth.map(told) });
         }
         run.reading = link.step(output.command.u_in(), output.command.u_out())?;
-        match (output.sample, output.mode) {
-            (Some(_), _) if run.state.cut() => {
-                let (breath, tick) = (run.state.breath_number(), run.state.tick());
-                Err(SourceError::Fault { fault: Fault::HighPressure, breath, tick })
-            }
-            (Some(_), _) => Ok(()),
-            (None, Mode::Fault(fault)) => {
-                let (breath, tick) = (run.state.breath_number(), run.state.tick());
-                Err(SourceError::Fault { fault, breath, tick })
-            }
-            (None, _) => {
-                run.state.start();
-                self.tick(run, link, sink)
-            }
+        if let Some(error) = broken_off(&run.state, &output) {
+            return Err(error);
         }
+        if output.sample.is_none() {
+            run.state.start();
+            return self.tick(run, link, sink);
+        }
+        Ok(())
     }
 }
 

@@ -16,8 +16,8 @@ use super::{clock, usable};
 
 /// Speed of the plant line, baud.
 const BAUD: u32 = 1_000_000;
-/// How long to wait for an answer, cycles. The ticks that a slow plant costs are counted as missed.
-const PATIENCE: u32 = CORE_CLOCK.0 / 1_000 * 20;
+/// How long to wait for an answer, cycles. The ticks that a slow plant costs are counted as missed, and a breath bears no more.
+const PATIENCE: u32 = CORE_CLOCK.0 / 1_000 * 3;
 /// How long to wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
 const DOUBT: u32 = CORE_CLOCK.0 / 2_000;
 
