@@ -12,7 +12,7 @@ use crate::source::SharedLink;
 /// Which plant.
 #[derive(Debug, clap::Args)]
 pub struct PlantArgs {
-    /// A plant of your own in place of the bench: tcp:HOST:PORT or 'pipe:COMMAND', see docs/PLANT_LINK.md
+    /// A plant of your own in place of the bench: tcp:HOST:PORT, or 'pipe:COMMAND' to start it
     #[arg(long, value_name = "PLANT", conflicts_with_all = ["lung", "bench"])]
     pub plant: Option<PlantAddress>,
     /// How long the plant may take for an answer, s

@@ -299,12 +299,13 @@ impl PlantLink {
         };
         let highest = self.greeting.highest;
         let told = [("a pressure", Some(reading.pressure)), ("a true pressure", reading.truth)];
-        // Written so that a NaN is refused.
-        let wrong = told.into_iter().find_map(|(what, value)| {
-            value.filter(|value| !(value.abs() <= f32::from(highest))).map(|value| (what, value.to_string()))
-        });
+        // A NaN is not possible.
+        let possible = |value: f32| value.abs() <= f32::from(highest);
+        let wrong = told
+            .into_iter()
+            .find_map(|(what, value)| value.filter(|value| !possible(*value)).map(|value| (what, value)));
         let error = match wrong {
-            Some((what, value)) => PlantError::Pressure { what, value, question, highest },
+            Some((what, value)) => PlantError::Pressure { what, value: value.to_string(), question, highest },
             None if reading.truth.is_some() != self.truthful => PlantError::Truth,
             None => return Ok(reading),
         };
