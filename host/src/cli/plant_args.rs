@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 
 use crate::plant::{PATIENCE, PlantAddress, PlantLink};
@@ -12,7 +12,7 @@ use crate::source::SharedLink;
 /// Which plant.
 #[derive(Debug, clap::Args)]
 pub struct PlantArgs {
-    /// A plant of your own in place of the bench: tcp:HOST:PORT, or 'pipe:COMMAND' to start it
+    /// A plant of your own in place of the bench: tcp:HOST:PORT or 'pipe:COMMAND', see `docs/PLANT_LINK.md`
     #[arg(long, value_name = "PLANT", conflicts_with_all = ["lung", "bench"])]
     pub plant: Option<PlantAddress>,
     /// How long the plant may take for an answer, s
@@ -28,8 +28,7 @@ impl PlantArgs {
     pub fn connect(&self) -> anyhow::Result<Option<SharedLink>> {
         let Some(address) = &self.plant else { return Ok(None) };
         let patience = Duration::from_secs_f64(self.plant_timeout);
-        let link =
-            PlantLink::open(address, patience).with_context(|| format!("cannot use the plant {address}"))?;
+        let link = PlantLink::open(address, patience)?;
         let (shortest, longest) = PERIOD_BOUNDS_US;
         if let Some(own) = link.greeting().period_us.filter(|own| *own < shortest || *own > longest) {
             bail!(
