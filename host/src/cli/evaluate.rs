@@ -34,9 +34,9 @@ Examples:
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O, of the true airway pressure,
-which only a bench knows; with --plant the true one if the plant tells it, with --port the measured
-one. A learned controller is compared with the PID underneath it, or with --against. On a device
-(--port) the weights are uploaded unless they run there already.")]
+which only a bench knows; with --plant the true one if the plant tells it, with --port the
+measured one. A learned controller is compared with the PID underneath it, or with --against. On a
+device (--port) the weights are uploaded unless they run there already.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,

@@ -41,12 +41,12 @@ pub struct Args {
     /// File to write the simulator to
     #[arg(long, value_name = "FILE.safetensors")]
     out: PathBuf,
-    /// Another's setting: the recording must be of it, and its simulator is fitted unless told otherwise
-    #[arg(long, value_enum, value_name = "NAME")]
+    /// Another's setting, which the recording must be of: paper-30ms is that of the paper's authors
+    #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
     preset: Option<Preset>,
     /// Our state-space model, trained on whole breaths open loop, or the stitched networks of the paper's authors,
     /// trained on single steps of about 30 ms [default: state-space, or that of the preset]
-    #[arg(long, value_enum, value_name = "KIND")]
+    #[arg(long, value_enum)]
     architecture: Option<Kind>,
     /// Passes over the recording [default: enough for 10000 gradient steps, 500 for stitched]
     #[arg(long, value_name = "N")]

@@ -34,8 +34,9 @@ Examples:
   trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
 
-With --preset paper-30ms it works as the paper's authors do: a control period of 30 ms, PEEP 5, their
-exploration around their PID, their simulator with their optimiser; residual and training are ours.
+With --preset paper-30ms it works as the paper's authors do: a control period of 30 ms, PEEP 5,
+their exploration around their PID, their simulator with their optimiser; residual and training
+are ours.
 Without --simulator it records on the bench, fits and trains, round after round. With it, it
 trains once; the last of several simulators is held out and judges the controller. Ctrl-C stops
 it; the same command goes on where it was.")]

@@ -27,7 +27,7 @@ const HIGHEST_MAX: u16 = 1000;
 pub enum PlantError {
     /// Nobody listens there.
     #[error(
-        "cannot connect to the plant at {address}: {reason}; start it first, as in `python3 plant.py --port 7000`"
+        "cannot connect to the plant at {address}: {reason}; start it first, as in `python3 plant.py 7000`"
     )]
     Connect {
         /// The address.
