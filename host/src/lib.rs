@@ -15,6 +15,7 @@ pub mod emulator;
 pub mod engine;
 pub mod evaluate;
 pub mod files;
+pub mod identify;
 pub mod monitor;
 pub mod pipeline;
 pub mod port;

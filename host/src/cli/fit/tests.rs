@@ -14,6 +14,8 @@ fn episode(pip: f32, group: Option<u32>) -> Episode {
         pip,
         peep: 5.0,
         group,
+        lung: None,
+        rows: 0..10,
     }
 }
 
@@ -51,7 +53,7 @@ fn the_stitched_architecture_refuses_fast_ticks_and_says_what_to_do() {
 fn sizes_are_the_models_unless_given() {
     let shape = |arguments: &[&str]| match architecture(&args(arguments), &recording(1_000)).unwrap() {
         Architecture::StateSpace(shape) => shape,
-        Architecture::Stitched(_) => panic!("asked for state-space"),
+        other => panic!("asked for state-space, got {other:?}"),
     };
     assert_eq!(shape(&[]), StateSpaceConfig::for_period(1_000, 1));
     let small = shape(&["--states", "3", "--hidden", "4", "--history", "5"]);
@@ -60,7 +62,10 @@ fn sizes_are_the_models_unless_given() {
 
 #[test]
 fn small_recordings_take_more_passes_unless_told_otherwise() {
-    let epochs = |arguments: &[&str], breaths| config(&args(arguments), breaths).epochs;
+    let epochs = |arguments: &[&str], breaths| {
+        let args = args(arguments);
+        config(&args, &architecture(&args, &recording(30_000)).unwrap(), breaths).epochs
+    };
     assert_eq!(epochs(&[], 160), STEPS * BATCH / 160);
     assert_eq!(epochs(&[], 3), MOST_EPOCHS);
     assert_eq!(epochs(&[], 100_000), LEAST_EPOCHS);
