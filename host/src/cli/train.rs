@@ -16,7 +16,7 @@ use crate::evaluate::seeds;
 use crate::pipeline::{self, Folder, MakeSource, PipelineConfig, Round, Stage};
 use crate::provenance::git_revision;
 use crate::report::{Cell, Table};
-use crate::simulator::model::Simulator;
+use crate::simulator::model::{Architecture, Simulator};
 use crate::source::{BenchSource, Source, SourceError};
 use crate::train::learned::{Learned, Origin};
 use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
@@ -282,6 +282,13 @@ fn check(path: &Path, simulator: &Simulator, period_us: u32) -> anyhow::Result<(
     if timing.period_us != period_us {
         let (path, own) = (path.display(), timing.period_us);
         bail!("{path} was fitted at a control period of {own} us; add --period-us {own}");
+    }
+    if matches!(simulator.architecture, Architecture::Hybrid(_)) {
+        bail!(
+            "{} is a simulator of many lungs; a controller is trained on one: fit its breaths with --architecture \
+             state-space",
+            path.display()
+        );
     }
     if timing.channels != 1 {
         bail!("{} has {} valves to command; a controller commands one", path.display(), timing.channels);

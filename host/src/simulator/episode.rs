@@ -26,6 +26,8 @@ pub struct Episode {
     pub start: f32,
     /// Pressure at the end of the inspiration before, cmH2O.
     pub plateau: f32,
+    /// Scaled command of the inspiratory valve there.
+    pub plateau_command: f32,
     /// PIP of the breath, cmH2O.
     pub pip: f32,
     /// PEEP of the breath, cmH2O.
@@ -48,7 +50,7 @@ impl Episode {
 /// The complete inspirations of a recording, in its order.
 pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
     let average = (shared::math::ticks(AVERAGE_TIME, timing.period_us) as usize).max(1);
-    let mut last_plateau = None;
+    let (mut last_plateau, mut last_command) = (None, None);
     let mut episodes = Vec::new();
     for rows in recording.inspirations() {
         let group = recording.group.as_ref().map(|group| group[rows.start]);
@@ -70,13 +72,16 @@ pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
                 .collect(),
             start: mean(&recording.pressure[before]),
             plateau,
+            plateau_command: last_command.filter(|_| same_run).unwrap_or(channel(recording, rest, 0)),
             pip: recording.pip[rows.start],
             peep: recording.peep[rows.start],
             group,
             rows: rows.clone(),
             lung: lung(recording, rows.start),
         });
-        last_plateau = Some(mean(&recording.pressure[rows.end - average.min(rows.len())..rows.end]));
+        let end = rows.end - average.min(rows.len())..rows.end;
+        last_plateau = Some(mean(&recording.pressure[end.clone()]));
+        last_command = Some(mean(&recording.u_in[end]) / COMMAND_SCALE);
     }
     episodes
 }
@@ -173,6 +178,8 @@ impl<'a> Shard<'a> {
         Start {
             pressure: self.lane(|episode| episode.start),
             plateau: self.lane(|episode| episode.plateau),
+            rest: self.lane(|episode| episode.rest[0]),
+            plateau_command: self.lane(|episode| episode.plateau_command),
             resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).0),
             compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).1),
         }

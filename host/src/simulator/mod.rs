@@ -155,6 +155,10 @@ pub struct Start {
     pub pressure: Lane,
     /// Pressure at the end of the last inspiration, cmH2O: what may still be in the lung.
     pub plateau: Lane,
+    /// Scaled command of the inspiratory valve just before the breath; only [`hybrid`] looks at it.
+    pub rest: Lane,
+    /// The same at the end of the last inspiration.
+    pub plateau_command: Lane,
     /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
     pub resistance: Lane,
     /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
@@ -167,6 +171,8 @@ impl Default for Start {
         Self {
             pressure: Lane::ZERO,
             plateau: Lane::ZERO,
+            rest: Lane::ZERO,
+            plateau_command: Lane::ZERO,
             resistance: Lane::splat(resistance),
             compliance: Lane::splat(compliance),
         }

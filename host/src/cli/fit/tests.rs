@@ -11,6 +11,7 @@ fn episode(pip: f32, group: Option<u32>) -> Episode {
         rest: vec![0.1; 2],
         start: 5.0,
         plateau: 5.0,
+        plateau_command: 0.1,
         pip,
         peep: 5.0,
         group,
