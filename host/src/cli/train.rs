@@ -18,7 +18,7 @@ use crate::evaluate::seeds;
 use crate::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
 use crate::provenance::git_revision;
 use crate::report::{Cell, Table};
-use crate::simulator::model::Simulator;
+use crate::simulator::model::{Architecture, Simulator};
 use crate::source::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 use crate::train::learned::{Learned, Origin};
 use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
@@ -324,6 +324,13 @@ fn check(path: &Path, simulator: &Simulator, period_us: u32) -> anyhow::Result<(
         let (path, own) = (path.display(), timing.period_us);
         bail!(
             "{path} was fitted at a control period of {own} us, not {period_us}: a controller takes simulators of one"
+        );
+    }
+    if matches!(simulator.architecture, Architecture::Hybrid(_)) {
+        bail!(
+            "{} is a simulator of many lungs; a controller is trained on one: fit its breaths with --architecture \
+             state-space",
+            path.display()
         );
     }
     if timing.channels != 1 {

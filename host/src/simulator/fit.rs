@@ -5,6 +5,8 @@
 //! at a time from measured pressures. Figures come from
 //! episodes held out of training.
 
+use std::collections::BTreeMap;
+
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -14,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::episode::{Episode, Shard};
 use super::model::{Architecture, Model, Simulator};
 use super::stitched::Stitched;
-use super::{CommandLog, Dynamics, Timing};
+use super::{COMMAND_SCALE, CommandLog, Dynamics, Timing};
 use crate::engine::adam::{Adam, AdamConfig};
 use crate::engine::{LANES, Lane};
 
@@ -107,6 +109,7 @@ impl<'a> Fit<'a> {
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let fresh = match &architecture {
             Architecture::StateSpace(shape) => shape.initialise(&mut rng),
+            Architecture::Hybrid(shape) => shape.initialise(&mut rng),
             Architecture::Stitched(shape) => shape.initialise(&mut rng),
         };
         let parameters = warm
@@ -159,6 +162,7 @@ fn batch_gradient(model: &Model, episodes: &[&Episode], huber: f32) -> Gradient 
         .par_iter()
         .map(|shard| match model {
             Model::StateSpace(model) => rollout_gradient(model, shard, huber),
+            Model::Hybrid(model) => rollout_gradient(model, shard, huber),
             Model::Stitched(model) => one_step_gradient(model, shard, huber),
         })
         .collect();
@@ -296,6 +300,7 @@ fn one_step_gradient(model: &Stitched, shard: &Shard<'_>, huber: f32) -> Gradien
 pub fn predict(simulator: &Simulator, episodes: &[&Episode]) -> Vec<Vec<f32>> {
     match simulator.model() {
         Model::StateSpace(model) => predict_with(&model, episodes),
+        Model::Hybrid(model) => predict_with(&model, episodes),
         Model::Stitched(model) => predict_with(&model, episodes),
     }
 }
@@ -328,6 +333,37 @@ pub fn open_loop(simulator: &Simulator, episodes: &[&Episode]) -> OpenLoop {
         measured: distance(&|e| Some(e.pressure.clone())),
         truth: has_truth.then(|| distance(&|e| e.truth.clone())),
     }
+}
+
+/// A command this much higher asks a simulator whether it is a plant, percent.
+const PROBE: f32 = 5.0;
+
+/// Mean rise of the predicted pressure at these times (s) where every command of the inspiratory valve is five percent
+/// of full opening higher, and what the valve had before the breath is as it was; cmH2O.
+///
+/// A plant answers with a rise. A simulator that has learned to read the pressure from the commands of the recording's
+/// controller answers with a fall, because that controller opens the valve where the pressure is low.
+pub fn response(simulator: &Simulator, episodes: &[&Episode], times: &[f32]) -> Vec<f64> {
+    let timing = simulator.architecture.timing();
+    let raised: Vec<Episode> = episodes
+        .iter()
+        .map(|episode| {
+            let mut raised = (*episode).clone();
+            let inspiratory = raised.commands.iter_mut().step_by(timing.channels);
+            inspiratory.for_each(|command| *command += PROBE / COMMAND_SCALE);
+            raised
+        })
+        .collect();
+    let before = predict(simulator, episodes);
+    let after = predict(simulator, &raised.iter().collect::<Vec<_>>());
+    let rise =
+        |time: &f32| {
+            let tick = shared::math::ticks(*time, timing.period_us) as usize;
+            mean(before.iter().zip(&after).filter_map(|(before, after)| {
+                Some(f64::from(*after.get(tick)?) - f64::from(*before.get(tick)?))
+            }))
+        };
+    times.iter().map(rise).collect()
 }
 
 /// Errors by PIP, PIPs rising.
@@ -367,12 +403,12 @@ pub fn noise(episodes: &[&Episode]) -> f32 {
     (square / 20.0).sqrt() as f32
 }
 
-/// Splits episodes into those to train on and every `every`-th, held out.
+/// Splits episodes into those to train on and every `every`-th of each group, held out.
 pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode>) {
-    let every = every.max(2);
-    let choose = |held_out: bool| {
-        let chosen = episodes.iter().enumerate().filter(move |(n, _)| (n % every == every - 1) == held_out);
-        chosen.map(|(_, episode)| episode).collect()
-    };
-    (choose(false), choose(true))
+    let mut before: BTreeMap<Option<u32>, usize> = BTreeMap::new();
+    episodes.iter().partition(|episode| {
+        let place = before.entry(episode.group).or_default();
+        *place += 1;
+        !place.is_multiple_of(every.max(2))
+    })
 }

@@ -6,11 +6,13 @@
 //! of valve and tube: what is commanded in a block cannot be felt before the next one, so one network step
 //! serves ten control ticks.
 //!
-//! [`state_space`] is ours, [`stitched`] the architecture of Suo et al. 2021; both implement [`Dynamics`], which
-//! is all that training (of either simulator or controller) needs.
+//! [`state_space`] and [`hybrid`] are ours, one for one plant, one for many lungs whose nominal R and C are known;
+//! [`stitched`] is the architecture of Suo et al. 2021. All implement [`Dynamics`], which is all that training (of
+//! either simulator or controller) needs.
 
 pub mod episode;
 pub mod fit;
+pub mod hybrid;
 pub mod model;
 pub mod state_space;
 pub mod stitched;
@@ -143,13 +145,38 @@ impl CommandLog {
     }
 }
 
-/// What a simulator is told of the state in which a breath starts.
-#[derive(Clone, Copy, Debug, Default)]
+/// R (cmH2O/(L/s)) and C (mL/cmH2O) of a lung of which nothing is known: the middle of the paper's.
+pub const USUAL_LUNG: (f32, f32) = (20.0, 20.0);
+
+/// What a simulator is told of the state in which a breath starts, and of the lung that it is for.
+#[derive(Clone, Copy, Debug)]
 pub struct Start {
     /// Pressure just before the breath, cmH2O.
     pub pressure: Lane,
     /// Pressure at the end of the last inspiration, cmH2O: what may still be in the lung.
     pub plateau: Lane,
+    /// Scaled command of the inspiratory valve just before the breath; only [`hybrid`] looks at it.
+    pub rest: Lane,
+    /// The same at the end of the last inspiration.
+    pub plateau_command: Lane,
+    /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
+    pub resistance: Lane,
+    /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
+    pub compliance: Lane,
+}
+
+impl Default for Start {
+    fn default() -> Self {
+        let (resistance, compliance) = USUAL_LUNG;
+        Self {
+            pressure: Lane::ZERO,
+            plateau: Lane::ZERO,
+            rest: Lane::ZERO,
+            plateau_command: Lane::ZERO,
+            resistance: Lane::splat(resistance),
+            compliance: Lane::splat(compliance),
+        }
+    }
 }
 
 /// A differentiable simulator of one shard.

@@ -6,7 +6,14 @@ use crate::engine::{LANES, Lane};
 const BLOCKS: usize = 8;
 
 fn start() -> Start {
-    Start { pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32), plateau: Lane::from_fn(|l| 10.0 + l as f32) }
+    Start {
+        pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
+        plateau: Lane::from_fn(|l| 10.0 + l as f32),
+        rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
+        plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),
+        resistance: Lane::from_fn(|l| 5.0 + 3.0 * l as f32),
+        compliance: Lane::from_fn(|l| 50.0 - 2.5 * l as f32),
+    }
 }
 
 fn commands(width: usize) -> CommandLog {

@@ -11,9 +11,12 @@ fn episode(pip: f32, group: Option<u32>) -> Episode {
         rest: vec![0.1; 2],
         start: 5.0,
         plateau: 5.0,
+        plateau_command: 0.1,
         pip,
         peep: 5.0,
         group,
+        lung: None,
+        rows: 0..10,
     }
 }
 
@@ -50,8 +53,9 @@ fn the_stitched_architecture_refuses_fast_ticks_and_says_what_to_do() {
 #[test]
 fn the_papers_preset_takes_its_simulator_and_refuses_other_recordings() {
     let preset = args(&["--preset", "paper-30ms"]);
-    assert!(matches!(architecture(&preset, &recording(30_000)).unwrap(), Architecture::Stitched(_)));
-    assert_eq!(config(&preset, 100).epochs, FitConfig::authors().epochs);
+    let theirs = architecture(&preset, &recording(30_000)).unwrap();
+    assert!(matches!(theirs, Architecture::Stitched(_)));
+    assert_eq!(config(&preset, &theirs, 100).epochs, FitConfig::authors().epochs);
     let ours = args(&["--preset", "paper-30ms", "--architecture", "state-space"]);
     assert!(matches!(architecture(&ours, &recording(30_000)).unwrap(), Architecture::StateSpace(_)));
     let check = |recording: &Recording| preset.preset.unwrap().check(recording);
@@ -66,7 +70,7 @@ fn the_papers_preset_takes_its_simulator_and_refuses_other_recordings() {
 fn sizes_are_the_models_unless_given() {
     let shape = |arguments: &[&str]| match architecture(&args(arguments), &recording(1_000)).unwrap() {
         Architecture::StateSpace(shape) => shape,
-        Architecture::Stitched(_) => panic!("asked for state-space"),
+        other => panic!("asked for state-space, got {other:?}"),
     };
     assert_eq!(shape(&[]), StateSpaceConfig::for_period(1_000, 1));
     let small = shape(&["--states", "3", "--hidden", "4", "--history", "5"]);
@@ -75,7 +79,10 @@ fn sizes_are_the_models_unless_given() {
 
 #[test]
 fn small_recordings_take_more_passes_unless_told_otherwise() {
-    let epochs = |arguments: &[&str], breaths| config(&args(arguments), breaths).epochs;
+    let epochs = |arguments: &[&str], breaths| {
+        let args = args(arguments);
+        config(&args, &architecture(&args, &recording(30_000)).unwrap(), breaths).epochs
+    };
     assert_eq!(epochs(&[], 160), STEPS * BATCH / 160);
     assert_eq!(epochs(&[], 3), MOST_EPOCHS);
     assert_eq!(epochs(&[], 100_000), LEAST_EPOCHS);
