@@ -87,7 +87,7 @@ impl HybridConfig {
         self.layout().2
     }
 
-    /// Draws parameters: time constants from one block to [`LONGEST_FILTER_S`], and a plain lung.
+    /// Draws parameters: time constants from one block to `LONGEST_FILTER_S`, and a plain lung.
     pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let ([filters, curves, source, start], decay, total) = self.layout();
         let mut parameters = vec![0.0; total];
