@@ -318,7 +318,7 @@ pub(crate) fn first_order(gain: f32) -> Simulator {
     use crate::simulator::state_space::StateSpaceConfig;
 
     let timing = Timing::for_period(1000, 1);
-    let config = StateSpaceConfig { timing, states: 1, hidden: 1, history: 1 };
+    let config = StateSpaceConfig { timing, states: 1, hidden: 1, history: 1, lungs: false };
     let (hidden, start) = ([0.0; 4], [0.0; 3]);
     // The state goes to the mean of the two scaled commands; it keeps five sixths of itself in 10 ms.
     let (drive, decay) = ([0.0, 0.5, 0.5, 0.0], [5.0_f32.ln()]);

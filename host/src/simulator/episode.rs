@@ -49,6 +49,26 @@ impl Episode {
 
 /// The complete inspirations of a recording, in its order.
 pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
+    cut(recording, timing, |inspiration| inspiration)
+}
+
+/// The same breaths with all that follows their inspirations: in expiration, too, a plant shows what it is.
+pub fn whole_breaths(recording: &Recording, timing: &Timing) -> Vec<Episode> {
+    cut(recording, timing, |inspiration| {
+        let rest = &recording.breath[inspiration.start..];
+        let length = rest.iter().take_while(|breath| **breath == rest[0]).count();
+        // A lost tick ends what can be replayed.
+        let ticks = &recording.tick[inspiration.start..inspiration.start + length];
+        let whole = ticks.iter().enumerate().take_while(|(n, tick)| *n == **tick as usize).count();
+        inspiration.start..inspiration.start + whole
+    })
+}
+
+fn cut(
+    recording: &Recording,
+    timing: &Timing,
+    extent: impl Fn(Range<usize>) -> Range<usize>,
+) -> Vec<Episode> {
     let average = (shared::math::ticks(AVERAGE_TIME, timing.period_us) as usize).max(1);
     let (mut last_plateau, mut last_command) = (None, None);
     let mut episodes = Vec::new();
@@ -63,10 +83,11 @@ pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
         };
         let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
         let rest = if same_run { rows.start - 1 } else { rows.start };
+        let extent = extent(rows.clone());
         episodes.push(Episode {
-            pressure: recording.pressure[rows.clone()].to_vec(),
-            truth: recording.pressure_true.as_ref().map(|truth| truth[rows.clone()].to_vec()),
-            commands: commands(recording, &rows, timing),
+            pressure: recording.pressure[extent.clone()].to_vec(),
+            truth: recording.pressure_true.as_ref().map(|truth| truth[extent.clone()].to_vec()),
+            commands: commands(recording, &extent, timing),
             rest: (0..timing.width())
                 .map(|place| channel(recording, rest, place % timing.channels))
                 .collect(),
@@ -179,6 +200,7 @@ impl<'a> Shard<'a> {
             pressure: self.lane(|episode| episode.start),
             plateau: self.lane(|episode| episode.plateau),
             rest: self.lane(|episode| episode.rest[0]),
+            group: self.lane(|episode| episode.group.map_or(-1.0, |group| group as f32)),
             plateau_command: self.lane(|episode| episode.plateau_command),
             resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).0),
             compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).1),
@@ -244,6 +266,17 @@ mod tests {
         let percent: Vec<f32> = episodes[0].commands.iter().map(|c| c * COMMAND_SCALE).collect();
         let expected = [2.0, 7.0, 12.0, 17.0, 22.0, 0.0];
         assert!(percent.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4), "{percent:?}");
+    }
+
+    #[test]
+    fn whole_breaths_go_on_after_the_inspiration_until_a_tick_is_lost() {
+        let timing = Timing::for_period(1000, 1);
+        let mut recording = recording();
+        let (short, whole) = (episodes(&recording, &timing), whole_breaths(&recording, &timing));
+        assert_eq!((short[1].ticks(), whole[1].ticks(), whole[1].commands.len()), (25, 35, 8));
+        assert_eq!((&short[1].rows, short[1].plateau), (&whole[1].rows, whole[1].plateau));
+        recording.tick[65..].iter_mut().for_each(|tick| *tick += 1);
+        assert_eq!(whole_breaths(&recording, &timing)[1].ticks(), 30);
     }
 
     #[test]

@@ -35,6 +35,9 @@ const CALIBRATION: usize = 2;
 const SOURCE: usize = 2;
 /// Parameters of the lung: see [`Physics`].
 const PHYSICS: usize = 6;
+/// Deviations of a group from what all have in common, as logarithms: R, C, opening towards the supply, opening towards
+/// the room. A run whose resistor is not what its label says keeps that to itself; a lung that was never seen has none.
+const DEVIATIONS: usize = 4;
 /// R at which R1 and R2 are what they are, cmH2O/(L/s).
 const NOMINAL: f32 = 20.0;
 /// Bound of an opening, L/s per root of cmH2O.
@@ -59,19 +62,22 @@ pub struct HybridConfig {
     pub hidden: usize,
     /// Blocks of past commands that a step sees.
     pub history: usize,
+    /// Groups (test runs) of the recording, each with deviations of its own.
+    #[serde(default)]
+    pub groups: usize,
 }
 
 impl HybridConfig {
     /// The default shape for a control period in microseconds and so many command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
-        Self { timing: Timing::for_period(period_us, channels), states: 8, hidden: 24, history: 8 }
+        Self { timing: Timing::for_period(period_us, channels), states: 8, hidden: 24, history: 8, groups: 0 }
     }
 
     fn commands(&self) -> usize {
         self.history * self.timing.width()
     }
 
-    /// Layers (filters, curves, source, start), index of the decays, number of parameters; the physics come last.
+    /// Layers (filters, curves, source, start), index of the decays, number of parameters; physics and deviations come last.
     fn layout(&self) -> ([Dense; 4], usize, usize) {
         let (layers, decay) = Dense::layout([
             (self.commands(), self.states),
@@ -79,7 +85,7 @@ impl HybridConfig {
             (self.states + self.hidden, SOURCE),
             (START_INPUTS, self.states + CALIBRATION),
         ]);
-        (layers, decay, decay + self.states + PHYSICS)
+        (layers, decay, decay + self.states + PHYSICS + self.groups * DEVIATIONS)
     }
 
     /// Number of parameters.
@@ -100,7 +106,8 @@ impl HybridConfig {
             let share = n as f32 / (self.states - 1).max(1) as f32;
             *decay = share * (LONGEST_FILTER_S / block).max(1.0).ln();
         }
-        parameters[total - PHYSICS..].copy_from_slice(&Physics::PLAIN);
+        let physics = decay + self.states;
+        parameters[physics..physics + PHYSICS].copy_from_slice(&Physics::PLAIN);
         parameters
     }
 }
@@ -143,6 +150,8 @@ struct Lungs {
     keep: f32,
     /// Pressure of the supply, cmH2O.
     supply: f32,
+    /// What the openings are multiplied by.
+    openings: [Lane; SOURCE],
 }
 
 /// Gradients by the logarithms of what [`Lungs`] holds.
@@ -153,6 +162,7 @@ struct LungGradients {
     rise: Lane,
     keep: Lane,
     supply: Lane,
+    openings: [Lane; SOURCE],
 }
 
 /// One step of the lung, kept for the way back.
@@ -173,6 +183,7 @@ pub struct Hybrid {
     source: DenseWeights,
     start: DenseWeights,
     physics: Physics,
+    deviations: Vec<[f32; DEVIATIONS]>,
     decay_offset: usize,
     /// `a` of each state.
     keep: Vec<f32>,
@@ -198,6 +209,8 @@ pub struct HybridTape {
     start: [Lane; START_INPUTS],
     /// Plateau less pressure at the start, cmH2O.
     fall: Lane,
+    /// Group of each lane, below zero where it is unknown.
+    group: Lane,
     pressure: Lane,
     alveolar: Lane,
     d_hidden: Vec<Lane>,
@@ -221,6 +234,7 @@ impl Hybrid {
         let ([filters, curves, source, start], decay_offset, total) = config.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
         let (decays, physics) = parameters[decay_offset..].split_at(config.states);
+        let (physics, deviations) = physics.split_at(PHYSICS);
         Self {
             config,
             filters: filters.load(parameters),
@@ -228,6 +242,7 @@ impl Hybrid {
             source: source.load(parameters),
             start: start.load(parameters),
             physics: Physics::new(physics),
+            deviations: deviations.as_chunks().0.to_vec(),
             decay_offset,
             keep: decays.iter().map(|d| sigmoid(*d)).collect(),
         }
@@ -243,16 +258,24 @@ impl Hybrid {
         timing.block_ticks as f32 * timing.period_us as f32 * 1e-6 / timing.points as f32
     }
 
+    /// Deviations of the group in a lane.
+    fn deviation(&self, start: &Start, l: usize) -> [f32; DEVIATIONS] {
+        group(start, l).and_then(|group| self.deviations.get(group)).copied().unwrap_or_default()
+    }
+
     fn lungs(&self, start: &Start) -> Lungs {
         let physics = &self.physics;
-        let power = |level: f32| start.resistance.map(|r| r / NOMINAL * level.exp());
         let step = ML_PER_L * self.step_s();
+        let own = |n: usize| Lane::from_fn(|l| self.deviation(start, l)[n].exp());
+        let resistance = start.resistance.zip(&own(0), |r, own| r / NOMINAL * own);
+        let compliance = start.compliance.zip(&own(1), |c, own| c * own);
         Lungs {
-            linear: power(physics.linear),
-            square: power(physics.square),
-            rise: start.compliance.map(|c| step / (c * physics.compliance.exp())),
+            linear: resistance.map(|r| r * physics.linear.exp()),
+            square: resistance.map(|r| r * physics.square.exp()),
+            rise: compliance.map(|c| step / (c * physics.compliance.exp())),
             keep: physics.circuit.exp() / step,
             supply: physics.supply.exp(),
+            openings: [own(2), own(3)],
         }
     }
 
@@ -326,6 +349,11 @@ fn orifice(drop: f32) -> (f32, f32) {
     (share, -0.5 * drop * share / square)
 }
 
+/// Index of the group in a lane; none where it is unknown.
+fn group(start: &Start, l: usize) -> Option<usize> {
+    (start.group[l] >= 0.0).then_some(start.group[l] as usize)
+}
+
 fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
@@ -366,6 +394,7 @@ impl Dynamics for Hybrid {
             lungs: Lungs::default(),
             start: [Lane::ZERO; START_INPUTS],
             fall: Lane::ZERO,
+            group: Lane::ZERO,
             pressure: Lane::ZERO,
             alveolar: Lane::ZERO,
             d_hidden: zeros(hidden),
@@ -394,6 +423,7 @@ impl Dynamics for Hybrid {
         tape.state[..states].copy_from_slice(&known[..states]);
         tape.calibration.copy_from_slice(&known[states..]);
         tape.lungs = self.lungs(start);
+        tape.group = start.group;
         tape.fall = start.plateau.zip(&start.pressure, |plateau, p| plateau - p);
         tape.pressure = start.pressure;
         tape.alveolar = start.pressure;
@@ -425,8 +455,8 @@ impl Dynamics for Hybrid {
         Activation::Softsign.forward(z);
         let source = &mut tape.source[block];
         self.source.forward(readout, source);
-        for opening in source.iter_mut() {
-            *opening = opening.map(|y| MOST_OPENING * sigmoid(y + USUAL_OPENING));
+        for (opening, own) in source.iter_mut().zip(&tape.lungs.openings) {
+            *opening = opening.zip(own, |y, own| own * MOST_OPENING * sigmoid(y + USUAL_OPENING));
         }
         let count = points.len();
         for (n, point) in points.iter_mut().enumerate() {
@@ -446,8 +476,12 @@ impl Dynamics for Hybrid {
             Self::flow_back(tape, block * d_points.len() + n, &source, &mut d_source);
         }
         let d_y = piece_mut(&mut tape.d_source, block, SOURCE);
-        for ((d_y, d), opening) in d_y.iter_mut().zip(&d_source).zip(&source) {
-            *d_y = d.zip(opening, |d, opening| d * opening * (1.0 - opening / MOST_OPENING));
+        for n in 0..SOURCE {
+            let (own, d_own) = (tape.lungs.openings[n], &mut tape.d_lungs.openings[n]);
+            let by_logarithm = d_source[n].zip(&source[n], |d, opening| d * opening);
+            d_own.add_scaled(1.0, &by_logarithm);
+            let left = source[n].zip(&own, |opening, own| 1.0 - opening / (own * MOST_OPENING));
+            d_y[n] = by_logarithm.zip(&left, |d, left| d * left);
         }
 
         let (d_after, rest) = tape.scratch.split_at_mut(states + hidden);
@@ -506,8 +540,19 @@ impl Dynamics for Hybrid {
             product(&tape.d_alveolar, &tape.fall),
             d.supply.sum(),
         ];
+        let (physics, deviations) = physics.split_at_mut(PHYSICS);
         for (gradient, d) in physics.iter_mut().zip(by_physics) {
             *gradient += d;
+        }
+        for l in 0..crate::engine::LANES {
+            let own = (tape.group[l] >= 0.0).then_some(tape.group[l] as usize * DEVIATIONS);
+            let Some(own) = own.and_then(|first| deviations.get_mut(first..first + DEVIATIONS)) else {
+                continue;
+            };
+            own[0] += d.linear[l] + d.square[l];
+            own[1] -= d.rise[l];
+            own[2] += d.openings[0][l];
+            own[3] += d.openings[1][l];
         }
     }
 }
@@ -520,7 +565,7 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng;
 
     fn config(period_us: u32) -> HybridConfig {
-        HybridConfig { states: 5, hidden: 7, history: 3, ..HybridConfig::for_period(period_us, 1) }
+        HybridConfig { states: 5, hidden: 7, history: 3, groups: 2, ..HybridConfig::for_period(period_us, 1) }
     }
 
     #[test]
@@ -530,18 +575,27 @@ mod tests {
             let mut parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(3));
             check_gradients(&parameters, |p| Hybrid::new(config, p));
             // Once more with the physics away from where they start, all of them.
-            let physics = parameters.len() - PHYSICS;
-            parameters[physics..].copy_from_slice(&[1.8, 2.8, 0.2, 0.9, 0.3, 3.7]);
+            let physics = parameters.len() - PHYSICS - config.groups * DEVIATIONS;
+            parameters[physics..physics + PHYSICS].copy_from_slice(&[1.8, 2.8, 0.2, 0.9, 0.3, 3.7]);
             check_gradients(&parameters, |p| Hybrid::new(config, p));
         }
     }
 
     #[test]
     fn the_physics_have_the_gradients_of_finite_differences() {
-        let config = HybridConfig { states: 1, hidden: 1, history: 1, ..HybridConfig::for_period(30_000, 1) };
+        let config = HybridConfig {
+            states: 1,
+            hidden: 1,
+            history: 1,
+            groups: 3,
+            ..HybridConfig::for_period(30_000, 1)
+        };
         let mut parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(5));
-        let physics = parameters.len() - PHYSICS;
-        parameters[physics..].copy_from_slice(&[1.8, 2.8, 0.2, 0.9, 0.3, 3.7]);
+        let physics = parameters.len() - PHYSICS - 3 * DEVIATIONS;
+        for (n, deviation) in parameters[physics + PHYSICS..].iter_mut().enumerate() {
+            *deviation = 0.1 * (n as f32).sin();
+        }
+        parameters[physics..physics + PHYSICS].copy_from_slice(&[1.8, 2.8, 0.2, 0.9, 0.3, 3.7]);
         // So few parameters that every one is compared.
         assert!(parameters.len() < 150);
         check_gradients(&parameters, |p| Hybrid::new(config, p));

@@ -159,6 +159,8 @@ pub struct Start {
     pub rest: Lane,
     /// The same at the end of the last inspiration.
     pub plateau_command: Lane,
+    /// Group of the recording that a breath is of, below zero for one that no simulator knows.
+    pub group: Lane,
     /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
     pub resistance: Lane,
     /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
@@ -172,6 +174,7 @@ impl Default for Start {
             pressure: Lane::ZERO,
             plateau: Lane::ZERO,
             rest: Lane::ZERO,
+            group: Lane::splat(-1.0),
             plateau_command: Lane::ZERO,
             resistance: Lane::splat(resistance),
             compliance: Lane::splat(compliance),

@@ -17,13 +17,16 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing};
+use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing, USUAL_LUNG};
 use crate::engine::Lane;
 use crate::engine::activation::Activation;
 use crate::engine::dense::{Dense, DenseWeights};
 
-/// Quantities known at the start of a breath: pressure and last plateau.
+/// Quantities known at the start of a breath: pressure and last plateau; of a model of many lungs, the commands there too.
 const START_INPUTS: usize = 2;
+const START_INPUTS_OF_LUNGS: usize = 4;
+/// What a model of many lungs is told of each: logarithms of R and C over 20.
+const LUNG_INPUTS: usize = 2;
 
 /// Shape of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,26 +40,48 @@ pub struct StateSpaceConfig {
     pub hidden: usize,
     /// Blocks of past commands that a step sees.
     pub history: usize,
+    /// Whether it is one model of many lungs, told the nominal R and C of each.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub lungs: bool,
 }
 
 impl StateSpaceConfig {
     /// The default shape for a control period in microseconds and so many command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
-        Self { timing: Timing::for_period(period_us, channels), states: 16, hidden: 64, history: 4 }
+        Self {
+            timing: Timing::for_period(period_us, channels),
+            states: 16,
+            hidden: 64,
+            history: 4,
+            lungs: false,
+        }
     }
 
     fn commands(&self) -> usize {
         self.history * self.timing.width()
     }
 
+    fn lung_inputs(&self) -> usize {
+        if self.lungs { LUNG_INPUTS } else { 0 }
+    }
+
+    fn start_inputs(&self) -> usize {
+        if self.lungs { START_INPUTS_OF_LUNGS } else { START_INPUTS }
+    }
+
+    /// Inputs of the hidden layer: states, commands, lung.
+    fn inputs(&self) -> usize {
+        self.states + self.commands() + self.lung_inputs()
+    }
+
     /// Layers (hidden, drive, readout, start), index of the decays, number of parameters.
     fn layout(&self) -> ([Dense; 4], usize, usize) {
         let commands = self.commands();
         let (layers, decay) = Dense::layout([
-            (self.states + commands, self.hidden),
+            (self.inputs(), self.hidden),
             (self.hidden + commands, self.states),
             (self.states + self.hidden, self.timing.points),
-            (START_INPUTS, self.states),
+            (self.start_inputs(), self.states),
         ]);
         (layers, decay, decay + self.states)
     }
@@ -100,14 +125,15 @@ pub struct StateSpace {
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
 pub struct StateSpaceTape {
-    /// `[c, v]` before each block.
+    /// `[c, v]` before each block, and the lung where there are many.
     state: Vec<Lane>,
     /// `[z, v]` of each block.
     hidden: Vec<Lane>,
     /// `[c', z]` of each block.
     after: Vec<Lane>,
     drive: Vec<Lane>,
-    start: [Lane; START_INPUTS],
+    start: Vec<Lane>,
+    lung: [Lane; LUNG_INPUTS],
     d_hidden: Vec<Lane>,
     d_drive: Vec<Lane>,
     d_readout: Vec<Lane>,
@@ -168,23 +194,35 @@ impl Dynamics for StateSpace {
         let commands = self.config.commands();
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
         StateSpaceTape {
-            state: vec![Lane::ZERO; (blocks + 1) * (states + commands)],
+            state: vec![Lane::ZERO; (blocks + 1) * self.config.inputs()],
             hidden: zeros(hidden + commands),
             after: zeros(states + hidden),
             drive: zeros(states),
-            start: [Lane::ZERO; START_INPUTS],
+            start: vec![Lane::ZERO; self.config.start_inputs()],
+            lung: [Lane::ZERO; LUNG_INPUTS],
             d_hidden: zeros(hidden),
             d_drive: zeros(states),
             d_readout: zeros(timing.points),
             d_decay: vec![Lane::ZERO; states],
             d_state: vec![Lane::ZERO; states],
-            scratch: vec![Lane::ZERO; 2 * (states + hidden + commands)],
+            scratch: vec![Lane::ZERO; 2 * (hidden + self.config.inputs())],
         }
     }
 
     fn begin(&self, tape: &mut StateSpaceTape, start: &Start) {
         let (mean, scale) = PRESSURE_SCALE;
-        tape.start = [start.pressure.map(|p| (p - 5.0) / scale), start.plateau.map(|p| (p - mean) / scale)];
+        let known = [
+            start.pressure.map(|p| (p - 5.0) / scale),
+            start.plateau.map(|p| (p - mean) / scale),
+            start.rest,
+            start.plateau_command,
+        ];
+        tape.start.copy_from_slice(&known[..self.config.start_inputs()]);
+        let (resistance, compliance) = USUAL_LUNG;
+        tape.lung = [
+            start.resistance.map(|r| (r / resistance).ln()),
+            start.compliance.map(|c| (c / compliance).ln()),
+        ];
         self.start.forward(&tape.start, &mut tape.state[..self.config.states]);
         tape.d_state.fill(Lane::ZERO);
         tape.d_decay.fill(Lane::ZERO);
@@ -193,15 +231,17 @@ impl Dynamics for StateSpace {
     fn step(&self, tape: &mut StateSpaceTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
         let StateSpaceConfig { states, hidden, history, .. } = self.config;
         let commands = self.config.commands();
-        let (before, after) = tape.state.split_at_mut((block + 1) * (states + commands));
-        let before = piece_mut(before, block, states + commands);
-        log.gather(self.newest(block), history, &mut before[states..]);
+        let inputs = self.config.inputs();
+        let (before, after) = tape.state.split_at_mut((block + 1) * inputs);
+        let before = piece_mut(before, block, inputs);
+        log.gather(self.newest(block), history, &mut before[states..states + commands]);
+        before[states + commands..].copy_from_slice(&tape.lung[..self.config.lung_inputs()]);
 
         let zv = piece_mut(&mut tape.hidden, block, hidden + commands);
         let (z, v) = zv.split_at_mut(hidden);
         self.hidden.forward(before, z);
         Activation::Softsign.forward(z);
-        v.copy_from_slice(&before[states..]);
+        v.copy_from_slice(&before[states..states + commands]);
 
         let drive = piece_mut(&mut tape.drive, block, states);
         self.drive.forward(zv, drive);
@@ -225,13 +265,14 @@ impl Dynamics for StateSpace {
         for (d_y, d_point) in d_y.iter_mut().zip(d_points) {
             *d_y = d_point.map(|d| PRESSURE_SCALE.1 * d);
         }
-        let (first, second) = tape.scratch.split_at_mut(states + hidden + commands);
+        let inputs = self.config.inputs();
+        let (first, second) = tape.scratch.split_at_mut(hidden + inputs);
         let d_after = &mut first[..states + hidden];
         d_after.fill(Lane::ZERO);
         self.readout.backward(d_y, d_after);
 
         // States: c' = a c + (1 - a) g.
-        let before = piece(&tape.state, block, states + commands);
+        let before = piece(&tape.state, block, inputs);
         let drive = piece(&tape.drive, block, states);
         let d_drive = piece_mut(&mut tape.d_drive, block, states);
         for (s, keep) in self.keep.iter().enumerate() {
@@ -252,17 +293,18 @@ impl Dynamics for StateSpace {
         }
         Activation::Softsign.backward(&piece(&tape.hidden, block, hidden + commands)[..hidden], d_z);
 
-        let d_cv = &mut first[..states + commands];
+        let d_cv = &mut first[..inputs];
         d_cv[..states].copy_from_slice(&tape.d_state);
-        d_cv[states..].copy_from_slice(&d_zv[hidden..]);
+        d_cv[states..states + commands].copy_from_slice(&d_zv[hidden..]);
+        d_cv[states + commands..].fill(Lane::ZERO);
         self.hidden.backward(d_z, d_cv);
         tape.d_state.copy_from_slice(&d_cv[..states]);
-        d_log.scatter(self.newest(block), &d_cv[states..]);
+        d_log.scatter(self.newest(block), &d_cv[states..states + commands]);
     }
 
     fn finish(&self, tape: &mut StateSpaceTape, gradient: &mut [f32]) {
         let blocks = tape.drive.len() / self.config.states;
-        let inputs = self.hidden.shape().inputs;
+        let inputs = self.config.inputs();
         self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
         self.drive.shape().gradient(&tape.d_drive, &tape.hidden, gradient);
         self.readout.shape().gradient(&tape.d_readout, &tape.after, gradient);
@@ -282,8 +324,9 @@ mod tests {
 
     #[test]
     fn gradients_of_a_rollout_agree_with_finite_differences() {
-        for period_us in [1000, 30_000] {
+        for (period_us, lungs) in [(1000, false), (30_000, false), (10_000, true)] {
             let config = StateSpaceConfig {
+                lungs,
                 states: 5,
                 hidden: 7,
                 history: 3,
