@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use xshell::{Shell, cmd};
 
 /// Where the examples are.
@@ -26,6 +26,7 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
         let probe = cmd!(shell, "{python} -c {PACKAGES}").quiet().ignore_stdout().ignore_stderr();
         probe.run().is_ok()
     };
+    ensure_python(shell)?;
     let own = PathBuf::from("python3");
     if complete(&own) {
         return Ok(own);
@@ -37,16 +38,35 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
     }
     println!("python packages: installing them into {}", environment.display());
     shell.remove_path(&environment)?;
-    cmd!(shell, "python3 -m venv {environment}")
-        .quiet()
-        .run()
-        .context("python3 with the module venv is needed (Debian: apt-get install python3-venv)")?;
+    cmd!(shell, "python3 -m venv {environment}").quiet().run()?;
     cmd!(shell, "{python} -m pip install --quiet --requirement {EXAMPLES}/requirements.txt").quiet().run()?;
     if complete(&python) {
         Ok(python)
     } else {
         bail!("pip installed packages that {PACKAGES:?} does not find")
     }
+}
+
+/// Python that can make virtual environments; Debian keeps that part in a package of its own.
+fn ensure_python(shell: &Shell) -> Result<()> {
+    let can_make_environments = cmd!(shell, "python3 -c 'import ensurepip, venv'");
+    if can_make_environments.quiet().ignore_stderr().run().is_ok() {
+        return Ok(());
+    }
+    let instructions =
+        "python3 with its module venv is needed; on Debian, as root: apt-get install python3-venv";
+    let is_root = cmd!(shell, "id -u").quiet().read().is_ok_and(|id| id == "0");
+    ensure!(
+        is_root && cmd!(shell, "apt-get --version").quiet().ignore_stdout().run().is_ok(),
+        "{instructions}"
+    );
+    println!("python3: installing it");
+    cmd!(shell, "apt-get update -qq").quiet().run().context(instructions)?;
+    cmd!(shell, "apt-get install -y -qq --no-install-recommends python3-venv")
+        .env("DEBIAN_FRONTEND", "noninteractive")
+        .quiet()
+        .run()
+        .context(instructions)
 }
 
 /// The trainer as the test step has built it.
