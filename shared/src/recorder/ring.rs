@@ -27,7 +27,7 @@ pub(super) struct Ring<const SLOTS: usize, const HALVES: usize> {
 impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
     /// Entries that can be seen at most.
     pub(super) const VISIBLE: u32 = SLOTS as u32 - 1;
-    /// Numbers begin again at [`SLOTS`] after this one; both lie in the first slot.
+    /// Numbers begin again at `SLOTS` after this one; both lie in the first slot.
     pub(super) const LIMIT: u32 = (1 << 30) / (SLOTS as u32) * (SLOTS as u32);
 
     pub(super) const fn new() -> Self {
