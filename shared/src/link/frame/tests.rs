@@ -56,6 +56,13 @@ fn silence_between_frames_is_no_frame() {
 }
 
 #[test]
+fn a_frame_without_content_is_none_although_the_checksum_of_nothing_is_zero() {
+    let mut decoder = Decoder::new();
+    assert_eq!(feed(&mut decoder, &[1, 1, 1, 1, 1, 0]), (Vec::new(), 1));
+    assert_eq!(decoder.counters().checksum, 1);
+}
+
+#[test]
 fn each_kind_of_damage_is_counted_as_what_it_is() {
     let mut decoder = Decoder::new();
     let good = frame(b"hello");
