@@ -16,8 +16,9 @@ pub fn run(shell: &Shell) -> Result<()> {
     let python = with_packages(shell)?;
     // What an earlier run has left would be found and not made again.
     shell.remove_path("target/python/run")?;
-    pipeline_on_a_plant(shell)?;
-    open_files(shell, &python)
+    let trainer = Trainer::build(shell)?;
+    pipeline_on_a_plant(&trainer)?;
+    open_files(&trainer, &python)
 }
 
 /// Python with the packages: the machine's own, or a virtual environment that is made for it.
@@ -49,15 +50,33 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
     }
 }
 
-/// The trainer as the test step has built it.
-fn trainer(shell: &Shell, line: &str) -> Result<()> {
-    let (line, plant) = (line.split_whitespace(), format!("pipe:python3 {EXAMPLES}/plant.py"));
-    let arguments = line.map(|word| if word == "PLANT" { plant.as_str() } else { word });
-    Ok(cmd!(shell, "cargo run --quiet -p host --bin trainer -- {arguments...}").quiet().run()?)
+/// The trainer as the test step has built it: another selection of packages would build its dependencies anew.
+struct Trainer<'a> {
+    shell: &'a Shell,
+    program: PathBuf,
+}
+
+impl<'a> Trainer<'a> {
+    fn build(shell: &'a Shell) -> Result<Self> {
+        let target =
+            shell.var("CARGO_TARGET_DIR").map_or_else(|_| shell.current_dir().join("target"), PathBuf::from);
+        cmd!(shell, "cargo test --quiet --workspace --exclude firmware --test command_line --no-run")
+            .quiet()
+            .run()?;
+        Ok(Self { shell, program: target.join("debug/trainer") })
+    }
+
+    /// Runs a command line, in which PLANT stands for the plant in Python on a pipe.
+    fn run(&self, line: &str) -> Result<()> {
+        let (program, plant) = (&self.program, format!("pipe:python3 {EXAMPLES}/plant.py"));
+        let arguments =
+            line.split_whitespace().map(|word| if word == "PLANT" { plant.as_str() } else { word });
+        Ok(cmd!(self.shell, "{program} {arguments...}").quiet().run()?)
+    }
 }
 
 /// Tune, collect, fit, train and evaluate on the plant in Python, over a pipe; sizes are just large enough to run.
-fn pipeline_on_a_plant(shell: &Shell) -> Result<()> {
+fn pipeline_on_a_plant(trainer: &Trainer<'_>) -> Result<()> {
     for line in [
         "tune-pid --plant PLANT --authors-grid --breaths 1 --pips 20",
         "collect --plant PLANT --gains 2,30 --breaths 40 --out target/python/plant.parquet",
@@ -65,18 +84,18 @@ fn pipeline_on_a_plant(shell: &Shell) -> Result<()> {
         "train --plant PLANT --gains 2,30 --rounds 1 --breaths 40 --epochs 200 --iterations 100 --out target/python/run",
         "evaluate --plant PLANT --controller target/python/run/controller.safetensors --breaths 1",
     ] {
-        trainer(shell, line)?;
+        trainer.run(line)?;
     }
     Ok(())
 }
 
 /// The files of the pipeline, opened in Python.
-fn open_files(shell: &Shell, python: &Path) -> Result<()> {
+fn open_files(trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let controller = "target/python/run/controller.safetensors";
     let replay = format!("--controller {controller} --no-exploration --breaths 12");
-    trainer(shell, &format!("collect --plant PLANT {replay} --out target/python/replay.parquet"))?;
-    trainer(shell, &format!("pack {controller} --out target/python/weights.bin"))?;
-    let folder = "target/python";
+    trainer.run(&format!("collect --plant PLANT {replay} --out target/python/replay.parquet"))?;
+    trainer.run(&format!("pack {controller} --out target/python/weights.bin"))?;
+    let (shell, folder) = (trainer.shell, "target/python");
     cmd!(
         shell,
         "{python} {EXAMPLES}/files.py {folder}/replay.parquet {folder}/plant.safetensors {controller} {folder}/weights.bin"
