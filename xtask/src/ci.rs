@@ -25,10 +25,8 @@ const STEPS: &[Step] = &[
     step("python", &["xtask", "python"]),
     // The test step ran them in debug; an optimiser that changed a bit of a command would show here.
     step("golden", &["test", "--release", "-p", "tests", "golden"]),
-    step("faults", &["trainer", "faults"]),
+    step("faults", &["xtask", "faults"]),
     step("monitors", &["xtask", "mutate-monitors"]),
-    step("nominal", &["trainer", "faults", "--nominal", "10080"]),
-    step("torture", &["trainer", "torture", "--breaths", "20000"]),
     step("frames", &["test", "--release", "-p", "tests", "--test", "fuzz", "--", "--ignored"]),
     Step {
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),

@@ -3,12 +3,13 @@
 
 mod ci;
 mod cost;
+mod faults;
 mod firmware;
 mod memory;
-mod mutate_monitors;
 mod python;
 mod qemu_test;
 mod setup;
+mod trainer;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -41,6 +42,8 @@ enum Command {
     },
     /// Count the instructions of the control tick in QEMU and compare them with their ceilings
     Cost(cost::Arguments),
+    /// Break things on the virtual bench, breathe without a fault, and torture: what SAFETY.md claims
+    Faults,
     /// Prove every safety monitor: without it the fault matrix must fail
     MutateMonitors,
     /// Run the examples in Python, with a plant that exists in Python alone
@@ -70,7 +73,8 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Firmware => firmware::run(&shell),
         Command::QemuTest { filters } => qemu_test::run(&shell, filters),
         Command::Cost(arguments) => cost::run(&shell, arguments),
-        Command::MutateMonitors => mutate_monitors::run(&shell),
+        Command::Faults => faults::faults(&shell),
+        Command::MutateMonitors => faults::mutate_monitors(&shell),
         Command::Python => python::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }

@@ -6,18 +6,24 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use xshell::{Shell, cmd};
 
+use crate::trainer::Trainer;
+
 /// Where the examples are.
 const EXAMPLES: &str = "examples/python";
 /// What the example for files needs, as one would import it.
 const PACKAGES: &str = "import numpy, pandas, pyarrow, safetensors";
+
+/// The plant in Python on a pipe, as it stands for in command lines.
+const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
 
 /// Runs both examples.
 pub fn run(shell: &Shell) -> Result<()> {
     let python = with_packages(shell)?;
     // What an earlier run has left would be found and not made again.
     shell.remove_path("target/python/run")?;
-    pipeline_on_a_plant(shell)?;
-    open_files(shell, &python)
+    let trainer = Trainer::build(shell)?;
+    pipeline_on_a_plant(&trainer)?;
+    open_files(shell, &trainer, &python)
 }
 
 /// Python with the packages: the machine's own, or a virtual environment that is made for it.
@@ -69,15 +75,8 @@ fn ensure_python(shell: &Shell) -> Result<()> {
         .context(instructions)
 }
 
-/// The trainer as the test step has built it.
-fn trainer(shell: &Shell, line: &str) -> Result<()> {
-    let (line, plant) = (line.split_whitespace(), format!("pipe:python3 {EXAMPLES}/plant.py"));
-    let arguments = line.map(|word| if word == "PLANT" { plant.as_str() } else { word });
-    Ok(cmd!(shell, "cargo run --quiet -p host --bin trainer -- {arguments...}").quiet().run()?)
-}
-
 /// Tune, collect, fit, train and evaluate on the plant in Python, over a pipe; sizes are just large enough to run.
-fn pipeline_on_a_plant(shell: &Shell) -> Result<()> {
+fn pipeline_on_a_plant(trainer: &Trainer<'_>) -> Result<()> {
     for line in [
         "tune-pid --plant PLANT --authors-grid --breaths 1 --pips 20",
         "collect --plant PLANT --gains 2,30 --breaths 40 --out target/python/plant.parquet",
@@ -85,17 +84,17 @@ fn pipeline_on_a_plant(shell: &Shell) -> Result<()> {
         "train --plant PLANT --gains 2,30 --rounds 1 --breaths 40 --epochs 200 --iterations 100 --out target/python/run",
         "evaluate --plant PLANT --controller target/python/run/controller.safetensors --breaths 1",
     ] {
-        trainer(shell, line)?;
+        trainer.run(line, &[PLANT])?;
     }
     Ok(())
 }
 
 /// The files of the pipeline, opened in Python.
-fn open_files(shell: &Shell, python: &Path) -> Result<()> {
+fn open_files(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let controller = "target/python/run/controller.safetensors";
     let replay = format!("--controller {controller} --no-exploration --breaths 12");
-    trainer(shell, &format!("collect --plant PLANT {replay} --out target/python/replay.parquet"))?;
-    trainer(shell, &format!("pack {controller} --out target/python/weights.bin"))?;
+    trainer.run(&format!("collect --plant PLANT {replay} --out target/python/replay.parquet"), &[PLANT])?;
+    trainer.run(&format!("pack {controller} --out target/python/weights.bin"), &[])?;
     let folder = "target/python";
     cmd!(
         shell,

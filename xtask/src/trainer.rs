@@ -1,0 +1,34 @@
+//! The trainer as the tests have built it: another selection of packages would build its dependencies anew, and another profile
+//! everything.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use xshell::{Shell, cmd};
+
+/// A trainer that can be run.
+pub struct Trainer<'a> {
+    shell: &'a Shell,
+    program: PathBuf,
+}
+
+impl<'a> Trainer<'a> {
+    /// Builds it, unless the tests have.
+    pub fn build(shell: &'a Shell) -> Result<Self> {
+        let target =
+            shell.var("CARGO_TARGET_DIR").map_or_else(|_| shell.current_dir().join("target"), PathBuf::from);
+        cmd!(shell, "cargo test --quiet --workspace --exclude firmware --test command_line --no-run")
+            .quiet()
+            .run()?;
+        Ok(Self { shell, program: target.join("debug/trainer") })
+    }
+
+    /// Runs a command line, in which `words` stand for what holds spaces.
+    pub fn run(&self, line: &str, words: &[(&str, &str)]) -> Result<()> {
+        let program = &self.program;
+        let arguments = line
+            .split_whitespace()
+            .map(|word| words.iter().find(|(name, _)| *name == word).map_or(word, |(_, long)| *long));
+        Ok(cmd!(self.shell, "{program} {arguments...}").quiet().run()?)
+    }
+}
