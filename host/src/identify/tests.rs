@@ -58,7 +58,7 @@ proptest! {
     ) {
         let found = identified(&lung(resistance, compliance), offset).behind_circuit;
         let sum = found.compliance.value + found.circuit_compliance;
-        prop_assert!((sum / (compliance + 1.5) - 1.0).abs() < 0.05, "{found:?}");
+        prop_assert!((sum / (compliance + 1.5) - 1.0).abs() < 0.08, "{found:?}");
         // Behind a low resistance, nothing parts the lung from the circuit.
         if resistance > 15.0 {
             prop_assert!((found.circuit_compliance - 1.5).abs() < 0.7, "{found:?}");
@@ -67,7 +67,7 @@ proptest! {
         let q = found.inspiratory_flow;
         let drop = found.resistance.value * q + found.turbulence.value * q * q;
         let expected = resistance * q * (1.0 + 0.1 * q);
-        prop_assert!((drop - expected).abs() < 0.08 * expected + 0.15, "{drop} {expected} {found:?}");
+        prop_assert!((drop - expected).abs() < 0.1 * expected + 0.15, "{drop} {expected} {found:?}");
     }
 }
 
