@@ -277,6 +277,15 @@ fn kind(args: &Args, recording: &Recording) -> Kind {
     args.architecture.unwrap_or(usual)
 }
 
+/// Whether a recording names more than one lung.
+fn many_lungs(recording: &Recording) -> bool {
+    let (Some(resistance), Some(compliance)) = (&recording.resistance, &recording.compliance) else {
+        return false;
+    };
+    let lungs = || resistance.iter().zip(compliance).map(|(r, c)| (r.to_bits(), c.to_bits()));
+    lungs().any(|lung| Some(lung) != lungs().next())
+}
+
 fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architecture> {
     let period_us = recording.provenance.period_us;
     let or = |asked: Option<u16>, default: usize| asked.map_or(default, usize::from);
@@ -289,6 +298,7 @@ fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architectu
         Kind::StateSpace => {
             let shape = StateSpaceConfig::for_period(period_us, channels(recording));
             Ok(Architecture::StateSpace(StateSpaceConfig {
+                lungs: many_lungs(recording),
                 states: or(args.states, shape.states),
                 hidden: or(args.hidden, shape.hidden),
                 history: or(args.history, shape.history),

@@ -43,7 +43,7 @@ pub struct Args {
 /// What goes with `--data`.
 #[derive(Debug, clap::Args)]
 struct LungArgs {
-    /// This lung alone: a group of the recording, such as `CT_AIR:5`
+    /// This lung alone: a group of the recording, as the table names it
     #[arg(long, value_name = "NAME", conflicts_with = "port")]
     group: Option<String>,
     /// Write a bench with this lung, its circuit and its pressure sensor, for --bench of other commands

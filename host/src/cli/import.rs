@@ -109,7 +109,7 @@ struct FileArgs {
     output: OutputArgs,
 }
 
-/// What `--json` gives for the tables of the `RespiraWorks` ventilator.
+/// What `--json` gives for tables of `RespiraWorks`.
 #[derive(Debug, Serialize)]
 struct Summary {
     rows: usize,

@@ -326,10 +326,15 @@ fn check(path: &Path, simulator: &Simulator, period_us: u32) -> anyhow::Result<(
             "{path} was fitted at a control period of {own} us, not {period_us}: a controller takes simulators of one"
         );
     }
-    if matches!(simulator.architecture, Architecture::Hybrid(_)) {
+    let many_lungs = match simulator.architecture {
+        Architecture::Hybrid(_) => true,
+        Architecture::StateSpace(shape) => shape.lungs,
+        Architecture::Stitched(_) => false,
+    };
+    if many_lungs {
         bail!(
-            "{} is a simulator of many lungs; a controller is trained on one: fit its breaths with --architecture \
-             state-space",
+            "{} is a simulator of many lungs, a controller is trained on one: fit a recording of one lung with \
+             --architecture state-space",
             path.display()
         );
     }

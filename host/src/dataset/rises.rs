@@ -41,7 +41,8 @@ impl Rises {
     pub(super) fn starts(&mut self, setpoint: f32) -> bool {
         let mut starts = false;
         self.state = Some(match self.state {
-            Some(State::High { peak }) if !is_up(peak, setpoint) => State::High { peak: peak.max(setpoint) },
+            Some(State::High { peak }) if is_up(peak, setpoint) => State::Low { level: setpoint, rows: 1 },
+            Some(State::High { peak }) => State::High { peak: peak.max(setpoint) },
             Some(State::Low { level, rows }) if rows >= self.rest_rows && is_up(setpoint, level) => {
                 starts = true;
                 State::High { peak: setpoint }
@@ -49,7 +50,7 @@ impl Rises {
             Some(State::Low { level, rows }) if self.rests(setpoint - level, rows) => {
                 State::Low { level, rows: rows + 1 }
             }
-            _ => State::Low { level: setpoint, rows: 1 },
+            None | Some(State::Low { .. }) => State::Low { level: setpoint, rows: 1 },
         });
         starts
     }

@@ -117,7 +117,7 @@ impl<'a> Assembler<'a> {
         }
         let samples = std::mem::take(&mut self.breath);
         let even = evened(&samples, self.period_s, account);
-        self.add_rows(even.as_deref().unwrap_or(&samples));
+        self.fill_rows(even.as_deref().unwrap_or(&samples));
         let complete =
             self.rows[0].phase == INSPIRATION && self.rows.iter().any(|row| row.phase != INSPIRATION);
         account.breath(&samples, self.rows.len(), complete);
@@ -130,7 +130,7 @@ impl<'a> Assembler<'a> {
     }
 
     /// The rows of a breath whose samples are on the grid.
-    fn add_rows(&mut self, samples: &[Sample]) {
+    fn fill_rows(&mut self, samples: &[Sample]) {
         let has = |quantity: Quantity| self.layout.origins[quantity as usize].is_some();
         let has_target = has(Quantity::Target);
         let targets = || samples.iter().map(|sample| sample.get(Quantity::Target));

@@ -46,7 +46,7 @@ enum Place {
 pub struct Reader<'a> {
     path: PathBuf,
     layout: &'a Layout,
-    rows: csv::Reader<BufReader<File>>,
+    table: csv::Reader<BufReader<File>>,
     line: ByteRecord,
     places: [Place; 9],
     breath: Option<usize>,
@@ -61,16 +61,16 @@ impl<'a> Reader<'a> {
     /// Opens a table and finds its columns.
     ///
     /// # Errors
-    /// [`DatasetError`]: a table that cannot be read, or lacks a column of the layout.
+    /// The file cannot be read, or lacks a column of the layout.
     pub fn open(path: &Path, layout: &'a Layout) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(|source| match source.kind() {
             ErrorKind::NotFound => DatasetError::Missing { path: path.to_owned() },
             _ => DatasetError::Read { path: path.to_owned(), source },
         })?;
-        let mut reader = csv::ReaderBuilder::new()
+        let mut table = csv::ReaderBuilder::new()
             .delimiter(layout.separator)
             .from_reader(BufReader::with_capacity(BUFFER, file));
-        let header = reader
+        let header = table
             .headers()
             .map_err(|source| DatasetError::TableLine { path: path.to_owned(), source })?
             .clone();
@@ -93,7 +93,7 @@ impl<'a> Reader<'a> {
         Ok(Self {
             path: path.to_owned(),
             layout,
-            rows: reader,
+            table,
             line: ByteRecord::new(),
             places,
             breath,
@@ -113,10 +113,10 @@ impl<'a> Reader<'a> {
     /// The next row; none at the end. `groups` grows by the names that are new.
     ///
     /// # Errors
-    /// [`DatasetError`]: a row that cannot be read.
+    /// A line that cannot be split into cells, or a cell that is no finite number.
     pub fn next(&mut self, groups: &mut Vec<String>) -> Result<Option<Sample>, DatasetError> {
         let more = self
-            .rows
+            .table
             .read_byte_record(&mut self.line)
             .map_err(|source| DatasetError::TableLine { path: self.path.clone(), source })?;
         if !more {
