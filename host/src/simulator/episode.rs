@@ -11,6 +11,9 @@ use crate::identify::least_squares::solve;
 /// the last inspiration over which its plateau is.
 const AVERAGE_TIME: f32 = 0.05;
 
+/// What an error in an expiration weighs, against one in an inspiration: there the simulator is not used.
+const EXPIRATION_WEIGHT: f32 = 0.5;
+
 /// One inspiration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
@@ -34,6 +37,8 @@ pub struct Episode {
     pub peep: f32,
     /// Group of the breath in its recording (a lung, a test run), if it has groups.
     pub group: Option<u32>,
+    /// Ventilator of the group, if it has groups: see [`ventilators`].
+    pub ventilator: Option<u32>,
     /// Its rows in the recording.
     pub rows: Range<usize>,
     /// Nominal R (cmH2O/(L/s)) and C (mL/cmH2O), where the recording has them.
@@ -70,6 +75,7 @@ fn cut(
     extent: impl Fn(Range<usize>) -> Range<usize>,
 ) -> Vec<Episode> {
     let average = (shared::math::ticks(AVERAGE_TIME, timing.period_us) as usize).max(1);
+    let ventilators = ventilators(recording);
     let (mut last_plateau, mut last_command) = (None, None);
     let mut episodes = Vec::new();
     for rows in recording.inspirations() {
@@ -97,6 +103,7 @@ fn cut(
             pip: recording.pip[rows.start],
             peep: recording.peep[rows.start],
             group,
+            ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
             rows: rows.clone(),
             lung: lung(recording, rows.start),
         });
@@ -105,6 +112,21 @@ fn cut(
         last_command = Some(mean(&recording.u_in[end]) / COMMAND_SCALE);
     }
     episodes
+}
+
+/// Index of the ventilator of each group. Groups of one ventilator have names that begin alike, up to a colon, as in
+/// `CT_AIR:5`; a name without one stands for a ventilator that has this group alone.
+pub fn ventilators(recording: &Recording) -> Vec<u32> {
+    let mut names = Vec::new();
+    let ventilator = |group: &String| {
+        let name = group.split(':').next().unwrap_or_default().to_owned();
+        let index = names.iter().position(|known| *known == name).unwrap_or_else(|| {
+            names.push(name);
+            names.len() - 1
+        });
+        index as u32
+    };
+    recording.provenance.groups.iter().map(ventilator).collect()
 }
 
 fn lung(recording: &Recording, row: usize) -> Option<(f32, f32)> {
@@ -201,6 +223,7 @@ impl<'a> Shard<'a> {
             plateau: self.lane(|episode| episode.plateau),
             rest: self.lane(|episode| episode.rest[0]),
             group: self.lane(|episode| episode.group.map_or(-1.0, |group| group as f32)),
+            ventilator: self.lane(|episode| episode.ventilator.map_or(-1.0, |ventilator| ventilator as f32)),
             plateau_command: self.lane(|episode| episode.plateau_command),
             resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).0),
             compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).1),
@@ -226,9 +249,14 @@ impl<'a> Shard<'a> {
         self.lane(|episode| episode.pressure[tick.min(episode.ticks() - 1)])
     }
 
-    /// One where an episode has this tick, zero elsewhere.
+    /// What an error at this tick weighs: one in an inspiration, less in what follows, zero where an episode has no such tick.
     pub fn weight(&self, tick: usize) -> Lane {
-        Lane::from_fn(|l| self.episodes.get(l).map_or(0.0, |e| f32::from(u8::from(tick < e.ticks()))))
+        let weight = |episode: &Episode| match tick {
+            tick if tick < episode.rows.len() => 1.0,
+            tick if tick < episode.ticks() => EXPIRATION_WEIGHT,
+            _ => 0.0,
+        };
+        Lane::from_fn(|l| self.episodes.get(l).map_or(0.0, |episode| weight(episode)))
     }
 }
 

@@ -6,6 +6,7 @@
 //! episodes held out of training.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -56,6 +57,42 @@ impl FitConfig {
     }
 }
 
+/// Share of the epochs after which a simulator of many lungs has learned what all of them have in common; the rest of the
+/// epochs is for what each test run has of its own. Longer, and the physics bend to the lungs that there are.
+const SETTLED: f32 = 0.2;
+
+/// Parameters that learn together.
+#[derive(Debug)]
+struct Part {
+    range: Range<usize>,
+    adam: Adam,
+    /// Share of the epochs in which they learn.
+    share: f32,
+}
+
+impl Part {
+    /// The parts of an architecture.
+    fn of(architecture: &Architecture, adam: AdamConfig) -> Vec<Self> {
+        let part = |range: Range<usize>, share| Self { adam: Adam::new(adam, range.len()), range, share };
+        let all = architecture.parameters();
+        match architecture {
+            Architecture::Hybrid(shape) => {
+                let common = shape.common();
+                vec![part(common.clone(), SETTLED), part(common.end..all, 1.0)]
+            }
+            Architecture::StateSpace(_) | Architecture::Stitched(_) => vec![part(0..all, 1.0)],
+        }
+    }
+
+    /// One step of those that still learn.
+    fn step(&mut self, parameters: &mut [f32], gradient: &[f32], progress: f32) {
+        if progress < self.share {
+            let range = self.range.clone();
+            self.adam.step(&mut parameters[range.clone()], &gradient[range], progress / self.share);
+        }
+    }
+}
+
 /// Summed loss and its gradient.
 #[derive(Clone, Debug)]
 struct Gradient {
@@ -93,7 +130,7 @@ pub struct Fit<'a> {
     config: FitConfig,
     episodes: Vec<&'a Episode>,
     parameters: Vec<f32>,
-    adam: Adam,
+    parts: Vec<Part>,
     rng: ChaCha8Rng,
     epoch: usize,
 }
@@ -115,8 +152,8 @@ impl<'a> Fit<'a> {
         let parameters = warm
             .filter(|simulator| simulator.architecture == architecture)
             .map_or(fresh, |simulator| simulator.parameters.clone());
-        let adam = Adam::new(config.adam, parameters.len());
-        Self { architecture, config, episodes: episodes.to_vec(), parameters, adam, rng, epoch: 0 }
+        let parts = Part::of(&architecture, config.adam);
+        Self { architecture, config, episodes: episodes.to_vec(), parameters, parts, rng, epoch: 0 }
     }
 
     /// One pass over the episodes; the mean loss, or none when all epochs are done.
@@ -134,7 +171,9 @@ impl<'a> Fit<'a> {
             let mean: Vec<f32> =
                 gradient.by_parameter.iter().map(|g| g / gradient.count.max(1.0) as f32).collect();
             let progress = (self.epoch as f32 + n as f32 / batches as f32) / self.config.epochs as f32;
-            self.adam.step(&mut self.parameters, &mean, progress);
+            for part in &mut self.parts {
+                part.step(&mut self.parameters, &mean, progress);
+            }
             loss += gradient.loss;
             count += gradient.count;
         }

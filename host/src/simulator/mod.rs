@@ -15,6 +15,7 @@ pub mod fit;
 pub mod hybrid;
 pub mod model;
 pub mod state_space;
+mod states;
 pub mod stitched;
 #[cfg(test)]
 mod tests_support;
@@ -25,6 +26,8 @@ use crate::engine::Lane;
 
 /// Pressure that counts as zero, and the distance that counts as one, inside of a simulator, cmH2O.
 pub const PRESSURE_SCALE: (f32, f32) = (20.0, 10.0);
+/// Pressure before a breath that counts as zero, cmH2O.
+const USUAL_PEEP: f32 = 5.0;
 /// Command that counts as one inside of a simulator, percent.
 pub const COMMAND_SCALE: f32 = 50.0;
 
@@ -53,6 +56,11 @@ impl Timing {
         let block_ticks = (shared::math::ticks(BLOCK_TIME, period_us) as usize).max(1);
         let (parts, points) = if block_ticks >= 2 { (2, 2) } else { (1, 1) };
         Self { period_us, block_ticks, parts, points, channels }
+    }
+
+    /// Duration of a block, s.
+    pub fn block_s(&self) -> f32 {
+        self.block_ticks as f32 * self.period_us as f32 * 1e-6
     }
 
     /// Values per block in a [`CommandLog`].
@@ -159,8 +167,10 @@ pub struct Start {
     pub rest: Lane,
     /// The same at the end of the last inspiration.
     pub plateau_command: Lane,
-    /// Group of the recording that a breath is of, below zero for one that no simulator knows.
+    /// Group (test run) of the recording that a breath is of, below zero for one that no simulator knows.
     pub group: Lane,
+    /// Ventilator of the recording that a breath is of, below zero for one that no simulator knows.
+    pub ventilator: Lane,
     /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
     pub resistance: Lane,
     /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
@@ -175,11 +185,37 @@ impl Default for Start {
             plateau: Lane::ZERO,
             rest: Lane::ZERO,
             group: Lane::splat(-1.0),
+            ventilator: Lane::splat(-1.0),
             plateau_command: Lane::ZERO,
             resistance: Lane::splat(resistance),
             compliance: Lane::splat(compliance),
         }
     }
+}
+
+impl Start {
+    /// Number of quantities in [`Self::known`].
+    pub(crate) const KNOWN: usize = 4;
+
+    /// What pressures and commands before the breath were, scaled for a network.
+    pub(crate) fn known(&self) -> [Lane; Self::KNOWN] {
+        let (mean, scale) = PRESSURE_SCALE;
+        [
+            self.pressure.map(|p| (p - USUAL_PEEP) / scale),
+            self.plateau.map(|p| (p - mean) / scale),
+            self.rest,
+            self.plateau_command,
+        ]
+    }
+}
+
+/// The `n`-th piece of `width` lanes.
+fn piece(lanes: &[Lane], n: usize, width: usize) -> &[Lane] {
+    &lanes[n * width..(n + 1) * width]
+}
+
+fn piece_mut(lanes: &mut [Lane], n: usize, width: usize) -> &mut [Lane] {
+    &mut lanes[n * width..(n + 1) * width]
 }
 
 /// A differentiable simulator of one shard.

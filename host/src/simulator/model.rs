@@ -59,6 +59,7 @@ pub struct Simulator {
 
 /// A simulator ready to run.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
 pub enum Model {
     /// Ours.
     StateSpace(StateSpace),

@@ -18,6 +18,7 @@ fn episode(pip: f32, group: Option<u32>) -> Episode {
         pip,
         peep: 5.0,
         group,
+        ventilator: None,
         lung: None,
         rows: 0..10,
     }
@@ -126,12 +127,12 @@ fn a_lung_held_out_is_in_no_lesson_and_in_no_other_part() {
     assert!(refused.contains("5:20, 20:20") || refused.contains("20:20, 5:20"), "{refused}");
 }
 
-/// The bounds are loose, since a tenth of the training has to do; `docs/RECORDINGS.md` has the command for all of it.
+/// A quarter of the default's training has to do; `docs/RECORDINGS.md` has the command for all of it.
 #[test]
 fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_lungs_it_never_saw() {
     let Some(paths) = measured() else { return };
     let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
-    let args = args(&["--epochs", "150", "--hold-out-lung", "5:20", "--hold-out-lung", "50:20"]);
+    let args = args(&["--epochs", "400", "--hold-out-lung", "5:20", "--hold-out-lung", "50:20"]);
     let architecture = architecture(&args, &recording).unwrap();
     assert_eq!(architecture.timing().channels, 1, "the exhale valve follows the inhale valve");
     let all = episodes(&recording, architecture.timing());
@@ -142,8 +143,12 @@ fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_l
     let summary = summary(&args, &simulator, &curve, &parts, &recording);
     let (lung, classical) = (summary.open_loop_held_out_lung.unwrap(), summary.classical_open_loop.unwrap());
     println!("held out {} lung {lung} classical {classical} rise {:?}", summary.open_loop, summary.response);
-    assert!(summary.open_loop < 0.8 * classical, "{} {classical}", summary.open_loop);
-    assert!(lung < 1.5, "{lung}");
+    assert!(
+        summary.open_loop < 0.33 && summary.open_loop < 0.5 * classical,
+        "{} {classical}",
+        summary.open_loop
+    );
+    assert!(lung < 0.8, "{lung}");
     assert!(
         summary.response.iter().all(|rise| *rise > 0.3),
         "a plant, no controller: {:?}",

@@ -224,32 +224,3 @@ fn bad_cells_columns_and_tables_are_named() {
     let absent = import(&["none.csv".into()], &layout, Path::new("x.parquet"), &mut |_| ());
     assert!(matches!(absent, Err(DatasetError::Missing { .. })));
 }
-
-/// Resident memory at its highest, MiB.
-#[cfg(target_os = "linux")]
-fn peak_mib() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmHWM")).unwrap();
-    line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
-}
-
-/// Six million rows; run with `cargo test --release -p host --lib six_million -- --ignored`.
-#[test]
-#[ignore = "takes a minute and a quarter of a gigabyte of disk"]
-#[cfg(target_os = "linux")]
-fn six_million_rows_stream_in_a_minute_and_a_gibibyte() {
-    let folder = tempfile::tempdir().unwrap();
-    let table = folder.path().join("train.csv");
-    let part = kaggle(500);
-    let body = &part[part.find('\n').unwrap() + 1..];
-    let mut file = std::io::BufWriter::new(std::fs::File::create(&table).unwrap());
-    std::io::Write::write_all(&mut file, part.as_bytes()).unwrap();
-    (1..150).for_each(|_| std::io::Write::write_all(&mut file, body.as_bytes()).unwrap());
-    drop(file);
-    let layout = ColumnMap::kaggle().layout().unwrap();
-    let start = std::time::Instant::now();
-    let summary = import(&[table], &layout, &folder.path().join("out.parquet"), &mut |_| ()).unwrap();
-    println!("{summary}\n{:.1} s, {:.0} MiB at most", start.elapsed().as_secs_f64(), peak_mib());
-    assert_eq!((summary.rows, summary.breaths), (6_000_000, 75_000));
-    assert!(start.elapsed().as_secs() < 60 && peak_mib() < 1024.0);
-}
