@@ -56,7 +56,7 @@ pub struct Args {
     /// [default: hybrid if the recording names R and C, else state-space; or that of the preset]
     #[arg(long, value_enum)]
     architecture: Option<Kind>,
-    /// Passes over the recording [default: enough for 10000 gradient steps, 500 for stitched]
+    /// Passes over the recording [default: enough for 10000 gradient steps, 15000 for hybrid; 500 for stitched]
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
     /// Breaths per gradient step [default: 16, or 64 for stitched]

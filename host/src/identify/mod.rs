@@ -104,8 +104,8 @@ pub struct Identified {
     pub offset: Estimate,
     /// Root mean square of what the equation does not explain, cmH2O.
     pub residual: f64,
-    /// Compliance without the correction of drift, from inspirations alone, mL/cmH2O.
-    pub uncorrected_compliance: f64,
+    /// Compliance without the correction of drift, from inspirations alone, mL/cmH2O; none where their flow hardly changes.
+    pub uncorrected_compliance: Option<f64>,
     /// The lung without the circuit.
     pub behind_circuit: BehindCircuit,
 }
@@ -206,7 +206,7 @@ impl Lung {
             turbulence: coefficient(&corrected, 3)?,
             offset: estimate(&offsets, 0.0)?,
             residual: residual(&corrected),
-            uncorrected_compliance: compliance(&raw)?.value,
+            uncorrected_compliance: compliance(&raw).map(|raw| raw.value),
             behind_circuit: BehindCircuit {
                 circuit_compliance: circuit,
                 compliance: compliance(&behind)?,

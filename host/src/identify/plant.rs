@@ -9,6 +9,8 @@ use crate::dataset::quality;
 const LEAST_CIRCUIT: f64 = 0.1;
 /// Most `k` of a bench's parabolic resistor `R q (1 + k |q|)`, s/L.
 const MOST_TURBULENCE: f64 = 5.0;
+/// Pressures with less noise than this, cmH2O, come from no sensor but from somebody's model; the bench keeps its own sensor.
+const LEAST_NOISE: f64 = 0.02;
 /// Rows over which quantum and noise of the pressure are estimated.
 const ROWS: usize = 200_000;
 
@@ -27,8 +29,11 @@ pub fn bench(lung: &Identified, recording: &Recording) -> Result<BenchConfig, Be
     bench.lung.first.compliance_ml_per_cmh2o = behind.compliance.value;
     bench.circuit.compliance_ml_per_cmh2o = behind.circuit_compliance.max(LEAST_CIRCUIT);
     let pressure = &recording.pressure[..recording.len().min(ROWS)];
-    bench.sensor.noise_sd_cmh2o = quality::noise(pressure);
-    bench.sensor.quantum_cmh2o = quality::quantum(pressure);
+    let noise = quality::noise(pressure);
+    if noise >= LEAST_NOISE {
+        bench.sensor.noise_sd_cmh2o = noise;
+        bench.sensor.quantum_cmh2o = quality::quantum(pressure);
+    }
     bench.validate()?;
     Ok(bench)
 }

@@ -57,8 +57,8 @@ impl FitConfig {
     }
 }
 
-/// Share of the epochs after which a simulator of many lungs has learned what all of them have in common; the rest of the
-/// epochs is for what each test run has of its own. Longer, and the physics bend to the lungs that there are.
+/// Share of the epochs after which a simulator of many lungs keeps its physics and only goes on with what they leave over.
+/// Longer, and the physics bend to the lungs that there are.
 const SETTLED: f32 = 0.2;
 
 /// Parameters that learn together.
@@ -77,8 +77,8 @@ impl Part {
         let all = architecture.parameters();
         match architecture {
             Architecture::Hybrid(shape) => {
-                let common = shape.common();
-                vec![part(common.clone(), SETTLED), part(common.end..all, 1.0)]
+                let physics = shape.physics();
+                vec![part(physics.clone(), SETTLED), part(physics.end..all, 1.0)]
             }
             Architecture::StateSpace(_) | Architecture::Stitched(_) => vec![part(0..all, 1.0)],
         }
@@ -450,4 +450,42 @@ pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode
         *place += 1;
         !place.is_multiple_of(every.max(2))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::hybrid::HybridConfig;
+
+    #[test]
+    fn physics_of_many_lungs_are_kept_after_their_share_of_the_epochs() {
+        let shape = HybridConfig { ventilators: 1, groups: 2, ..HybridConfig::for_period(10_000, 1) };
+        let breath = |group: u32| Episode {
+            pressure: (0..20).map(|tick| 5.0 + 0.5 * tick as f32).collect(),
+            truth: None,
+            commands: vec![0.5 + 0.1 * group as f32; 20],
+            rest: vec![0.1],
+            start: 5.0,
+            plateau: 15.0,
+            plateau_command: 0.3,
+            pip: 15.0,
+            peep: 5.0,
+            group: Some(group),
+            ventilator: Some(0),
+            rows: 0..20,
+            lung: Some((20.0, 20.0)),
+        };
+        let breaths = [breath(0), breath(1)];
+        let config = FitConfig { epochs: 10, ..FitConfig::default() };
+        let mut fit = Fit::new(Architecture::Hybrid(shape), &breaths.each_ref(), config, None);
+        let mut after = |epochs: usize| {
+            (0..epochs).for_each(|_| assert!(fit.epoch().unwrap() > 0.0));
+            let (physics, rest) = fit.parameters.split_at(shape.physics().end);
+            (physics.to_vec(), rest.to_vec())
+        };
+        let (first, share, end) = (after(1), after(1), after(8));
+        assert_ne!(first.0, share.0, "physics learn");
+        assert_eq!(share.0, end.0, "and are kept");
+        assert_ne!(share.1, end.1, "while what they leave over goes on");
+    }
 }

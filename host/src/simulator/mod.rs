@@ -13,6 +13,7 @@
 pub mod episode;
 pub mod fit;
 pub mod hybrid;
+mod leaky;
 pub mod model;
 pub mod state_space;
 mod states;

@@ -1,7 +1,7 @@
 //! Our simulator: a nonlinear state-space model.
 //!
 //! States are leaky integrators with learned time constants, driven by past commands and by a hidden layer that
-//! sees states and commands (see [`states`](super::states)); outputs are pressures at the block's points, `20 + 10 y`.
+//! sees states and commands (`states.rs`); outputs are pressures at the block's points, `20 + 10 y`.
 //! Slow linear states carry the lung's volume without loss, fast ones the valve's lag; the hidden layer bends them.
 
 use rand_chacha::ChaCha8Rng;

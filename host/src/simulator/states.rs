@@ -13,6 +13,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::leaky::Leaky;
 use super::{CommandLog, Timing, piece, piece_mut};
 use crate::engine::Lane;
 use crate::engine::activation::Activation;
@@ -91,8 +92,7 @@ pub(super) struct Network {
     readout: DenseWeights,
     start: DenseWeights,
     decay_offset: usize,
-    /// `a` of each state.
-    keep: Vec<f32>,
+    leaky: Leaky,
 }
 
 /// Forward values and backward gradients of a rollout, block after block.
@@ -124,7 +124,6 @@ impl Network {
     pub fn new(shape: Shape, parameters: &[f32]) -> Self {
         let ([hidden, drive, readout, start], decay_offset, total) = shape.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
-        let keep = parameters[decay_offset..].iter().map(|d| 1.0 / (1.0 + (-d).exp())).collect();
         Self {
             shape,
             hidden: hidden.load(parameters),
@@ -132,7 +131,7 @@ impl Network {
             readout: readout.load(parameters),
             start: start.load(parameters),
             decay_offset,
-            keep,
+            leaky: Leaky::new(&parameters[decay_offset..]),
         }
     }
 
@@ -189,10 +188,8 @@ impl Network {
         let drive = piece_mut(&mut tape.drive, block, states);
         self.drive.forward(zv, drive);
         let readout = piece_mut(&mut tape.after, block, states + hidden);
-        for (s, keep) in self.keep.iter().enumerate() {
-            after[s] = before[s].zip(&drive[s], |c, g| keep * c + (1.0 - keep) * g);
-            readout[s] = after[s];
-        }
+        self.leaky.step(before, drive, after);
+        readout[..states].copy_from_slice(&after[..states]);
         readout[states..].copy_from_slice(&zv[..hidden]);
         self.readout.forward(readout, outputs);
     }
@@ -216,18 +213,13 @@ impl Network {
         d_after.fill(Lane::ZERO);
         self.readout.backward(d_y, d_after);
 
-        // States: c' = a c + (1 - a) g.
+        for (d_state, d) in tape.d_state.iter_mut().zip(&*d_after) {
+            d_state.add_scaled(1.0, d);
+        }
         let before = piece(&tape.state, block, inputs);
         let drive = piece(&tape.drive, block, states);
         let d_drive = piece_mut(&mut tape.d_drive, block, states);
-        for (s, keep) in self.keep.iter().enumerate() {
-            let mut d = tape.d_state[s];
-            d.add_scaled(1.0, &d_after[s]);
-            let difference = before[s].zip(&drive[s], |c, g| keep * (1.0 - keep) * (c - g));
-            tape.d_decay[s].add_scaled(1.0, &d.zip(&difference, |d, x| d * x));
-            d_drive[s] = d.map(|d| (1.0 - keep) * d);
-            tape.d_state[s] = d.map(|d| keep * d);
-        }
+        self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
 
         let d_zv = &mut second[..hidden + commands];
         d_zv.fill(Lane::ZERO);

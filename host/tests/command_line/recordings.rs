@@ -39,7 +39,7 @@ const LITRES_PER_MINUTE: f64 = 60.0;
 /// R (cmH2O/(L/s)) and C (mL/cmH2O) of the runs.
 const LUNGS: [(f64, f64); 4] = [(5.0, 20.0), (20.0, 20.0), (20.0, 50.0), (10.0, 10.0)];
 
-/// Breaths of linear lungs at 100 Hz: a second of falling flow in, three of flow out through the same resistor.
+/// Breaths of linear lungs at 100 Hz: a second of constant flow in, three of flow out through the same resistor.
 fn table() -> String {
     let mut text = "t,Paw,valve,vent,in,out,R,C,cycle,run\n".to_owned();
     let mut tick = 0;
@@ -49,8 +49,7 @@ fn table() -> String {
             let mut alveolar = 5.0;
             for row in 0..400 {
                 let inspires = row < 100;
-                let falling = valve * (1.0 - 0.006 * f64::from(row));
-                let flow = if inspires { falling } else { -(alveolar - 5.0) / (r + 8.0) };
+                let flow = if inspires { valve } else { -(alveolar - 5.0) / (r + 8.0) };
                 let pressure = (alveolar + r * flow) * HPA_PER_CMH2O;
                 let (valve, vent) = if inspires { (valve, 0) } else { (0.0, 100) };
                 let [inward, outward] = [flow.max(0.0), -flow.min(0.0)].map(|flow| flow * LITRES_PER_MINUTE);
@@ -83,7 +82,7 @@ fn lungs_are_identified_and_one_becomes_a_bench() {
     let found =
         place.json("identify --data a.parquet --write-plant lung.toml --group X:1 --report lungs.html");
     let lung = &found["lungs"][0];
-    let compliance = lung["equation"]["compliance"]["value"].as_f64().unwrap();
+    let compliance = lung["compliance"]["value"].as_f64().unwrap();
     assert!((compliance - 20.0).abs() < 0.5, "{found}");
     let scores = place.json("evaluate --bench lung.toml --gains 2,30 --pips 15,30 --breaths 1");
     assert!(scores["mean"]["pid"]["score"].as_f64().unwrap() < 5.0, "{scores}");

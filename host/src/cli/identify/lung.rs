@@ -76,7 +76,7 @@ fn table(found: &[Identified]) -> Table {
             Cell::text(&lung.lung),
             nominal(lung.nominal_compliance),
             estimate(&lung.compliance),
-            Cell::number(lung.uncorrected_compliance, 1),
+            lung.uncorrected_compliance.map_or_else(|| Cell::right("unknown"), |c| Cell::number(c, 1)),
             nominal(lung.nominal_resistance),
             estimate(&lung.resistance),
             estimate(&lung.turbulence),

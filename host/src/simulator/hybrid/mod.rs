@@ -1,6 +1,6 @@
 //! One simulator for many lungs: a learned ventilator that blows into a lung known by its nominal R and C.
 //!
-//! The [`ventilator`] sees commands alone and gives two openings; the [`lung`] is physics with six numbers. Since nothing of the
+//! The ventilator sees commands alone and gives two openings; the lung is physics with six numbers. Since nothing of the
 //! ventilator knows the lung and nothing of the lung knows the command, a lung that no breath of the recording had is a
 //! new pair of numbers, not a guess. Commands of a closed loop tell the pressure to anything that sees enough of them; a
 //! source that can only blow into a lung has little use for that.
@@ -122,8 +122,8 @@ impl HybridConfig {
         self.layout().mixing.end
     }
 
-    /// Parameters of ventilator and lung: all that matters for a breath of no known test run.
-    pub fn common(&self) -> Range<usize> {
+    /// Parameters of ventilator and lung, with what each ventilator and test run has of its own there: all but the modes.
+    pub fn physics(&self) -> Range<usize> {
         0..self.layout().deviations.end
     }
 
@@ -347,6 +347,44 @@ mod tests {
             model.step(&mut tape, block, &log, &mut points);
         }
         (points[0], tape.lung.alveolar.zip(&compliance, |a, c| (a - 5.0) * c))
+    }
+
+    /// Pressures of a rollout of these parameters.
+    fn pressures(config: HybridConfig, parameters: &[f32], start: &Start) -> Vec<Lane> {
+        const BLOCKS: usize = 12;
+        let model = Hybrid::new(config, parameters);
+        let mut tape = model.tape(BLOCKS);
+        let log = CommandLog::new(BLOCKS, vec![Lane::splat(1.0); config.timing.width()]);
+        model.begin(&mut tape, start);
+        let mut points = vec![Lane::ZERO; config.timing.points];
+        (0..BLOCKS)
+            .flat_map(|block| {
+                model.step(&mut tape, block, &log, &mut points);
+                points.clone()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_run_that_nobody_knows_has_nothing_of_the_others_and_a_known_one_a_bounded_rest() {
+        let config = config(10_000);
+        let (own, layout) = (varied(&config, 6), config.layout());
+        let mut common = own.clone();
+        common[layout.deviations].fill(0.0);
+        common[layout.mixing.clone()].fill(0.0);
+        let mut wild = common.clone();
+        wild[layout.mixing].fill(1e4);
+        let unknown = Start { ventilator: Lane::splat(1.0), ..Start::default() };
+        let known = Start { group: Lane::splat(1.0), ..unknown };
+        let physics = pressures(config, &common, &unknown);
+        assert_eq!(pressures(config, &own, &unknown), physics);
+        assert_ne!(pressures(config, &own, &known), physics);
+        let rest = pressures(config, &wild, &known)
+            .iter()
+            .zip(&physics)
+            .map(|(p, q)| (p[0] - q[0]).abs())
+            .fold(0.0, f32::max);
+        assert!(rest > 0.9 * MOST_REST && rest < 1.001 * MOST_REST, "{rest}");
     }
 
     #[test]

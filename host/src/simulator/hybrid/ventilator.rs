@@ -15,6 +15,7 @@ use super::own::Own;
 use crate::engine::Lane;
 use crate::engine::activation::Activation;
 use crate::engine::dense::{Dense, DenseWeights};
+use crate::simulator::leaky::{Leaky, sigmoid};
 use crate::simulator::{CommandLog, Start, Timing, piece, piece_mut};
 
 /// Openings: towards the supply and towards the room.
@@ -93,8 +94,7 @@ pub(super) struct Ventilator {
     source: DenseWeights,
     start: DenseWeights,
     decay_offset: usize,
-    /// `a` of each filter.
-    keep: Vec<f32>,
+    leaky: Leaky,
     own: Own,
 }
 
@@ -139,7 +139,7 @@ impl Ventilator {
             source: source.load(parameters),
             start: start.load(parameters),
             decay_offset,
-            keep: decays.iter().map(|decay| sigmoid(*decay)).collect(),
+            leaky: Leaky::new(decays),
             own: Own::new(shape.own(), own),
         }
     }
@@ -199,9 +199,7 @@ impl Ventilator {
         self.filters.forward(commands, drive);
         let (before, after) = tape.state.split_at_mut((block + 1) * states);
         let before = piece(before, block, states);
-        for (s, keep) in self.keep.iter().enumerate() {
-            after[s] = before[s].zip(&drive[s], |c, g| keep * c + (1.0 - keep) * g);
-        }
+        self.leaky.step(before, drive, after);
         let readout = piece_mut(&mut tape.after, block, states + hidden);
         let (c, z) = readout.split_at_mut(states);
         c.copy_from_slice(&after[..states]);
@@ -237,18 +235,13 @@ impl Ventilator {
         Activation::Softsign.backward(&piece(&tape.after, block, states + hidden)[states..], d_z);
         self.curves.backward(d_z, d_c);
 
-        // States: c' = a c + (1 - a) g.
+        for (d_state, d) in tape.d_state.iter_mut().zip(&*d_c) {
+            d_state.add_scaled(1.0, d);
+        }
         let before = piece(&tape.state, block, states);
         let drive = piece(&tape.drive, block, states);
         let d_drive = piece_mut(&mut tape.d_drive, block, states);
-        for (s, keep) in self.keep.iter().enumerate() {
-            let mut d = tape.d_state[s];
-            d.add_scaled(1.0, &d_c[s]);
-            let difference = before[s].zip(&drive[s], |c, g| keep * (1.0 - keep) * (c - g));
-            tape.d_decay[s].add_scaled(1.0, &d.zip(&difference, |d, x| d * x));
-            d_drive[s] = d.map(|d| (1.0 - keep) * d);
-            tape.d_state[s] = d.map(|d| keep * d);
-        }
+        self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
         d_commands.fill(Lane::ZERO);
         self.filters.backward(d_drive, d_commands);
         d_log.scatter(self.newest(block), d_commands);
@@ -277,8 +270,4 @@ impl Ventilator {
             self.own.add_gradient(&tape.member, n, d, own);
         }
     }
-}
-
-fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
 }
