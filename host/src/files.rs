@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Replaces `path` by `bytes` in one step: a temporary file beside it, synced, then renamed.
 ///
@@ -11,6 +11,20 @@ use std::path::Path;
 /// # Errors
 /// Whatever the file system answers; the old file is untouched and no temporary file stays behind.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let temporary = temporary(path)?;
+    let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
+    if written.is_err() {
+        // The first error is the one worth telling; a leftover temporary file is only untidy.
+        let _ = fs::remove_file(&temporary);
+    }
+    written
+}
+
+/// A file beside `path` to be renamed to it once it is whole. Missing parent folders are created.
+///
+/// # Errors
+/// `path` names no file, or its folder cannot be created.
+pub fn temporary(path: &Path) -> io::Result<PathBuf> {
     let name = path.file_name().ok_or_else(|| {
         io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name: name a file, not a folder")
     })?;
@@ -19,13 +33,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
         fs::create_dir_all(folder)?;
     }
     // The process id keeps two processes that write the same file from sharing the temporary one.
-    let temporary = path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
-    let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
-    if written.is_err() {
-        // The first error is the one worth telling; a leftover temporary file is only untidy.
-        let _ = fs::remove_file(&temporary);
-    }
-    written
+    Ok(path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())))
 }
 
 fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {

@@ -17,6 +17,7 @@ pub mod engine;
 pub mod evaluate;
 pub mod faults;
 pub mod files;
+pub mod identify;
 pub mod monitor;
 pub mod pipeline;
 pub mod plant;

@@ -1,4 +1,4 @@
-//! Pressure sensor: lag, offset with drift, Gaussian noise, 12-bit converter.
+//! Pressure sensor: lag, offset with drift, Gaussian noise, converter of 12 bits, or of more where its quantum is finer.
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -6,10 +6,12 @@ use rand_distr::{Distribution, StandardNormal};
 use super::config::SensorConfig;
 use super::lag::Lag;
 
-/// Converter reading at no pressure: a quarter of the range is left for pressures below that of the room.
-const ZERO_CODE: f64 = 1024.0;
-/// Largest reading of the converter.
-const LAST_CODE: f64 = 4095.0;
+/// Readings of a converter of 12 bits.
+const CODES: f64 = 4096.0;
+/// Share of the readings that is left for pressures below that of the room.
+const BELOW_ZERO: f64 = 0.25;
+/// Range that a converter has at least, cmH2O: that of the default quantum in 12 bits.
+const LEAST_RANGE: f64 = 0.07 * CODES;
 
 /// The sensor with its state.
 #[derive(Clone, Debug)]
@@ -17,6 +19,8 @@ pub(super) struct Sensor {
     lag: Lag,
     noise_sd: f64,
     quantum: f64,
+    /// Readings of the converter.
+    codes: f64,
     rng: ChaCha8Rng,
 }
 
@@ -27,6 +31,7 @@ impl Sensor {
             lag: Lag::new(config.lag_ms * 1e-3, sub_step_s, pressure),
             noise_sd: config.noise_sd_cmh2o,
             quantum: config.quantum_cmh2o,
+            codes: CODES * (LEAST_RANGE / (CODES * config.quantum_cmh2o)).ceil().max(1.0),
             rng,
         }
     }
@@ -50,8 +55,9 @@ impl Sensor {
             return analogue as f32;
         }
         // Adding a half and cutting off rounds as a converter does, and is quicker than `round`.
-        let code = (analogue / self.quantum + ZERO_CODE + 0.5).clamp(0.0, LAST_CODE) as u32;
-        ((f64::from(code) - ZERO_CODE) * self.quantum) as f32
+        let zero = BELOW_ZERO * self.codes;
+        let code = (analogue / self.quantum + zero + 0.5).clamp(0.0, self.codes - 1.0) as u32;
+        ((f64::from(code) - zero) * self.quantum) as f32
     }
 }
 
@@ -113,6 +119,15 @@ mod tests {
         let config = SensorConfig { noise_sd_cmh2o: 0.0, quantum_cmh2o: 0.5, ..SensorConfig::default() };
         for (pressure, expected) in [(5.2, 5.0), (5.3, 5.5), (-5.2, -5.0), (-5.3, -5.5)] {
             assert!((sensor(&config, pressure).sample(0.0) - expected).abs() < 1e-6, "{pressure}");
+        }
+    }
+
+    #[test]
+    fn a_fine_quantum_does_not_narrow_the_range() {
+        let config = SensorConfig { noise_sd_cmh2o: 0.0, quantum_cmh2o: 0.010_2, ..SensorConfig::default() };
+        for pressure in [-50.0, 31.5, 100.0] {
+            let read = f64::from(sensor(&config, pressure).sample(0.0));
+            assert!((read - pressure).abs() < 0.006, "{read} at {pressure}");
         }
     }
 

@@ -15,10 +15,12 @@ use super::output::OutputArgs;
 use super::preset::Preset;
 use crate::dataset::Recording;
 use crate::evaluate::seeds;
+use crate::identify;
 use crate::pipeline::PAPER_PERIOD_US;
 use crate::report::{Cell, Table};
-use crate::simulator::episode::{Episode, channels, episodes};
-use crate::simulator::fit::{ByWaveform, Fit, FitConfig, OpenLoop, by_waveform, open_loop, split};
+use crate::simulator::episode::{Episode, channels, episodes, ventilators, whole_breaths};
+use crate::simulator::fit::{ByWaveform, Fit, FitConfig, OpenLoop, by_waveform, open_loop, response, split};
+use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
@@ -31,41 +33,50 @@ Examples:
   trainer fit --data first.parquet second.parquet --out simulator.safetensors --report fit.html
   trainer fit --data slow.parquet --out paper.safetensors --architecture stitched
   trainer fit --data slow.parquet --out paper.safetensors --preset paper-30ms
+  trainer fit --data air.parquet --hold-out-lung 5:20 --hold-out-lung 50:20 --json -
 
 The open-loop distance replays recorded commands from rest, without pressure feedback: the mean
-absolute error over the inspiration. Ctrl-C ends the fit and saves the simulator as it is.")]
+absolute error over the inspiration. Ctrl-C ends the fit and saves the simulator as it is.
+
+A recording that names R and C of its lungs gets one simulator for all of them; --hold-out-lung
+keeps a lung out of the fit, to judge the simulator on a lung it has never seen. Where the recording
+has flows, the same breaths are also predicted by classical identification, from the measured flow.")]
 pub struct Args {
     /// Recordings of one ventilator; several are joined
     #[arg(long, value_name = "FILE.parquet", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     /// File to write the simulator to
     #[arg(long, value_name = "FILE.safetensors")]
-    out: PathBuf,
+    out: Option<PathBuf>,
     /// Another's setting, which the recording must be of: paper-30ms is that of the paper's authors
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
     preset: Option<Preset>,
-    /// Our state-space model, trained on whole breaths open loop, or the stitched networks of the paper's authors,
-    /// trained on single steps of about 30 ms [default: state-space, or that of the preset]
+    /// Our state-space model or our hybrid of a learned ventilator and a lung of known R and C, both trained on whole
+    /// breaths open loop, or the stitched networks of the paper's authors, trained on single steps of about 30 ms
+    /// [default: hybrid if the recording names R and C, else state-space; or that of the preset]
     #[arg(long, value_enum)]
     architecture: Option<Kind>,
-    /// Passes over the recording [default: enough for 10000 gradient steps, 500 for stitched]
+    /// Passes over the recording [default: enough for 10000 gradient steps, 15000 for hybrid; 500 for stitched]
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
     /// Breaths per gradient step [default: 16, or 64 for stitched]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     batch: Option<u16>,
-    /// State-space: states [default: 16]
+    /// State-space, hybrid: states [default: 16, or 8 for hybrid]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     states: Option<u16>,
-    /// State-space: hidden units [default: 64]
+    /// State-space, hybrid: hidden units [default: 64, or 24 for hybrid]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=512))]
     hidden: Option<u16>,
-    /// State-space: blocks of past commands that a step sees [default: 4]
+    /// State-space, hybrid: blocks of past commands that a step sees [default: 4, or 8 for hybrid]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     history: Option<u16>,
-    /// Every N-th breath is held out of the fit, to judge it
+    /// Every N-th breath of each lung or test run is held out of the fit, to judge it
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..))]
     hold_out: u16,
+    /// Hold out every breath of the lung with this nominal resistance and compliance; may be given several times
+    #[arg(long, value_name = "R:C", value_parser = lung)]
+    hold_out_lung: Vec<(f32, f32)>,
     /// Seed of initial parameters and order
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -80,14 +91,19 @@ pub struct Args {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
     StateSpace,
+    Hybrid,
     Stitched,
 }
 
 /// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 in place of 64 bring the
 /// open-loop distance from 0.26 to 0.18 cmH2O in the same number of epochs.
 const BATCH: usize = 16;
+/// Decay of the hybrid's weights: of 0.005, 0.02 and 0.05 it did best on lungs left out one by one.
+const HYBRID_DECAY: f32 = 0.005;
 /// Gradient steps by which that distance has stopped falling fast.
 const STEPS: usize = 10_000;
+/// The same for the hybrid: a fifth of them for the physics, the others for what test runs have of their own.
+const HYBRID_STEPS: usize = 15_000;
 /// Least passes over a recording, however large.
 const LEAST_EPOCHS: usize = 300;
 /// Most passes over a recording, however small.
@@ -106,14 +122,29 @@ struct Summary {
     parameters: usize,
     training_breaths: usize,
     held_out_breaths: usize,
+    held_out_lung_breaths: usize,
     epochs: usize,
     stopped: bool,
     training_loss: f64,
     noise: f32,
-    open_loop: OpenLoop,
+    /// Mean absolute errors on the held-out breaths, cmH2O: of the change over one step, and open loop.
+    one_step: f64,
+    open_loop: f64,
+    /// Open loop, to the true airway pressure, where a bench knows it.
+    open_loop_true: Option<f64>,
+    /// Open loop, on the lungs held out altogether.
+    open_loop_held_out_lung: Option<f64>,
+    /// Classical identification on the same held-out breaths, from measured flows.
+    classical_open_loop: Option<f64>,
+    /// Rise of the predicted pressure where every command is five percent higher, cmH2O: see [`RESPONSE_S`].
+    response: Vec<f64>,
     waveforms: Vec<ByWaveform>,
     groups: Vec<ByGroup>,
+    held_out_lungs: Vec<ByGroup>,
 }
+
+/// Times after the start of the inspiration at which the response to a higher command is told, s.
+const RESPONSE_S: [f32; 3] = [0.1, 0.3, 0.8];
 
 /// Errors on the held-out breaths of one lung or test run.
 #[derive(Clone, Debug, Serialize)]
@@ -124,11 +155,73 @@ struct ByGroup {
     open_loop: OpenLoop,
 }
 
-impl Args {
-    fn kind(&self) -> Kind {
-        let usual = self.preset.map_or(Kind::StateSpace, |Preset::Paper30Ms| Kind::Stitched);
-        self.architecture.unwrap_or(usual)
+/// A lung as typed: `R:C`.
+fn lung(text: &str) -> Result<(f32, f32), String> {
+    let number =
+        |text: &str| text.trim().parse::<f32>().ok().filter(|number| *number > 0.0 && number.is_finite());
+    let parts = text.split_once(':').and_then(|(r, c)| Some((number(r)?, number(c)?)));
+    parts.ok_or_else(|| "write R:C in cmH2O/(L/s) and mL/cmH2O, as in 50:20".into())
+}
+
+/// Breaths by what they are for.
+struct Parts<'a> {
+    training: Vec<&'a Episode>,
+    held_out: Vec<&'a Episode>,
+    /// Of lungs that are held out altogether.
+    other_lungs: Vec<&'a Episode>,
+}
+
+impl<'a> Parts<'a> {
+    fn new(args: &Args, all: &'a [Episode]) -> anyhow::Result<Self> {
+        for lung in &args.hold_out_lung {
+            if !all.iter().any(|episode| episode.lung == Some(*lung)) {
+                bail!("no breath with R {} and C {}: the recording has {}", lung.0, lung.1, lungs(all));
+            }
+        }
+        let held_out_lung = |e: &&Episode| e.lung.is_some_and(|lung| args.hold_out_lung.contains(&lung));
+        // Every breath's place in its group is counted, whether or not its lung is held out.
+        let (training, held_out) = split(all, usize::from(args.hold_out));
+        let keep = |episodes: Vec<&'a Episode>| -> Vec<&'a Episode> {
+            episodes.into_iter().filter(|episode| !held_out_lung(episode)).collect()
+        };
+        let parts = Self {
+            training: keep(training),
+            held_out: keep(held_out),
+            other_lungs: all.iter().filter(held_out_lung).collect(),
+        };
+        if parts.training.is_empty() || parts.held_out.is_empty() {
+            bail!(
+                "{} complete inspirations are too few to fit and to hold out every {}th: record more, or lower \
+                 --hold-out",
+                all.len() - parts.other_lungs.len(),
+                args.hold_out
+            );
+        }
+        Ok(parts)
     }
+}
+
+/// What the model is trained on. The hybrid gets whole breaths, since in expiration, too, lung and ventilator show what
+/// they are; and each of them twice, once without its group, so that what a group has of its own stays a deviation from
+/// a model that is right without it.
+fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Episode]) -> Vec<Episode> {
+    if !matches!(architecture, Architecture::Hybrid(_)) {
+        return training.iter().map(|episode| (*episode).clone()).collect();
+    }
+    let mut lessons = whole_breaths(recording, architecture.timing());
+    lessons.retain(|breath| training.iter().any(|episode| episode.rows == breath.rows));
+    let nameless: Vec<_> = lessons.iter().map(|breath| Episode { group: None, ..breath.clone() }).collect();
+    lessons.extend(nameless);
+    lessons
+}
+
+/// The lungs that a recording names.
+fn lungs(episodes: &[Episode]) -> String {
+    let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|(r, c)| format!("{r}:{c}")).collect();
+    names.dedup();
+    names.sort();
+    names.dedup();
+    if names.is_empty() { "no R and C at all".to_owned() } else { names.join(", ") }
 }
 
 /// Runs the command.
@@ -137,24 +230,26 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.preset.map_or(Ok(()), |preset| preset.check(&recording))?;
     let architecture = architecture(args, &recording)?;
     let all = episodes(&recording, architecture.timing());
-    let (training, held_out) = split(&all, usize::from(args.hold_out));
-    if training.is_empty() || held_out.is_empty() {
-        bail!(
-            "{} complete inspirations are too few to fit and to hold out every {}th: record more, or lower --hold-out",
-            all.len(),
-            args.hold_out
-        );
+    let parts = Parts::new(args, &all)?;
+    let lessons = lessons(&architecture, &recording, &parts.training);
+    let lessons: Vec<&Episode> = lessons.iter().collect();
+    let (simulator, curve) = fit(args, architecture, &lessons, &recording.provenance.plant)?;
+    if let Some(path) = &args.out {
+        simulator.save(path)?;
     }
-    let (simulator, curve) = fit(args, architecture, &training, &recording.provenance.plant)?;
-    simulator.save(&args.out)?;
-    let summary = summary(args, &simulator, &curve, &training, &held_out, &recording);
+    let summary = summary(args, &simulator, &curve, &parts, &recording);
     args.output.table(&table(&summary));
+    for line in remarks(&summary) {
+        args.output.line(&line);
+    }
     if stopped() {
         args.output.line(&format!("stopped after {} epochs", curve.len()));
     }
-    args.output.line(&format!("saved {}", args.out.display()));
+    if let Some(path) = &args.out {
+        args.output.line(&format!("saved {}", path.display()));
+    }
     if let Some(path) = &args.report {
-        report::report(&summary, &simulator, &curve, &held_out, &recording).save(path)?;
+        report::report(&summary, &simulator, &curve, &parts, &recording).save(path)?;
         args.output.line(&format!("saved {}", path.display()));
     }
     args.output.finish(&summary)
@@ -172,38 +267,77 @@ fn load(files: &[PathBuf]) -> anyhow::Result<Recording> {
     Ok(recording)
 }
 
+/// The architecture asked for, or the one that makes the most of what the recording says.
+fn kind(args: &Args, recording: &Recording) -> Kind {
+    let lungs = recording.resistance.is_some() && recording.compliance.is_some();
+    let usual = match args.preset {
+        Some(Preset::Paper30Ms) => Kind::Stitched,
+        None if lungs => Kind::Hybrid,
+        None => Kind::StateSpace,
+    };
+    args.architecture.unwrap_or(usual)
+}
+
+/// Whether a recording names more than one lung.
+fn many_lungs(recording: &Recording) -> bool {
+    let (Some(resistance), Some(compliance)) = (&recording.resistance, &recording.compliance) else {
+        return false;
+    };
+    let lungs = || resistance.iter().zip(compliance).map(|(r, c)| (r.to_bits(), c.to_bits()));
+    lungs().any(|lung| Some(lung) != lungs().next())
+}
+
 fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architecture> {
     let period_us = recording.provenance.period_us;
-    if args.kind() == Kind::Stitched {
-        if period_us < STITCHED_LEAST_US {
-            bail!(
-                "the stitched architecture steps one control tick at a time, and this recording's are {period_us} us: \
-                 collect one with --period-us {PAPER_PERIOD_US}, or fit state-space"
-            );
-        }
-        return Ok(Architecture::Stitched(StitchedConfig::for_period(period_us)));
-    }
-    let shape = StateSpaceConfig::for_period(period_us, channels(recording));
     let or = |asked: Option<u16>, default: usize| asked.map_or(default, usize::from);
-    Ok(Architecture::StateSpace(StateSpaceConfig {
-        states: or(args.states, shape.states),
-        hidden: or(args.hidden, shape.hidden),
-        history: or(args.history, shape.history),
-        ..shape
-    }))
+    match kind(args, recording) {
+        Kind::Stitched if period_us < STITCHED_LEAST_US => bail!(
+            "the stitched architecture steps one control tick at a time, and this recording's are {period_us} us: \
+             collect one with --period-us {PAPER_PERIOD_US}, or fit state-space"
+        ),
+        Kind::Stitched => Ok(Architecture::Stitched(StitchedConfig::for_period(period_us))),
+        Kind::StateSpace => {
+            let shape = StateSpaceConfig::for_period(period_us, channels(recording));
+            Ok(Architecture::StateSpace(StateSpaceConfig {
+                lungs: many_lungs(recording),
+                states: or(args.states, shape.states),
+                hidden: or(args.hidden, shape.hidden),
+                history: or(args.history, shape.history),
+                ..shape
+            }))
+        }
+        Kind::Hybrid => {
+            if recording.resistance.is_none() || recording.compliance.is_none() {
+                bail!(
+                    "the hybrid needs R and C of every lung, which this recording does not name: fit state-space"
+                );
+            }
+            let shape = HybridConfig::for_period(period_us, channels(recording));
+            Ok(Architecture::Hybrid(HybridConfig {
+                states: or(args.states, shape.states),
+                hidden: or(args.hidden, shape.hidden),
+                history: or(args.history, shape.history),
+                ventilators: ventilators(recording).into_iter().max().map_or(0, |last| last as usize + 1),
+                groups: recording.provenance.groups.len(),
+                ..shape
+            }))
+        }
+    }
 }
 
 /// How to fit so many breaths: a small recording takes more passes, since it is gradient steps that count.
-fn config(args: &Args, breaths: usize) -> FitConfig {
-    let base = match args.kind() {
-        Kind::StateSpace => FitConfig { batch: BATCH, ..FitConfig::default() },
-        Kind::Stitched => FitConfig::authors(),
-    };
+fn config(args: &Args, architecture: &Architecture, breaths: usize) -> FitConfig {
+    let stitched = matches!(architecture, Architecture::Stitched(_));
+    let mut base =
+        if stitched { FitConfig::authors() } else { FitConfig { batch: BATCH, ..FitConfig::default() } };
+    let hybrid = matches!(architecture, Architecture::Hybrid(_));
+    if hybrid {
+        base.adam.weight_decay = HYBRID_DECAY;
+    }
     let batch = args.batch.map_or(base.batch, usize::from);
-    let epochs = match args.kind() {
-        Kind::StateSpace => (STEPS * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS),
-        Kind::Stitched => base.epochs,
-    };
+    let steps = if hybrid { HYBRID_STEPS } else { STEPS };
+    let enough = (steps * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS);
+    let epochs = if stitched { base.epochs } else { enough };
     FitConfig { epochs: args.epochs.unwrap_or(epochs), batch, seed: seeds::training(args.seed, 0), ..base }
 }
 
@@ -214,7 +348,7 @@ fn fit(
     training: &[&Episode],
     plant: &str,
 ) -> anyhow::Result<(Simulator, Vec<f64>)> {
-    let config = config(args, training.len());
+    let config = config(args, &architecture, training.len());
     let mut fit = Fit::new(architecture, training, config, None);
     let bar = bar("fitting", config.epochs);
     let mut curve = Vec::with_capacity(config.epochs);
@@ -238,25 +372,65 @@ fn summary(
     args: &Args,
     simulator: &Simulator,
     curve: &[f64],
-    training: &[&Episode],
-    held_out: &[&Episode],
+    parts: &Parts<'_>,
     recording: &Recording,
 ) -> Summary {
+    let names = &recording.provenance.groups;
+    let errors = open_loop(simulator, &parts.held_out);
+    let rows =
+        |episodes: &[&Episode]| -> Vec<_> { episodes.iter().map(|episode| episode.rows.clone()).collect() };
     Summary {
         seed: args.seed,
         plant: simulator.plant.clone(),
         architecture: simulator.architecture,
         parameters: simulator.parameters.len(),
-        training_breaths: training.len(),
-        held_out_breaths: held_out.len(),
+        training_breaths: parts.training.len(),
+        held_out_breaths: parts.held_out.len(),
+        held_out_lung_breaths: parts.other_lungs.len(),
         epochs: curve.len(),
         stopped: stopped(),
         training_loss: curve.last().copied().unwrap_or_default(),
         noise: simulator.noise,
-        open_loop: open_loop(simulator, held_out),
-        waveforms: by_waveform(simulator, &repeated(held_out)),
-        groups: by_group(simulator, held_out, &recording.provenance.groups),
+        one_step: errors.one_step,
+        open_loop: errors.measured,
+        open_loop_true: errors.truth,
+        open_loop_held_out_lung: (!parts.other_lungs.is_empty())
+            .then(|| open_loop(simulator, &parts.other_lungs).measured),
+        classical_open_loop: identify::open_loop::open_loop(
+            recording,
+            &rows(&parts.training),
+            &rows(&parts.held_out),
+        ),
+        response: response(simulator, &parts.held_out, &RESPONSE_S),
+        waveforms: by_waveform(simulator, &repeated(&parts.held_out)),
+        groups: by_group(simulator, &parts.held_out, names),
+        held_out_lungs: by_group(simulator, &parts.other_lungs, names),
     }
+}
+
+/// What the table does not say.
+fn remarks(summary: &Summary) -> Vec<String> {
+    let mut lines = Vec::new();
+    if let Some(classical) = summary.classical_open_loop {
+        lines.push(format!(
+            "classical identification on the same held-out breaths, from the measured flow: {classical:.3} cmH2O"
+        ));
+    }
+    let rises: Vec<_> = summary.response.iter().map(|rise| format!("{rise:+.2}")).collect();
+    let times: Vec<_> = RESPONSE_S.iter().map(|time| format!("{time} s")).collect();
+    lines.push(format!(
+        "five percent more command changes the predicted pressure by {} cmH2O at {}",
+        rises.join(", "),
+        times.join(", ")
+    ));
+    if summary.response.iter().any(|rise| *rise <= 0.0) {
+        lines.push(
+            "a pressure that does not rise with the command was read from it: the controller of the recording told \
+             the simulator, which is no use for another controller (docs/RECORDINGS.md)"
+                .to_owned(),
+        );
+    }
+    lines
 }
 
 /// Breaths whose PIP occurs more than once: waveforms, not the random PIPs between them.
@@ -290,7 +464,11 @@ fn table(summary: &Summary) -> Table {
     for group in &summary.groups {
         table.row(row(&group.group, group.episodes, &group.open_loop));
     }
-    table.row(row("all", summary.held_out_breaths, &summary.open_loop));
+    let (one_step, measured, truth) = (summary.one_step, summary.open_loop, summary.open_loop_true);
+    table.row(row("all", summary.held_out_breaths, &OpenLoop { one_step, measured, truth }));
+    for group in &summary.held_out_lungs {
+        table.row(row(&format!("{}, lung held out", group.group), group.episodes, &group.open_loop));
+    }
     table
 }
 

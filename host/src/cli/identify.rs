@@ -1,111 +1,64 @@
-//! `trainer identify`: who is at a port, and what it holds.
+//! `trainer identify`: who is at a port, or which lung is in a recording.
 
-use serde::Serialize;
-use shared::link::messages::{DeviceIdentity, SlotState};
+mod device;
+mod lung;
 
-use super::controller_args::image_id;
+use std::path::PathBuf;
+
 use super::output::OutputArgs;
-use crate::device::Device;
-use crate::monitor::words;
 use crate::port::Address;
-use crate::report::{Cell, Table};
 
-/// Ask a device who it is, what it runs and which weights it holds
+/// Ask a device who it is, or find out what a recorded lung is
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
+#[command(
+    group = clap::ArgGroup::new("subject").required(true).args(["port", "data"]),
+    after_help = "\
 Examples:
   trainer identify --port /dev/ttyACM0
   trainer identify --port tcp:localhost:5555 --json -
+  trainer identify --data air.parquet --report lungs.html
+  trainer identify --data air.parquet --group CT_AIR:5 --write-plant lung.toml
 
-Nothing on the device is changed; one that ventilates goes on.")]
+With --port: who the device is, what it runs and which weights it holds. Nothing on it is
+changed; one that ventilates goes on.
+
+With --data: compliance C, resistance R and its turbulent part R2 of every lung in a recording
+that has flows, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths, with 95 %
+intervals from the spread of the breaths. Drift of the flow sensors is taken out: what went in
+comes out again. 'Behind the circuit' takes out what the tubes take, too."
+)]
 pub struct Args {
-    /// The device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    /// A device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
-    port: Address,
+    port: Option<Address>,
+    /// A recording with flows
+    #[arg(long, value_name = "FILE.parquet")]
+    data: Option<PathBuf>,
+    #[command(flatten)]
+    lung: LungArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
-#[derive(Debug, Serialize)]
-struct Found {
-    port: String,
-    identity: DeviceIdentity,
+/// What goes with `--data`.
+#[derive(Debug, clap::Args)]
+struct LungArgs {
+    /// This lung alone: a group of the recording, as the table names it
+    #[arg(long, value_name = "NAME", conflicts_with = "port")]
+    group: Option<String>,
+    /// Write a bench with this lung, its circuit and its pressure sensor, for --bench of other commands
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "port")]
+    write_plant: Option<PathBuf>,
+    /// Write estimates and fitted breaths as an HTML report
+    #[arg(long, value_name = "FILE.html", conflicts_with = "port")]
+    report: Option<PathBuf>,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let identity = Device::connect(&args.port)?.identify()?;
-    let port = args.port.to_string();
-    args.output.table(&table(&port, &identity));
-    args.output.finish(&Found { port, identity })
-}
-
-fn table(port: &str, identity: &DeviceIdentity) -> Table {
-    let mut table = Table::new("", &["device", port]);
-    let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
-    row("is", words::identity(identity));
-    row("protocol", identity.protocol.to_string());
-    row("started by", words::reset(identity.reset).to_owned());
-    if let Some(failure) = &identity.failure {
-        row("failed before with", failure.to_string());
-    }
-    row("mode", words::mode(identity.mode));
-    row("controller", words::controller(identity.controller));
-    row("explores", if identity.exploration.is_some() { "yes" } else { "no" }.to_owned());
-    for (name, state) in ["slot A", "slot B"].into_iter().zip(&identity.slots) {
-        row(name, slot(state));
-    }
-    row("loaded", identity.running.map_or("no weights".to_owned(), |slot| format!("slot {slot:?}")));
-    table
-}
-
-fn slot(state: &SlotState) -> String {
-    match state {
-        SlotState::Empty => "empty".to_owned(),
-        SlotState::Torn => "not finished: upload it again".to_owned(),
-        SlotState::Invalid(problem) => format!("refused ({problem:?}): pack and upload it again"),
-        SlotState::Valid { generation, id } => format!("weights {}, generation {generation}", image_id(*id)),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use shared::device::KNOWN_GOOD;
-    use shared::link::PROTOCOL;
-    use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, Slot};
-    use shared::safety::alarms::Fault;
-    use shared::ventilator::Mode;
-    use shared::weights::ImageProblem;
-
-    fn identity() -> DeviceIdentity {
-        DeviceIdentity {
-            protocol: PROTOCOL,
-            firmware: [0, 1, 2],
-            device: DeviceKind::HardwareInTheLoop,
-            period_us: 1000,
-            mode: Mode::Fault(Fault::ReadingOutOfRange),
-            controller: ControllerChoice::Pid(KNOWN_GOOD),
-            exploration: None,
-            slots: [SlotState::Valid { generation: 7, id: 0xBEEF }, SlotState::Torn],
-            running: Some(Slot::A),
-            reset: ResetCause::Watchdog,
-            failure: Some("index out of bounds".try_into().unwrap()),
-        }
-    }
-
-    #[test]
-    fn everything_that_the_greeting_holds_is_told() {
-        insta::assert_snapshot!(table("/dev/ttyACM0", &identity()).to_plain());
-    }
-
-    #[test]
-    fn a_device_without_weights_or_failure_says_so() {
-        let slots = [SlotState::Empty, SlotState::Invalid(ImageProblem::Checksum)];
-        let text =
-            table("COM3", &DeviceIdentity { slots, running: None, failure: None, ..identity() }).to_plain();
-        assert!(text.contains("empty") && text.contains("Checksum") && text.contains("no weights"), "{text}");
-        assert!(!text.contains("failed before"), "{text}");
+    match (&args.port, &args.data) {
+        (Some(port), _) => device::run(port, &args.output),
+        (None, Some(data)) => lung::run(data, &args.lung, &args.output),
+        (None, None) => anyhow::bail!("name a device with --port or a recording with --data"),
     }
 }

@@ -2,18 +2,27 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context;
 use clap::Subcommand;
 use serde::Serialize;
 
+use super::common::bar;
 use super::output::OutputArgs;
-use crate::dataset::respiraworks::{ImportSummary, import};
+use crate::dataset::foreign::map::ColumnMap;
+use crate::dataset::respiraworks::ImportSummary;
+use crate::dataset::{foreign, respiraworks};
 
 /// Make a recording from tables measured elsewhere
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer import respiraworks CT_AIR.csv --out ct-air.parquet
-  trainer import respiraworks --help")]
+  trainer import kaggle train.csv --out kaggle.parquet
+  trainer import csv measured.csv --map columns.toml --out measured.parquet
+  trainer import respiraworks --help
+
+Units are converted, gaps and rows that belong to no breath are counted, and the summary tells
+rates, ranges, quantum, noise and the share of saturated rows (docs/RECORDINGS.md).")]
 pub struct Args {
     #[command(subcommand)]
     from: From,
@@ -22,6 +31,8 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum From {
     Respiraworks(RespiraworksArgs),
+    Kaggle(KaggleArgs),
+    Csv(CsvArgs),
 }
 
 #[derive(Debug, clap::Args)]
@@ -33,6 +44,61 @@ Examples:
   trainer import respiraworks CT_AIR.csv NPV_AIR.csv --out air.parquet --json -"
 )]
 struct RespiraworksArgs {
+    #[command(flatten)]
+    files: FileArgs,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(
+    about = "The layout of the Kaggle competition 'Ventilator Pressure Prediction'",
+    after_help = "\
+Examples:
+  trainer import kaggle train.csv --out kaggle.parquet
+  trainer import kaggle train.csv --out kaggle.parquet --json summary.json
+
+Columns breath_id, R, C, time_step, u_in, u_out and pressure. The uneven time steps of every breath
+are put on an even grid of their median. The file is streamed: six million rows need less than 1 GiB."
+)]
+struct KaggleArgs {
+    #[command(flatten)]
+    files: FileArgs,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(
+    about = "Any table, with a column map that says which column is what, in which unit",
+    after_help = "\
+Examples:
+  trainer import csv measured.csv --map columns.toml --out measured.parquet
+
+The least column map, for a table with time in ms, pressure in hPa and valve commands from 0 to 1:
+
+  [time]
+  column = \"t\"
+  unit = \"ms\"
+  [pressure]
+  column = \"Paw\"
+  unit = \"hPa\"
+  [u_in]
+  column = \"inhale\"
+  unit = \"share\"
+  [u_out]
+  column = \"exhale\"
+  unit = \"share\"
+
+docs/RECORDINGS.md has every name and unit."
+)]
+struct CsvArgs {
+    /// Which column is what
+    #[arg(long, value_name = "COLUMNS.toml")]
+    map: PathBuf,
+    #[command(flatten)]
+    files: FileArgs,
+}
+
+/// What goes in and what comes out.
+#[derive(Debug, clap::Args)]
+struct FileArgs {
     /// Tables to join, in this order
     #[arg(value_name = "FILE.csv", required = true)]
     files: Vec<PathBuf>,
@@ -43,7 +109,7 @@ struct RespiraworksArgs {
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// What `--json` gives for tables of `RespiraWorks`.
 #[derive(Debug, Serialize)]
 struct Summary {
     rows: usize,
@@ -56,11 +122,33 @@ struct Summary {
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let From::Respiraworks(args) = &args.from;
-    let (recording, summary) = import(&args.files)?;
+    match &args.from {
+        From::Respiraworks(args) => respiraworks(&args.files),
+        From::Kaggle(args) => foreign(&args.files, &ColumnMap::kaggle()),
+        From::Csv(args) => {
+            let map = ColumnMap::load(&args.map).with_context(|| args.map.display().to_string())?;
+            foreign(&args.files, &map)
+        }
+    }
+}
+
+fn respiraworks(args: &FileArgs) -> anyhow::Result<()> {
+    let (recording, summary) = respiraworks::import(&args.files)?;
     recording.save(&args.out)?;
     args.output.line(&summary.to_string());
     args.output.line(&format!("saved {}", args.out.display()));
     let ImportSummary { rows, kept, tests, breaths, complete_breaths, period_us, .. } = summary;
     args.output.finish(&Summary { rows, kept, tests, breaths, complete_breaths, period_us })
+}
+
+fn foreign(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
+    let layout = map.layout()?;
+    let length = |path: &PathBuf| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
+    let bar = bar("reading, bytes", args.files.iter().map(length).sum::<u64>() as usize);
+    let summary = foreign::import(&args.files, &layout, &args.out, &mut |bytes| bar.set_position(bytes));
+    bar.finish_and_clear();
+    let summary = summary?;
+    args.output.line(&summary.to_string());
+    args.output.line(&format!("saved {}", args.out.display()));
+    args.output.finish(&summary)
 }

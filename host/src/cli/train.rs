@@ -18,7 +18,7 @@ use crate::evaluate::seeds;
 use crate::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
 use crate::provenance::git_revision;
 use crate::report::{Cell, Table};
-use crate::simulator::model::Simulator;
+use crate::simulator::model::{Architecture, Simulator};
 use crate::source::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 use crate::train::learned::{Learned, Origin};
 use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
@@ -324,6 +324,18 @@ fn check(path: &Path, simulator: &Simulator, period_us: u32) -> anyhow::Result<(
         let (path, own) = (path.display(), timing.period_us);
         bail!(
             "{path} was fitted at a control period of {own} us, not {period_us}: a controller takes simulators of one"
+        );
+    }
+    let many_lungs = match simulator.architecture {
+        Architecture::Hybrid(_) => true,
+        Architecture::StateSpace(shape) => shape.lungs,
+        Architecture::Stitched(_) => false,
+    };
+    if many_lungs {
+        bail!(
+            "{} is a simulator of many lungs, a controller is trained on one: fit a recording of one lung with \
+             --architecture state-space",
+            path.display()
         );
     }
     if timing.channels != 1 {

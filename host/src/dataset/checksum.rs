@@ -2,7 +2,10 @@
 //!
 //! It is taken while its own digits are zeros, then written over them.
 
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
+use std::path::Path;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 
@@ -11,6 +14,7 @@ pub(super) const KEY: &str = "eupnea_checksum";
 /// What stands before the digits.
 const MARK: &str = "eupnea-crc32:";
 const DIGITS: usize = 8;
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// The text to put into the file, to be filled in by [`seal`].
 pub(super) fn blank() -> String {
@@ -24,6 +28,32 @@ pub(super) fn seal(mut bytes: Vec<u8>) -> Vec<u8> {
         bytes[place].copy_from_slice(digits.as_bytes());
     }
     bytes
+}
+
+/// Bytes at the end of a file among which its last [`blank`] is looked for.
+const TAIL: u64 = 1 << 16;
+
+/// As [`seal`], of a file that may be larger than memory.
+pub(super) fn seal_file(path: &Path) -> io::Result<()> {
+    let mut file = File::options().read(true).write(true).open(path)?;
+    let length = file.seek(SeekFrom::End(0))?;
+    let start = length.saturating_sub(TAIL);
+    file.seek(SeekFrom::Start(start))?;
+    let mut tail = Vec::new();
+    file.read_to_end(&mut tail)?;
+    let Some(place) = find(&tail) else { return Ok(()) };
+    file.rewind()?;
+    let mut digest = CRC.digest();
+    let mut bytes = vec![0; TAIL as usize];
+    loop {
+        match file.read(&mut bytes)? {
+            0 => break,
+            count => digest.update(&bytes[..count]),
+        }
+    }
+    file.seek(SeekFrom::Start(start + place.start as u64))?;
+    file.write_all(format!("{:08x}", digest.finalize()).as_bytes())?;
+    file.sync_all()
 }
 
 /// Whether the last checksum is right; also true where there is none, as in files of other programs. Leaves zeros in
@@ -41,7 +71,6 @@ fn find(bytes: &[u8]) -> Option<Range<usize>> {
 }
 
 fn digits(bytes: &[u8]) -> String {
-    const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
     format!("{:08x}", CRC.checksum(bytes))
 }
 

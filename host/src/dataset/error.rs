@@ -191,6 +191,38 @@ pub enum DatasetError {
         /// The reader's reason, with the line.
         source: csv::Error,
     },
+    /// A table lacks a column that its column map names.
+    #[error("{path} has no column `{column}`: correct the column map, or the head of the table")]
+    MappedColumn {
+        /// The table.
+        path: PathBuf,
+        /// The absent column.
+        column: String,
+    },
+    /// A cell of a table with a column map cannot be used.
+    #[error(
+        "{path}, line {line}, column `{column}`: `{value}` {reason}: correct the cell or remove the line"
+    )]
+    MappedCell {
+        /// The table.
+        path: PathBuf,
+        /// Line in the file, counted from 1.
+        line: u64,
+        /// Column of the table.
+        column: String,
+        /// The text found.
+        value: String,
+        /// Why it cannot be used.
+        reason: &'static str,
+    },
+    /// Nothing says how fast rows follow.
+    #[error(
+        "{path}: time does not grow from row to row: check the column and unit of [time] in the column map"
+    )]
+    NoPeriod {
+        /// The table.
+        path: PathBuf,
+    },
     /// A test is sampled at another rate than the first.
     #[error(
         "{path}, test {test}: sample period {found_us} us, the tests before it {expected_us} us: import them apart"
@@ -206,7 +238,7 @@ pub enum DatasetError {
         expected_us: u32,
     },
     /// Nothing usable in the tables.
-    #[error("no breath found in {tables} tables: the set-point never rises after a rest")]
+    #[error("no breath found in {tables} tables: nothing in them starts one")]
     NoBreath {
         /// How many tables were read.
         tables: usize,

@@ -1,18 +1,24 @@
 //! Recordings of a ventilator: what was asked, what was commanded, what was measured, tick by tick.
 //!
 //! [`Recording`] is the one table that every later step reads. [`Recording::save`] and [`Recording::load`] keep it as
-//! Parquet with its [`crate::provenance::Provenance`]; [`respiraworks`] makes one from tables measured elsewhere.
+//! Parquet with its [`crate::provenance::Provenance`], [`RecordingWriter`] writes one that is longer than memory.
+//! [`respiraworks`] and [`foreign`] make them from tables measured elsewhere.
 
 mod checksum;
 mod columns;
 mod error;
+pub mod foreign;
 mod parquet_file;
+pub mod quality;
 mod recording;
 pub mod respiraworks;
+mod rises;
 #[cfg(test)]
 mod tests;
+mod writer;
 
 pub use columns::Extra;
 pub use error::DatasetError;
 pub use parquet_file::PROVENANCE_KEY;
 pub use recording::{EXPIRATION, FALL, INSPIRATION, Recording, Row};
+pub use writer::RecordingWriter;

@@ -18,7 +18,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::arrow::arrow_writer::ArrowWriterOptions;
 use parquet::basic::Compression;
 use parquet::file::metadata::KeyValue;
-use parquet::file::properties::WriterProperties;
+use parquet::file::properties::{DEFAULT_MAX_ROW_GROUP_ROW_COUNT, WriterProperties};
 
 use super::checksum;
 use super::columns::{Extra, Values, ValuesMut};
@@ -78,7 +78,8 @@ impl Recording {
     }
 }
 
-fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, ArrowError> {
+/// The columns of a recording as one batch.
+pub(super) fn batch(recording: &Recording) -> Result<RecordBatch, ArrowError> {
     let columns = recording.columns().into_iter().map(|(name, values)| {
         let array: ArrayRef = match values {
             Values::U8(values) => Arc::new(UInt8Array::from(values.to_vec())),
@@ -88,18 +89,30 @@ fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, 
         (Field::new(name, array.data_type().clone(), false), array)
     });
     let (fields, arrays): (Vec<_>, Vec<_>) = columns.unzip();
-    let batch = RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)?;
+    RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)
+}
 
-    // The checksum is the last pair, so that no text within the provenance can be taken for it.
-    let metadata = [(PROVENANCE_KEY, provenance), (checksum::KEY, checksum::blank())];
-    let metadata = metadata.map(|(key, value)| KeyValue::new(key.to_owned(), value)).to_vec();
+/// What stands in the metadata. The checksum is the last pair, so that no text within the provenance can be taken for it.
+pub(super) fn metadata(provenance: String) -> Vec<KeyValue> {
+    let pairs = [(PROVENANCE_KEY, provenance), (checksum::KEY, checksum::blank())];
+    pairs.map(|(key, value)| KeyValue::new(key.to_owned(), value)).to_vec()
+}
+
+/// How files are written, with so many rows compressed together.
+pub(super) fn options(metadata: Option<Vec<KeyValue>>, rows: usize) -> ArrowWriterOptions {
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_created_by(PROVENANCE_KEY.to_owned())
-        .set_key_value_metadata(Some(metadata))
+        .set_key_value_metadata(metadata)
+        .set_max_row_group_row_count(Some(rows))
         .build();
     // The Parquet types say all there is to say; a second schema would only tie the bytes to the arrow version.
-    let options = ArrowWriterOptions::new().with_properties(properties).with_skip_arrow_metadata(true);
+    ArrowWriterOptions::new().with_properties(properties).with_skip_arrow_metadata(true)
+}
+
+fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, ArrowError> {
+    let batch = batch(recording)?;
+    let options = options(Some(metadata(provenance)), DEFAULT_MAX_ROW_GROUP_ROW_COUNT);
     let mut writer = ArrowWriter::try_new_with_options(Vec::new(), batch.schema(), options)?;
     writer.write(&batch)?;
     Ok(checksum::seal(writer.into_inner()?))

@@ -210,6 +210,12 @@ impl Recording {
         mine.notes.extend_from_slice(&other.notes);
     }
 
+    /// Name of the group that a row belongs to.
+    pub fn group_name(&self, row: usize) -> Option<&str> {
+        let index = self.group.as_ref()?.get(row)?;
+        self.provenance.groups.get(*index as usize).map(String::as_str)
+    }
+
     /// Rows of each breath.
     pub fn breaths(&self) -> Vec<Range<usize>> {
         let mut ranges = Vec::new();
@@ -227,7 +233,8 @@ impl Recording {
         self.breaths().into_iter().filter_map(|breath| self.inspiration(breath)).collect()
     }
 
-    fn inspiration(&self, breath: Range<usize>) -> Option<Range<usize>> {
+    /// Rows of the inspiratory phase of the breath in these rows, if it is complete as in [`Self::inspirations`].
+    pub fn inspiration(&self, breath: Range<usize>) -> Option<Range<usize>> {
         let length = self.phase[breath.clone()].iter().position(|&phase| phase != INSPIRATION)?;
         let whole = self.tick[breath.start..breath.start + length].iter().copied().eq(0..length as u32);
         (whole && length > 0).then_some(breath.start..breath.start + length)
@@ -239,6 +246,20 @@ impl Recording {
     /// # Errors
     /// The first rule that is broken, with column and row.
     pub fn validate(&self) -> Result<(), DatasetError> {
+        self.validate_rows()?;
+        match &self.group {
+            Some(group) => below("group", group.iter().copied(), self.provenance.groups.len()),
+            None => Ok(()),
+        }
+    }
+
+    /// Breath and tick of a row.
+    pub(super) fn key(&self, row: usize) -> Option<(u32, u32)> {
+        Some((*self.breath.get(row)?, *self.tick.get(row)?))
+    }
+
+    /// As [`Self::validate`], but for the groups.
+    pub(super) fn validate_rows(&self) -> Result<(), DatasetError> {
         for (column, values) in self.columns() {
             if values.len() != self.len() {
                 return Err(DatasetError::Length { column, rows: values.len(), expected: self.len() });
@@ -250,11 +271,7 @@ impl Recording {
             }
         }
         below("phase", self.phase.iter().map(|&phase| u32::from(phase)), usize::from(EXPIRATION) + 1)?;
-        if let Some(group) = &self.group {
-            below("group", group.iter().copied(), self.provenance.groups.len())?;
-        }
-        let key = |row: usize| (self.breath[row], self.tick[row]);
-        match (1..self.len()).find(|&row| key(row) <= key(row - 1)) {
+        match (1..self.len()).find(|&row| self.key(row) <= self.key(row - 1)) {
             Some(row) => Err(DatasetError::Order { row }),
             None => Ok(()),
         }

@@ -24,6 +24,7 @@ pub trait Plant: Send {
 pub fn plant(simulator: &Simulator, ticks: usize) -> Box<dyn Plant> {
     match simulator.model() {
         Model::StateSpace(model) => Box::new(Stepped::new(model, ticks)),
+        Model::Hybrid(model) => Box::new(Stepped::new(model, ticks)),
         Model::Stitched(model) => Box::new(Stepped::new(model, ticks)),
     }
 }
@@ -96,6 +97,7 @@ impl<M: Dynamics + Send> Plant for Stepped<M> {
 mod tests {
     use super::*;
     use crate::engine::LANES;
+    use crate::simulator::hybrid::HybridConfig;
     use crate::simulator::model::Architecture;
     use crate::simulator::state_space::StateSpaceConfig;
     use crate::simulator::stitched::StitchedConfig;
@@ -111,6 +113,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         let parameters = match &architecture {
             Architecture::StateSpace(config) => config.initialise(&mut rng),
+            Architecture::Hybrid(config) => config.initialise(&mut rng),
             Architecture::Stitched(config) => config.initialise(&mut rng),
         };
         Simulator { architecture, parameters, noise: 0.1, start_pressure: 5.0, plant: String::new() }
@@ -131,7 +134,8 @@ mod tests {
     fn ticks_give_the_pressures_of_the_whole_rollout() {
         let ours = (Architecture::StateSpace(StateSpaceConfig::for_period(1000, 1)), 1000, 123);
         let authors = (Architecture::Stitched(StitchedConfig::for_period(30_000)), 30_000, 33);
-        for (architecture, period_us, ticks) in [ours, authors] {
+        let many = (Architecture::Hybrid(HybridConfig::for_period(1000, 1)), 1000, 123);
+        for (architecture, period_us, ticks) in [ours, many, authors] {
             let parameters = initial_parameters(&mut ChaCha8Rng::seed_from_u64(2));
             let spec = ResidualSpec {
                 period_us,
@@ -147,7 +151,7 @@ mod tests {
                 ticks,
                 pip,
                 peep: 5.0,
-                start: Start { pressure: Lane::splat(5.1), plateau: pip },
+                start: Start { pressure: Lane::splat(5.1), plateau: pip, ..Start::default() },
                 rest: 5.0,
                 noise: vec![Lane::splat(0.1); ticks],
                 weight: Lane::splat(1.0),
@@ -156,6 +160,7 @@ mod tests {
             let simulator = simulator(architecture);
             let (pressures, commands) = match simulator.model() {
                 Model::StateSpace(model) => rollout(&model, &scenario, &controller),
+                Model::Hybrid(model) => rollout(&model, &scenario, &controller),
                 Model::Stitched(model) => rollout(&model, &scenario, &controller),
             };
             assert!((0..LANES).any(|l| commands[0][l].to_bits() != commands[ticks - 1][l].to_bits()));

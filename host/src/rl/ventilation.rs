@@ -226,7 +226,7 @@ impl Inspirations {
         self.running = (self.running + 1) % self.simulators.len();
         let Learned { plant, noise, start_pressure } = &mut self.simulators[self.running];
         let pressure = Lane::from_fn(|_| *start_pressure + normal(self.config.start_spread));
-        plant.begin(&Start { pressure, plateau: pip }, self.config.rest);
+        plant.begin(&Start { pressure, plateau: pip, ..Start::default() }, self.config.rest);
         self.noise.fill_with(|| Lane::from_fn(|_| normal(*noise)));
         (self.pip, self.tick, self.strayed) = (pip, 0, Lane::ZERO);
         for memory in &mut self.memories {
@@ -318,7 +318,7 @@ pub(crate) fn first_order(gain: f32) -> Simulator {
     use crate::simulator::state_space::StateSpaceConfig;
 
     let timing = Timing::for_period(1000, 1);
-    let config = StateSpaceConfig { timing, states: 1, hidden: 1, history: 1 };
+    let config = StateSpaceConfig { timing, states: 1, hidden: 1, history: 1, lungs: false };
     let (hidden, start) = ([0.0; 4], [0.0; 3]);
     // The state goes to the mean of the two scaled commands; it keeps five sixths of itself in 10 ms.
     let (drive, decay) = ([0.0, 0.5, 0.5, 0.0], [5.0_f32.ln()]);
@@ -402,7 +402,8 @@ mod tests {
         let mut state = FeatureState::new();
         state.start_breath(5.0);
         let mut plant = plant(&first_order(1.0), 1000);
-        let start = Start { pressure: task.simulators[0].plant.pressure(), plateau: task.pip };
+        let start =
+            Start { pressure: task.simulators[0].plant.pressure(), plateau: task.pip, ..Start::default() };
         plant.begin(&start, 5.0);
         for tick in 0..=10 {
             let (pressure, pip) = (plant.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);

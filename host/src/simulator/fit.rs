@@ -5,6 +5,9 @@
 //! at a time from measured pressures. Figures come from
 //! episodes held out of training.
 
+use std::collections::BTreeMap;
+use std::ops::Range;
+
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -14,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::episode::{Episode, Shard};
 use super::model::{Architecture, Model, Simulator};
 use super::stitched::Stitched;
-use super::{CommandLog, Dynamics, Timing};
+use super::{COMMAND_SCALE, CommandLog, Dynamics, Timing};
 use crate::engine::adam::{Adam, AdamConfig};
 use crate::engine::{LANES, Lane};
 
@@ -51,6 +54,42 @@ impl FitConfig {
     pub fn authors() -> Self {
         let adam = AdamConfig { rate: 1e-3, final_share: 1.0, weight_decay: 1e-4, clip: 1e9 };
         Self { epochs: 500, batch: 64, huber: 0.01, adam, seed: 0 }
+    }
+}
+
+/// Share of the epochs after which a simulator of many lungs keeps its physics and only goes on with what they leave over.
+/// Longer, and the physics bend to the lungs that there are.
+const SETTLED: f32 = 0.2;
+
+/// Parameters that learn together.
+#[derive(Debug)]
+struct Part {
+    range: Range<usize>,
+    adam: Adam,
+    /// Share of the epochs in which they learn.
+    share: f32,
+}
+
+impl Part {
+    /// The parts of an architecture.
+    fn of(architecture: &Architecture, adam: AdamConfig) -> Vec<Self> {
+        let part = |range: Range<usize>, share| Self { adam: Adam::new(adam, range.len()), range, share };
+        let all = architecture.parameters();
+        match architecture {
+            Architecture::Hybrid(shape) => {
+                let physics = shape.physics();
+                vec![part(physics.clone(), SETTLED), part(physics.end..all, 1.0)]
+            }
+            Architecture::StateSpace(_) | Architecture::Stitched(_) => vec![part(0..all, 1.0)],
+        }
+    }
+
+    /// One step of those that still learn.
+    fn step(&mut self, parameters: &mut [f32], gradient: &[f32], progress: f32) {
+        if progress < self.share {
+            let range = self.range.clone();
+            self.adam.step(&mut parameters[range.clone()], &gradient[range], progress / self.share);
+        }
     }
 }
 
@@ -91,7 +130,7 @@ pub struct Fit<'a> {
     config: FitConfig,
     episodes: Vec<&'a Episode>,
     parameters: Vec<f32>,
-    adam: Adam,
+    parts: Vec<Part>,
     rng: ChaCha8Rng,
     epoch: usize,
 }
@@ -107,13 +146,14 @@ impl<'a> Fit<'a> {
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let fresh = match &architecture {
             Architecture::StateSpace(shape) => shape.initialise(&mut rng),
+            Architecture::Hybrid(shape) => shape.initialise(&mut rng),
             Architecture::Stitched(shape) => shape.initialise(&mut rng),
         };
         let parameters = warm
             .filter(|simulator| simulator.architecture == architecture)
             .map_or(fresh, |simulator| simulator.parameters.clone());
-        let adam = Adam::new(config.adam, parameters.len());
-        Self { architecture, config, episodes: episodes.to_vec(), parameters, adam, rng, epoch: 0 }
+        let parts = Part::of(&architecture, config.adam);
+        Self { architecture, config, episodes: episodes.to_vec(), parameters, parts, rng, epoch: 0 }
     }
 
     /// One pass over the episodes; the mean loss, or none when all epochs are done.
@@ -131,7 +171,9 @@ impl<'a> Fit<'a> {
             let mean: Vec<f32> =
                 gradient.by_parameter.iter().map(|g| g / gradient.count.max(1.0) as f32).collect();
             let progress = (self.epoch as f32 + n as f32 / batches as f32) / self.config.epochs as f32;
-            self.adam.step(&mut self.parameters, &mean, progress);
+            for part in &mut self.parts {
+                part.step(&mut self.parameters, &mean, progress);
+            }
             loss += gradient.loss;
             count += gradient.count;
         }
@@ -159,6 +201,7 @@ fn batch_gradient(model: &Model, episodes: &[&Episode], huber: f32) -> Gradient 
         .par_iter()
         .map(|shard| match model {
             Model::StateSpace(model) => rollout_gradient(model, shard, huber),
+            Model::Hybrid(model) => rollout_gradient(model, shard, huber),
             Model::Stitched(model) => one_step_gradient(model, shard, huber),
         })
         .collect();
@@ -296,6 +339,7 @@ fn one_step_gradient(model: &Stitched, shard: &Shard<'_>, huber: f32) -> Gradien
 pub fn predict(simulator: &Simulator, episodes: &[&Episode]) -> Vec<Vec<f32>> {
     match simulator.model() {
         Model::StateSpace(model) => predict_with(&model, episodes),
+        Model::Hybrid(model) => predict_with(&model, episodes),
         Model::Stitched(model) => predict_with(&model, episodes),
     }
 }
@@ -328,6 +372,37 @@ pub fn open_loop(simulator: &Simulator, episodes: &[&Episode]) -> OpenLoop {
         measured: distance(&|e| Some(e.pressure.clone())),
         truth: has_truth.then(|| distance(&|e| e.truth.clone())),
     }
+}
+
+/// A command this much higher asks a simulator whether it is a plant, percent.
+const PROBE: f32 = 5.0;
+
+/// Mean rise of the predicted pressure at these times (s) where every command of the inspiratory valve is five percent
+/// of full opening higher, and what the valve had before the breath is as it was; cmH2O.
+///
+/// A plant answers with a rise. A simulator that has learned to read the pressure from the commands of the recording's
+/// controller answers with a fall, because that controller opens the valve where the pressure is low.
+pub fn response(simulator: &Simulator, episodes: &[&Episode], times: &[f32]) -> Vec<f64> {
+    let timing = simulator.architecture.timing();
+    let raised: Vec<Episode> = episodes
+        .iter()
+        .map(|episode| {
+            let mut raised = (*episode).clone();
+            let inspiratory = raised.commands.iter_mut().step_by(timing.channels);
+            inspiratory.for_each(|command| *command += PROBE / COMMAND_SCALE);
+            raised
+        })
+        .collect();
+    let before = predict(simulator, episodes);
+    let after = predict(simulator, &raised.iter().collect::<Vec<_>>());
+    let rise =
+        |time: &f32| {
+            let tick = shared::math::ticks(*time, timing.period_us) as usize;
+            mean(before.iter().zip(&after).filter_map(|(before, after)| {
+                Some(f64::from(*after.get(tick)?) - f64::from(*before.get(tick)?))
+            }))
+        };
+    times.iter().map(rise).collect()
 }
 
 /// Errors by PIP, PIPs rising.
@@ -367,12 +442,50 @@ pub fn noise(episodes: &[&Episode]) -> f32 {
     (square / 20.0).sqrt() as f32
 }
 
-/// Splits episodes into those to train on and every `every`-th, held out.
+/// Splits episodes into those to train on and every `every`-th of each group, held out.
 pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode>) {
-    let every = every.max(2);
-    let choose = |held_out: bool| {
-        let chosen = episodes.iter().enumerate().filter(move |(n, _)| (n % every == every - 1) == held_out);
-        chosen.map(|(_, episode)| episode).collect()
-    };
-    (choose(false), choose(true))
+    let mut before: BTreeMap<Option<u32>, usize> = BTreeMap::new();
+    episodes.iter().partition(|episode| {
+        let place = before.entry(episode.group).or_default();
+        *place += 1;
+        !place.is_multiple_of(every.max(2))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::hybrid::HybridConfig;
+
+    #[test]
+    fn physics_of_many_lungs_are_kept_after_their_share_of_the_epochs() {
+        let shape = HybridConfig { ventilators: 1, groups: 2, ..HybridConfig::for_period(10_000, 1) };
+        let breath = |group: u32| Episode {
+            pressure: (0..20).map(|tick| 5.0 + 0.5 * tick as f32).collect(),
+            truth: None,
+            commands: vec![0.5 + 0.1 * group as f32; 20],
+            rest: vec![0.1],
+            start: 5.0,
+            plateau: 15.0,
+            plateau_command: 0.3,
+            pip: 15.0,
+            peep: 5.0,
+            group: Some(group),
+            ventilator: Some(0),
+            rows: 0..20,
+            lung: Some((20.0, 20.0)),
+        };
+        let breaths = [breath(0), breath(1)];
+        let config = FitConfig { epochs: 10, ..FitConfig::default() };
+        let mut fit = Fit::new(Architecture::Hybrid(shape), &breaths.each_ref(), config, None);
+        let mut after = |epochs: usize| {
+            (0..epochs).for_each(|_| assert!(fit.epoch().unwrap() > 0.0));
+            let (physics, rest) = fit.parameters.split_at(shape.physics().end);
+            (physics.to_vec(), rest.to_vec())
+        };
+        let (first, share, end) = (after(1), after(1), after(8));
+        assert_ne!(first.0, share.0, "physics learn");
+        assert_eq!(share.0, end.0, "and are kept");
+        assert_ne!(share.1, end.1, "while what they leave over goes on");
+    }
 }

@@ -6,13 +6,17 @@
 //! of valve and tube: what is commanded in a block cannot be felt before the next one, so one network step
 //! serves ten control ticks.
 //!
-//! [`state_space`] is ours, [`stitched`] the architecture of Suo et al. 2021; both implement [`Dynamics`], which
-//! is all that training (of either simulator or controller) needs.
+//! [`state_space`] and [`hybrid`] are ours, one for one plant, one for many lungs whose nominal R and C are known;
+//! [`stitched`] is the architecture of Suo et al. 2021. All implement [`Dynamics`], which is all that training (of
+//! either simulator or controller) needs.
 
 pub mod episode;
 pub mod fit;
+pub mod hybrid;
+mod leaky;
 pub mod model;
 pub mod state_space;
+mod states;
 pub mod stitched;
 #[cfg(test)]
 mod tests_support;
@@ -23,6 +27,8 @@ use crate::engine::Lane;
 
 /// Pressure that counts as zero, and the distance that counts as one, inside of a simulator, cmH2O.
 pub const PRESSURE_SCALE: (f32, f32) = (20.0, 10.0);
+/// Pressure before a breath that counts as zero, cmH2O.
+const USUAL_PEEP: f32 = 5.0;
 /// Command that counts as one inside of a simulator, percent.
 pub const COMMAND_SCALE: f32 = 50.0;
 
@@ -51,6 +57,11 @@ impl Timing {
         let block_ticks = (shared::math::ticks(BLOCK_TIME, period_us) as usize).max(1);
         let (parts, points) = if block_ticks >= 2 { (2, 2) } else { (1, 1) };
         Self { period_us, block_ticks, parts, points, channels }
+    }
+
+    /// Duration of a block, s.
+    pub fn block_s(&self) -> f32 {
+        self.block_ticks as f32 * self.period_us as f32 * 1e-6
     }
 
     /// Values per block in a [`CommandLog`].
@@ -143,13 +154,69 @@ impl CommandLog {
     }
 }
 
-/// What a simulator is told of the state in which a breath starts.
-#[derive(Clone, Copy, Debug, Default)]
+/// R (cmH2O/(L/s)) and C (mL/cmH2O) of a lung of which nothing is known: the middle of the paper's.
+pub const USUAL_LUNG: (f32, f32) = (20.0, 20.0);
+
+/// What a simulator is told of the state in which a breath starts, and of the lung that it is for.
+#[derive(Clone, Copy, Debug)]
 pub struct Start {
     /// Pressure just before the breath, cmH2O.
     pub pressure: Lane,
     /// Pressure at the end of the last inspiration, cmH2O: what may still be in the lung.
     pub plateau: Lane,
+    /// Scaled command of the inspiratory valve just before the breath; only [`hybrid`] looks at it.
+    pub rest: Lane,
+    /// The same at the end of the last inspiration.
+    pub plateau_command: Lane,
+    /// Group (test run) of the recording that a breath is of, below zero for one that no simulator knows.
+    pub group: Lane,
+    /// Ventilator of the recording that a breath is of, below zero for one that no simulator knows.
+    pub ventilator: Lane,
+    /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
+    pub resistance: Lane,
+    /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
+    pub compliance: Lane,
+}
+
+impl Default for Start {
+    fn default() -> Self {
+        let (resistance, compliance) = USUAL_LUNG;
+        Self {
+            pressure: Lane::ZERO,
+            plateau: Lane::ZERO,
+            rest: Lane::ZERO,
+            group: Lane::splat(-1.0),
+            ventilator: Lane::splat(-1.0),
+            plateau_command: Lane::ZERO,
+            resistance: Lane::splat(resistance),
+            compliance: Lane::splat(compliance),
+        }
+    }
+}
+
+impl Start {
+    /// Number of quantities in [`Self::known`].
+    pub(crate) const KNOWN: usize = 4;
+
+    /// What pressures and commands before the breath were, scaled for a network.
+    pub(crate) fn known(&self) -> [Lane; Self::KNOWN] {
+        let (mean, scale) = PRESSURE_SCALE;
+        [
+            self.pressure.map(|p| (p - USUAL_PEEP) / scale),
+            self.plateau.map(|p| (p - mean) / scale),
+            self.rest,
+            self.plateau_command,
+        ]
+    }
+}
+
+/// The `n`-th piece of `width` lanes.
+fn piece(lanes: &[Lane], n: usize, width: usize) -> &[Lane] {
+    &lanes[n * width..(n + 1) * width]
+}
+
+fn piece_mut(lanes: &mut [Lane], n: usize, width: usize) -> &mut [Lane] {
+    &mut lanes[n * width..(n + 1) * width]
 }
 
 /// A differentiable simulator of one shard.

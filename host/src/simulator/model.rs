@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::Timing;
+use super::hybrid::{Hybrid, HybridConfig};
 use super::state_space::{StateSpace, StateSpaceConfig};
 use super::stitched::{Stitched, StitchedConfig};
 use crate::tensors::{self, TensorError};
@@ -15,6 +16,8 @@ use crate::tensors::{self, TensorError};
 pub enum Architecture {
     /// Ours.
     StateSpace(StateSpaceConfig),
+    /// Ours for many lungs.
+    Hybrid(HybridConfig),
     /// The authors'.
     Stitched(StitchedConfig),
 }
@@ -24,6 +27,7 @@ impl Architecture {
     pub fn timing(&self) -> &Timing {
         match self {
             Self::StateSpace(config) => &config.timing,
+            Self::Hybrid(config) => &config.timing,
             Self::Stitched(config) => &config.timing,
         }
     }
@@ -32,6 +36,7 @@ impl Architecture {
     pub fn parameters(&self) -> usize {
         match self {
             Self::StateSpace(config) => config.parameters(),
+            Self::Hybrid(config) => config.parameters(),
             Self::Stitched(config) => config.parameters(),
         }
     }
@@ -58,6 +63,8 @@ pub struct Simulator {
 pub enum Model {
     /// Ours.
     StateSpace(StateSpace),
+    /// Ours for many lungs.
+    Hybrid(Hybrid),
     /// The authors'.
     Stitched(Stitched),
 }
@@ -87,6 +94,7 @@ impl Simulator {
     pub(crate) fn model_of(architecture: Architecture, parameters: &[f32]) -> Model {
         match architecture {
             Architecture::StateSpace(config) => Model::StateSpace(StateSpace::new(config, parameters)),
+            Architecture::Hybrid(config) => Model::Hybrid(Hybrid::new(config, parameters)),
             Architecture::Stitched(config) => Model::Stitched(Stitched::new(config, parameters)),
         }
     }

@@ -1,29 +1,23 @@
 //! Our simulator: a nonlinear state-space model.
 //!
 //! States are leaky integrators with learned time constants, driven by past commands and by a hidden layer that
-//! sees states and commands:
-//!
-//! ```text
-//! z  = softsign(W1 [c, v] + b1)          hidden layer
-//! g  = W2 [z, v] + b2                    drive
-//! c' = a c + (1 - a) g                   states, a = sigmoid(decay)
-//! p  = 20 + 10 (W3 [c', z] + b3)         pressure at the block's points
-//! ```
-//!
-//! `v` are the scaled commands of the last blocks. Slow linear states carry the lung's volume without loss,
-//! fast ones the valve's lag; the hidden layer bends them. The start of a breath sets the states by an affine
-//! map of what is known there.
+//! sees states and commands (`states.rs`); outputs are pressures at the block's points, `20 + 10 y`.
+//! Slow linear states carry the lung's volume without loss, fast ones the valve's lag; the hidden layer bends them.
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing};
+use super::states::{Network, Shape, Tape};
+use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing, USUAL_LUNG};
 use crate::engine::Lane;
-use crate::engine::activation::Activation;
-use crate::engine::dense::{Dense, DenseWeights};
 
-/// Quantities known at the start of a breath: pressure and last plateau.
+/// Quantities known at the start of a breath: pressure and last plateau; of a model of many lungs, the commands there too.
 const START_INPUTS: usize = 2;
+const START_INPUTS_OF_LUNGS: usize = 4;
+/// What a model of many lungs is told of each: logarithms of R and C over 20.
+const LUNG_INPUTS: usize = 2;
+/// Slowest state to start with, s.
+const LONGEST_S: f32 = 3.0;
 
 /// Shape of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,50 +31,44 @@ pub struct StateSpaceConfig {
     pub hidden: usize,
     /// Blocks of past commands that a step sees.
     pub history: usize,
+    /// Whether it is one model of many lungs, told the nominal R and C of each.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub lungs: bool,
 }
 
 impl StateSpaceConfig {
     /// The default shape for a control period in microseconds and so many command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
-        Self { timing: Timing::for_period(period_us, channels), states: 16, hidden: 64, history: 4 }
+        Self {
+            timing: Timing::for_period(period_us, channels),
+            states: 16,
+            hidden: 64,
+            history: 4,
+            lungs: false,
+        }
     }
 
-    fn commands(&self) -> usize {
-        self.history * self.timing.width()
-    }
-
-    /// Layers (hidden, drive, readout, start), index of the decays, number of parameters.
-    fn layout(&self) -> ([Dense; 4], usize, usize) {
-        let commands = self.commands();
-        let (layers, decay) = Dense::layout([
-            (self.states + commands, self.hidden),
-            (self.hidden + commands, self.states),
-            (self.states + self.hidden, self.timing.points),
-            (START_INPUTS, self.states),
-        ]);
-        (layers, decay, decay + self.states)
+    fn shape(&self) -> Shape {
+        let Self { timing, states, hidden, history, lungs } = *self;
+        Shape {
+            timing,
+            states,
+            hidden,
+            history,
+            known: if lungs { START_INPUTS_OF_LUNGS } else { START_INPUTS },
+            constants: if lungs { LUNG_INPUTS } else { 0 },
+            outputs: timing.points,
+        }
     }
 
     /// Number of parameters.
     pub fn parameters(&self) -> usize {
-        self.layout().2
+        self.shape().parameters()
     }
 
-    /// Draws parameters: time constants from one block to three seconds, evenly spaced on a logarithmic scale.
+    /// Draws parameters.
     pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        let ([hidden, drive, readout, start], decay, total) = self.layout();
-        let mut parameters = vec![0.0; total];
-        hidden.initialise(&mut parameters, 1.0, rng);
-        drive.initialise(&mut parameters, 1.0, rng);
-        readout.initialise(&mut parameters, 0.5, rng);
-        start.initialise(&mut parameters, 0.3, rng);
-        let block = self.timing.block_ticks as f32 * self.timing.period_us as f32 * 1e-6;
-        for (n, decay) in parameters[decay..].iter_mut().enumerate() {
-            let share = n as f32 / (self.states - 1).max(1) as f32;
-            let tau = block * (3.0 / block).powf(share);
-            *decay = (tau / block).ln(); // sigmoid(ln(tau / block)) = tau / (tau + block)
-        }
-        parameters
+        self.shape().initialise(LONGEST_S, rng)
     }
 }
 
@@ -88,34 +76,12 @@ impl StateSpaceConfig {
 #[derive(Clone, Debug)]
 pub struct StateSpace {
     config: StateSpaceConfig,
-    hidden: DenseWeights,
-    drive: DenseWeights,
-    readout: DenseWeights,
-    start: DenseWeights,
-    decay_offset: usize,
-    /// `a` of each state.
-    keep: Vec<f32>,
+    network: Network,
 }
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
-pub struct StateSpaceTape {
-    /// `[c, v]` before each block.
-    state: Vec<Lane>,
-    /// `[z, v]` of each block.
-    hidden: Vec<Lane>,
-    /// `[c', z]` of each block.
-    after: Vec<Lane>,
-    drive: Vec<Lane>,
-    start: [Lane; START_INPUTS],
-    d_hidden: Vec<Lane>,
-    d_drive: Vec<Lane>,
-    d_readout: Vec<Lane>,
-    d_decay: Vec<Lane>,
-    /// Gradient by the states after the block that goes back next.
-    d_state: Vec<Lane>,
-    scratch: Vec<Lane>,
-}
+pub struct StateSpaceTape(Tape);
 
 impl StateSpace {
     /// A model from its parameters.
@@ -123,33 +89,8 @@ impl StateSpace {
     /// # Panics
     /// If `parameters` does not have [`StateSpaceConfig::parameters`] entries.
     pub fn new(config: StateSpaceConfig, parameters: &[f32]) -> Self {
-        let ([hidden, drive, readout, start], decay_offset, total) = config.layout();
-        assert_eq!(parameters.len(), total, "parameters of another shape");
-        let keep = parameters[decay_offset..].iter().map(|d| 1.0 / (1.0 + (-d).exp())).collect();
-        Self {
-            config,
-            hidden: hidden.load(parameters),
-            drive: drive.load(parameters),
-            readout: readout.load(parameters),
-            start: start.load(parameters),
-            decay_offset,
-            keep,
-        }
+        Self { config, network: Network::new(config.shape(), parameters) }
     }
-
-    /// Index of the newest block whose commands step `block` may see.
-    fn newest(&self, block: usize) -> Option<usize> {
-        block.checked_sub(self.config.timing.lag())
-    }
-}
-
-/// The `n`-th piece of `width` lanes.
-fn piece(lanes: &[Lane], n: usize, width: usize) -> &[Lane] {
-    &lanes[n * width..(n + 1) * width]
-}
-
-fn piece_mut(lanes: &mut [Lane], n: usize, width: usize) -> &mut [Lane] {
-    &mut lanes[n * width..(n + 1) * width]
 }
 
 impl Dynamics for StateSpace {
@@ -164,54 +105,21 @@ impl Dynamics for StateSpace {
     }
 
     fn tape(&self, blocks: usize) -> StateSpaceTape {
-        let StateSpaceConfig { states, hidden, timing, .. } = self.config;
-        let commands = self.config.commands();
-        let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
-        StateSpaceTape {
-            state: vec![Lane::ZERO; (blocks + 1) * (states + commands)],
-            hidden: zeros(hidden + commands),
-            after: zeros(states + hidden),
-            drive: zeros(states),
-            start: [Lane::ZERO; START_INPUTS],
-            d_hidden: zeros(hidden),
-            d_drive: zeros(states),
-            d_readout: zeros(timing.points),
-            d_decay: vec![Lane::ZERO; states],
-            d_state: vec![Lane::ZERO; states],
-            scratch: vec![Lane::ZERO; 2 * (states + hidden + commands)],
-        }
+        StateSpaceTape(self.network.tape(blocks))
     }
 
     fn begin(&self, tape: &mut StateSpaceTape, start: &Start) {
-        let (mean, scale) = PRESSURE_SCALE;
-        tape.start = [start.pressure.map(|p| (p - 5.0) / scale), start.plateau.map(|p| (p - mean) / scale)];
-        self.start.forward(&tape.start, &mut tape.state[..self.config.states]);
-        tape.d_state.fill(Lane::ZERO);
-        tape.d_decay.fill(Lane::ZERO);
+        let (resistance, compliance) = USUAL_LUNG;
+        let lung: [Lane; LUNG_INPUTS] = [
+            start.resistance.map(|r| (r / resistance).ln()),
+            start.compliance.map(|c| (c / compliance).ln()),
+        ];
+        let Shape { known, constants, .. } = self.config.shape();
+        self.network.begin(&mut tape.0, &start.known()[..known], &lung[..constants]);
     }
 
     fn step(&self, tape: &mut StateSpaceTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        let StateSpaceConfig { states, hidden, history, .. } = self.config;
-        let commands = self.config.commands();
-        let (before, after) = tape.state.split_at_mut((block + 1) * (states + commands));
-        let before = piece_mut(before, block, states + commands);
-        log.gather(self.newest(block), history, &mut before[states..]);
-
-        let zv = piece_mut(&mut tape.hidden, block, hidden + commands);
-        let (z, v) = zv.split_at_mut(hidden);
-        self.hidden.forward(before, z);
-        Activation::Softsign.forward(z);
-        v.copy_from_slice(&before[states..]);
-
-        let drive = piece_mut(&mut tape.drive, block, states);
-        self.drive.forward(zv, drive);
-        let readout = piece_mut(&mut tape.after, block, states + hidden);
-        for (s, keep) in self.keep.iter().enumerate() {
-            after[s] = before[s].zip(&drive[s], |c, g| keep * c + (1.0 - keep) * g);
-            readout[s] = after[s];
-        }
-        readout[states..].copy_from_slice(&zv[..hidden]);
-        self.readout.forward(readout, points);
+        self.network.step(&mut tape.0, block, log, points);
         let (mean, scale) = PRESSURE_SCALE;
         for point in points {
             *point = point.map(|y| mean + scale * y);
@@ -219,57 +127,12 @@ impl Dynamics for StateSpace {
     }
 
     fn step_back(&self, tape: &mut StateSpaceTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        let StateSpaceConfig { states, hidden, timing, .. } = self.config;
-        let commands = self.config.commands();
-        let d_y = piece_mut(&mut tape.d_readout, block, timing.points);
-        for (d_y, d_point) in d_y.iter_mut().zip(d_points) {
-            *d_y = d_point.map(|d| PRESSURE_SCALE.1 * d);
-        }
-        let (first, second) = tape.scratch.split_at_mut(states + hidden + commands);
-        let d_after = &mut first[..states + hidden];
-        d_after.fill(Lane::ZERO);
-        self.readout.backward(d_y, d_after);
-
-        // States: c' = a c + (1 - a) g.
-        let before = piece(&tape.state, block, states + commands);
-        let drive = piece(&tape.drive, block, states);
-        let d_drive = piece_mut(&mut tape.d_drive, block, states);
-        for (s, keep) in self.keep.iter().enumerate() {
-            let mut d = tape.d_state[s];
-            d.add_scaled(1.0, &d_after[s]);
-            let difference = before[s].zip(&drive[s], |c, g| keep * (1.0 - keep) * (c - g));
-            tape.d_decay[s].add_scaled(1.0, &d.zip(&difference, |d, x| d * x));
-            d_drive[s] = d.map(|d| (1.0 - keep) * d);
-            tape.d_state[s] = d.map(|d| keep * d);
-        }
-
-        let d_zv = &mut second[..hidden + commands];
-        d_zv.fill(Lane::ZERO);
-        self.drive.backward(d_drive, d_zv);
-        let d_z = piece_mut(&mut tape.d_hidden, block, hidden);
-        for ((d_z, from_drive), from_readout) in d_z.iter_mut().zip(&*d_zv).zip(&d_after[states..]) {
-            *d_z = from_drive.zip(from_readout, |a, b| a + b);
-        }
-        Activation::Softsign.backward(&piece(&tape.hidden, block, hidden + commands)[..hidden], d_z);
-
-        let d_cv = &mut first[..states + commands];
-        d_cv[..states].copy_from_slice(&tape.d_state);
-        d_cv[states..].copy_from_slice(&d_zv[hidden..]);
-        self.hidden.backward(d_z, d_cv);
-        tape.d_state.copy_from_slice(&d_cv[..states]);
-        d_log.scatter(self.newest(block), &d_cv[states..]);
+        let d_output = |n: usize| d_points[n].map(|d| PRESSURE_SCALE.1 * d);
+        self.network.step_back(&mut tape.0, block, d_output, d_log);
     }
 
     fn finish(&self, tape: &mut StateSpaceTape, gradient: &mut [f32]) {
-        let blocks = tape.drive.len() / self.config.states;
-        let inputs = self.hidden.shape().inputs;
-        self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
-        self.drive.shape().gradient(&tape.d_drive, &tape.hidden, gradient);
-        self.readout.shape().gradient(&tape.d_readout, &tape.after, gradient);
-        self.start.shape().gradient(&tape.d_state, &tape.start, gradient);
-        for (gradient, d) in gradient[self.decay_offset..].iter_mut().zip(&tape.d_decay) {
-            *gradient += d.sum();
-        }
+        self.network.finish(&tape.0, gradient);
     }
 }
 
@@ -282,8 +145,9 @@ mod tests {
 
     #[test]
     fn gradients_of_a_rollout_agree_with_finite_differences() {
-        for period_us in [1000, 30_000] {
+        for (period_us, lungs) in [(1000, false), (30_000, false), (10_000, true)] {
             let config = StateSpaceConfig {
+                lungs,
                 states: 5,
                 hidden: 7,
                 history: 3,

@@ -6,7 +6,16 @@ use crate::engine::{LANES, Lane};
 const BLOCKS: usize = 8;
 
 fn start() -> Start {
-    Start { pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32), plateau: Lane::from_fn(|l| 10.0 + l as f32) }
+    Start {
+        pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
+        plateau: Lane::from_fn(|l| 10.0 + l as f32),
+        rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
+        plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),
+        group: Lane::from_fn(|l| (l % 4) as f32 - 1.0),
+        ventilator: Lane::from_fn(|l| (l % 3) as f32 - 1.0),
+        resistance: Lane::from_fn(|l| 5.0 + 3.0 * l as f32),
+        compliance: Lane::from_fn(|l| 50.0 - 2.5 * l as f32),
+    }
 }
 
 fn commands(width: usize) -> CommandLog {
@@ -39,6 +48,16 @@ fn loss(model: &impl Dynamics, log: &CommandLog) -> f64 {
 
 /// Compares analytic gradients by commands and by every few parameters with central differences.
 pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[f32]) -> M) {
+    let some = (0..parameters.len()).step_by((parameters.len() / 150).max(1));
+    check_gradients_by(some, parameters, build);
+}
+
+/// Compares analytic gradients by commands and by the parameters of these indices with central differences.
+pub(super) fn check_gradients_by<M: Dynamics>(
+    indices: impl Iterator<Item = usize>,
+    parameters: &[f32],
+    build: impl Fn(&[f32]) -> M,
+) {
     let model = build(parameters);
     let width = model.timing().width();
     let mut log = commands(width);
@@ -61,7 +80,7 @@ pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[
     };
     let step = 5e-3;
     let mut varied = parameters.to_vec();
-    for n in (0..parameters.len()).step_by((parameters.len() / 150).max(1)) {
+    for n in indices {
         varied[n] = parameters[n] + step;
         let above = loss(&build(&varied), &log);
         varied[n] = parameters[n] - step;

@@ -20,6 +20,7 @@ use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
 use crate::engine::adam::{Adam, AdamConfig};
 use crate::engine::{LANES, Lane};
+use crate::simulator::hybrid::HybridTape;
 use crate::simulator::model::{Model, Simulator};
 use crate::simulator::state_space::StateSpaceTape;
 use crate::simulator::stitched::StitchedTape;
@@ -172,6 +173,7 @@ pub struct Trained {
 #[expect(clippy::large_enum_variant, reason = "one exists per shard")]
 enum ShardTape {
     StateSpace(Tape<StateSpaceTape>),
+    Hybrid(Tape<HybridTape>),
     Stitched(Tape<StitchedTape>),
 }
 
@@ -417,6 +419,7 @@ impl Training {
 fn tape(controller: &LaneController<'_>, model: &Model, ticks: usize) -> ShardTape {
     match model {
         Model::StateSpace(model) => ShardTape::StateSpace(controller.tape(model, ticks)),
+        Model::Hybrid(model) => ShardTape::Hybrid(controller.tape(model, ticks)),
         Model::Stitched(model) => ShardTape::Stitched(controller.tape(model, ticks)),
     }
 }
@@ -431,6 +434,9 @@ fn gradient_of(
 ) -> f64 {
     match (model, tape) {
         (Model::StateSpace(model), ShardTape::StateSpace(tape)) => {
+            both_ways(controller, model, scenario, tape, gradient)
+        }
+        (Model::Hybrid(model), ShardTape::Hybrid(tape)) => {
             both_ways(controller, model, scenario, tape, gradient)
         }
         (Model::Stitched(model), ShardTape::Stitched(tape)) => {
@@ -459,6 +465,7 @@ fn loss_of(
 ) -> Loss {
     match (model, tape) {
         (Model::StateSpace(model), ShardTape::StateSpace(tape)) => controller.forward(model, scenario, tape),
+        (Model::Hybrid(model), ShardTape::Hybrid(tape)) => controller.forward(model, scenario, tape),
         (Model::Stitched(model), ShardTape::Stitched(tape)) => controller.forward(model, scenario, tape),
         _ => unreachable!("each shard's tape was made for its model"),
     }
@@ -496,6 +503,7 @@ fn draw(config: &TrainConfig, ticks: usize, simulator: &Member, stream: u64) -> 
         start: Start {
             pressure: Lane::from_fn(|_| simulator.start + normal(config.start_spread)),
             plateau: pip,
+            ..Start::default()
         },
         rest: config.rest,
         noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(simulator.noise))).collect(),

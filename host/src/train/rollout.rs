@@ -493,7 +493,7 @@ mod tests {
             ticks,
             pip: Lane::from_fn(|l| 16.0 + 0.5 * l as f32),
             peep: 5.0,
-            start: Start { pressure: Lane::splat(5.0), plateau: Lane::splat(20.0) },
+            start: Start { pressure: Lane::splat(5.0), plateau: Lane::splat(20.0), ..Start::default() },
             rest: 5.0,
             noise: (0..ticks).map(|n| Lane::from_fn(|l| 0.1 * ((n * 7 + l) as f32).sin())).collect(),
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),

@@ -17,6 +17,8 @@ fn every_command_explains_itself() {
         "inspect",
         "import",
         "import respiraworks",
+        "import kaggle",
+        "import csv",
         "reproduce",
         "identify",
         "monitor",

@@ -7,4 +7,5 @@ mod help;
 mod interrupted;
 mod pipeline;
 mod plant;
+mod recordings;
 mod support;

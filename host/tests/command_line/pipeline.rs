@@ -42,7 +42,7 @@ fn a_simulator_is_fitted_judged_and_reported() {
     let line = format!("fit --data {data} {data} --out sim.safetensors --epochs 3 --states 4 --hidden 4");
     let summary = place.json(&format!("{line} --report fit.html"));
     assert_eq!((&summary["training_breaths"], &summary["held_out_breaths"]), (&20.into(), &4.into()));
-    assert!(summary["open_loop"]["truth"].as_f64().unwrap() > 0.0);
+    assert!(summary["open_loop_true"].as_f64().unwrap() > 0.0);
     let simulator = Simulator::load(&place.path("sim.safetensors")).unwrap();
     assert_eq!(summary["parameters"], simulator.parameters.len());
     let report = std::fs::read_to_string(place.path("fit.html")).unwrap();

@@ -127,7 +127,7 @@ fn the_whole_pipeline_runs_on_a_plant_in_python() {
     assert!(pi > 0.0 && pi < 5.0, "{pi}");
     ok(&place, &format!("collect --plant {plant} --gains 2,30 --breaths 24 --out a.parquet"));
     let fit = json(&place, "fit --data a.parquet --epochs 30 --out a.safetensors");
-    assert!(fit["open_loop"]["truth"].is_number());
+    assert!(fit["open_loop_true"].is_number());
     // The simulator's control period is the controller's.
     ok(&place, "train --simulator a.safetensors --iterations 10 --batch 16 --out once");
     let line = "--gains 2,30 --rounds 1 --breaths 16 --epochs 30 --iterations 10 --batch 16 --out run";

@@ -1,6 +1,6 @@
 //! The report of a fit: training curve, errors, and predictions beside what was measured.
 
-use super::{Summary, table};
+use super::{Parts, Summary, remarks, table};
 use crate::dataset::Recording;
 use crate::provenance::Provenance;
 use crate::report::{Block, Plot, Report, Section, Series, Style};
@@ -16,11 +16,11 @@ pub fn report(
     summary: &Summary,
     simulator: &Simulator,
     curve: &[f64],
-    held_out: &[&Episode],
+    parts: &Parts<'_>,
     recording: &Recording,
 ) -> Report {
     let period_s = f64::from(simulator.architecture.timing().period_us) * 1e-6;
-    let shown = spread(held_out, SHOWN);
+    let shown = [spread(&parts.held_out, SHOWN), spread(&parts.other_lungs, SHOWN / 2)].concat();
     let predictions = predict(simulator, &shown);
     let breaths = shown
         .iter()
@@ -32,7 +32,7 @@ pub fn report(
             text: "One step: the predicted change of pressure over one step of the simulator. Open loop: recorded \
                    commands replayed from rest, without pressure feedback, over the whole inspiration."
                 .into(),
-            blocks: vec![Block::Table(table(summary))],
+            blocks: vec![Block::Table(table(summary)), Block::Text(remarks(summary).join("\n\n"))],
         },
         Section {
             heading: "Held-out breaths".into(),

@@ -4,20 +4,21 @@
 //! inhale command, so the two cannot be told apart by a fit. Flows drift; resistors are parabolic, so the column of
 //! resistances holds their nominal values. One run drives an oxygen valve in place of the blower's.
 
-mod breaths;
 mod summary;
 mod table;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+pub(crate) mod tests_support;
 
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use self::breaths::Splitter;
 use self::summary::Observer;
 pub use self::summary::{Dropped, ImportSummary};
 use self::table::{Sample, Table};
+use super::rises::{Rises, is_up};
 use super::{DatasetError, EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
 use crate::provenance::Provenance;
 
@@ -104,8 +105,9 @@ impl Importer {
 
     /// Adds the breaths of rows without a gap.
     fn add_segment(&mut self, group: u32, period_s: f64, segment: &[Sample], after_gap: bool) {
-        let setpoints: Vec<f32> = segment.iter().map(|sample| sample.setpoint).collect();
-        let starts = Splitter::new(period_s).starts(&setpoints);
+        let mut rises = Rises::new(period_s);
+        let starts: Vec<usize> =
+            (0..segment.len()).filter(|row| rises.starts(segment[*row].setpoint)).collect();
         self.observer.segment(segment, starts.first().copied().unwrap_or(segment.len()), after_gap);
         for (index, &start) in starts.iter().enumerate() {
             let end = starts.get(index + 1).copied().unwrap_or(segment.len());
@@ -120,7 +122,7 @@ impl Importer {
         for (tick, sample) in samples.iter().enumerate() {
             let phase = match tick {
                 tick if tick < inspiration => INSPIRATION,
-                _ if breaths::is_up(sample.setpoint, peep) => FALL,
+                _ if is_up(sample.setpoint, peep) => FALL,
                 _ => EXPIRATION,
             };
             self.recording.push(Row {

@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::table::Sample;
 use crate::dataset::Recording;
+use crate::dataset::quality::{noise_of_second_differences, quantum_of_sorted, second_differences};
 
 /// Rows that belong to no breath, by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -110,8 +111,8 @@ impl Observer {
         } else {
             self.dropped.before_first_rise += dropped;
         }
-        let bends = samples.windows(3).map(|w| w[0].pressure - 2.0 * w[1].pressure + w[2].pressure);
-        self.second_differences.extend(bends.map(f32::abs));
+        let pressures: Vec<f32> = samples.iter().map(|sample| sample.pressure).collect();
+        self.second_differences.extend(second_differences(&pressures));
     }
 
     pub(super) fn finish(mut self, recording: &Recording, breaths: u32) -> ImportSummary {
@@ -128,49 +129,13 @@ impl Observer {
             gaps: self.gaps,
             period_us: recording.provenance.period_us,
             pressure_range: (ends.0.copied().unwrap_or(0.0), ends.1.copied().unwrap_or(0.0)),
-            quantum: quantum(&self.pressures),
-            noise: noise(&mut self.second_differences),
+            quantum: quantum_of_sorted(&self.pressures),
+            noise: noise_of_second_differences(&mut self.second_differences),
             saturated_inhale,
             saturated_exhale,
             saturated_psol,
         }
     }
-}
-
-/// Smallest step between sorted values: the most frequent distance of neighbours, refined over all distances.
-fn quantum(sorted: &[f32]) -> f64 {
-    /// Distances below this are rounding of the text, which has four decimals.
-    const TEXT_STEP: f64 = 2e-4;
-    let mut steps: Vec<f64> = sorted
-        .windows(2)
-        .map(|pair| f64::from(pair[1]) - f64::from(pair[0]))
-        .filter(|&step| step > TEXT_STEP)
-        .collect();
-    steps.sort_by(f64::total_cmp);
-    let same = |a: &f64, b: &f64| (b - a).abs() < 0.5 * TEXT_STEP;
-    let Some(common) = steps.chunk_by(same).max_by_key(|chunk| chunk.len()) else {
-        return 0.0;
-    };
-    let guess = common[common.len() / 2];
-    let (sum, count) = steps
-        .iter()
-        .map(|step| (step, (step / guess).round()))
-        .filter(|(_, count)| (1.0..=4.0).contains(count))
-        .fold((0.0, 0.0), |(sum, all), (step, count)| (sum + step, all + count));
-    sum / count
-}
-
-/// Standard deviation of white noise whose second differences have these absolute values.
-///
-/// Second differences ignore slopes; the median ignores the rises.
-fn noise(second_differences: &mut [f32]) -> f64 {
-    /// Standard deviation over median absolute value of a normal variable.
-    const NORMAL: f64 = 1.482_602;
-    /// Standard deviation of a second difference over that of the noise, 1 + 4 + 1 under the root.
-    const SECOND_DIFFERENCE: f64 = 2.449_490;
-    second_differences.sort_by(f32::total_cmp);
-    let median = second_differences.get(second_differences.len() / 2).copied().unwrap_or(0.0);
-    NORMAL * f64::from(median) / SECOND_DIFFERENCE
 }
 
 /// Counts how often one valve is at an end of the range that it uses in a run.

@@ -7,6 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
+use super::tests_support::measured;
 use super::*;
 
 const HEADER: &str = "run,test,C_ml_per_cmH2O,R_cmH2O_per_Lps,t_s,setpoint_cmH2O,pressure_cmH2O,flow_in_mlps,\
@@ -177,18 +178,6 @@ fn tables_without_a_breath_or_at_two_rates_are_refused() {
         }
         other => panic!("{other}"),
     }
-}
-
-/// The measured tables, if they are at hand: in the folder that `EUPNEA_DATA` names, else beside the project.
-fn measured() -> Option<Vec<PathBuf>> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
-    let folder = std::env::var_os("EUPNEA_DATA").map_or_else(beside, PathBuf::from).join("respiraworks");
-    let paths = ["CT_AIR.csv", "CT_OXY.csv", "NPV_AIR.csv"].map(|name| folder.join(name)).to_vec();
-    if paths.iter().all(|path| path.exists()) {
-        return Some(paths);
-    }
-    eprintln!("skipped: no measured tables in {}", folder.display());
-    None
 }
 
 #[test]

@@ -12,11 +12,14 @@ pub(super) fn is_up(setpoint: f32, peep: f32) -> bool {
     setpoint > peep + RISE
 }
 
-/// Finds rises of the set-point.
-pub(super) struct Splitter {
+/// Finds rises in a stream of set-points.
+#[derive(Debug, Clone)]
+pub(super) struct Rises {
     rest_rows: usize,
+    state: Option<State>,
 }
 
+#[derive(Debug, Clone, Copy)]
 enum State {
     /// At `level` since `rows` rows.
     Low { level: f32, rows: usize },
@@ -24,32 +27,31 @@ enum State {
     High { peak: f32 },
 }
 
-impl Splitter {
+impl Rises {
     pub(super) fn new(period_s: f64) -> Self {
-        Self { rest_rows: (REST_S / period_s).ceil().max(1.0) as usize }
+        Self { rest_rows: (REST_S / period_s).ceil().max(1.0) as usize, state: None }
     }
 
-    /// First row of each breath; never row 0, because a rise has a row before it.
-    pub(super) fn starts(&self, setpoints: &[f32]) -> Vec<usize> {
-        let mut starts = Vec::new();
-        let Some(&first) = setpoints.first() else {
-            return starts;
-        };
-        let mut state = State::Low { level: first, rows: 0 };
-        for (row, &setpoint) in setpoints.iter().enumerate() {
-            state = match state {
-                State::High { peak } if is_up(peak, setpoint) => State::Low { level: setpoint, rows: 1 },
-                State::High { peak } => State::High { peak: peak.max(setpoint) },
-                State::Low { level, rows } if rows >= self.rest_rows && is_up(setpoint, level) => {
-                    starts.push(row);
-                    State::High { peak: setpoint }
-                }
-                State::Low { level, rows } if self.rests(setpoint - level, rows) => {
-                    State::Low { level, rows: rows + 1 }
-                }
-                State::Low { .. } => State::Low { level: setpoint, rows: 1 },
-            };
-        }
+    /// Forgets everything, as after a gap.
+    pub(super) fn reset(&mut self) {
+        self.state = None;
+    }
+
+    /// Whether a breath starts with the next set-point; never with the first, because a rise has a row before it.
+    pub(super) fn starts(&mut self, setpoint: f32) -> bool {
+        let mut starts = false;
+        self.state = Some(match self.state {
+            Some(State::High { peak }) if is_up(peak, setpoint) => State::Low { level: setpoint, rows: 1 },
+            Some(State::High { peak }) => State::High { peak: peak.max(setpoint) },
+            Some(State::Low { level, rows }) if rows >= self.rest_rows && is_up(setpoint, level) => {
+                starts = true;
+                State::High { peak: setpoint }
+            }
+            Some(State::Low { level, rows }) if self.rests(setpoint - level, rows) => {
+                State::Low { level, rows: rows + 1 }
+            }
+            None | Some(State::Low { .. }) => State::Low { level: setpoint, rows: 1 },
+        });
         starts
     }
 
@@ -65,7 +67,8 @@ mod tests {
 
     fn starts(parts: &[(f32, usize)]) -> Vec<usize> {
         let setpoints: Vec<f32> = parts.iter().flat_map(|&(level, rows)| vec![level; rows]).collect();
-        Splitter::new(0.01).starts(&setpoints)
+        let mut rises = Rises::new(0.01);
+        (0..setpoints.len()).filter(|row| rises.starts(setpoints[*row])).collect()
     }
 
     #[test]

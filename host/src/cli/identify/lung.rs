@@ -1,0 +1,173 @@
+//! `trainer identify --data`: which lung is in a recording.
+
+use std::path::Path;
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+
+use super::super::output::OutputArgs;
+use super::LungArgs;
+use crate::dataset::Recording;
+use crate::files::write_atomically;
+use crate::identify::breath::{Breath, Drift, Span};
+use crate::identify::{Estimate, Identified, Lung, identify, lungs, plant};
+use crate::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Found {
+    plant: String,
+    lungs: Vec<Identified>,
+}
+
+/// Identifies the lungs of a recording.
+pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<()> {
+    let recording = Recording::load(data)?;
+    let mut found = identify(&recording).with_context(|| format!("cannot identify {}", data.display()))?;
+    if let Some(group) = &args.group {
+        let names = names(&found);
+        found.retain(|lung| lung.lung == *group);
+        if found.is_empty() {
+            bail!("{} has no lung called {group} that can be identified; it has {names}", data.display());
+        }
+    }
+    output.table(&table(&found));
+    output.table(&behind_circuit(&found));
+    if let Some(path) = &args.write_plant {
+        let [lung] = &found[..] else {
+            bail!("a bench has one lung, this recording {}: choose one with --group", names(&found));
+        };
+        let bench = plant::bench(lung, &recording)
+            .with_context(|| format!("no bench can have the lung {}", lung.lung))?;
+        write_atomically(path, plant::to_toml(&bench, lung).as_bytes())
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        output.line(&format!("saved {}", path.display()));
+    }
+    if let Some(path) = &args.report {
+        report(&recording, &found)?.save(path)?;
+        output.line(&format!("saved {}", path.display()));
+    }
+    output.finish(&Found { plant: recording.provenance.plant, lungs: found })
+}
+
+fn names(lungs: &[Identified]) -> String {
+    lungs.iter().map(|lung| lung.lung.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+fn table(found: &[Identified]) -> Table {
+    let mut table = Table::new(
+        "Equation of motion over whole breaths, 95 % intervals; C mL/cmH2O, R cmH2O/(L/s), R2 cmH2O/(L/s)^2",
+        &[
+            "lung",
+            "nominal C",
+            "C",
+            "C uncorrected",
+            "nominal R",
+            "R",
+            "R2",
+            "offset, mL/s",
+            "residual, cmH2O",
+            "breaths",
+        ],
+    );
+    for lung in found {
+        let offset = |per_s: f64| 1000.0 * per_s;
+        table.row(vec![
+            Cell::text(&lung.lung),
+            nominal(lung.nominal_compliance),
+            estimate(&lung.compliance),
+            lung.uncorrected_compliance.map_or_else(|| Cell::right("unknown"), |c| Cell::number(c, 1)),
+            nominal(lung.nominal_resistance),
+            estimate(&lung.resistance),
+            estimate(&lung.turbulence),
+            Cell::number(offset(lung.offset.value), 1),
+            Cell::number(lung.residual, 2),
+            Cell::count(lung.breaths),
+        ]);
+    }
+    table
+}
+
+fn behind_circuit(found: &[Identified]) -> Table {
+    let mut table = Table::new(
+        "The same behind the circuit, whose compliance is the one with the least residual",
+        &["lung", "circuit C", "C", "R", "R2", "residual, cmH2O"],
+    );
+    for lung in found {
+        let behind = &lung.behind_circuit;
+        table.row(vec![
+            Cell::text(&lung.lung),
+            Cell::number(behind.circuit_compliance, 2),
+            estimate(&behind.compliance),
+            estimate(&behind.resistance),
+            estimate(&behind.turbulence),
+            Cell::number(behind.residual, 2),
+        ]);
+    }
+    table
+}
+
+fn nominal(value: Option<f64>) -> Cell {
+    value.map_or_else(|| Cell::right("unknown"), |value| Cell::number(value, 0))
+}
+
+fn estimate(estimate: &Estimate) -> Cell {
+    let half = 0.5 * (estimate.high - estimate.low);
+    // An elastance that may be zero has no upper end of the compliance.
+    let half = if half < 1e6 { format!("{half:.1}") } else { "?".to_owned() };
+    Cell::right(format!("{:.1} ±{half}", estimate.value))
+}
+
+fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report> {
+    let plots = lungs(recording)?
+        .iter()
+        .filter(|lung| found.iter().any(|f| f.lung == lung.name))
+        .filter_map(plot)
+        .collect();
+    Ok(Report {
+        title: "Identified lungs".into(),
+        subtitle: recording.provenance.plant.clone(),
+        sections: vec![
+            Section {
+                heading: "Estimates".into(),
+                text: "P = P0 + V/C + R q + R2 q|q|, fitted to each whole breath; intervals from the spread of the \
+                       breaths. The offset is the mean of the net flow over a breath, which is taken out."
+                    .into(),
+                blocks: vec![Block::Table(table(found)), Block::Table(behind_circuit(found))],
+            },
+            Section {
+                heading: "One breath of each lung".into(),
+                text: "What was measured, and the fit with the measured flow.".into(),
+                blocks: vec![Block::PlotRow(plots)],
+            },
+        ],
+        provenance: Some(recording.provenance.clone()),
+    })
+}
+
+/// The middle breath of a lung with its fit.
+fn plot(lung: &Lung) -> Option<Plot> {
+    let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
+    let circuit = lung.identify()?.behind_circuit.circuit_compliance;
+    Some(Plot {
+        title: lung.name.clone(),
+        x_label: "time, s".into(),
+        y_label: "pressure, cmH2O".into(),
+        series: vec![
+            Series::new("measured", Style::Line, points(breath, breath.pressure())),
+            Series::new("equation of motion", Style::Dashed, points(breath, &fitted(breath, 0.0)?)),
+            Series::new("behind the circuit", Style::Line, points(breath, &fitted(breath, circuit)?)),
+        ],
+        ..Plot::default()
+    })
+}
+
+fn points(breath: &Breath, values: &[f64]) -> Vec<(f64, f64)> {
+    values.iter().enumerate().map(|(row, value)| (row as f64 * breath.period_s(), *value)).collect()
+}
+
+fn fitted(breath: &Breath, circuit: f64) -> Option<Vec<f64>> {
+    let fit = breath.fit(Span::Cycle, Drift::Corrected, circuit)?;
+    let value = |row: [f64; 4]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
+    Some(breath.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
+}

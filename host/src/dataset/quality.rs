@@ -1,0 +1,56 @@
+//! What a series of measured numbers tells of the instrument: its quantum and its noise.
+
+/// Smallest step between values: the most frequent distance of neighbours in size, refined over all distances. 0 if all
+/// are equal.
+pub fn quantum(values: &[f32]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    quantum_of_sorted(&sorted)
+}
+
+/// As [`quantum`], of values in order of size.
+pub fn quantum_of_sorted(sorted: &[f32]) -> f64 {
+    /// Distances below this are rounding of the text, which has four decimals.
+    const TEXT_STEP: f64 = 2e-4;
+    let mut steps: Vec<f64> = sorted
+        .windows(2)
+        .map(|pair| f64::from(pair[1]) - f64::from(pair[0]))
+        .filter(|&step| step > TEXT_STEP)
+        .collect();
+    steps.sort_by(f64::total_cmp);
+    let same = |a: &f64, b: &f64| (b - a).abs() < 0.5 * TEXT_STEP;
+    let Some(common) = steps.chunk_by(same).max_by_key(|chunk| chunk.len()) else {
+        return 0.0;
+    };
+    let guess = common[common.len() / 2];
+    let (sum, count) = steps
+        .iter()
+        .map(|step| (step, (step / guess).round()))
+        .filter(|(_, count)| (1.0..=4.0).contains(count))
+        .fold((0.0, 0.0), |(sum, all), (step, count)| (sum + step, all + count));
+    sum / count
+}
+
+/// Standard deviation of the white noise in a series.
+pub fn noise(values: &[f32]) -> f64 {
+    let mut bends: Vec<f32> = second_differences(values).collect();
+    noise_of_second_differences(&mut bends)
+}
+
+/// Absolute second differences of a series.
+pub fn second_differences(values: &[f32]) -> impl Iterator<Item = f32> {
+    values.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs())
+}
+
+/// Standard deviation of white noise whose second differences have these absolute values.
+///
+/// Second differences ignore slopes; the median ignores the rises.
+pub fn noise_of_second_differences(second_differences: &mut [f32]) -> f64 {
+    /// Standard deviation over median absolute value of a normal variable.
+    const NORMAL: f64 = 1.482_602;
+    /// Standard deviation of a second difference over that of the noise, 1 + 4 + 1 under the root.
+    const SECOND_DIFFERENCE: f64 = 2.449_490;
+    second_differences.sort_by(f32::total_cmp);
+    let median = second_differences.get(second_differences.len() / 2).copied().unwrap_or(0.0);
+    NORMAL * f64::from(median) / SECOND_DIFFERENCE
+}
