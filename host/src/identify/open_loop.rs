@@ -23,7 +23,8 @@ struct Motion {
 }
 
 /// Mean absolute error of the equation of motion on the inspirations `judged`, its coefficients fitted to the
-/// inspirations `training` of the same lung, cmH2O. Lungs are told apart by nominal R and C, and without those by group.
+/// inspirations `training` of the same lung, cmH2O. Lungs are told apart by group, since two test runs with the same labels
+/// need not have had the same resistor; without groups by nominal R and C.
 ///
 /// None without flow, or where no judged inspiration has a lung that can be fitted.
 pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Range<usize>]) -> Option<f64> {
@@ -51,9 +52,9 @@ pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Ran
 /// What tells lungs apart.
 fn key(recording: &Recording, row: usize) -> (Option<u32>, Option<u32>) {
     let bits = |column: &Option<Vec<f32>>| column.as_ref().map(|values| values[row].to_bits());
-    match (bits(&recording.resistance), bits(&recording.compliance)) {
-        (None, None) => (recording.group.as_ref().map(|group| group[row]), None),
-        nominal => nominal,
+    match &recording.group {
+        Some(group) => (Some(group[row]), None),
+        None => (bits(&recording.resistance), bits(&recording.compliance)),
     }
 }
 
