@@ -29,14 +29,13 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build(shell)?;
     firmware::build_probe(shell)?;
     let folder = images.folder();
-    // One after the other: each keeps a core busy with QEMU and another with its plant.
-    cmd!(
-        shell,
-        "cargo test -p tests --features board --test emulator --test qemu -- --test-threads=1 {filters...}"
-    )
-    .env(IMAGES, folder)
-    .quiet()
-    .run()?;
+    // Of the same packages as all other tests, lest their dependencies be built anew. One after the other: each keeps a core
+    // busy with QEMU and another with its plant.
+    let packages = ["--workspace", "--exclude", "firmware", "--features", "tests/board"];
+    cmd!(shell, "cargo test {packages...} --test emulator --test qemu -- --test-threads=1 {filters...}")
+        .env(IMAGES, folder)
+        .quiet()
+        .run()?;
     Ok(())
 }
 
