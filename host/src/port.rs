@@ -39,9 +39,7 @@ impl FromStr for Address {
     fn from_str(text: &str) -> Result<Self, AddressError> {
         let wrong = || AddressError(text.to_owned());
         if let Some(address) = text.strip_prefix("tcp:") {
-            let (host, port) = address.rsplit_once(':').ok_or_else(wrong)?;
-            let sound = !host.is_empty() && port.parse::<u16>().is_ok();
-            return if sound { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
+            return if is_host_and_port(address) { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
         }
         let text = text.strip_prefix("serial:").unwrap_or(text);
         let (name, baud) = match text.split_once("?baud=") {
@@ -50,6 +48,11 @@ impl FromStr for Address {
         };
         if name.is_empty() { Err(wrong()) } else { Ok(Self::Serial { name: name.to_owned(), baud }) }
     }
+}
+
+/// Whether an address is `host:port`.
+pub(crate) fn is_host_and_port(address: &str) -> bool {
+    address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
 }
 
 impl fmt::Display for Address {

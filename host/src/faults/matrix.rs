@@ -256,15 +256,15 @@ impl Pilot {
         let built = match self {
             Self::Sound => pid(SOUND).ok(),
             Self::Ringing => pid(RINGING).ok(),
-            Self::Greedy => hostile(WITHOUT_INTEGRAL, greedy()),
-            Self::Alternating => hostile(SOUND, alternating()),
+            Self::Greedy => full_authority(WITHOUT_INTEGRAL, greedy()),
+            Self::Alternating => full_authority(SOUND, alternating()),
         };
         built.ok_or(SourceError::Stopped)
     }
 }
 
 /// A learned controller with full authority over a PID.
-pub(super) fn hostile(gains: PidGains, network: Network) -> Option<Controller> {
+pub(super) fn full_authority(gains: PidGains, network: Network) -> Option<Controller> {
     let spec = ResidualSpec {
         period_us: DEFAULT_PERIOD_US,
         gains,

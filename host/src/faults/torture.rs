@@ -12,14 +12,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
 use shared::control::Controller;
-use shared::control::features::FeatureSpec;
 use shared::control::network::Network;
 use shared::control::pid::{Pid, PidGains};
-use shared::control::residual::{Residual, ResidualSpec};
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 
 use super::injection::Injection;
+use super::matrix::full_authority;
 use super::trial::{Trial, run};
 use crate::bench::{BenchConfig, Failure};
 use crate::source::SourceError;
@@ -129,15 +128,7 @@ fn hostile(rng: &mut ChaCha8Rng) -> Option<Controller> {
         i: rng.random_range(0.0..800.0),
         d: rng.random_range(0.0..0.4),
     };
-    let spec = ResidualSpec {
-        period_us: DEFAULT_PERIOD_US,
-        gains,
-        lambda: 1.0,
-        authority: 100.0,
-        features: FeatureSpec::default(),
-    };
-    let learned = Residual::new(spec, network).map(Controller::Residual);
-    learned.ok().or_else(|| Pid::new(gains, DEFAULT_PERIOD_US).ok().map(Controller::Pid))
+    full_authority(gains, network).or_else(|| Pid::new(gains, DEFAULT_PERIOD_US).ok().map(Controller::Pid))
 }
 
 /// A fault after which the valves still obey; for half of the runs none.

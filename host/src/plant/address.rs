@@ -5,6 +5,8 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
+use crate::port::is_host_and_port;
+
 /// A plant that listens, or a command that is one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlantAddress {
@@ -25,9 +27,7 @@ impl FromStr for PlantAddress {
     fn from_str(text: &str) -> Result<Self, AddressError> {
         let wrong = || AddressError(text.to_owned());
         if let Some(address) = text.strip_prefix("tcp:") {
-            let (host, port) = address.rsplit_once(':').ok_or_else(wrong)?;
-            let sound = !host.is_empty() && port.parse::<u16>().is_ok();
-            return if sound { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
+            return if is_host_and_port(address) { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
         }
         let words = text.strip_prefix("pipe:").and_then(words).filter(|words| !words.is_empty());
         words.map(Self::Pipe).ok_or_else(wrong)

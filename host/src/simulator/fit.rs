@@ -58,7 +58,7 @@ impl FitConfig {
 }
 
 /// Share of the epochs after which a simulator of many lungs keeps its physics and only goes on with what they leave over.
-/// Longer, and the physics bend to the lungs that there are.
+/// With longer physics the measured lungs that were held out came out worse (docs/RECORDINGS.md).
 const SETTLED: f32 = 0.2;
 
 /// Parameters that learn together.
