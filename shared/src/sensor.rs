@@ -46,7 +46,7 @@ pub struct Counts {
 
 /// What the sensors say; NaN where there is nothing to believe.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct SensorReading {
     /// Airway pressure, cmH2O.
     pub pressure: f32,
     /// Flow towards the patient, L/s.
@@ -62,12 +62,12 @@ pub struct Sensors {
 
 impl Sensors {
     /// Takes in one tick's counts.
-    pub fn read(&mut self, counts: Counts) -> Reading {
+    pub fn read(&mut self, counts: Counts) -> SensorReading {
         let (airway, outlet) = (value(counts.airway, PRESSURE_SPAN), value(counts.outlet, PRESSURE_SPAN));
         let agree = (airway - outlet).abs() <= DISAGREEMENT;
         self.apart = if agree { 0 } else { self.apart.saturating_add(1) };
         let pressure = if self.apart < DISAGREEMENT_TICKS { airway } else { f32::NAN };
-        Reading { pressure, flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)) }
+        SensorReading { pressure, flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)) }
     }
 }
 

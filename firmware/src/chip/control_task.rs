@@ -6,10 +6,10 @@ use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::residual::Residual;
 use shared::device::control::Control;
-use shared::device::timing::TickTime;
-use shared::device::{Answer, Order, Report};
+use shared::device::{ControlReply, ControlReport, ControlRequest};
 use shared::link::messages::DeviceKind;
 use shared::recorder::Recorder;
+use shared::timing::TickTime;
 
 use static_cell::StaticCell;
 
@@ -21,11 +21,11 @@ use super::drivers::{clock, link_uart, usable};
 const REPORTS_LENGTH: usize = 128;
 
 /// From the link task; one at a time.
-pub static ORDER: Signal<CriticalSectionRawMutex, Order> = Signal::new();
+pub static REQUEST: Signal<CriticalSectionRawMutex, ControlRequest> = Signal::new();
 /// To the link task.
-pub static ANSWER: Signal<CriticalSectionRawMutex, Answer> = Signal::new();
+pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
 /// To the link task.
-pub static REPORTS: Channel<CriticalSectionRawMutex, Report, REPORTS_LENGTH> = Channel::new();
+pub static REPORTS: Channel<CriticalSectionRawMutex, ControlReport, REPORTS_LENGTH> = Channel::new();
 
 /// The device's control half. Kept here and built in place: as part of the task it would be moved over the stack.
 static CONTROL: StaticCell<Control> = StaticCell::new();
@@ -36,7 +36,7 @@ pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Cont
     CONTROL.init_with(|| usable(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
 }
 
-/// Runs for ever.
+/// Never returns.
 #[embassy_executor::task]
 pub async fn run(
     control: &'static mut Control,
@@ -49,14 +49,14 @@ pub async fn run(
         let number = clock::tick().await;
         let (latency, begun) = (clock::since_tick(), clock::now());
         link_uart::go_on();
-        let cue = control.cue();
-        let reading = plant.read(&cue);
+        let change = control.plant_change();
+        let reading = plant.read(&change);
         let read = clock::now();
         let output = control.step(reading);
         plant.drive(&output.command);
         control.report(&output, &mut |report| REPORTS.try_send(report).is_ok());
-        if let Some(order) = ORDER.try_take() {
-            ANSWER.signal(control.execute(&order));
+        if let Some(request) = REQUEST.try_take() {
+            REPLY.signal(control.execute(&request));
         }
         let (missed, period) = since(before, number, begun);
         recorder.record(&control.moment(reading, &output, missed));

@@ -22,8 +22,8 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::Start;
-use shared::device::desk::Facts;
+use shared::device::BootFindings;
+use shared::device::server::DeviceFacts;
 
 use board::Plant;
 use drivers::{clock, reset, usable};
@@ -52,8 +52,8 @@ fn start() {
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let control = control_task::prepare(kind, learned);
     let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
-    control.started(&Start { cause: reset, interrupted: recorder.interrupted(), slots });
-    let facts = Facts {
+    control.report_boot(&BootFindings { cause: reset, interrupted: recorder.interrupted(), slots });
+    let facts = DeviceFacts {
         firmware: link_task::VERSION,
         device: kind,
         period_us: DEFAULT_PERIOD_US,

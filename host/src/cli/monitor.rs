@@ -7,9 +7,9 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
-use shared::device::timing::TickTimes;
 use shared::link::messages::DeviceIdentity;
 use shared::settings::{FIELDS, Field, Settings};
+use shared::timing::TickTimes;
 
 use super::common::{gains, stop, stopped};
 use super::controller_args::format_gains;

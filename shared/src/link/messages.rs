@@ -15,13 +15,14 @@ use super::PROTOCOL;
 use super::refusal::Refusal;
 use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
-use crate::device::timing::TickTimes;
 use crate::explore::Exploration;
-use crate::recorder::{Page, Part, Status};
+use crate::recorder::{Page, Part, RecorderStatus};
+use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
+use crate::timing::TickTimes;
 use crate::ventilator::Mode;
-use crate::weights::ImageProblem;
+use crate::weights::slots::{Slot, SlotState};
 
 /// Most bytes of an image in one chunk.
 pub const CHUNK_BYTES: usize = 128;
@@ -85,10 +86,10 @@ pub enum Request {
     QueueSettings(Settings),
     /// How long the control ticks take; answered by [`Response::Timing`].
     GetTiming {
-        /// Count anew from here?
+        /// Clear them?
         clear: bool,
     },
-    /// At the next start of ventilation the plant starts anew with this seed of its random numbers; answered by
+    /// At the next start of ventilation the plant restarts with this seed of its random numbers; answered by
     /// [`Response::Done`]. Only with hardware in the loop.
     ResetPlant {
         /// The seed.
@@ -178,7 +179,7 @@ pub enum Response {
     /// Statistics of the control ticks.
     Timing(TickTimes),
     /// What the flight recorder holds.
-    Recorder(Status),
+    Recorder(RecorderStatus),
     /// Entries of the flight recorder.
     Recorded(Page),
 }
@@ -206,52 +207,15 @@ pub struct DeviceIdentity {
     pub running: Option<Slot>,
     /// Why the device started.
     pub reset: ResetCause,
-    /// What the program failed with before it started anew, if it did.
+    /// What the program failed with before it restarted, if it did.
     pub failure: Option<String<FAILURE_BYTES>>,
 }
 
-/// One of the two places for weights in the flash.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Slot {
-    /// The first.
-    A,
-    /// The second.
-    B,
-}
-
-/// What a slot holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum SlotState {
-    /// Nothing: erased.
-    Empty,
-    /// Something that was not finished.
-    Torn,
-    /// A finished image that this device refuses.
-    Invalid(ImageProblem),
-    /// A valid image.
-    Valid {
-        /// The higher of two is the newer one.
-        generation: u32,
-        /// The image's id.
-        id: u32,
-    },
-}
-
-/// Why a device started.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum ResetCause {
-    /// The supply was switched on.
-    PowerOn,
-    /// The supply dipped.
-    BrownOut,
-    /// The reset pin.
-    Pin,
-    /// The program, by request or after a failure.
-    Software,
-    /// The watchdog: a control tick did not end.
-    Watchdog,
-    /// None of the above.
-    Other,
+impl DeviceIdentity {
+    /// Id of the weights that were loaded at the start.
+    pub fn running_id(&self) -> Option<u32> {
+        self.slots[self.running? as usize].id()
+    }
 }
 
 /// What a device is.
@@ -290,10 +254,18 @@ pub struct Unreadable {
     pub sequence: Option<u16>,
 }
 
+impl Unreadable {
+    /// The answer to the host, if the request's sequence number could be read.
+    pub fn refusal(self) -> Option<ToHost> {
+        let response = Response::Refused(Refusal::UnknownRequest);
+        self.sequence.map(|sequence| ToHost::Response { sequence, response })
+    }
+}
+
 /// Reads a frame's content on the device.
 ///
 /// # Errors
-/// [`Unreadable`]; answer with [`Refusal::UnknownRequest`].
+/// [`Unreadable`]; answer with [`Unreadable::refusal`].
 pub fn read_request(content: &[u8]) -> Result<ToDevice, Unreadable> {
     whole(content).ok_or_else(|| Unreadable {
         sequence: postcard::take_from_bytes(content).ok().map(|(sequence, _)| sequence),

@@ -4,7 +4,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::breath::Phase;
-use crate::link::messages::ResetCause;
+use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 

@@ -1,8 +1,8 @@
 //! The one that writes: ticks while the ventilator ventilates and shortly after, events always.
 
 use super::entry::{Activity, GAP, Happening, LogEntry, TickEntry};
-use super::{CLEAR, FAST_TAIL, Memory, Recording, SLOW_STRIDE, SLOW_TAIL};
-use crate::link::messages::ResetCause;
+use super::{CLEAR, FAST_TAIL, RecorderMemory, RecordingState, SLOW_STRIDE, SLOW_TAIL};
+use crate::reset::ResetCause;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output};
 
@@ -35,10 +35,10 @@ pub struct Moment<'a> {
     pub missed: u32,
 }
 
-/// Writes a [`Memory`]. There is one writer at a time.
+/// Writes a [`RecorderMemory`]. There is one writer at a time.
 #[derive(Debug)]
 pub struct Recorder<'a> {
-    memory: &'a Memory,
+    memory: &'a RecorderMemory,
     boot: u16,
     interrupted: bool,
     /// Number of the tick to come.
@@ -80,17 +80,17 @@ impl<'a> Recorder<'a> {
     /// Takes over memory that holds anything, as the first one to use it since the device started. What an earlier run left
     /// stays, unless the supply was gone since then: after power-up nothing does, after a dip of the supply only the log,
     /// whose every entry has a check.
-    pub fn attach(memory: &'a Memory, boot: Boot) -> Self {
+    pub fn attach(memory: &'a RecorderMemory, boot: Boot) -> Self {
         if boot.cause == ResetCause::PowerOn || !memory.is_sound() {
             memory.format();
         } else if boot.cause == ResetCause::BrownOut {
             forget(memory);
         }
-        let running = memory.recording().filter(|(recording, _)| *recording == Recording::Running);
+        let running = memory.recording().filter(|(recording, _)| *recording == RecordingState::Running);
         if let Some((_, before)) = running {
             let fast = memory.fast.held();
             memory.tick.store(fast.tick(fast.next.wrapping_sub(1), 1));
-            memory.set_recording(Recording::Reset, before);
+            memory.set_recording(RecordingState::Reset, before);
         }
         memory.clear.store(0);
         let number = memory.boots().unwrap_or(0).wrapping_add(1);
@@ -180,13 +180,13 @@ impl<'a> Recorder<'a> {
             }
             Mode::Standby if before == Mode::Ventilating => {
                 self.enter(Happening::Stop);
-                self.note(Recording::Stopped);
+                self.note(RecordingState::Stopped);
             }
             Mode::Standby => self.enter(Happening::Acknowledged),
             Mode::Fault(fault) => {
                 self.enter(Happening::Fault(fault));
                 if before == Mode::Ventilating {
-                    self.note(Recording::Fault(fault));
+                    self.note(RecordingState::Fault(fault));
                 }
             }
         }
@@ -194,7 +194,7 @@ impl<'a> Recorder<'a> {
 
     /// A recording begins.
     fn begin(&mut self) {
-        let Memory { fast, slow, .. } = self.memory;
+        let RecorderMemory { fast, slow, .. } = self.memory;
         fast.push(GAP, 1);
         fast.set_origin(self.now.wrapping_sub(fast.next()));
         slow.push(GAP, SLOW_STRIDE);
@@ -202,11 +202,11 @@ impl<'a> Recorder<'a> {
         slow.set_origin(first.wrapping_sub(slow.next().wrapping_mul(SLOW_STRIDE)));
         (self.until_slow, self.highest) = (SLOW_STRIDE, f32::NAN);
         (self.fast_left, self.slow_left) = (FAST_TAIL, SLOW_TAIL);
-        self.note(Recording::Running);
+        self.note(RecordingState::Running);
     }
 
     /// What the recording is about from this tick on.
-    fn note(&self, recording: Recording) {
+    fn note(&self, recording: RecordingState) {
         self.memory.tick.store(self.now);
         self.memory.set_recording(recording, self.boot);
     }
@@ -235,23 +235,23 @@ impl<'a> Recorder<'a> {
         self.memory.slow.empty();
         if self.mode != Mode::Ventilating {
             (self.fast_left, self.slow_left) = (0, 0);
-            self.note(Recording::Nothing);
+            self.note(RecordingState::Nothing);
         }
         self.memory.clear.store(0);
     }
 
     fn enter(&self, happening: Happening) {
         let entry = LogEntry { tick: self.now, boot: self.boot, happening };
-        let Memory { log, .. } = self.memory;
+        let RecorderMemory { log, .. } = self.memory;
         log.push(entry.pack(), 0);
     }
 }
 
 /// Forgets what has no check of its own.
-fn forget(memory: &Memory) {
+fn forget(memory: &RecorderMemory) {
     memory.fast.empty();
     memory.slow.empty();
-    memory.set_recording(Recording::Nothing, 0);
+    memory.set_recording(RecordingState::Nothing, 0);
 }
 
 fn entry(moment: &Moment) -> TickEntry {

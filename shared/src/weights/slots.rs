@@ -14,11 +14,11 @@
 
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use heapless::Vec;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{IMAGE_BYTES, Image, ImageProblem, decode};
 use crate::checksum::{crc32, verified};
-use crate::link::messages::{Slot, SlotState};
 
 /// Written at once: the longest word of the supported flash memories.
 pub const UNIT: usize = 32;
@@ -32,6 +32,43 @@ pub const SLOT_BYTES: u32 = COMMIT + UNIT as u32;
 const COMMITTED: u32 = 0x4B4F_2121;
 /// What erased flash reads as.
 const ERASED: u8 = 0xFF;
+
+/// One of the two places for weights in the flash. The order of the variants is part of the link's protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Slot {
+    /// The first.
+    A,
+    /// The second.
+    B,
+}
+
+/// What a slot holds. The order of the variants is part of the link's protocol: append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SlotState {
+    /// Nothing: erased.
+    Empty,
+    /// Something that was not finished.
+    Torn,
+    /// A finished image that this device refuses.
+    Invalid(ImageProblem),
+    /// A valid image.
+    Valid {
+        /// The higher of two is the newer one.
+        generation: u32,
+        /// The image's id.
+        id: u32,
+    },
+}
+
+impl SlotState {
+    /// The id of the valid image, if there is one.
+    pub fn id(&self) -> Option<u32> {
+        match *self {
+            Self::Valid { id, .. } => Some(id),
+            _ => None,
+        }
+    }
+}
 
 /// Why an image was not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]

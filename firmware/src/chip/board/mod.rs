@@ -13,7 +13,7 @@ use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
 };
 use embassy_stm32::{Config, Peri};
-use shared::device::control::Cue;
+use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 
@@ -42,7 +42,7 @@ pub trait Plant {
     const KIND: DeviceKind;
 
     /// Airway pressure, cmH2O; NaN if there is none to believe. Takes a bounded time.
-    fn read(&mut self, cue: &Cue) -> f32;
+    fn read(&mut self, change: &PlantChange) -> f32;
 
     /// Moves the valves; only the safety filter makes such a command.
     fn drive(&mut self, command: &ValveCommand);

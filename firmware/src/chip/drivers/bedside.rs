@@ -1,6 +1,6 @@
 //! The ventilator's own sensors and valves.
 
-use shared::device::control::Cue;
+use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 use shared::sensor::{Counts, Sensors};
@@ -26,7 +26,7 @@ impl Bedside {
 impl Plant for Bedside {
     const KIND: DeviceKind = DeviceKind::Ventilator;
 
-    fn read(&mut self, _cue: &Cue) -> f32 {
+    fn read(&mut self, _cue: &PlantChange) -> f32 {
         match self.adc.convert() {
             Some([airway, outlet, flow]) => self.sensors.read(Counts { airway, outlet, flow }).pressure,
             None => f32::NAN,

@@ -6,7 +6,7 @@
 use embassy_stm32::pac::USART2;
 use embassy_stm32::usart::{Config, Uart};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::control::Cue;
+use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::link::plant::{Decoder, Frame, Message};
 use shared::safety::filter::ValveCommand;
@@ -86,11 +86,11 @@ fn answered(asked: &Frame, answer: &Frame) -> Option<f32> {
 impl Plant for PlantLine {
     const KIND: DeviceKind = DeviceKind::HardwareInTheLoop;
 
-    fn read(&mut self, cue: &Cue) -> f32 {
+    fn read(&mut self, change: &PlantChange) -> f32 {
         let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
-        let turn = |line: &mut Self| cue.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
+        let turn = |line: &mut Self| change.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
         // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
-        let reading = if let Some(seed) = cue.reset {
+        let reading = if let Some(seed) = change.reset {
             turn(self);
             self.exchange(Message::Seed { seed });
             self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US })

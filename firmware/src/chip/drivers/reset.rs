@@ -1,7 +1,7 @@
 //! Why the chip started.
 
 use embassy_stm32::pac::RCC;
-use shared::link::messages::ResetCause;
+use shared::reset::ResetCause;
 
 /// Reads why the chip started, and clears the flags for the next time. The pin's flag is set by every cause, so it counts
 /// only alone.

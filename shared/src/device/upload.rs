@@ -3,7 +3,7 @@
 //! A chunk whose answer was lost may be sent again. Whether an upload is allowed at all (not while ventilating)
 //! is the caller's to decide.
 
-use super::refusal::Refusal;
+use crate::link::refusal::Refusal;
 use crate::weights::{IMAGE_BYTES, Image, ImageProblem, decode};
 
 /// An upload in progress, or none.
