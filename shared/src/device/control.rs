@@ -57,8 +57,6 @@ pub struct Control {
     status: Status,
     /// Runs from the next breath on.
     next_controller: Option<NextController>,
-    /// Holds from the next breath on.
-    next_exploration: Option<Option<Exploration>>,
     queue: Deque<Breath, QUEUE_LENGTH>,
     meter: BreathMeter,
     timer: TickTimer,
@@ -99,7 +97,6 @@ impl Control {
             learned,
             status: Status { mode: Mode::Standby, controller, exploration: None },
             next_controller,
-            next_exploration: None,
             queue: Deque::new(),
             meter: BreathMeter::default(),
             timer: TickTimer::new(core_hz),
@@ -181,7 +178,7 @@ impl Control {
     fn go_on_alone(&mut self) {
         self.raise(Fault::HostSilent);
         if self.ventilator.monitors().has(Fault::HostSilent) {
-            (self.status.exploration, self.next_exploration) = (None, Some(None));
+            self.status.exploration = None;
         }
     }
 
@@ -195,9 +192,7 @@ impl Control {
         if let Some(breath) = self.queue.pop_front() {
             self.state.set_pending(breath);
         }
-        if let Some(exploration) = self.next_exploration.take() {
-            self.ventilator.set_exploration(exploration);
-        }
+        self.ventilator.set_exploration(self.status.exploration);
         match (self.next_controller.take(), &self.learned) {
             (Some(NextController::Pid(pid)), _) => self.ventilator.set_controller(Controller::Pid(pid)),
             // Copied straight to its place: each move on the way would cost the tick as much as the network itself.
@@ -348,7 +343,7 @@ impl Control {
         if let Some(exploration) = &exploration {
             exploration.validate().map_err(|_| Refusal::Exploration)?;
         }
-        (self.status.exploration, self.next_exploration) = (exploration, Some(exploration));
+        self.status.exploration = exploration;
         Ok(Response::Exploration(exploration))
     }
 

@@ -193,7 +193,7 @@ pub struct RecorderMemory {
 }
 
 impl RecorderMemory {
-    /// RecorderMemory as after power-up.
+    /// Memory as after power-up.
     pub const fn new() -> Self {
         Self {
             magic: Word::new(),
