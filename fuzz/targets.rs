@@ -7,7 +7,7 @@ use shared::device::control::Control;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{DeviceKind, ToDevice, ToHost, greeted_protocol, read_reply, read_request};
-use shared::link::plant;
+use shared::link::plant_link;
 use shared::recorder::{Boot, LogEntry, Recorder, RecorderMemory, TickEntry};
 use shared::reset::ResetCause;
 use shared::ventilator::Mode;
@@ -43,15 +43,15 @@ pub fn frames(data: &[u8]) {
 
 /// A frame of the plant link is accepted only with the very bytes that it is written with.
 fn plant_frames(data: &[u8]) {
-    let (mut decoder, mut found) = (plant::Decoder::default(), 0);
+    let (mut decoder, mut found) = (plant_link::Decoder::default(), 0);
     for (index, byte) in data.iter().enumerate() {
         if let Some(frame) = decoder.push(*byte) {
             found += 1;
             let bytes = frame.encode();
-            assert_eq!(data.get((index + 1).wrapping_sub(plant::FRAME_BYTES)..=index), Some(&bytes[..]));
+            assert_eq!(data.get((index + 1).wrapping_sub(plant_link::FRAME_BYTES)..=index), Some(&bytes[..]));
         }
     }
-    assert!(found * plant::FRAME_BYTES + decoder.skipped() as usize <= data.len());
+    assert!(found * plant_link::FRAME_BYTES + decoder.skipped() as usize <= data.len());
 }
 
 /// What is understood says the same when it is sent again, and fits into a frame.

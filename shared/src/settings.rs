@@ -1,8 +1,7 @@
 //! What an operator may set: names, units, bounds and defaults of every setting, once for firmware, command
 //! line and documents.
 //!
-//! [`Settings`] is what was typed or received; [`crate::breath::Breath`] is the validated, built form that the
-//! control loop sees.
+//! [`Settings`] is what was typed or received; a `Breath` is the validated, built form that the control loop sees.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

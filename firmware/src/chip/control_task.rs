@@ -13,9 +13,9 @@ use shared::timing::TickTime;
 
 use static_cell::StaticCell;
 
-use super::board::{CORE_CLOCK, Plant, SelectedPlant};
+use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{clock, link_uart, usable};
+use super::drivers::{clock, link_uart, taken_once};
 
 /// Reports that can wait for the link task: more than a tenth of a second of samples.
 const REPORTS_LENGTH: usize = 128;
@@ -33,7 +33,7 @@ static CONTROL: StaticCell<Control> = StaticCell::new();
 /// Makes the control half. Called once.
 #[inline(never)]
 pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Control {
-    CONTROL.init_with(|| usable(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
+    CONTROL.init_with(|| taken_once(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
 }
 
 /// Never returns.
@@ -48,7 +48,7 @@ pub async fn run(
     loop {
         let number = clock::tick().await;
         let (latency, begun) = (clock::since_tick(), clock::now());
-        link_uart::go_on();
+        link_uart::resume();
         let change = control.plant_change();
         let reading = plant.read(&change);
         let read = clock::now();

@@ -57,7 +57,7 @@ impl Storage {
     /// Stores a validated image; the core stands still while a sector is erased. Gives the slot that took it, if one
     /// did, and what both hold now.
     fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> (Option<Slot>, [SlotState; 2]) {
-        let stored = watchdog::patiently(|| self.slots.store(image));
+        let stored = watchdog::with_long_timeout(|| self.slots.store(image));
         (stored.ok().map(|(slot, _)| slot), self.slots.states())
     }
 }
@@ -93,7 +93,7 @@ pub async fn run(server: &'static mut Server<'static>, mut storage: Storage) {
                 }
                 server.corrupt_frames(decoder.counters().corrupt().wrapping_add(link_uart::lost()));
             }
-            Either::Second(report) => tell(server, &report).await,
+            Either::Second(report) => forward(server, &report).await,
         }
     }
 }
@@ -121,7 +121,8 @@ async fn serve(server: &mut Server<'_>, storage: &mut Storage, request: &ToDevic
     }
 }
 
-async fn tell(server: &mut Server<'_>, report: &ControlReport) {
+/// Sends what a report of the control task makes the server say.
+async fn forward(server: &mut Server<'_>, report: &ControlReport) {
     for event in server.report(report) {
         send(&event).await;
     }

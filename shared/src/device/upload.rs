@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn an_upload_that_was_broken_off_goes_on_where_it_was_and_another_image_starts_anew() {
+    fn an_upload_that_was_broken_off_goes_on_where_it_was_and_another_image_starts_over() {
         let ((bytes, id), mut upload) = (image(), Upload::new());
         upload.begin(IMAGE_BYTES as u32, id).unwrap();
         upload.chunk(0, &bytes[..300]).unwrap();

@@ -98,13 +98,13 @@ pub enum Poll<'a> {
 #[derive(Clone, Debug)]
 pub struct FrameDecoder<const N: usize> {
     buffer: [u8; N],
-    progress: Progress,
+    state: DecoderState,
     counters: FrameCounters,
 }
 
 /// Where in a frame the decoder stands.
 #[derive(Clone, Copy, Debug, Default)]
-struct Progress {
+struct DecoderState {
     started: bool,
     length: usize,
     /// Bytes left in the present COBS block.
@@ -119,7 +119,7 @@ impl<const N: usize> FrameDecoder<N> {
     pub const fn new() -> Self {
         Self {
             buffer: [0; N],
-            progress: Progress { started: false, length: 0, block: 0, zero: false, overlong: false },
+            state: DecoderState { started: false, length: 0, block: 0, zero: false, overlong: false },
             counters: FrameCounters { frames: 0, checksum: 0, overlong: 0, cobs: 0 },
         }
     }
@@ -135,11 +135,11 @@ impl<const N: usize> FrameDecoder<N> {
             self.take(byte);
             return Poll::Pending;
         }
-        let progress = core::mem::take(&mut self.progress);
-        if !progress.started {
+        let state = core::mem::take(&mut self.state);
+        if !state.started {
             return Poll::Pending;
         }
-        let result = progress.finish(&self.buffer);
+        let result = state.finish(&self.buffer);
         self.counters.count(result.map(|_| ()));
         match result {
             Ok(message) => Poll::Frame(message),
@@ -148,26 +148,26 @@ impl<const N: usize> FrameDecoder<N> {
     }
 
     fn take(&mut self, byte: u8) {
-        self.progress.started = true;
-        if self.progress.block > 0 {
-            self.progress.block -= 1;
+        self.state.started = true;
+        if self.state.block > 0 {
+            self.state.block -= 1;
             self.store(byte);
         } else {
-            if self.progress.zero {
+            if self.state.zero {
                 self.store(0);
             }
-            self.progress.block = byte - 1;
-            self.progress.zero = byte != FULL_BLOCK;
+            self.state.block = byte - 1;
+            self.state.zero = byte != FULL_BLOCK;
         }
     }
 
     fn store(&mut self, byte: u8) {
-        match self.buffer.get_mut(self.progress.length) {
+        match self.buffer.get_mut(self.state.length) {
             Some(place) => {
                 *place = byte;
-                self.progress.length += 1;
+                self.state.length += 1;
             }
-            None => self.progress.overlong = true,
+            None => self.state.overlong = true,
         }
     }
 }
@@ -178,7 +178,7 @@ impl<const N: usize> Default for FrameDecoder<N> {
     }
 }
 
-impl Progress {
+impl DecoderState {
     fn finish(self, buffer: &[u8]) -> Result<&[u8], Corrupt> {
         if self.overlong {
             Err(Corrupt::Overlong)

@@ -223,7 +223,7 @@ impl DeviceIdentity {
 pub enum DeviceKind {
     /// A ventilator: real sensor, real valves.
     Ventilator,
-    /// A microcontroller whose sensor and valves are the [`super::plant`] link.
+    /// A microcontroller whose sensor and valves are the [`super::plant_link`].
     HardwareInTheLoop,
     /// A program on a computer.
     Simulated,

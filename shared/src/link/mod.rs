@@ -8,11 +8,11 @@
 //! is now in force. In between the device sends events: batches of [`telemetry`], breath summaries, alarms.
 //! After a connection the host reads first ([`messages::Request::Identify`]) and pushes nothing unasked.
 //!
-//! [`plant`] is a second, separate link for hardware in the loop.
+//! [`plant_link`] is a second, separate link for hardware in the loop.
 
 pub mod frame;
 pub mod messages;
-pub mod plant;
+pub mod plant_link;
 pub mod refusal;
 pub mod telemetry;
 

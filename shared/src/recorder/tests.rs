@@ -409,7 +409,7 @@ fn a_reset_at_any_store_of_the_first_start_is_harmless() {
 }
 
 proptest! {
-    /// RecorderMemory after power-up holds anything. Without the magic and the layout it is emptied; with them by chance, nothing
+    /// Memory after power-up holds anything. Without the magic and the layout it is emptied; with them by chance, nothing
     /// panics and no page is longer than it may be.
     #[test]
     fn garbage_is_refused_and_never_panics(

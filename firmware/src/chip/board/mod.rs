@@ -29,7 +29,7 @@ use super::drivers::flash::WeightsFlash;
 use super::drivers::valves::Valves;
 use super::drivers::valves::hold_low;
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{link_uart, usable};
+use super::drivers::{link_uart, taken_once};
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
@@ -37,7 +37,7 @@ pub use super::drivers::bedside::Bedside as SelectedPlant;
 pub use super::drivers::plant_line::PlantLine as SelectedPlant;
 
 /// What the control task breathes with: sensors and valves, or what takes their place.
-pub trait Plant {
+pub trait PlantInterface {
     /// What a device with this plant is.
     const KIND: DeviceKind;
 
@@ -118,7 +118,7 @@ pub struct Board {
 /// Starts clocks, valves (safe) and the link's line.
 pub fn start() -> Board {
     let Parts { sensors, valves, link, plant, watchdog, flash } = selected::start();
-    let core = usable(cortex_m::Peripherals::take());
+    let core = taken_once(cortex_m::Peripherals::take());
     link_uart::start(link);
     let plant = select(sensors, valves, plant);
     Board { plant, watchdog: Watchdog::new(watchdog), flash: WeightsFlash::new_blocking(flash), core }

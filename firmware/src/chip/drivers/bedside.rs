@@ -5,7 +5,7 @@ use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 use shared::sensor::{Counts, Sensors};
 
-use super::super::board::Plant;
+use super::super::board::PlantInterface;
 use super::adc::Adc;
 use super::valves::Valves;
 
@@ -23,7 +23,7 @@ impl Bedside {
     }
 }
 
-impl Plant for Bedside {
+impl PlantInterface for Bedside {
     const KIND: DeviceKind = DeviceKind::Ventilator;
 
     fn read(&mut self, _cue: &PlantChange) -> f32 {

@@ -42,7 +42,7 @@ pub const FRAME_BYTES: usize = 16;
 /// What is said.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Message {
-    /// Start anew, at rest.
+    /// Restart at rest.
     Reset {
         /// Control period, microseconds.
         period_us: u32,
@@ -85,7 +85,7 @@ pub enum Message {
         /// True airway pressure at the same instant, cmH2O.
         airway: f32,
     },
-    /// The plant has started anew, its PEEP valve is set, or it has the seed.
+    /// The plant has restarted, its PEEP valve is set, or it has the seed.
     Ready {
         /// Pressure now, cmH2O.
         pressure: f32,
