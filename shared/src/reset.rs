@@ -1,8 +1,8 @@
-//! Why a device started.
+//! The cause of a device's start.
 
 use serde::{Deserialize, Serialize};
 
-/// Why a device started. The order of the variants is part of the link's protocol and of the flight recorder's log: append
+/// Cause of a device's start. The order of the variants is part of the link's protocol and of the flight recorder's log: append
 /// only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ResetCause {

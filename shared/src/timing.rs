@@ -1,4 +1,4 @@
-//! How punctual and how long the control ticks are, counted in cycles of the core's clock.
+//! Punctuality and duration of the control ticks, in cycles of the core's clock.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,7 @@ impl TickTimes {
     }
 }
 
-/// What one tick measured, in cycles of the core's clock.
+/// Times of one tick, in cycles of the core's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TickTime {
     /// See [`TickTimes::latency`].

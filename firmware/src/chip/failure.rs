@@ -1,4 +1,4 @@
-//! What happens when the program cannot go on: the valves are put in their safe state, the reason is kept, and
+//! Failures of the program: the valves go to their safe state, the reason is kept, and
 //! the chip restarts in standby.
 //!
 //! After a restart nothing moves until a host asks for it, and the greeting tells the reason.

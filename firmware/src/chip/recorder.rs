@@ -1,4 +1,4 @@
-//! Where the flight recorder lies: in a region of its own, which memory.x keeps from every section, so that a reset leaves it
+//! The flight recorder's memory: a region of its own, which memory.x keeps from every section, so that a reset leaves it
 //! as it is.
 
 use core::ptr::addr_of;

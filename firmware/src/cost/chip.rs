@@ -231,7 +231,7 @@ fn recorder() -> Recorder<'static> {
     Recorder::attach(&MEMORY, Boot { cause: ResetCause::PowerOn, failed: false, weights: None })
 }
 
-/// What the flight recorder adds to a tick.
+/// The flight recorder's share of a tick.
 fn recording(counting: &Cost) {
     let (mut control, mut recorder, mut cost) = (control(), recorder(), Cost::NONE);
     control.execute(&ControlRequest::Start);

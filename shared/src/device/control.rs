@@ -29,7 +29,7 @@ pub const QUEUE_LENGTH: usize = 16;
 /// Ticks between two reports of the counters.
 const COUNTERS_EVERY: u64 = 64;
 
-/// What changes with the next tick for a plant in the place of sensor and valves.
+/// Changes that a plant in the place of sensor and valves makes before its next tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PlantChange {
     /// PEEP of the breath that begins, cmH2O, if it is another than before.
@@ -139,12 +139,12 @@ impl Control {
         &self.state
     }
 
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     pub fn mode(&self) -> Mode {
         self.state.mode()
     }
 
-    /// What the plant must change before this tick's reading is taken.
+    /// Changes for the plant to make before this tick's reading is taken.
     pub fn plant_change(&mut self) -> PlantChange {
         let peep = match (self.begins_breath(), self.next_settings()) {
             (true, Some(next)) => next.peep,
@@ -241,7 +241,7 @@ impl Control {
         Counters { dropped, corrupt_frames: 0, missed_ticks, worst_tick_us, mean_tick_us }
     }
 
-    /// What a step did, for the flight recorder: the reading that it was given, its output, and the ticks missed before it.
+    /// A step for the flight recorder: its reading, its output, and the ticks missed before it.
     #[inline]
     pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;

@@ -32,14 +32,14 @@ use crate::weights::slots::SlotState;
 /// to explore around; on a stiff lung of low resistance they ring.
 pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
-/// What a device found when it started.
+/// State that a device finds at its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BootFindings {
-    /// Why it started.
+    /// Cause of the start.
     pub cause: ResetCause,
     /// Whether it ventilated when the last run ended.
     pub interrupted: bool,
-    /// What each weights slot holds.
+    /// Content of each weights slot.
     pub slots: [SlotState; 2],
 }
 
@@ -55,12 +55,12 @@ impl BootFindings {
     }
 }
 
-/// What the server asks of the control half.
+/// A request of the server to the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ControlRequest {
-    /// What are you doing? Answered by [`ControlReply::Status`].
+    /// Report the status. Answered by [`ControlReply::Status`].
     Status,
-    /// Which settings are in force?
+    /// Report the settings in force and those that wait.
     Settings,
     /// Settings for the next breath, in place of all that wait.
     Apply(Settings),
@@ -85,34 +85,34 @@ pub enum ControlRequest {
     ResetPlant(u64),
 }
 
-/// What the control half answers.
+/// The control half's answer to a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ControlReply {
     /// For the host, as it is.
     Response(Response),
-    /// What the device is doing.
+    /// For the server.
     Status(Status),
 }
 
-/// What a device is doing.
+/// Status of the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Status {
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     pub mode: Mode,
-    /// Which controller runs, or will from the next breath on.
+    /// The controller that runs, or will from the next breath on.
     pub controller: ControllerChoice,
-    /// How it explores, or will from the next breath on.
+    /// The exploration in force, or from the next breath on.
     pub exploration: Option<Exploration>,
 }
 
-/// What the control half reports unasked.
+/// An unasked report of the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ControlReport {
     /// A tick of a breath.
     Sample {
         /// Control tick since power-up.
         tick: u64,
-        /// What it did.
+        /// Its sample.
         sample: Sample,
     },
     /// A breath has ended.

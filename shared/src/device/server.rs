@@ -22,26 +22,26 @@ use crate::ventilator::Mode;
 use crate::weights::IMAGE_BYTES;
 use crate::weights::slots::{Slot, SlotState};
 
-/// What the greeting tells that stays until the device restarts; only a store changes the slots.
+/// The part of the greeting that stays until the device restarts; only a store changes the slots.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceFacts {
     /// Version of the firmware: major, minor, patch.
     pub firmware: [u16; 3],
-    /// What it runs on.
+    /// Kind of the device.
     pub device: DeviceKind,
     /// Control period, microseconds.
     pub period_us: u32,
-    /// What each weights slot holds.
+    /// Content of each weights slot.
     pub slots: [SlotState; 2],
     /// The slot that was loaded.
     pub running: Option<Slot>,
-    /// Why the device started.
+    /// Cause of the start.
     pub reset: ResetCause,
-    /// What it failed with before.
+    /// Message of the failure before the start, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
 }
 
-/// What to do next.
+/// The caller's next step.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NextStep {
     /// Send this.
@@ -54,7 +54,7 @@ pub enum NextStep {
     Restart(ToHost),
 }
 
-/// What to do with the control half's reply.
+/// Use of the control half's reply.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Continuation {
     /// Forward it to the host.
@@ -107,7 +107,7 @@ impl<'a> Server<'a> {
         self.upload.bytes()
     }
 
-    /// How many frames from the host were refused so far, for the telemetry.
+    /// Sets the number of refused frames from the host, for the telemetry.
     pub fn corrupt_frames(&mut self, count: u32) {
         self.counters.corrupt_frames = count;
     }

@@ -39,7 +39,7 @@ pub fn encode_frame<'a, M: Serialize>(message: &M, buffer: &'a mut [u8]) -> Resu
     buffer.get(..=written).ok_or(FrameTooLong)
 }
 
-/// What went wrong with a frame.
+/// Damage of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Corrupt {
     /// The checksum does not match.
@@ -53,7 +53,7 @@ pub enum Corrupt {
     Cobs,
 }
 
-/// How many frames came and how many were refused.
+/// Numbers of good and of refused frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameCounters {
     /// Good frames.
@@ -83,7 +83,7 @@ impl FrameCounters {
     }
 }
 
-/// What a byte completed.
+/// Result of one byte.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Poll<'a> {
     /// Nothing yet.
@@ -102,7 +102,7 @@ pub struct FrameDecoder<const N: usize> {
     counters: FrameCounters,
 }
 
-/// Where in a frame the decoder stands.
+/// Position of the decoder within a frame.
 #[derive(Clone, Copy, Debug, Default)]
 struct DecoderState {
     started: bool,
@@ -124,7 +124,7 @@ impl<const N: usize> FrameDecoder<N> {
         }
     }
 
-    /// What has come so far.
+    /// Frames so far.
     pub fn counters(&self) -> &FrameCounters {
         &self.counters
     }

@@ -1,4 +1,4 @@
-//! What host and device say to each other.
+//! The messages between host and device.
 //!
 //! **The order of variants and fields in this file, and in the types it names, is the protocol**: postcard
 //! writes a variant as its number and fields without names. Append variants at the end; any other change is a
@@ -34,14 +34,14 @@ pub const FAILURE_BYTES: usize = 120;
 pub struct ToDevice {
     /// Chosen by the host, returned with the answer.
     pub sequence: u16,
-    /// What is asked.
+    /// The request.
     pub request: Request,
 }
 
-/// What a host can ask.
+/// A request of the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Request {
-    /// Who are you? Answered by [`Response::Identity`].
+    /// Report the identity. Answered by [`Response::Identity`].
     Identify,
     /// Answered by [`Response::Settings`].
     GetSettings,
@@ -84,7 +84,7 @@ pub enum Request {
     /// stay in force. So a sequence of breaths does not depend on how fast the host is. Answered by
     /// [`Response::Queued`].
     QueueSettings(Settings),
-    /// How long the control ticks take; answered by [`Response::Timing`].
+    /// Statistics of the control ticks; answered by [`Response::Timing`].
     GetTiming {
         /// Clear them?
         clear: bool,
@@ -95,11 +95,11 @@ pub enum Request {
         /// The seed.
         seed: u64,
     },
-    /// What does the flight recorder hold? Answered by [`Response::Recorder`].
+    /// Status of the flight recorder; answered by [`Response::Recorder`].
     GetRecorder,
     /// Entries of the flight recorder; answered by [`Response::Recorded`].
     ReadRecorder {
-        /// Of which part?
+        /// The part.
         part: Part,
         /// Number of the first entry.
         from: u32,
@@ -132,10 +132,10 @@ pub enum ToHost {
     Event(Event),
 }
 
-/// What a device answers: the value in force after the request.
+/// A device's answer: the value in force after the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Response {
-    /// Who the device is and what it does.
+    /// Identity of the device and its state.
     Identity(DeviceIdentity),
     /// Settings.
     Settings {
@@ -144,18 +144,18 @@ pub enum Response {
         /// Of the next breath, if different ones wait.
         pending: Option<Settings>,
     },
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     Mode(Mode),
-    /// Which controller runs.
+    /// The controller that runs.
     Controller(ControllerChoice),
-    /// How the device explores.
+    /// The device's exploration.
     Exploration(Option<Exploration>),
     /// Whether telemetry is sent.
     Telemetry {
         /// Sending?
         on: bool,
     },
-    /// How much of an upload has arrived.
+    /// Progress of an upload.
     Progress {
         /// First byte that is missing.
         offset: u32,
@@ -164,7 +164,7 @@ pub enum Response {
     Weights {
         /// Their id.
         id: u32,
-        /// Where they lie.
+        /// Their slot.
         slot: Slot,
     },
     /// Done, and there is no value to show for it.
@@ -173,12 +173,12 @@ pub enum Response {
     Refused(Refusal),
     /// Settings wait for their breath.
     Queued {
-        /// How many more would find room.
+        /// Room left for this many more.
         free: u8,
     },
     /// Statistics of the control ticks.
     Timing(TickTimes),
-    /// What the flight recorder holds.
+    /// Status of the flight recorder.
     Recorder(RecorderStatus),
     /// Entries of the flight recorder.
     Recorded(Page),
@@ -191,23 +191,23 @@ pub struct DeviceIdentity {
     pub protocol: u16,
     /// Version of the firmware: major, minor, patch.
     pub firmware: [u16; 3],
-    /// What it runs on.
+    /// Kind of the device.
     pub device: DeviceKind,
     /// Control period, microseconds.
     pub period_us: u32,
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     pub mode: Mode,
-    /// Which controller runs.
+    /// The controller that runs.
     pub controller: ControllerChoice,
-    /// How it explores.
+    /// Its exploration.
     pub exploration: Option<Exploration>,
-    /// What each weights slot holds, in the order of [`Slot`].
+    /// Content of each weights slot, in the order of [`Slot`].
     pub slots: [SlotState; 2],
     /// The slot whose weights run when they are chosen, if one holds valid ones.
     pub running: Option<Slot>,
-    /// Why the device started.
+    /// Cause of the start.
     pub reset: ResetCause,
-    /// What the program failed with before it restarted, if it did.
+    /// Message of the failure before the start, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
 }
 
@@ -218,7 +218,7 @@ impl DeviceIdentity {
     }
 }
 
-/// What a device is.
+/// Kind of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DeviceKind {
     /// A ventilator: real sensor, real valves.
@@ -229,7 +229,7 @@ pub enum DeviceKind {
     Simulated,
 }
 
-/// What a device tells unasked.
+/// An unasked message of the device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::large_enum_variant, reason = "a batch is most of the traffic, and nothing may allocate")]
 pub enum Event {

@@ -39,7 +39,7 @@ pub const START: u8 = 0xA5;
 /// Length of a frame.
 pub const FRAME_BYTES: usize = 16;
 
-/// What is said.
+/// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Message {
     /// Restart at rest.
@@ -64,12 +64,12 @@ pub enum Message {
         /// The seed.
         seed: u64,
     },
-    /// Who is there?
+    /// The ventilator opens the link.
     Hello {
         /// [`VERSION`] of the one who asks.
         version: u32,
     },
-    /// What the plant is.
+    /// The plant describes itself.
     Greeting {
         /// Its [`VERSION`].
         version: u16,
@@ -102,7 +102,7 @@ pub enum Message {
 pub struct Frame {
     /// Tick that the ventilator chose.
     pub tick: u16,
-    /// What is said.
+    /// Content of a frame.
     pub message: Message,
 }
 

@@ -57,7 +57,7 @@ impl PackedSample {
     }
 }
 
-/// What went wrong since power-up, and how long control ticks take.
+/// Losses since power-up, and the duration of control ticks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counters {
     /// Samples that found no room in the device's queue.

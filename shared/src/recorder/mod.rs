@@ -9,7 +9,7 @@
 //! # When it records
 //! Ticks are recorded while the ventilator ventilates and for a short time after that ([`FAST_TAIL`], [`SLOW_TAIL`]): what
 //! the pressure did when the valves went to their safe state is half of the story. Then the recording stands still, so that
-//! a fault can be looked at whenever someone comes, until ventilation starts again or a host empties it. The event log never
+//! the moments before a fault can be read at any later time, until ventilation starts again or a host empties it. The event log never
 //! stands still.
 //!
 //! # What survives
@@ -60,7 +60,7 @@ pub const BYTES: usize = 64 * 1024;
 const MAGIC: u32 = 0x4575_7042;
 /// Changes with the meaning of any bit that the layout's numbers do not tell.
 const VERSION: u32 = 1;
-/// What the memory looks like, as a number: another one's memory is emptied.
+/// Hash of the layout: memory of another layout is emptied.
 const LAYOUT: u32 = fnv(&[
     VERSION,
     size_of::<RecorderMemory>() as u32,
@@ -85,7 +85,7 @@ pub enum Part {
     Log,
 }
 
-/// What the recording of ticks is about.
+/// State of the recording of ticks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RecordingState {
     /// Nothing was recorded.
@@ -124,7 +124,7 @@ impl RecordingState {
     }
 }
 
-/// What a part holds: the entries from `first` up to, but without, `next`.
+/// Range of a part's entries: from `first` up to, but without, `next`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Held {
     /// Number of the oldest entry.
@@ -143,12 +143,12 @@ impl Held {
     }
 }
 
-/// What the recorder holds.
+/// Status of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecorderStatus {
     /// Starts of the device since its memory was last without power.
     pub boot: u16,
-    /// What the recording of ticks is about.
+    /// State of the recording of ticks.
     pub recording: RecordingState,
     /// Control tick since the device's start at which it ended (or began, while it runs).
     pub tick: u32,
@@ -238,7 +238,7 @@ impl RecorderMemory {
         self.boots.store(u32::from(boots) | u32::from(!boots) << 16);
     }
 
-    /// What the recording is about, and the start that it belongs to.
+    /// State of the recording, and the start that it belongs to.
     fn recording(&self) -> Option<(RecordingState, u16)> {
         let [code, low, high, check] = self.recording.load().to_le_bytes();
         let recording = RecordingState::of(code).filter(|_| check == code ^ low ^ high ^ 0xA5)?;
@@ -255,7 +255,7 @@ impl RecorderMemory {
         self.clear.store(CLEAR);
     }
 
-    /// What it holds.
+    /// Its status.
     pub fn status(&self) -> RecorderStatus {
         let cleared = self.clear.load() == CLEAR;
         // The writer leaves it readable; what cannot be read is nothing.

@@ -88,7 +88,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         self.next.store(SLOTS as u32);
     }
 
-    /// What can be seen.
+    /// The visible entries.
     pub(super) fn held(&self) -> Held {
         let next = self.next.load();
         let first = self.start.load().max(next.saturating_sub(Self::VISIBLE)).min(next);

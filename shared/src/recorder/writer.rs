@@ -1,4 +1,4 @@
-//! The one that writes: ticks while the ventilator ventilates and shortly after, events always.
+//! The writer: ticks while the ventilator ventilates and shortly after, events always.
 
 use super::entry::{Activity, GAP, Happening, LogEntry, TickEntry};
 use super::{CLEAR, FAST_TAIL, RecorderMemory, RecordingState, SLOW_STRIDE, SLOW_TAIL};
@@ -6,13 +6,13 @@ use crate::reset::ResetCause;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output};
 
-/// Ticks between two events of a kind that could come with every tick or breath: the log is for what is rare.
-const SELDOM: u32 = 60_000;
+/// Ticks between two log entries of a kind that could come with every tick or breath.
+const LOG_INTERVAL: u32 = 60_000;
 
-/// How the device started.
+/// The start of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Boot {
-    /// Why.
+    /// Cause.
     pub cause: ResetCause,
     /// Whether the program had failed before.
     pub failed: bool,
@@ -25,7 +25,7 @@ pub struct Boot {
 pub struct Moment<'a> {
     /// Pressure as read, cmH2O.
     pub reading: f32,
-    /// What the tick gave.
+    /// Output of the tick.
     pub output: &'a Output,
     /// Settings in force.
     pub settings: &'a Settings,
@@ -52,23 +52,24 @@ pub struct Recorder<'a> {
     /// Highest pressure since the last one, cmH2O; NaN if there was no number.
     highest: f32,
     learned: Option<bool>,
-    settings: Seldom<Happening>,
+    settings: RateLimited<Happening>,
     missed: u32,
-    missed_logged: Seldom<u32>,
+    missed_logged: RateLimited<u32>,
 }
 
-/// A value that is logged when it has changed, but not too often.
+/// A value that is logged when it has changed, at most once in [`LOG_INTERVAL`].
 #[derive(Clone, Copy, Debug)]
-struct Seldom<T> {
+struct RateLimited<T> {
     logged: Option<(T, u32)>,
 }
 
-impl<T: Copy + PartialEq> Seldom<T> {
+impl<T: Copy + PartialEq> RateLimited<T> {
     const NEVER: Self = Self { logged: None };
 
     /// Whether this value is to be logged now.
     fn is_due(&mut self, value: T, now: u32) -> bool {
-        let due = self.logged.is_none_or(|(last, when)| last != value && now.wrapping_sub(when) >= SELDOM);
+        let due =
+            self.logged.is_none_or(|(last, when)| last != value && now.wrapping_sub(when) >= LOG_INTERVAL);
         if due {
             self.logged = Some((value, now));
         }
@@ -106,9 +107,9 @@ impl<'a> Recorder<'a> {
             until_slow: 0,
             highest: f32::NAN,
             learned: None,
-            settings: Seldom::NEVER,
+            settings: RateLimited::NEVER,
             missed: 0,
-            missed_logged: Seldom { logged: Some((0, SELDOM.wrapping_neg())) },
+            missed_logged: RateLimited { logged: Some((0, LOG_INTERVAL.wrapping_neg())) },
         };
         recorder.enter(Happening::Boot { cause: boot.cause, failed: boot.failed });
         if let Some(id) = boot.weights {
@@ -205,13 +206,13 @@ impl<'a> Recorder<'a> {
         self.note(RecordingState::Running);
     }
 
-    /// What the recording is about from this tick on.
+    /// Sets the state of the recording from this tick on.
     fn note(&self, recording: RecordingState) {
         self.memory.tick.store(self.now);
         self.memory.set_recording(recording, self.boot);
     }
 
-    /// What may have changed with a breath.
+    /// Logs changes that come with a breath.
     fn log_changes(&mut self, moment: &Moment) {
         if self.missed_logged.is_due(self.missed, self.now) {
             self.enter(Happening::Missed { ticks: self.missed });

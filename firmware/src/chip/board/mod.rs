@@ -36,9 +36,9 @@ pub use super::drivers::bedside::Bedside as SelectedPlant;
 #[cfg(feature = "hil")]
 pub use super::drivers::plant_line::PlantLine as SelectedPlant;
 
-/// What the control task breathes with: sensors and valves, or what takes their place.
+/// Sensors and valves of the control task, or a plant in their place.
 pub trait PlantInterface {
-    /// What a device with this plant is.
+    /// Kind of a device with this interface.
     const KIND: DeviceKind;
 
     /// Airway pressure, cmH2O; NaN if there is none to believe. Takes a bounded time.
@@ -48,7 +48,7 @@ pub trait PlantInterface {
     fn drive(&mut self, command: &ValveCommand);
 }
 
-/// What the drivers use of the chip, with the board's pins.
+/// Peripherals and pins for the drivers.
 struct Parts {
     sensors: SensorParts,
     valves: ValveParts,

@@ -16,9 +16,9 @@ use super::{clock, taken_once};
 
 /// Speed of the plant line, baud.
 const BAUD: u32 = 1_000_000;
-/// How long to wait for an answer, cycles. The ticks that a slow plant costs are counted as missed, and a breath bears no more.
+/// Longest wait for an answer, cycles. The ticks that a slow plant costs count as missed, and a breath bears no more.
 const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000 * 3;
-/// How long to wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
+/// Longest wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
 const RETRY_TIMEOUT: u32 = CORE_CLOCK.0 / 2_000;
 
 /// The plant line.

@@ -6,7 +6,7 @@ use embassy_stm32::pac::iwdg::vals::{Key, Pr};
 use embassy_stm32::peripherals;
 use embassy_stm32::wdg::IndependentWatchdog;
 
-/// How long a tick may take before the chip restarts, microseconds. The watchdog's oscillator is off by up to a factor
+/// Longest tick before the chip restarts, microseconds. The watchdog's oscillator is off by up to a factor
 /// of two, so that this is 25 to 100 ms.
 const TIMEOUT_US: u32 = 50_000;
 /// Frequency of the watchdog's oscillator, Hz.
