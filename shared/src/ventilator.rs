@@ -150,9 +150,14 @@ impl Ventilator {
     /// # Errors
     /// Settings that are refused.
     pub fn standby(&self, settings: &Settings) -> Result<VentilatorState, SettingsError> {
-        Ok(VentilatorState {
+        Ok(self.at_rest(Breath::new(settings, self.period_us)?))
+    }
+
+    /// A state in standby with the first breath.
+    pub fn at_rest(&self, breath: Breath) -> VentilatorState {
+        VentilatorState {
             mode: Mode::Standby,
-            breath: Breath::new(settings, self.period_us)?,
+            breath,
             pending: None,
             number: 0,
             tick: 0,
@@ -160,7 +165,7 @@ impl Ventilator {
             perturbation: Perturbation::default(),
             controller: ControllerState::new(),
             supervisor: Supervisor::new(self.period_us, self.monitors),
-        })
+        }
     }
 
     /// Accepts settings for the next breath (in standby: for the first one).
@@ -168,7 +173,7 @@ impl Ventilator {
     /// # Errors
     /// Settings that are refused; those in force stay.
     pub fn apply(&self, state: &mut VentilatorState, settings: &Settings) -> Result<(), SettingsError> {
-        state.pending = Some(Breath::new(settings, self.period_us)?);
+        state.set_pending(Breath::new(settings, self.period_us)?);
         Ok(())
     }
 
@@ -265,6 +270,11 @@ impl VentilatorState {
     /// Settings that wait for the next breath.
     pub fn pending(&self) -> Option<&Settings> {
         self.pending.as_ref().map(Breath::settings)
+    }
+
+    /// Takes another breath from the next one on; it must be built for the ventilator's control period.
+    pub fn set_pending(&mut self, breath: Breath) {
+        self.pending = Some(breath);
     }
 
     /// Number of the running breath.
