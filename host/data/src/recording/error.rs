@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use crate::identity::TestRun;
+
 /// Why a recording cannot be used, read, written or imported.
 #[derive(Debug, Error)]
 pub enum DatasetError {
@@ -231,7 +233,7 @@ pub enum DatasetError {
         /// The table.
         path: PathBuf,
         /// Run and test.
-        test: String,
+        test: TestRun,
         /// Period of this test, microseconds.
         found_us: u32,
         /// Period of the first test, microseconds.

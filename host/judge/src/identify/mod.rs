@@ -22,12 +22,14 @@ pub mod open_loop;
 #[cfg(test)]
 mod tests;
 
+use std::fmt;
 use std::ops::Range;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use thiserror::Error;
 
 use self::breath::{Breath, COEFFICIENTS, Drift, Span};
+use data::identity::TestRun;
 use data::recording::Recording;
 use engine::least_squares::{Solution, student};
 
@@ -67,15 +69,51 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// Breaths of one lung that are whole cycles.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Lung {
-    /// Name of its group in the recording (a test run), or `all`.
-    pub name: String,
+/// Which lung of a recording it is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LungId {
+    /// Its test run, if the recording has any. Printed as `all` if not.
+    #[serde(rename = "lung", serialize_with = "serialize_run")]
+    pub run: Option<TestRun>,
     /// Resistance that the recording claims, cmH2O/(L/s).
     pub nominal_resistance: Option<f64>,
     /// Compliance that the recording claims, mL/cmH2O.
     pub nominal_compliance: Option<f64>,
+}
+
+impl LungId {
+    /// The lung of a row. Two test runs with the same claims need not have had the same resistor, so they are two lungs;
+    /// without test runs the claims tell lungs apart.
+    fn of(recording: &Recording, row: usize) -> Self {
+        let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
+        Self {
+            run: recording.test_run(row).cloned(),
+            nominal_resistance: number(&recording.resistance),
+            nominal_compliance: number(&recording.compliance),
+        }
+    }
+}
+
+impl fmt::Display for LungId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&run_name(self.run.as_ref()))
+    }
+}
+
+fn run_name(run: Option<&TestRun>) -> String {
+    run.map_or_else(|| "all".to_owned(), TestRun::to_string)
+}
+
+#[expect(clippy::ref_option, reason = "serde hands the field over like this")]
+fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&run_name(run.as_ref()))
+}
+
+/// Breaths of one lung that are whole cycles.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lung {
+    /// Which one.
+    pub id: LungId,
     /// Rows and fitted form of each cycle.
     pub breaths: Vec<(Range<usize>, Breath)>,
 }
@@ -83,12 +121,9 @@ pub struct Lung {
 /// What was found of one lung.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identified {
-    /// Name of its group in the recording (a test run), or `all`.
-    pub lung: String,
-    /// Resistance that the recording claims, cmH2O/(L/s).
-    pub nominal_resistance: Option<f64>,
-    /// Compliance that the recording claims, mL/cmH2O.
-    pub nominal_compliance: Option<f64>,
+    /// Which one.
+    #[serde(flatten)]
+    pub id: LungId,
     /// Cycles that were fitted.
     pub breaths: usize,
     /// Whole cycles that could not be fitted.
@@ -139,7 +174,7 @@ pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError>
     Ok(found)
 }
 
-/// The lungs of a recording in its order: by group where it has groups, by its claims of R and C where they change.
+/// The lungs of a recording in its order.
 ///
 /// # Errors
 /// The recording has no flow.
@@ -149,27 +184,10 @@ pub fn lungs(recording: &Recording) -> Result<Vec<Lung>, IdentifyError> {
     }
     let mut lungs: Vec<Lung> = Vec::new();
     let breaths = recording.breaths();
-    for part in breaths.chunk_by(|a, b| key(recording, a.start) == key(recording, b.start)) {
-        let row = part[0].start;
-        let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
-        lungs.push(Lung {
-            name: recording.group_name(row).unwrap_or("all").to_owned(),
-            nominal_resistance: number(&recording.resistance),
-            nominal_compliance: number(&recording.compliance),
-            breaths: cycles(recording, part),
-        });
+    for part in breaths.chunk_by(|a, b| LungId::of(recording, a.start) == LungId::of(recording, b.start)) {
+        lungs.push(Lung { id: LungId::of(recording, part[0].start), breaths: cycles(recording, part) });
     }
     Ok(lungs)
-}
-
-/// What tells lungs apart; bits, because no arithmetic is done with them.
-fn key(recording: &Recording, row: usize) -> (Option<u32>, Option<u32>, Option<u32>) {
-    let bits = |column: &Option<Vec<f32>>| column.as_ref().map(|values| values[row].to_bits());
-    (
-        recording.group.as_ref().map(|group| group[row]),
-        bits(&recording.resistance),
-        bits(&recording.compliance),
-    )
 }
 
 /// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath behind it.
@@ -195,9 +213,7 @@ impl Lung {
         let offsets: Vec<f64> = self.breaths.iter().map(|(_, breath)| breath.offset).collect();
         let flow: f64 = self.breaths.iter().map(|(_, breath)| breath.inspiratory_flow()).sum();
         Some(Identified {
-            lung: self.name.clone(),
-            nominal_resistance: self.nominal_resistance,
-            nominal_compliance: self.nominal_compliance,
+            id: self.id.clone(),
             breaths: corrected.len(),
             refused: self.breaths.len() - corrected.len(),
             compliance: compliance(&corrected)?,

@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::breath::{Breath, Drift};
-use super::{Lung, lungs};
+use super::{Lung, LungId, lungs};
 use data::recording::Recording;
 use engine::least_squares::solve;
 
@@ -23,20 +23,19 @@ struct Motion {
 }
 
 /// Mean absolute error of the equation of motion on the inspirations `judged`, its coefficients fitted to the
-/// inspirations `training` of the same lung, cmH2O. Lungs are told apart by group, since two test runs with the same labels
-/// need not have had the same resistor; without groups by nominal R and C.
+/// inspirations `training` of the same lung, cmH2O.
 ///
 /// None without flow, or where no judged inspiration has a lung that can be fitted.
 pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Range<usize>]) -> Option<f64> {
     let cycles = lungs(recording).ok()?;
     let (mut sum, mut count) = (0.0, 0);
     let mut done: Vec<_> = Vec::new();
-    for lung in judged.iter().map(|rows| key(recording, rows.start)) {
+    for lung in judged.iter().map(|rows| LungId::of(recording, rows.start)) {
         if done.contains(&lung) {
             continue;
         }
-        done.push(lung);
-        let of_lung = |rows: &&Range<usize>| key(recording, rows.start) == lung;
+        done.push(lung.clone());
+        let of_lung = |rows: &&Range<usize>| LungId::of(recording, rows.start) == lung;
         let training: Vec<_> = training.iter().filter(of_lung).cloned().collect();
         let Some(motion) = motion(recording, &cycles, &training) else { continue };
         for rows in judged.iter().filter(of_lung) {
@@ -47,15 +46,6 @@ pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Ran
         }
     }
     (count > 0).then(|| sum / count as f64)
-}
-
-/// What tells lungs apart.
-fn key(recording: &Recording, row: usize) -> (Option<u32>, Option<u32>) {
-    let bits = |column: &Option<Vec<f32>>| column.as_ref().map(|values| values[row].to_bits());
-    match &recording.group {
-        Some(group) => (Some(group[row]), None),
-        None => (bits(&recording.resistance), bits(&recording.compliance)),
-    }
 }
 
 /// Least squares over the inspirations of one lung; their cycles give the offset of the sensors.

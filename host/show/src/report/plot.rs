@@ -6,6 +6,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::curve::{self, Limits, Point};
+use super::svg::{self, Svg};
 use super::{ReportError, ticks};
 
 /// How a series is drawn.
@@ -122,14 +123,24 @@ impl Plot {
     /// # Errors
     /// If there is no point, a point is not finite, a value on a logarithmic axis is not positive, or a range is none.
     pub fn to_svg(&self) -> Result<String, ReportError> {
+        Ok(self.drawing()?.to_document())
+    }
+
+    pub(super) fn drawing(&self) -> Result<Svg, ReportError> {
         self.check()?;
         let x = self.limits(self.x_range, |point| point.0, 0.0, false)?;
         let y = self.limits(self.y_range, |point| point.1, 0.05, self.log_y)?;
-        let mut svg = String::new();
-        self.draw(&mut svg, x, y).map_err(|detail| ReportError::Draw { plot: self.title.clone(), detail })?;
-        let (width, height) = self.size;
-        let canvas = format!("<svg width=\"{}\" height=\"{}\"", width * FINE, height * FINE);
-        Ok(svg.replacen(&canvas, &format!("<svg width=\"{width}\" height=\"{height}\""), 1))
+        let mut document = String::new();
+        let failed = |detail: String| ReportError::Draw { plot: self.title.clone(), detail };
+        self.draw(&mut document, x, y).map_err(failed)?;
+        let elements = svg::elements(&document).ok_or_else(|| failed("no SVG document came".to_owned()))?;
+        let (width, height) = (f64::from(self.size.0), f64::from(self.size.1));
+        let fine = f64::from(FINE);
+        Ok(Svg {
+            size: (width, height),
+            canvas: (fine * width, fine * height),
+            elements: elements.to_owned(),
+        })
     }
 
     fn check(&self) -> Result<(), ReportError> {

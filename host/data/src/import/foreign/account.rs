@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::map::Quantity;
 use super::reader::Sample;
+use crate::identity::LungParameters;
 use crate::recording::quality::{noise_of_second_differences, quantum};
 
 /// Rows from which quantum and noise are estimated: the first of them, so that memory has a bound.
@@ -49,7 +50,7 @@ pub(super) struct Account {
     u_in: Range,
     /// Rows at an end of the inspiratory valve's range while the expiratory valve is not open, and all such rows.
     saturated: (usize, usize),
-    lungs: BTreeMap<(u32, u32), usize>,
+    lungs: BTreeMap<String, usize>,
     pressures: Vec<f32>,
     second_differences: Vec<f32>,
     /// Pressures of the two rows before that follow on.
@@ -100,13 +101,20 @@ impl Account {
         }
     }
 
-    /// Notes a breath: its samples, and the rows that it became.
-    pub(super) fn breath(&mut self, samples: &[Sample], rows: usize, complete: bool) {
+    /// Notes a breath: its samples, how many rows it became, and its lung where the table has R and C.
+    pub(super) fn breath(
+        &mut self,
+        samples: &[Sample],
+        rows: usize,
+        complete: bool,
+        lung: Option<LungParameters>,
+    ) {
         self.breaths += 1;
         self.complete += usize::from(complete);
         self.kept += rows;
-        let bits = |quantity| (samples[0].get(quantity) as f32).to_bits();
-        *self.lungs.entry((bits(Quantity::Resistance), bits(Quantity::Compliance))).or_default() += 1;
+        if let Some(lung) = lung {
+            *self.lungs.entry(lung.to_string()).or_default() += 1;
+        }
         for command in
             samples.iter().take_while(|s| s.get(Quantity::UOut) < 50.0).map(|s| s.get(Quantity::UIn))
         {
@@ -116,7 +124,6 @@ impl Account {
     }
 
     pub(super) fn finish(mut self, period_us: u32) -> Summary {
-        let known = self.lungs.into_iter().filter(|(key, _)| *key != (0, 0));
         Summary {
             rows: self.rows,
             kept: self.kept,
@@ -134,9 +141,7 @@ impl Account {
             quantum: quantum(&self.pressures),
             noise: noise_of_second_differences(&mut self.second_differences),
             saturated: self.saturated.0 as f64 / self.saturated.1.max(1) as f64,
-            lungs: known
-                .map(|((r, c), breaths)| (format!("{}:{}", f32::from_bits(r), f32::from_bits(c)), breaths))
-                .collect(),
+            lungs: self.lungs,
         }
     }
 }

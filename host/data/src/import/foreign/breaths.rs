@@ -120,7 +120,8 @@ impl<'a> Assembler<'a> {
         self.fill_rows(even.as_deref().unwrap_or(&samples));
         let complete =
             self.rows[0].phase == INSPIRATION && self.rows.iter().any(|row| row.phase != INSPIRATION);
-        account.breath(&samples, self.rows.len(), complete);
+        let lung = self.rows[0].lung();
+        account.breath(&samples, self.rows.len(), complete, lung);
         sink(&self.rows)?;
         self.number += 1;
         // The memory is used again.

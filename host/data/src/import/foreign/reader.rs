@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use csv::ByteRecord;
 
 use super::map::{Layout, Origin, Quantity};
+use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
 /// One value per [`Quantity`], in its order and our units.
@@ -114,7 +115,7 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// A line that cannot be split into cells, or a cell that is no finite number.
-    pub fn next(&mut self, groups: &mut Vec<String>) -> Result<Option<Sample>, DatasetError> {
+    pub fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<Sample>, DatasetError> {
         let more = self
             .table
             .read_byte_record(&mut self.line)
@@ -145,7 +146,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Index of the row's group; a table without groups is one, named after its file.
-    fn group(&mut self, groups: &mut Vec<String>) -> u32 {
+    fn group(&mut self, groups: &mut Vec<TestRun>) -> u32 {
         let cell = self.group.and_then(|index| self.line.get(index)).unwrap_or_default();
         if self.started && cell == self.last_group {
             return self.current_group;
@@ -156,9 +157,10 @@ impl<'a> Reader<'a> {
             Some(_) => String::from_utf8_lossy(cell).trim().to_owned(),
             None => self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         };
-        let known = groups.iter().position(|group| *group == name);
+        let run = TestRun::from(name);
+        let known = groups.iter().position(|group| *group == run);
         self.current_group = known.unwrap_or_else(|| {
-            groups.push(name);
+            groups.push(run);
             groups.len() - 1
         }) as u32;
         self.current_group

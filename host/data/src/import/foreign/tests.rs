@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::map::ColumnMap;
 use super::*;
+use crate::identity::TestRun;
 use crate::recording::{EXPIRATION, FALL, INSPIRATION, Recording};
 
 const QUANTUM: f64 = 0.070_304;
@@ -148,7 +149,7 @@ fn a_column_map_gives_names_units_scales_and_constants() {
         (recording.pip[0], recording.peep[0], recording.u_out[0], recording.u_out[60]),
         (20.0, 5.0, 0.0, 100.0)
     );
-    assert_eq!(recording.provenance.groups, ["left"]);
+    assert_eq!(recording.provenance.groups, ["left"].map(TestRun::from));
     assert_eq!(recording.provenance.plant, "bench of the neighbours");
 }
 
@@ -173,7 +174,7 @@ fn a_change_of_group_ends_a_breath() {
     let mut rows = mapped(420);
     rows[200..].iter_mut().for_each(|row| *row = row.replace("left", "right"));
     let (recording, summary) = from_rows(&rows).unwrap();
-    assert_eq!(recording.provenance.groups, ["left", "right"]);
+    assert_eq!(recording.provenance.groups, ["left", "right"].map(TestRun::from));
     assert_eq!((summary.breaths, summary.gaps, summary.dropped_before_first_breath), (4, 0, 40));
     let groups = recording.group.unwrap();
     assert_eq!((groups[0], groups[179], groups[180]), (0, 0, 1));

@@ -19,6 +19,7 @@ use self::summary::Observer;
 pub use self::summary::{Dropped, ImportSummary};
 use self::table::{Sample, Table};
 use super::rises::{Rises, is_up};
+use crate::identity::TestRun;
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
 
@@ -44,8 +45,8 @@ pub fn import(paths: &[PathBuf]) -> Result<(Recording, ImportSummary), DatasetEr
     let mut importer = Importer::new(paths);
     for path in paths {
         let mut table = Table::open(path)?;
-        while let Some((name, samples)) = table.next_test()? {
-            importer.add_test(path, name, &samples)?;
+        while let Some((run, samples)) = table.next_test()? {
+            importer.add_test(path, run, &samples)?;
         }
     }
     if importer.breaths == 0 {
@@ -84,16 +85,16 @@ impl Importer {
         }
     }
 
-    fn add_test(&mut self, path: &Path, name: String, samples: &[Sample]) -> Result<(), DatasetError> {
+    fn add_test(&mut self, path: &Path, run: TestRun, samples: &[Sample]) -> Result<(), DatasetError> {
         let found_us = period_us(samples).or(self.period_us).unwrap_or(0);
         let expected_us = *self.period_us.get_or_insert(found_us);
         if found_us != expected_us {
-            return Err(DatasetError::Period { path: path.to_owned(), test: name, found_us, expected_us });
+            return Err(DatasetError::Period { path: path.to_owned(), test: run, found_us, expected_us });
         }
         self.recording.provenance.period_us = expected_us;
-        self.observer.test(&name, samples);
+        self.observer.test(&run.ventilator, samples);
         let group = self.recording.provenance.groups.len() as u32;
-        self.recording.provenance.groups.push(name);
+        self.recording.provenance.groups.push(run);
 
         let period_s = f64::from(expected_us) * 1e-6;
         let follows = |a: &Sample, b: &Sample| (b.time_s - a.time_s - period_s).abs() <= 0.5 * period_s;

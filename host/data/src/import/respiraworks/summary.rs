@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::table::Sample;
+use crate::identity::VentilatorId;
 use crate::recording::Recording;
 use crate::recording::quality::{noise_of_second_differences, quantum_of_sorted, second_differences};
 
@@ -40,7 +41,7 @@ pub struct ImportSummary {
     pub quantum: f64,
     /// Standard deviation of the pressure noise, cmH2O, from the median second difference.
     pub noise: f64,
-    /// Share of rows with the inhale valve at either end of its range, over runs that use it, 0..1.
+    /// Share of rows with the inhale valve at either end of its range, over ventilators that use it, 0..1.
     pub saturated_inhale: f64,
     /// The same of the exhale valve.
     pub saturated_exhale: f64,
@@ -90,15 +91,14 @@ pub(super) struct Observer {
 }
 
 impl Observer {
-    /// Notes a whole test, named run and number.
-    pub(super) fn test(&mut self, name: &str, samples: &[Sample]) {
+    /// Notes a whole test of a ventilator.
+    pub(super) fn test(&mut self, ventilator: &VentilatorId, samples: &[Sample]) {
         self.tests += 1;
         self.rows += samples.len();
         self.pressures.extend(samples.iter().map(|sample| sample.pressure));
-        let run = name.rsplit_once(':').map_or(name, |(run, _)| run);
         for sample in samples {
             for (valve, command) in self.valves.iter_mut().zip([sample.inhale, sample.exhale, sample.psol]) {
-                valve.add(run, command);
+                valve.add(ventilator, command);
             }
         }
     }
@@ -138,14 +138,14 @@ impl Observer {
     }
 }
 
-/// Counts how often one valve is at an end of the range that it uses in a run.
+/// Counts how often one valve is at an end of the range that it uses on a ventilator.
 #[derive(Default)]
 struct Valve {
-    run: String,
+    ventilator: Option<VentilatorId>,
     low: End,
     high: End,
     rows: usize,
-    /// Over the runs before this one.
+    /// Over the ventilators before this one.
     past_saturated: usize,
     past_rows: usize,
 }
@@ -157,10 +157,10 @@ struct End {
 }
 
 impl Valve {
-    fn add(&mut self, run: &str, command: f32) {
-        if self.run != run {
-            self.close_run();
-            run.clone_into(&mut self.run);
+    fn add(&mut self, ventilator: &VentilatorId, command: f32) {
+        if self.ventilator.as_ref() != Some(ventilator) {
+            self.close();
+            self.ventilator = Some(ventilator.clone());
         }
         if self.rows == 0 || command < self.low.command {
             self.low = End { command, rows: 0 };
@@ -173,8 +173,8 @@ impl Valve {
         self.high.rows += usize::from(command >= self.high.command);
     }
 
-    /// A valve that never moved in a run was not in use.
-    fn close_run(&mut self) {
+    /// A valve that never moved on a ventilator was not in use.
+    fn close(&mut self) {
         if self.low.command < self.high.command {
             self.past_saturated += self.low.rows + self.high.rows;
             self.past_rows += self.rows;
@@ -183,7 +183,7 @@ impl Valve {
     }
 
     fn saturated(mut self) -> f64 {
-        self.close_run();
+        self.close();
         if self.past_rows == 0 { 0.0 } else { self.past_saturated as f64 / self.past_rows as f64 }
     }
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use csv::StringRecord;
 
+use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
 /// One row of a table, in the units of a recording.
@@ -75,18 +76,18 @@ impl Table {
         Ok(Self { path: path.to_owned(), reader, at, line: StringRecord::new(), pending: false })
     }
 
-    /// Name and rows of the next test, `None` at the end of the table.
-    pub(super) fn next_test(&mut self) -> Result<Option<(String, Vec<Sample>)>, DatasetError> {
+    /// Run and rows of the next test, `None` at the end of the table.
+    pub(super) fn next_test(&mut self) -> Result<Option<(TestRun, Vec<Sample>)>, DatasetError> {
         if !self.pending && !self.read_line()? {
             return Ok(None);
         }
-        let name = self.test_name();
+        let run = self.test_run();
         let mut samples = Vec::new();
         loop {
             samples.push(self.sample()?);
             self.pending = self.read_line()?;
-            if !self.pending || self.test_name() != name {
-                return Ok(Some((name, samples)));
+            if !self.pending || self.test_run() != run {
+                return Ok(Some((run, samples)));
             }
         }
     }
@@ -101,8 +102,8 @@ impl Table {
         self.line.get(self.at[column]).unwrap_or("").trim()
     }
 
-    fn test_name(&self) -> String {
-        format!("{}:{}", self.cell(0), self.cell(1))
+    fn test_run(&self) -> TestRun {
+        TestRun::new(self.cell(0), self.cell(1))
     }
 
     fn sample(&self) -> Result<Sample, DatasetError> {

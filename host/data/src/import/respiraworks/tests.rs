@@ -47,7 +47,7 @@ fn a_test_becomes_breaths_in_the_units_of_a_recording() {
     assert_eq!(recording.breaths(), [40..340, 340..640, 640..700].map(|rows| rows.start - 40..rows.end - 40));
     assert_eq!(recording.inspirations(), [0..90, 300..390]);
     assert_eq!(recording.provenance.period_us, 10_000);
-    assert_eq!(recording.provenance.groups, ["AIR:3"]);
+    assert_eq!(recording.provenance.groups, ["AIR:3"].map(TestRun::from));
     assert_eq!(summary.dropped, Dropped { before_first_rise: 40, after_gap: 0 });
     assert_eq!((summary.rows, summary.kept, summary.breaths, summary.complete_breaths), (700, 660, 3, 2));
 
@@ -75,7 +75,7 @@ fn a_change_of_test_or_run_ends_a_breath() {
     table.extend(lines("AIR", 2, 150, 0.1));
     table.extend(lines("OXY", 2, 150, 0.1));
     let (recording, summary) = import_lines(&table).unwrap();
-    assert_eq!(recording.provenance.groups, ["AIR:1", "AIR:2", "OXY:2"]);
+    assert_eq!(recording.provenance.groups, ["AIR:1", "AIR:2", "OXY:2"].map(TestRun::from));
     assert_eq!(recording.breaths(), [0..110, 110..220, 220..330]);
     let groups = recording.group.unwrap();
     assert_eq!([groups[0], groups[110], groups[329]], [0, 1, 2]);
@@ -99,7 +99,7 @@ fn several_tables_become_one_recording() {
     let a = write(folder.path(), "a.csv", &lines("A", 1, 400, 0.1));
     let b = write(folder.path(), "b.csv", &lines("B", 1, 400, 0.1));
     let (recording, summary) = import(&[a, b]).unwrap();
-    assert_eq!(recording.provenance.groups, ["A:1", "B:1"]);
+    assert_eq!(recording.provenance.groups, ["A:1", "B:1"].map(TestRun::from));
     assert_eq!((summary.breaths, recording.breaths().len()), (4, 4));
     assert_eq!(recording.provenance.settings["files"], json!(["a.csv", "b.csv"]));
 }
@@ -173,7 +173,7 @@ fn tables_without_a_breath_or_at_two_rates_are_refused() {
     table.push(slow);
     match import_lines(&table).unwrap_err() {
         DatasetError::Period { test, found_us, expected_us, .. } => {
-            assert_eq!((test.as_str(), found_us, expected_us), ("AIR:2", 20_000, 10_000));
+            assert_eq!((test, found_us, expected_us), (TestRun::new("AIR", "2"), 20_000, 10_000));
         }
         other => panic!("{other}"),
     }
@@ -192,10 +192,9 @@ fn the_measured_tables_import_whole() {
 
     // Each test holds its row of the lung table, whole breaths at one pair of settings.
     let settings = [(15, 5), (25, 10), (30, 5), (35, 10), (20, 5), (35, 10), (35, 5), (35, 10)];
-    let groups = recording.group.as_deref().unwrap();
     for inspiration in recording.inspirations() {
         let row = inspiration.start;
-        let (_, test) = recording.provenance.groups[groups[row] as usize].split_once(':').unwrap();
+        let test = recording.test_run(row).unwrap().run.as_ref().unwrap();
         let (pip, peep) = settings[test.parse::<usize>().unwrap() - 1];
         assert_eq!((recording.pip[row], recording.peep[row]), (pip as f32, peep as f32), "row {row}");
         assert_eq!(inspiration.len(), 90);
