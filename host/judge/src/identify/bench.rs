@@ -56,7 +56,7 @@ pub fn to_toml(bench: &BenchConfig, lung: &Identified) -> String {
     let behind = &lung.behind_circuit;
     let estimate = |e: &super::Estimate| format!("{:.2} ({:.2} to {:.2})", e.value, e.low, e.high);
     format!(
-        "# Lung {} as `trainer identify` found it in {} breaths; estimates with their 95 % intervals.\n\
+        "# LungCycles {} as `trainer identify` found it in {} breaths; estimates with their 95 % intervals.\n\
          # C {} mL/cmH2O, R {} cmH2O/(L/s), R2 {} cmH2O/(L/s)^2, residual {:.2} cmH2O.\n\
          # Measured: [lung.first] but for its inflection, the circuit's compliance, the sensor's noise and quantum.\n\
          # Everything else is the default of the virtual bench.\n\n{}",

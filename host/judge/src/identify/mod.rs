@@ -17,7 +17,7 @@
 //! This is the honest rival of a learned simulator; it is told the measured flow, which a simulator is not.
 
 pub mod bench;
-pub mod breath;
+pub mod cycle;
 pub mod open_loop;
 #[cfg(test)]
 mod tests;
@@ -28,7 +28,7 @@ use std::ops::Range;
 use serde::{Serialize, Serializer};
 use thiserror::Error;
 
-use self::breath::{Breath, COEFFICIENTS, Drift, Span};
+use self::cycle::{COEFFICIENTS, Cycle, Drift, Span};
 use data::identity::TestRun;
 use data::recording::Recording;
 use engine::least_squares::{Solution, student};
@@ -111,11 +111,11 @@ fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<
 
 /// Breaths of one lung that are whole cycles.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Lung {
+pub struct LungCycles {
     /// Which one.
     pub id: LungId,
     /// Rows and fitted form of each cycle.
-    pub breaths: Vec<(Range<usize>, Breath)>,
+    pub breaths: Vec<(Range<usize>, Cycle)>,
 }
 
 /// What was found of one lung.
@@ -167,7 +167,7 @@ pub struct BehindCircuit {
 /// The recording has no flow, or no lung of it has a cycle that can be fitted.
 pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError> {
     let lungs = lungs(recording)?;
-    let found: Vec<_> = lungs.iter().filter_map(Lung::identify).collect();
+    let found: Vec<_> = lungs.iter().filter_map(LungCycles::identify).collect();
     if found.is_empty() {
         return Err(IdentifyError::NoBreath { cycles: lungs.iter().map(|lung| lung.breaths.len()).sum() });
     }
@@ -178,32 +178,32 @@ pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError>
 ///
 /// # Errors
 /// The recording has no flow.
-pub fn lungs(recording: &Recording) -> Result<Vec<Lung>, IdentifyError> {
+pub fn lungs(recording: &Recording) -> Result<Vec<LungCycles>, IdentifyError> {
     if recording.flow_in.is_none() || recording.flow_out.is_none() {
         return Err(IdentifyError::NoFlow);
     }
-    let mut lungs: Vec<Lung> = Vec::new();
+    let mut lungs: Vec<LungCycles> = Vec::new();
     let breaths = recording.breaths();
     for part in breaths.chunk_by(|a, b| LungId::of(recording, a.start) == LungId::of(recording, b.start)) {
-        lungs.push(Lung { id: LungId::of(recording, part[0].start), breaths: cycles(recording, part) });
+        lungs.push(LungCycles { id: LungId::of(recording, part[0].start), breaths: cycles(recording, part) });
     }
     Ok(lungs)
 }
 
 /// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath behind it.
-fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Breath)> {
+fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Cycle)> {
     let followed = &breaths[..breaths.len().saturating_sub(1)];
     let longest = followed.iter().map(ExactSizeIterator::len).max().unwrap_or(0) as f64;
     let cycle = |rows: &Range<usize>| {
         let inspiration = recording.inspiration(rows.clone())?.len();
         let whole = recording.tick[rows.end - 1] as usize + 1 == rows.len();
         let long = rows.len() as f64 >= LEAST_CYCLE * longest;
-        (whole && long).then(|| Breath::new(recording, rows, inspiration)).flatten()
+        (whole && long).then(|| Cycle::new(recording, rows, inspiration)).flatten()
     };
     followed.iter().filter_map(|rows| Some((rows.clone(), cycle(rows)?))).collect()
 }
 
-impl Lung {
+impl LungCycles {
     /// What the lung is; none if no cycle can be fitted.
     pub fn identify(&self) -> Option<Identified> {
         let corrected = self.fits(Span::Cycle, Drift::Corrected, 0.0);

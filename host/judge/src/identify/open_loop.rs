@@ -5,8 +5,8 @@
 
 use std::ops::Range;
 
-use super::breath::{Breath, Drift};
-use super::{Lung, LungId, lungs};
+use super::cycle::{Cycle, Drift};
+use super::{LungCycles, LungId, lungs};
 use data::recording::Recording;
 use engine::least_squares::solve;
 
@@ -49,7 +49,7 @@ pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Ran
 }
 
 /// Least squares over the inspirations of one lung; their cycles give the offset of the sensors.
-fn motion(recording: &Recording, lungs: &[Lung], inspirations: &[Range<usize>]) -> Option<Motion> {
+fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usize>]) -> Option<Motion> {
     let breaths = lungs.iter().flat_map(|lung| &lung.breaths);
     let own = breaths.filter(|(rows, _)| inspirations.iter().any(|i| i.start == rows.start));
     let offsets: Vec<f64> = own.map(|(_, breath)| breath.offset).collect();
@@ -70,8 +70,8 @@ fn motion(recording: &Recording, lungs: &[Lung], inspirations: &[Range<usize>]) 
     Some(Motion { coefficients: solution.coefficients, offset })
 }
 
-fn breath(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Breath> {
-    let mut breath = Breath::new(recording, rows, rows.len())?;
+fn cycle(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Cycle> {
+    let mut cycle = Cycle::new(recording, rows, rows.len())?;
     breath.offset = offset;
     Some(breath)
 }

@@ -10,7 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
 use super::network::{Mlp, Tape};
-use super::{Actions, End, Greedy, Shard, Transition, best, highest};
+use super::{Actions, End, Greedy, TaskBatch, Transition, best, highest};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -97,7 +97,7 @@ struct Fact {
     goes_on: bool,
 }
 
-impl<S: Shard> Dqn<S> {
+impl<S: TaskBatch> Dqn<S> {
     /// Prepares a training on `shard`.
     ///
     /// # Panics

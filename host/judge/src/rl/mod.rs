@@ -7,7 +7,7 @@
 //! |---|---|
 //! | [`network`] | multilayer perceptron with gradient |
 //! | [`head`] | what a policy's outputs mean: Gaussian or categorical distribution |
-//! | [`ppo`], [`dqn`] | the two algorithms, for any [`Shard`] |
+//! | [`ppo`], [`dqn`] | the two algorithms, for any [`TaskBatch`] |
 //! | [`plant`] | a learned simulator advanced tick by tick |
 //! | [`ventilation`] | the inspiration as a task |
 //! | [`policy`] | what was learned, as commands of the valve; its file; its score on the true bench |
@@ -65,7 +65,7 @@ pub struct Transition {
 }
 
 /// [`LANES`] copies of a task in step, as simulators and networks compute them.
-pub trait Shard {
+pub trait TaskBatch {
     /// Length of an observation.
     fn observations(&self) -> usize;
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::head::{Head, Slope};
 use super::network::{Mlp, Tape, Weights};
-use super::{Actions, End, Greedy, Shard, Transition};
+use super::{Actions, End, Greedy, TaskBatch, Transition};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -104,7 +104,7 @@ struct Rollout {
     returns: Vec<Lane>,
 }
 
-impl<S: Shard> Ppo<S> {
+impl<S: TaskBatch> Ppo<S> {
     /// Prepares a training on `shard`.
     pub fn new(config: PpoConfig, mut shard: S, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

@@ -21,7 +21,7 @@ use shared::control::{COMMAND_MAX, Observation};
 use shared::math;
 
 use super::lanes::{Plant, plant};
-use super::{Actions, End, Shard, Transition};
+use super::{Actions, End, TaskBatch, Transition};
 use engine::{LANES, Lane};
 use learn::simulator::Start;
 use learn::simulator::model::Simulator;
@@ -273,7 +273,7 @@ impl Inspirations {
     }
 }
 
-impl Shard for Inspirations {
+impl TaskBatch for Inspirations {
     fn observations(&self) -> usize {
         FEATURES
     }

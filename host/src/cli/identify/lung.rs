@@ -9,8 +9,8 @@ use super::super::output::OutputArgs;
 use super::LungArgs;
 use data::files::write_atomically;
 use data::recording::Recording;
-use judge::identify::breath::{Breath, Drift, Span};
-use judge::identify::{Estimate, Identified, Lung, bench, identify, lungs};
+use judge::identify::cycle::{Cycle, Drift, Span};
+use judge::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// What `--json` gives.
@@ -146,7 +146,7 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
 }
 
 /// The middle breath of a lung with its fit.
-fn plot(lung: &Lung) -> Option<Plot> {
+fn plot(lung: &LungCycles) -> Option<Plot> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
     let circuit = lung.identify()?.behind_circuit.circuit_compliance;
     Some(Plot {
@@ -162,11 +162,11 @@ fn plot(lung: &Lung) -> Option<Plot> {
     })
 }
 
-fn points(breath: &Breath, values: &[f64]) -> Vec<(f64, f64)> {
+fn points(breath: &Cycle, values: &[f64]) -> Vec<(f64, f64)> {
     values.iter().enumerate().map(|(row, value)| (row as f64 * breath.period_s(), *value)).collect()
 }
 
-fn fitted(breath: &Breath, circuit: f64) -> Option<Vec<f64>> {
+fn fitted(breath: &Cycle, circuit: f64) -> Option<Vec<f64>> {
     let fit = breath.fit(Span::Cycle, Drift::Corrected, circuit)?;
     let value = |row: [f64; 4]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
     Some(breath.rows(Drift::Corrected, circuit).into_iter().map(value).collect())

@@ -28,7 +28,7 @@ use plant::bench::BenchConfig;
 use show::report::ReportError;
 use ventilator::SourceError;
 
-pub use summary::{Compared, Means, Summary};
+pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
 
 /// What to run.
@@ -121,7 +121,7 @@ const TRACED_BREATHS: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Demo {
     /// Figures.
-    pub summary: Summary,
+    pub summary: DemoSummary,
     /// Best of each kind of PID.
     pub best: Best,
     /// What was learned.
@@ -156,7 +156,7 @@ pub fn run(
     let outcome = learn(config, best.pid.gains, out, observer, stop)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
     let contestants = compare(config, &best, &outcome, &plan, observer, stop)?;
-    let mut summary = Summary::new(config, &best, &outcome, &contestants);
+    let mut summary = DemoSummary::new(config, &best, &outcome, &contestants);
     summary.wall_s = started.elapsed().as_secs_f64();
     let demo = Demo { summary, best, outcome, contestants, plan };
     demo.save(out)?;

@@ -18,7 +18,7 @@ const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 
 /// What one controller does on a row.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(super) struct Outcome {
+pub(super) struct IsoOutcome {
     /// Scores of the inspiration.
     pub(super) score: Score,
     /// Volume that entered the lung, mL.
@@ -29,7 +29,7 @@ pub(super) struct Outcome {
 
 /// A row.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Row {
+pub(super) struct IsoRow {
     /// Its number in the table.
     pub(super) number: u8,
     /// Resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
@@ -39,13 +39,13 @@ pub(super) struct Row {
     /// Tidal volume that the table expects, mL.
     pub(super) expected_volume: f64,
     /// The best single PID; none where the ventilator went to its safe state.
-    pub(super) single_pid: Option<Outcome>,
+    pub(super) single_pid: Option<IsoOutcome>,
     /// The controller for all lungs; none where the ventilator went to its safe state.
-    pub(super) generalist: Option<Outcome>,
+    pub(super) generalist: Option<IsoOutcome>,
 }
 
 /// Runs all rows.
-pub(super) fn iso(study: &Study<'_>) -> Result<Vec<Row>, ReproduceError> {
+pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, ReproduceError> {
     study.keep("iso", || {
         let learned = generalist::controller(study)?;
         let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
@@ -56,7 +56,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<Row>, ReproduceError> {
             .enumerate()
             .map(|(done, (row, bench))| {
                 (study.observer)("test table", done, ISO_ROWS.len());
-                Ok(Row {
+                Ok(IsoRow {
                     number: row.number,
                     lung: (row.resistance, row.compliance),
                     pressures: (row.pip, row.peep),
@@ -70,7 +70,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<Row>, ReproduceError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Row>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoRow>>, ReproduceError> {
     study.kept("iso")
 }
 
@@ -79,7 +79,7 @@ fn outcome(
     row: &IsoRow,
     bench: &BenchConfig,
     controller: &Controller,
-) -> Result<Option<Outcome>, ReproduceError> {
+) -> Result<Option<IsoOutcome>, ReproduceError> {
     match run(study, row, bench, controller) {
         Ok(outcome) => Ok(Some(outcome)),
         Err(SourceError::Fault { .. }) => Ok(None),
@@ -92,7 +92,7 @@ fn run(
     row: &IsoRow,
     bench: &BenchConfig,
     controller: &Controller,
-) -> Result<Outcome, SourceError> {
+) -> Result<IsoOutcome, SourceError> {
     let (plan, settings) = (study.plan(), row.settings());
     let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, plan.seeds[0])?;
     for _ in 0..WARM_UP {
@@ -112,5 +112,5 @@ fn run(
     let allowed = PLATEAU_TOLERANCE.0 + PLATEAU_TOLERANCE.1 * pip;
     let least = volume.iter().copied().fold(f64::INFINITY, f64::min);
     let most = volume.iter().copied().fold(0.0, f64::max);
-    Ok(Outcome { score, tidal_volume: most - least, pass: score.plateau_error <= allowed })
+    Ok(IsoOutcome { score, tidal_volume: most - least, pass: score.plateau_error <= allowed })
 }

@@ -9,7 +9,7 @@ use shared::control::Controller;
 use super::study::Study;
 use super::{ReproduceError, Reproduction, lungs};
 use engine::LANES;
-use judge::rl::compare::{Kind, RlConfig, train};
+use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;
 use learn::controller::{Plant, TrainConfig, Training};
 use learn::pipeline::PipelineConfig;
@@ -22,7 +22,7 @@ const OURS_VALIDATED_EVERY: usize = 10;
 
 /// One way to learn.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Learner {
+pub(super) struct LearnerResult {
     /// Score on the true bench, cmH2O.
     pub(super) score: f64,
     /// Simulated control ticks that it took.
@@ -31,7 +31,7 @@ pub(super) struct Learner {
     pub(super) curve: Vec<(u64, f64)>,
 }
 
-impl Learner {
+impl LearnerResult {
     /// Ticks taken until the score on the held-out simulator was at least as good as this.
     pub(super) fn samples_until(&self, score: f64) -> Option<u64> {
         self.curve.iter().find(|(_, reached)| *reached <= score).map(|(samples, _)| *samples)
@@ -47,11 +47,11 @@ impl Learner {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Learning {
     /// Proximal policy optimisation.
-    pub(super) ppo: Learner,
+    pub(super) ppo: LearnerResult,
     /// Deep Q-learning.
-    pub(super) dqn: Learner,
+    pub(super) dqn: LearnerResult,
     /// Back-propagation through the simulators.
-    pub(super) ours: Learner,
+    pub(super) ours: LearnerResult,
 }
 
 /// Trains all three on the simulators learned for the lung in the middle of the list.
@@ -69,8 +69,8 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
         Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
     };
     Ok(Learning {
-        ppo: study.keep("rl/ppo", || rival(study, bench, Kind::Ppo, &simulators()?))?,
-        dqn: study.keep("rl/dqn", || rival(study, bench, Kind::Dqn, &simulators()?))?,
+        ppo: study.keep("rl/ppo", || rival(study, bench, Algorithm::Ppo, &simulators()?))?,
+        dqn: study.keep("rl/dqn", || rival(study, bench, Algorithm::Dqn, &simulators()?))?,
         ours: study.keep("rl/ours", || ours(study, bench, &config, &simulators()?))?,
     })
 }
@@ -87,15 +87,15 @@ pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError
 fn rival(
     study: &Study<'_>,
     bench: &BenchConfig,
-    kind: Kind,
+    algorithm: Algorithm,
     simulators: &[Simulator],
-) -> Result<Learner, ReproduceError> {
+) -> Result<LearnerResult, ReproduceError> {
     let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
-    let progress = |done, total| (study.observer)(kind.name(), done as usize, total as usize);
+    let progress = |done, total| (study.observer)(algorithm.name(), done as usize, total as usize);
     let watch = Watch::new(&progress, study.stop);
-    let trained = train(kind, trained_on, held_out, &config, &watch)?;
-    Ok(Learner {
+    let trained = train(algorithm, trained_on, held_out, &config, &watch)?;
+    Ok(LearnerResult {
         score: evaluate(bench, &trained.policy, &study.plan())?.mean.score,
         samples: trained.curve.last().map_or(0, |(samples, _)| *samples),
         curve: trained.curve,
@@ -108,7 +108,7 @@ fn ours(
     bench: &BenchConfig,
     config: &PipelineConfig,
     simulators: &[Simulator],
-) -> Result<Learner, ReproduceError> {
+) -> Result<LearnerResult, ReproduceError> {
     let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
     let train = TrainConfig {
         batch: LANES,
@@ -129,7 +129,11 @@ fn ours(
         curve.push((samples(progress.iteration), progress.validation));
     }
     let controller = Controller::Residual(training.finish()?.controller);
-    Ok(Learner { score: study.evaluate(bench, &controller)?.mean.score, samples: samples(iterations), curve })
+    Ok(LearnerResult {
+        score: study.evaluate(bench, &controller)?.mean.score,
+        samples: samples(iterations),
+        curve,
+    })
 }
 
 #[cfg(test)]
@@ -139,7 +143,7 @@ mod tests {
     #[test]
     fn the_first_samples_that_reach_a_score_count() {
         let curve = vec![(10, 3.0), (20, 1.5), (30, 1.8), (40, 1.2)];
-        let learner = Learner { score: 1.3, samples: 40, curve };
+        let learner = LearnerResult { score: 1.3, samples: 40, curve };
         assert_eq!(learner.samples_until(1.6), Some(20));
         assert_eq!(learner.samples_until(1.0), None);
         assert!((learner.best() - 1.2).abs() < 1e-12);

@@ -15,7 +15,7 @@ use ventilator::{BenchSource, Source, SourceError};
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Tuned {
+pub(super) struct TunedPids {
     /// By lung.
     pub(super) lungs: Vec<Best>,
     /// For all of them.
@@ -24,7 +24,7 @@ pub(super) struct Tuned {
 
 /// What became of a lung.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Lung {
+pub(super) struct LungScores {
     /// Its own best PID.
     pub(super) pid: Evaluation,
     /// The best PID for all lungs.
@@ -38,7 +38,7 @@ pub(super) struct Lung {
 }
 
 /// Searches the PIDs.
-pub(super) fn tuned(study: &Study<'_>) -> Result<Tuned, ReproduceError> {
+pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids, ReproduceError> {
     study.keep("tuning", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let progress = |done, total| (study.observer)("search PIDs", done as usize, total as usize);
@@ -48,12 +48,12 @@ pub(super) fn tuned(study: &Study<'_>) -> Result<Tuned, ReproduceError> {
             return Err(ReproduceError::Stopped);
         }
         let lungs = result.lungs.into_iter().map(|lung| lung.best).collect();
-        Ok(Tuned { lungs, over_all: result.over_all })
+        Ok(TunedPids { lungs, over_all: result.over_all })
     })
 }
 
 /// Trains and scores a controller for each lung.
-pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<Lung>, ReproduceError> {
+pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>, ReproduceError> {
     let tuned = tuned(study)?;
     let lungs = study.lungs().iter().zip(&tuned.lungs);
     lungs
@@ -66,7 +66,7 @@ pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<Lung>, ReproduceError> {
 }
 
 /// All that the folder holds, if it holds every lung.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Lung>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>, ReproduceError> {
     study.lungs().iter().map(|bench| study.kept(&format!("lungs/{}", bench.name))).collect()
 }
 
@@ -75,7 +75,7 @@ fn lung(
     bench: &BenchConfig,
     own: PidGains,
     single: PidGains,
-) -> Result<Lung, ReproduceError> {
+) -> Result<LungScores, ReproduceError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let (mut learned, mut open_loop, mut ticks) = (Vec::new(), Vec::new(), Vec::new());
     for repeat in 0..budget.repeats {
@@ -88,7 +88,7 @@ fn lung(
         ticks.push(outcome.plants.iter().map(|plant| plant.recording.len()).sum());
     }
     let (pid, single_pid) = (study.pid(own)?, study.pid(single)?);
-    Ok(Lung {
+    Ok(LungScores {
         pid: study.evaluate(bench, &pid)?,
         single_pid: study.evaluate(bench, &single_pid)?,
         learned,

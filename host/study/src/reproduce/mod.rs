@@ -55,7 +55,7 @@ use ventilator::SourceError;
 pub use ablations::Ablation;
 pub use report::{headline, lungs_table};
 pub use results::{
-    BalloonFigures, IsoFigures, LungFigures, Means, Results, RlFigure, RlFigures, UnseenFigures,
+    BalloonFigures, IsoFigures, LungFigures, LungMeans, Results, RlFigure, RlFigures, UnseenFigures,
 };
 pub use study::Budget;
 use study::Study;

@@ -3,7 +3,7 @@
 use super::balloon::AUTHORS;
 use super::changes::Change;
 use super::learning::{Learner, Learning};
-use super::results::{BalloonFigures, Means, Results};
+use super::results::{BalloonFigures, LungMeans, Results};
 use super::study::Study;
 use super::{Ablation, LungFigures, ReproduceError, changes, iso, learning, lungs, tracking};
 use data::provenance::Provenance;
@@ -103,7 +103,7 @@ pub fn lungs_table(results: &Results) -> Table {
             none(),
         ]);
     }
-    if let Some(Means { bound: Some(bound), pid, single_pid, learned, generalist }) = results.mean {
+    if let Some(LungMeans { bound: Some(bound), pid, single_pid, learned, generalist }) = results.mean {
         table.row(vec![
             Cell::text("mean / bound"),
             Cell::number(pid / bound, 3),

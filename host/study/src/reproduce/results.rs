@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::changes::{self, Change};
-use super::learning::{Learner, Learning};
+use super::learning::{LearnerResult, Learning};
 use super::study::Study;
 use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
 use data::provenance::git_revision;
@@ -41,7 +41,7 @@ impl LungFigures {
 
 /// Means over the lungs, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Means {
+pub struct LungMeans {
     /// Each lung's own best PID.
     pub pid: f64,
     /// The best PID for all lungs.
@@ -132,7 +132,7 @@ pub struct Results {
     /// By lung.
     pub lungs: Vec<LungFigures>,
     /// Over the lungs.
-    pub mean: Option<Means>,
+    pub mean: Option<LungMeans>,
     /// Highest ratio of the generalist's score to the single PID's over all pairs of lung and waveform.
     pub worst_cell_ratio: Option<f64>,
     /// Plants outside of the training.
@@ -183,7 +183,7 @@ impl Results {
                 }
             })
             .collect();
-        let means = (!lungs.is_empty()).then(|| Means {
+        let means = (!lungs.is_empty()).then(|| LungMeans {
             pid: mean(lungs.iter().map(|lung| lung.pid)),
             single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
             learned: mean(lungs.iter().map(|lung| lung.learned)),
@@ -218,8 +218,9 @@ impl Results {
 }
 
 fn rl_figures(found: &Learning) -> RlFigures {
-    let best = [&found.ppo, &found.dqn, &found.ours].map(Learner::best).into_iter().fold(f64::MAX, f64::min);
-    let figure = |learner: &Learner| RlFigure {
+    let best =
+        [&found.ppo, &found.dqn, &found.ours].map(LearnerResult::best).into_iter().fold(f64::MAX, f64::min);
+    let figure = |learner: &LearnerResult| RlFigure {
         score: learner.score,
         samples: learner.samples,
         samples_to_near_best: learner.samples_until((1.0 + NEAR) * best),
@@ -266,7 +267,7 @@ mod tests {
 
     #[test]
     fn near_the_best_is_judged_by_the_best_of_all_three() {
-        let learner = |curve: &[(u64, f64)]| Learner { score: 1.0, samples: 9, curve: curve.to_vec() };
+        let learner = |curve: &[(u64, f64)]| LearnerResult { score: 1.0, samples: 9, curve: curve.to_vec() };
         let figures = rl_figures(&Learning {
             ppo: learner(&[(1, 2.0), (5, 1.0)]),
             dqn: learner(&[(1, 1.5), (9, 1.03)]),

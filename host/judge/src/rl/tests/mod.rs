@@ -35,7 +35,7 @@ impl<E: Environment + Clone> Copies<E> {
     }
 }
 
-impl<E: Environment> Shard for Copies<E> {
+impl<E: Environment> TaskBatch for Copies<E> {
     fn observations(&self) -> usize {
         self.0[0].observations()
     }
@@ -66,7 +66,12 @@ impl<E: Environment> Shard for Copies<E> {
 }
 
 /// Mean return of so many whole episodes (rounded up to whole shards), each copy's first ones.
-pub fn mean_return(greedy: &Greedy, shard: &mut impl Shard, episodes: usize, rng: &mut ChaCha8Rng) -> f64 {
+pub fn mean_return(
+    greedy: &Greedy,
+    shard: &mut impl TaskBatch,
+    episodes: usize,
+    rng: &mut ChaCha8Rng,
+) -> f64 {
     let mut act = greedy.actor();
     let each = episodes.div_ceil(LANES);
     let (mut done, mut total) = ([0; LANES], 0.0);
