@@ -3,8 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use data::import::respiraworks::import;
-use data::import::respiraworks::measured;
+use data::import::{measured, measured_recording};
 use data::provenance::Provenance;
 use data::recording::{EXPIRATION, Extra, INSPIRATION, Row};
 use plant::bench::{Bench, BenchConfig};
@@ -144,7 +143,8 @@ fn a_bench_made_from_an_identified_bench_is_that_bench() {
 #[test]
 fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
     let Some(paths) = measured() else { return };
-    let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
     let found = identify(&recording).unwrap();
     assert_eq!(found.len(), 16);
     for lung in &found {

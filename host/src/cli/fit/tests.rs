@@ -1,8 +1,7 @@
 //! What of the command can be told without a process.
 
 use super::*;
-use data::import::respiraworks::import;
-use data::import::respiraworks::measured;
+use data::import::{measured, measured_recording};
 use data::provenance::Provenance;
 use data::recording::Extra;
 
@@ -124,7 +123,8 @@ fn a_lung_held_out_is_in_no_lesson_and_in_no_other_part() {
 #[test]
 fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_lungs_it_never_saw() {
     let Some(paths) = measured() else { return };
-    let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
     let args = args(&["--epochs", "400", "--hold-out-lung", "5:20", "--hold-out-lung", "50:20"]);
     let architecture = architecture(&args, &recording).unwrap();
     assert_eq!(architecture.timing().channels, 1, "the exhale valve follows the inhale valve");

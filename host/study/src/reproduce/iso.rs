@@ -6,7 +6,8 @@ use shared::breath::{ISO_ROWS, IsoRow, Phase, period_s};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, generalist, lungs};
+use super::{generalist, lungs};
+use crate::StudyError;
 use judge::evaluate::{Inspiration, Score, score_breath};
 use plant::bench::BenchConfig;
 use ventilator::{BenchSource, Source, SourceError};
@@ -45,7 +46,7 @@ pub(super) struct IsoRow {
 }
 
 /// Runs all rows.
-pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, ReproduceError> {
+pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, StudyError> {
     study.keep("iso", || {
         let learned = generalist::controller(study)?;
         let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
@@ -70,7 +71,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, ReproduceError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoRow>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoRow>>, StudyError> {
     study.kept("iso")
 }
 
@@ -79,7 +80,7 @@ fn outcome(
     row: &IsoRow,
     bench: &BenchConfig,
     controller: &Controller,
-) -> Result<Option<IsoOutcome>, ReproduceError> {
+) -> Result<Option<IsoOutcome>, StudyError> {
     match run(study, row, bench, controller) {
         Ok(outcome) => Ok(Some(outcome)),
         Err(SourceError::Fault { .. }) => Ok(None),

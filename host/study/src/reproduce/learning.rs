@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, Reproduction, lungs};
+use super::{Reproduction, lungs};
+use crate::StudyError;
 use engine::LANES;
 use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;
@@ -55,7 +56,7 @@ pub(super) struct Learning {
 }
 
 /// Trains all three on the simulators learned for the lung in the middle of the list.
-pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
+pub(super) fn learning(study: &Study<'_>) -> Result<Learning, StudyError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let index = study.middle();
     let bench = &study.lungs()[index];
@@ -63,7 +64,7 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
     lungs::lungs(study)?;
     let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
     // Its folder holds the whole run already.
-    let simulators = || -> Result<Vec<Simulator>, ReproduceError> {
+    let simulators = || -> Result<Vec<Simulator>, StudyError> {
         let folder = format!("lungs/{}-0", bench.name);
         let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
         Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
@@ -76,7 +77,7 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
 }
 
 /// What the folder holds, if it holds all three.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, StudyError> {
     let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
     Ok(match (ppo, dqn, ours) {
         (Some(ppo), Some(dqn), Some(ours)) => Some(Learning { ppo, dqn, ours }),
@@ -89,8 +90,8 @@ fn rival(
     bench: &BenchConfig,
     algorithm: Algorithm,
     simulators: &[Simulator],
-) -> Result<LearnerResult, ReproduceError> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+) -> Result<LearnerResult, StudyError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
     let progress = |done, total| (study.observer)(algorithm.name(), done as usize, total as usize);
     let watch = Watch::new(&progress, study.stop);
@@ -108,8 +109,8 @@ fn ours(
     bench: &BenchConfig,
     config: &PipelineConfig,
     simulators: &[Simulator],
-) -> Result<LearnerResult, ReproduceError> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+) -> Result<LearnerResult, StudyError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let train = TrainConfig {
         batch: LANES,
         validate_every: OURS_VALIDATED_EVERY,
@@ -123,7 +124,7 @@ fn ours(
     let mut curve = Vec::new();
     while let Some(progress) = training.advance() {
         if study.stop.load(Ordering::Relaxed) {
-            return Err(ReproduceError::Stopped);
+            return Err(StudyError::Stopped);
         }
         (study.observer)("ours", progress.iteration, iterations);
         curve.push((samples(progress.iteration), progress.validation));

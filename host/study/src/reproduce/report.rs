@@ -2,10 +2,11 @@
 
 use super::balloon::AUTHORS;
 use super::changes::Change;
-use super::learning::{Learner, Learning};
+use super::learning::{LearnerResult, Learning};
 use super::results::{BalloonFigures, LungMeans, Results};
 use super::study::Study;
-use super::{Ablation, LungFigures, ReproduceError, changes, iso, learning, lungs, tracking};
+use super::{Ablation, LungFigures, changes, iso, learning, lungs, tracking};
+use crate::StudyError;
 use data::provenance::Provenance;
 use judge::evaluate::Trace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
@@ -14,7 +15,7 @@ use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 const ZOOM_S: f64 = 1.0;
 
 /// Everything that the study's folder holds.
-pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, ReproduceError> {
+pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, StudyError> {
     let mut sections = Vec::new();
     sections.extend(tracking::kept(study)?.map(|tracking| tracking_section(&tracking)));
     if !results.lungs.is_empty() {
@@ -127,7 +128,7 @@ fn none() -> Cell {
     Cell::right("-")
 }
 
-fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, ReproduceError> {
+fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, StudyError> {
     let at = |of: &dyn Fn(&LungFigures) -> Option<f64>| -> Vec<(f64, f64)> {
         (1..).zip(&results.lungs).filter_map(|(n, lung)| Some((f64::from(n), of(lung)?))).collect()
     };
@@ -351,7 +352,7 @@ fn learning_section(found: &Learning, results: &Results) -> Section {
             figure.samples_to_near_best.map_or_else(none, |ticks| Cell::number(ticks as f64 * 1e-6, 1)),
         ]);
     }
-    let curve = |(name, learner): (&str, &Learner)| {
+    let curve = |(name, learner): (&str, &LearnerResult)| {
         let points = learner.curve.iter().map(|(samples, score)| (*samples as f64 * 1e-6, *score));
         Series::new(name, Style::Line, points.collect())
     };

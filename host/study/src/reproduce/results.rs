@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::changes::{self, Change};
 use super::learning::{LearnerResult, Learning};
 use super::study::Study;
-use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
+use super::{Ablation, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
+use crate::StudyError;
 use data::provenance::git_revision;
 use judge::evaluate::Evaluation;
 
@@ -151,7 +152,7 @@ pub struct Results {
 
 impl Results {
     /// Reads what the folder holds.
-    pub(super) fn gather(study: &Study<'_>) -> Result<Self, ReproduceError> {
+    pub(super) fn gather(study: &Study<'_>) -> Result<Self, StudyError> {
         let kept = lungs::kept(study)?.unwrap_or_default();
         let generalist = generalist::kept(study)?;
         let everyone: Vec<Option<&Evaluation>> = match &generalist {
@@ -228,7 +229,7 @@ fn rl_figures(found: &Learning) -> RlFigures {
     RlFigures { ppo: figure(&found.ppo), dqn: figure(&found.dqn), ours: figure(&found.ours) }
 }
 
-fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceError> {
+fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, StudyError> {
     let figures = |plant: unseen::Unseen| UnseenFigures {
         plant: plant.plant,
         inside: plant.inside,
@@ -239,7 +240,7 @@ fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceErro
     Ok(unseen::kept(study)?.unwrap_or_default().into_iter().map(figures).collect())
 }
 
-fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, ReproduceError> {
+fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, StudyError> {
     let figures = |row: iso::Row| IsoFigures {
         row: row.number,
         single_pid: row.single_pid.is_some_and(|outcome| outcome.pass),

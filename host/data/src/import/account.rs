@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::map::Quantity;
 use super::reader::Sample;
+use super::saturation::Saturation;
 use crate::identity::LungParameters;
 use crate::recording::quality::{noise_of_second_differences, quantum};
 
@@ -15,16 +16,19 @@ const JUDGED: usize = 500_000;
 /// A command this near to 0 or 100 percent is at the end of the valve's range.
 const AT_END: f64 = 1e-6;
 
+/// Valves whose saturation is told.
+const VALVES: [Quantity; 3] = [Quantity::UIn, Quantity::UOut, Quantity::UPsol];
+
 /// Lowest and highest value.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Range {
+pub struct Extremes {
     /// Lowest.
     pub low: f64,
     /// Highest.
     pub high: f64,
 }
 
-impl Range {
+impl Extremes {
     const NONE: Self = Self { low: f64::INFINITY, high: f64::NEG_INFINITY };
 
     fn add(&mut self, value: f64) {
@@ -45,11 +49,12 @@ pub(super) struct Account {
     kept: usize,
     breaths: usize,
     complete: usize,
-    steps: Range,
-    pressure: Range,
-    u_in: Range,
+    steps: Extremes,
+    pressure: Extremes,
+    u_in: Extremes,
     /// Rows at an end of the inspiratory valve's range while the expiratory valve is not open, and all such rows.
     saturated: (usize, usize),
+    valves: [Saturation; 3],
     lungs: BTreeMap<String, usize>,
     pressures: Vec<f32>,
     second_differences: Vec<f32>,
@@ -69,10 +74,11 @@ impl Account {
             kept: 0,
             breaths: 0,
             complete: 0,
-            steps: Range::NONE,
-            pressure: Range::NONE,
-            u_in: Range::NONE,
+            steps: Extremes::NONE,
+            pressure: Extremes::NONE,
+            u_in: Extremes::NONE,
             saturated: (0, 0),
+            valves: Default::default(),
             lungs: BTreeMap::new(),
             pressures: Vec::new(),
             second_differences: Vec::new(),
@@ -86,6 +92,9 @@ impl Account {
         let pressure = sample.get(Quantity::Pressure);
         self.pressure.add(pressure);
         self.u_in.add(sample.get(Quantity::UIn));
+        for (valve, quantity) in self.valves.iter_mut().zip(VALVES) {
+            valve.add(sample.get(quantity));
+        }
         let pressure = pressure as f32;
         if let Some(last) = last {
             self.steps.add(sample.get(Quantity::Time) - last.get(Quantity::Time));
@@ -123,24 +132,35 @@ impl Account {
         }
     }
 
-    pub(super) fn finish(mut self, period_us: u32) -> Summary {
+    pub(super) fn end_of_table(&mut self) {
+        self.valves.iter_mut().for_each(Saturation::end_of_table);
+    }
+
+    /// The account of so many test runs.
+    pub(super) fn finish(mut self, period_us: u32, tests: usize) -> Summary {
+        let [saturated_inhale, saturated_exhale, saturated_psol] =
+            self.valves.each_ref().map(Saturation::share);
         Summary {
             rows: self.rows,
             kept: self.kept,
             dropped_before_first_breath: self.dropped_before_first,
             dropped_after_gap: self.dropped_after_gap,
+            tests,
             breaths: self.breaths,
             complete_breaths: self.complete,
             resampled_breaths: self.resampled,
             furthest_from_grid_ms: 1e3 * self.furthest_from_grid,
             gaps: self.gaps,
             period_us,
-            step_ms: Range { low: 1e3 * self.steps.low, high: 1e3 * self.steps.high },
+            step_ms: Extremes { low: 1e3 * self.steps.low, high: 1e3 * self.steps.high },
             pressure: self.pressure,
             u_in: self.u_in,
             quantum: quantum(&self.pressures),
             noise: noise_of_second_differences(&mut self.second_differences),
             saturated: self.saturated.0 as f64 / self.saturated.1.max(1) as f64,
+            saturated_inhale,
+            saturated_exhale,
+            saturated_psol,
             lungs: self.lungs,
         }
     }
@@ -157,6 +177,8 @@ pub struct Summary {
     pub dropped_before_first_breath: usize,
     /// Rows between a gap in time and the next breath.
     pub dropped_after_gap: usize,
+    /// Test runs; a table without groups is one.
+    pub tests: usize,
     /// Breaths, complete or not.
     pub breaths: usize,
     /// Breaths with a complete inspiration.
@@ -170,17 +192,23 @@ pub struct Summary {
     /// Sample period of the recording, microseconds.
     pub period_us: u32,
     /// Shortest and longest time step between rows that follow on, ms.
-    pub step_ms: Range,
+    pub step_ms: Extremes,
     /// Pressures, cmH2O.
-    pub pressure: Range,
+    pub pressure: Extremes,
     /// Commands of the inspiratory valve, percent.
-    pub u_in: Range,
+    pub u_in: Extremes,
     /// Smallest step of the pressure column, cmH2O; 0 if there is none.
     pub quantum: f64,
     /// Standard deviation of the pressure noise, cmH2O.
     pub noise: f64,
     /// Share of rows before the expiratory valve opens with the inspiratory valve shut or fully open, 0..1.
     pub saturated: f64,
+    /// Share of all rows with the inspiratory valve at an end of the range that it uses, 0..1.
+    pub saturated_inhale: f64,
+    /// The same of the expiratory valve.
+    pub saturated_exhale: f64,
+    /// The same of the second inspiratory valve (oxygen).
+    pub saturated_psol: f64,
     /// Breaths by nominal `R:C`, if the table has them.
     pub lungs: BTreeMap<String, usize>,
 }
@@ -188,13 +216,15 @@ pub struct Summary {
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let range =
-            |range: &Range, digits: usize| format!("{:.digits$} to {:.digits$}", range.low, range.high);
+            |range: &Extremes, digits: usize| format!("{:.digits$} to {:.digits$}", range.low, range.high);
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let mut lines = vec![
             ("rows read", self.rows.to_string()),
             ("rows written", self.kept.to_string()),
             ("rows dropped", (self.dropped_before_first_breath + self.dropped_after_gap).to_string()),
             ("  before the first breath", self.dropped_before_first_breath.to_string()),
             ("  after a gap", self.dropped_after_gap.to_string()),
+            ("test runs", self.tests.to_string()),
             ("breaths", format!("{} ({} complete)", self.breaths, self.complete_breaths)),
             ("gaps in time", self.gaps.to_string()),
             ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
@@ -211,6 +241,9 @@ impl fmt::Display for Summary {
             ("pressure noise (sd)", format!("{:.3} cmH2O", self.noise)),
             ("inspiratory valve", format!("{} %", range(&self.u_in, 1))),
             ("  shut or fully open", format!("{:.1} % of inspiratory rows", 100.0 * self.saturated)),
+            ("  at an end of its use", percent(self.saturated_inhale)),
+            ("expiratory valve at an end", percent(self.saturated_exhale)),
+            ("oxygen valve at an end", percent(self.saturated_psol)),
         ];
         let lungs: Vec<_> = self.lungs.iter().map(|(lung, breaths)| format!("{lung} ({breaths})")).collect();
         lines.extend((!lungs.is_empty()).then(|| ("lungs R:C (breaths)", lungs.join(", "))));

@@ -3,7 +3,7 @@
 use super::account::Account;
 use super::map::{EndBy, Layout, Quantity, StartBy};
 use super::reader::Sample;
-use crate::import::rises::{Rises, is_up};
+use super::rises::{Rises, is_up};
 use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, Row};
 
 /// Opening of the expiratory valve from which it counts as open, percent.
@@ -167,6 +167,7 @@ impl<'a> Assembler<'a> {
                 flow_out: optional(Quantity::FlowOut),
                 resistance: optional(Quantity::Resistance),
                 compliance: optional(Quantity::Compliance),
+                u_psol: optional(Quantity::UPsol),
                 group: Some(sample.group),
                 ..Row::default()
             });

@@ -1,5 +1,7 @@
 //! Generated tables in layouts of others.
 
+mod respiraworks;
+
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -51,7 +53,7 @@ fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, Summary), Dataset
 
 #[test]
 fn the_kaggle_layout_becomes_breaths_on_an_even_grid() {
-    let (recording, summary) = imported(&kaggle(9), &ColumnMap::kaggle()).unwrap();
+    let (recording, summary) = imported(&kaggle(9), &ColumnMap::kaggle().unwrap()).unwrap();
     assert!((32_900..33_100).contains(&summary.period_us), "{summary}");
     assert_eq!((summary.rows, summary.breaths, summary.complete_breaths, summary.gaps), (720, 9, 9, 0));
     assert_eq!((summary.dropped_before_first_breath, summary.dropped_after_gap), (0, 0));
@@ -216,7 +218,7 @@ fn bad_cells_columns_and_tables_are_named() {
     rows[50] = rows[50].replace(";30;", ";NaN;");
     let error = from_rows(&rows).unwrap_err().to_string();
     assert!(error.contains("line 52") && error.contains("V'in") && error.contains("not finite"), "{error}");
-    let kaggle_map = ColumnMap::kaggle();
+    let kaggle_map = ColumnMap::kaggle().unwrap();
     let error = imported("id,breath_id,R,C\n1,1,1,1\n", &kaggle_map).unwrap_err().to_string();
     assert!(error.contains("no column `time_step`"), "{error}");
     assert!(matches!(imported(&kaggle(0), &kaggle_map), Err(DatasetError::NoPeriod { .. })));
