@@ -213,6 +213,21 @@ pub struct Summary {
     pub lungs: BTreeMap<String, usize>,
 }
 
+impl Summary {
+    /// The whole in a line, for the recording.
+    pub(super) fn note(&self) -> String {
+        format!(
+            "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid, {:.1} % of inspiratory rows with the \
+             valve at an end",
+            self.rows,
+            self.dropped_before_first_breath + self.dropped_after_gap,
+            self.gaps,
+            self.resampled_breaths,
+            100.0 * self.saturated
+        )
+    }
+}
+
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let range =

@@ -56,13 +56,8 @@ pub fn import(
         Some(seconds) => (seconds * 1e6).round() as u32,
         None => common_period_us(paths, layout)?,
     };
-    let mut extras: Vec<_> = EXTRAS
-        .iter()
-        .filter(|(_, quantity)| layout.origins[*quantity as usize].is_some())
-        .map(|pair| pair.0)
-        .collect();
-    extras.push(Extra::Group);
-    let mut writer = RecordingWriter::create(out, provenance(paths, layout, period_us), &extras)?;
+    let provenance = provenance(paths, layout, period_us);
+    let mut writer = RecordingWriter::create(out, provenance, &extras(layout))?;
     let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6);
     let mut account = Account::new();
     let mut groups = Vec::new();
@@ -85,17 +80,15 @@ pub fn import(
         return Err(DatasetError::NoBreath { tables: paths.len() });
     }
     writer.provenance().groups = groups;
-    writer.provenance().notes.push(format!(
-        "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid, {:.1} % of inspiratory rows with the valve \
-         at an end",
-        summary.rows,
-        summary.dropped_before_first_breath + summary.dropped_after_gap,
-        summary.gaps,
-        summary.resampled_breaths,
-        100.0 * summary.saturated
-    ));
+    writer.provenance().notes.push(summary.note());
     writer.finish()?;
     Ok(summary)
+}
+
+/// The optional columns that a layout fills.
+fn extras(layout: &Layout) -> Vec<Extra> {
+    let filled = EXTRAS.iter().filter(|(_, quantity)| layout.origins[*quantity as usize].is_some());
+    filled.map(|(extra, _)| *extra).chain([Extra::Group]).collect()
 }
 
 fn provenance(paths: &[PathBuf], layout: &Layout, period_us: u32) -> Provenance {

@@ -56,15 +56,15 @@ fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usi
     let offset = if offsets.is_empty() { 0.0 } else { offsets.iter().sum::<f64>() / offsets.len() as f64 };
     let (mut rows, mut values) = (Vec::new(), Vec::new());
     for inspiration in inspirations {
-        let breath = breath(recording, inspiration, offset)?;
-        let columns = breath.rows(Drift::Corrected, 0.0);
+        let cycle = cycle(recording, inspiration, offset)?;
+        let columns = cycle.rows(Drift::Corrected, 0.0);
         let count = columns.len() as f64;
         // P0 of each breath drops out with the means.
         let mean: [f64; SHARED] =
             std::array::from_fn(|n| columns.iter().map(|row| row[n + 1]).sum::<f64>() / count);
-        let level = breath.pressure().iter().sum::<f64>() / count;
+        let level = cycle.pressure().iter().sum::<f64>() / count;
         rows.extend(columns.iter().map(|row| std::array::from_fn::<_, SHARED, _>(|n| row[n + 1] - mean[n])));
-        values.extend(breath.pressure().iter().map(|p| p - level));
+        values.extend(cycle.pressure().iter().map(|p| p - level));
     }
     let solution = solve(&rows, &values)?;
     Some(Motion { coefficients: solution.coefficients, offset })
@@ -72,17 +72,17 @@ fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usi
 
 fn cycle(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Cycle> {
     let mut cycle = Cycle::new(recording, rows, rows.len())?;
-    breath.offset = offset;
-    Some(breath)
+    cycle.offset = offset;
+    Some(cycle)
 }
 
 impl Motion {
     /// Pressures of an inspiration; it starts from the mean pressure and flow just before.
     fn predict(&self, recording: &Recording, rows: &Range<usize>) -> Option<Vec<f64>> {
-        let columns = breath(recording, rows, self.offset)?.rows(Drift::Corrected, 0.0);
+        let columns = cycle(recording, rows, self.offset)?.rows(Drift::Corrected, 0.0);
         let average = ((AVERAGE_S / recording.provenance.period_s()).round() as usize).max(1);
         let before = rows.start.saturating_sub(average)..rows.start.max(1);
-        let before = breath(recording, &before, self.offset)?;
+        let before = cycle(recording, &before, self.offset)?;
         let (pressure, flows) = (before.pressure(), before.rows(Drift::Corrected, 0.0));
         let flow = flows.iter().map(|row| row[2]).sum::<f64>() / flows.len() as f64;
         let rise = |volume: f64, flow: f64| {

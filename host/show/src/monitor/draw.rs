@@ -213,7 +213,7 @@ const ALARM_LINES: usize = 3;
 
 fn alarms(view: &View) -> Vec<Line<'static>> {
     let period_us = view.identity.as_ref().map_or(0, |identity| identity.period_us);
-    let line = |alarm: &super::view::AlarmEntryEntry| {
+    let line = |alarm: &super::view::AlarmEntry| {
         let text = format!("{}: {}", words::moment(alarm.tick, period_us), words::fault(alarm.fault));
         Line::from(text).red()
     };

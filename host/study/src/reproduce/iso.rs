@@ -30,7 +30,7 @@ pub(super) struct IsoOutcome {
 
 /// A row.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct IsoRow {
+pub(super) struct IsoResult {
     /// Its number in the table.
     pub(super) number: u8,
     /// Resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
@@ -46,7 +46,7 @@ pub(super) struct IsoRow {
 }
 
 /// Runs all rows.
-pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, StudyError> {
+pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>, StudyError> {
     study.keep("iso", || {
         let learned = generalist::controller(study)?;
         let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
@@ -57,7 +57,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, StudyError> {
             .enumerate()
             .map(|(done, (row, bench))| {
                 (study.observer)("test table", done, ISO_ROWS.len());
-                Ok(IsoRow {
+                Ok(IsoResult {
                     number: row.number,
                     lung: (row.resistance, row.compliance),
                     pressures: (row.pip, row.peep),
@@ -71,7 +71,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoRow>, StudyError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoRow>>, StudyError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoResult>>, StudyError> {
     study.kept("iso")
 }
 

@@ -289,20 +289,20 @@ fn changes_section(changes: &[Change]) -> Section {
     }
 }
 
-fn iso_section(rows: &[iso::Row]) -> Section {
+fn iso_section(rows: &[iso::IsoResult]) -> Section {
     let mut table = Table::new(
         "Plateau error and overshoot in cmH2O, rise in ms, tidal volume in mL; PID / learned for all",
         &["row", "R", "C", "PIP/PEEP", "plateau", "overshoot", "rise", "volume", "expected", "kept"],
     );
-    let pair = |row: &iso::Row, of: &dyn Fn(&iso::Outcome) -> f64, decimals: usize| {
-        let text = |outcome: &Option<iso::Outcome>| {
+    let pair = |row: &iso::IsoResult, of: &dyn Fn(&iso::IsoOutcome) -> f64, decimals: usize| {
+        let text = |outcome: &Option<iso::IsoOutcome>| {
             outcome
                 .as_ref()
                 .map_or_else(|| "fault".to_owned(), |outcome| format!("{:.decimals$}", of(outcome)))
         };
         Cell::right(format!("{} / {}", text(&row.single_pid), text(&row.generalist)))
     };
-    let kept = |outcome: &Option<iso::Outcome>| {
+    let kept = |outcome: &Option<iso::IsoOutcome>| {
         if outcome.is_some_and(|outcome| outcome.pass) { "yes" } else { "no" }
     };
     for row in rows {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::changes::{self, Change};
 use super::learning::{LearnerResult, Learning};
+use super::lungs::LungScores;
 use super::study::Study;
 use super::{Ablation, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
 use crate::StudyError;
@@ -155,43 +156,12 @@ impl Results {
     pub(super) fn gather(study: &Study<'_>) -> Result<Self, StudyError> {
         let kept = lungs::kept(study)?.unwrap_or_default();
         let generalist = generalist::kept(study)?;
-        let everyone: Vec<Option<&Evaluation>> = match &generalist {
+        let generalists: Vec<Option<&Evaluation>> = match &generalist {
             Some(generalist) => generalist.lungs.iter().map(Some).collect(),
             None => vec![None; kept.len()],
         };
-        let bounds: Vec<Option<f64>> = match limits::kept(study)? {
-            Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
-            None => vec![None; kept.len()],
-        };
-        let lungs: Vec<LungFigures> = study
-            .lungs()
-            .iter()
-            .zip(&kept)
-            .zip(&everyone)
-            .zip(bounds)
-            .map(|(((bench, lung), generalist), bound)| {
-                let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
-                LungFigures {
-                    lung: bench.name.clone(),
-                    r: bench.lung.first.resistance_cmh2o_per_l_s,
-                    c: bench.lung.first.compliance_ml_per_cmh2o,
-                    pid: lung.pid.mean.score,
-                    single_pid: lung.single_pid.mean.score,
-                    learned: mean(learned.iter().copied()),
-                    learned_by_seed: learned,
-                    generalist: generalist.map(|e| e.mean.score),
-                    bound,
-                }
-            })
-            .collect();
-        let means = (!lungs.is_empty()).then(|| LungMeans {
-            pid: mean(lungs.iter().map(|lung| lung.pid)),
-            single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
-            learned: mean(lungs.iter().map(|lung| lung.learned)),
-            generalist: mean_of_all(&lungs, |lung| lung.generalist),
-            bound: mean_of_all(&lungs, |lung| lung.bound),
-        });
-        let cells = kept.iter().zip(&everyone).filter_map(|(lung, generalist)| {
+        let lungs = lung_figures(study, &kept, &generalists)?;
+        let cells = kept.iter().zip(&generalists).filter_map(|(lung, generalist)| {
             let pairs = generalist.as_ref()?.waveforms.iter().zip(&lung.single_pid.waveforms);
             Some(pairs.map(|(learned, pid)| learned.score.score / pid.score.score).fold(0.0, f64::max))
         });
@@ -212,10 +182,49 @@ impl Results {
             breaths_to_reconverge: changes::kept(study)?.and_then(|changes| {
                 changes.iter().map(|change| Change::breaths_to_reconverge(&change.generalist)).max()
             }),
+            mean: means(&lungs),
             lungs,
-            mean: means,
         })
     }
+}
+
+/// What was found on each lung.
+fn lung_figures(
+    study: &Study<'_>,
+    kept: &[LungScores],
+    generalists: &[Option<&Evaluation>],
+) -> Result<Vec<LungFigures>, StudyError> {
+    let bounds: Vec<Option<f64>> = match limits::kept(study)? {
+        Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
+        None => vec![None; kept.len()],
+    };
+    let lungs = study.lungs().iter().zip(kept).zip(generalists).zip(bounds);
+    let figures = lungs.map(|(((bench, lung), generalist), bound)| {
+        let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
+        LungFigures {
+            lung: bench.name.clone(),
+            r: bench.lung.first.resistance_cmh2o_per_l_s,
+            c: bench.lung.first.compliance_ml_per_cmh2o,
+            pid: lung.pid.mean.score,
+            single_pid: lung.single_pid.mean.score,
+            learned: mean(learned.iter().copied()),
+            learned_by_seed: learned,
+            generalist: generalist.map(|e| e.mean.score),
+            bound,
+        }
+    });
+    Ok(figures.collect())
+}
+
+/// Means over the lungs, if there are any.
+fn means(lungs: &[LungFigures]) -> Option<LungMeans> {
+    (!lungs.is_empty()).then(|| LungMeans {
+        pid: mean(lungs.iter().map(|lung| lung.pid)),
+        single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
+        learned: mean(lungs.iter().map(|lung| lung.learned)),
+        generalist: mean_of_all(lungs, |lung| lung.generalist),
+        bound: mean_of_all(lungs, |lung| lung.bound),
+    })
 }
 
 fn rl_figures(found: &Learning) -> RlFigures {
@@ -241,7 +250,7 @@ fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, StudyError> {
 }
 
 fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, StudyError> {
-    let figures = |row: iso::Row| IsoFigures {
+    let figures = |row: iso::IsoResult| IsoFigures {
         row: row.number,
         single_pid: row.single_pid.is_some_and(|outcome| outcome.pass),
         generalist: row.generalist.is_some_and(|outcome| outcome.pass),
