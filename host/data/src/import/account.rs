@@ -6,7 +6,7 @@ use std::fmt;
 use serde::Serialize;
 
 use super::map::Quantity;
-use super::reader::Sample;
+use super::reader::TableRow;
 use super::saturation::Saturation;
 use crate::identity::LungParameters;
 use crate::recording::quality::{noise_of_second_differences, quantum};
@@ -87,7 +87,7 @@ impl Account {
     }
 
     /// Notes a row, and the one before if it follows on.
-    pub(super) fn sample(&mut self, sample: &Sample, last: Option<&Sample>) {
+    pub(super) fn sample(&mut self, sample: &TableRow, last: Option<&TableRow>) {
         self.rows += 1;
         let pressure = sample.get(Quantity::Pressure);
         self.pressure.add(pressure);
@@ -113,7 +113,7 @@ impl Account {
     /// Notes a breath: its samples, how many rows it became, and its lung where the table has R and C.
     pub(super) fn breath(
         &mut self,
-        samples: &[Sample],
+        samples: &[TableRow],
         rows: usize,
         complete: bool,
         lung: Option<LungParameters>,
@@ -137,10 +137,10 @@ impl Account {
     }
 
     /// The account of so many test runs.
-    pub(super) fn finish(mut self, period_us: u32, tests: usize) -> Summary {
+    pub(super) fn finish(mut self, period_us: u32, tests: usize) -> ImportSummary {
         let [saturated_inhale, saturated_exhale, saturated_psol] =
             self.valves.each_ref().map(Saturation::share);
-        Summary {
+        ImportSummary {
             rows: self.rows,
             kept: self.kept,
             dropped_before_first_breath: self.dropped_before_first,
@@ -168,7 +168,7 @@ impl Account {
 
 /// Account of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Summary {
+pub struct ImportSummary {
     /// Rows read.
     pub rows: usize,
     /// Rows written; a breath that was put on an even grid may have a few more or less than were read.
@@ -213,7 +213,7 @@ pub struct Summary {
     pub lungs: BTreeMap<String, usize>,
 }
 
-impl Summary {
+impl ImportSummary {
     /// The whole in a line, for the recording.
     pub(super) fn note(&self) -> String {
         format!(
@@ -228,7 +228,7 @@ impl Summary {
     }
 }
 
-impl fmt::Display for Summary {
+impl fmt::Display for ImportSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let range =
             |range: &Extremes, digits: usize| format!("{:.digits$} to {:.digits$}", range.low, range.high);

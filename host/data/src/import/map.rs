@@ -226,7 +226,7 @@ fn comma() -> char {
 
 /// Where a quantity comes from.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Origin {
+pub enum ColumnSource {
     /// A column, times a factor, plus an offset: our unit.
     Column {
         /// Its head.
@@ -266,7 +266,7 @@ pub enum EndBy {
 
 /// A column map that has been checked.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Layout {
+pub struct TableLayout {
     /// What was recorded.
     pub plant: String,
     /// Remark for people.
@@ -282,7 +282,7 @@ pub struct Layout {
     /// Head of the column of runs within a group.
     pub run: Option<String>,
     /// Quantities, in the order of [`Quantity::ALL`].
-    pub origins: [Option<Origin>; QUANTITIES],
+    pub origins: [Option<ColumnSource>; QUANTITIES],
     /// What starts a breath.
     pub start: StartBy,
     /// What ends an inspiration.
@@ -343,14 +343,14 @@ impl ColumnMap {
     ///
     /// # Errors
     /// The first thing in it that makes no sense.
-    pub fn layout(&self) -> Result<Layout, MapError> {
+    pub fn layout(&self) -> Result<TableLayout, MapError> {
         let positive = |value: Option<f64>, what| match value {
             Some(value) if !(value > 0.0 && value.is_finite()) => Err(MapError::Number(what)),
             value => Ok(value),
         };
         let period_s = positive(self.period_ms, "period_ms")?.map(|ms| ms * 1e-3);
         let inspiration_s = positive(self.inspiration_s, "inspiration_s")?;
-        let mut origins: [Option<Origin>; QUANTITIES] = Default::default();
+        let mut origins: [Option<ColumnSource>; QUANTITIES] = Default::default();
         for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
             *origin = self.entry(quantity).map(|entry| entry.origin(quantity)).transpose()?;
         }
@@ -367,7 +367,7 @@ impl ColumnMap {
             None if target => EndBy::Target,
             None => return Err(MapError::NoEnd),
         };
-        Ok(Layout {
+        Ok(TableLayout {
             plant: self.plant.clone(),
             note: self.note.clone(),
             period_s,
@@ -383,7 +383,7 @@ impl ColumnMap {
 }
 
 impl Entry {
-    fn origin(&self, quantity: Quantity) -> Result<Origin, MapError> {
+    fn origin(&self, quantity: Quantity) -> Result<ColumnSource, MapError> {
         let name = quantity.name();
         let units = quantity.units();
         let unit = self.unit.as_deref().unwrap_or(units[0].0);
@@ -392,14 +392,14 @@ impl Entry {
             return Err(MapError::Unit { quantity: name, unit: unit.to_owned(), known });
         };
         match (&self.column, self.value) {
-            (Some(column), None) => Ok(Origin::Column {
+            (Some(column), None) => Ok(ColumnSource::Column {
                 name: column.clone(),
                 factor: factor * self.scale,
                 offset: factor * self.offset,
                 share: unit == SHARE,
             }),
             (None, Some(value)) if matches!(quantity, Quantity::Resistance | Quantity::Compliance) => {
-                Ok(Origin::Value(factor * (value * self.scale + self.offset)))
+                Ok(ColumnSource::Value(factor * (value * self.scale + self.offset)))
             }
             (None, Some(_)) => Err(MapError::NotConstant(name)),
             _ => Err(MapError::Source(name)),

@@ -1,7 +1,7 @@
 //! Import of tables measured elsewhere, in any layout: a stream of rows in, a recording in Parquet out, in bounded memory.
 //!
 //! A [`map::ColumnMap`] says which column is what, in which unit. Time may be uneven: breaths are put on an even grid.
-//! No row disappears without being counted in the [`account::Summary`].
+//! No row disappears without being counted in the [`account::ImportSummary`].
 
 pub mod account;
 mod breaths;
@@ -17,11 +17,11 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use self::account::{Account, Summary};
+use self::account::{Account, ImportSummary};
 use self::breaths::Assembler;
-use self::map::{Layout, Quantity};
+use self::map::{Quantity, TableLayout};
 pub use self::measured::{measured, measured_recording};
-use self::reader::Reader;
+use self::reader::TableReader;
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter, Row};
 
@@ -48,10 +48,10 @@ const SAME_PERIOD: f64 = 0.05;
 /// all, or a recording that cannot be written.
 pub fn import(
     paths: &[PathBuf],
-    layout: &Layout,
+    layout: &TableLayout,
     out: &Path,
     progress: &mut dyn FnMut(u64),
-) -> Result<Summary, DatasetError> {
+) -> Result<ImportSummary, DatasetError> {
     let period_us = match layout.period_s {
         Some(seconds) => (seconds * 1e6).round() as u32,
         None => common_period_us(paths, layout)?,
@@ -63,7 +63,7 @@ pub fn import(
     let mut groups = Vec::new();
     let mut bytes = 0;
     for path in paths {
-        let mut reader = Reader::open(path, layout)?;
+        let mut reader = TableReader::open(path, layout)?;
         let mut sink = |rows: &[Row]| rows.iter().try_for_each(|row| writer.push(*row));
         while let Some(sample) = reader.next(&mut groups)? {
             assembler.push(sample, &mut account, &mut sink)?;
@@ -86,12 +86,12 @@ pub fn import(
 }
 
 /// The optional columns that a layout fills.
-fn extras(layout: &Layout) -> Vec<Extra> {
+fn extras(layout: &TableLayout) -> Vec<Extra> {
     let filled = EXTRAS.iter().filter(|(_, quantity)| layout.origins[*quantity as usize].is_some());
     filled.map(|(extra, _)| *extra).chain([Extra::Group]).collect()
 }
 
-fn provenance(paths: &[PathBuf], layout: &Layout, period_us: u32) -> Provenance {
+fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Provenance {
     let files: Vec<_> =
         paths.iter().filter_map(|path| path.file_name()).map(|name| name.to_string_lossy()).collect();
     let measured = layout.origins[Quantity::Target as usize].is_none();
@@ -105,7 +105,7 @@ fn provenance(paths: &[PathBuf], layout: &Layout, period_us: u32) -> Provenance 
 }
 
 /// The sample period of the first table, which the others must have too.
-fn common_period_us(paths: &[PathBuf], layout: &Layout) -> Result<u32, DatasetError> {
+fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, DatasetError> {
     let (first, others) = paths.split_first().ok_or(DatasetError::NoBreath { tables: 0 })?;
     let expected_us = period_us(first, layout)?;
     for path in others {
@@ -118,8 +118,8 @@ fn common_period_us(paths: &[PathBuf], layout: &Layout) -> Result<u32, DatasetEr
 }
 
 /// Median time step of the first rows of a table.
-fn period_us(path: &Path, layout: &Layout) -> Result<u32, DatasetError> {
-    let mut reader = Reader::open(path, layout)?;
+fn period_us(path: &Path, layout: &TableLayout) -> Result<u32, DatasetError> {
+    let mut reader = TableReader::open(path, layout)?;
     let (mut steps, mut last) = (Vec::new(), None);
     while steps.len() < PERIOD_ROWS {
         let Some(sample) = reader.next(&mut Vec::new())? else { break };

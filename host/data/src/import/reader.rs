@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use csv::ByteRecord;
 
-use super::map::{Layout, Origin, QUANTITIES, Quantity};
+use super::map::{ColumnSource, QUANTITIES, Quantity, TableLayout};
 use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
@@ -20,7 +20,7 @@ const BUFFER: usize = 1 << 20;
 
 /// One row.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sample {
+pub struct TableRow {
     /// Values; those that the table has not are 0.
     pub fields: Fields,
     /// Whether the column of breaths has another value than in the row before.
@@ -29,7 +29,7 @@ pub struct Sample {
     pub group: u32,
 }
 
-impl Sample {
+impl TableRow {
     /// One of its values.
     pub fn get(&self, quantity: Quantity) -> f64 {
         self.fields[quantity as usize]
@@ -46,9 +46,9 @@ enum Place {
 
 /// An open table.
 #[derive(Debug)]
-pub struct Reader<'a> {
+pub struct TableReader<'a> {
     path: PathBuf,
-    layout: &'a Layout,
+    layout: &'a TableLayout,
     table: csv::Reader<BufReader<File>>,
     line: ByteRecord,
     places: [Place; QUANTITIES],
@@ -62,12 +62,12 @@ pub struct Reader<'a> {
     started: bool,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> TableReader<'a> {
     /// Opens a table and finds its columns.
     ///
     /// # Errors
     /// The file cannot be read, or lacks a column of the layout.
-    pub fn open(path: &Path, layout: &'a Layout) -> Result<Self, DatasetError> {
+    pub fn open(path: &Path, layout: &'a TableLayout) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(|source| match source.kind() {
             ErrorKind::NotFound => DatasetError::Missing { path: path.to_owned() },
             _ => DatasetError::Read { path: path.to_owned(), source },
@@ -87,8 +87,8 @@ impl<'a> Reader<'a> {
         for (place, origin) in places.iter_mut().zip(&layout.origins) {
             *place = match origin {
                 None => Place::Absent,
-                Some(Origin::Value(value)) => Place::Value(*value),
-                Some(Origin::Column { name, factor, offset, share }) => {
+                Some(ColumnSource::Value(value)) => Place::Value(*value),
+                Some(ColumnSource::Column { name, factor, offset, share }) => {
                     Place::Cell { index: find(name)?, factor: *factor, offset: *offset, share: *share }
                 }
             };
@@ -121,7 +121,7 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// A line that cannot be split into cells, or a cell that is no finite number.
-    pub fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<Sample>, DatasetError> {
+    pub fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
         let more = self
             .table
             .read_byte_record(&mut self.line)
@@ -151,7 +151,7 @@ impl<'a> Reader<'a> {
             other
         });
         self.started = true;
-        Ok(Some(Sample { fields, next_breath, group }))
+        Ok(Some(TableRow { fields, next_breath, group }))
     }
 
     /// Index of the row's group; a table without groups is one, named after its file.
@@ -197,7 +197,7 @@ impl<'a> Reader<'a> {
 
     fn bad_cell(&self, quantity: usize, cell: &[u8], reason: &'static str) -> DatasetError {
         let column = match &self.layout.origins[quantity] {
-            Some(Origin::Column { name, .. }) => name.clone(),
+            Some(ColumnSource::Column { name, .. }) => name.clone(),
             _ => Quantity::ALL[quantity].name().to_owned(),
         };
         DatasetError::TableCell {

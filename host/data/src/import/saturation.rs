@@ -3,8 +3,8 @@
 /// Counts one valve, table by table: tables may be of different ventilators.
 #[derive(Debug, Default)]
 pub(super) struct Saturation {
-    low: End,
-    high: End,
+    low: RangeEnd,
+    high: RangeEnd,
     rows: usize,
     /// Over the tables before this one.
     past_saturated: usize,
@@ -12,7 +12,7 @@ pub(super) struct Saturation {
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct End {
+struct RangeEnd {
     command: f64,
     rows: usize,
 }
@@ -20,10 +20,10 @@ struct End {
 impl Saturation {
     pub(super) fn add(&mut self, command: f64) {
         if self.rows == 0 || command < self.low.command {
-            self.low = End { command, rows: 0 };
+            self.low = RangeEnd { command, rows: 0 };
         }
         if self.rows == 0 || command > self.high.command {
-            self.high = End { command, rows: 0 };
+            self.high = RangeEnd { command, rows: 0 };
         }
         self.rows += 1;
         self.low.rows += usize::from(command <= self.low.command);

@@ -43,7 +43,7 @@ fn kaggle(breaths: usize) -> String {
     text
 }
 
-fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, Summary), DatasetError> {
+fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, ImportSummary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
     let (table, out) = (folder.path().join("table.csv"), folder.path().join("out.parquet"));
     std::fs::write(&table, text).unwrap();
@@ -128,7 +128,7 @@ fn mapped(rows: usize) -> Vec<String> {
 
 const HEAD: &str = "t;set;Paw;valve;V'in;V'out;lung\n";
 
-fn from_rows(rows: &[String]) -> Result<(Recording, Summary), DatasetError> {
+fn from_rows(rows: &[String]) -> Result<(Recording, ImportSummary), DatasetError> {
     imported(&format!("{HEAD}{}", rows.concat()), &ColumnMap::from_toml(MAP).unwrap())
 }
 

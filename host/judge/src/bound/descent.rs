@@ -6,7 +6,7 @@ use std::ops::Range;
 use shared::control::COMMAND_MAX;
 
 use super::bench_breath::BenchBreath;
-use super::shape::Shape;
+use super::shape::CommandShape;
 use plant::bench::Bench;
 
 /// How far a node is moved to measure its response, percent.
@@ -35,7 +35,7 @@ pub(super) struct Descent<'a> {
     breath: &'a BenchBreath,
     start: Bench,
     /// The sequence.
-    pub(super) shape: Shape,
+    pub(super) shape: CommandShape,
     /// Its score from `start`, cmH2O.
     pub(super) score: f64,
     /// How far a step may move a node, percent.
@@ -51,14 +51,14 @@ struct StepResponse {
 }
 
 impl<'a> Descent<'a> {
-    pub(super) fn new(breath: &'a BenchBreath, start: Bench, shape: Shape) -> Self {
+    pub(super) fn new(breath: &'a BenchBreath, start: Bench, shape: CommandShape) -> Self {
         let mut descent =
             Self { breath, start, shape, score: 0.0, reach: FIRST_REACH_PERCENT, probe: PROBE_PERCENT };
         descent.score = descent.score_of(&descent.shape);
         descent
     }
 
-    fn score_of(&self, shape: &Shape) -> f64 {
+    fn score_of(&self, shape: &CommandShape) -> f64 {
         let pressure = self.breath.inspire(&self.start, &shape.commands());
         self.breath.score(&pressure).score
     }
@@ -105,10 +105,10 @@ impl<'a> Descent<'a> {
         gain.max(0.0)
     }
 
-    fn moved(&self, step: &[f64], share: f64) -> Shape {
+    fn moved(&self, step: &[f64], share: f64) -> CommandShape {
         let limit = f64::from(COMMAND_MAX);
         let values = self.shape.values.iter().zip(step).map(|(v, d)| (v + share * d).clamp(0.0, limit));
-        Shape { nodes: self.shape.nodes.clone(), values: values.collect() }
+        CommandShape { nodes: self.shape.nodes.clone(), values: values.collect() }
     }
 
     /// Errors of the present sequence, and the response to every node.

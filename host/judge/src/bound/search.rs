@@ -7,7 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use super::BoundConfig;
 use super::bench_breath::BenchBreath;
 use super::descent::Descent;
-use super::shape::Shape;
+use super::shape::CommandShape;
 use super::start::look_ahead;
 use plant::bench::ValveConfig;
 use progress::Watch;
@@ -74,7 +74,7 @@ pub(super) fn search(
         let horizon = ticks((horizon * reaction_ms).max(LEAST_HORIZON_MS));
         let start = breath.periodic(&vec![BEFORE_PERCENT; breath.ticks()]);
         let commands = look_ahead(breath, &start, ticks(BLOCK_MS), horizon);
-        let shape = Shape::through(&commands, ticks(SPACING_MS));
+        let shape = CommandShape::through(&commands, ticks(SPACING_MS));
         let mut descent = Descent::new(breath, breath.periodic(&commands), shape);
         for level in 0..LEVELS {
             if level > 0 {

@@ -8,7 +8,7 @@ use shared::control::pid::{Pid, PidGains};
 
 use super::bench_breath::BenchBreath;
 use super::descent::Descent;
-use super::shape::Shape;
+use super::shape::CommandShape;
 use super::*;
 use crate::evaluate::{evaluate, trace};
 use plant::bench::{PatientConfig, SensorConfig, ValveConfig};
@@ -154,7 +154,7 @@ fn a_step_never_climbs_and_stays_within_the_valves_range() {
     let bench = BenchConfig::paper(5.0, 10.0);
     let breath = BenchBreath::new(&bench, &paper_settings(30.0), DEFAULT_PERIOD_US).unwrap();
     let commands = vec![20.0; breath.ticks()];
-    let shape = Shape::through(&commands, 25);
+    let shape = CommandShape::through(&commands, 25);
     let mut descent = Descent::new(&breath, breath.periodic(&commands), shape);
     let before = descent.score;
     for _ in 0..12 {

@@ -28,7 +28,7 @@ pub struct Cycle {
 
 /// Which rows of a cycle count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Span {
+pub enum FitSpan {
     /// Its inspiration.
     Inspiration,
     /// All of it.
@@ -68,11 +68,11 @@ impl Cycle {
 
     /// The least-squares fit of `P = P0 + V/C + R q + R2 q|q|`, `q` being the net flow less what the circuit takes
     /// (`circuit`, mL/cmH2O, times the slope of the pressure). Coefficients in that order, 1/C in cmH2O/mL.
-    pub fn fit(&self, span: Span, drift: Drift, circuit: f64) -> Option<Solution<COEFFICIENTS>> {
+    pub fn fit(&self, span: FitSpan, drift: Drift, circuit: f64) -> Option<Solution<COEFFICIENTS>> {
         let rows = self.rows(drift, circuit);
         let count = match span {
-            Span::Inspiration => self.inspiration.min(rows.len()),
-            Span::Cycle => rows.len(),
+            FitSpan::Inspiration => self.inspiration.min(rows.len()),
+            FitSpan::Cycle => rows.len(),
         };
         solve(&rows[..count], &self.pressure[..count])
     }

@@ -28,7 +28,7 @@ use std::ops::Range;
 use serde::{Serialize, Serializer};
 use thiserror::Error;
 
-use self::cycle::{COEFFICIENTS, Cycle, Drift, Span};
+use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan};
 use data::identity::TestRun;
 use data::recording::Recording;
 use engine::least_squares::{Solution, student};
@@ -206,10 +206,10 @@ fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>,
 impl LungCycles {
     /// What the lung is; none if no cycle can be fitted.
     pub fn identify(&self) -> Option<Identified> {
-        let corrected = self.fits(Span::Cycle, Drift::Corrected, 0.0);
-        let raw = self.fits(Span::Inspiration, Drift::Kept, 0.0);
+        let corrected = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0);
+        let raw = self.fits(FitSpan::Inspiration, Drift::Kept, 0.0);
         let circuit = self.circuit();
-        let behind = self.fits(Span::Cycle, Drift::Corrected, circuit);
+        let behind = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
         let offsets: Vec<f64> = self.breaths.iter().map(|(_, breath)| breath.offset).collect();
         let flow: f64 = self.breaths.iter().map(|(_, breath)| breath.inspiratory_flow()).sum();
         Some(Identified {
@@ -234,7 +234,7 @@ impl LungCycles {
     }
 
     /// The fits of its cycles; those with a compliance below zero say nothing.
-    fn fits(&self, span: Span, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
+    fn fits(&self, span: FitSpan, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
         let fits = self.breaths.iter().filter_map(|(_, breath)| breath.fit(span, drift, circuit));
         fits.filter(|fit| fit.coefficients[1] > 0.0).collect()
     }
@@ -242,9 +242,9 @@ impl LungCycles {
     /// Compliance of the circuit with the least residual over all cycles, mL/cmH2O.
     fn circuit(&self) -> f64 {
         let (count, step) = CIRCUITS;
-        let fitted = self.fits(Span::Cycle, Drift::Corrected, 0.0).len();
+        let fitted = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0).len();
         let candidates = (0..count).map(|n| n as f64 * step).filter_map(|circuit| {
-            let fits = self.fits(Span::Cycle, Drift::Corrected, circuit);
+            let fits = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
             let sum: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
             (fits.len() == fitted).then_some((circuit, sum))
         });

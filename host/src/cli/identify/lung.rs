@@ -9,7 +9,7 @@ use super::super::output::OutputArgs;
 use super::LungArgs;
 use data::files::write_atomically;
 use data::recording::Recording;
-use judge::identify::cycle::{Cycle, Drift, Span};
+use judge::identify::cycle::{Cycle, Drift, FitSpan};
 use judge::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
@@ -167,7 +167,7 @@ fn points(breath: &Cycle, values: &[f64]) -> Vec<(f64, f64)> {
 }
 
 fn fitted(breath: &Cycle, circuit: f64) -> Option<Vec<f64>> {
-    let fit = breath.fit(Span::Cycle, Drift::Corrected, circuit)?;
+    let fit = breath.fit(FitSpan::Cycle, Drift::Corrected, circuit)?;
     let value = |row: [f64; 4]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
     Some(breath.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
 }

@@ -42,7 +42,7 @@ pub struct DemoConfig {
 
 /// Which part is under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum DemoStep {
     /// Searching the best PID.
     Tune,
     /// A stage of a round (from 0).
@@ -52,7 +52,7 @@ pub enum Step {
 }
 
 /// Progress: step, done, in all.
-pub type Observer<'a> = &'a (dyn Fn(Step, usize, usize) + Sync);
+pub type Observer<'a> = &'a (dyn Fn(DemoStep, usize, usize) + Sync);
 
 /// One controller's part of the comparison.
 #[derive(Clone, Debug)]
@@ -134,7 +134,7 @@ fn tuned(
     {
         return Ok(tuned.best);
     }
-    let progress = |done, total| observer(Step::Tune, done as usize, total as usize);
+    let progress = |done, total| observer(DemoStep::Tune, done as usize, total as usize);
     let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, &progress, stop)?;
     if !result.complete {
         return Err(StudyError::SearchStopped);
@@ -157,7 +157,7 @@ fn learn(
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Folder::new(out.join("run"));
-    let progress = |round, stage, done, total| observer(Step::Round(round, stage), done, total);
+    let progress = |round, stage, done, total| observer(DemoStep::Round(round, stage), done, total);
     Ok(pipeline::run(&pipeline, &[&source], Some(&folder), &progress, stop)?)
 }
 
@@ -179,10 +179,10 @@ fn compare(
     ];
     let total = controllers.len() * plan.pips.len() * plan.seeds.len();
     let done = AtomicUsize::new(0);
-    observer(Step::Evaluate, 0, total);
+    observer(DemoStep::Evaluate, 0, total);
     // Side by side: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
-        let one_more = || observer(Step::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        let one_more = || observer(DemoStep::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
         let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &one_more, stop)?;
         let traces = config.venue.traces(&config.bench, &controller, plan)?;
         Ok(Contestant { name, controller, evaluation, traces })

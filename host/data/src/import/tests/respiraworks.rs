@@ -31,7 +31,7 @@ fn write(folder: &Path, name: &str, lines: &[String]) -> PathBuf {
     path
 }
 
-fn import_tables(paths: &[PathBuf]) -> Result<(Recording, Summary), DatasetError> {
+fn import_tables(paths: &[PathBuf]) -> Result<(Recording, ImportSummary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out.parquet");
     let layout = ColumnMap::respiraworks().unwrap().layout().unwrap();
@@ -39,7 +39,7 @@ fn import_tables(paths: &[PathBuf]) -> Result<(Recording, Summary), DatasetError
     Ok((Recording::load(&out).unwrap(), summary))
 }
 
-fn import_lines(lines: &[String]) -> Result<(Recording, Summary), DatasetError> {
+fn import_lines(lines: &[String]) -> Result<(Recording, ImportSummary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
     import_tables(&[write(folder.path(), "table.csv", lines)])
 }
