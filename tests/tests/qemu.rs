@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use std::{env, fs};
 
 use device::Device;
-use device::blackbox::{Blackbox, Trace};
+use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
 use emulator::{BenchPlant, Debugger, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd, symbol};
 use plant::bench::BenchConfig;
@@ -532,7 +532,7 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
         (after.status.boot, after.status.recording),
         (before.status.boot + 1, before.status.recording)
     );
-    let bits = |trace: &Trace| trace.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
+    let bits = |ticks: &RecordedTicks| ticks.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
     assert!(bits(&after.fast) == bits(&before.fast), "the ticks are those of before");
     assert!(bits(&after.slow).starts_with(&bits(&before.slow)), "the last minute had its tail to go on with");
     assert!(after.log.starts_with(&before.log) && after.unread == 0);

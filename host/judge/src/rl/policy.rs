@@ -17,7 +17,7 @@ use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::Supervisor;
 
 use super::network::{Mlp, Tape, Weights};
-use super::ventilation::{Memory, Perception, Senses, command};
+use super::ventilation::{Perception, PolicyMemory, Senses, command};
 use super::{Actions, Greedy, best};
 use crate::evaluate::{Evaluation, Inspiration, Plan, Score, score_breath, summarize};
 use data::tensors::{self, TensorError};
@@ -107,7 +107,7 @@ struct Flight<'a> {
     policy: &'a Policy,
     weights: Weights,
     tape: Tape,
-    memory: Memory,
+    memory: PolicyMemory,
     held: f32,
 }
 
@@ -115,7 +115,7 @@ impl<'a> Flight<'a> {
     fn new(policy: &'a Policy) -> Self {
         let Greedy { network, parameters, .. } = &policy.greedy;
         let (weights, tape) = (network.load(parameters), Tape::new(network, 1));
-        Self { policy, weights, tape, memory: Memory::default(), held: 0.0 }
+        Self { policy, weights, tape, memory: PolicyMemory::default(), held: 0.0 }
     }
 }
 

@@ -11,7 +11,7 @@ use shared::recorder::{Happening, LogEntry, RecordingState};
 
 use crate::monitor::words;
 use crate::report::{Cell, Table};
-use device::blackbox::{Blackbox, Trace};
+use device::blackbox::{Blackbox, RecordedTicks};
 
 /// What the recording is about, in a sentence.
 pub fn story(blackbox: &Blackbox) -> String {
@@ -43,7 +43,7 @@ pub fn summary(blackbox: &Blackbox, device: &str) -> Table {
 }
 
 /// How long a trace is, and its pressures.
-fn extent(trace: &Trace) -> String {
+fn extent(trace: &RecordedTicks) -> String {
     let (count, seconds) = (trace.ticks().count(), trace.ticks().count() as f64 * trace.step_s);
     let numbers = || trace.ticks().map(|tick| tick.pressure).filter(|pressure| !pressure.is_nan());
     let (lowest, highest) = (numbers().reduce(f32::min), numbers().reduce(f32::max));

@@ -47,8 +47,8 @@ fn blackbox() -> Blackbox {
             log: held,
         },
         period_us: 1000,
-        fast: Trace { step_s: 0.001, entries: fast },
-        slow: Trace { step_s: 0.001 * f64::from(SLOW_STRIDE), entries: Vec::new() },
+        fast: RecordedTicks { step_s: 0.001, entries: fast },
+        slow: RecordedTicks { step_s: 0.001 * f64::from(SLOW_STRIDE), entries: Vec::new() },
         log: log.into_iter().chain([LogEntry { tick: 0, boot: 2, happening: again }]).collect(),
         unread: 1,
     }

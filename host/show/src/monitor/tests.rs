@@ -23,8 +23,8 @@ use super::draw::draw;
 use super::news::News;
 use super::plain::Lines;
 use super::terminal::{Pressed, meaning};
-use super::trace::Trace;
-use super::view::{Key, Message, PIP_STEP, RATE_STEP, View};
+use super::view::{Key, Notice, PIP_STEP, RATE_STEP, View};
+use super::window::TelemetryWindow;
 use device::LineCounters;
 
 mod connected;
@@ -139,7 +139,7 @@ fn applied(request: Option<Request>) -> Settings {
 
 fn warning(view: &View) -> &str {
     match &view.message {
-        Some(Message::Warning(text)) => text,
+        Some(Notice::Warning(text)) => text,
         other => panic!("{other:?} in place of a warning"),
     }
 }
@@ -282,7 +282,7 @@ mod state {
         view.take(&greeting(Mode::Standby));
         view.take(&timing(12));
         assert_eq!(warning(&view), "the device started anew: watchdog");
-        assert!(view.trace.last().is_none() && view.breaths.is_empty());
+        assert!(view.window.last().is_none() && view.breaths.is_empty());
     }
 
     #[test]
@@ -317,8 +317,8 @@ mod state {
 mod traces {
     use super::*;
 
-    fn traced(batches: &[TelemetryBatch]) -> Trace {
-        let mut trace = Trace::new(9.0, PERIOD_US);
+    fn traced(batches: &[TelemetryBatch]) -> TelemetryWindow {
+        let mut trace = TelemetryWindow::new(9.0, PERIOD_US);
         for batch in batches {
             trace.take(batch);
         }
@@ -370,7 +370,7 @@ mod traces {
         fn points_run_forward_in_time_and_stay_within_the_chart(
             steps in prop::collection::vec((0u64..5000, 1usize..16), 1..40), columns in 1usize..400,
         ) {
-            let mut trace = Trace::new(9.0, PERIOD_US);
+            let mut trace = TelemetryWindow::new(9.0, PERIOD_US);
             let mut tick = 0;
             for (gap, length) in steps {
                 trace.take(&batch(tick + gap, &[5.0; 16][..length]));
