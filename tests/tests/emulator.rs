@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use host::emulator::{Debugger, Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd, symbol};
+use emulator::{Debugger, Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd, symbol};
 use shim::rcc::ResetCause;
 
 /// Names the folder of the images.
