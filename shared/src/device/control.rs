@@ -109,11 +109,10 @@ impl Control {
         })
     }
 
-    /// The same with these monitors alone, for a plant that is no ventilator; to be called in standby.
+    /// The same with these monitors alone, for a plant that is no ventilator.
     #[must_use]
     pub fn with_monitors(mut self, monitors: Monitors) -> Self {
         self.ventilator = self.ventilator.with_monitors(monitors);
-        self.state = self.ventilator.at_rest(*self.state.breath());
         self
     }
 
@@ -253,7 +252,7 @@ impl Control {
     pub fn record(&mut self, time: &TickTime) {
         let before = self.timer.missed();
         self.timer.record(time);
-        self.state.missed(self.timer.missed().saturating_sub(before));
+        self.ventilator.missed(&mut self.state, self.timer.missed().saturating_sub(before));
     }
 
     /// Carries out a request.
