@@ -1,8 +1,6 @@
-//! What an operator may set: names, units, bounds and defaults of every setting, once for firmware, command
-//! line and documents.
+//! The operator's settings: names, units, bounds and defaults, once for firmware, command line and documents.
 //!
-//! [`Settings`] is what was typed or received; [`crate::breath::Breath`] is the validated, built form that the
-//! control loop sees.
+//! [`Settings`] is what was typed or received; a `Breath` is the validated, built form that the control loop sees.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -81,7 +79,7 @@ fields! {
     pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0, "Pressure above which a breath is ended";
 }
 
-/// Why settings were refused.
+/// Reason for refusing settings.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SettingsError {
     /// A value lies outside its bounds (or is no number).

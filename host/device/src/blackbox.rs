@@ -3,7 +3,7 @@
 use serde::Serialize;
 use shared::link::messages::{Request, Response};
 use shared::recorder::entry::{EVENT_BYTES, TICK_BYTES};
-use shared::recorder::{Held, LogEntry, Part, SLOW_STRIDE, Status, TickEntry};
+use shared::recorder::{Held, LogEntry, Part, RecorderStatus, SLOW_STRIDE, TickEntry};
 
 use super::{Device, DeviceError};
 
@@ -11,7 +11,7 @@ use super::{Device, DeviceError};
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Blackbox {
     /// What its recording is about.
-    pub status: Status,
+    pub status: RecorderStatus,
     /// Control period, microseconds.
     pub period_us: u32,
     /// Every control tick of the last 2 s.
@@ -61,7 +61,7 @@ impl Device {
     ///
     /// # Errors
     /// [`DeviceError`].
-    pub fn recorder(&mut self) -> Result<Status, DeviceError> {
+    pub fn recorder(&mut self) -> Result<RecorderStatus, DeviceError> {
         match self.request(&Request::GetRecorder)? {
             Response::Recorder(status) => Ok(status),
             _ => Err(DeviceError::Unexpected),

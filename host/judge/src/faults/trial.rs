@@ -6,7 +6,7 @@ use serde::Serialize;
 use shared::breath::Phase;
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::link::messages::ResetCause;
+use shared::reset::ResetCause;
 use shared::safety::alarms::{Action, Fault};
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;

@@ -7,7 +7,7 @@ mod tests;
 
 pub use csv::csv;
 pub use figures::report;
-use shared::recorder::{Happening, LogEntry, Recording};
+use shared::recorder::{Happening, LogEntry, RecordingState};
 
 use crate::monitor::words;
 use crate::report::{Cell, Table};
@@ -19,11 +19,11 @@ pub fn story(blackbox: &Blackbox) -> String {
     let moment = words::moment(status.tick.into(), blackbox.period_us);
     let when = format!("{moment} after start {}", status.tick_boot);
     match status.recording {
-        Recording::Nothing => "nothing: it was emptied, or the device has not ventilated yet".to_owned(),
-        Recording::Running => format!("goes on: the device ventilates, begun {when}"),
-        Recording::Stopped => format!("ended by a stop, {when}"),
-        Recording::Fault(fault) => format!("ended by a fault, {when}: {}", words::fault(fault)),
-        Recording::Reset => format!("ended by a reset while ventilating, {when}"),
+        RecordingState::Nothing => "nothing: it was emptied, or the device has not ventilated yet".to_owned(),
+        RecordingState::Running => format!("goes on: the device ventilates, begun {when}"),
+        RecordingState::Stopped => format!("ended by a stop, {when}"),
+        RecordingState::Fault(fault) => format!("ended by a fault, {when}: {}", words::fault(fault)),
+        RecordingState::Reset => format!("ended by a reset while ventilating, {when}"),
     }
 }
 

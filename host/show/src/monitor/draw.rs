@@ -178,7 +178,7 @@ fn ticks(view: &View) -> Vec<Line<'static>> {
         return vec![Line::from("not told yet")];
     };
     let us = |cycles: f32| times.microseconds(cycles);
-    let span = |name: &str, span: &shared::device::timing::Span| {
+    let span = |name: &str, span: &shared::timing::CycleStats| {
         let [shortest, longest] = [span.shortest, span.longest].map(|cycles| us(cycles as f32));
         Line::from(format!("{name:<8}{shortest:>8.1}{:>8.1}{longest:>9.1} us", us(span.mean)))
     };

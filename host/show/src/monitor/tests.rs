@@ -8,16 +8,16 @@ use ratatui::style::Color;
 use shared::breath::Phase;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
-use shared::device::timing::{BINS, Span, TickTimes};
 use shared::link::PROTOCOL;
-use shared::link::messages::{
-    ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, ResetCause, Response, Slot, SlotState,
-};
+use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, Response};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
+use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
+use shared::timing::{BINS, CycleStats, TickTimes};
 use shared::ventilator::{Mode, Sample};
+use shared::weights::slots::{Slot, SlotState};
 
 use super::draw::draw;
 use super::news::News;
@@ -61,7 +61,7 @@ fn in_force(settings: Settings) -> News {
 }
 
 fn times(ticks: u32) -> TickTimes {
-    let span = |shortest, mean, longest| Span { shortest, mean, longest };
+    let span = |shortest, mean, longest| CycleStats { shortest, mean, longest };
     TickTimes {
         core_hz: 168_000_000,
         ticks,

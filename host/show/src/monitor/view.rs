@@ -7,11 +7,11 @@
 use std::collections::VecDeque;
 
 use shared::control::pid::PidGains;
-use shared::device::timing::TickTimes;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::telemetry::BreathSummary;
 use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
+use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 
 use super::news::News;
