@@ -74,7 +74,7 @@ fn show(
             let Event::Key(key) = event::read()? else { continue };
             match meaning(&key) {
                 Some(Pressed::Key(key)) => {
-                    view.press(key).into_iter().for_each(|request| session.ask(request))
+                    view.press(key).into_iter().for_each(|request| session.ask(request));
                 }
                 Some(Pressed::Leave) => return Ok(()),
                 Some(Pressed::Interrupt) => stop.store(true, Ordering::Relaxed),
