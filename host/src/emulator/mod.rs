@@ -11,17 +11,14 @@
 //! | `pipes` | the plant line, between shim and host |
 //! | `plant` | the plant's end of the line |
 //! | `bench_plant` | the virtual bench as a plant |
-//! | `debugger` | memory and registers of the running board |
 
 mod bench_plant;
-mod debugger;
 mod guardian;
 mod pipes;
 mod plant;
 mod qemu;
 
 pub use bench_plant::{BenchPlant, TruthLog};
-pub use debugger::{Debugger, DebuggerError, symbol};
 pub use plant::{LockstepPlant, Paced, Plant, PlantEnd};
 
 use std::fs::{self, File};
