@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use host::bench::{Bench, BenchConfig};
+use plant::bench::{Bench, BenchConfig};
 
 /// One breath, ms.
 const BREATH_MS: u32 = 3_000;

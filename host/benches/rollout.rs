@@ -4,9 +4,9 @@
 //! Run with `cargo bench -p host -- rollout`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use host::simulator::model::{Architecture, Simulator};
-use host::simulator::state_space::StateSpaceConfig;
-use host::train::{Plant, TrainConfig, Training};
+use learn::controller::{Plant, TrainConfig, Training};
+use learn::simulator::model::{Architecture, Simulator};
+use learn::simulator::state_space::StateSpaceConfig;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::breath::DEFAULT_PERIOD_US;

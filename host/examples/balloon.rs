@@ -5,11 +5,12 @@
 
 use std::sync::atomic::AtomicBool;
 
-use host::balloon::{self, PERIOD_US, baseline};
-use host::pipeline;
-use host::source::{BalloonSource, Source};
+use judge::balloon::{self, baseline};
+use learn::pipeline;
+use plant::balloon::PERIOD_US;
 use shared::control::Controller;
 use shared::control::pid::Pid;
+use ventilator::{BalloonSource, Source};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seed = std::env::args().nth(1).map_or(Ok(1), |seed| seed.parse())?;

@@ -6,13 +6,13 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use host::bench::BenchConfig;
-use host::evaluate::{Plan, evaluate};
-use host::files::write_atomically;
-use host::pipeline::{self, PipelineConfig};
-use host::source::{BenchSource, Source};
+use data::files::write_atomically;
+use judge::evaluate::{Plan, evaluate};
+use learn::pipeline::{self, PipelineConfig};
+use plant::bench::BenchConfig;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
+use ventilator::{BenchSource, Source};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // R 50 cmH2O/(L/s), C 10 mL/cmH2O; every parameter of the bench could be changed here.

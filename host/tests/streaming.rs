@@ -8,8 +8,8 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::time::Instant;
 
-use host::dataset::foreign::import;
-use host::dataset::foreign::map::ColumnMap;
+use data::import::foreign::import;
+use data::import::foreign::map::ColumnMap;
 
 const BREATHS: usize = 75_000;
 const ROWS: usize = 80;

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use host::emulator::{Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd};
+use emulator::{Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd};
 use shim::rcc::ResetCause;
 use tests::debugger::{Debugger, symbol};
 

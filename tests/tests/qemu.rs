@@ -12,14 +12,12 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 use std::{env, fs};
 
-use host::bench::BenchConfig;
-use host::collect::{CollectConfig, collect};
-use host::device::Device;
-use host::device::blackbox::{Blackbox, Trace};
-use host::emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd};
-use host::port::Address;
-use host::source::{BenchSource, PortSource, Source};
-use host::watch::Watch;
+use device::Device;
+use device::blackbox::{Blackbox, Trace};
+use device::port::Address;
+use emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd};
+use plant::bench::BenchConfig;
+use progress::Watch;
 use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
@@ -34,6 +32,8 @@ use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 use tests::debugger::{Debugger, symbol};
 use tests::plant::Plant as Lung;
 use tests::trace::{self, Fnv};
+use ventilator::collect::{CollectConfig, collect};
+use ventilator::{BenchSource, PortSource, Source};
 
 /// Cycles of a control tick.
 const TICK_CYCLES: u32 = 168_000;

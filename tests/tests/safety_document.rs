@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use host::faults::matrix::cases;
+use judge::faults::matrix::cases;
 use shared::safety::alarms::{ALARMS, Action, Priority};
 
 fn document() -> PathBuf {

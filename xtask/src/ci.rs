@@ -13,7 +13,7 @@ use anyhow::{Context, Result, bail};
 use clap::builder::PossibleValuesParser;
 use xshell::Shell;
 
-use crate::CHIP_TARGET;
+use crate::{CHIP_PROFILE, CHIP_TARGET};
 
 /// One check.
 struct Step {
@@ -62,10 +62,11 @@ const CHIP: &[Step] = &[
 const LANES: [&[Step]; 2] = [HOST, CHIP];
 
 /// The lints of a package for the chip, with these features.
-const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 14] {
+const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 15] {
     [
         "clippy",
-        "--release",
+        "--profile",
+        CHIP_PROFILE,
         "-p",
         package,
         "--no-default-features",

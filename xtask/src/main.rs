@@ -20,6 +20,8 @@ use xshell::Shell;
 
 /// The chip's instruction set: Cortex-M4 with a hardware unit for f32.
 const CHIP_TARGET: &str = "thumbv7em-none-eabihf";
+/// The profile that the chip's programs are built with.
+const CHIP_PROFILE: &str = "release";
 
 /// Build and check automation of Eupnea.
 #[derive(Parser)]

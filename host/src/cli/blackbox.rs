@@ -8,12 +8,12 @@ use shared::link::messages::DeviceIdentity;
 
 use super::common::{bar, write_json};
 use super::output::OutputArgs;
-use crate::blackbox::{events, report, summary};
-use crate::device::Device;
-use crate::device::blackbox::Blackbox;
-use crate::files::write_atomically;
-use crate::monitor::words;
-use crate::port::Address;
+use data::files::write_atomically;
+use device::Device;
+use device::blackbox::Blackbox;
+use device::port::Address;
+use show::blackbox::{csv, events, report, summary};
+use show::monitor::words;
 
 /// Read a device's flight recorder: the last seconds before a fault, and what happened when
 #[derive(Debug, clap::Args)]
@@ -102,7 +102,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn save(path: &Path, found: &Found) -> anyhow::Result<()> {
     match kind(path) {
-        Some("csv") => write_atomically(path, found.blackbox.to_csv().as_bytes())
+        Some("csv") => write_atomically(path, csv(&found.blackbox).as_bytes())
             .with_context(|| format!("cannot write {}", path.display())),
         Some("json") => write_json(path, found),
         _ => bail!("{} is neither CSV nor JSON", path.display()),

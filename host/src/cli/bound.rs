@@ -9,10 +9,10 @@ use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 use super::common::{bar, benches, stop, stopped};
 use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
-use crate::bound::{Bound, BoundConfig, bounds};
-use crate::evaluate::Plan;
-use crate::report::{Cell, Table};
-use crate::watch::Watch;
+use judge::bound::{Bound, BoundConfig, bounds};
+use judge::evaluate::Plan;
+use progress::Watch;
+use show::report::{Cell, Table};
 
 /// Search the best commands for a bench that is known in every detail: what no controller can beat
 #[derive(Debug, clap::Args)]
@@ -119,8 +119,8 @@ fn row(pips: &[f32], lung: &Bound) -> Vec<Cell> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bound::WaveformBound;
-    use crate::evaluate::Score;
+    use judge::bound::WaveformBound;
+    use judge::evaluate::Score;
 
     fn lung(complete: bool) -> Bound {
         let score = Score { score: 0.75, ..Score::default() };

@@ -13,12 +13,12 @@ use super::output::OutputArgs;
 use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
-use crate::collect::{CollectConfig, CollectError, Collected, collect};
-use crate::dataset::{INSPIRATION, Recording};
-use crate::evaluate::seeds;
-use crate::report::{Cell, Table};
-use crate::source::{BenchSource, PlantSource, SharedLink, Source, SourceError};
-use crate::watch::Watch;
+use data::recording::{INSPIRATION, Recording};
+use progress::Watch;
+use show::report::{Cell, Table};
+use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
+use ventilator::seeds;
+use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 
 /// Record breaths with random perturbations of a known-good controller, as in the paper
 #[derive(Debug, clap::Args)]

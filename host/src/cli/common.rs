@@ -11,9 +11,9 @@ use serde::Serialize;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use crate::bench::BenchConfig;
-use crate::files::write_atomically;
-use crate::train::learned::Learned;
+use data::files::write_atomically;
+use learn::controller::learned::Learned;
+use plant::bench::BenchConfig;
 
 static STOP: AtomicBool = AtomicBool::new(false);
 

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use crate::evaluate::Score;
-use crate::report::{Cell, Table};
+use judge::evaluate::Score;
+use show::report::{Cell, Table};
 
 /// Figures under the same noise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

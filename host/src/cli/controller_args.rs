@@ -10,7 +10,7 @@ use shared::device::KNOWN_GOOD;
 use shared::weights::decode;
 
 use super::{common, plant_args};
-use crate::source::SharedLink;
+use ventilator::SharedLink;
 
 /// Which controller.
 #[derive(Debug, clap::Args)]

@@ -12,9 +12,9 @@ use super::output::OutputArgs;
 use super::qemu::ImageArgs;
 use super::stage_bars::StageBars;
 use super::train::stage_name;
-use crate::baselines::Search;
-use crate::demo::{DemoConfig, Step, Venue, run as run_demo};
-use crate::pipeline::PipelineConfig;
+use judge::baselines::Search;
+use learn::pipeline::PipelineConfig;
+use study::demo::{DemoConfig, Step, Venue, run as run_demo};
 
 /// Run the whole pipeline on one lung: search the best PID, record, fit, train, compare, report
 #[derive(Debug, clap::Args)]

@@ -16,12 +16,12 @@ use super::output::OutputArgs;
 use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
-use crate::bench::BenchConfig;
-use crate::evaluate::{Plan, Score, Trace, evaluate, evaluate_source, trace};
-use crate::provenance::Provenance;
-use crate::report::{Block, Plot, Report, Section, Series, Style};
-use crate::source::{PlantSource, Reseed};
-use crate::watch::Watch;
+use data::provenance::Provenance;
+use judge::evaluate::{Plan, Score, Trace, evaluate, evaluate_source, trace};
+use plant::bench::BenchConfig;
+use progress::Watch;
+use show::report::{Block, Plot, Report, Section, Series, Style};
+use ventilator::{PlantSource, Reseed};
 
 /// Score a controller on the bench, a learned one beside its PID under the same noise
 #[derive(Debug, clap::Args)]

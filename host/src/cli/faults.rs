@@ -8,12 +8,12 @@ use std::path::PathBuf;
 
 use super::common::{bar, benches, stop};
 use super::output::OutputArgs;
-use crate::bench::BenchConfig;
-use crate::faults::matrix::{Row, false_alarms, matrix, sound_pid};
-use crate::provenance::Provenance;
-use crate::report::{Block, Cell, Report, Section, Table};
-use crate::watch::Watch;
+use data::provenance::Provenance;
+use judge::faults::matrix::{Row, false_alarms, matrix, sound_pid};
+use plant::bench::BenchConfig;
+use progress::Watch;
 use shared::breath::DEFAULT_PERIOD_US;
+use show::report::{Block, Cell, Report, Section, Table};
 
 /// Break sensor, valves, tube and controller on the virtual bench: does the right monitor fire in time?
 #[derive(Debug, clap::Args)]

@@ -13,17 +13,17 @@ use serde::Serialize;
 use super::common::{bar, stopped};
 use super::output::OutputArgs;
 use super::preset::Preset;
-use crate::dataset::Recording;
-use crate::evaluate::seeds;
-use crate::identify;
-use crate::pipeline::PAPER_PERIOD_US;
-use crate::report::{Cell, Table};
-use crate::simulator::episode::{Episode, channels, episodes, ventilators, whole_breaths};
-use crate::simulator::fit::{ByWaveform, Fit, FitConfig, OpenLoop, by_waveform, open_loop, response, split};
-use crate::simulator::hybrid::HybridConfig;
-use crate::simulator::model::{Architecture, Simulator};
-use crate::simulator::state_space::StateSpaceConfig;
-use crate::simulator::stitched::StitchedConfig;
+use data::recording::Recording;
+use judge::identify;
+use learn::pipeline::PAPER_PERIOD_US;
+use learn::simulator::episode::{Episode, channels, episodes, ventilators, whole_breaths};
+use learn::simulator::fit::{ByWaveform, Fit, FitConfig, OpenLoop, by_waveform, open_loop, response, split};
+use learn::simulator::hybrid::HybridConfig;
+use learn::simulator::model::{Architecture, Simulator};
+use learn::simulator::state_space::StateSpaceConfig;
+use learn::simulator::stitched::StitchedConfig;
+use show::report::{Cell, Table};
+use ventilator::seeds;
 
 /// Learn a differentiable simulator from recordings
 #[derive(Debug, clap::Args)]

@@ -12,8 +12,8 @@ use shared::weights::{IMAGE_BYTES, decode};
 use super::common::bar;
 use super::controller_args::{image_id, read};
 use super::output::OutputArgs;
-use crate::device::Device;
-use crate::port::Address;
+use device::Device;
+use device::port::Address;
 
 /// Chip of the main board, as the probe's software names it.
 const CHIP: &str = "STM32F405RG";

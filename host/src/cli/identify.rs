@@ -1,12 +1,12 @@
 //! `trainer identify`: who is at a port, or which lung is in a recording.
 
-mod device;
+mod connected;
 mod lung;
 
 use std::path::PathBuf;
 
 use super::output::OutputArgs;
-use crate::port::Address;
+use device::port::Address;
 
 /// Ask a device who it is, or find out what a recorded lung is
 #[derive(Debug, clap::Args)]
@@ -57,7 +57,7 @@ struct LungArgs {
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match (&args.port, &args.data) {
-        (Some(port), _) => device::run(port, &args.output),
+        (Some(port), _) => connected::run(port, &args.output),
         (None, Some(data)) => lung::run(data, &args.lung, &args.output),
         (None, None) => anyhow::bail!("name a device with --port or a recording with --data"),
     }

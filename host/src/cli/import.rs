@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use super::common::bar;
 use super::output::OutputArgs;
-use crate::dataset::foreign::map::ColumnMap;
-use crate::dataset::respiraworks::ImportSummary;
-use crate::dataset::{foreign, respiraworks};
+use data::import::foreign::map::ColumnMap;
+use data::import::respiraworks::ImportSummary;
+use data::import::{foreign, respiraworks};
 
 /// Make a recording from tables measured elsewhere
 #[derive(Debug, clap::Args)]

@@ -10,12 +10,12 @@ use shared::weights::{ARCHITECTURE, FORMAT_VERSION, Image, MAGIC, decode};
 
 use super::controller_args::image_id;
 use super::output::OutputArgs;
-use crate::bench::BenchConfig;
-use crate::dataset::Recording;
-use crate::report::{Cell, Table};
-use crate::simulator::model::Simulator;
-use crate::tensors;
-use crate::train::learned::Learned;
+use data::recording::Recording;
+use data::tensors;
+use learn::controller::learned::Learned;
+use learn::simulator::model::Simulator;
+use plant::bench::BenchConfig;
+use show::report::{Cell, Table};
 
 /// Show what is in a recording, a simulator, a controller or a weights image
 #[derive(Debug, clap::Args)]
@@ -62,8 +62,8 @@ fn facts(file: &Path) -> anyhow::Result<Facts> {
         return Ok(recording(&Recording::load(file)?));
     }
     match tensors::kind(file)?.as_str() {
-        crate::simulator::model::KIND => simulator(&Simulator::load(file)?),
-        crate::train::learned::KIND => learned(&Learned::load(file)?),
+        learn::simulator::model::KIND => simulator(&Simulator::load(file)?),
+        learn::controller::learned::KIND => learned(&Learned::load(file)?),
         other => bail!("{} holds {other}, which this version does not know", file.display()),
     }
 }

@@ -14,13 +14,13 @@ use shared::settings::{FIELDS, Field, Settings};
 use super::common::{gains, stop, stopped};
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
-use crate::device::{Device, LineCounters};
-use crate::monitor::plain::Lines;
-use crate::monitor::session::Session;
-use crate::monitor::view::View;
-use crate::monitor::{terminal, words};
-use crate::port::Address;
-use crate::report::{Cell, Table};
+use device::port::Address;
+use device::{Device, LineCounters};
+use show::monitor::plain::Lines;
+use show::monitor::session::Session;
+use show::monitor::view::View;
+use show::monitor::{terminal, words};
+use show::report::{Cell, Table};
 
 /// Watch a device: pressure, valves, breaths, alarms, tick times; start, stop and set it by keys
 #[derive(Debug, clap::Args)]
@@ -145,10 +145,25 @@ fn setting(field: &Field, state: &State) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared::link::PROTOCOL;
+    use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, SlotState};
+    use shared::ventilator::Mode;
 
     #[test]
     fn a_setting_that_waits_for_its_breath_is_told_beside_the_one_in_force() {
-        let identity = crate::monitor::tests::identity(shared::ventilator::Mode::Ventilating);
+        let identity = DeviceIdentity {
+            protocol: PROTOCOL,
+            firmware: [0, 1, 0],
+            device: DeviceKind::Ventilator,
+            period_us: 1000,
+            mode: Mode::Ventilating,
+            controller: ControllerChoice::Learned,
+            exploration: None,
+            slots: [SlotState::Empty, SlotState::Empty],
+            running: None,
+            reset: ResetCause::PowerOn,
+            failure: None,
+        };
         let settings = Settings::default();
         let next_settings = Some(Settings { pip: 25.0, ..settings });
         let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::common::write_json;
-use crate::report::Table;
+use show::report::Table;
 
 /// How results are given out.
 #[derive(Debug, clap::Args)]

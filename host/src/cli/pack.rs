@@ -9,7 +9,7 @@ use shared::weights::decode;
 use super::common;
 use super::controller_args::image_id;
 use super::output::OutputArgs;
-use crate::files::write_atomically;
+use data::files::write_atomically;
 
 /// Pack a learned controller as the weights image that the chip takes
 #[derive(Debug, clap::Args)]

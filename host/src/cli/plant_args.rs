@@ -6,8 +6,8 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use shared::breath::{DEFAULT_PERIOD_US, PERIOD_BOUNDS_US};
 
-use crate::plant::{PATIENCE, PlantAddress, PlantLink};
-use crate::source::SharedLink;
+use plant::link::{PATIENCE, PlantAddress, PlantLink};
+use ventilator::SharedLink;
 
 /// Which plant.
 #[derive(Debug, clap::Args)]

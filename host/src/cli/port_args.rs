@@ -3,9 +3,9 @@
 use anyhow::{Context, bail};
 
 use super::controller_args::Chosen;
-use crate::device::Device;
-use crate::port::Address;
-use crate::source::PortSource;
+use device::Device;
+use device::port::Address;
+use ventilator::PortSource;
 
 /// Which device.
 #[derive(Debug, clap::Args)]

@@ -2,8 +2,8 @@
 
 use clap::ValueEnum;
 
-use crate::dataset::Recording;
-use crate::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
+use data::recording::Recording;
+use learn::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
 
 /// Whose setting; what is typed beside it has precedence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

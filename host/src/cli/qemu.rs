@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::bail;
 
 use super::common::{BenchArgs, stopped};
-use crate::emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, Paced};
+use emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, Paced};
 
 /// Control period of the board.
 const PERIOD: Duration = Duration::from_millis(1);

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::common::stop;
 use super::output::OutputArgs;
 use super::stage_bars::StageBars;
-use crate::bench::BenchConfig;
-use crate::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
+use plant::bench::BenchConfig;
+use study::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
 
 /// Run the paper's experiments on the virtual bench and write one report
 #[derive(Debug, clap::Args)]

@@ -6,8 +6,8 @@ use anyhow::{Context, bail};
 
 use super::common::{bar, stop, stopped, write_json};
 use super::output::OutputArgs;
-use crate::faults::torture::{BOUND, Torture};
-use crate::watch::Watch;
+use judge::faults::torture::{BOUND, Torture};
+use progress::Watch;
 
 /// Breathe with random weights, random lungs and random faults: how high does the true pressure get?
 #[derive(Debug, clap::Args)]

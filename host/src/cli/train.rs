@@ -14,14 +14,14 @@ use super::plant_args::{self, PlantArgs};
 use super::preset::Preset;
 use super::settings_args::SettingsArgs;
 use super::stage_bars::StageBars;
-use crate::evaluate::seeds;
-use crate::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
-use crate::provenance::git_revision;
-use crate::report::{Cell, Table};
-use crate::simulator::model::{Architecture, Simulator};
-use crate::source::{BenchSource, PlantSource, SharedLink, Source, SourceError};
-use crate::train::learned::{Learned, Origin};
-use crate::train::{Plant, Progress, TrainConfig, Training, Weighting};
+use data::provenance::git_revision;
+use learn::controller::learned::{Learned, Origin};
+use learn::controller::{Plant, Progress, TrainConfig, Training, Weighting};
+use learn::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
+use learn::simulator::model::{Architecture, Simulator};
+use show::report::{Cell, Table};
+use ventilator::seeds;
+use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 
 /// Train a controller by back-propagation through learned simulators
 #[derive(Debug, clap::Args)]
@@ -366,8 +366,8 @@ fn rounds_table(rounds: &[Round]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulator::fit::FitConfig;
-    use crate::simulator::model::Architecture;
+    use learn::simulator::fit::FitConfig;
+    use learn::simulator::model::Architecture;
     use shared::device::KNOWN_GOOD;
 
     fn config(arguments: &[&str]) -> anyhow::Result<PipelineConfig> {

@@ -11,12 +11,13 @@ use super::controller_args::format_gains;
 use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
-use crate::baselines::{Best, Candidate, FAULT_SCORE, Grid, Kind, LungResult, Search, TuneResult, tune_pid};
-use crate::bench::BenchConfig;
-use crate::evaluate::{Ground, Plan};
-use crate::provenance::Provenance;
-use crate::report::{Block, Cell, HeatMap, Report, Section, Table};
-use crate::source::{PlantGround, PlantSource};
+use data::provenance::Provenance;
+use judge::baselines::{Best, Candidate, FAULT_SCORE, Grid, Kind, LungResult, Search, TuneResult, tune_pid};
+use judge::evaluate::PlantGround;
+use judge::evaluate::{Ground, Plan};
+use plant::bench::BenchConfig;
+use show::report::{Block, Cell, HeatMap, Report, Section, Table};
+use ventilator::PlantSource;
 
 /// Search the best PID for one or several lungs: what a learned controller has to beat
 #[derive(Debug, clap::Args)]
@@ -240,7 +241,7 @@ mod tests {
             lungs: vec![LungResult {
                 lung: "R20C20".into(),
                 best: best([FAULT_SCORE, 2.0, 1.5, 1.25]),
-                map: crate::baselines::ScoreMap { p: vec![], i: vec![], score: vec![] },
+                map: judge::baselines::ScoreMap { p: vec![], i: vec![], score: vec![] },
                 complete: true,
             }],
             over_all: best([1.0; 4]),

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::path::Path;
 
 use arrow_array::{Array, ArrayRef, Float32Array, RecordBatch};
-use host::dataset::{PROVENANCE_KEY, Recording};
+use data::recording::{PROVENANCE_KEY, Recording};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::file::metadata::KeyValue;

@@ -3,10 +3,10 @@
 use std::fs;
 use std::time::{Duration, Instant};
 
-use host::bench::BenchConfig;
-use host::device::Device;
-use host::device::simulated::Simulated;
-use host::port::{Address, BAUD, Port};
+use device::Device;
+use device::port::{Address, BAUD, Port};
+use device::simulated::Simulated;
+use plant::bench::BenchConfig;
 use serialport::{SerialPort, TTYPort};
 use shared::breath::paper_settings;
 use shared::link::messages::Event;

@@ -3,8 +3,8 @@
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Command, Output, Stdio};
 
-use host::dataset::Recording;
-use host::simulator::model::Simulator;
+use data::recording::Recording;
+use learn::simulator::model::Simulator;
 
 use super::support::{Place, text};
 

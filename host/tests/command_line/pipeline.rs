@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use host::dataset::Recording;
-use host::simulator::model::Simulator;
-use host::train::learned::Learned;
+use data::recording::Recording;
+use learn::controller::learned::Learned;
+use learn::simulator::model::Simulator;
 use shared::weights::decode;
 
 use super::support::Place;

@@ -6,8 +6,8 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use host::dataset::Recording;
-use host::train::learned::Learned;
+use data::recording::Recording;
+use learn::controller::learned::Learned;
 
 use super::support::{Place, text};
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
-use host::train::learned::{Learned, Origin};
+use learn::controller::learned::{Learned, Origin};
 use shared::control::features::FeatureSpec;
 use shared::control::network::Network;
 use shared::control::pid::PidGains;

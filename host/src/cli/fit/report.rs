@@ -1,12 +1,12 @@
 //! The report of a fit: training curve, errors, and predictions beside what was measured.
 
 use super::{Parts, Summary, remarks, table};
-use crate::dataset::Recording;
-use crate::provenance::Provenance;
-use crate::report::{Block, Plot, Report, Section, Series, Style};
-use crate::simulator::episode::Episode;
-use crate::simulator::fit::predict;
-use crate::simulator::model::Simulator;
+use data::provenance::Provenance;
+use data::recording::Recording;
+use learn::simulator::episode::Episode;
+use learn::simulator::fit::predict;
+use learn::simulator::model::Simulator;
+use show::report::{Block, Plot, Report, Section, Series, Style};
 
 /// Held-out breaths shown.
 const SHOWN: usize = 8;

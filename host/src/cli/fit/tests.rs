@@ -1,10 +1,10 @@
 //! What of the command can be told without a process.
 
 use super::*;
-use crate::dataset::Extra;
-use crate::dataset::respiraworks::import;
-use crate::dataset::respiraworks::tests_support::measured;
-use crate::provenance::Provenance;
+use data::import::respiraworks::import;
+use data::import::respiraworks::measured;
+use data::provenance::Provenance;
+use data::recording::Extra;
 
 fn episode(pip: f32, group: Option<u32>) -> Episode {
     Episode {
@@ -66,7 +66,7 @@ fn the_papers_preset_takes_its_simulator_and_refuses_other_recordings() {
     assert!(check(&recording(30_000)).is_ok());
     assert!(check(&recording(1_000)).unwrap_err().to_string().contains("--period-us 30000"));
     let mut high = recording(30_000);
-    high.push(crate::dataset::Row { peep: 8.0, ..crate::dataset::Row::default() });
+    high.push(data::recording::Row { peep: 8.0, ..data::recording::Row::default() });
     assert!(check(&high).unwrap_err().to_string().contains("PEEP 8"));
 }
 

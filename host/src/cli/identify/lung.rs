@@ -7,11 +7,11 @@ use serde::Serialize;
 
 use super::super::output::OutputArgs;
 use super::LungArgs;
-use crate::dataset::Recording;
-use crate::files::write_atomically;
-use crate::identify::breath::{Breath, Drift, Span};
-use crate::identify::{Estimate, Identified, Lung, identify, lungs, plant};
-use crate::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+use data::files::write_atomically;
+use data::recording::Recording;
+use judge::identify::breath::{Breath, Drift, Span};
+use judge::identify::{Estimate, Identified, Lung, bench, identify, lungs};
+use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// What `--json` gives.
 #[derive(Debug, Serialize)]
@@ -37,9 +37,9 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
         let [lung] = &found[..] else {
             bail!("a bench has one lung, this recording {}: choose one with --group", names(&found));
         };
-        let bench = plant::bench(lung, &recording)
+        let bench = bench::bench(lung, &recording)
             .with_context(|| format!("no bench can have the lung {}", lung.lung))?;
-        write_atomically(path, plant::to_toml(&bench, lung).as_bytes())
+        write_atomically(path, bench::to_toml(&bench, lung).as_bytes())
             .with_context(|| format!("cannot write {}", path.display()))?;
         output.line(&format!("saved {}", path.display()));
     }

@@ -1,0 +1,280 @@
+//! A device without a chip: both halves of [`shared::device`] on the virtual bench, at the end of any line. It stands in
+//! for the firmware where there is no emulator, and shows in tests what the line does to a device.
+
+use std::io::{ErrorKind, Read, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::device::Start;
+use shared::device::control::Control;
+use shared::device::desk::{Desk, Facts, Step};
+use shared::device::timing::TickTime;
+use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
+use shared::link::messages::{DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, read_request};
+use shared::link::refusal::Refusal;
+use shared::recorder::{Boot, Memory, Recorder};
+use shared::safety::filter::ValveCommand;
+use shared::ventilator::Mode;
+use shared::weights::{IMAGE_BYTES, decode};
+
+use crate::port::Port;
+use plant::bench::{Bench, BenchConfig, BenchError};
+
+/// Control ticks between two looks at the line.
+const TICKS_AT_ONCE: usize = 16;
+/// Pause between looks in standby.
+const STANDBY_PAUSE: Duration = Duration::from_millis(1);
+/// Least time between looks while it ventilates.
+const TICKS_TIME: Duration = Duration::from_micros(10 * TICKS_AT_ONCE as u64);
+/// The clock that a simulated device pretends to have, Hz; its ticks take no time.
+const CORE_HZ: u32 = 1_000_000;
+
+/// A running simulated device; ends when it is dropped.
+pub struct Simulated {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Simulated {
+    /// Runs a device on a bench at the end of a line, at most a hundred times as fast as a chip: a host that reads what the
+    /// flight recorder holds must not be lapped.
+    ///
+    /// # Errors
+    /// A bench that cannot be built.
+    pub fn start(bench: &BenchConfig, port: Port) -> Result<Self, BenchError> {
+        let config = bench.clone();
+        // A bench that cannot be built is told here, not in the thread.
+        let bench = Bench::new(&config, shared::settings::Settings::default().peep, 0)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = thread::spawn(move || {
+            // It survives the device's resets, as the chip's does.
+            let memory = Box::new(Memory::new());
+            Chip::new(config, bench, &memory).run(port, &stopped);
+        });
+        Ok(Self { stop, thread: Some(thread) })
+    }
+}
+
+impl Drop for Simulated {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A device that panicked has said so already.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What a chip would hold.
+struct Chip<'a> {
+    memory: &'a Memory,
+    recorder: Recorder<'a>,
+    config: BenchConfig,
+    bench: Bench,
+    peep: f32,
+    control: Control,
+    desk: Desk,
+    decoder: FrameDecoder<DECODER_BYTES>,
+    reading: f32,
+    command: ValveCommand,
+    /// The weights slots.
+    flash: [Option<[u8; IMAGE_BYTES]>; 2],
+    newest: Option<Slot>,
+    out: Vec<u8>,
+}
+
+impl<'a> Chip<'a> {
+    fn new(config: BenchConfig, bench: Bench, memory: &'a Memory) -> Self {
+        let (control, desk, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
+        let peep = shared::settings::Settings::default().peep;
+        Self {
+            memory,
+            recorder,
+            config,
+            bench,
+            peep,
+            control,
+            desk,
+            decoder: FrameDecoder::new(),
+            reading: peep,
+            command: ValveCommand::SAFE,
+            flash: [None; 2],
+            newest: None,
+            out: Vec::new(),
+        }
+    }
+
+    /// Ticks, listens and talks until the line ends.
+    fn run(&mut self, port: Port, stop: &Arc<AtomicBool>) {
+        let (mut writer, heard) = (port.writer, listen(port.reader, Arc::clone(stop)));
+        while !stop.load(Ordering::Relaxed) {
+            let begun = Instant::now();
+            for _ in 0..TICKS_AT_ONCE {
+                self.tick();
+            }
+            // Nothing is measured in standby: no need to be fast.
+            let patience = match self.control.mode() {
+                Mode::Ventilating => TICKS_TIME.saturating_sub(begun.elapsed()),
+                _ => STANDBY_PAUSE,
+            };
+            match heard.recv_timeout(patience) {
+                Ok(bytes) => bytes.iter().for_each(|byte| self.hear(*byte)),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            if writer.write_all(&self.out).is_err() {
+                return;
+            }
+            self.out.clear();
+        }
+    }
+
+    /// One control tick, as the firmware's control task runs it.
+    fn tick(&mut self) {
+        let cue = self.control.cue();
+        if let Some(seed) = cue.reset {
+            self.peep = cue.peep.unwrap_or(self.peep);
+            // The bench was built once from this configuration.
+            if let Ok(bench) = Bench::new(&self.config, self.peep, seed) {
+                (self.bench, self.reading) = (bench, self.peep);
+            }
+        } else {
+            self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
+            if let Some(peep) = cue.peep {
+                self.peep = peep;
+                self.bench.set_peep(peep);
+            }
+        }
+        let output = self.control.step(self.reading);
+        self.command = output.command;
+        self.control.record(&TickTime { latency: 0, work: 0, period: Some(DEFAULT_PERIOD_US), missed: 0 });
+        self.recorder.record(&self.control.moment(self.reading, &output, 0));
+        let mut reports = Vec::new();
+        self.control.report(&output, &mut |report| {
+            reports.push(report);
+            true
+        });
+        for report in reports {
+            for event in self.desk.report(&report) {
+                self.say(&event);
+            }
+        }
+    }
+
+    fn hear(&mut self, byte: u8) {
+        let request = match self.decoder.push(byte) {
+            Poll::Frame(content) => read_request(content),
+            Poll::Pending | Poll::Corrupt(_) => return,
+        };
+        match request {
+            Ok(request) => self.serve(&request),
+            Err(unreadable) => {
+                if let Some(sequence) = unreadable.sequence {
+                    let refusal = self.desk.unreadable(sequence);
+                    self.say(&refusal);
+                }
+            }
+        }
+        self.desk.corrupt_frames(self.decoder.counters().corrupt());
+    }
+
+    fn serve(&mut self, request: &ToDevice) {
+        let mut step = self.desk.receive(request);
+        loop {
+            step = match step {
+                Step::Send(answer) => return self.say(&answer),
+                Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
+                Step::Look(look) => self.desk.looked(self.memory.look(look)),
+                Step::Store => {
+                    let slot = self.store();
+                    self.desk.stored(Some(slot), states(&self.flash))
+                }
+                Step::Restart(answer) => {
+                    self.say(&answer);
+                    let cause = ResetCause::Software;
+                    (self.control, self.desk, self.recorder) =
+                        boot(self.memory, cause, &self.flash, self.newest);
+                    self.command = ValveCommand::SAFE;
+                    return;
+                }
+            };
+        }
+    }
+
+    fn store(&mut self) -> Slot {
+        let slot = if self.newest == Some(Slot::A) { Slot::B } else { Slot::A };
+        self.flash[slot as usize] = Some(*self.desk.image());
+        self.newest = Some(slot);
+        slot
+    }
+
+    fn say(&mut self, message: &ToHost) {
+        let mut buffer = [0; FRAME_BYTES];
+        if let Ok(frame) = encode_frame(message, &mut buffer) {
+            self.out.extend_from_slice(frame);
+        }
+    }
+}
+
+/// Reads a line in a thread of its own.
+fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<Vec<u8>> {
+    let (bytes, heard) = channel();
+    thread::spawn(move || {
+        let mut chunk = [0; 256];
+        while !stop.load(Ordering::Relaxed) {
+            match reader.read(&mut chunk) {
+                Ok(0) => return,
+                Ok(count) if bytes.send(chunk[..count].to_vec()).is_err() => return,
+                Ok(_) => {}
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => {}
+                Err(_) => return,
+            }
+        }
+    });
+    heard
+}
+
+/// What the slots hold.
+fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
+    flash.map(|bytes| match bytes.and_then(|bytes| decode(&bytes).ok()) {
+        Some(image) => SlotState::Valid { generation: 0, id: image.id },
+        None => SlotState::Empty,
+    })
+}
+
+/// Both halves and the flight recorder after a start.
+fn boot<'a>(
+    memory: &'a Memory,
+    reset: ResetCause,
+    flash: &[Option<[u8; IMAGE_BYTES]>; 2],
+    newest: Option<Slot>,
+) -> (Control, Desk, Recorder<'a>) {
+    let slots = states(flash);
+    let weights = newest.and_then(|slot| match slots[slot as usize] {
+        SlotState::Valid { id, .. } => Some(id),
+        _ => None,
+    });
+    let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights });
+    let image = newest.and_then(|slot| flash[slot as usize]).and_then(|bytes| decode(&bytes).ok());
+    let learned = image.map(|image| image.residual);
+    let running = newest.filter(|_| learned.is_some());
+    let device = DeviceKind::Simulated;
+    let facts = Facts {
+        firmware: [0; 3],
+        device,
+        period_us: DEFAULT_PERIOD_US,
+        slots,
+        running,
+        reset,
+        failure: None,
+    };
+    let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
+    let mut control = control.expect("the default control period is in bounds");
+    control.started(&Start { cause: reset, interrupted: recorder.interrupted(), slots });
+    (control, Desk::new(facts), recorder)
+}

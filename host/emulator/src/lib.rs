@@ -1,0 +1,344 @@
+//! The virtual board: the unchanged firmware image in QEMU, with a plant on its plant line and a link to connect to.
+//!
+//! QEMU models the core and some of the chip; the package `shim` stands in for the rest. Time on the board is virtual: it
+//! passes with the instructions executed and stands still while the plant computes an answer, so that a run does not
+//! depend on how fast the machine is.
+//!
+//! | file | subject |
+//! |---|---|
+//! | `qemu` | the program and its command line |
+//! | `guardian` | QEMU never outlives the process that started it |
+//! | `pipes` | the plant line, between shim and host |
+//! | `lockstep` | the plant's end of the line |
+//! | `bench_plant` | the virtual bench as a plant |
+
+#![forbid(unsafe_code)]
+#![cfg(unix)]
+
+mod bench_plant;
+mod guardian;
+mod lockstep;
+mod pipes;
+mod qemu;
+
+pub use bench_plant::{BenchPlant, TruthLog};
+pub use lockstep::{LockstepPlant, Paced, Plant, PlantEnd};
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::process::ExitStatus;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+use thiserror::Error;
+
+use guardian::{Guarded, Surroundings};
+use pipes::PlantThread;
+
+/// Bytes of both weights slots together.
+pub const FLASH_BYTES: usize = shim::flash::SLOTS_BYTES as usize;
+/// What QEMU and the shim have to say.
+const LOG_FILE: &str = "qemu.log";
+/// Held while a board runs in a folder.
+const LOCK_FILE: &str = "running.lock";
+/// Longest time that the shim may take to start, even on a machine with much else to do.
+const START_PATIENCE: Duration = Duration::from_mins(1);
+/// How often it is looked whether QEMU still lives while it starts.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// What a virtual board is made of.
+#[derive(Clone, Debug, Default)]
+pub struct EmulatorConfig {
+    /// The firmware's ELF file.
+    pub firmware: PathBuf,
+    /// The shim's ELF file.
+    pub shim: PathBuf,
+    /// Folder of the board, for one board at a time; its flash is kept there from run to run. None: a temporary one.
+    pub folder: Option<PathBuf>,
+    /// TCP port of the link on this machine; 0 takes any that is free.
+    pub link: u16,
+    /// Both weights slots, [`FLASH_BYTES`] bytes. None: as the folder has them, erased in a new one.
+    pub flash: Option<Vec<u8>>,
+    /// Whether a debugger can connect.
+    pub debugger: bool,
+}
+
+/// Why a virtual board does not run.
+#[derive(Debug, Error)]
+pub enum EmulatorError {
+    /// QEMU is not there.
+    #[error("{program} is missing; run: cargo xtask setup", program = qemu::PROGRAM)]
+    QemuMissing,
+    /// QEMU is too old.
+    #[error("{program} is {found}, it must be {least} or newer; run: cargo xtask setup", program = qemu::PROGRAM, least = qemu::LEAST_VERSION)]
+    QemuTooOld {
+        /// What it says of itself.
+        found: String,
+    },
+    /// An image is not there, or is none.
+    #[error("{} is no ELF image; run: cargo xtask firmware", .0.display())]
+    ImageMissing(PathBuf),
+    /// The flash has the wrong size.
+    #[error("the initial flash has {0} bytes; both slots together have {FLASH_BYTES}")]
+    FlashSize(usize),
+    /// Another board runs in the folder.
+    #[error("a board is running in {} already; give each its own folder", .0.display())]
+    FolderInUse(PathBuf),
+    /// The link's port is taken.
+    #[error("port {port} cannot be opened for the link ({error}); choose another, or 0 for any")]
+    Port {
+        /// The port.
+        port: u16,
+        /// Why.
+        error: io::Error,
+    },
+    /// QEMU ended before the firmware was started.
+    #[error("QEMU ended at its start, {status}:\n{log}")]
+    Ended {
+        /// How.
+        status: ExitStatus,
+        /// What it said.
+        log: String,
+    },
+    /// The shim did not report.
+    #[error("the shim did not start; are {} and {} made for each other? QEMU said:\n{log}", firmware.display(), shim.display())]
+    Silent {
+        /// The firmware's image.
+        firmware: PathBuf,
+        /// The shim's image.
+        shim: PathBuf,
+        /// What QEMU said.
+        log: String,
+    },
+    /// Files, pipes or processes.
+    #[error("{what}: {error}")]
+    Io {
+        /// What was tried.
+        what: &'static str,
+        /// Why it failed.
+        error: io::Error,
+    },
+}
+
+/// Names what was tried when it failed.
+fn tried(what: &'static str) -> impl FnOnce(io::Error) -> EmulatorError {
+    move |error| EmulatorError::Io { what, error }
+}
+
+/// A running virtual board. Dropping it ends QEMU and the plant's thread.
+#[derive(Debug)]
+pub struct Emulator {
+    qemu: Guarded,
+    plant: PlantThread,
+    address: SocketAddr,
+    debugger: Option<SocketAddr>,
+    folder: Folder,
+}
+
+impl Emulator {
+    /// Starts a board with a plant on its line; the firmware begins to run. Bytes that reach the link before the firmware
+    /// has opened its port are lost.
+    ///
+    /// # Errors
+    /// QEMU or an image is missing, or they do not start together.
+    pub fn start(
+        config: EmulatorConfig,
+        plant: impl PlantEnd + Send + 'static,
+    ) -> Result<Self, EmulatorError> {
+        qemu::check()?;
+        for image in [&config.firmware, &config.shim] {
+            if !is_elf(image) {
+                return Err(EmulatorError::ImageMissing(image.clone()));
+            }
+        }
+        let images = [config.firmware, config.shim].map(|image| std::path::absolute(&image).unwrap_or(image));
+        let folder = Folder::open(config.folder, config.flash)?;
+        let port = |port| {
+            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port));
+            let listener = listener.and_then(|listener| Ok((listener.local_addr()?, listener)));
+            listener.map_err(|error| EmulatorError::Port { port, error })
+        };
+        let (address, link) = port(config.link)?;
+        let (debugger, debug_port) = if config.debugger { Some(port(0)?).unzip() } else { (None, None) };
+        let plant =
+            PlantThread::start(folder.path(), plant).map_err(tried("cannot open the plant's pipes"))?;
+        let command = qemu::command(&images[0], &images[1], config.debugger);
+        let log = Path::new(LOG_FILE);
+        let surroundings = Surroundings { folder: folder.path(), log, input: Some(link), output: debug_port };
+        let qemu = Guarded::start(&command, surroundings).map_err(tried("cannot start QEMU"))?;
+        let mut emulator = Self { qemu, plant, address, debugger, folder };
+        emulator.await_shim(&images)?;
+        Ok(emulator)
+    }
+
+    /// Waits until the shim reports over the plant line.
+    fn await_shim(&mut self, [firmware, shim]: &[PathBuf; 2]) -> Result<(), EmulatorError> {
+        let begun = Instant::now();
+        loop {
+            match self.plant.started(LOOK) {
+                Ok(()) => {
+                    self.plant.release();
+                    return Ok(());
+                }
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            }
+            let ended = self.qemu.exit_status().map_err(tried("cannot look after QEMU"))?;
+            if let Some(status) = ended {
+                return Err(EmulatorError::Ended { status, log: self.log() });
+            }
+            if begun.elapsed() > START_PATIENCE {
+                let (firmware, shim) = (firmware.clone(), shim.clone());
+                return Err(EmulatorError::Silent { firmware, shim, log: self.log() });
+            }
+        }
+    }
+
+    /// Where the link is; one connection at a time.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Where a debugger connects, if one may.
+    pub fn debugger_address(&self) -> Option<SocketAddr> {
+        self.debugger
+    }
+
+    /// Both weights slots as they are stored now, [`FLASH_BYTES`] bytes.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn flash(&self) -> Result<Vec<u8>, EmulatorError> {
+        fs::read(self.folder.flash()).map_err(tried("cannot read the board's flash"))
+    }
+
+    /// What QEMU and the shim have said.
+    pub fn log(&self) -> String {
+        let log = fs::read(self.folder.path().join(LOG_FILE)).unwrap_or_default();
+        String::from_utf8_lossy(&log).trim_end().to_owned()
+    }
+
+    /// How QEMU ended; none while it runs.
+    ///
+    /// # Errors
+    /// The system does not tell.
+    pub fn exit_status(&mut self) -> Result<Option<ExitStatus>, EmulatorError> {
+        self.qemu.exit_status().map_err(tried("cannot look after QEMU"))
+    }
+
+    /// Waits until QEMU ends by itself.
+    ///
+    /// # Errors
+    /// The system does not tell.
+    pub fn wait(&mut self) -> Result<ExitStatus, EmulatorError> {
+        self.qemu.wait().map_err(tried("cannot wait for QEMU"))
+    }
+
+    /// Takes the power away, at any instant; what was stored in flash remains. Nothing happens the second time.
+    pub fn kill(&mut self) {
+        self.qemu.kill();
+        self.plant.end();
+    }
+}
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+/// Whether a file begins as an ELF file does; QEMU would load any other as it is.
+fn is_elf(path: &Path) -> bool {
+    let mut start = [0; 4];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && start == *b"\x7fELF"
+}
+
+/// The folder of a board, locked.
+#[derive(Debug)]
+struct Folder {
+    path: PathBuf,
+    _lock: File,
+    /// Removes the folder in the end.
+    _temporary: Option<TempDir>,
+}
+
+impl Folder {
+    fn open(given: Option<PathBuf>, flash: Option<Vec<u8>>) -> Result<Self, EmulatorError> {
+        let (path, temporary) = if let Some(path) = given {
+            (path, None)
+        } else {
+            let folder = tempfile::Builder::new().prefix("eupnea-board-").tempdir();
+            let folder = folder.map_err(tried("cannot make a temporary folder"))?;
+            (folder.path().to_owned(), Some(folder))
+        };
+        fs::create_dir_all(&path).map_err(tried("cannot make the board's folder"))?;
+        let lock = File::create(path.join(LOCK_FILE)).map_err(tried("cannot write to the board's folder"))?;
+        if lock.try_lock().is_err() {
+            return Err(EmulatorError::FolderInUse(path));
+        }
+        let folder = Self { path, _lock: lock, _temporary: temporary };
+        if let Some(flash) = flash {
+            if flash.len() != FLASH_BYTES {
+                return Err(EmulatorError::FlashSize(flash.len()));
+            }
+            fs::write(folder.flash(), flash).map_err(tried("cannot write the board's flash"))?;
+        }
+        Ok(folder)
+    }
+
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn flash(&self) -> PathBuf {
+        self.path.join(name(shim::FLASH_FILE))
+    }
+}
+
+/// A file's name as the shim has it.
+fn name(name: &std::ffi::CStr) -> &Path {
+    use std::os::unix::ffi::OsStrExt;
+    Path::new(std::ffi::OsStr::from_bytes(name.to_bytes()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_holds_one_board_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = || Folder::open(Some(folder.path().join("board")), None);
+        let first = open().unwrap();
+        assert!(matches!(open(), Err(EmulatorError::FolderInUse(_))));
+        drop(first);
+        assert!(open().is_ok());
+    }
+
+    #[test]
+    fn the_flash_must_fill_both_slots() {
+        let refused = Folder::open(None, Some(vec![0; 1000]));
+        assert!(matches!(refused, Err(EmulatorError::FlashSize(1000))));
+        let folder = Folder::open(None, Some(vec![7; FLASH_BYTES])).unwrap();
+        assert_eq!(fs::read(folder.flash()).unwrap().len(), FLASH_BYTES);
+    }
+
+    #[test]
+    fn a_temporary_folder_goes_with_its_board() {
+        let folder = Folder::open(None, None).unwrap();
+        let path = folder.path().to_owned();
+        assert!(path.is_dir());
+        drop(folder);
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn errors_say_what_to_do() {
+        assert!(EmulatorError::QemuMissing.to_string().ends_with("run: cargo xtask setup"));
+        let missing = EmulatorError::ImageMissing("a/firmware".into()).to_string();
+        assert_eq!(missing, "a/firmware is no ELF image; run: cargo xtask firmware");
+    }
+}

@@ -1,0 +1,15 @@
+//! The gradient engine: hand-written forward and backward passes over batches.
+//!
+//! A batch is cut into *shards* of [`LANES`] rollouts. Within a shard everything is a structure of arrays: one
+//! [`Lane`] holds one quantity of all its rollouts, so every operation is a vector operation. Shards share
+//! nothing and are reduced in their order, so results do not depend on the number of threads.
+
+#![forbid(unsafe_code)]
+
+pub mod activation;
+pub mod adam;
+pub mod dense;
+pub mod lane;
+pub mod least_squares;
+
+pub use lane::{LANES, Lane};

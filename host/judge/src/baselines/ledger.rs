@@ -1,0 +1,153 @@
+//! What is known so far: the scores of gains on lungs under one plan, each measured once.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use rayon::prelude::*;
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
+
+use super::TuneError;
+use super::grid::Kind;
+use crate::evaluate::{Ground, Plan};
+use ventilator::SourceError;
+
+/// Score of gains with which the ventilator goes to its safe state, cmH2O: worse than any pressure, yet finite.
+pub const FAULT_SCORE: f64 = 1000.0;
+
+/// Progress out, wish to stop in. Work is counted in simulated breaths.
+pub(super) struct Watch<'a> {
+    report: &'a (dyn Fn(u64, u64) + Sync),
+    stop: &'a AtomicBool,
+    planned: u64,
+    announced: AtomicU64,
+    done: AtomicU64,
+}
+
+impl<'a> Watch<'a> {
+    /// Nothing done of what is planned; the total grows if there is more to do than that.
+    pub fn new(report: &'a (dyn Fn(u64, u64) + Sync), stop: &'a AtomicBool, planned: u64) -> Self {
+        Self { report, stop, planned, announced: AtomicU64::new(0), done: AtomicU64::new(0) }
+    }
+
+    pub fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Reports that everything is done.
+    pub fn finish(&self) {
+        let done = self.done.load(Ordering::Relaxed);
+        (self.report)(done, done);
+    }
+
+    fn announce(&self, breaths: u64) {
+        self.announced.fetch_add(breaths, Ordering::Relaxed);
+    }
+
+    fn advance(&self, breaths: u64) {
+        let done = self.done.fetch_add(breaths, Ordering::Relaxed) + breaths;
+        (self.report)(done, self.planned.max(self.announced.load(Ordering::Relaxed)));
+    }
+}
+
+/// May a measurement be left out when the user wants to stop?
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Patience {
+    /// Yes.
+    Stoppable,
+    /// No: there is no result without it.
+    Needed,
+}
+
+/// Gains as a key: bits of floats that are not negative sort like the floats.
+type Key = [u32; 3];
+
+/// Scores by gains and lung.
+pub(super) struct Ledger<'a, G> {
+    grounds: &'a [G],
+    plan: Plan,
+    watch: &'a Watch<'a>,
+    scores: BTreeMap<Key, Vec<Option<f64>>>,
+}
+
+impl<'a, G: Ground> Ledger<'a, G> {
+    pub fn new(grounds: &'a [G], plan: Plan, watch: &'a Watch<'a>) -> Self {
+        Self { grounds, plan, watch, scores: BTreeMap::new() }
+    }
+
+    /// Measures what is not yet known of the candidates on the lungs of a group.
+    pub fn measure(
+        &mut self,
+        group: &[usize],
+        candidates: &[PidGains],
+        patience: Patience,
+    ) -> Result<(), TuneError> {
+        let missing: BTreeSet<(Key, usize)> = candidates
+            .iter()
+            .flat_map(|gains| group.iter().map(move |lung| (key(gains), *lung)))
+            .filter(|(key, lung)| self.scores.get(key).is_none_or(|lungs| lungs[*lung].is_none()))
+            .collect();
+        let missing: Vec<(Key, usize)> = missing.into_iter().collect();
+        let cost = self.plan.breaths_run() as u64;
+        self.watch.announce(cost * missing.len() as u64);
+        let outcomes: Vec<Result<Option<f64>, TuneError>> = missing
+            .par_iter()
+            .map(|(key, lung)| {
+                if patience == Patience::Stoppable && self.watch.stopped() {
+                    return Ok(None);
+                }
+                let score = score(&self.grounds[*lung], gains(*key), &self.plan)?;
+                self.watch.advance(cost);
+                Ok(Some(score))
+            })
+            .collect();
+        for ((key, lung), outcome) in missing.into_iter().zip(outcomes) {
+            if let Some(score) = outcome? {
+                let lungs = self.scores.entry(key);
+                lungs.or_insert_with(|| vec![None; self.grounds.len()])[lung] = Some(score);
+            }
+        }
+        Ok(())
+    }
+
+    /// Mean score over a group of lungs, cmH2O; none if one of them is not known.
+    pub fn score(&self, group: &[usize], gains: &PidGains) -> Option<f64> {
+        mean(group, self.scores.get(&key(gains))?)
+    }
+
+    /// The best gains of a kind that are known for every lung of a group; of equals, the smallest.
+    pub fn best(&self, group: &[usize], kind: Kind) -> Option<(PidGains, f64)> {
+        let known = self.scores.iter().filter_map(|(key, lungs)| {
+            let gains = gains(*key);
+            let score = mean(group, lungs)?;
+            kind.includes(&gains).then_some((gains, score))
+        });
+        known.min_by(|(_, one), (_, other)| one.total_cmp(other))
+    }
+}
+
+/// Mean score over a group of lungs; none if one of them is not known.
+fn mean(group: &[usize], lungs: &[Option<f64>]) -> Option<f64> {
+    let known: Option<Vec<f64>> = group.iter().map(|lung| lungs[*lung]).collect();
+    Some(known?.iter().sum::<f64>() / group.len() as f64)
+}
+
+fn key(gains: &PidGains) -> Key {
+    // Adding zero makes a plain zero of a negative one.
+    [gains.p, gains.i, gains.d].map(|gain| (gain + 0.0).to_bits())
+}
+
+fn gains(key: Key) -> PidGains {
+    let [p, i, d] = key.map(f32::from_bits);
+    PidGains { p, i, d }
+}
+
+/// Mean score of gains on a lung, cmH2O; [`FAULT_SCORE`] if the ventilator goes to its safe state.
+fn score(ground: &impl Ground, gains: PidGains, plan: &Plan) -> Result<f64, TuneError> {
+    let controller = Controller::Pid(Pid::new(gains, plan.period_us)?);
+    match ground.evaluate(&controller, plan) {
+        Ok(evaluation) => Ok(evaluation.mean.score),
+        Err(SourceError::Fault { .. }) => Ok(FAULT_SCORE),
+        Err(other) => Err(other.into()),
+    }
+}

@@ -1,0 +1,301 @@
+//! The rival: the best PID there is for a lung, and the best one for all lungs.
+//!
+//! A learned controller that beats a badly tuned PID shows nothing. [`tune_pid`] therefore searches a wide
+//! [`Grid`], then goes on between its points around the best of each [`Kind`]. Unless told to be exhaustive, it
+//! first screens all points with a breath of a few waveforms and looks only at the best twentieth of each kind in full.
+
+mod grid;
+mod ledger;
+#[cfg(test)]
+mod tests;
+
+pub use grid::{Grid, Kind};
+pub use ledger::FAULT_SCORE;
+
+use std::sync::atomic::AtomicBool;
+
+use serde::{Deserialize, Serialize};
+use shared::control::pid::{GainError, PidGains};
+use thiserror::Error;
+
+use crate::evaluate::{Ground, Plan};
+use ledger::{Ledger, Patience, Watch};
+use ventilator::SourceError;
+
+/// Part of each kind's points that passes the screening.
+const KEPT: f64 = 0.05;
+/// Fewest points of a kind that pass.
+const KEPT_LEAST: usize = 8;
+/// Waveforms of the screening: the lowest, middle and highest PIP of the plan's order.
+const SCREENED: usize = 3;
+/// Most moves at one step width, should two points tell of each other that the other is better.
+const MOVES: usize = 30;
+
+/// How to search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Search {
+    /// Gains to begin with.
+    pub grid: Grid,
+    /// Halvings of the grid's spacing around the best of each kind; the walk may leave the grid's range. 0 keeps
+    /// to the grid.
+    pub refinements: usize,
+    /// Runs the whole plan for every point rather than screening first.
+    pub exhaustive: bool,
+}
+
+impl Default for Search {
+    fn default() -> Self {
+        Self { grid: Grid::default(), refinements: 3, exhaustive: false }
+    }
+}
+
+impl Search {
+    /// The authors' grid and nothing else.
+    pub fn authors() -> Self {
+        Self { grid: Grid::authors(), refinements: 0, exhaustive: true }
+    }
+}
+
+/// Gains with their score.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Candidate {
+    /// Gains.
+    pub gains: PidGains,
+    /// Mean absolute error under the plan of the search, cmH2O; [`FAULT_SCORE`] for gains that lead to a fault.
+    pub score: f64,
+}
+
+/// The best of every kind. A kind that includes another never scores worse.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Best {
+    /// Proportional part alone.
+    pub p_only: Candidate,
+    /// Integral part alone.
+    pub i_only: Candidate,
+    /// PI.
+    pub pi: Candidate,
+    /// PID.
+    pub pid: Candidate,
+}
+
+impl Best {
+    /// The best of a kind.
+    pub fn of(&self, kind: Kind) -> Candidate {
+        match kind {
+            Kind::POnly => self.p_only,
+            Kind::IOnly => self.i_only,
+            Kind::Pi => self.pi,
+            Kind::Pid => self.pid,
+        }
+    }
+}
+
+/// Scores over P and I at D = 0, for a heat map: of the screening, or of the plan in an exhaustive search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScoreMap {
+    /// Proportional gains, percent per cmH2O.
+    pub p: Vec<f32>,
+    /// Integral gains, percent per cmH2O and second.
+    pub i: Vec<f32>,
+    /// A row for every P, a column for every I, cmH2O; none where a search was stopped.
+    pub score: Vec<Vec<Option<f64>>>,
+}
+
+/// Outcome for one lung.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LungResult {
+    /// Name of the bench.
+    pub lung: String,
+    /// The best gains found.
+    pub best: Best,
+    /// Scores over the grid.
+    pub map: ScoreMap,
+    /// False if the search was stopped before its end here.
+    pub complete: bool,
+}
+
+/// Outcome of a search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TuneResult {
+    /// By lung, as given.
+    pub lungs: Vec<LungResult>,
+    /// The best single gains for all lungs together, by mean score over the lungs.
+    pub over_all: Best,
+    /// False if the search was stopped: `lungs` and `over_all` are then the best found so far (at worst gains
+    /// of zero).
+    pub complete: bool,
+}
+
+/// Why a search failed.
+#[derive(Debug, Error)]
+pub enum TuneError {
+    /// There is no lung to tune for.
+    #[error("no lung to tune for; name at least one")]
+    NoLung,
+    /// The grid holds a gain that no PID accepts.
+    #[error(transparent)]
+    Gain(#[from] GainError),
+    /// A breath could not be run.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+}
+
+/// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads; the result
+/// does not depend on their number.
+///
+/// `progress` gets simulated breaths, done and in total (an estimate that may grow). Once `stop` is set, the
+/// best found so far comes back, marked incomplete.
+///
+/// # Errors
+/// No lung, a gain in the grid that is out of range, or a plan whose breaths cannot be run. Gains that make the
+/// ventilator go to its safe state are no error: they count as [`FAULT_SCORE`].
+pub fn tune_pid<G: Ground>(
+    lungs: &[G],
+    search: &Search,
+    plan: &Plan,
+    progress: &(dyn Fn(u64, u64) + Sync),
+    stop: &AtomicBool,
+) -> Result<TuneResult, TuneError> {
+    if lungs.is_empty() {
+        return Err(TuneError::NoLung);
+    }
+    let grid = search.grid.completed();
+    let watch = Watch::new(progress, stop, planned(&grid, search, plan, lungs.len()));
+    let mut tuning = Tuning {
+        screen: Ledger::new(lungs, screening(plan), &watch),
+        full: Ledger::new(lungs, plan.clone(), &watch),
+        points: grid.points(),
+        grid,
+        search,
+    };
+    let all: Vec<usize> = (0..lungs.len()).collect();
+    // Gains of zero belong to every kind: with them, there is a result however early the search is stopped.
+    tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+    let mut results = Vec::with_capacity(lungs.len());
+    for (index, lung) in lungs.iter().enumerate() {
+        let best = tuning.best(&[index])?;
+        results.push(LungResult {
+            lung: lung.name(),
+            best,
+            map: tuning.map(&[index]),
+            complete: !watch.stopped(),
+        });
+    }
+    let over_all = tuning.best(&all)?;
+    watch.finish();
+    let complete = !watch.stopped();
+    Ok(TuneResult { lungs: results, over_all, complete })
+}
+
+/// A search under way.
+struct Tuning<'a, G> {
+    screen: Ledger<'a, G>,
+    full: Ledger<'a, G>,
+    points: Vec<PidGains>,
+    grid: Grid,
+    search: &'a Search,
+}
+
+impl<G: Ground> Tuning<'_, G> {
+    /// The best of each kind for a group of lungs, by their mean.
+    fn best(&mut self, group: &[usize]) -> Result<Best, TuneError> {
+        if self.search.exhaustive {
+            self.full.measure(group, &self.points, Patience::Stoppable)?;
+        } else {
+            self.screen.measure(group, &self.points, Patience::Stoppable)?;
+            let shortlists = Kind::ALL.map(|kind| self.shortlist(group, kind));
+            // Stopped or not, the heads are scored in full: what has been found so far is not lost.
+            let heads: Vec<PidGains> = shortlists.iter().filter_map(|list| list.first()).copied().collect();
+            self.full.measure(group, &heads, Patience::Needed)?;
+            self.full.measure(group, &shortlists.concat(), Patience::Stoppable)?;
+        }
+        for kind in Kind::ALL {
+            self.refine(group, kind)?;
+        }
+        Ok(Best {
+            p_only: self.known(group, Kind::POnly),
+            i_only: self.known(group, Kind::IOnly),
+            pi: self.known(group, Kind::Pi),
+            pid: self.known(group, Kind::Pid),
+        })
+    }
+
+    /// A kind's points that passed the screening, best first.
+    fn shortlist(&self, group: &[usize], kind: Kind) -> Vec<PidGains> {
+        let of_kind = self.points.iter().filter(|gains| kind.includes(gains));
+        let mut scored: Vec<(f64, PidGains)> =
+            of_kind.filter_map(|gains| Some((self.screen.score(group, gains)?, *gains))).collect();
+        scored.sort_by(|(one, _), (other, _)| one.total_cmp(other));
+        scored.truncate(kept(scored.len()));
+        scored.into_iter().map(|(_, gains)| gains).collect()
+    }
+
+    /// Walks from the best of a kind to better neighbours, with steps of a half, a quarter .. of the grid's.
+    fn refine(&mut self, group: &[usize], kind: Kind) -> Result<(), TuneError> {
+        let mut best = self.known(group, kind);
+        let mut step = self.grid.spacing(&best.gains);
+        for _ in 0..self.search.refinements {
+            step = step.map(|width| 0.5 * width);
+            for _ in 0..MOVES {
+                let neighbours = grid::around(&best.gains, step, kind);
+                self.full.measure(group, &neighbours, Patience::Stoppable)?;
+                let next = self.known(group, kind);
+                if next == best {
+                    break;
+                }
+                best = next;
+            }
+        }
+        Ok(())
+    }
+
+    /// The best known of a kind.
+    fn known(&self, group: &[usize], kind: Kind) -> Candidate {
+        let nothing = (PidGains::default(), FAULT_SCORE);
+        let (gains, score) = self.full.best(group, kind).unwrap_or(nothing);
+        Candidate { gains, score }
+    }
+
+    /// Scores over the grid at D = 0.
+    fn map(&self, group: &[usize]) -> ScoreMap {
+        let source = if self.search.exhaustive { &self.full } else { &self.screen };
+        let Grid { p, i, .. } = self.grid.clone();
+        let at = |p: f32, i: f32| source.score(group, &PidGains { p, i, d: 0.0 });
+        let score = p.iter().map(|p| i.iter().map(|i| at(*p, *i)).collect());
+        ScoreMap { score: score.collect(), p, i }
+    }
+}
+
+/// How many of so many points pass the screening.
+fn kept(points: usize) -> usize {
+    ((points as f64 * KEPT).ceil() as usize).max(KEPT_LEAST)
+}
+
+/// One breath from rest of a few waveforms, under one seed.
+fn screening(plan: &Plan) -> Plan {
+    let last = plan.pips.len().saturating_sub(1);
+    let mut indices: Vec<usize> = (0..SCREENED).map(|n| n * last / (SCREENED - 1)).collect();
+    indices.dedup();
+    Plan {
+        pips: indices.iter().filter_map(|index| plan.pips.get(*index)).copied().collect(),
+        breaths: 1,
+        warm_up: 0,
+        seeds: plan.seeds.iter().take(1).copied().collect(),
+        ..plan.clone()
+    }
+}
+
+/// Breaths that a search will run, without its refinement.
+fn planned(grid: &Grid, search: &Search, plan: &Plan, lungs: usize) -> u64 {
+    let points = grid.points();
+    let full = plan.breaths_run();
+    let breaths = if search.exhaustive {
+        points.len() * full
+    } else {
+        let of_kind = |kind: Kind| points.iter().filter(|gains| kind.includes(gains)).count();
+        let shortlisted: usize = Kind::ALL.iter().map(|kind| kept(of_kind(*kind))).sum();
+        points.len() * screening(plan).breaths_run() + shortlisted * full
+    };
+    (breaths * lungs) as u64
+}

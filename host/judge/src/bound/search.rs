@@ -1,0 +1,139 @@
+//! The search for one waveform: down from several starts, then from shaken copies of the best.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use super::BoundConfig;
+use super::breathing::Breathing;
+use super::descent::Descent;
+use super::shape::Shape;
+use super::start::look_ahead;
+use plant::bench::ValveConfig;
+use progress::Watch;
+
+/// Horizons of the starts, relative to what the valve needs to act.
+const HORIZONS: [f64; 3] = [0.8, 1.2, 1.6];
+/// Shortest horizon, ms: with a valve that acts at once.
+const LEAST_HORIZON_MS: f64 = 5.0;
+/// Blocks of the starts, ms.
+const BLOCK_MS: f64 = 5.0;
+/// Spacing of the first nodes, ms; each level halves it where the command bends.
+const SPACING_MS: f64 = 8.0;
+/// Levels of refinement of every start, down to 2 ms; the best one gets another.
+const LEVELS: usize = 3;
+/// Bend of the command that calls for more nodes, percent.
+const BEND_PERCENT: f64 = 0.5;
+/// Most steps on a level.
+const STEPS: usize = 15;
+/// Shaken copies of the best.
+const SHAKES: usize = 4;
+/// How far a shake moves its nodes, percent.
+const SHAKE_PERCENT: f64 = 40.0;
+/// Most neighbouring nodes that a shake moves.
+const SHAKEN_NODES: usize = 8;
+/// A level is done when both directions of probing gained less than this part of the score.
+const ENOUGH: f64 = 1e-4;
+/// Command of the breaths before the first start, percent: anything that fills the lung somewhat.
+const BEFORE_PERCENT: f32 = 20.0;
+
+/// The best sequence.
+pub(super) struct Found {
+    /// Command of every tick, percent.
+    pub(super) commands: Vec<f32>,
+    /// How much higher the next best start ended, cmH2O.
+    pub(super) spread: f64,
+}
+
+/// Stages of a search, for its progress.
+pub(super) fn stages(config: &BoundConfig) -> usize {
+    HORIZONS.len() * LEVELS + 1 + shakes(config)
+}
+
+fn shakes(config: &BoundConfig) -> usize {
+    SHAKES * config.effort.max(1) as usize
+}
+
+fn steps(config: &BoundConfig) -> usize {
+    STEPS * config.effort.max(1) as usize
+}
+
+/// Searches the best sequence; none when it was stopped before its end. `number` keeps the waveforms' shakes apart.
+pub(super) fn search(
+    breathing: &Breathing,
+    valve: &ValveConfig,
+    config: &BoundConfig,
+    number: u64,
+    progress: &(dyn Fn() + Sync),
+    watch: &Watch<'_>,
+) -> Option<Found> {
+    let ticks = |ms: f64| ((ms / breathing.tick_ms()).round() as usize).max(1);
+    let reaction_ms = valve.dead_time_ms + valve.lag_ms;
+    let mut ends = Vec::with_capacity(HORIZONS.len());
+    for horizon in HORIZONS {
+        let horizon = ticks((horizon * reaction_ms).max(LEAST_HORIZON_MS));
+        let start = breathing.periodic(&vec![BEFORE_PERCENT; breathing.ticks()]);
+        let commands = look_ahead(breathing, &start, ticks(BLOCK_MS), horizon);
+        let shape = Shape::through(&commands, ticks(SPACING_MS));
+        let mut descent = Descent::new(breathing, breathing.periodic(&commands), shape);
+        for level in 0..LEVELS {
+            if level > 0 {
+                descent.refine(BEND_PERCENT);
+            }
+            go_down(&mut descent, steps(config), watch)?;
+            progress();
+        }
+        ends.push(descent);
+    }
+    ends.sort_by(|one, other| one.score.total_cmp(&other.score));
+    let spread = ends[1].score - ends[0].score;
+    let mut best = ends.swap_remove(0);
+    best.refine(BEND_PERCENT);
+    go_down(&mut best, steps(config), watch)?;
+    progress();
+    let best = shake(best, config, number, progress, watch)?;
+    Some(Found { commands: best.shape.commands(), spread })
+}
+
+/// Steps until they gain nothing more; the breaths before follow the sequence once in between.
+fn go_down(descent: &mut Descent<'_>, steps: usize, watch: &Watch<'_>) -> Option<()> {
+    descent.settle();
+    let mut idle = 0;
+    for _ in 0..steps {
+        if watch.stopped() {
+            return None;
+        }
+        let gain = descent.step();
+        idle = if gain < ENOUGH * descent.score { idle + 1 } else { 0 };
+        if idle >= 2 {
+            break;
+        }
+    }
+    descent.settle();
+    Some(())
+}
+
+/// Moves a few neighbouring nodes of the best, goes down again and keeps what is better.
+fn shake<'a>(
+    mut best: Descent<'a>,
+    config: &BoundConfig,
+    number: u64,
+    progress: &(dyn Fn() + Sync),
+    watch: &Watch<'_>,
+) -> Option<Descent<'a>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    rng.set_stream(number);
+    for _ in 0..shakes(config) {
+        let mut shaken = best.clone();
+        // Nodes are dense where the command bends, so most shakes fall there.
+        let first = rng.random_range(0..shaken.shape.nodes.len());
+        let moved = first..first + rng.random_range(1..=SHAKEN_NODES);
+        shaken.displace(moved, SHAKE_PERCENT * rng.random_range(-1.0..1.0));
+        go_down(&mut shaken, steps(config), watch)?;
+        if shaken.score < best.score {
+            best = shaken;
+        }
+        progress();
+    }
+    Some(best)
+}

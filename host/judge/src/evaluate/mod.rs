@@ -1,0 +1,234 @@
+//! Scores of any controller on any bench, by the paper's protocol (Suo et al. 2021, section 5).
+//!
+//! A [`Plan`] says which waveforms are run, how often and under which sensor noise; [`evaluate`] runs them with
+//! the same ventilator core as the chip and scores the *true* airway pressure, which only a bench knows.
+//! [`trace()`] gives the curves of a few breaths, [`seeds`] keeps the noise of tuning, training and judging apart.
+
+mod plant_ground;
+mod score;
+#[cfg(test)]
+mod tests;
+mod trace;
+
+pub use plant_ground::PlantGround;
+pub use score::{Inspiration, Score, score_breath};
+pub use trace::{Trace, trace, trace_source};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, period_s};
+use shared::control::Controller;
+use shared::settings::Settings;
+
+use plant::bench::BenchConfig;
+use progress::Watch;
+use ventilator::seeds;
+use ventilator::{BenchSource, Reseed, Source, SourceError};
+
+/// What an evaluation runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Plan {
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// PIP of every waveform, cmH2O.
+    pub pips: Vec<f32>,
+    /// Scored breaths of every waveform.
+    pub breaths: usize,
+    /// Breaths before them that are not scored: the first one starts from rest, with the valve closed.
+    pub warm_up: usize,
+    /// Seeds of the sensor's noise; every waveform runs once with each.
+    pub seeds: Vec<u64>,
+    /// Everything else about the breaths; its PIP is replaced by each waveform's.
+    pub settings: Settings,
+}
+
+impl Default for Plan {
+    /// The paper's six waveforms at 1 kHz under the evaluation seeds of user seed 0.
+    fn default() -> Self {
+        Self {
+            period_us: DEFAULT_PERIOD_US,
+            pips: PAPER_PIPS.to_vec(),
+            breaths: 4,
+            warm_up: 1,
+            seeds: seeds::evaluation(0),
+            settings: Settings::default(),
+        }
+    }
+}
+
+impl Plan {
+    /// The default under the noise that tuning may see.
+    pub fn tuning(seed: u64) -> Self {
+        Self { seeds: vec![seeds::tuning(seed)], ..Self::default() }
+    }
+
+    /// The default under the noise that reported figures are measured with.
+    pub fn evaluation(seed: u64) -> Self {
+        Self { seeds: seeds::evaluation(seed), ..Self::default() }
+    }
+
+    /// Settings of the waveform with this PIP, cmH2O.
+    pub fn waveform(&self, pip: f32) -> Settings {
+        Settings { pip, ..self.settings }
+    }
+
+    /// Breaths that one evaluation runs.
+    pub fn breaths_run(&self) -> usize {
+        self.pips.len() * self.seeds.len() * (self.warm_up + self.breaths)
+    }
+}
+
+/// Score of one waveform, mean over seeds and breaths.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WaveformScore {
+    /// PIP, cmH2O.
+    pub pip: f32,
+    /// Its score; the overshoot is the mean of every breath's highest.
+    #[serde(flatten)]
+    pub score: Score,
+}
+
+/// Outcome of an evaluation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// By waveform, as in the plan.
+    pub waveforms: Vec<WaveformScore>,
+    /// Mean over the waveforms.
+    pub mean: Score,
+    /// Mean score of every seed, as in the plan, cmH2O.
+    pub by_seed: Vec<f64>,
+}
+
+/// Runs a controller on a bench as planned. The result does not depend on the number of threads.
+///
+/// # Errors
+/// The first waveform's, in the plan's order, that could not be run: refused settings or a fault of the
+/// ventilator.
+pub fn evaluate(
+    bench: &BenchConfig,
+    controller: &Controller,
+    plan: &Plan,
+) -> Result<Evaluation, SourceError> {
+    let jobs: Vec<(f32, u64)> =
+        plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
+    let outcomes: Vec<Result<Score, SourceError>> = jobs
+        .par_iter()
+        .map(|(pip, seed)| {
+            let settings = plan.waveform(*pip);
+            let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
+            run(&mut source, plan, *pip)
+        })
+        .collect();
+    Ok(summarize(plan, &outcomes.into_iter().collect::<Result<Vec<_>, _>>()?))
+}
+
+/// What controllers can be evaluated on.
+pub trait Ground: Sync {
+    /// Name of the plant.
+    fn name(&self) -> String;
+
+    /// Runs a controller as planned.
+    ///
+    /// # Errors
+    /// The first waveform's that could not be run.
+    fn evaluate(&self, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError>;
+}
+
+impl Ground for BenchConfig {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn evaluate(&self, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError> {
+        evaluate(self, controller, plan)
+    }
+}
+
+/// Runs a controller on any other source as planned, one waveform after the other. Where nobody knows the true pressure, the
+/// measured one is scored. `progress` gets the waveforms done and how many there are.
+///
+/// # Errors
+/// The first waveform's that could not be run.
+pub fn evaluate_source(
+    source: &mut dyn Reseed,
+    controller: &Controller,
+    plan: &Plan,
+    watch: &Watch<'_>,
+) -> Result<Evaluation, SourceError> {
+    let mut scores = Vec::new();
+    for pip in &plan.pips {
+        for seed in &plan.seeds {
+            if watch.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            source.reseed(*seed);
+            source.configure(controller.clone(), None)?;
+            scores.push(run(source, plan, *pip)?);
+            watch.progress(scores.len(), plan.pips.len() * plan.seeds.len());
+        }
+    }
+    Ok(summarize(plan, &scores))
+}
+
+/// Scores of all runs, waveform by waveform, each under every seed.
+pub(crate) fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
+    let seeds = plan.seeds.len();
+    let waveforms: Vec<WaveformScore> = plan
+        .pips
+        .iter()
+        .zip(scores.chunks(seeds.max(1)))
+        .map(|(pip, scores)| WaveformScore { pip: *pip, score: Score::mean(scores) })
+        .collect();
+    let of_seed = |index| -> Vec<Score> { scores.iter().skip(index).step_by(seeds).copied().collect() };
+    Evaluation {
+        mean: Score::mean(&waveforms.iter().map(|w| w.score).collect::<Vec<_>>()),
+        waveforms,
+        by_seed: (0..seeds).map(|index| Score::mean(&of_seed(index)).score).collect(),
+    }
+}
+
+/// All breaths of one waveform.
+fn run(source: &mut dyn Source, plan: &Plan, pip: f32) -> Result<Score, SourceError> {
+    let settings = plan.waveform(pip);
+    let mut breaths = vec![settings; plan.warm_up + plan.breaths];
+    if let Some(last) = breaths.last_mut() {
+        *last = cut_short(&settings);
+    }
+    source.upcoming(&breaths)?;
+    let (mut pressure, mut target) = (Vec::new(), Vec::new());
+    let mut scores = Vec::with_capacity(plan.breaths);
+    for (number, breath) in breaths.iter().enumerate() {
+        pressure.clear();
+        target.clear();
+        source.breath(breath, &mut |tick| {
+            if tick.sample.phase == Phase::Inspiration {
+                let believed = tick.truth.map_or(tick.sample.pressure, |truth| truth.airway_pressure);
+                pressure.push(f64::from(believed));
+                target.push(f64::from(tick.sample.target));
+            }
+        })?;
+        if number >= plan.warm_up {
+            scores.push(score_breath(&Inspiration {
+                period_s: f64::from(period_s(plan.period_us)),
+                peep: f64::from(settings.peep),
+                pip: f64::from(settings.pip),
+                pressure: &pressure,
+                target: &target,
+            }));
+        }
+    }
+    Ok(Score::mean(&scores))
+}
+
+/// The same inspiration with nothing after it, where the schema's bounds allow that: what follows the last
+/// inspiration is not scored.
+fn cut_short(settings: &Settings) -> Settings {
+    let short = Settings {
+        fall_time: 0.0,
+        // A hair below the fastest rate, which rounding could make too fast.
+        rate: (59.99 / settings.inspiratory_time).max(settings.rate),
+        ..*settings
+    };
+    if short.validate().is_ok() { short } else { *settings }
+}

@@ -1,0 +1,75 @@
+//! Curves of a few breaths, for plots.
+
+use serde::{Deserialize, Serialize};
+use shared::breath::period_s;
+use shared::control::Controller;
+use shared::settings::Settings;
+
+use plant::bench::BenchConfig;
+use ventilator::{BenchSource, Source, SourceError};
+
+/// Breaths run before the recorded ones, so that those do not start from rest.
+const WARM_UP: usize = 1;
+
+/// Columns of equal length, a row for every control tick.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Trace {
+    /// Time since the start of the first breath shown, s.
+    pub time_s: Vec<f64>,
+    /// Target, cmH2O.
+    pub target: Vec<f64>,
+    /// True airway pressure, cmH2O.
+    pub pressure: Vec<f64>,
+    /// Pressure as the sensor gives it, cmH2O.
+    pub measured: Vec<f64>,
+    /// Command of the inspiratory valve, percent.
+    pub u_in: Vec<f64>,
+    /// Is the expiratory valve open?
+    pub u_out: Vec<bool>,
+}
+
+/// Runs one breath unseen and records `breaths` after it; `seed` is that of the sensor's noise.
+///
+/// # Errors
+/// Refused settings, a control period that the bench cannot run or a fault of the ventilator.
+pub fn trace(
+    bench: &BenchConfig,
+    controller: &Controller,
+    settings: &Settings,
+    period_us: u32,
+    seed: u64,
+    breaths: usize,
+) -> Result<Trace, SourceError> {
+    let mut source = BenchSource::new(bench, controller.clone(), settings, period_us, seed)?;
+    trace_source(&mut source, settings, breaths)
+}
+
+/// The same on whatever ventilator.
+///
+/// # Errors
+/// As [`trace`].
+pub fn trace_source(
+    source: &mut dyn Source,
+    settings: &Settings,
+    breaths: usize,
+) -> Result<Trace, SourceError> {
+    let period = f64::from(period_s(source.period_us()));
+    let mut trace = Trace::default();
+    source.upcoming(&vec![*settings; WARM_UP + breaths])?;
+    for _ in 0..WARM_UP {
+        source.breath(settings, &mut |_| ())?;
+    }
+    for _ in 0..breaths {
+        source.breath(settings, &mut |tick| {
+            let sample = &tick.sample;
+            let measured = f64::from(sample.pressure);
+            trace.time_s.push(trace.time_s.len() as f64 * period);
+            trace.target.push(f64::from(sample.target));
+            trace.pressure.push(tick.truth.map_or(measured, |truth| f64::from(truth.airway_pressure)));
+            trace.measured.push(measured);
+            trace.u_in.push(f64::from(sample.u_in));
+            trace.u_out.push(sample.u_out);
+        })?;
+    }
+    Ok(trace)
+}

@@ -1,0 +1,424 @@
+//! The fault matrix: every fault on every lung, with the monitor that must fire.
+
+use rayon::prelude::*;
+use serde::Serialize;
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
+use shared::control::Controller;
+use shared::control::features::FeatureSpec;
+use shared::control::network::Network;
+use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::{Residual, ResidualSpec};
+use shared::safety::alarms::{Action, Fault};
+use shared::safety::monitors::Monitors;
+use shared::settings::Settings;
+
+use super::injection::{Damage, Injection};
+use super::trial::{Outcome, Trial, run};
+use plant::bench::{BenchConfig, Failure};
+use progress::Watch;
+use ventilator::SourceError;
+
+/// Pressure limit of all trials, cmH2O.
+pub const LIMIT: f32 = 40.0;
+/// PIP of all trials, cmH2O.
+const PIP: f32 = 25.0;
+/// Longest time from crossing the limit to the command to vent, ms.
+pub const VENT_WITHIN_MS: u32 = 200;
+/// Highest true pressure where the valves obey, and where one of them is stuck, cmH2O.
+pub const PEAKS: (f64, f64) = (60.0, 75.0);
+/// In the middle of the third inspiration, and just before the fourth one, ms.
+const MID_INSPIRATION_MS: u32 = 6400;
+/// See [`MID_INSPIRATION_MS`].
+const BEFORE_INSPIRATION_MS: u32 = 8900;
+/// In the middle of the second inspiration at 4 breaths a minute, ms.
+const SLOW_INSPIRATION_MS: u32 = 15_500;
+/// A breath at the usual rate, ms.
+const BREATH_MS: u32 = 3000;
+/// Longest time from the command to vent to a pressure near PEEP where the valves obey, ms: two breaths.
+const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
+/// Breaths of a run with nothing wrong.
+const NOMINAL_BREATHS: u32 = 10;
+/// How long a trial is watched after its fault, ms.
+const WATCHED_MS: u32 = 21_000;
+
+/// Who is in command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pilot {
+    /// The PID that is best for all the paper's lungs.
+    Sound,
+    /// A PID that rings on every lung.
+    Ringing,
+    /// A network that always asks for 100 % more.
+    Greedy,
+    /// A network that asks for 100 % more and 100 % less in turn.
+    Alternating,
+}
+
+/// A fault and what must follow.
+#[derive(Clone, Copy, Debug)]
+pub struct FaultCase {
+    /// Name in tables.
+    pub name: &'static str,
+    /// What goes wrong.
+    pub injection: Injection,
+    /// The alarms that must come; none where the pressure alone is judged.
+    pub monitors: &'static [Fault],
+    pilot: Pilot,
+    onset_ms: u32,
+    settings: fn() -> Settings,
+    /// Highest true airway pressure after it, cmH2O.
+    pub peak_allowed: f64,
+    /// How long the first of the monitors may take, ms.
+    within_ms: u32,
+}
+
+/// A fault on a lung, and what came of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// The fault.
+    pub fault: &'static str,
+    /// The lung.
+    pub lung: String,
+    /// The monitors that must fire.
+    pub monitor: Vec<&'static str>,
+    /// Longest time to the first of their alarms, ms, over the seeds; none if not all came under every seed.
+    pub detect_ms: Option<u32>,
+    /// What was done last.
+    pub action: Option<Action>,
+    /// Highest true airway pressure after the fault, cmH2O.
+    pub peak_true: f64,
+    /// The highest that is allowed, cmH2O.
+    pub peak_allowed: f64,
+    /// Longest time from venting to a pressure near PEEP, ms.
+    pub back_at_peep_ms: Option<u32>,
+    /// Longest time from a reading above the limit to the command to vent, ms.
+    pub limit_to_vent_ms: Option<u32>,
+    /// All alarms that came, in their order, under the first seed that shows a failure, else the last one.
+    pub alarms: Vec<&'static str>,
+    /// Whether all is as it must be.
+    pub pass: bool,
+}
+
+fn usual() -> Settings {
+    Settings { pressure_limit: LIMIT, ..paper_settings(PIP) }
+}
+
+/// A limit that a cough exceeds on every lung.
+fn tight() -> Settings {
+    Settings { pressure_limit: PIP + 8.0, ..usual() }
+}
+
+/// Four breaths a minute.
+fn slow() -> Settings {
+    Settings { rate: 4.0, ..usual() }
+}
+
+const fn case(name: &'static str, injection: Injection, monitors: &'static [Fault]) -> FaultCase {
+    FaultCase {
+        name,
+        injection,
+        monitors,
+        pilot: Pilot::Sound,
+        onset_ms: MID_INSPIRATION_MS,
+        settings: usual,
+        peak_allowed: PEAKS.0,
+        within_ms: WATCHED_MS,
+    }
+}
+
+/// A fault that begins just before an inspiration.
+const fn before(name: &'static str, injection: Injection, monitors: &'static [Fault]) -> FaultCase {
+    FaultCase { onset_ms: BEFORE_INSPIRATION_MS, ..case(name, injection, monitors) }
+}
+
+/// A part of the machine that fails.
+const fn part(name: &'static str, failure: Failure, monitors: &'static [Fault]) -> FaultCase {
+    case(name, Injection::Part(failure), monitors)
+}
+
+/// A valve that does not obey any more.
+const fn stuck(name: &'static str, failure: Failure, monitors: &'static [Fault]) -> FaultCase {
+    FaultCase { peak_allowed: PEAKS.1, ..part(name, failure, monitors) }
+}
+
+/// A fault that must be found before the next breath ends.
+const fn within_a_breath(case: FaultCase) -> FaultCase {
+    FaultCase { within_ms: BREATH_MS, ..case }
+}
+
+const fn flown_by(pilot: Pilot, case: FaultCase) -> FaultCase {
+    FaultCase { pilot, ..case }
+}
+
+/// Faults of the sensor.
+const SENSOR: [FaultCase; 13] = [
+    case("reading stuck at its last value", Injection::StuckAtLast, &[Fault::ReadingFrozen]),
+    within_a_breath(before("reading stuck at PEEP", Injection::StuckAt(5.0), &[Fault::ReadingFrozen])),
+    within_a_breath(before("reading stuck at 0", Injection::StuckAt(0.0), &[Fault::ReadingFrozen])),
+    within_a_breath(before(
+        "reading stuck at PEEP, with noise",
+        Injection::NoisyAt(5.0),
+        &[Fault::NoResponse],
+    )),
+    case("reading is no number", Injection::Reads(f32::NAN), &[Fault::ReadingNotANumber]),
+    case("reading is infinite", Injection::Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
+    case("reading drifts up by 1 cmH2O/s", Injection::Drift(1.0), &[Fault::BaselineHigh]),
+    case("reading drifts down by 1 cmH2O/s", Injection::Drift(-1.0), &[Fault::BaselineLow]),
+    case("reading is 5 cmH2O too high", Injection::Offset(5.0), &[Fault::BaselineHigh]),
+    case("reading is 5 cmH2O too low", Injection::Offset(-5.0), &[Fault::BaselineLow]),
+    case("noise of the reading times 10", Injection::Noise(1.0), &[Fault::ReadingNoisy]),
+    case("a third of the readings dropped", Injection::Dropped(0.33), &[Fault::ReadingNotANumber]),
+    case("bytes of a third of the readings swapped", Injection::SwappedBytes(0.33), &[Fault::ReadingJumps]),
+];
+
+/// Faults of machine and tube.
+const MACHINE: [FaultCase; 14] = [
+    before("tube occluded", Injection::Part(Failure::TubeOccluded), &[Fault::Occlusion]),
+    stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]),
+    part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]),
+    before("leak of 0.8 L/s", Injection::Part(Failure::Leak(0.8)), &[Fault::BaselineLow]),
+    FaultCase {
+        onset_ms: 0,
+        ..part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure])
+    },
+    stuck("inspiratory valve stuck open", Failure::InspiratoryValveStuck(80.0), &[Fault::BaselineHigh]),
+    stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse]),
+    stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh]),
+    FaultCase {
+        settings: slow,
+        onset_ms: SLOW_INSPIRATION_MS,
+        ..stuck(
+            "expiratory valve stuck closed, 4 breaths a minute",
+            Failure::ExpiratoryValveClosed,
+            &[Fault::SustainedPressure],
+        )
+    },
+    stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]),
+    stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
+    stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]),
+    part("supply lost", Failure::SupplyLost, &[Fault::NoResponse]),
+    FaultCase {
+        settings: tight,
+        ..case(
+            "coughs in every breath",
+            Injection::Coughs(25.0),
+            &[Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure],
+        )
+    },
+];
+
+/// Faults of chip and controller.
+const CONTROL: [FaultCase; 10] = [
+    case("every tenth tick missed", Injection::MissedTicks(10), &[Fault::MissedTicks]),
+    case("control task hangs", Injection::Hang, &[Fault::Restarted]),
+    case("supply dips in mid-inspiration", Injection::BrownOut, &[Fault::Restarted]),
+    case("host falls silent while exploring", Injection::HostSilent, &[Fault::HostSilent]),
+    case("another host sends settings and gains of its own", Injection::OtherHost, &[]),
+    flown_by(
+        Pilot::Greedy,
+        case(
+            "a bit of the stored weights flipped",
+            Injection::Weights(Damage::FlippedBit),
+            &[Fault::WeightsRefused],
+        ),
+    ),
+    flown_by(
+        Pilot::Greedy,
+        case(
+            "supply cut while weights are stored",
+            Injection::Weights(Damage::TornStore),
+            &[Fault::WeightsRefused],
+        ),
+    ),
+    flown_by(Pilot::Greedy, case("weights that ask for more", Injection::Controller, &[])),
+    flown_by(
+        Pilot::Alternating,
+        case("weights that ask for all and nothing in turn", Injection::Controller, &[]),
+    ),
+    flown_by(Pilot::Ringing, case("PID that rings", Injection::Controller, &[])),
+];
+
+/// All faults.
+pub fn cases() -> impl Iterator<Item = &'static FaultCase> {
+    SENSOR.iter().chain(&MACHINE).chain(&CONTROL)
+}
+
+/// The PID that is best for all the paper's lungs.
+const SOUND: PidGains = PidGains { p: 6.098, i: 290.6, d: 0.2094 };
+/// The same without its integral, which would work against a greedy network.
+const WITHOUT_INTEGRAL: PidGains = PidGains { i: 0.0, ..SOUND };
+/// Gains that ring on every lung.
+const RINGING: PidGains = PidGains { p: 60.0, i: 3000.0, d: 0.0 };
+
+impl Pilot {
+    fn controller(self) -> Result<Controller, SourceError> {
+        let pid = |gains| Pid::new(gains, DEFAULT_PERIOD_US).map(Controller::Pid);
+        let built = match self {
+            Self::Sound => pid(SOUND).ok(),
+            Self::Ringing => pid(RINGING).ok(),
+            Self::Greedy => full_authority(WITHOUT_INTEGRAL, greedy()),
+            Self::Alternating => full_authority(SOUND, alternating()),
+        };
+        built.ok_or(SourceError::Stopped)
+    }
+}
+
+/// A learned controller with full authority over a PID.
+pub(super) fn full_authority(gains: PidGains, network: Network) -> Option<Controller> {
+    let spec = ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains,
+        lambda: 1.0,
+        authority: 100.0,
+        features: FeatureSpec::default(),
+    };
+    Residual::new(spec, network).ok().map(Controller::Residual)
+}
+
+fn greedy() -> Network {
+    let mut network = Network::zero();
+    network.output.bias[0] = 1.0;
+    network
+}
+
+/// After a command above a half nothing, after one below all.
+fn alternating() -> Network {
+    let mut network = Network::zero();
+    let last_command = shared::control::features::PAST_COMMANDS.start;
+    network.hidden_1.weights[0][last_command] = 100.0;
+    network.hidden_1.bias[0] = -100.0;
+    network.hidden_2.weights[0][0] = 100.0;
+    network.output.weights[0][0] = -2.0;
+    network
+}
+
+/// Breathes so many breaths on every lung with effort and coughs and nothing wrong; the alarms that came.
+///
+/// # Errors
+/// A bench that is refused; the wish to stop.
+pub fn false_alarms(
+    lungs: &[BenchConfig],
+    breaths: u32,
+    controller: &Controller,
+    watch: &Watch<'_>,
+) -> Result<Vec<(String, Fault)>, SourceError> {
+    let runs: Vec<(u64, BenchConfig)> = (0..u64::from(breaths / NOMINAL_BREATHS))
+        .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
+        .collect();
+    let found: Result<Vec<_>, _> = runs
+        .par_iter()
+        .map(|(seed, bench)| {
+            if watch.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            let pip = PAPER_PIPS[*seed as usize % PAPER_PIPS.len()];
+            let outcome = run(&Trial {
+                bench,
+                settings: paper_settings(pip),
+                controller,
+                monitors: Monitors::ALL,
+                injection: Injection::Controller,
+                onset_ms: 0,
+                watched_ms: NOMINAL_BREATHS * BREATH_MS,
+                seed: *seed,
+            })?;
+            let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
+            Ok(alarms.collect::<Vec<_>>())
+        })
+        .collect();
+    Ok(found?.concat())
+}
+
+/// A unit of the fleet, and a patient who breathes and coughs, each time otherwise.
+fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
+    let mut bench = lung.clone();
+    bench.unit.number = seed as u32;
+    bench.patient.effort_cmh2o = [0.0, 3.0, 6.0][seed as usize % 3];
+    bench.patient.effort_rate_per_min = 11.0 + (seed % 7) as f64;
+    bench.patient.cough_cmh2o = 20.0;
+    bench.patient.cough_at_s = 9.0 + 0.137 * (seed % 90) as f64;
+    bench
+}
+
+/// The PID that is best for all the paper's lungs.
+///
+/// # Errors
+/// Never; its gains are in range.
+pub fn sound_pid() -> Result<Controller, SourceError> {
+    Pilot::Sound.controller()
+}
+
+/// Tries every case on every lung under every seed.
+///
+/// # Errors
+/// A bench that is refused; the wish to stop.
+pub fn matrix(
+    lungs: &[BenchConfig],
+    seeds: &[u64],
+    monitors: Monitors,
+    watch: &Watch<'_>,
+) -> Result<Vec<Row>, SourceError> {
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let cells: Vec<_> = cases().flat_map(|case| lungs.iter().map(move |lung| (case, lung))).collect();
+    cells
+        .par_iter()
+        .map(|(case, lung)| {
+            if watch.stopped() {
+                return Err(SourceError::Stopped);
+            }
+            let row = cell(case, lung, seeds, monitors)?;
+            watch.progress(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, cells.len());
+            Ok(row)
+        })
+        .collect()
+}
+
+fn cell(case: &FaultCase, lung: &BenchConfig, seeds: &[u64], monitors: Monitors) -> Result<Row, SourceError> {
+    let controller = case.pilot.controller()?;
+    let trial = |seed: u64| Trial {
+        bench: lung,
+        settings: (case.settings)(),
+        controller: &controller,
+        monitors,
+        injection: case.injection,
+        onset_ms: case.onset_ms,
+        watched_ms: WATCHED_MS,
+        seed,
+    };
+    let outcomes = seeds.iter().map(|seed| run(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
+    Ok(row(case, lung, &outcomes))
+}
+
+fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[Outcome]) -> Row {
+    let longest = |of: &dyn Fn(&Outcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
+    let detected = |outcome: &Outcome| case.monitors.first().and_then(|monitor| outcome.time_to(*monitor));
+    let fired = |outcome: &Outcome| case.monitors.iter().all(|monitor| outcome.time_to(*monitor).is_some());
+    let always = outcomes.iter().all(fired);
+    let peak_true = outcomes.iter().map(|outcome| outcome.peak_true).fold(0.0, f64::max);
+    let limit_to_vent_ms = longest(&|outcome| outcome.limit_to_vent_ms);
+    let back_at_peep_ms = longest(&|outcome| outcome.back_at_peep_ms);
+    let detect_ms = if always { longest(&detected) } else { None };
+    let obey = case.peak_allowed < PEAKS.1;
+    Row {
+        fault: case.name,
+        lung: lung.name.clone(),
+        monitor: case.monitors.iter().map(|monitor| monitor.alarm().id).collect(),
+        detect_ms,
+        action: outcomes.last().and_then(Outcome::action),
+        peak_true,
+        peak_allowed: case.peak_allowed,
+        back_at_peep_ms,
+        limit_to_vent_ms,
+        alarms: outcomes
+            .iter()
+            .find(|outcome| !fired(outcome))
+            .or(outcomes.last())
+            .map(|outcome| outcome.alarms.iter().map(|(fault, _)| fault.alarm().id).collect())
+            .unwrap_or_default(),
+        pass: always
+            && peak_true <= case.peak_allowed
+            && limit_to_vent_ms.is_none_or(|ms| ms <= VENT_WITHIN_MS)
+            && detect_ms.is_none_or(|ms| ms <= case.within_ms)
+            && (!obey || back_at_peep_ms.is_none_or(|ms| ms <= BACK_WITHIN_MS)),
+    }
+}

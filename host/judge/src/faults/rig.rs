@@ -1,0 +1,160 @@
+//! The device of a trial: the control half as the chip runs it, its weights slots, and a host that asks now and then.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::Controller;
+use shared::control::residual::Residual;
+use shared::device::control::Control;
+use shared::device::timing::TickTime;
+use shared::device::{Order, Start};
+use shared::explore::Exploration;
+use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, SlotState};
+use shared::safety::monitors::Monitors;
+use shared::settings::Settings;
+use shared::ventilator::{Mode, Output, VentilatorState};
+use shared::weights::{IMAGE_BYTES, Identity, encode};
+
+use super::flash::Flash;
+use super::injection::Damage;
+use device::DeviceError;
+use device::upload::UploadError;
+use ventilator::SourceError;
+
+/// Ticks between two requests of the host.
+const HOST_ASKS_EVERY: u32 = 1000;
+/// The clock that the device pretends to have, Hz.
+const CORE_HZ: u32 = 1_000_000;
+
+/// A device and its host.
+pub struct Rig {
+    control: Control,
+    learned: Option<Residual>,
+    settings: Settings,
+    monitors: Monitors,
+    host_speaks: bool,
+    ticks: u32,
+}
+
+impl Rig {
+    /// A device that a host has just started.
+    ///
+    /// # Errors
+    /// Settings that are refused.
+    pub fn started(
+        controller: &Controller,
+        settings: &Settings,
+        monitors: Monitors,
+        exploration: Option<Exploration>,
+    ) -> Result<Self, SourceError> {
+        let learned = match controller {
+            Controller::Residual(residual) => Some(residual.clone()),
+            Controller::Pid(_) => None,
+        };
+        let mut rig = Self {
+            control: device(learned.clone(), monitors)?,
+            learned,
+            settings: *settings,
+            monitors,
+            host_speaks: true,
+            ticks: 0,
+        };
+        rig.control.execute(&Order::Exploration(exploration));
+        if let Controller::Pid(pid) = controller {
+            rig.control.execute(&Order::Controller(ControllerChoice::Pid(pid.gains())));
+        }
+        rig.start();
+        Ok(rig)
+    }
+
+    /// The host starts it.
+    pub fn start(&mut self) {
+        self.control.execute(&Order::Apply(self.settings));
+        self.control.execute(&Order::Start);
+    }
+
+    /// A tick.
+    pub fn step(&mut self, reading: f32, missed: u32) -> Output {
+        self.control.record(&TickTime { latency: 0, work: 0, period: None, missed });
+        let output = self.control.step(reading);
+        self.ticks += 1;
+        if self.host_speaks && self.ticks.is_multiple_of(HOST_ASKS_EVERY) {
+            self.control.execute(&Order::Status);
+        }
+        output
+    }
+
+    /// The ventilator's state.
+    pub fn state(&self) -> &VentilatorState {
+        self.control.state()
+    }
+
+    /// The host says nothing any more.
+    pub fn silence_host(&mut self) {
+        self.host_speaks = false;
+    }
+
+    /// Another host sends what it holds for right.
+    pub fn other_host(&mut self) {
+        let gains = ControllerChoice::Pid(shared::device::KNOWN_GOOD);
+        let impossible = Settings { pip: f32::NAN, ..self.settings };
+        for order in [Order::Apply(impossible), Order::Apply(Settings::default()), Order::Controller(gains)] {
+            self.control.execute(&order);
+        }
+    }
+
+    /// The chip starts anew, with the weights that it has.
+    ///
+    /// # Errors
+    /// Never: the control period is in bounds.
+    pub fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
+        self.boot(cause, self.learned.clone(), [SlotState::Empty; 2])
+    }
+
+    /// The same, and the weights in flash are damaged.
+    ///
+    /// # Errors
+    /// A controller that cannot be stored.
+    pub fn reset_with(&mut self, damage: Damage, rng: &mut ChaCha8Rng) -> Result<(), SourceError> {
+        let mut flash = Flash::new();
+        let image = self.image()?;
+        // Whether a store succeeds shows in what the slots hold after it.
+        let _ = flash.slots().store(&image);
+        match damage {
+            Damage::FlippedBit => flash.flip(rng.random_range(0..8 * IMAGE_BYTES)),
+            Damage::TornStore => {
+                flash.fail_after(rng.random_range(1..IMAGE_BYTES));
+                let _ = flash.slots().store(&image);
+                flash.repair();
+            }
+        }
+        let mut slots = flash.slots();
+        let learned = slots.load().map(|(_, image)| image.residual);
+        let states = slots.states();
+        self.boot(ResetCause::BrownOut, learned, states)
+    }
+
+    fn image(&self) -> Result<[u8; IMAGE_BYTES], SourceError> {
+        let Some(residual) = &self.learned else { return Ok([0; IMAGE_BYTES]) };
+        let mut image = [0; IMAGE_BYTES];
+        encode(residual, &Identity::default(), &mut image).map_err(UploadError::from)?;
+        Ok(image)
+    }
+
+    fn boot(
+        &mut self,
+        cause: ResetCause,
+        learned: Option<Residual>,
+        slots: [SlotState; 2],
+    ) -> Result<(), SourceError> {
+        let interrupted = self.state().mode() == Mode::Ventilating;
+        self.control = device(learned, self.monitors)?;
+        self.control.started(&Start { cause, interrupted, slots });
+        Ok(())
+    }
+}
+
+fn device(learned: Option<Residual>, monitors: Monitors) -> Result<Control, SourceError> {
+    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, learned, CORE_HZ);
+    Ok(control.map_err(DeviceError::from)?.with_monitors(monitors))
+}

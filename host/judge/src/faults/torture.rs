@@ -1,0 +1,178 @@
+//! Torture: random lungs, random settings, random weights and, in every other breath or so, a random fault. No true airway
+//! pressure may exceed its bound, whatever the network says.
+//!
+//! Runs of a few breaths each are drawn from one seed and are independent, so that the result depends neither on threads nor
+//! on where an earlier run was stopped.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+use shared::control::Controller;
+use shared::control::network::Network;
+use shared::control::pid::{Pid, PidGains};
+use shared::safety::monitors::Monitors;
+use shared::settings::Settings;
+
+use super::injection::Injection;
+use super::matrix::full_authority;
+use super::trial::{Trial, run};
+use plant::bench::{BenchConfig, Failure};
+use progress::Watch;
+use ventilator::SourceError;
+
+/// Breaths of a run.
+pub const BREATHS_PER_RUN: u64 = 10;
+/// Pressure limit, cmH2O.
+pub const LIMIT: f32 = 40.0;
+/// Highest true airway pressure, cmH2O.
+pub const BOUND: f64 = 60.0;
+/// No fault comes before the second opinion has seen two breaths, ms.
+const WARM_UP_MS: u32 = 6000;
+/// Runs between two looks at the wish to stop.
+const BATCH: u64 = 500;
+/// Ranges of resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
+const LUNGS: [(f64, f64); 2] = [(5.0, 50.0), (10.0, 50.0)];
+
+/// How far a torture has come, and what it has found; written down, it can go on later.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Torture {
+    /// Seed of everything.
+    pub seed: u64,
+    /// Breaths done.
+    pub breaths: u64,
+    /// Highest true airway pressure, cmH2O.
+    pub peak_true: f64,
+    /// The run in which it came.
+    pub worst_run: u64,
+    /// Runs with a pressure above the bound.
+    pub above_limit: u64,
+    /// Runs that ended in the latched safe state.
+    pub latched: u64,
+}
+
+impl Torture {
+    /// At the beginning.
+    pub fn new(seed: u64) -> Self {
+        Self { seed, breaths: 0, peak_true: 0.0, worst_run: 0, above_limit: 0, latched: 0 }
+    }
+
+    /// Goes on until so many breaths are done or somebody wishes to stop; calls `keep` now and then.
+    ///
+    /// # Errors
+    /// What `keep` says.
+    pub fn advance<E: From<SourceError>>(
+        &mut self,
+        breaths: u64,
+        watch: &Watch<'_>,
+        keep: &mut dyn FnMut(&Self) -> Result<(), E>,
+    ) -> Result<(), E> {
+        while self.breaths < breaths && !watch.stopped() {
+            let first = self.breaths / BREATHS_PER_RUN;
+            let last = (first + BATCH).min(breaths.div_ceil(BREATHS_PER_RUN));
+            let found: Result<Vec<_>, SourceError> =
+                (first..last).into_par_iter().map(|number| torment(self.seed, number)).collect();
+            for (number, (peak, latched)) in (first..).zip(found?) {
+                if peak > self.peak_true {
+                    (self.peak_true, self.worst_run) = (peak, number);
+                }
+                self.above_limit += u64::from(peak > BOUND);
+                self.latched += u64::from(latched);
+            }
+            self.breaths = last * BREATHS_PER_RUN;
+            watch.progress(self.breaths as usize, breaths as usize);
+            keep(self)?;
+        }
+        Ok(())
+    }
+}
+
+/// One run: its highest true pressure, and whether it ended in the safe state.
+fn torment(seed: u64, number: u64) -> Result<(f64, bool), SourceError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(number);
+    let [resistance, compliance] = LUNGS.map(|(low, high)| rng.random_range(low..=high));
+    let mut bench = BenchConfig::paper(resistance, compliance);
+    bench.unit.number = rng.random_range(0..1000);
+    let settings =
+        Settings { pressure_limit: LIMIT, ..paper_settings(rng.random_range(8.0_f32..=LIMIT - 5.0)) };
+    let controller = hostile(&mut rng).ok_or(SourceError::Stopped)?;
+    let watched_ms = 3000 * BREATHS_PER_RUN as u32;
+    let onset_ms = rng.random_range(WARM_UP_MS..watched_ms / 2);
+    let trial = Trial {
+        bench: &bench,
+        settings,
+        controller: &controller,
+        monitors: Monitors::ALL,
+        injection: fault(&mut rng),
+        onset_ms,
+        watched_ms: watched_ms - onset_ms,
+        seed: rng.random(),
+    };
+    let outcome = run(&trial)?;
+    Ok((outcome.peak_true, outcome.latched_ms.is_some()))
+}
+
+/// A network of random weights, from tame to wild, on a random PID.
+fn hostile(rng: &mut ChaCha8Rng) -> Option<Controller> {
+    let size = 10.0_f32.powf(rng.random_range(-1.0..2.0));
+    let mut network = Network::zero();
+    for weight in network.parameters_mut() {
+        *weight = size * rng.sample::<f32, _>(StandardNormal);
+    }
+    let gains = PidGains {
+        p: rng.random_range(0.0..20.0),
+        i: rng.random_range(0.0..800.0),
+        d: rng.random_range(0.0..0.4),
+    };
+    full_authority(gains, network).or_else(|| Pid::new(gains, DEFAULT_PERIOD_US).ok().map(Controller::Pid))
+}
+
+/// A fault after which the valves still obey; for half of the runs none.
+fn fault(rng: &mut ChaCha8Rng) -> Injection {
+    let size = rng.random_range(0.1_f32..1.0);
+    match rng.random_range(0..26) {
+        0 => Injection::StuckAtLast,
+        1 => Injection::StuckAt(30.0 * size),
+        2 => Injection::StuckAt(5.0),
+        3 => Injection::Reads(f32::NAN),
+        4 => Injection::Drift(4.0 * size - 2.0),
+        5 => Injection::Offset(10.0 * size - 5.0),
+        6 => Injection::Noise(2.0 * size),
+        7 => Injection::Dropped(size),
+        8 => Injection::SwappedBytes(size),
+        9 => Injection::Part(Failure::TubeOccluded),
+        10 => Injection::Part(Failure::Disconnected),
+        11 => Injection::Part(Failure::Leak(f64::from(3.0 * size))),
+        12 => Injection::MissedTicks((50.0 * size) as u32),
+        _ => Injection::Controller,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tortured(breaths: u64) -> Torture {
+        let mut torture = Torture::new(3);
+        torture.advance::<SourceError>(breaths, &Watch::silent(), &mut |_| Ok(())).unwrap();
+        torture
+    }
+
+    #[test]
+    fn no_random_controller_and_no_random_fault_exceeds_the_bound() {
+        let torture = tortured(3000);
+        assert_eq!((torture.breaths, torture.above_limit), (3000, 0), "{torture:?}");
+        assert!(torture.peak_true > 35.0, "a torture that hurts nobody is none: {torture:?}");
+    }
+
+    #[test]
+    fn a_torture_in_two_parts_finds_what_one_in_a_single_part_finds() {
+        let mut parts = tortured(200);
+        parts.advance::<SourceError>(500, &Watch::silent(), &mut |_| Ok(())).unwrap();
+        assert_eq!(parts, tortured(500));
+    }
+}

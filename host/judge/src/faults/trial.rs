@@ -1,0 +1,214 @@
+//! One device on one lung, and one fault in the middle of a breath.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::Serialize;
+use shared::breath::Phase;
+use shared::control::Controller;
+use shared::explore::Exploration;
+use shared::link::messages::ResetCause;
+use shared::safety::alarms::{Action, Fault};
+use shared::safety::filter::ValveCommand;
+use shared::safety::ladder::Level;
+use shared::safety::monitors::Monitors;
+use shared::settings::Settings;
+use shared::ventilator::Mode;
+
+use super::injection::{Injection, RESTART_MS, SensorFault, Task};
+use super::rig::Rig;
+use plant::bench::{Bench, BenchConfig};
+use ventilator::SourceError;
+
+/// Distance from PEEP at which the pressure counts as back, cmH2O.
+const BACK: f64 = 2.0;
+
+/// Tick of the breath in which coughing patients cough.
+const COUGH_TICK: u32 = 700;
+
+/// What is tried.
+#[derive(Clone, Debug)]
+pub struct Trial<'a> {
+    /// The lung.
+    pub bench: &'a BenchConfig,
+    /// Settings, the alarm limit among them.
+    pub settings: Settings,
+    /// The controller.
+    pub controller: &'a Controller,
+    /// Which monitors are at work.
+    pub monitors: Monitors,
+    /// What goes wrong.
+    pub injection: Injection,
+    /// When, ms.
+    pub onset_ms: u32,
+    /// How long it is watched, ms.
+    pub watched_ms: u32,
+    /// Seed of all noise.
+    pub seed: u64,
+}
+
+/// What came of it. Times count from the fault, in ms.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Outcome {
+    /// Alarms in their order, and when.
+    pub alarms: Vec<(Fault, u32)>,
+    /// When the valves were first told to vent in an inspiration.
+    pub vented_ms: Option<u32>,
+    /// From the first reading above the limit to the command to vent.
+    pub limit_to_vent_ms: Option<u32>,
+    /// When the safe state was latched.
+    pub latched_ms: Option<u32>,
+    /// How far down the ladder it went.
+    pub level: Level,
+    /// Highest true airway pressure, cmH2O.
+    pub peak_true: f64,
+    /// From venting to a true pressure near PEEP.
+    pub back_at_peep_ms: Option<u32>,
+}
+
+impl Outcome {
+    /// When this alarm came.
+    pub fn time_to(&self, fault: Fault) -> Option<u32> {
+        self.alarms.iter().find(|(found, _)| *found == fault).map(|(_, ms)| *ms)
+    }
+
+    /// The last thing that was done.
+    pub fn action(&self) -> Option<Action> {
+        match (self.latched_ms, self.level) {
+            (Some(_), _) => Some(Action::Vent),
+            (None, Level::CappedPid) => Some(Action::CappedPid),
+            (None, Level::Pid) => Some(Action::Pid),
+            (None, Level::Learned) => (!self.alarms.is_empty()).then_some(Action::Tell),
+        }
+    }
+}
+
+/// A trial under way.
+struct Run<'a> {
+    trial: &'a Trial<'a>,
+    rig: Rig,
+    bench: Bench,
+    sensor: SensorFault,
+    /// For what happens to flash.
+    rng: ChaCha8Rng,
+    reading: f32,
+    command: ValveCommand,
+    missed: u32,
+    above_limit: Option<u32>,
+    outcome: Outcome,
+}
+
+/// Runs a trial.
+///
+/// # Errors
+/// A bench or settings that are refused.
+pub fn run(trial: &Trial<'_>) -> Result<Outcome, SourceError> {
+    // Exploration is what must end without a host.
+    let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
+    let rng = ChaCha8Rng::seed_from_u64(trial.seed);
+    let mut run = Run {
+        rig: Rig::started(trial.controller, &trial.settings, trial.monitors, exploration)?,
+        bench: Bench::new(trial.bench, trial.settings.peep, trial.seed)?,
+        sensor: SensorFault::new(trial.injection, rng.clone()),
+        rng,
+        reading: trial.settings.peep,
+        command: ValveCommand::SAFE,
+        missed: 0,
+        above_limit: None,
+        outcome: Outcome::default(),
+        trial,
+    };
+    for ms in 0..trial.onset_ms + trial.watched_ms {
+        run.tick(ms)?;
+    }
+    Ok(run.outcome)
+}
+
+impl Run<'_> {
+    fn tick(&mut self, ms: u32) -> Result<(), SourceError> {
+        let since = ms.checked_sub(self.trial.onset_ms);
+        let task = match since {
+            Some(since) => {
+                self.inject(since);
+                self.trial.injection.task(since)
+            }
+            None => Task::Runs,
+        };
+        let alarm = match task {
+            Task::Runs => self.step(),
+            Task::Misses => {
+                self.missed += 1;
+                None
+            }
+            Task::Reset(cause) => {
+                self.reset(cause)?;
+                None
+            }
+        };
+        // An alarm before there was anything to find is one too.
+        self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
+        self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
+        if let Some(since) = since {
+            self.watch(since);
+        }
+        Ok(())
+    }
+
+    /// Makes the fault go wrong.
+    fn inject(&mut self, since: u32) {
+        match (self.trial.injection, since) {
+            (Injection::Part(failure), 0) => self.bench.fail(failure),
+            (Injection::HostSilent, 0) => self.rig.silence_host(),
+            (Injection::OtherHost, 0) => self.rig.other_host(),
+            (Injection::Weights(_), RESTART_MS) => self.rig.start(),
+            (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
+            _ => {}
+        }
+        self.reading = self.sensor.reading(self.reading);
+    }
+
+    fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
+        self.command = ValveCommand::SAFE;
+        self.missed = 0;
+        match self.trial.injection {
+            Injection::Weights(damage) => self.rig.reset_with(damage, &mut self.rng),
+            _ => self.rig.reset(cause),
+        }
+    }
+
+    fn step(&mut self) -> Option<Fault> {
+        let output = self.rig.step(self.reading, std::mem::take(&mut self.missed));
+        self.command = output.command;
+        output.alarm
+    }
+
+    /// Notes what the fault has led to.
+    fn watch(&mut self, since: u32) {
+        let (outcome, state) = (&mut self.outcome, self.rig.state());
+        let pressure = self.bench.airway_pressure();
+        outcome.peak_true = outcome.peak_true.max(pressure);
+        outcome.level = outcome.level.max(state.level());
+        if let Mode::Fault(_) = state.mode() {
+            outcome.latched_ms.get_or_insert(since);
+        }
+        let breath = state.breath();
+        let inspires = breath.phase(state.tick().saturating_sub(1)) == Phase::Inspiration;
+        let vents = self.command.u_out();
+        if vents && (inspires || state.mode() != Mode::Ventilating) {
+            outcome.vented_ms.get_or_insert(since);
+        }
+        if self.reading <= breath.settings().pressure_limit {
+            self.above_limit = None;
+        } else if !vents {
+            self.above_limit.get_or_insert(since);
+        }
+        if let (Some(from), true) = (self.above_limit, vents) {
+            self.above_limit = None;
+            let waited = outcome.limit_to_vent_ms.unwrap_or(0);
+            outcome.limit_to_vent_ms = Some(waited.max(since - from));
+        }
+        let near_peep = pressure < f64::from(breath.settings().peep) + BACK;
+        if let (Some(vented), true, None) = (outcome.vented_ms, near_peep, outcome.back_at_peep_ms) {
+            outcome.back_at_peep_ms = Some(since - vented);
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Classical identification: what the lung of a recording is, by least squares of the equation of motion.
+//!
+//! ```text
+//! P = P0 + V/C + R q + R2 q |q|        q flow into the lung, V its integral
+//! ```
+//!
+//! Each respiratory cycle is fitted by itself; the spread from breath to breath gives the confidence intervals of a
+//! lung. Two things of a real ventilator would spoil the fit:
+//!
+//! * **Drift.** Flow sensors show a few hundredths of a litre per second too much, and the integral of that is more
+//!   than a breath of a stiff lung. What went in comes out again in a steady breath, so the mean of the net flow over a
+//!   cycle is the sensors' and is taken out.
+//! * **The circuit.** Tubes between the flow sensors and the airway take gas in proportion to the slope of the
+//!   pressure. At a high resistance that is more than the lung gets, and R comes out too small with a negative R2. The
+//!   compliance of the circuit is the one with the least residual over all breaths of a lung ([`BehindCircuit`]).
+//!
+//! This is the honest rival of a learned simulator; it is told the measured flow, which a simulator is not.
+
+pub mod bench;
+pub mod breath;
+pub mod open_loop;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use serde::Serialize;
+use thiserror::Error;
+
+use self::breath::{Breath, COEFFICIENTS, Drift, Span};
+use data::recording::Recording;
+use engine::least_squares::{Solution, student};
+
+/// A cycle counts if it is at least this share of its lung's longest: a shorter one was cut off by a gap.
+const LEAST_CYCLE: f64 = 0.9;
+/// Compliances of the circuit that are tried, mL/cmH2O: this many, this far apart.
+const CIRCUITS: (usize, f64) = (81, 0.05);
+
+/// Why nothing can be identified.
+#[derive(Debug, Error)]
+pub enum IdentifyError {
+    /// The equation of motion needs the flow.
+    #[error(
+        "the recording has no flow (columns flow_in and flow_out): import one that has, or learn its plant from \
+         commands with `trainer fit`"
+    )]
+    NoFlow,
+    /// No respiratory cycle that says anything.
+    #[error(
+        "none of {cycles} whole respiratory cycles can be fitted: a cycle needs an inspiration, flow that changes, \
+         and another breath behind it"
+    )]
+    NoBreath {
+        /// How many cycles there were.
+        cycles: usize,
+    },
+}
+
+/// A value with its 95 % confidence interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Best value.
+    pub value: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+/// Breaths of one lung that are whole cycles.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lung {
+    /// Name of its group in the recording (a test run), or `all`.
+    pub name: String,
+    /// Resistance that the recording claims, cmH2O/(L/s).
+    pub nominal_resistance: Option<f64>,
+    /// Compliance that the recording claims, mL/cmH2O.
+    pub nominal_compliance: Option<f64>,
+    /// Rows and fitted form of each cycle.
+    pub breaths: Vec<(Range<usize>, Breath)>,
+}
+
+/// What was found of one lung.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Identified {
+    /// Name of its group in the recording (a test run), or `all`.
+    pub lung: String,
+    /// Resistance that the recording claims, cmH2O/(L/s).
+    pub nominal_resistance: Option<f64>,
+    /// Compliance that the recording claims, mL/cmH2O.
+    pub nominal_compliance: Option<f64>,
+    /// Cycles that were fitted.
+    pub breaths: usize,
+    /// Whole cycles that could not be fitted.
+    pub refused: usize,
+    /// Compliance of circuit and lung, mL/cmH2O.
+    pub compliance: Estimate,
+    /// R, cmH2O/(L/s).
+    pub resistance: Estimate,
+    /// R2, cmH2O/(L/s)^2.
+    pub turbulence: Estimate,
+    /// What the flow sensors show too much, L/s.
+    pub offset: Estimate,
+    /// Root mean square of what the equation does not explain, cmH2O.
+    pub residual: f64,
+    /// Compliance without the correction of drift, from inspirations alone, mL/cmH2O; none where their flow hardly changes.
+    pub uncorrected_compliance: Option<f64>,
+    /// The lung without the circuit.
+    pub behind_circuit: BehindCircuit,
+}
+
+/// The lung with the circuit's share of the flow taken out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BehindCircuit {
+    /// Compliance of the circuit, mL/cmH2O.
+    pub circuit_compliance: f64,
+    /// Compliance of the lung, mL/cmH2O.
+    pub compliance: Estimate,
+    /// R, cmH2O/(L/s).
+    pub resistance: Estimate,
+    /// R2, cmH2O/(L/s)^2.
+    pub turbulence: Estimate,
+    /// Root mean square of what the equation does not explain, cmH2O.
+    pub residual: f64,
+    /// Root mean square of the flow in the inspirations, L/s: where R and R2 hold.
+    pub inspiratory_flow: f64,
+}
+
+/// Identifies every lung of a recording.
+///
+/// # Errors
+/// The recording has no flow, or no lung of it has a cycle that can be fitted.
+pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError> {
+    let lungs = lungs(recording)?;
+    let found: Vec<_> = lungs.iter().filter_map(Lung::identify).collect();
+    if found.is_empty() {
+        return Err(IdentifyError::NoBreath { cycles: lungs.iter().map(|lung| lung.breaths.len()).sum() });
+    }
+    Ok(found)
+}
+
+/// The lungs of a recording in its order: by group where it has groups, by its claims of R and C where they change.
+///
+/// # Errors
+/// The recording has no flow.
+pub fn lungs(recording: &Recording) -> Result<Vec<Lung>, IdentifyError> {
+    if recording.flow_in.is_none() || recording.flow_out.is_none() {
+        return Err(IdentifyError::NoFlow);
+    }
+    let mut lungs: Vec<Lung> = Vec::new();
+    let breaths = recording.breaths();
+    for part in breaths.chunk_by(|a, b| key(recording, a.start) == key(recording, b.start)) {
+        let row = part[0].start;
+        let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
+        lungs.push(Lung {
+            name: recording.group_name(row).unwrap_or("all").to_owned(),
+            nominal_resistance: number(&recording.resistance),
+            nominal_compliance: number(&recording.compliance),
+            breaths: cycles(recording, part),
+        });
+    }
+    Ok(lungs)
+}
+
+/// What tells lungs apart; bits, because no arithmetic is done with them.
+fn key(recording: &Recording, row: usize) -> (Option<u32>, Option<u32>, Option<u32>) {
+    let bits = |column: &Option<Vec<f32>>| column.as_ref().map(|values| values[row].to_bits());
+    (
+        recording.group.as_ref().map(|group| group[row]),
+        bits(&recording.resistance),
+        bits(&recording.compliance),
+    )
+}
+
+/// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath behind it.
+fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Breath)> {
+    let followed = &breaths[..breaths.len().saturating_sub(1)];
+    let longest = followed.iter().map(ExactSizeIterator::len).max().unwrap_or(0) as f64;
+    let cycle = |rows: &Range<usize>| {
+        let inspiration = recording.inspiration(rows.clone())?.len();
+        let whole = recording.tick[rows.end - 1] as usize + 1 == rows.len();
+        let long = rows.len() as f64 >= LEAST_CYCLE * longest;
+        (whole && long).then(|| Breath::new(recording, rows, inspiration)).flatten()
+    };
+    followed.iter().filter_map(|rows| Some((rows.clone(), cycle(rows)?))).collect()
+}
+
+impl Lung {
+    /// What the lung is; none if no cycle can be fitted.
+    pub fn identify(&self) -> Option<Identified> {
+        let corrected = self.fits(Span::Cycle, Drift::Corrected, 0.0);
+        let raw = self.fits(Span::Inspiration, Drift::Kept, 0.0);
+        let circuit = self.circuit();
+        let behind = self.fits(Span::Cycle, Drift::Corrected, circuit);
+        let offsets: Vec<f64> = self.breaths.iter().map(|(_, breath)| breath.offset).collect();
+        let flow: f64 = self.breaths.iter().map(|(_, breath)| breath.inspiratory_flow()).sum();
+        Some(Identified {
+            lung: self.name.clone(),
+            nominal_resistance: self.nominal_resistance,
+            nominal_compliance: self.nominal_compliance,
+            breaths: corrected.len(),
+            refused: self.breaths.len() - corrected.len(),
+            compliance: compliance(&corrected)?,
+            resistance: coefficient(&corrected, 2)?,
+            turbulence: coefficient(&corrected, 3)?,
+            offset: estimate(&offsets, 0.0)?,
+            residual: residual(&corrected),
+            uncorrected_compliance: compliance(&raw).map(|raw| raw.value),
+            behind_circuit: BehindCircuit {
+                circuit_compliance: circuit,
+                compliance: compliance(&behind)?,
+                resistance: coefficient(&behind, 2)?,
+                turbulence: coefficient(&behind, 3)?,
+                residual: residual(&behind),
+                inspiratory_flow: flow / self.breaths.len() as f64,
+            },
+        })
+    }
+
+    /// The fits of its cycles; those with a compliance below zero say nothing.
+    fn fits(&self, span: Span, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
+        let fits = self.breaths.iter().filter_map(|(_, breath)| breath.fit(span, drift, circuit));
+        fits.filter(|fit| fit.coefficients[1] > 0.0).collect()
+    }
+
+    /// Compliance of the circuit with the least residual over all cycles, mL/cmH2O.
+    fn circuit(&self) -> f64 {
+        let (count, step) = CIRCUITS;
+        let fitted = self.fits(Span::Cycle, Drift::Corrected, 0.0).len();
+        let candidates = (0..count).map(|n| n as f64 * step).filter_map(|circuit| {
+            let fits = self.fits(Span::Cycle, Drift::Corrected, circuit);
+            let sum: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
+            (fits.len() == fitted).then_some((circuit, sum))
+        });
+        candidates.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0.0, |best| best.0)
+    }
+}
+
+fn residual(fits: &[Solution<COEFFICIENTS>]) -> f64 {
+    let square: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
+    (square / fits.len().max(1) as f64).sqrt()
+}
+
+/// The compliance from the mean elastance.
+fn compliance(fits: &[Solution<COEFFICIENTS>]) -> Option<Estimate> {
+    let elastance = coefficient(fits, 1)?;
+    let positive = |elastance: f64| if elastance > 0.0 { 1.0 / elastance } else { f64::MAX };
+    Some(Estimate { value: 1.0 / elastance.value, low: 1.0 / elastance.high, high: positive(elastance.low) })
+}
+
+/// A coefficient over breaths; a single breath has its own interval.
+fn coefficient(fits: &[Solution<COEFFICIENTS>], index: usize) -> Option<Estimate> {
+    let values: Vec<f64> = fits.iter().map(|fit| fit.coefficients[index]).collect();
+    estimate(&values, fits.first()?.half_widths[index])
+}
+
+/// Mean and 95 % interval from the spread of the values; `single` is the half-width where there is but one.
+fn estimate(values: &[f64], single: f64) -> Option<Estimate> {
+    let count = values.len() as f64;
+    if values.is_empty() {
+        return None;
+    }
+    let value = values.iter().sum::<f64>() / count;
+    let half = if values.len() == 1 {
+        single
+    } else {
+        let variance = values.iter().map(|v| (v - value).powi(2)).sum::<f64>() / (count - 1.0);
+        student(values.len() - 1) * (variance / count).sqrt()
+    };
+    Some(Estimate { value, low: value - half, high: value + half })
+}

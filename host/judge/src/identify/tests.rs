@@ -1,0 +1,173 @@
+//! Lungs of the virtual bench, whose truth is known, and the measured tables where they are at hand.
+
+use proptest::prelude::*;
+
+use super::*;
+use data::import::respiraworks::import;
+use data::import::respiraworks::measured;
+use data::provenance::Provenance;
+use data::recording::{EXPIRATION, Extra, INSPIRATION, Row};
+use plant::bench::{Bench, BenchConfig};
+
+/// Long enough to breathe out at the highest R C: only then nothing stays in the lung.
+const TICKS: u32 = 8_000;
+const INSPIRATION_TICKS: u32 = 1_000;
+
+/// Breaths with a constant command on a bench, with flow sensors at the ventilator that show `offset` (L/s) too much.
+fn record(config: &BenchConfig, breaths: u32, command: f32, offset: f32) -> Recording {
+    let mut recording =
+        Recording::with_extras(Provenance::new(1_000, "test"), &[Extra::FlowIn, Extra::FlowOut]);
+    let mut bench = Bench::new(config, 5.0, 1).unwrap();
+    for (breath, tick) in (0..breaths).flat_map(|breath| (0..TICKS).map(move |tick| (breath, tick))) {
+        let inspires = tick < INSPIRATION_TICKS;
+        // Falling commands: a constant flow would leave R and R2 without contrast.
+        let u_in =
+            if inspires { command * (1.0 - 0.7 * tick as f32 / INSPIRATION_TICKS as f32) } else { 0.0 };
+        let reading = bench.step(u_in, !inspires);
+        let truth = bench.truth();
+        recording.push(Row {
+            breath,
+            tick,
+            phase: if inspires { INSPIRATION } else { EXPIRATION },
+            pressure: reading.pressure,
+            u_in,
+            flow_in: Some(truth.flow_valve as f32 + offset),
+            flow_out: Some((truth.flow_expiratory + truth.flow_leak + truth.flow_relief) as f32),
+            ..Row::default()
+        });
+    }
+    recording
+}
+
+fn lung(resistance: f64, compliance: f64) -> BenchConfig {
+    let mut config = BenchConfig::paper(resistance, compliance);
+    // Without its inflection the lung is the one of the equation of motion.
+    config.lung.first.upper_inflection_cmh2o = 200.0;
+    config
+}
+
+fn identified(config: &BenchConfig, offset: f32) -> Identified {
+    identify(&record(config, 4, 35.0, offset)).unwrap().remove(0)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn lungs_of_the_bench_are_found_through_noise_circuit_and_drift(
+        resistance in 5.0..50.0, compliance in 10.0..50.0, offset in -0.03_f32..0.03
+    ) {
+        let found = identified(&lung(resistance, compliance), offset).behind_circuit;
+        let sum = found.compliance.value + found.circuit_compliance;
+        prop_assert!((sum / (compliance + 1.5) - 1.0).abs() < 0.08, "{found:?}");
+        // Behind a low resistance, nothing parts the lung from the circuit.
+        if resistance > 15.0 {
+            prop_assert!((found.circuit_compliance - 1.5).abs() < 0.7, "{found:?}");
+        }
+        // The drop at the flow of the inspirations; R and R2 one by one are less sure.
+        let q = found.inspiratory_flow;
+        let drop = found.resistance.value * q + found.turbulence.value * q * q;
+        let expected = resistance * q * (1.0 + 0.1 * q);
+        prop_assert!((drop - expected).abs() < 0.1 * expected + 0.15, "{drop} {expected} {found:?}");
+    }
+}
+
+#[test]
+fn drift_of_the_flow_sensors_is_found_and_taken_out() {
+    let (without, with) = (identified(&lung(20.0, 20.0), 0.0), identified(&lung(20.0, 20.0), 0.05));
+    assert!((with.offset.value - without.offset.value - 0.05).abs() < 0.001, "{:?}", with.offset);
+    assert!((with.compliance.value / without.compliance.value - 1.0).abs() < 1e-3, "{with:?}");
+    let [with, without] = [with, without].map(|lung| lung.uncorrected_compliance.unwrap());
+    assert!(with > 1.05 * without, "{with} {without}");
+}
+
+#[test]
+fn a_circuit_that_is_not_taken_out_makes_a_high_resistance_small() {
+    let found = identified(&lung(50.0, 10.0), 0.0);
+    assert!(found.behind_circuit.residual < 0.8 * found.residual, "{found:?}");
+    assert!(found.behind_circuit.resistance.value > found.resistance.value, "{found:?}");
+}
+
+#[test]
+fn breaths_that_are_cut_off_and_the_last_are_left_out() {
+    let mut recording = record(&lung(20.0, 20.0), 4, 35.0, 0.0);
+    let whole = lungs(&recording).unwrap();
+    assert_eq!(whole[0].breaths.iter().map(|(rows, _)| rows.start).collect::<Vec<_>>(), [0, 8_000, 16_000]);
+    // A lost tick in the second breath.
+    recording.tick[9_000..16_000].iter_mut().for_each(|tick| *tick += 1);
+    assert_eq!(lungs(&recording).unwrap()[0].breaths.len(), 2);
+}
+
+#[test]
+fn a_change_of_group_is_another_lung() {
+    let mut recording = record(&lung(20.0, 20.0), 4, 35.0, 0.0);
+    recording.provenance.groups = vec!["a".into(), "b".into()];
+    recording.group = Some((0..recording.len()).map(|row| u32::from(row >= 16_000)).collect());
+    let found = identify(&recording).unwrap();
+    assert_eq!(
+        found.iter().map(|lung| (lung.lung.as_str(), lung.breaths)).collect::<Vec<_>>(),
+        [("a", 1), ("b", 1)]
+    );
+    let one = &found[0].resistance;
+    assert!(
+        one.low < one.value && one.value < one.high,
+        "a single breath has an interval of its own: {one:?}"
+    );
+}
+
+#[test]
+fn without_flow_or_breaths_it_is_said_what_is_missing() {
+    let mut recording = record(&lung(20.0, 20.0), 1, 35.0, 0.0);
+    assert!(matches!(identify(&recording), Err(IdentifyError::NoBreath { cycles: 0 })));
+    recording.flow_in = None;
+    assert!(matches!(identify(&recording), Err(IdentifyError::NoFlow)));
+}
+
+#[test]
+fn a_bench_made_from_an_identified_bench_is_that_bench() {
+    let original = lung(20.0, 20.0);
+    let recording = record(&original, 4, 35.0, 0.02);
+    let found = identify(&recording).unwrap().remove(0);
+    let bench = bench::bench(&found, &recording).unwrap();
+    assert!((bench.lung.first.compliance_ml_per_cmh2o / 20.0 - 1.0).abs() < 0.06, "{bench:?}");
+    assert!((bench.sensor.quantum_cmh2o - original.sensor.quantum_cmh2o).abs() < 0.005, "{bench:?}");
+    assert!((bench.sensor.noise_sd_cmh2o - original.sensor.noise_sd_cmh2o).abs() < 0.03, "{bench:?}");
+    let text = bench::to_toml(&bench, &found);
+    assert_eq!(BenchConfig::from_toml(&text).unwrap(), bench);
+    // The same commands bring both to the same pressures.
+    let ours = record(&BenchConfig { unit: original.unit, ..bench }, 2, 35.0, 0.0);
+    let error: f32 = ours.pressure.iter().zip(&recording.pressure).map(|(a, b)| (a - b).abs()).sum::<f32>()
+        / ours.len() as f32;
+    assert!(error < 0.5, "{error}");
+}
+
+#[test]
+fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
+    let Some(paths) = measured() else { return };
+    let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
+    let found = identify(&recording).unwrap();
+    assert_eq!(found.len(), 16);
+    for lung in &found {
+        let (_, row) = lung.lung.split_once(':').unwrap();
+        let row: usize = row.parse().unwrap();
+        let nominal = lung.nominal_compliance.unwrap();
+        println!("{} nominal {nominal} {lung:?}", lung.lung);
+        if row <= 7 {
+            assert!((lung.compliance.value / nominal - 1.0).abs() < 0.1, "{lung:?}");
+            assert!(
+                lung.compliance.low < lung.compliance.value && lung.compliance.value < lung.compliance.high
+            );
+        }
+        // Resistors of 50 cmH2O/(L/s) come out parabolic only behind the circuit.
+        if lung.nominal_resistance.is_some_and(|r| r > 40.0) {
+            assert!(lung.turbulence.value < 0.0 && lung.behind_circuit.turbulence.value > 0.0, "{lung:?}");
+            assert!(lung.behind_circuit.residual < 0.85 * lung.residual, "{lung:?}");
+        }
+        bench::bench(lung, &recording).unwrap();
+    }
+    // What the data say where drift is left in.
+    for (row, uncorrected) in [(1, 57.0), (2, 56.0), (4, 22.0), (5, 20.0), (7, 11.0)] {
+        let lung = found.iter().find(|lung| lung.lung == format!("CT_AIR:{row}")).unwrap();
+        assert!((lung.uncorrected_compliance.unwrap() / uncorrected - 1.0).abs() < 0.03, "{lung:?}");
+    }
+}

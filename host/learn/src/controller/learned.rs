@@ -1,0 +1,162 @@
+//! A learned controller as a file: safetensors for people and Python, the weights image for the chip.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use shared::control::network::Network;
+use shared::control::residual::{Residual, ResidualError, ResidualSpec};
+use shared::weights::{IMAGE_BYTES, Identity, WeightsError, encode};
+use thiserror::Error;
+
+use super::network::chip_network;
+use data::tensors::{self, TensorError};
+
+/// A trained controller with its origin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Learned {
+    /// The controller.
+    pub controller: Residual,
+    /// Where it comes from.
+    pub origin: Origin,
+}
+
+/// Where a controller comes from and how good its training thought it was.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Origin {
+    /// Plant that its simulators were learned from.
+    pub plant: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Revision of the program.
+    pub git_revision: String,
+    /// Score on the held-out simulator, cmH2O.
+    pub validation: f64,
+    /// Score of its PID alone on the held-out simulator, cmH2O.
+    pub base: f64,
+}
+
+/// Why a controller cannot be loaded or packed.
+#[derive(Debug, Error)]
+pub enum LearnedError {
+    /// The file.
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    /// The controller in it.
+    #[error(transparent)]
+    Residual(#[from] ResidualError),
+    /// The image.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+}
+
+#[derive(Serialize, Deserialize)]
+struct Description {
+    #[serde(flatten)]
+    spec: ResidualSpec,
+    origin: Origin,
+}
+
+/// What the file says it is.
+pub const KIND: &str = "controller";
+/// Name of the parameter vector: layer by layer, weights row by row, then biases.
+const NETWORK: &str = "network";
+
+impl Learned {
+    /// Writes a safetensors file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), LearnedError> {
+        let description = Description { spec: *self.controller.spec(), origin: self.origin.clone() };
+        let network: Vec<f32> = self.controller.network().parameters().copied().collect();
+        Ok(tensors::save(path, KIND, &description, &[(NETWORK, &network)])?)
+    }
+
+    /// Reads what [`Self::save`] wrote.
+    ///
+    /// # Errors
+    /// The file cannot be read, is torn or holds something else, or its controller is out of range.
+    pub fn load(path: &Path) -> Result<Self, LearnedError> {
+        let (description, vectors): (Description, _) = tensors::load(path, KIND, &[NETWORK])?;
+        let network = &vectors[0];
+        if network.len() != Network::PARAMETERS {
+            let reason = format!("{} weights where {} belong", network.len(), Network::PARAMETERS);
+            return Err(TensorError::format(path, KIND, &reason).into());
+        }
+        let controller = Residual::new(description.spec, chip_network(network))?;
+        Ok(Self { controller, origin: description.origin })
+    }
+
+    /// The weights image for the chip.
+    ///
+    /// # Errors
+    /// A controller that the image cannot hold.
+    pub fn image(&self) -> Result<Vec<u8>, LearnedError> {
+        let identity = Identity {
+            training: label(&format!("seed {}", self.origin.seed)),
+            plant: label(&self.origin.plant),
+        };
+        let mut image = vec![0; IMAGE_BYTES];
+        let length = encode(&self.controller, &identity, &mut image)?;
+        image.truncate(length);
+        Ok(image)
+    }
+}
+
+/// A text as the image's fixed field: cut or filled with zeros.
+fn label(text: &str) -> [u8; 16] {
+    let mut field = [0; 16];
+    for (place, byte) in field.iter_mut().zip(text.bytes()) {
+        *place = byte;
+    }
+    field
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::controller::network::initial_parameters;
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+    use shared::control::features::FeatureSpec;
+    use shared::control::pid::PidGains;
+    use shared::weights::decode;
+
+    fn learned() -> Learned {
+        let network = chip_network(&initial_parameters(&mut ChaCha8Rng::seed_from_u64(1)));
+        let spec = ResidualSpec {
+            period_us: 1000,
+            gains: PidGains { p: 2.0, i: 20.0, d: 0.01 },
+            lambda: 0.8,
+            authority: 90.0,
+            features: FeatureSpec::default(),
+        };
+        let origin =
+            Origin { plant: "R20C20".into(), seed: 7, validation: 0.9, base: 1.5, ..Origin::default() };
+        Learned { controller: Residual::new(spec, network).unwrap(), origin }
+    }
+
+    #[test]
+    fn a_controller_survives_its_file_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("controller.safetensors");
+        learned().save(&path).unwrap();
+        assert_eq!(Learned::load(&path).unwrap(), learned());
+    }
+
+    #[test]
+    fn the_image_holds_the_same_controller() {
+        let image = decode(&learned().image().unwrap()).unwrap();
+        assert_eq!(image.residual, learned().controller);
+        assert_eq!(&image.identity.plant[..6], b"R20C20");
+    }
+
+    #[test]
+    fn a_simulator_is_not_taken_for_a_controller() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("simulator.safetensors");
+        tensors::save(&path, "simulator", &1, &[("parameters", &[0.0])]).unwrap();
+        let text = Learned::load(&path).unwrap_err().to_string();
+        assert!(text.contains("is no controller"), "{text}");
+    }
+}

@@ -1,0 +1,6 @@
+//! Learning: simulators from recordings, controllers through simulators, and the pipeline that does both in rounds.
+#![forbid(unsafe_code)]
+
+pub mod controller;
+pub mod pipeline;
+pub mod simulator;

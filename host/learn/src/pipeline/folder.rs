@@ -1,0 +1,83 @@
+//! The folder of a run: what each stage leaves so that a stopped run can go on.
+//!
+//! ```text
+//! run.json                     configuration: another one is refused
+//! round-0/recording-P.parquet  breaths of the round, from plant P
+//! round-0/recording-P.partial.parquet  what there was of them when the plant failed
+//! round-0/simulator-P-N.safetensors, round-0/fit.json
+//! round-0/training.json        checkpoint of the training
+//! round-0/controller.safetensors, round-0/round.json
+//! ```
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::{PipelineConfig, PipelineError};
+use data::files::write_atomically;
+
+/// A run's folder.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// A folder that may or may not exist yet.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    /// A file of a round.
+    pub fn file(&self, round: usize, name: &str) -> PathBuf {
+        self.path.join(format!("round-{round}")).join(name)
+    }
+
+    /// Takes the folder for this configuration.
+    ///
+    /// # Errors
+    /// The folder holds a run with another one.
+    pub(super) fn claim(&self, config: &PipelineConfig) -> Result<(), PipelineError> {
+        let path = self.path.join("run.json");
+        match read_json::<PipelineConfig>(&path)? {
+            Some(earlier) if earlier != *config => {
+                Err(PipelineError::OtherRun(self.path.display().to_string()))
+            }
+            Some(_) => Ok(()),
+            None => write_json(&path, config),
+        }
+    }
+
+    /// What a stage left, if it did.
+    pub(super) fn load<T: DeserializeOwned>(
+        &self,
+        round: usize,
+        name: &str,
+    ) -> Result<Option<T>, PipelineError> {
+        read_json(&self.file(round, name))
+    }
+
+    /// Leaves something.
+    pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
+        write_json(&self.file(round, name), value)
+    }
+}
+
+fn failure(path: &Path, reason: &impl ToString) -> PipelineError {
+    PipelineError::Folder { path: path.display().to_string(), reason: reason.to_string() }
+}
+
+fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, PipelineError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = fs::read_to_string(path).map_err(|e| failure(path, &e))?;
+    serde_json::from_str(&text).map(Some).map_err(|e| failure(path, &e))
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
+    let text = serde_json::to_string(value).map_err(|e| failure(path, &e))?;
+    write_atomically(path, text.as_bytes()).map_err(|e| failure(path, &e))
+}

@@ -1,0 +1,345 @@
+//! The three stages of a round, each of which first looks for what an earlier, stopped run has left.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+
+use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage, Studied};
+use crate::controller::learned::{Learned, Origin};
+use crate::controller::{Checkpoint, Plant, Progress, TrainConfig, Trained, Training};
+use crate::simulator::episode::{Episode, episodes};
+use crate::simulator::fit::{Fit, FitConfig, OpenLoop, open_loop, split};
+use crate::simulator::model::Simulator;
+use data::provenance::git_revision;
+use data::recording::Recording;
+use progress::Watch;
+use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
+use ventilator::seeds;
+
+/// Least number of complete breaths worth a fit.
+const BREATHS_NEEDED: usize = 8;
+
+/// A run under way.
+pub(super) struct Run<'a> {
+    config: &'a PipelineConfig,
+    sources: &'a [MakeSource<'a>],
+    folder: Option<&'a Folder>,
+    observer: Observer<'a>,
+    stop: &'a AtomicBool,
+    recordings: Vec<Recording>,
+    /// Of each plant, the held-out one last.
+    simulators: Vec<Vec<Simulator>>,
+    learned: Option<Learned>,
+    rounds: Vec<Round>,
+    complete: bool,
+}
+
+/// What the fit of a round leaves beside the simulators.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Fitted {
+    curve: Vec<f64>,
+    open_loop: Vec<OpenLoop>,
+}
+
+/// A training's checkpoint with its curve.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Pause {
+    checkpoint: Checkpoint,
+    curve: Vec<Progress>,
+}
+
+impl<'a> Run<'a> {
+    pub(super) fn new(
+        config: &'a PipelineConfig,
+        sources: &'a [MakeSource<'a>],
+        folder: Option<&'a Folder>,
+        observer: Observer<'a>,
+        stop: &'a AtomicBool,
+    ) -> Self {
+        Self {
+            config,
+            sources,
+            folder,
+            observer,
+            stop,
+            recordings: Vec::new(),
+            simulators: Vec::new(),
+            learned: None,
+            rounds: Vec::new(),
+            complete: true,
+        }
+    }
+
+    /// One round; false when it was stopped.
+    pub(super) fn round(&mut self, round: usize) -> Result<bool, PipelineError> {
+        let (breaths, aborts) = self.collect(round)?;
+        if self.stopped() {
+            return Ok(false);
+        }
+        let Some(fitted) = self.fit(round)? else { return Ok(false) };
+        let (trained, train_curve) = self.train(round)?;
+        self.rounds.push(Round {
+            breaths,
+            aborts,
+            fit_curve: fitted.curve,
+            open_loop: fitted.open_loop,
+            train_curve,
+            validation: trained.validation,
+            base: trained.base,
+            improved: trained.improved,
+        });
+        Ok(!self.stopped())
+    }
+
+    fn stopped(&mut self) -> bool {
+        let stopped = self.stop.load(Ordering::Relaxed);
+        self.complete &= !stopped;
+        stopped
+    }
+
+    /// What there is at the end.
+    pub(super) fn outcome(self) -> Result<Outcome, PipelineError> {
+        let learned = self.learned.ok_or(PipelineError::Stopped)?;
+        let plants = self.recordings.into_iter().zip(self.simulators);
+        Ok(Outcome {
+            plants: plants.map(|(recording, simulators)| Studied { recording, simulators }).collect(),
+            learned,
+            rounds: self.rounds,
+            hold_out: self.config.hold_out,
+            complete: self.complete,
+        })
+    }
+
+    /// Records the round's breaths on every plant, or takes those already recorded; complete and aborted breaths.
+    fn collect(&mut self, round: usize) -> Result<(usize, usize), PipelineError> {
+        let done = AtomicUsize::new(0);
+        let recordings: Vec<Recording> = (0..self.sources.len())
+            .into_par_iter()
+            .map(|plant| self.recorded(round, plant, &done))
+            .collect::<Result<_, _>>()?;
+        let breaths = recordings.iter().map(|recording| recording.inspirations().len()).sum();
+        let all: usize = recordings.iter().map(|recording| recording.breaths().len()).sum();
+        if self.recordings.is_empty() {
+            self.recordings = recordings;
+        } else {
+            for (earlier, recording) in self.recordings.iter_mut().zip(&recordings) {
+                earlier.append(recording)?;
+            }
+        }
+        Ok((breaths, all - breaths))
+    }
+
+    /// A plant's recording of the round.
+    fn recorded(&self, round: usize, plant: usize, done: &AtomicUsize) -> Result<Recording, PipelineError> {
+        let file = self.folder.map(|folder| folder.file(round, &format!("recording-{plant}.parquet")));
+        if let Some(file) = file.as_ref().filter(|file| file.exists()) {
+            return Ok(Recording::load(file)?);
+        }
+        let collected = match (self.record(round, plant, done), self.folder) {
+            (Err(PipelineError::Collect(CollectError::Interrupted { reason, collected })), Some(folder)) => {
+                let file = folder.file(round, &format!("recording-{plant}.partial.parquet"));
+                collected.recording.save(&file)?;
+                let (breaths, file) = (collected.breaths, file.display().to_string());
+                return Err(PipelineError::Interrupted { reason, breaths, file });
+            }
+            (outcome, _) => outcome?,
+        };
+        if let (Some(file), false) = (&file, self.stop.load(Ordering::Relaxed)) {
+            collected.recording.save(file)?;
+        }
+        Ok(collected.recording)
+    }
+
+    fn record(&self, round: usize, plant: usize, done: &AtomicUsize) -> Result<Collected, PipelineError> {
+        let seed = seeds::collection(self.config.seed, of_plant(round as u64, plant));
+        let mut source = (self.sources[plant])(seed)?;
+        let controller = match &self.learned {
+            Some(learned) => Controller::Residual(learned.controller.clone()),
+            None => self.config.collector()?,
+        };
+        let config = CollectConfig { seed, ..self.config.collect.clone() };
+        let total = config.breaths * self.sources.len();
+        let progress = |_, _| {
+            (self.observer)(round, Stage::Collect, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        };
+        Ok(collect(source.as_mut(), &controller, &config, &Watch::new(&progress, self.stop))?)
+    }
+
+    /// Fits each plant's ensemble to everything recorded from it; none when stopped.
+    fn fit(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
+        if let Some(fitted) = self.fitted(round)? {
+            return Ok(Some(fitted));
+        }
+        let episodes: Vec<Vec<Episode>> =
+            self.recordings.iter().map(|recording| episodes(recording, self.config.timing())).collect();
+        if let Some(found) = episodes.iter().map(Vec::len).find(|found| *found < BREATHS_NEEDED) {
+            return Err(PipelineError::TooFewBreaths { found, needed: BREATHS_NEEDED });
+        }
+        let parts: Vec<_> = episodes.iter().map(|episodes| split(episodes, self.config.hold_out)).collect();
+        let members = self.config.ensemble.max(1) + 1;
+        let done = AtomicUsize::new(0);
+        let fits: Vec<Option<(Simulator, Vec<f64>)>> = (0..parts.len() * members)
+            .into_par_iter()
+            .map(|job| {
+                let (plant, member) = (job / members, job % members);
+                self.fit_member(round, plant, member, &parts[plant].0, &done)
+            })
+            .collect();
+        let Some(fits) = fits.into_iter().collect::<Option<Vec<_>>>() else {
+            self.stopped();
+            return Ok(None);
+        };
+        let fitted = Fitted {
+            curve: fits[0].1.clone(),
+            open_loop: (0..)
+                .zip(&fits)
+                .map(|(job, (simulator, _))| open_loop(simulator, &parts[job / members].1))
+                .collect(),
+        };
+        let mut simulators = fits.into_iter().map(|(simulator, _)| simulator);
+        self.simulators = (0..parts.len()).map(|_| simulators.by_ref().take(members).collect()).collect();
+        if let Some(folder) = self.folder {
+            for (plant, simulators) in self.simulators.iter().enumerate() {
+                for (member, simulator) in simulators.iter().enumerate() {
+                    simulator.save(&folder.file(round, &simulator_name(plant, member)))?;
+                }
+            }
+            folder.save(round, "fit.json", &fitted)?;
+        }
+        Ok(Some(fitted))
+    }
+
+    /// The round's simulators, if an earlier run has left them.
+    fn fitted(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
+        let Some(folder) = self.folder else { return Ok(None) };
+        let Some(fitted) = folder.load::<Fitted>(round, "fit.json")? else { return Ok(None) };
+        let plants = self.sources.len();
+        let of_plant = |plant| {
+            let members = 0..fitted.open_loop.len() / plants;
+            members
+                .map(|member| Simulator::load(&folder.file(round, &simulator_name(plant, member))))
+                .collect::<Result<Vec<_>, _>>()
+        };
+        self.simulators = (0..plants).map(of_plant).collect::<Result<_, _>>()?;
+        Ok(Some(fitted))
+    }
+
+    /// One member of a plant's ensemble; none when stopped.
+    fn fit_member(
+        &self,
+        round: usize,
+        plant: usize,
+        member: usize,
+        train: &[&Episode],
+        done: &AtomicUsize,
+    ) -> Option<(Simulator, Vec<f64>)> {
+        let warm = self.simulators.get(plant).and_then(|members| members.get(member));
+        let config = self.fit_config(round, plant, member, warm.is_some());
+        let total = config.epochs * (self.config.ensemble.max(1) + 1) * self.sources.len();
+        let mut fit = Fit::new(self.config.architecture, train, config, warm);
+        let mut curve = Vec::new();
+        while let Some(loss) = fit.epoch() {
+            curve.push(loss);
+            (self.observer)(round, Stage::Fit, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+            if self.stop.load(Ordering::Relaxed) {
+                return None;
+            }
+        }
+        Some((fit.simulator(&self.recordings[plant].provenance.plant), curve))
+    }
+
+    /// Members differ by their seed alone; a warm start takes fewer, smaller steps.
+    fn fit_config(&self, round: usize, plant: usize, member: usize, warm: bool) -> FitConfig {
+        let seed = if member == self.config.ensemble.max(1) {
+            seeds::held_out_simulator(self.config.seed)
+        } else {
+            seeds::training(self.config.seed, of_plant(member as u64, plant))
+        };
+        let mut config = FitConfig { seed: seed.wrapping_add(round as u64), ..self.config.fit };
+        if warm {
+            // The recording has grown, so that an epoch takes more steps than it did.
+            let share = self.config.refit_share / (round + 1) as f32;
+            config.epochs = ((config.epochs as f32 * share) as usize).max(1);
+            config.adam.rate *= self.config.refit_share;
+        }
+        config
+    }
+
+    /// Trains the controller on all members but the last.
+    fn train(&mut self, round: usize) -> Result<(Trained, Vec<Progress>), PipelineError> {
+        let mut training = self.training(round)?;
+        let mut curve = Vec::new();
+        let pause = self.folder.map(|folder| folder.load::<Pause>(round, "training.json")).transpose()?;
+        if let Some(pause) = pause.flatten() {
+            training.resume(pause.checkpoint);
+            curve = pause.curve;
+        }
+        while !self.stopped() {
+            let Some(progress) = training.advance() else { break };
+            curve.push(progress);
+            (self.observer)(round, Stage::Train, progress.iteration, self.config.train.iterations);
+            if let Some(folder) = self.folder {
+                let pause = Pause { checkpoint: training.checkpoint(), curve: curve.clone() };
+                folder.save(round, "training.json", &pause)?;
+            }
+        }
+        let trained = training.finish()?;
+        let learned = self.learned(&trained);
+        if let Some(folder) = self.folder {
+            learned.save(&folder.file(round, "controller.safetensors"))?;
+        }
+        self.learned = Some(learned);
+        Ok((trained, curve))
+    }
+
+    fn training(&self, round: usize) -> Result<Training, PipelineError> {
+        let warm: Option<Vec<f32>> = self
+            .learned
+            .as_ref()
+            .map(|learned| learned.controller.network().parameters().copied().collect())
+            .filter(|weights: &Vec<f32>| weights.iter().any(|w| w.abs() > 0.0));
+        let mut config = TrainConfig {
+            seed: seeds::training(self.config.seed, 1000 + round as u64),
+            ..self.config.train.clone()
+        };
+        if warm.is_some() {
+            config.adam.rate *= 0.5;
+        }
+        let plants: Option<Vec<Plant<'_>>> = self
+            .simulators
+            .iter()
+            .map(|simulators| {
+                let (held_out, trained_on) = simulators.split_last()?;
+                (!trained_on.is_empty()).then_some(Plant { trained_on, held_out })
+            })
+            .collect();
+        let plants = plants.ok_or(PipelineError::Stopped)?;
+        Ok(Training::new(self.config.residual(), &plants, config, warm.as_deref())?)
+    }
+
+    fn learned(&self, trained: &Trained) -> Learned {
+        let plants: Vec<&str> = self.recordings.iter().map(|r| r.provenance.plant.as_str()).collect();
+        let plant = plants.join(" ");
+        Learned {
+            controller: trained.controller.clone(),
+            origin: Origin {
+                plant,
+                seed: self.config.seed,
+                git_revision: git_revision(),
+                validation: trained.validation,
+                base: trained.base,
+            },
+        }
+    }
+}
+
+fn simulator_name(plant: usize, member: usize) -> String {
+    format!("simulator-{plant}-{member}.safetensors")
+}
+
+/// A number that differs from plant to plant and is itself for the first.
+fn of_plant(number: u64, plant: usize) -> u64 {
+    number + ((plant as u64) << 32)
+}

@@ -1,0 +1,348 @@
+//! Episodes: the inspirations of a recording, cut into a simulator's blocks.
+
+use std::ops::Range;
+
+use super::{COMMAND_SCALE, CommandLog, Start, Timing, USUAL_LUNG};
+use data::recording::Recording;
+use engine::least_squares::solve;
+use engine::{LANES, Lane};
+
+/// Time before the inspiration over which its starting pressure is averaged, s; also the time before the end of
+/// the last inspiration over which its plateau is.
+const AVERAGE_TIME: f32 = 0.05;
+
+/// What an error in an expiration weighs, against one in an inspiration: there the simulator is not used.
+const EXPIRATION_WEIGHT: f32 = 0.5;
+
+/// One inspiration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Episode {
+    /// Measured pressure at each control tick, cmH2O.
+    pub pressure: Vec<f32>,
+    /// True airway pressure at each control tick, where a bench knows it, cmH2O.
+    pub truth: Option<Vec<f32>>,
+    /// Scaled commands: mean of each part of each block, all channels of a part together.
+    pub commands: Vec<f32>,
+    /// Scaled commands before the inspiration, per place of a block.
+    pub rest: Vec<f32>,
+    /// Pressure before the inspiration, cmH2O.
+    pub start: f32,
+    /// Pressure at the end of the inspiration before, cmH2O.
+    pub plateau: f32,
+    /// Scaled command of the inspiratory valve there.
+    pub plateau_command: f32,
+    /// PIP of the breath, cmH2O.
+    pub pip: f32,
+    /// PEEP of the breath, cmH2O.
+    pub peep: f32,
+    /// Group of the breath in its recording (a lung, a test run), if it has groups.
+    pub group: Option<u32>,
+    /// Ventilator of the group, if it has groups: see [`ventilators`].
+    pub ventilator: Option<u32>,
+    /// Its rows in the recording.
+    pub rows: Range<usize>,
+    /// Nominal R (cmH2O/(L/s)) and C (mL/cmH2O), where the recording has them.
+    pub lung: Option<(f32, f32)>,
+}
+
+impl Episode {
+    /// Control ticks.
+    pub fn ticks(&self) -> usize {
+        self.pressure.len()
+    }
+}
+
+/// The complete inspirations of a recording, in its order.
+pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
+    cut(recording, timing, |inspiration| inspiration)
+}
+
+/// The same breaths with all that follows their inspirations: in expiration, too, a plant shows what it is.
+pub fn whole_breaths(recording: &Recording, timing: &Timing) -> Vec<Episode> {
+    cut(recording, timing, |inspiration| {
+        let rest = &recording.breath[inspiration.start..];
+        let length = rest.iter().take_while(|breath| **breath == rest[0]).count();
+        // A lost tick ends what can be replayed.
+        let ticks = &recording.tick[inspiration.start..inspiration.start + length];
+        let whole = ticks.iter().enumerate().take_while(|(n, tick)| *n == **tick as usize).count();
+        inspiration.start..inspiration.start + whole
+    })
+}
+
+fn cut(
+    recording: &Recording,
+    timing: &Timing,
+    extent: impl Fn(Range<usize>) -> Range<usize>,
+) -> Vec<Episode> {
+    let average = (shared::math::ticks(AVERAGE_TIME, timing.period_us) as usize).max(1);
+    let ventilators = ventilators(recording);
+    let (mut last_plateau, mut last_command) = (None, None);
+    let mut episodes = Vec::new();
+    for rows in recording.inspirations() {
+        let group = recording.group.as_ref().map(|group| group[rows.start]);
+        let same_run = rows.start > 0
+            && recording.group.as_ref().is_none_or(|group| group[rows.start - 1] == group[rows.start]);
+        let before = if same_run {
+            rows.start.saturating_sub(average)..rows.start
+        } else {
+            rows.start..rows.start + 1
+        };
+        let plateau = last_plateau.filter(|_| same_run).unwrap_or(recording.peep[rows.start]);
+        let rest = if same_run { rows.start - 1 } else { rows.start };
+        let extent = extent(rows.clone());
+        episodes.push(Episode {
+            pressure: recording.pressure[extent.clone()].to_vec(),
+            truth: recording.pressure_true.as_ref().map(|truth| truth[extent.clone()].to_vec()),
+            commands: commands(recording, &extent, timing),
+            rest: (0..timing.width())
+                .map(|place| channel(recording, rest, place % timing.channels))
+                .collect(),
+            start: mean(&recording.pressure[before]),
+            plateau,
+            plateau_command: last_command.filter(|_| same_run).unwrap_or(channel(recording, rest, 0)),
+            pip: recording.pip[rows.start],
+            peep: recording.peep[rows.start],
+            group,
+            ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
+            rows: rows.clone(),
+            lung: lung(recording, rows.start),
+        });
+        let end = rows.end - average.min(rows.len())..rows.end;
+        last_plateau = Some(mean(&recording.pressure[end.clone()]));
+        last_command = Some(mean(&recording.u_in[end]) / COMMAND_SCALE);
+    }
+    episodes
+}
+
+/// Index of the ventilator of each group. Groups of one ventilator have names that begin alike, up to a colon, as in
+/// `CT_AIR:5`; a name without one stands for a ventilator that has this group alone.
+pub fn ventilators(recording: &Recording) -> Vec<u32> {
+    let mut names = Vec::new();
+    let ventilator = |group: &String| {
+        let name = group.split(':').next().unwrap_or_default().to_owned();
+        let index = names.iter().position(|known| *known == name).unwrap_or_else(|| {
+            names.push(name);
+            names.len() - 1
+        });
+        index as u32
+    };
+    recording.provenance.groups.iter().map(ventilator).collect()
+}
+
+fn lung(recording: &Recording, row: usize) -> Option<(f32, f32)> {
+    Some((recording.resistance.as_ref()?[row], recording.compliance.as_ref()?[row]))
+}
+
+fn mean(values: &[f32]) -> f32 {
+    values.iter().sum::<f32>() / values.len().max(1) as f32
+}
+
+/// Furthest that a valve may be from a line over another's commands and still say nothing of its own, percent. The
+/// `RespiraWorks` ventilator's are 1.9 apart where one of them is at an end of its range.
+const FOLLOWS: f64 = 2.5;
+
+/// Command channels that matter in a recording: the inspiratory valve; the expiratory one too if it moves during
+/// inspirations otherwise than on a line over the inspiratory one's command, which no fit could tell apart; the
+/// oxygen valve too if it moves at all.
+pub fn channels(recording: &Recording) -> usize {
+    let moves = |values: &[f32]| values.windows(2).any(|pair| pair[0].total_cmp(&pair[1]).is_ne());
+    if recording.u_psol.as_deref().is_some_and(moves) {
+        3
+    } else if recording.inspirations().into_iter().any(|rows| moves(&recording.u_out[rows]))
+        && !follows(recording)
+    {
+        2
+    } else {
+        1
+    }
+}
+
+/// Whether the expiratory valve's commands in inspirations lie on a line over the inspiratory valve's.
+fn follows(recording: &Recording) -> bool {
+    let rows: Vec<usize> = recording.inspirations().into_iter().flatten().collect();
+    let columns: Vec<_> = rows.iter().map(|row| [1.0, f64::from(recording.u_in[*row])]).collect();
+    let values: Vec<_> = rows.iter().map(|row| f64::from(recording.u_out[*row])).collect();
+    solve(&columns, &values).is_some_and(|line| {
+        let [level, slope] = line.coefficients;
+        columns.iter().zip(&values).all(|(row, value)| (value - level - slope * row[1]).abs() < FOLLOWS)
+    })
+}
+
+/// Scaled command of a channel: the inspiratory valve, then the expiratory one, then the oxygen valve.
+fn channel(recording: &Recording, row: usize, channel: usize) -> f32 {
+    let percent = match channel {
+        0 => recording.u_in[row],
+        1 => recording.u_out[row],
+        _ => recording.u_psol.as_ref().map_or(0.0, |u| u[row]),
+    };
+    percent / COMMAND_SCALE
+}
+
+/// Means over the parts of all blocks; the last block may be short.
+fn commands(recording: &Recording, rows: &Range<usize>, timing: &Timing) -> Vec<f32> {
+    let blocks = timing.blocks(rows.len());
+    let width = timing.width();
+    let (mut sums, mut counts) = (vec![0.0; blocks * width], vec![0.0_f32; blocks * width]);
+    for tick in 0..rows.len() {
+        let part = timing.part(tick % timing.block_ticks);
+        for c in 0..timing.channels {
+            let place = tick / timing.block_ticks * width + part * timing.channels + c;
+            sums[place] += channel(recording, rows.start + tick, c);
+            counts[place] += 1.0;
+        }
+    }
+    sums.iter().zip(&counts).map(|(sum, count)| sum / count.max(1.0)).collect()
+}
+
+/// Up to [`LANES`] episodes side by side.
+#[derive(Clone, Debug)]
+pub struct Shard<'a> {
+    /// The episodes; rollouts beyond them repeat the last one with weight zero.
+    pub episodes: Vec<&'a Episode>,
+}
+
+impl<'a> Shard<'a> {
+    /// Cuts episodes into shards.
+    pub fn cut(episodes: &[&'a Episode]) -> Vec<Self> {
+        episodes.chunks(LANES).map(|chunk| Self { episodes: chunk.to_vec() }).collect()
+    }
+
+    /// Longest episode, ticks.
+    pub fn ticks(&self) -> usize {
+        self.episodes.iter().map(|episode| episode.ticks()).max().unwrap_or(0)
+    }
+
+    fn lane(&self, mut value: impl FnMut(&Episode) -> f32) -> Lane {
+        Lane::from_fn(|l| value(self.episodes[l.min(self.episodes.len() - 1)]))
+    }
+
+    /// How the breaths start.
+    pub fn start(&self) -> Start {
+        Start {
+            pressure: self.lane(|episode| episode.start),
+            plateau: self.lane(|episode| episode.plateau),
+            rest: self.lane(|episode| episode.rest[0]),
+            group: self.lane(|episode| episode.group.map_or(-1.0, |group| group as f32)),
+            ventilator: self.lane(|episode| episode.ventilator.map_or(-1.0, |ventilator| ventilator as f32)),
+            plateau_command: self.lane(|episode| episode.plateau_command),
+            resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).0),
+            compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).1),
+        }
+    }
+
+    /// What was commanded.
+    pub fn log(&self, timing: &Timing) -> CommandLog {
+        let width = timing.width();
+        let rest = (0..width).map(|place| self.lane(|episode| episode.rest[place])).collect();
+        let blocks = timing.blocks(self.ticks());
+        let mut log = CommandLog::new(blocks, rest);
+        for block in 0..blocks {
+            for (place, lane) in log.block_mut(block).iter_mut().enumerate() {
+                *lane = self.lane(|e| e.commands.get(block * width + place).copied().unwrap_or(0.0));
+            }
+        }
+        log
+    }
+
+    /// Measured pressure at a tick, cmH2O; the last one beyond an episode's end.
+    pub fn pressure(&self, tick: usize) -> Lane {
+        self.lane(|episode| episode.pressure[tick.min(episode.ticks() - 1)])
+    }
+
+    /// What an error at this tick weighs: one in an inspiration, less in what follows, zero where an episode has no such tick.
+    pub fn weight(&self, tick: usize) -> Lane {
+        let weight = |episode: &Episode| match tick {
+            tick if tick < episode.rows.len() => 1.0,
+            tick if tick < episode.ticks() => EXPIRATION_WEIGHT,
+            _ => 0.0,
+        };
+        Lane::from_fn(|l| self.episodes.get(l).map_or(0.0, |episode| weight(episode)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use data::provenance::Provenance;
+    use data::recording::Row;
+
+    /// Two breaths of 25 ms inspiration and 10 ms rest; the command equals ten times the tick.
+    fn recording() -> Recording {
+        let mut recording = Recording::new(Provenance::new(1000, "test"), true);
+        for (breath, tick) in (0..2).flat_map(|breath| (0..35).map(move |tick| (breath, tick))) {
+            let inspiration = tick < 25;
+            recording.push(Row {
+                breath,
+                tick,
+                phase: if inspiration { 0 } else { 2 },
+                pressure: if inspiration { 20.0 + breath as f32 } else { 5.0 },
+                u_in: if inspiration { tick as f32 } else { 5.0 },
+                pip: 20.0,
+                peep: 4.0,
+                pressure_true: Some(7.0),
+                pressure_sensor_true: Some(7.0),
+                ..Row::default()
+            });
+        }
+        recording
+    }
+
+    #[test]
+    fn commands_are_means_over_parts() {
+        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
+        assert_eq!(episodes.len(), 2);
+        let percent: Vec<f32> = episodes[0].commands.iter().map(|c| c * COMMAND_SCALE).collect();
+        let expected = [2.0, 7.0, 12.0, 17.0, 22.0, 0.0];
+        assert!(percent.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4), "{percent:?}");
+    }
+
+    #[test]
+    fn whole_breaths_go_on_after_the_inspiration_until_a_tick_is_lost() {
+        let timing = Timing::for_period(1000, 1);
+        let mut recording = recording();
+        let (short, whole) = (episodes(&recording, &timing), whole_breaths(&recording, &timing));
+        assert_eq!((short[1].ticks(), whole[1].ticks(), whole[1].commands.len()), (25, 35, 8));
+        assert_eq!((&short[1].rows, short[1].plateau), (&whole[1].rows, whole[1].plateau));
+        recording.tick[65..].iter_mut().for_each(|tick| *tick += 1);
+        assert_eq!(whole_breaths(&recording, &timing)[1].ticks(), 30);
+    }
+
+    #[test]
+    fn a_breath_starts_where_the_last_one_ended() {
+        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
+        let (first, second) = (&episodes[0], &episodes[1]);
+        assert!((first.start - 20.0).abs() < 1e-6 && (first.plateau - 4.0).abs() < 1e-6);
+        assert!((second.start - (20.0 * 25.0 + 5.0 * 10.0) / 35.0).abs() < 1e-4, "mean of what there is");
+        assert!((second.plateau - 20.0).abs() < 1e-6);
+        assert!((second.rest[0] * COMMAND_SCALE - 5.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn only_valves_that_move_are_channels() {
+        let mut recording = recording();
+        recording.u_out.iter_mut().zip(&recording.phase).for_each(|(u, phase)| *u = 50.0 * f32::from(*phase));
+        assert_eq!(channels(&recording), 1, "open or shut as the phase has it");
+        recording.u_psol = Some(vec![0.0; recording.len()]);
+        recording.u_out[3] = 50.0;
+        assert_eq!(channels(&recording), 2);
+        recording.u_psol = Some((0..recording.len()).map(|row| row as f32).collect());
+        assert_eq!(channels(&recording), 3);
+    }
+
+    #[test]
+    fn a_valve_that_follows_another_is_no_channel() {
+        let mut recording = recording();
+        recording.u_out = recording.u_in.iter().map(|u| 60.0 - 0.5 * u + 0.01 * u * u).collect();
+        assert_eq!(channels(&recording), 1, "two percent from a line");
+        recording.u_out[7] += 5.0;
+        assert_eq!(channels(&recording), 2);
+    }
+
+    #[test]
+    fn shards_weigh_ticks_and_rollouts_that_exist() {
+        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
+        let shard = &Shard::cut(&episodes.iter().collect::<Vec<_>>())[0];
+        assert!((shard.weight(24).sum() - 2.0).abs() < 1e-6);
+        assert!(shard.weight(25).sum().abs() < 1e-6);
+    }
+}

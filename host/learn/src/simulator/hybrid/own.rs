@@ -1,0 +1,56 @@
+//! Parameters that each member of a family (test runs, ventilators) has of its own. A member that nobody knows has zeros.
+
+use engine::{LANES, Lane};
+
+/// The family's parameters, one member after the other.
+#[derive(Clone, Debug)]
+pub(super) struct Own {
+    width: usize,
+    values: Vec<f32>,
+}
+
+impl Own {
+    /// A family whose members have `width` parameters each.
+    pub fn new(width: usize, values: &[f32]) -> Self {
+        Self { width, values: values.to_vec() }
+    }
+
+    /// Index of the `n`-th parameter of the member in lane `l`; none where `member` is below zero or beyond the family.
+    fn index(&self, member: &Lane, n: usize, l: usize) -> Option<usize> {
+        let index = (member[l] >= 0.0).then_some(member[l] as usize * self.width + n)?;
+        (index < self.values.len()).then_some(index)
+    }
+
+    /// The `n`-th parameter of the member in each lane.
+    pub fn lane(&self, member: &Lane, n: usize) -> Lane {
+        Lane::from_fn(|l| self.index(member, n, l).map_or(0.0, |index| self.values[index]))
+    }
+
+    /// Adds to the family's gradient what the `n`-th parameters have of it.
+    pub fn add_gradient(&self, member: &Lane, n: usize, d: &Lane, gradient: &mut [f32]) {
+        for l in 0..LANES {
+            if let Some(index) = self.index(member, n, l) {
+                gradient[index] += d[l];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn members_have_what_is_theirs_and_strangers_nothing() {
+        let own = Own::new(2, &[1.0, 2.0, 3.0, 4.0]);
+        let member = Lane::from_fn(|l| l as f32 - 1.0);
+        let lane = own.lane(&member, 1);
+        assert_eq!(
+            [lane[0], lane[1], lane[2], lane[3]].map(f32::to_bits),
+            [0.0, 2.0, 4.0, 0.0].map(f32::to_bits)
+        );
+        let mut gradient = [0.0; 4];
+        own.add_gradient(&member, 1, &Lane::splat(5.0), &mut gradient);
+        assert_eq!(gradient.map(f32::to_bits), [0.0, 5.0, 0.0, 5.0].map(f32::to_bits));
+    }
+}

@@ -1,0 +1,46 @@
+//! Leaky integrators, one time constant each: `c' = a c + (1 - a) g` with `a = sigmoid(decay)`.
+
+use engine::Lane;
+
+/// The integrators' `a`.
+#[derive(Clone, Debug)]
+pub(super) struct Leaky {
+    keep: Vec<f32>,
+}
+
+impl Leaky {
+    /// From their decays.
+    pub fn new(decays: &[f32]) -> Self {
+        Self { keep: decays.iter().map(|decay| sigmoid(*decay)).collect() }
+    }
+
+    /// States after a block, from those before it and their drive.
+    pub fn step(&self, before: &[Lane], drive: &[Lane], after: &mut [Lane]) {
+        for (s, keep) in self.keep.iter().enumerate() {
+            after[s] = before[s].zip(&drive[s], |c, g| keep * c + (1.0 - keep) * g);
+        }
+    }
+
+    /// The way back. `d` holds the gradient by the states after the block, and then that by those before it; the gradient
+    /// by the drive is set, that by the decays is added to.
+    pub fn step_back(
+        &self,
+        before: &[Lane],
+        drive: &[Lane],
+        d: &mut [Lane],
+        d_drive: &mut [Lane],
+        d_decay: &mut [Lane],
+    ) {
+        for (s, keep) in self.keep.iter().enumerate() {
+            let difference = before[s].zip(&drive[s], |c, g| keep * (1.0 - keep) * (c - g));
+            d_decay[s].add_scaled(1.0, &d[s].zip(&difference, |d, x| d * x));
+            d_drive[s] = d[s].map(|d| (1.0 - keep) * d);
+            d[s] = d[s].map(|d| keep * d);
+        }
+    }
+}
+
+/// The logistic function.
+pub(super) fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}

@@ -1,0 +1,176 @@
+//! A learned simulator as a value: architecture, parameters, origin, and the safetensors file that holds them.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::Timing;
+use super::hybrid::{Hybrid, HybridConfig};
+use super::state_space::{StateSpace, StateSpaceConfig};
+use super::stitched::{Stitched, StitchedConfig};
+use data::tensors::{self, TensorError};
+
+/// Which architecture, with its shape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "architecture", rename_all = "snake_case")]
+pub enum Architecture {
+    /// Ours.
+    StateSpace(StateSpaceConfig),
+    /// Ours for many lungs.
+    Hybrid(HybridConfig),
+    /// The authors'.
+    Stitched(StitchedConfig),
+}
+
+impl Architecture {
+    /// How time is cut.
+    pub fn timing(&self) -> &Timing {
+        match self {
+            Self::StateSpace(config) => &config.timing,
+            Self::Hybrid(config) => &config.timing,
+            Self::Stitched(config) => &config.timing,
+        }
+    }
+
+    /// Number of parameters.
+    pub fn parameters(&self) -> usize {
+        match self {
+            Self::StateSpace(config) => config.parameters(),
+            Self::Hybrid(config) => config.parameters(),
+            Self::Stitched(config) => config.parameters(),
+        }
+    }
+}
+
+/// A learned simulator.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Simulator {
+    /// Architecture and shape.
+    pub architecture: Architecture,
+    /// Its parameters, in the architecture's order.
+    pub parameters: Vec<f32>,
+    /// Standard deviation of the sensor's noise, estimated from the recording, cmH2O.
+    pub noise: f32,
+    /// Mean pressure before an inspiration in the recording, cmH2O.
+    pub start_pressure: f32,
+    /// Name of the plant it was learned from.
+    pub plant: String,
+}
+
+/// A simulator ready to run.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
+pub enum Model {
+    /// Ours.
+    StateSpace(StateSpace),
+    /// Ours for many lungs.
+    Hybrid(Hybrid),
+    /// The authors'.
+    Stitched(Stitched),
+}
+
+/// What stands in the file's metadata.
+#[derive(Serialize, Deserialize)]
+struct Metadata {
+    #[serde(flatten)]
+    architecture: Architecture,
+    noise: f32,
+    start_pressure: f32,
+    plant: String,
+}
+
+/// What the file says it is.
+pub const KIND: &str = "simulator";
+/// Name of the parameter vector.
+const PARAMETERS: &str = "parameters";
+
+impl Simulator {
+    /// The simulator, ready to run.
+    pub fn model(&self) -> Model {
+        Self::model_of(self.architecture, &self.parameters)
+    }
+
+    /// A model from an architecture and its parameters.
+    pub(crate) fn model_of(architecture: Architecture, parameters: &[f32]) -> Model {
+        match architecture {
+            Architecture::StateSpace(config) => Model::StateSpace(StateSpace::new(config, parameters)),
+            Architecture::Hybrid(config) => Model::Hybrid(Hybrid::new(config, parameters)),
+            Architecture::Stitched(config) => Model::Stitched(Stitched::new(config, parameters)),
+        }
+    }
+
+    /// Writes a safetensors file: one vector of parameters, everything else as JSON in the metadata.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), TensorError> {
+        let metadata = Metadata {
+            architecture: self.architecture,
+            noise: self.noise,
+            start_pressure: self.start_pressure,
+            plant: self.plant.clone(),
+        };
+        tensors::save(path, KIND, &metadata, &[(PARAMETERS, &self.parameters)])
+    }
+
+    /// Reads what [`Self::save`] wrote.
+    ///
+    /// # Errors
+    /// The file cannot be read, is torn, or holds something else.
+    pub fn load(path: &Path) -> Result<Self, TensorError> {
+        let (metadata, mut vectors): (Metadata, _) = tensors::load(path, KIND, &[PARAMETERS])?;
+        let parameters = vectors.swap_remove(0);
+        let expected = metadata.architecture.parameters();
+        if parameters.len() != expected {
+            let reason = format!("{} parameters where {expected} belong", parameters.len());
+            return Err(TensorError::format(path, KIND, &reason));
+        }
+        let Metadata { architecture, noise, start_pressure, plant } = metadata;
+        Ok(Self { architecture, parameters, noise, start_pressure, plant })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng;
+
+    fn simulator() -> Simulator {
+        let config = StateSpaceConfig::for_period(1000, 1);
+        let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(0));
+        let architecture = Architecture::StateSpace(config);
+        Simulator { architecture, parameters, noise: 0.1, start_pressure: 5.0, plant: "R20C20".into() }
+    }
+
+    #[test]
+    fn a_simulator_survives_its_file_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("simulator.safetensors");
+        simulator().save(&path).unwrap();
+        assert_eq!(Simulator::load(&path).unwrap(), simulator());
+    }
+
+    #[test]
+    fn a_torn_file_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("simulator.safetensors");
+        simulator().save(&path).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        for length in [0, 7, 100, whole.len() - 1] {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            assert!(matches!(Simulator::load(&path), Err(TensorError::Format { .. })), "{length}");
+        }
+    }
+
+    #[test]
+    fn a_weight_that_is_no_number_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("simulator.safetensors");
+        let mut broken = simulator();
+        broken.parameters[5] = f32::NAN;
+        broken.save(&path).unwrap();
+        let text = Simulator::load(&path).unwrap_err().to_string();
+        assert!(text.contains("parameters[5]"), "{text}");
+    }
+}

@@ -1,0 +1,178 @@
+//! Our simulator: a nonlinear state-space model.
+//!
+//! States are leaky integrators with learned time constants, driven by past commands and by a hidden layer that
+//! sees states and commands (`states.rs`); outputs are pressures at the block's points, `20 + 10 y`.
+//! Slow linear states carry the lung's volume without loss, fast ones the valve's lag; the hidden layer bends them.
+
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use super::states::{Network, Shape, Tape};
+use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing, USUAL_LUNG};
+use engine::Lane;
+
+/// Quantities known at the start of a breath: pressure and last plateau; of a model of many lungs, the commands there too.
+const START_INPUTS: usize = 2;
+const START_INPUTS_OF_LUNGS: usize = 4;
+/// What a model of many lungs is told of each: logarithms of R and C over 20.
+const LUNG_INPUTS: usize = 2;
+/// Slowest state to start with, s.
+const LONGEST_S: f32 = 3.0;
+
+/// Shape of the model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StateSpaceConfig {
+    /// How time is cut.
+    pub timing: Timing,
+    /// States.
+    pub states: usize,
+    /// Hidden units.
+    pub hidden: usize,
+    /// Blocks of past commands that a step sees.
+    pub history: usize,
+    /// Whether it is one model of many lungs, told the nominal R and C of each.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub lungs: bool,
+}
+
+impl StateSpaceConfig {
+    /// The default shape for a control period in microseconds and so many command channels.
+    pub fn for_period(period_us: u32, channels: usize) -> Self {
+        Self {
+            timing: Timing::for_period(period_us, channels),
+            states: 16,
+            hidden: 64,
+            history: 4,
+            lungs: false,
+        }
+    }
+
+    fn shape(&self) -> Shape {
+        let Self { timing, states, hidden, history, lungs } = *self;
+        Shape {
+            timing,
+            states,
+            hidden,
+            history,
+            known: if lungs { START_INPUTS_OF_LUNGS } else { START_INPUTS },
+            constants: if lungs { LUNG_INPUTS } else { 0 },
+            outputs: timing.points,
+        }
+    }
+
+    /// Number of parameters.
+    pub fn parameters(&self) -> usize {
+        self.shape().parameters()
+    }
+
+    /// Draws parameters.
+    pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        self.shape().initialise(LONGEST_S, rng)
+    }
+}
+
+/// The model with its parameters, ready to run.
+#[derive(Clone, Debug)]
+pub struct StateSpace {
+    config: StateSpaceConfig,
+    network: Network,
+}
+
+/// Forward values and backward gradients of a rollout, block after block.
+#[derive(Clone, Debug)]
+pub struct StateSpaceTape(Tape);
+
+impl StateSpace {
+    /// A model from its parameters.
+    ///
+    /// # Panics
+    /// If `parameters` does not have [`StateSpaceConfig::parameters`] entries.
+    pub fn new(config: StateSpaceConfig, parameters: &[f32]) -> Self {
+        Self { config, network: Network::new(config.shape(), parameters) }
+    }
+}
+
+impl Dynamics for StateSpace {
+    type Tape = StateSpaceTape;
+
+    fn timing(&self) -> &Timing {
+        &self.config.timing
+    }
+
+    fn parameters(&self) -> usize {
+        self.config.parameters()
+    }
+
+    fn tape(&self, blocks: usize) -> StateSpaceTape {
+        StateSpaceTape(self.network.tape(blocks))
+    }
+
+    fn begin(&self, tape: &mut StateSpaceTape, start: &Start) {
+        let (resistance, compliance) = USUAL_LUNG;
+        let lung: [Lane; LUNG_INPUTS] = [
+            start.resistance.map(|r| (r / resistance).ln()),
+            start.compliance.map(|c| (c / compliance).ln()),
+        ];
+        let Shape { known, constants, .. } = self.config.shape();
+        self.network.begin(&mut tape.0, &start.known()[..known], &lung[..constants]);
+    }
+
+    fn step(&self, tape: &mut StateSpaceTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        self.network.step(&mut tape.0, block, log, points);
+        let (mean, scale) = PRESSURE_SCALE;
+        for point in points {
+            *point = point.map(|y| mean + scale * y);
+        }
+    }
+
+    fn step_back(&self, tape: &mut StateSpaceTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+        let d_output = |n: usize| d_points[n].map(|d| PRESSURE_SCALE.1 * d);
+        self.network.step_back(&mut tape.0, block, d_output, d_log);
+    }
+
+    fn finish(&self, tape: &mut StateSpaceTape, gradient: &mut [f32]) {
+        self.network.finish(&tape.0, gradient);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::tests_support::check_gradients;
+    use engine::LANES;
+    use rand_chacha::rand_core::SeedableRng;
+
+    #[test]
+    fn gradients_of_a_rollout_agree_with_finite_differences() {
+        for (period_us, lungs) in [(1000, false), (30_000, false), (10_000, true)] {
+            let config = StateSpaceConfig {
+                lungs,
+                states: 5,
+                hidden: 7,
+                history: 3,
+                ..StateSpaceConfig::for_period(period_us, 1)
+            };
+            let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(3));
+            check_gradients(&parameters, |p| StateSpace::new(config, p));
+        }
+    }
+
+    #[test]
+    fn commands_of_the_running_block_cannot_be_felt_in_it() {
+        let config = StateSpaceConfig::for_period(1000, 1);
+        let model = StateSpace::new(config, &config.initialise(&mut ChaCha8Rng::seed_from_u64(4)));
+        let last_point = |command: f32, block: usize| {
+            let (mut tape, mut points) = (model.tape(6), vec![Lane::ZERO; 2]);
+            let mut log = CommandLog::new(6, vec![Lane::ZERO; 2]);
+            log.block_mut(block).fill(Lane::splat(command));
+            model.begin(&mut tape, &Start::default());
+            for block in 0..6 {
+                model.step(&mut tape, block, &log, &mut points);
+            }
+            points[1][LANES - 1]
+        };
+        assert_eq!(last_point(0.0, 5).to_bits(), last_point(1.0, 5).to_bits());
+        assert!((last_point(0.0, 4) - last_point(1.0, 4)).abs() > 1e-4);
+    }
+}

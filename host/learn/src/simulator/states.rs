@@ -1,0 +1,254 @@
+//! A network of leaky states driven by commands: all of [`state_space`](super::state_space), and in
+//! [`hybrid`](super::hybrid) what a test run has beyond a lung's physics.
+//!
+//! ```text
+//! z  = softsign(W1 [c, v, k] + b1)       hidden layer
+//! g  = W2 [z, v] + b2                    drive
+//! c' = a c + (1 - a) g                   states, a = sigmoid(decay)
+//! y  = W3 [c', z] + b3                   outputs
+//! ```
+//!
+//! `v` are the scaled commands of the last blocks, `k` constants of a breath. The start of a breath sets the states by an
+//! affine map of what is known there.
+
+use rand_chacha::ChaCha8Rng;
+
+use super::leaky::Leaky;
+use super::{CommandLog, Timing, piece, piece_mut};
+use engine::Lane;
+use engine::activation::Activation;
+use engine::dense::{Dense, DenseWeights};
+
+/// Shape of the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Shape {
+    /// How time is cut.
+    pub timing: Timing,
+    /// States.
+    pub states: usize,
+    /// Hidden units.
+    pub hidden: usize,
+    /// Blocks of past commands that a step sees.
+    pub history: usize,
+    /// Quantities known at the start of a breath.
+    pub known: usize,
+    /// Inputs that stay the same during a breath.
+    pub constants: usize,
+    /// Outputs of each block.
+    pub outputs: usize,
+}
+
+impl Shape {
+    fn commands(&self) -> usize {
+        self.history * self.timing.width()
+    }
+
+    /// Inputs of the hidden layer: states, commands, constants.
+    fn inputs(&self) -> usize {
+        self.states + self.commands() + self.constants
+    }
+
+    /// Layers (hidden, drive, readout, start), index of the decays, number of parameters.
+    fn layout(&self) -> ([Dense; 4], usize, usize) {
+        let commands = self.commands();
+        let (layers, decay) = Dense::layout([
+            (self.inputs(), self.hidden),
+            (self.hidden + commands, self.states),
+            (self.states + self.hidden, self.outputs),
+            (self.known, self.states),
+        ]);
+        (layers, decay, decay + self.states)
+    }
+
+    /// Number of parameters.
+    pub fn parameters(&self) -> usize {
+        self.layout().2
+    }
+
+    /// Draws parameters: time constants from one block to `slowest_s`, evenly spaced on a logarithmic scale.
+    pub fn initialise(&self, slowest_s: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        let ([hidden, drive, readout, start], decay, total) = self.layout();
+        let mut parameters = vec![0.0; total];
+        hidden.initialise(&mut parameters, 1.0, rng);
+        drive.initialise(&mut parameters, 1.0, rng);
+        readout.initialise(&mut parameters, 0.5, rng);
+        start.initialise(&mut parameters, 0.3, rng);
+        let block = self.timing.block_s();
+        for (n, decay) in parameters[decay..].iter_mut().enumerate() {
+            let share = n as f32 / (self.states - 1).max(1) as f32;
+            let tau = block * (slowest_s / block).powf(share);
+            *decay = (tau / block).ln(); // sigmoid(ln(tau / block)) = tau / (tau + block)
+        }
+        parameters
+    }
+}
+
+/// The network with its parameters, ready to run.
+#[derive(Clone, Debug)]
+pub(super) struct Network {
+    shape: Shape,
+    hidden: DenseWeights,
+    drive: DenseWeights,
+    readout: DenseWeights,
+    start: DenseWeights,
+    decay_offset: usize,
+    leaky: Leaky,
+}
+
+/// Forward values and backward gradients of a rollout, block after block.
+#[derive(Clone, Debug)]
+pub(super) struct Tape {
+    /// `[c, v, k]` before each block.
+    state: Vec<Lane>,
+    /// `[z, v]` of each block.
+    hidden: Vec<Lane>,
+    /// `[c', z]` of each block.
+    after: Vec<Lane>,
+    drive: Vec<Lane>,
+    known: Vec<Lane>,
+    constants: Vec<Lane>,
+    d_hidden: Vec<Lane>,
+    d_drive: Vec<Lane>,
+    d_readout: Vec<Lane>,
+    d_decay: Vec<Lane>,
+    /// Gradient by the states after the block that goes back next.
+    d_state: Vec<Lane>,
+    scratch: Vec<Lane>,
+}
+
+impl Network {
+    /// A network from its parameters.
+    ///
+    /// # Panics
+    /// If `parameters` does not have [`Shape::parameters`] entries.
+    pub fn new(shape: Shape, parameters: &[f32]) -> Self {
+        let ([hidden, drive, readout, start], decay_offset, total) = shape.layout();
+        assert_eq!(parameters.len(), total, "parameters of another shape");
+        Self {
+            shape,
+            hidden: hidden.load(parameters),
+            drive: drive.load(parameters),
+            readout: readout.load(parameters),
+            start: start.load(parameters),
+            decay_offset,
+            leaky: Leaky::new(&parameters[decay_offset..]),
+        }
+    }
+
+    /// Index of the newest block whose commands step `block` may see.
+    fn newest(&self, block: usize) -> Option<usize> {
+        block.checked_sub(self.shape.timing.lag())
+    }
+
+    /// Memory for a rollout of so many blocks.
+    pub fn tape(&self, blocks: usize) -> Tape {
+        let Shape { states, hidden, known, constants, outputs, .. } = self.shape;
+        let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
+        let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
+        Tape {
+            state: vec![Lane::ZERO; (blocks + 1) * inputs],
+            hidden: zeros(hidden + commands),
+            after: zeros(states + hidden),
+            drive: zeros(states),
+            known: vec![Lane::ZERO; known],
+            constants: vec![Lane::ZERO; constants],
+            d_hidden: zeros(hidden),
+            d_drive: zeros(states),
+            d_readout: zeros(outputs),
+            d_decay: vec![Lane::ZERO; states],
+            d_state: vec![Lane::ZERO; states],
+            scratch: vec![Lane::ZERO; 2 * (hidden + inputs)],
+        }
+    }
+
+    /// Starts a breath.
+    pub fn begin(&self, tape: &mut Tape, known: &[Lane], constants: &[Lane]) {
+        tape.known.copy_from_slice(known);
+        tape.constants.copy_from_slice(constants);
+        self.start.forward(known, &mut tape.state[..self.shape.states]);
+        tape.d_state.fill(Lane::ZERO);
+        tape.d_decay.fill(Lane::ZERO);
+    }
+
+    /// One block forward.
+    pub fn step(&self, tape: &mut Tape, block: usize, log: &CommandLog, outputs: &mut [Lane]) {
+        let Shape { states, hidden, history, .. } = self.shape;
+        let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
+        let (before, after) = tape.state.split_at_mut((block + 1) * inputs);
+        let before = piece_mut(before, block, inputs);
+        log.gather(self.newest(block), history, &mut before[states..states + commands]);
+        before[states + commands..].copy_from_slice(&tape.constants);
+
+        let zv = piece_mut(&mut tape.hidden, block, hidden + commands);
+        let (z, v) = zv.split_at_mut(hidden);
+        self.hidden.forward(before, z);
+        Activation::Softsign.forward(z);
+        v.copy_from_slice(&before[states..states + commands]);
+
+        let drive = piece_mut(&mut tape.drive, block, states);
+        self.drive.forward(zv, drive);
+        let readout = piece_mut(&mut tape.after, block, states + hidden);
+        self.leaky.step(before, drive, after);
+        readout[..states].copy_from_slice(&after[..states]);
+        readout[states..].copy_from_slice(&zv[..hidden]);
+        self.readout.forward(readout, outputs);
+    }
+
+    /// One block back, from `d_outputs(n)`, the gradient by its n-th output.
+    pub fn step_back(
+        &self,
+        tape: &mut Tape,
+        block: usize,
+        d_outputs: impl Fn(usize) -> Lane,
+        d_log: &mut CommandLog,
+    ) {
+        let Shape { states, hidden, outputs, .. } = self.shape;
+        let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
+        let d_y = piece_mut(&mut tape.d_readout, block, outputs);
+        for (n, d_y) in d_y.iter_mut().enumerate() {
+            *d_y = d_outputs(n);
+        }
+        let (first, second) = tape.scratch.split_at_mut(hidden + inputs);
+        let d_after = &mut first[..states + hidden];
+        d_after.fill(Lane::ZERO);
+        self.readout.backward(d_y, d_after);
+
+        for (d_state, d) in tape.d_state.iter_mut().zip(&*d_after) {
+            d_state.add_scaled(1.0, d);
+        }
+        let before = piece(&tape.state, block, inputs);
+        let drive = piece(&tape.drive, block, states);
+        let d_drive = piece_mut(&mut tape.d_drive, block, states);
+        self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
+
+        let d_zv = &mut second[..hidden + commands];
+        d_zv.fill(Lane::ZERO);
+        self.drive.backward(d_drive, d_zv);
+        let d_z = piece_mut(&mut tape.d_hidden, block, hidden);
+        for ((d_z, from_drive), from_readout) in d_z.iter_mut().zip(&*d_zv).zip(&d_after[states..]) {
+            *d_z = from_drive.zip(from_readout, |a, b| a + b);
+        }
+        Activation::Softsign.backward(&piece(&tape.hidden, block, hidden + commands)[..hidden], d_z);
+
+        let d_cv = &mut first[..inputs];
+        d_cv[..states].copy_from_slice(&tape.d_state);
+        d_cv[states..states + commands].copy_from_slice(&d_zv[hidden..]);
+        d_cv[states + commands..].fill(Lane::ZERO);
+        self.hidden.backward(d_z, d_cv);
+        tape.d_state.copy_from_slice(&d_cv[..states]);
+        d_log.scatter(self.newest(block), &d_cv[states..states + commands]);
+    }
+
+    /// Adds the gradient by the parameters, once all blocks have gone back.
+    pub fn finish(&self, tape: &Tape, gradient: &mut [f32]) {
+        let blocks = tape.drive.len() / self.shape.states;
+        let inputs = self.shape.inputs();
+        self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
+        self.drive.shape().gradient(&tape.d_drive, &tape.hidden, gradient);
+        self.readout.shape().gradient(&tape.d_readout, &tape.after, gradient);
+        self.start.shape().gradient(&tape.d_state, &tape.known, gradient);
+        for (gradient, d) in gradient[self.decay_offset..].iter_mut().zip(&tape.d_decay) {
+            *gradient += d.sum();
+        }
+    }
+}

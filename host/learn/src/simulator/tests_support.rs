@@ -1,0 +1,101 @@
+//! What the simulators' tests share: the gradient of a whole rollout against finite differences.
+
+use super::{CommandLog, Dynamics, Start};
+use engine::{LANES, Lane};
+
+const BLOCKS: usize = 8;
+
+fn start() -> Start {
+    Start {
+        pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
+        plateau: Lane::from_fn(|l| 10.0 + l as f32),
+        rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
+        plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),
+        group: Lane::from_fn(|l| (l % 4) as f32 - 1.0),
+        ventilator: Lane::from_fn(|l| (l % 3) as f32 - 1.0),
+        resistance: Lane::from_fn(|l| 5.0 + 3.0 * l as f32),
+        compliance: Lane::from_fn(|l| 50.0 - 2.5 * l as f32),
+    }
+}
+
+fn commands(width: usize) -> CommandLog {
+    let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.1); width]);
+    for block in 0..BLOCKS {
+        for (part, lane) in log.block_mut(block).iter_mut().enumerate() {
+            *lane = Lane::from_fn(|l| 0.5 + 0.5 * ((3 * block + part + l) as f32).sin());
+        }
+    }
+    log
+}
+
+/// Sum over blocks, points and rollouts of `weight * pressure`, with weights that differ.
+fn weight(block: usize, point: usize, l: usize) -> f32 {
+    0.1 * ((block * 31 + point * 17 + l * 7) as f32).cos()
+}
+
+fn loss(model: &impl Dynamics, log: &CommandLog) -> f64 {
+    let (mut tape, mut points) = (model.tape(BLOCKS), vec![Lane::ZERO; model.timing().points]);
+    model.begin(&mut tape, &start());
+    let mut total = 0.0;
+    for block in 0..BLOCKS {
+        model.step(&mut tape, block, log, &mut points);
+        for (n, point) in points.iter().enumerate() {
+            total += (0..LANES).map(|l| f64::from(weight(block, n, l) * point[l])).sum::<f64>();
+        }
+    }
+    total
+}
+
+/// Compares analytic gradients by commands and by every few parameters with central differences.
+pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[f32]) -> M) {
+    let some = (0..parameters.len()).step_by((parameters.len() / 150).max(1));
+    check_gradients_by(some, parameters, build);
+}
+
+/// Compares analytic gradients by commands and by the parameters of these indices with central differences.
+pub(super) fn check_gradients_by<M: Dynamics>(
+    indices: impl Iterator<Item = usize>,
+    parameters: &[f32],
+    build: impl Fn(&[f32]) -> M,
+) {
+    let model = build(parameters);
+    let width = model.timing().width();
+    let mut log = commands(width);
+    let (mut tape, mut points) = (model.tape(BLOCKS), vec![Lane::ZERO; model.timing().points]);
+    model.begin(&mut tape, &start());
+    for block in 0..BLOCKS {
+        model.step(&mut tape, block, &log, &mut points);
+    }
+    let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; width]);
+    for block in (0..BLOCKS).rev() {
+        let d: Vec<Lane> = (0..points.len()).map(|n| Lane::from_fn(|l| weight(block, n, l))).collect();
+        model.step_back(&mut tape, block, &d, &mut d_log);
+    }
+    let mut gradient = vec![0.0; model.parameters()];
+    model.finish(&mut tape, &mut gradient);
+
+    let agree = |numeric: f64, analytic: f32, what: &str| {
+        let tolerance = 0.02 * f64::from(analytic.abs()) + 0.02;
+        assert!((numeric - f64::from(analytic)).abs() < tolerance, "{what}: {numeric} against {analytic}");
+    };
+    let step = 5e-3;
+    let mut varied = parameters.to_vec();
+    for n in indices {
+        varied[n] = parameters[n] + step;
+        let above = loss(&build(&varied), &log);
+        varied[n] = parameters[n] - step;
+        let below = loss(&build(&varied), &log);
+        varied[n] = parameters[n];
+        agree((above - below) / f64::from(2.0 * step), gradient[n], &format!("parameter {n}"));
+    }
+    for (block, part, l) in [(0, 0, 0), (3, width - 1, 9), (5, 0, 15)] {
+        let kept = log.block(Some(block))[part][l];
+        log.block_mut(block)[part][l] = kept + step;
+        let above = loss(&model, &log);
+        log.block_mut(block)[part][l] = kept - step;
+        let below = loss(&model, &log);
+        log.block_mut(block)[part][l] = kept;
+        let analytic = d_log.block(Some(block))[part][l];
+        agree((above - below) / f64::from(2.0 * step), analytic, &format!("command of block {block}"));
+    }
+}

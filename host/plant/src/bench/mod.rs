@@ -1,0 +1,243 @@
+//! The virtual bench: ventilator, circuit, test lung and patient in place of real ones.
+//!
+//! [`BenchConfig`] describes a bench (TOML file or preset), [`Bench`] runs it: one [`Bench::step`] is 1 ms,
+//! commands in, what the pressure sensor says out. [`Bench::truth`] shows what no ventilator can see. One
+//! file per part of the machine; `branch` holds the solution for the pressure where the parts meet.
+//!
+//! It is made to be as hard to control as a real ventilator, not as any particular one: dead time, play,
+//! dead zone, a curved valve, sensor noise and units that differ are all there by default.
+
+mod branch;
+mod circuit;
+mod config;
+mod expiratory;
+mod failure;
+mod lag;
+mod lung;
+mod patient;
+mod presets;
+mod sensor;
+#[cfg(test)]
+mod tests;
+mod unit;
+mod valve;
+
+pub use failure::Failure;
+
+pub use config::{
+    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LungConfig,
+    PEEP_RANGE_CMH2O, PatientConfig, SensorConfig, UnitConfig, ValveConfig,
+};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use crate::TickTruth;
+use branch::Junction;
+use circuit::Circuit;
+use expiratory::Expiratory;
+use lung::Lung;
+use patient::Patient;
+use sensor::Sensor;
+use unit::Unit;
+use valve::Valve;
+
+/// Duration of one [`Bench::step`], microseconds.
+pub const STEP_US: u32 = 1000;
+/// Duration of one [`Bench::step`], s.
+pub const STEP_S: f64 = STEP_US as f64 * 1e-6;
+/// Fewest sub-steps of a step, and the default: the error of the implicit solution grows with their length.
+pub const LEAST_SUB_STEPS: u32 = 4;
+
+/// What the ventilator gets to see after a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// Airway pressure as the sensor gives it, cmH2O.
+    pub pressure: f32,
+}
+
+/// What really goes on. Pressures, volume and positions are those at the end of the step, flows are means
+/// over it: times the duration of the step, they are the volumes moved.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// Pressure at the airway opening, cmH2O.
+    pub airway_pressure: f64,
+    /// Pressure behind the sensor's lag, before offset, noise and quantum, cmH2O.
+    pub sensor_pressure: f64,
+    /// Pressure in the lung (of two compartments, the mean weighted by compliance), cmH2O.
+    pub alveolar_pressure: f64,
+    /// Pressure of the breathing muscles, positive drawing gas in, cmH2O.
+    pub muscle_pressure: f64,
+    /// Flow through the inspiratory valve, L/s.
+    pub flow_valve: f64,
+    /// Flow into the lung, L/s.
+    pub flow_lung: f64,
+    /// Flow out through the expiratory valve, L/s.
+    pub flow_expiratory: f64,
+    /// Flow out through the leak, L/s.
+    pub flow_leak: f64,
+    /// Flow out through the relief valve, L/s.
+    pub flow_relief: f64,
+    /// Gas in the lung above its volume at rest, mL.
+    pub lung_volume_ml: f64,
+    /// Stem of the inspiratory valve, percent of its travel.
+    pub valve_position: f64,
+    /// Opening of the expiratory valve, 0 to 1.
+    pub expiratory_opening: f64,
+    /// Breaths started so far; one starts when `u_out` goes from true to false.
+    pub breath: u32,
+}
+
+/// A running bench.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    sub_steps: u32,
+    steps: u64,
+    unit: Unit,
+    valve: Valve,
+    expiratory: Expiratory,
+    circuit: Circuit,
+    lung: Lung,
+    sensor: Sensor,
+    patient: Patient,
+    flows: Flows,
+}
+
+/// Flows of one step, in L/s, as sums over the sub-steps.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flows {
+    valve: f64,
+    lung: f64,
+    expiratory: f64,
+    leak: f64,
+    relief: f64,
+}
+
+impl Bench {
+    /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`,
+    /// `peep`, `seed` (of the sensor noise) and commands give the same bits on the same platform (the effort's
+    /// sine and the valve's power come from the platform's mathematical library).
+    ///
+    /// # Errors
+    /// [`BenchError::OutOfRange`] as [`BenchConfig::validate`], and for `peep` outside [`PEEP_RANGE_CMH2O`].
+    pub fn new(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
+        config.validate()?;
+        let peep = f64::from(peep);
+        config::check("peep", peep, PEEP_RANGE_CMH2O)?;
+        let sub_step_s = STEP_S / f64::from(config.sub_steps);
+        let unit = Unit::draw(&config.unit, STEP_S);
+        let dead_time_ms = (config.valve.dead_time_ms + unit.dead_time_ms).max(0.0);
+        let noise = ChaCha8Rng::seed_from_u64(seed);
+        Ok(Self {
+            sub_steps: config.sub_steps,
+            steps: 0,
+            unit,
+            valve: Valve::new(&config.valve, dead_time_ms, unit.flow_gain, config.sub_steps, sub_step_s),
+            expiratory: Expiratory::new(&config.expiratory, peep, sub_step_s),
+            circuit: Circuit::new(&config.circuit, peep, sub_step_s),
+            lung: Lung::new(&config.lung, peep, sub_step_s),
+            sensor: Sensor::new(&config.sensor, peep, sub_step_s, noise),
+            patient: Patient::new(config.patient),
+            flows: Flows::default(),
+        })
+    }
+
+    /// Turns the mechanical PEEP valve to `peep` cmH2O. Its end stops limit it to [`PEEP_RANGE_CMH2O`]; what
+    /// is no number leaves it where it is.
+    pub fn set_peep(&mut self, peep: f32) {
+        if !peep.is_nan() {
+            self.expiratory
+                .set_peep(f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end()));
+        }
+    }
+
+    /// The patient coughs now, cmH2O.
+    pub fn cough(&mut self, peak: f64) {
+        let now = self.time_s();
+        self.patient.cough(peak, now);
+    }
+
+    /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if
+    /// `u_out`; returns the sensor's sample at its end. A command outside 0 to 100 is limited, one that is
+    /// not finite closes the valve.
+    pub fn step(&mut self, u_in: f32, u_out: bool) -> Reading {
+        if let Some((resistance_factor, compliance_factor)) = self.patient.observe(u_out) {
+            self.lung.change(resistance_factor, compliance_factor);
+        }
+        let muscle_pressure = self.patient.muscle_pressure(self.time_s());
+        self.valve.command(u_in);
+        self.flows = Flows::default();
+        for sub_step in 0..self.sub_steps {
+            self.valve.advance(sub_step);
+            self.expiratory.advance(u_out);
+            self.flow(muscle_pressure);
+            self.sensor.advance(self.circuit.pressure());
+        }
+        self.steps += 1;
+        Reading { pressure: self.sensor.sample(self.unit.offset_after(self.steps)) }
+    }
+
+    /// Moves the gas for one sub-step.
+    fn flow(&mut self, muscle_pressure: f64) {
+        let pressure = self.circuit.pressure();
+        let mut junction = Junction {
+            storage: self.circuit.storage(),
+            valve: self.valve.branch(pressure),
+            expiratory: self.expiratory.branch(pressure),
+            relief: self.circuit.relief(),
+            leak: self.circuit.leak(),
+            lung: self.lung.branches(pressure, muscle_pressure),
+        };
+        let pressure = junction.solve();
+        // Into the lung is out of the junction.
+        let into_lung = junction.lung.map(|compartment| -compartment.flow(pressure));
+        self.circuit.set_pressure(pressure);
+        self.lung.advance(into_lung);
+        self.flows.valve += junction.valve.flow(pressure);
+        self.flows.lung += into_lung[0] + into_lung[1];
+        self.flows.expiratory -= junction.expiratory.flow(pressure);
+        self.flows.leak -= junction.leak.flow(pressure);
+        self.flows.relief -= junction.relief.flow(pressure);
+    }
+
+    /// The state behind the sensor.
+    pub fn truth(&self) -> Truth {
+        let share = 1.0 / f64::from(self.sub_steps);
+        let muscle_pressure = self.patient.muscle_pressure(self.time_s());
+        Truth {
+            airway_pressure: self.circuit.pressure(),
+            sensor_pressure: self.sensor.lagged(),
+            alveolar_pressure: self.lung.alveolar_pressure(muscle_pressure),
+            muscle_pressure,
+            flow_valve: self.flows.valve * share,
+            flow_lung: self.flows.lung * share,
+            flow_expiratory: self.flows.expiratory * share,
+            flow_leak: self.flows.leak * share,
+            flow_relief: self.flows.relief * share,
+            lung_volume_ml: self.lung.volume_ml(),
+            valve_position: self.valve.stem(),
+            expiratory_opening: self.expiratory.opening(),
+            breath: self.patient.breath(),
+        }
+    }
+
+    /// What a recording keeps of the truth.
+    pub fn pressures(&self) -> TickTruth {
+        let truth = self.truth();
+        TickTruth {
+            airway_pressure: truth.airway_pressure as f32,
+            sensor_pressure: truth.sensor_pressure as f32,
+            lung_volume: truth.lung_volume_ml as f32,
+        }
+    }
+
+    /// Pressure at the airway opening, cmH2O: what [`Bench::truth`] says of it, for those who need nothing else.
+    pub fn airway_pressure(&self) -> f64 {
+        self.circuit.pressure()
+    }
+
+    /// Time since the start, s.
+    pub fn time_s(&self) -> f64 {
+        self.steps as f64 * STEP_S
+    }
+}

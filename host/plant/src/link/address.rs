@@ -1,0 +1,105 @@
+//! Where a plant is.
+
+use std::fmt;
+use std::str::FromStr;
+
+use thiserror::Error;
+
+/// A plant that listens, or a command that is one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PlantAddress {
+    /// `host:port`.
+    Tcp(String),
+    /// A command, word by word, that speaks over its standard input and output.
+    Pipe(Vec<String>),
+}
+
+/// An address that makes no sense.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("'{0}' is no plant; write tcp:HOST:PORT, or 'pipe:COMMAND' as in 'pipe:python3 plant.py'")]
+pub struct AddressError(String);
+
+/// Whether an address is `host:port`.
+pub fn is_host_and_port(address: &str) -> bool {
+    address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
+}
+
+impl FromStr for PlantAddress {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        let wrong = || AddressError(text.to_owned());
+        if let Some(address) = text.strip_prefix("tcp:") {
+            return if is_host_and_port(address) { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
+        }
+        let words = text.strip_prefix("pipe:").and_then(words).filter(|words| !words.is_empty());
+        words.map(Self::Pipe).ok_or_else(wrong)
+    }
+}
+
+impl fmt::Display for PlantAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(address) => write!(f, "tcp:{address}"),
+            Self::Pipe(words) => {
+                let quoted = |word: &String| match word {
+                    word if word.contains('\'') => format!("\"{word}\""),
+                    word if word.is_empty() || word.contains([' ', '"']) => format!("'{word}'"),
+                    word => word.clone(),
+                };
+                write!(f, "pipe:{}", words.iter().map(quoted).collect::<Vec<_>>().join(" "))
+            }
+        }
+    }
+}
+
+/// A command's words: separated by blanks, which quotes of either kind keep together. None if a quote stays open.
+fn words(text: &str) -> Option<Vec<String>> {
+    let mut words = Vec::new();
+    let mut word: Option<String> = None;
+    let mut quote = None;
+    for letter in text.chars() {
+        match (quote, letter) {
+            (Some(open), _) if open == letter => quote = None,
+            (None, '\'' | '"') => {
+                quote = Some(letter);
+                word.get_or_insert_default();
+            }
+            (None, ' ' | '\t') => words.extend(word.take()),
+            _ => word.get_or_insert_default().push(letter),
+        }
+    }
+    words.extend(word);
+    quote.is_none().then_some(words)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_read_as_they_are_printed() {
+        for text in [
+            "tcp:localhost:7000",
+            "pipe:python3 plant.py",
+            "pipe:'my plant' --say \"it's\" ''",
+            "tcp:[::1]:7",
+        ] {
+            assert_eq!(text.parse::<PlantAddress>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn quotes_keep_blanks_together() {
+        let words: PlantAddress = "pipe:python3  'a b.py' x\"y z\"".parse().unwrap();
+        assert_eq!(words, PlantAddress::Pipe(["python3", "a b.py", "xy z"].map(str::to_owned).to_vec()));
+    }
+
+    #[test]
+    fn what_is_no_plant_is_refused_with_the_right_form() {
+        for wrong in ["", "plant", "tcp:", "tcp:host", "tcp:host:port", "tcp::7", "pipe:", "pipe:a 'b"] {
+            let refused = wrong.parse::<PlantAddress>().unwrap_err().to_string();
+            assert!(refused.contains("tcp:HOST:PORT") && refused.contains("pipe:"), "{wrong}: {refused}");
+        }
+    }
+}

@@ -1,0 +1,328 @@
+//! A plant that somebody else wrote, in any language, behind the lockstep plant link (`docs/PLANT_LINK.md`): where it is,
+//! who it is, and one exchange at a time.
+//!
+//! Nothing that comes from a plant is believed unseen: a late, missing, torn or impossible answer ends the link with an error
+//! that says what was wrong, and every later exchange gives the same error.
+
+mod address;
+mod line;
+
+use std::time::Duration;
+
+use shared::link::plant::{FRAME_BYTES, Frame, Message, VERSION};
+use thiserror::Error;
+
+pub use address::{AddressError, PlantAddress, is_host_and_port};
+use line::{Line, Trouble};
+
+/// How long an answer may take unless told otherwise.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+/// Highest pressure that a plant may claim, cmH2O.
+const HIGHEST_MAX: u16 = 1000;
+
+/// Why a plant cannot be used, or no longer.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PlantError {
+    /// Nobody listens there.
+    #[error(
+        "cannot connect to the plant at {address}: {reason}; start it first, as in `python3 plant.py 7000`"
+    )]
+    Connect {
+        /// The address.
+        address: String,
+        /// Why not.
+        reason: String,
+    },
+    /// The command cannot be started.
+    #[error("cannot start the plant `{command}`: {reason}")]
+    Start {
+        /// The command.
+        command: String,
+        /// Why not.
+        reason: String,
+    },
+    /// No answer in time.
+    #[error(
+        "the plant sent {bytes} of {FRAME_BYTES} bytes in {seconds} s after {question}; does it read its line? One that is only slow needs a longer --plant-timeout"
+    )]
+    Late {
+        /// What it was asked.
+        question: &'static str,
+        /// Bytes that came.
+        bytes: usize,
+        /// How long it had, s.
+        seconds: f64,
+    },
+    /// The line is closed.
+    #[error("the plant is gone{status}: it closed its line after {question}; start it again")]
+    Gone {
+        /// What it was asked.
+        question: &'static str,
+        /// How it ended, where that is known.
+        status: String,
+    },
+    /// The line fails otherwise.
+    #[error("the plant's line failed after {question}: {reason}")]
+    Line {
+        /// What it was asked.
+        question: &'static str,
+        /// What the system says.
+        reason: String,
+    },
+    /// Bytes that are no frame.
+    #[error(
+        "the plant answered {question} with bytes that are no frame ({bytes}): check start byte, byte order and CRC; a plant on a pipe may print to standard error alone"
+    )]
+    NoFrame {
+        /// What it was asked.
+        question: &'static str,
+        /// The bytes.
+        bytes: String,
+    },
+    /// Another version of the protocol.
+    #[error(
+        "the plant speaks version {0} of the plant link, this program version {VERSION}: take the one that fits"
+    )]
+    Version(u16),
+    /// A greeting whose limit makes no sense.
+    #[error("the plant greets with a highest pressure of {0} cmH2O; it must be 1 to {HIGHEST_MAX}")]
+    Limit(u16),
+    /// A control period that it does not run.
+    #[error("the plant does not run at a control period of {asked} us{own}; say so with --period-us")]
+    Period {
+        /// Period asked for, microseconds.
+        asked: u32,
+        /// What it runs, where that is known.
+        own: String,
+    },
+    /// An answer to something else.
+    #[error(
+        "the plant is out of step: it answered tick {told} where {asked} was asked; it must answer every frame once, with its tick"
+    )]
+    Tick {
+        /// Tick asked.
+        asked: u16,
+        /// Tick told.
+        told: u16,
+    },
+    /// An answer of the wrong kind.
+    #[error("the plant answered {question} with {answer}")]
+    Kind {
+        /// What it was asked.
+        question: &'static str,
+        /// What it said.
+        answer: &'static str,
+    },
+    /// A pressure that cannot be.
+    #[error(
+        "the plant tells {what} of {value} cmH2O after {question}; by its greeting at most {highest} cmH2O"
+    )]
+    Pressure {
+        /// Which pressure.
+        what: &'static str,
+        /// Its value.
+        value: String,
+        /// What it was asked.
+        question: &'static str,
+        /// Highest magnitude by its greeting, cmH2O.
+        highest: u16,
+    },
+    /// The truth is told now and then.
+    #[error(
+        "the plant tells the true pressure only now and then; it must do so after every Reset and Step, or never"
+    )]
+    Truth,
+}
+
+/// What a plant says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Greeting {
+    /// Highest magnitude of its pressures, cmH2O.
+    pub highest: u16,
+    /// Control period that it is made for, microseconds; none if it runs any.
+    pub period_us: Option<u32>,
+}
+
+/// A pressure as a plant tells it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// As its sensor gives it, cmH2O.
+    pub pressure: f32,
+    /// At the airway, cmH2O, from a plant that knows it.
+    pub truth: Option<f32>,
+}
+
+/// The ventilator's end of the link.
+pub struct PlantLink {
+    line: Line,
+    address: PlantAddress,
+    greeting: Greeting,
+    tick: u16,
+    /// Whether the last Reset was answered with the truth.
+    truthful: bool,
+    /// Why nothing more can be asked.
+    broken: Option<PlantError>,
+}
+
+impl PlantLink {
+    /// Connects to a plant, or starts it, and greets it; every answer may take as long as `patience`.
+    ///
+    /// # Errors
+    /// A plant that is not there, does not answer or speaks another version.
+    pub fn open(address: &PlantAddress, patience: Duration) -> Result<Self, PlantError> {
+        let line = Line::open(address, patience)?;
+        let greeting = Greeting { highest: HIGHEST_MAX, period_us: None };
+        let mut link =
+            Self { line, address: address.clone(), greeting, tick: 0, truthful: false, broken: None };
+        link.greeting = link.greet()?;
+        Ok(link)
+    }
+
+    /// Where the plant is.
+    pub fn address(&self) -> &PlantAddress {
+        &self.address
+    }
+
+    /// What it said of itself.
+    pub fn greeting(&self) -> Greeting {
+        self.greeting
+    }
+
+    /// Starts the plant anew, at rest, with this seed for its random numbers and its PEEP valve at `peep` cmH2O.
+    ///
+    /// # Errors
+    /// A plant that does not run at this period, or does not keep to the protocol.
+    pub fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, PlantError> {
+        if let Some(own) = self.greeting.period_us.filter(|own| *own != period_us) {
+            return Err(PlantError::Period { asked: period_us, own: format!(", but at {own} us") });
+        }
+        self.ask(Message::Seed { seed })?;
+        self.ask(Message::Peep { pressure: peep })?;
+        self.truthful = false;
+        let answer = self.ask(Message::Reset { period_us })?;
+        if let Message::Ready { pressure } = answer
+            && pressure.is_nan()
+        {
+            return Err(PlantError::Period { asked: period_us, own: String::new() });
+        }
+        self.truthful = matches!(answer, Message::Truth { .. });
+        self.reading(answer, "Reset")
+    }
+
+    /// Turns the PEEP valve to `peep` cmH2O.
+    ///
+    /// # Errors
+    /// A plant that does not keep to the protocol.
+    pub fn set_peep(&mut self, peep: f32) -> Result<(), PlantError> {
+        self.ask(Message::Peep { pressure: peep }).map(|_| ())
+    }
+
+    /// One control period with these valves: the pressure at its end.
+    ///
+    /// # Errors
+    /// A plant that does not keep to the protocol.
+    pub fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, PlantError> {
+        let message = Message::Step { u_in, u_out };
+        let answer = self.ask(message)?;
+        self.reading(answer, "Step")
+    }
+
+    fn greet(&mut self) -> Result<Greeting, PlantError> {
+        match self.ask(Message::Hello { version: VERSION.into() })? {
+            Message::Greeting { version, .. } if version != VERSION => Err(PlantError::Version(version)),
+            Message::Greeting { highest, .. } if highest == 0 || highest > HIGHEST_MAX => {
+                Err(PlantError::Limit(highest))
+            }
+            Message::Greeting { highest, period_us, .. } => {
+                Ok(Greeting { highest, period_us: (period_us > 0).then_some(period_us) })
+            }
+            other => unreachable!("{other:?} was refused as an answer"),
+        }
+    }
+
+    /// One exchange. Whatever goes wrong is remembered.
+    fn ask(&mut self, message: Message) -> Result<Message, PlantError> {
+        if let Some(error) = &self.broken {
+            return Err(error.clone());
+        }
+        let answer = self.exchange(message);
+        self.broken = answer.as_ref().err().cloned();
+        answer
+    }
+
+    fn exchange(&mut self, message: Message) -> Result<Message, PlantError> {
+        self.tick = self.tick.wrapping_add(1);
+        let asked = Frame { tick: self.tick, message };
+        let question = name(message);
+        let mut bytes = [0; FRAME_BYTES];
+        self.line.exchange(&asked.encode(), &mut bytes).map_err(|trouble| self.trouble(trouble, question))?;
+        let answer = Frame::decode(&bytes).ok_or_else(|| PlantError::NoFrame {
+            question,
+            bytes: bytes.map(|byte| format!("{byte:02X}")).join(" "),
+        })?;
+        if answer.tick != asked.tick {
+            return Err(PlantError::Tick { asked: asked.tick, told: answer.tick });
+        }
+        let fits = match message {
+            Message::Hello { .. } => matches!(answer.message, Message::Greeting { .. }),
+            Message::Step { .. } => {
+                matches!(answer.message, Message::Pressure { .. } | Message::Truth { .. })
+            }
+            Message::Reset { .. } => matches!(answer.message, Message::Ready { .. } | Message::Truth { .. }),
+            _ => matches!(answer.message, Message::Ready { .. }),
+        };
+        if fits {
+            Ok(answer.message)
+        } else {
+            Err(PlantError::Kind { question, answer: name(answer.message) })
+        }
+    }
+
+    fn trouble(&mut self, trouble: Trouble, question: &'static str) -> PlantError {
+        match trouble {
+            Trouble::Late { bytes } => {
+                PlantError::Late { question, bytes, seconds: self.line.patience().as_secs_f64() }
+            }
+            Trouble::Gone => PlantError::Gone { question, status: self.line.status() },
+            Trouble::Failed(reason) => PlantError::Line { question, reason },
+        }
+    }
+
+    /// The pressures of an answer, if they can be.
+    fn reading(&mut self, answer: Message, question: &'static str) -> Result<Reading, PlantError> {
+        let reading = match answer {
+            Message::Truth { pressure, airway } => Reading { pressure, truth: Some(airway) },
+            Message::Ready { pressure } | Message::Pressure { pressure } => Reading { pressure, truth: None },
+            other => unreachable!("{other:?} was refused as an answer"),
+        };
+        let highest = self.greeting.highest;
+        let told = [("a pressure", Some(reading.pressure)), ("a true pressure", reading.truth)];
+        // A NaN is not possible.
+        let possible = |value: f32| value.abs() <= f32::from(highest);
+        let wrong = told
+            .into_iter()
+            .find_map(|(what, value)| value.filter(|value| !possible(*value)).map(|value| (what, value)));
+        let error = match wrong {
+            Some((what, value)) => PlantError::Pressure { what, value: value.to_string(), question, highest },
+            None if reading.truth.is_some() != self.truthful => PlantError::Truth,
+            None => return Ok(reading),
+        };
+        self.broken = Some(error.clone());
+        Err(error)
+    }
+}
+
+/// A message as errors name it.
+fn name(message: Message) -> &'static str {
+    match message {
+        Message::Reset { .. } => "Reset",
+        Message::Step { .. } => "Step",
+        Message::Peep { .. } => "Peep",
+        Message::Seed { .. } => "Seed",
+        Message::Hello { .. } => "Hello",
+        Message::Greeting { .. } => "Greeting",
+        Message::Ready { .. } => "Ready",
+        Message::Pressure { .. } => "Pressure",
+        Message::Truth { .. } => "Truth",
+    }
+}

@@ -1,0 +1,120 @@
+//! A device's news as lines, for a file, a pipe or a terminal that cannot be drawn on.
+//!
+//! A line is written when something changed, not when it was looked at.
+
+use shared::link::messages::{ControllerChoice, Event, Request, Response};
+use shared::safety::alarms::Action;
+use shared::settings::Settings;
+use shared::ventilator::Mode;
+
+use super::news::News;
+use super::words;
+use device::LineCounters;
+
+/// What was written last.
+#[derive(Clone, Debug, Default)]
+pub struct Lines {
+    greeted: bool,
+    period_us: u32,
+    mode: Option<Mode>,
+    controller: Option<ControllerChoice>,
+    settings: Option<Settings>,
+    losses: Losses,
+}
+
+/// Everything that should stay zero.
+type Losses = [u64; 5];
+
+impl Lines {
+    /// The lines that a piece of news is worth.
+    pub fn take(&mut self, news: &News) -> Vec<String> {
+        match news {
+            News::Event(event) => self.happened(event).into_iter().collect(),
+            News::Answer { result: Ok(response), .. } => self.learn(response),
+            News::Answer { request, result: Err(reason) } => vec![format!("{}: {reason}", name(request))],
+            News::Traffic(traffic) => self.traffic(traffic).into_iter().collect(),
+            News::Lost(reason) => {
+                self.greeted = false;
+                vec![format!("no connection: {reason}")]
+            }
+        }
+    }
+
+    fn happened(&mut self, event: &Event) -> Option<String> {
+        match event {
+            Event::Telemetry(_) => None,
+            Event::Breath(breath) => Some(format!(
+                "breath {}: mean error {:.2}, peak {:.1}, end {:.1} cmH2O",
+                breath.breath, breath.mean_absolute_error, breath.peak_pressure, breath.end_pressure
+            )),
+            Event::Alarm { fault, tick } => {
+                if fault.alarm().action == Action::Vent {
+                    self.mode = Some(Mode::Fault(*fault));
+                }
+                Some(format!("alarm {}: {}", words::moment(*tick, self.period_us), words::fault(*fault)))
+            }
+        }
+    }
+
+    fn learn(&mut self, response: &Response) -> Vec<String> {
+        let mut lines = Vec::new();
+        match response {
+            Response::Identity(identity) => {
+                self.period_us = identity.period_us;
+                if !std::mem::replace(&mut self.greeted, true) {
+                    lines.push(format!("device: {}", words::identity(identity)));
+                }
+                lines.extend(changed(&mut self.mode, identity.mode).map(mode));
+                lines.extend(changed(&mut self.controller, identity.controller).map(controller));
+            }
+            Response::Mode(now) => lines.extend(changed(&mut self.mode, *now).map(mode)),
+            Response::Controller(choice) => {
+                lines.extend(changed(&mut self.controller, *choice).map(controller));
+            }
+            Response::Settings { in_force, .. } => {
+                lines.extend(
+                    changed(&mut self.settings, *in_force)
+                        .map(|now| format!("settings: {}", words::settings(&now))),
+                );
+            }
+            _ => {}
+        }
+        lines
+    }
+
+    fn traffic(&mut self, traffic: &LineCounters) -> Option<String> {
+        let LineCounters { corrupt, lost_batches, device, .. } = *traffic;
+        let [dropped, refused, missed] =
+            [device.dropped, device.corrupt_frames, device.missed_ticks].map(u64::from);
+        let losses = [corrupt, lost_batches, dropped, refused, missed];
+        (std::mem::replace(&mut self.losses, losses) != losses).then(|| {
+            format!(
+                "losses: {corrupt} frames damaged on the way here, {refused} on the way there, \
+                 {lost_batches} batches lost, {dropped} samples dropped, {missed} ticks missed"
+            )
+        })
+    }
+}
+
+fn changed<T: PartialEq + Copy>(known: &mut Option<T>, now: T) -> Option<T> {
+    (known.replace(now) != Some(now)).then_some(now)
+}
+
+fn mode(now: Mode) -> String {
+    format!("mode: {}", words::mode(now))
+}
+
+fn controller(now: ControllerChoice) -> String {
+    format!("controller: {}", words::controller(now))
+}
+
+/// What a refused request was.
+fn name(request: &Request) -> &'static str {
+    match request {
+        Request::Identify => "identify",
+        Request::GetSettings => "settings",
+        Request::GetTiming { .. } => "tick times",
+        Request::Telemetry { .. } => "telemetry",
+        _ => "request",
+    }
+}

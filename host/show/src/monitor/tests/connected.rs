@@ -1,0 +1,129 @@
+//! The session against a simulated device: keys reach it, its news come back, a broken line is opened again.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+use serialport::{SerialPort, TTYPort};
+
+use super::*;
+use crate::monitor::session::Session;
+use device::Device;
+use device::port::{Address, BAUD, Port};
+use device::simulated::Simulated;
+use plant::bench::BenchConfig;
+
+/// Longest time that anything here may take.
+const LONG: Duration = Duration::from_mins(1);
+
+/// A place that a monitor can connect to, again and again, whoever stands behind it.
+struct Socket(TcpListener);
+
+impl Socket {
+    fn new() -> (Self, Address) {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = Address::Tcp(listener.local_addr().unwrap().to_string());
+        (Self(listener), address)
+    }
+
+    /// Connects a new simulated device with the next caller; the second part breaks that line.
+    fn plug_in(&self) -> (Simulated, TcpStream) {
+        let (stream, _) = self.0.accept().unwrap();
+        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        let cable = stream.try_clone().unwrap();
+        let reader: Box<dyn Read + Send> = Box::new(stream.try_clone().unwrap());
+        let writer: Box<dyn Write + Send> = Box::new(stream);
+        (Simulated::start(&BenchConfig::paper(20.0, 20.0), Port { reader, writer }).unwrap(), cable)
+    }
+}
+
+/// Takes in news until the view is as wished.
+fn watch(session: &Session, view: &mut View, what: &str, wished: impl Fn(&View) -> bool) {
+    let deadline = Instant::now() + LONG;
+    while !wished(view) {
+        assert!(Instant::now() < deadline, "{what} did not come: {:?} {:?}", view.mode, view.message);
+        session.next(Duration::from_millis(100)).iter().for_each(|news| view.take(news));
+    }
+}
+
+fn press(session: &Session, view: &mut View, key: Key) {
+    session.ask(view.press(key).unwrap());
+}
+
+fn watched() -> (Socket, Simulated, TcpStream, Session, View) {
+    let (socket, address) = Socket::new();
+    let device = Device::connect(&address).unwrap();
+    let (simulated, cable) = socket.plug_in();
+    let mut view = View::new(address.to_string(), KNOWN_GOOD);
+    let session = Session::start(device);
+    watch(&session, &mut view, "the first look", |view| view.times.is_some());
+    (socket, simulated, cable, session, view)
+}
+
+#[test]
+fn an_operator_starts_sets_and_stops_a_device() {
+    let (_socket, _simulated, _cable, session, mut view) = watched();
+    assert_eq!(view.mode, Some(Mode::Standby), "looking at a device does not start it");
+    press(&session, &mut view, Key::StartStop);
+    watch(&session, &mut view, "breaths", |view| view.breaths.len() >= 2 && view.trace.last().is_some());
+    assert_eq!(view.mode, Some(Mode::Ventilating));
+    press(&session, &mut view, Key::PipUp);
+    watch(&session, &mut view, "the new PIP", |view| {
+        view.in_force.is_some_and(|settings| (settings.pip - 21.0).abs() < 1e-6) && view.pending.is_none()
+    });
+    press(&session, &mut view, Key::Controller);
+    watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Message::Warning(_))));
+    assert!(warning(&view).contains("no valid weights"), "{}", warning(&view));
+    press(&session, &mut view, Key::StartStop);
+    watch(&session, &mut view, "standby", |view| view.mode == Some(Mode::Standby));
+    session.leave();
+}
+
+#[test]
+fn a_broken_line_is_told_and_opened_again_and_nothing_is_pushed() {
+    let (socket, simulated, cable, session, mut view) = watched();
+    press(&session, &mut view, Key::PipUp);
+    watch(&session, &mut view, "the answer", |view| view.pending.is_some());
+    cable.shutdown(std::net::Shutdown::Both).unwrap();
+    drop(simulated);
+    watch(&session, &mut view, "the loss", |view| view.lost.is_some());
+    session.ask(Request::Start);
+    watch(
+        &session,
+        &mut view,
+        "what was not sent",
+        |view| matches!(&view.message, Some(Message::Warning(text)) if text.contains("nothing was sent")),
+    );
+    let (_another, _cable) = socket.plug_in();
+    watch(&session, &mut view, "the greeting", |view| view.lost.is_none() && view.pending.is_none());
+    assert_eq!(view.mode, Some(Mode::Standby), "the start from before never reached it");
+    assert_eq!(view.in_force, Some(Settings::default()), "nor did the settings");
+}
+
+#[test]
+fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
+    // A pseudo-terminal lasts as long as someone holds its end, as a cable that stays plugged in.
+    let (mut master, cable) = TTYPort::pair().unwrap();
+    master.set_timeout(Duration::from_millis(2)).unwrap();
+    let address = Address::Serial { name: cable.name().unwrap(), baud: BAUD };
+    let reader = Box::new(master.try_clone_native().unwrap());
+    // A device that cannot send for so long gives up; on a busy machine a reader may well be late.
+    master.set_timeout(LONG).unwrap();
+    let port = Port { reader, writer: Box::new(master) };
+    let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
+
+    let session = Session::start(Device::connect(&address).unwrap());
+    let mut view = View::new(address.to_string(), KNOWN_GOOD);
+    watch(&session, &mut view, "the first look", |view| view.times.is_some());
+    press(&session, &mut view, Key::StartStop);
+    watch(&session, &mut view, "telemetry", |view| view.trace.last().is_some());
+    session.leave();
+
+    let mut device = Device::connect(&address).unwrap();
+    assert_eq!(device.identify().unwrap().mode, Mode::Ventilating);
+    // What was on its way before is behind the greeting now.
+    let _ = device.events().try_iter().count();
+    device.identify().unwrap();
+    let telemetry = device.events().try_iter().filter(|event| matches!(event, Event::Telemetry(_))).count();
+    assert_eq!(telemetry, 0);
+}

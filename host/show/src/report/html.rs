@@ -1,0 +1,184 @@
+//! One HTML file with everything inside: style, tables, plots, origin. No script, nothing fetched.
+
+use std::path::Path;
+
+use super::{HeatMap, Plot, ReportError, Table};
+use data::files::write_atomically;
+use data::provenance::Provenance;
+
+const STYLE: &str = include_str!("style.css");
+
+/// Plots in a row are drawn this much narrower and lower, so that their text does not shrink with them.
+const ROW_SHARE: (f64, f64) = (0.65, 0.8);
+
+/// A report.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Report {
+    /// Head line, also the title of the window.
+    pub title: String,
+    /// Line below it; may be empty.
+    pub subtitle: String,
+    /// Parts in order.
+    pub sections: Vec<Section>,
+    /// Origin, shown at the foot.
+    pub provenance: Option<Provenance>,
+}
+
+/// One part of a report.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Section {
+    /// Its head line.
+    pub heading: String,
+    /// Introduction; an empty line starts a paragraph.
+    pub text: String,
+    /// Content in order.
+    pub blocks: Vec<Block>,
+}
+
+/// Content of a section.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Block {
+    /// A table.
+    Table(Table),
+    /// A plot over the whole width.
+    Plot(Plot),
+    /// Plots side by side, below each other on a narrow screen.
+    PlotRow(Vec<Plot>),
+    /// A map over the whole width.
+    HeatMap(HeatMap),
+    /// Paragraphs, parted by empty lines.
+    Text(String),
+}
+
+impl Report {
+    /// The whole file as text.
+    ///
+    /// # Errors
+    /// Of the first plot that cannot be drawn.
+    pub fn to_html(&self) -> Result<String, ReportError> {
+        let title = escape(&self.title);
+        let mut html = format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+             <title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<header>\n<h1>{title}</h1>\n"
+        );
+        html.extend(
+            (!self.subtitle.is_empty())
+                .then(|| format!("<p class=\"subtitle\">{}</p>\n", escape(&self.subtitle))),
+        );
+        html += "</header>\n<main>\n";
+        for section in &self.sections {
+            html += &section.to_html()?;
+        }
+        html += "</main>\n";
+        html.extend(self.provenance.as_ref().map(footer));
+        Ok(html + "</body>\n</html>\n")
+    }
+
+    /// Writes the file, replacing an older one in one step.
+    ///
+    /// # Errors
+    /// As [`Self::to_html`], or if the file cannot be written.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<(), ReportError> {
+        let path = path.as_ref();
+        write_atomically(path, self.to_html()?.as_bytes())
+            .map_err(|source| ReportError::Write { path: path.to_owned(), source })
+    }
+}
+
+impl Section {
+    fn to_html(&self) -> Result<String, ReportError> {
+        let mut html = format!("<section>\n<h2>{}</h2>\n{}", escape(&self.heading), paragraphs(&self.text));
+        for block in &self.blocks {
+            html.push_str(&block.to_html()?);
+        }
+        Ok(html + "</section>\n")
+    }
+}
+
+impl Block {
+    fn to_html(&self) -> Result<String, ReportError> {
+        Ok(match self {
+            Self::Table(table) => table.to_html(),
+            Self::Plot(plot) => {
+                format!("<div class=\"plots\">\n{}</div>\n", figure(&plot.title, &plot.to_svg()?))
+            }
+            Self::PlotRow(plots) => {
+                let figures = plots.iter().map(|plot| Ok(figure(&plot.title, &smaller(plot).to_svg()?)));
+                let figures = figures.collect::<Result<String, ReportError>>()?;
+                format!("<div class=\"plots row\">\n{figures}</div>\n")
+            }
+            Self::HeatMap(map) => {
+                format!("<div class=\"plots\">\n{}</div>\n", figure(&map.title, &map.to_svg()?))
+            }
+            Self::Text(text) => paragraphs(text),
+        })
+    }
+}
+
+fn smaller(plot: &Plot) -> Plot {
+    let scale = |pixels: u32, share: f64| (f64::from(pixels) * share).round() as u32;
+    Plot { size: (scale(plot.size.0, ROW_SHARE.0), scale(plot.size.1, ROW_SHARE.1)), ..plot.clone() }
+}
+
+/// A drawing as part of the page, where the name space of a stand-alone SVG is superfluous.
+fn figure(title: &str, svg: &str) -> String {
+    let svg = svg.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
+    let label = format!("<svg role=\"img\" aria-label=\"{}\"", escape(title));
+    format!("<figure>\n{}</figure>\n", svg.replacen("<svg", &label, 1))
+}
+
+fn paragraphs(text: &str) -> String {
+    let mut html = String::new();
+    html.extend(text.split("\n\n").map(str::trim).filter(|part| !part.is_empty()).map(paragraph));
+    html
+}
+
+fn paragraph(text: &str) -> String {
+    format!("<p>{}</p>\n", escape(text))
+}
+
+fn footer(provenance: &Provenance) -> String {
+    let or_none = |text: &str| {
+        if text.is_empty() { "none".to_owned() } else { text.to_owned() }
+    };
+    let facts = [
+        ("Revision", provenance.git_revision.clone()),
+        ("Source", or_none(&provenance.source)),
+        ("Plant", or_none(&provenance.plant)),
+        ("Seed", provenance.seed.to_string()),
+        ("Period", format!("{} µs", provenance.period_us)),
+        ("Weights", or_none(&provenance.weights_id)),
+    ];
+    let mut html = String::from("<footer>\n<h2>Provenance</h2>\n<dl>\n");
+    html.extend(facts.map(|(name, fact)| format!("<div><dt>{name}</dt><dd>{}</dd></div>\n", escape(&fact))));
+    html += "</dl>\n";
+    html.extend(provenance.notes.iter().map(|note| paragraph(note)));
+    if !provenance.settings.is_null() {
+        html += &details("Settings", &format!("{:#}", provenance.settings));
+    }
+    if !provenance.plant_parameters.is_empty() {
+        html += &details("Plant parameters", &provenance.plant_parameters);
+    }
+    html + "</footer>\n"
+}
+
+fn details(summary: &str, text: &str) -> String {
+    format!("<details><summary>{summary}</summary><pre>{}</pre></details>\n", escape(text.trim_end()))
+}
+
+/// Text that HTML takes as text.
+pub(super) fn escape(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '&' => safe += "&amp;",
+            '<' => safe += "&lt;",
+            '>' => safe += "&gt;",
+            '"' => safe += "&quot;",
+            '\'' => safe += "&#39;",
+            other => safe.push(other),
+        }
+    }
+    safe
+}

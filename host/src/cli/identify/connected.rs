@@ -1,0 +1,95 @@
+//! `trainer identify --port`: who is at a port, and what it holds.
+
+use serde::Serialize;
+use shared::link::messages::{DeviceIdentity, SlotState};
+
+use super::super::controller_args::image_id;
+use super::super::output::OutputArgs;
+use device::Device;
+use device::port::Address;
+use show::monitor::words;
+use show::report::{Cell, Table};
+
+/// What `--json` gives.
+#[derive(Debug, Serialize)]
+struct Found {
+    port: String,
+    identity: DeviceIdentity,
+}
+
+/// Asks the device at an address.
+pub fn run(address: &Address, output: &OutputArgs) -> anyhow::Result<()> {
+    let identity = Device::connect(address)?.identify()?;
+    let port = address.to_string();
+    output.table(&table(&port, &identity));
+    output.finish(&Found { port, identity })
+}
+
+fn table(port: &str, identity: &DeviceIdentity) -> Table {
+    let mut table = Table::new("", &["device", port]);
+    let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
+    row("is", words::identity(identity));
+    row("protocol", identity.protocol.to_string());
+    row("started by", words::reset(identity.reset).to_owned());
+    if let Some(failure) = &identity.failure {
+        row("failed before with", failure.to_string());
+    }
+    row("mode", words::mode(identity.mode));
+    row("controller", words::controller(identity.controller));
+    row("explores", if identity.exploration.is_some() { "yes" } else { "no" }.to_owned());
+    for (name, state) in ["slot A", "slot B"].into_iter().zip(&identity.slots) {
+        row(name, slot(state));
+    }
+    row("loaded", identity.running.map_or("no weights".to_owned(), |slot| format!("slot {slot:?}")));
+    table
+}
+
+fn slot(state: &SlotState) -> String {
+    match state {
+        SlotState::Empty => "empty".to_owned(),
+        SlotState::Torn => "not finished: upload it again".to_owned(),
+        SlotState::Invalid(problem) => format!("refused ({problem:?}): pack and upload it again"),
+        SlotState::Valid { generation, id } => format!("weights {}, generation {generation}", image_id(*id)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared::device::KNOWN_GOOD;
+    use shared::link::PROTOCOL;
+    use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, Slot};
+    use shared::safety::alarms::Fault;
+    use shared::ventilator::Mode;
+    use shared::weights::ImageProblem;
+
+    fn identity() -> DeviceIdentity {
+        DeviceIdentity {
+            protocol: PROTOCOL,
+            firmware: [0, 1, 2],
+            device: DeviceKind::HardwareInTheLoop,
+            period_us: 1000,
+            mode: Mode::Fault(Fault::ReadingOutOfRange),
+            controller: ControllerChoice::Pid(KNOWN_GOOD),
+            exploration: None,
+            slots: [SlotState::Valid { generation: 7, id: 0xBEEF }, SlotState::Torn],
+            running: Some(Slot::A),
+            reset: ResetCause::Watchdog,
+            failure: Some("index out of bounds".try_into().unwrap()),
+        }
+    }
+
+    #[test]
+    fn everything_that_the_greeting_holds_is_told() {
+        insta::assert_snapshot!(table("/dev/ttyACM0", &identity()).to_plain());
+    }
+
+    #[test]
+    fn a_device_without_weights_or_failure_says_so() {
+        let slots = [SlotState::Empty, SlotState::Invalid(ImageProblem::Checksum)];
+        let text =
+            table("COM3", &DeviceIdentity { slots, running: None, failure: None, ..identity() }).to_plain();
+        assert!(text.contains("empty") && text.contains("Checksum") && text.contains("no weights"), "{text}");
+        assert!(!text.contains("failed before"), "{text}");
+    }
+}

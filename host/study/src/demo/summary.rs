@@ -1,0 +1,194 @@
+//! The job's figures, as `summary.json` and as the table in the terminal.
+
+use serde::{Deserialize, Serialize};
+use shared::control::pid::PidGains;
+
+use super::{Contestant, DemoConfig};
+use judge::baselines::Best;
+use judge::evaluate::Score;
+use learn::pipeline::{Outcome, Round};
+use show::report::{Cell, Table};
+
+/// PID and learned controller on one waveform, on the true bench under the same noise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Compared {
+    /// PIP, cmH2O.
+    pub pip: f32,
+    /// The best PID found.
+    pub pid: Score,
+    /// The learned controller.
+    pub learned: Score,
+}
+
+/// Mean scores over the waveforms, cmH2O.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Means {
+    /// Best P-only controller.
+    pub p_only: f64,
+    /// Best I-only controller.
+    pub i_only: f64,
+    /// Best PID.
+    pub pid: f64,
+    /// Learned controller.
+    pub learned: f64,
+    /// Learned controller on the held-out simulator.
+    pub learned_on_simulator: f64,
+}
+
+/// Everything in `summary.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Seed of the job.
+    pub seed: u64,
+    /// Lung.
+    pub lung: String,
+    /// Time that this run took, s; less where it went on from an earlier one.
+    pub wall_s: f64,
+    /// By waveform.
+    pub waveforms: Vec<Compared>,
+    /// Over the waveforms.
+    pub mean: Means,
+    /// Gains of the best PID: P %/cmH2O, I %/(cmH2O s), D % s/cmH2O.
+    pub pid_gains: PidGains,
+    /// Open-loop distance of the simulator to the true airway pressure on held-out breaths, cmH2O.
+    pub open_loop_distance: f64,
+    /// Whether the residual beat its PID on the held-out simulator (if not, the PID alone was kept).
+    pub improved: bool,
+    /// Round by round.
+    pub rounds: Vec<Round>,
+}
+
+impl Summary {
+    pub(super) fn new(
+        config: &DemoConfig,
+        best: &Best,
+        outcome: &Outcome,
+        contestants: &[Contestant],
+    ) -> Self {
+        let mean = |n: usize| contestants[n].evaluation.mean.score;
+        let waveforms = contestants[2].evaluation.waveforms.iter().zip(&contestants[3].evaluation.waveforms);
+        let last = outcome.rounds.last();
+        let saved = last.and_then(|round| round.open_loop.first());
+        Self {
+            seed: config.pipeline.seed,
+            lung: config.bench.name.clone(),
+            wall_s: 0.0,
+            waveforms: waveforms
+                .map(|(pid, learned)| Compared { pip: pid.pip, pid: pid.score, learned: learned.score })
+                .collect(),
+            mean: Means {
+                p_only: mean(0),
+                i_only: mean(1),
+                pid: mean(2),
+                learned: mean(3),
+                learned_on_simulator: outcome.learned.origin.validation,
+            },
+            pid_gains: best.pid.gains,
+            open_loop_distance: saved.map_or(f64::NAN, |o| o.truth.unwrap_or(o.measured)),
+            improved: last.is_some_and(|round| round.improved),
+            rounds: outcome.rounds.clone(),
+        }
+    }
+
+    /// Learned score as a share of the best PID's.
+    pub fn ratio(&self) -> f64 {
+        self.mean.learned / self.mean.pid
+    }
+
+    /// The comparison, waveform by waveform.
+    pub fn table(&self) -> Table {
+        let title = format!(
+            "{}: best PID found and learned controller on the true bench (rise in ms, all else in cmH2O)",
+            self.lung
+        );
+        let header = [
+            "PIP",
+            "error PID",
+            "learned",
+            "rise PID",
+            "learned",
+            "overshoot PID",
+            "learned",
+            "plateau PID",
+            "learned",
+        ];
+        let mut table = Table::new(title, &header);
+        for row in &self.waveforms {
+            table.row(cells(format!("{}", row.pip), &row.pid, &row.learned));
+        }
+        let mean =
+            |of: fn(&Compared) -> Score| Score::mean(&self.waveforms.iter().map(of).collect::<Vec<_>>());
+        table.row(cells("mean".into(), &mean(|row| row.pid), &mean(|row| row.learned)));
+        table
+    }
+}
+
+/// A row: each figure of the PID beside that of the learned controller, the better one marked.
+fn cells(name: String, pid: &Score, learned: &Score) -> Vec<Cell> {
+    let figures = [
+        (pid.score, learned.score, 3),
+        (pid.rise_ms, learned.rise_ms, 0),
+        (pid.overshoot, learned.overshoot, 2),
+        (pid.plateau_error, learned.plateau_error, 3),
+    ];
+    let mut cells = vec![Cell::right(name)];
+    for (pid, learned, decimals) in figures {
+        cells.push(Cell::number(pid, decimals).best_if(pid < learned));
+        cells.push(Cell::number(learned, decimals).best_if(learned < pid));
+    }
+    cells
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn score(scale: f64) -> Score {
+        Score {
+            score: scale,
+            rise_ms: 50.0 * scale,
+            overshoot: 2.0 * scale,
+            plateau_error: 0.1 * scale,
+            late_error: 0.2 * scale,
+        }
+    }
+
+    fn summary() -> Summary {
+        Summary {
+            seed: 1,
+            lung: "R20C20".into(),
+            wall_s: 100.0,
+            waveforms: [10.0, 35.0]
+                .map(|pip| Compared { pip, pid: score(1.2), learned: score(0.9) })
+                .to_vec(),
+            mean: Means { p_only: 2.0, i_only: 3.0, pid: 1.2, learned: 0.9, learned_on_simulator: 0.88 },
+            pid_gains: PidGains { p: 2.0, i: 30.0, d: 0.0 },
+            open_loop_distance: 0.12,
+            improved: true,
+            rounds: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn the_table_shows_both_controllers_and_their_mean() {
+        insta::assert_snapshot!(summary().table().to_plain());
+    }
+
+    #[test]
+    fn the_json_has_the_names_that_scripts_rely_on() {
+        let json = serde_json::to_value(summary()).unwrap();
+        for name in ["seed", "lung", "wall_s", "waveforms", "mean", "pid_gains", "open_loop_distance"] {
+            assert!(json.get(name).is_some(), "{name}");
+        }
+        for name in ["p_only", "i_only", "pid", "learned", "learned_on_simulator"] {
+            assert!(json["mean"].get(name).is_some(), "mean.{name}");
+        }
+        for (controller, name) in ["pid", "learned"]
+            .iter()
+            .flat_map(|c| ["score", "rise_ms", "overshoot", "plateau_error"].map(|n| (c, n)))
+        {
+            assert!(json["waveforms"][0][controller].get(name).is_some(), "{controller}.{name}");
+        }
+        assert!((summary().ratio() - 0.75).abs() < 1e-12);
+    }
+}

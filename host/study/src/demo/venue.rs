@@ -1,0 +1,91 @@
+//! Where the job breathes: on the bench in this process, or on the virtual board with that bench as its lung.
+
+use std::sync::atomic::AtomicBool;
+
+use shared::control::Controller;
+use shared::settings::Settings;
+
+use super::{TRACED_BREATHS, TRACED_PIPS};
+#[cfg(unix)]
+use emulator::EmulatorConfig;
+#[cfg(unix)]
+use judge::evaluate::evaluate_source;
+use judge::evaluate::{Evaluation, Plan, Trace, evaluate, trace_source};
+use plant::bench::BenchConfig;
+use progress::Watch;
+#[cfg(unix)]
+use ventilator::VirtualBoard;
+use ventilator::{BenchSource, Source, SourceError};
+
+/// A place to collect and to compare. All give the same figures, bit for bit.
+#[derive(Clone, Debug, Default)]
+pub enum Venue {
+    /// The ventilator's core in this process.
+    #[default]
+    InProcess,
+    /// The real image in QEMU.
+    #[cfg(unix)]
+    Board(EmulatorConfig),
+}
+
+impl Venue {
+    /// A ventilator with a bench under the noise of `seed`.
+    pub(super) fn source(
+        &self,
+        bench: &BenchConfig,
+        controller: Controller,
+        settings: &Settings,
+        period_us: u32,
+        seed: u64,
+    ) -> Result<Box<dyn Source>, SourceError> {
+        Ok(match self {
+            Self::InProcess => Box::new(BenchSource::new(bench, controller, settings, period_us, seed)?),
+            #[cfg(unix)]
+            Self::Board(config) => {
+                let mut board = VirtualBoard::start(config.clone(), bench, seed)?;
+                board.configure(controller, None)?;
+                Box::new(board)
+            }
+        })
+    }
+
+    /// Scores a controller; tells of every waveform that is done.
+    pub(super) fn evaluate(
+        &self,
+        bench: &BenchConfig,
+        controller: &Controller,
+        plan: &Plan,
+        done: &(dyn Fn() + Sync),
+        stop: &AtomicBool,
+    ) -> Result<Evaluation, SourceError> {
+        match self {
+            Self::InProcess => {
+                let evaluation = evaluate(bench, controller, plan)?;
+                (0..plan.pips.len() * plan.seeds.len()).for_each(|_| done());
+                Ok(evaluation)
+            }
+            #[cfg(unix)]
+            Self::Board(config) => {
+                let mut board = VirtualBoard::start(config.clone(), bench, 0)?;
+                let progress = |_, _| done();
+                evaluate_source(board.port(), controller, plan, &Watch::new(&progress, stop))
+            }
+        }
+    }
+
+    /// A few breaths of each of [`TRACED_PIPS`].
+    pub(super) fn traces(
+        &self,
+        bench: &BenchConfig,
+        controller: &Controller,
+        plan: &Plan,
+    ) -> Result<Vec<Trace>, SourceError> {
+        let one = |pip: &f32| {
+            let settings = plan.waveform(*pip);
+            let mut source =
+                self.source(bench, controller.clone(), &settings, plan.period_us, plan.seeds[0])?;
+            trace_source(source.as_mut(), &settings, TRACED_BREATHS)
+        };
+        TRACED_PIPS.iter().map(one).collect()
+    }
+}

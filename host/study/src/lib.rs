@@ -1,0 +1,5 @@
+//! Whole studies: [`demo`] on one lung, [`reproduce`] for the paper's experiments.
+#![forbid(unsafe_code)]
+
+pub mod demo;
+pub mod reproduce;

@@ -1,0 +1,260 @@
+//! Ablations on one lung: what each part of the system is worth. Each variant differs from the lung's pipeline in one thing.
+
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+use shared::control::features::{CLOCK, FEATURES, FeatureSpec, LEAKY, PAST_COMMANDS, PAST_ERRORS};
+use shared::control::pid::{Pid, PidGains};
+use shared::explore::Exploration;
+
+use super::study::Study;
+use super::{ReproduceError, Reproduction, lungs};
+use judge::evaluate::{Plan, evaluate};
+use learn::pipeline::{PAPER_PERIOD_US, PipelineConfig};
+use learn::simulator::fit::FitConfig;
+use learn::simulator::model::Architecture;
+use learn::simulator::stitched::StitchedConfig;
+use plant::bench::BenchConfig;
+
+/// A variant and what became of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ablation {
+    /// What is varied.
+    pub group: String,
+    /// The variant.
+    pub variant: String,
+    /// Score on the true bench, cmH2O.
+    pub score: f64,
+    /// Score of the PID underneath at the same control period, cmH2O.
+    pub pid: f64,
+    /// Open-loop distance of the simulator that was kept, cmH2O.
+    pub open_loop: f64,
+    /// Breaths recorded.
+    pub breaths: usize,
+}
+
+/// Units of the fleet to train on, where there are several, and one that nobody trains on.
+const UNITS: (std::ops::RangeInclusive<u32>, u32) = (1..=4, 7);
+
+/// A variant to run.
+struct Variant {
+    group: &'static str,
+    name: String,
+    config: PipelineConfig,
+    /// Benches to train on.
+    benches: Vec<BenchConfig>,
+    /// The bench that judges.
+    judge: BenchConfig,
+}
+
+/// Trains and scores every variant on the lung in the middle of the list.
+pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>, ReproduceError> {
+    let gains = lungs::tuned(study)?.lungs[study.middle()].pid.gains;
+    let mut done: Vec<(Variant, Ablation)> = Vec::new();
+    for variant in variants(study, gains) {
+        let place = variant.place();
+        let ablation = study.keep(&place, || match done.iter().find(|(other, _)| other.is(&variant)) {
+            // Groups meet where nothing is varied.
+            Some((_, found)) => Ok(variant.named(found)),
+            None => ablation(study, &variant, &place),
+        })?;
+        done.push((variant, ablation));
+    }
+    Ok(done.into_iter().map(|(_, ablation)| ablation).collect())
+}
+
+/// What the folder holds, if it holds every variant.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>, ReproduceError> {
+    variants(study, PidGains::default()).iter().map(|variant| study.kept(&variant.place())).collect()
+}
+
+impl Variant {
+    /// Its name in the study's folder.
+    fn place(&self) -> String {
+        format!("ablations/{}-{}", self.group, self.name).replace(' ', "-")
+    }
+
+    /// Whether another one is the same but for its name.
+    fn is(&self, other: &Self) -> bool {
+        (&self.config, &self.benches, &self.judge) == (&other.config, &other.benches, &other.judge)
+    }
+
+    /// What another one has found, under this one's name.
+    fn named(&self, found: &Ablation) -> Ablation {
+        Ablation { group: self.group.to_owned(), variant: self.name.clone(), ..found.clone() }
+    }
+}
+
+fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablation, ReproduceError> {
+    let config = &variant.config;
+    let outcome = lungs::train(study, &variant.benches, config, folder)?;
+    let plan = Plan { period_us: config.period_us, ..study.plan() };
+    let score = |controller: &Controller| evaluate(&variant.judge, controller, &plan).map(|e| e.mean.score);
+    let last = outcome.rounds.last().and_then(|round| round.open_loop.first());
+    Ok(Ablation {
+        group: variant.group.to_owned(),
+        variant: variant.name.clone(),
+        score: score(&Controller::Residual(outcome.learned.controller))?,
+        pid: score(&Controller::Pid(Pid::new(config.gains, config.period_us)?))?,
+        open_loop: last.map_or(f64::NAN, |distance| distance.truth.unwrap_or(distance.measured)),
+        breaths: outcome.rounds.iter().map(|round| round.breaths).sum(),
+    })
+}
+
+fn variants(study: &Study<'_>, gains: PidGains) -> Vec<Variant> {
+    let Reproduction { seed, budget, .. } = study.reproduction;
+    let bench = &study.lungs()[study.middle()];
+    let config = PipelineConfig { gains, seed: *seed, ..budget.ablation.clone() };
+    let base = Variant {
+        group: "",
+        name: String::new(),
+        config,
+        benches: vec![bench.clone()],
+        judge: bench.clone(),
+    };
+    let groups = [residuals, recordings, inputs, units, simulators];
+    groups.iter().flat_map(|group| group(&base)).collect()
+}
+
+impl Variant {
+    /// The same but for one thing.
+    fn but(&self, group: &'static str, name: &str, change: impl FnOnce(&mut PipelineConfig)) -> Self {
+        let mut config = self.config.clone();
+        change(&mut config);
+        let (benches, judge) = (self.benches.clone(), self.judge.clone());
+        Self { group, name: name.to_owned(), config, benches, judge }
+    }
+}
+
+/// How much the residual may say.
+fn residuals(base: &Variant) -> Vec<Variant> {
+    let mut all: Vec<_> = [0.0, 0.1, 0.3, 1.0]
+        .iter()
+        .map(|lambda| base.but("lambda", &lambda.to_string(), |config| config.lambda = *lambda))
+        .collect();
+    all.push(base.but("lambda", "network alone", |config| {
+        (config.collector, config.gains) = (Some(config.gains), PidGains::default());
+    }));
+    all
+}
+
+/// What is recorded, and how much of it.
+fn recordings(base: &Variant) -> Vec<Variant> {
+    let mut all = Vec::new();
+    let explorations = [
+        ("none", None),
+        ("triangular", Some(0.0)),
+        ("boundary", Some(1.0)),
+        ("both", Some(Exploration::default().boundary_probability)),
+    ];
+    for (name, boundary) in explorations {
+        all.push(base.but("exploration", name, |config| {
+            config.collect.exploration = boundary
+                .map(|boundary_probability| Exploration { boundary_probability, ..Exploration::default() });
+        }));
+    }
+    for breaths in [16, 32, 64, 128, 256] {
+        all.push(base.but("breaths", &breaths.to_string(), |config| config.collect.breaths = breaths));
+    }
+    for rounds in 1..=3 {
+        all.push(base.but("rounds", &rounds.to_string(), |config| config.rounds = rounds));
+    }
+    all
+}
+
+/// What the network sees.
+fn inputs(base: &Variant) -> Vec<Variant> {
+    let mut all = Vec::new();
+    let histories: [(&str, [u8; 8], [u8; 6]); 3] = [
+        ("8 ms", [0, 1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 4, 6, 8]),
+        ("32 ms", [0, 1, 2, 4, 8, 16, 24, 32], [1, 2, 4, 8, 16, 32]),
+        ("64 ms", [0, 1, 2, 4, 8, 16, 32, 64], [1, 2, 4, 8, 16, 64]),
+    ];
+    for (name, error_taps, command_taps) in histories {
+        all.push(base.but("history", name, |config| {
+            config.features = Some(FeatureSpec { error_taps, command_taps, ..FeatureSpec::default() });
+        }));
+    }
+    let without: [(&str, Vec<usize>); 5] = [
+        ("all", Vec::new()),
+        ("no past commands", PAST_COMMANDS.collect()),
+        ("no leaky averages", LEAKY.collect()),
+        ("no time", CLOCK.collect()),
+        // As the authors' controller, which sees the last errors and nothing else.
+        ("past errors alone", (PAST_ERRORS.end..FEATURES).collect()),
+    ];
+    for (name, blind_to) in without {
+        all.push(base.but("features", name, |config| config.train.blind_to = blind_to));
+    }
+    all
+}
+
+/// Training on one unit of the fleet or on several (domain randomisation), judged by one that nobody trained on.
+fn units(base: &Variant) -> Vec<Variant> {
+    let unit = |number: u32| {
+        let mut bench =
+            BenchConfig { name: format!("{}, unit {number}", base.judge.name), ..base.judge.clone() };
+        bench.unit.number = number;
+        bench
+    };
+    let (trained_on, judge) = UNITS;
+    let several: Vec<_> = trained_on.map(unit).collect();
+    // Each the same number of breaths in all.
+    let share = base.config.collect.breaths / several.len();
+    let one =
+        Variant { benches: vec![several[0].clone()], judge: unit(judge), ..base.but("units", "one", |_| ()) };
+    let many = Variant {
+        benches: several,
+        judge: unit(judge),
+        ..base.but("units", "four", |config| config.collect.breaths = share)
+    };
+    vec![one, many]
+}
+
+/// Ours and the authors' simulator at the authors' control period.
+fn simulators(base: &Variant) -> Vec<Variant> {
+    let slow = PipelineConfig::for_period(PAPER_PERIOD_US);
+    let theirs = StitchedConfig::for_period(PAPER_PERIOD_US);
+    let at_their_period = |config: &mut PipelineConfig| {
+        (config.period_us, config.architecture) = (slow.period_us, slow.architecture);
+    };
+    vec![
+        base.but("simulator", "ours at 30 ms", at_their_period),
+        base.but("simulator", "authors at 30 ms", |config| {
+            at_their_period(config);
+            (config.architecture, config.fit) = (Architecture::Stitched(theirs), FitConfig::authors());
+        }),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    fn base() -> Variant {
+        let bench = BenchConfig::paper(20.0, 20.0);
+        let config = PipelineConfig { rounds: 1, ..PipelineConfig::default() };
+        Variant { group: "", name: String::new(), config, benches: vec![bench.clone()], judge: bench }
+    }
+
+    #[test]
+    fn every_variant_has_a_place_of_its_own() {
+        let groups = [residuals, recordings, inputs, units, simulators];
+        let all: Vec<Variant> = groups.iter().flat_map(|group| group(&base())).collect();
+        let places: BTreeSet<String> = all.iter().map(Variant::place).collect();
+        assert_eq!(places.len(), all.len());
+    }
+
+    #[test]
+    fn groups_meet_where_nothing_is_varied_and_nowhere_else() {
+        let like_base = |group: fn(&Variant) -> Vec<Variant>| {
+            let same: Vec<String> =
+                group(&base()).into_iter().filter(|v| v.is(&base())).map(|v| v.name).collect();
+            same
+        };
+        assert_eq!(like_base(residuals), ["1"]);
+        assert_eq!(like_base(recordings), ["both", "1"]);
+        assert_eq!(like_base(inputs), ["all"]);
+        assert!(like_base(units).is_empty() && like_base(simulators).is_empty());
+    }
+}

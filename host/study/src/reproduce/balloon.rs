@@ -1,0 +1,50 @@
+//! The authors' own plant, on their terms: a controller that has only seen recordings of it, beside their figures.
+
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+use shared::control::pid::Pid;
+
+use super::study::Study;
+use super::{ReproduceError, Reproduction, lungs};
+use judge::balloon::{self, baseline};
+use plant::balloon::PERIOD_US;
+use ventilator::{BalloonSource, Source, SourceError};
+
+/// What the authors report for the best PI of their grid, their network trained on the plant itself, and their network
+/// trained through a learned simulator, cmH2O.
+pub(super) const AUTHORS: [f64; 3] = [2.239, 2.013, 3.739];
+
+/// Scores on the balloon, mean over the waveforms, cmH2O.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct OnBalloon {
+    /// Full flow, then an exact hold.
+    pub(super) floor: f64,
+    /// Best PI of the authors' grid.
+    pub(super) grid_pi: f64,
+    /// Ours, trained through simulators learned from recordings, by seed.
+    pub(super) learned: Vec<f64>,
+}
+
+/// Trains on recordings of the balloon and scores on it.
+pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, ReproduceError> {
+    study.keep("balloon", || {
+        let Reproduction { seed, budget, .. } = study.reproduction;
+        let mut learned = Vec::new();
+        for repeat in 0..budget.repeats {
+            // The whole of it even where time is short: with less it does not reach the grid's PI.
+            let config = balloon::pipeline(seed + repeat);
+            let base = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
+            let source = |_| -> Result<Box<dyn Source>, SourceError> {
+                Ok(Box::new(BalloonSource::new(base.clone())?))
+            };
+            let outcome = lungs::train_on(study, &[&source], &config, &format!("balloon-{repeat}"))?;
+            learned.push(balloon::score(&Controller::Residual(outcome.learned.controller))?);
+        }
+        Ok(OnBalloon { floor: baseline::floor(), grid_pi: baseline::best_pi().score, learned })
+    })
+}
+
+/// What the folder holds.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<OnBalloon>, ReproduceError> {
+    study.kept("balloon")
+}

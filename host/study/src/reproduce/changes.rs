@@ -1,0 +1,141 @@
+//! A lung that changes from one breath to the next: how many breaths until the controller tracks again.
+
+use serde::{Deserialize, Serialize};
+use shared::breath::{Phase, period_s};
+use shared::control::Controller;
+
+use super::study::Study;
+use super::{ReproduceError, generalist, lungs};
+use judge::evaluate::{Inspiration, Plan, score_breath};
+use plant::bench::{BenchConfig, PatientConfig};
+use ventilator::{BenchSource, Source};
+
+/// Breaths before the change and from it on.
+const BREATHS: (usize, usize) = (4, 12);
+/// The last so many breaths count as settled.
+const SETTLED: usize = 4;
+/// Part of the settled score by which a breath may exceed it.
+const TOLERANCE: f64 = 0.1;
+/// The waveform that is breathed, cmH2O.
+const PIP: f32 = 25.0;
+
+/// A change and what followed.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Change {
+    /// What changes.
+    pub(super) what: String,
+    /// Score of each breath under the generalist, mean over noise; the change is before the fifth.
+    pub(super) generalist: Vec<f64>,
+    /// The same under the best single PID.
+    pub(super) single_pid: Vec<f64>,
+}
+
+impl Change {
+    /// Breaths from the change to the first one within the tolerance of the settled score, that one included.
+    pub(super) fn breaths_to_reconverge(scores: &[f64]) -> usize {
+        let after = &scores[BREATHS.0..];
+        let settled = after[after.len() - SETTLED..].iter().sum::<f64>() / SETTLED as f64;
+        let within = |score: &f64| *score <= (1.0 + TOLERANCE) * settled;
+        1 + after.iter().rposition(|score| !within(score)).map_or(0, |last| last + 1)
+    }
+}
+
+/// Breathes through all changes.
+pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, ReproduceError> {
+    study.keep("changes", || {
+        let learned = generalist::controller(study)?;
+        let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
+        let cases = [
+            ("R 20 to 50", 2.5, 1.0),
+            ("R 20 to 5", 0.25, 1.0),
+            ("C 20 to 10", 1.0, 0.5),
+            ("C 20 to 50", 1.0, 2.5),
+        ];
+        cases
+            .iter()
+            .enumerate()
+            .map(|(done, &(what, resistance, compliance))| {
+                (study.observer)("changes", done, cases.len());
+                let bench = changing(resistance, compliance);
+                Ok(Change {
+                    what: what.to_owned(),
+                    generalist: scores(study, &bench, &learned)?,
+                    single_pid: scores(study, &bench, &single)?,
+                })
+            })
+            .collect()
+    })
+}
+
+/// What the folder holds.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Change>>, ReproduceError> {
+    study.kept("changes")
+}
+
+/// R20C20 up to the change.
+fn changing(resistance_factor: f64, compliance_factor: f64) -> BenchConfig {
+    let change_at_breath = BREATHS.0 as u32 + 1;
+    BenchConfig {
+        patient: PatientConfig {
+            change_at_breath,
+            resistance_factor,
+            compliance_factor,
+            ..PatientConfig::default()
+        },
+        ..BenchConfig::paper(20.0, 20.0)
+    }
+}
+
+/// Score of each breath, mean over the plan's noise.
+fn scores(
+    study: &Study<'_>,
+    bench: &BenchConfig,
+    controller: &Controller,
+) -> Result<Vec<f64>, ReproduceError> {
+    let plan = study.plan();
+    let mut sums = vec![0.0; BREATHS.0 + BREATHS.1];
+    for seed in &plan.seeds {
+        let settings = plan.waveform(PIP);
+        let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
+        for sum in &mut sums {
+            *sum += breath(&mut source, &plan)? / plan.seeds.len() as f64;
+        }
+    }
+    Ok(sums)
+}
+
+fn breath(source: &mut BenchSource, plan: &Plan) -> Result<f64, ReproduceError> {
+    let settings = plan.waveform(PIP);
+    let (mut pressure, mut target) = (Vec::new(), Vec::new());
+    source.breath(&settings, &mut |tick| {
+        if let (Phase::Inspiration, Some(truth)) = (tick.sample.phase, tick.truth) {
+            pressure.push(f64::from(truth.airway_pressure));
+            target.push(f64::from(tick.sample.target));
+        }
+    })?;
+    let inspiration = Inspiration {
+        period_s: f64::from(period_s(plan.period_us)),
+        peep: f64::from(settings.peep),
+        pip: f64::from(settings.pip),
+        pressure: &pressure,
+        target: &target,
+    };
+    Ok(score_breath(&inspiration).score)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn breaths_count_until_the_score_stays_within_a_tenth_of_where_it_settles() {
+        let mut scores = vec![1.0; BREATHS.0 + BREATHS.1];
+        assert_eq!(Change::breaths_to_reconverge(&scores), 1, "never away");
+        scores[BREATHS.0] = 3.0;
+        assert_eq!(Change::breaths_to_reconverge(&scores), 2);
+        scores[BREATHS.0 + 3] = 1.2;
+        assert_eq!(Change::breaths_to_reconverge(&scores), 5, "a relapse counts");
+        scores[BREATHS.0 - 1] = 9.0;
+        assert_eq!(Change::breaths_to_reconverge(&scores), 5, "what was before does not");
+    }
+}

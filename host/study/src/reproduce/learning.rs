@@ -1,0 +1,147 @@
+//! Reinforcement learning as the rival: PPO and DQN on the same learned simulators with the same observations, their score
+//! against the samples that they took, next to ours.
+
+use std::sync::atomic::Ordering;
+
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+
+use super::study::Study;
+use super::{ReproduceError, Reproduction, lungs};
+use engine::LANES;
+use judge::rl::compare::{Kind, RlConfig, train};
+use judge::rl::policy::evaluate;
+use learn::controller::{Plant, TrainConfig, Training};
+use learn::pipeline::PipelineConfig;
+use learn::simulator::model::Simulator;
+use plant::bench::BenchConfig;
+use progress::Watch;
+
+/// Gradient steps between two validations of ours.
+const OURS_VALIDATED_EVERY: usize = 10;
+
+/// One way to learn.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Learner {
+    /// Score on the true bench, cmH2O.
+    pub(super) score: f64,
+    /// Simulated control ticks that it took.
+    pub(super) samples: u64,
+    /// Ticks taken and the score on the held-out simulator then, cmH2O.
+    pub(super) curve: Vec<(u64, f64)>,
+}
+
+impl Learner {
+    /// Ticks taken until the score on the held-out simulator was at least as good as this.
+    pub(super) fn samples_until(&self, score: f64) -> Option<u64> {
+        self.curve.iter().find(|(_, reached)| *reached <= score).map(|(samples, _)| *samples)
+    }
+
+    /// The best score on the held-out simulator, cmH2O.
+    pub(super) fn best(&self) -> f64 {
+        self.curve.iter().map(|(_, score)| *score).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// The comparison.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Learning {
+    /// Proximal policy optimisation.
+    pub(super) ppo: Learner,
+    /// Deep Q-learning.
+    pub(super) dqn: Learner,
+    /// Back-propagation through the simulators.
+    pub(super) ours: Learner,
+}
+
+/// Trains all three on the simulators learned for the lung in the middle of the list.
+pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
+    let Reproduction { seed, budget, .. } = study.reproduction;
+    let index = study.middle();
+    let bench = &study.lungs()[index];
+    let gains = lungs::tuned(study)?.lungs[index].pid.gains;
+    lungs::lungs(study)?;
+    let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
+    // Its folder holds the whole run already.
+    let simulators = || -> Result<Vec<Simulator>, ReproduceError> {
+        let folder = format!("lungs/{}-0", bench.name);
+        let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
+        Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
+    };
+    Ok(Learning {
+        ppo: study.keep("rl/ppo", || rival(study, bench, Kind::Ppo, &simulators()?))?,
+        dqn: study.keep("rl/dqn", || rival(study, bench, Kind::Dqn, &simulators()?))?,
+        ours: study.keep("rl/ours", || ours(study, bench, &config, &simulators()?))?,
+    })
+}
+
+/// What the folder holds, if it holds all three.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError> {
+    let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
+    Ok(match (ppo, dqn, ours) {
+        (Some(ppo), Some(dqn), Some(ours)) => Some(Learning { ppo, dqn, ours }),
+        _ => None,
+    })
+}
+
+fn rival(
+    study: &Study<'_>,
+    bench: &BenchConfig,
+    kind: Kind,
+    simulators: &[Simulator],
+) -> Result<Learner, ReproduceError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+    let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
+    let progress = |done, total| (study.observer)(kind.name(), done as usize, total as usize);
+    let watch = Watch::new(&progress, study.stop);
+    let trained = train(kind, trained_on, held_out, &config, &watch)?;
+    Ok(Learner {
+        score: evaluate(bench, &trained.policy, &study.plan())?.mean.score,
+        samples: trained.curve.last().map_or(0, |(samples, _)| *samples),
+        curve: trained.curve,
+    })
+}
+
+/// Trains our controller from scratch on the same simulators, a single shard at a time: what counts here are samples.
+fn ours(
+    study: &Study<'_>,
+    bench: &BenchConfig,
+    config: &PipelineConfig,
+    simulators: &[Simulator],
+) -> Result<Learner, ReproduceError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+    let train = TrainConfig {
+        batch: LANES,
+        validate_every: OURS_VALIDATED_EVERY,
+        seed: study.reproduction.seed,
+        ..config.train.clone()
+    };
+    let ticks = u64::from(shared::math::ticks(train.inspiratory_time, config.period_us));
+    let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
+    let iterations = train.iterations;
+    let mut training = Training::new(config.residual(), &[Plant { trained_on, held_out }], train, None)?;
+    let mut curve = Vec::new();
+    while let Some(progress) = training.advance() {
+        if study.stop.load(Ordering::Relaxed) {
+            return Err(ReproduceError::Stopped);
+        }
+        (study.observer)("ours", progress.iteration, iterations);
+        curve.push((samples(progress.iteration), progress.validation));
+    }
+    let controller = Controller::Residual(training.finish()?.controller);
+    Ok(Learner { score: study.evaluate(bench, &controller)?.mean.score, samples: samples(iterations), curve })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_samples_that_reach_a_score_count() {
+        let curve = vec![(10, 3.0), (20, 1.5), (30, 1.8), (40, 1.2)];
+        let learner = Learner { score: 1.3, samples: 40, curve };
+        assert_eq!(learner.samples_until(1.6), Some(20));
+        assert_eq!(learner.samples_until(1.0), None);
+        assert!((learner.best() - 1.2).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,204 @@
+//! The paper's experiments on the virtual bench, and those that go beyond it (Suo et al. 2021, section 6).
+//!
+//! [`run`] carries out experiments one after the other. Each keeps its result as JSON in the folder, so that a stopped run
+//! goes on where it was and an experiment finds what an earlier one has left. At the end all results found there become
+//! `results.json` and one report.
+//!
+//! | file | subject |
+//! |---|---|
+//! | `study` | the folder, budgets and progress that experiments share |
+//! | `lungs` | the best PIDs, and a controller for each lung |
+//! | `generalist` | one controller for all lungs |
+//! | `limits` | what no controller can beat |
+//! | `balloon` | the authors' own plant |
+//! | `learning` | reinforcement learning as the rival |
+//! | `ablations` | what each part of the system is worth |
+//! | `tracking` | curves of the controllers on one lung |
+//! | `unseen` | lungs and ventilators that nobody trained on |
+//! | `changes` | a lung that changes from one breath to the next |
+//! | `iso` | the rows of the pressure-control test table |
+//! | `results` | everything found, in numbers |
+//! | `report` | the same for people |
+
+mod ablations;
+mod balloon;
+mod changes;
+mod generalist;
+mod iso;
+mod learning;
+mod limits;
+mod lungs;
+mod report;
+mod results;
+mod study;
+#[cfg(test)]
+mod tests;
+mod tracking;
+mod unseen;
+
+use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
+
+use serde::{Deserialize, Serialize};
+use shared::control::pid::GainError;
+use shared::control::residual::ResidualError;
+use thiserror::Error;
+
+use judge::baselines::TuneError;
+use judge::bound::BoundError;
+use learn::controller::learned::LearnedError;
+use learn::pipeline::PipelineError;
+use plant::bench::{BenchConfig, BenchError};
+use show::report::ReportError;
+use ventilator::SourceError;
+
+pub use ablations::Ablation;
+pub use report::{headline, lungs_table};
+pub use results::{
+    BalloonFigures, IsoFigures, LungFigures, Means, Results, RlFigure, RlFigures, UnseenFigures,
+};
+pub use study::Budget;
+use study::Study;
+
+/// An experiment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum Experiment {
+    /// The best P, I and PID for each lung and for all of them
+    Tuning,
+    /// A learned controller for each lung
+    Lungs,
+    /// One learned controller for all lungs
+    Generalist,
+    /// What no controller can beat: the best commands for a bench that is known in every detail
+    Bound,
+    /// Curves of all controllers on one lung
+    Tracking,
+    /// Lungs and ventilators outside of the training
+    Unseen,
+    /// A lung that changes from one breath to the next
+    Changes,
+    /// The pressure-control rows of the test table
+    Iso,
+    /// The authors' own plant, side by side with their figures
+    Balloon,
+    /// PPO and DQN on the learned simulators of one lung
+    Rl,
+    /// What each part of the system is worth, on one lung
+    Ablations,
+}
+
+impl Experiment {
+    /// All, in the order in which they are run.
+    pub const ALL: [Self; 11] = [
+        Self::Tuning,
+        Self::Lungs,
+        Self::Generalist,
+        Self::Bound,
+        Self::Tracking,
+        Self::Unseen,
+        Self::Changes,
+        Self::Iso,
+        Self::Balloon,
+        Self::Rl,
+        Self::Ablations,
+    ];
+}
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct Reproduction {
+    /// Seed of everything.
+    pub seed: u64,
+    /// How much to spend.
+    pub budget: Budget,
+    /// The lungs to train on.
+    pub lungs: Vec<BenchConfig>,
+    /// Folder of all results.
+    pub out: PathBuf,
+    /// Which experiments; those that they need are run as well.
+    pub only: Vec<Experiment>,
+}
+
+/// Why an experiment cannot be finished.
+#[derive(Debug, Error)]
+pub enum ReproduceError {
+    /// Search of a PID.
+    #[error(transparent)]
+    Tune(#[from] TuneError),
+    /// Learning.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// Evaluation.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// A bench.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+    /// What no controller can beat.
+    #[error(transparent)]
+    Bound(#[from] BoundError),
+    /// Gains.
+    #[error(transparent)]
+    Gain(#[from] GainError),
+    /// A policy.
+    #[error(transparent)]
+    Policy(#[from] ResidualError),
+    /// A controller's file.
+    #[error(transparent)]
+    Learned(#[from] LearnedError),
+    /// Report.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// The folder holds another run.
+    #[error(
+        "{0} holds a run with another seed, budget or choice of lungs; choose another folder or remove it"
+    )]
+    OtherRun(String),
+    /// A file.
+    #[error("{path}: {reason}")]
+    File {
+        /// File.
+        path: PathBuf,
+        /// What the system says.
+        reason: String,
+    },
+    /// Ctrl-C.
+    #[error("stopped; the same command goes on from here")]
+    Stopped,
+}
+
+/// Progress: what is under way, steps done, and in all.
+pub type Observer<'a> = &'a (dyn Fn(&str, usize, usize) + Sync);
+
+/// Runs the experiments, then writes everything that the folder holds as `results.json`, `report.html` and `results.md`.
+///
+/// # Errors
+/// The first experiment that fails; what earlier ones left stays.
+pub fn run(
+    reproduction: &Reproduction,
+    observer: Observer<'_>,
+    stop: &AtomicBool,
+) -> Result<Results, ReproduceError> {
+    let study = Study::new(reproduction, observer, stop)?;
+    for experiment in Experiment::ALL.into_iter().filter(|e| reproduction.only.contains(e)) {
+        match experiment {
+            Experiment::Tuning => drop(lungs::tuned(&study)?),
+            Experiment::Lungs => drop(lungs::lungs(&study)?),
+            Experiment::Generalist => drop(generalist::generalist(&study)?),
+            Experiment::Bound => drop(limits::limits(&study)?),
+            Experiment::Balloon => drop(balloon::balloon(&study)?),
+            Experiment::Rl => drop(learning::learning(&study)?),
+            Experiment::Ablations => drop(ablations::ablations(&study)?),
+            Experiment::Tracking => drop(tracking::tracking(&study)?),
+            Experiment::Unseen => drop(unseen::unseen(&study)?),
+            Experiment::Changes => drop(changes::changes(&study)?),
+            Experiment::Iso => drop(iso::iso(&study)?),
+        }
+    }
+    let results = Results::gather(&study)?;
+    study.write("results.json", &results)?;
+    let report = report::report(&study, &results)?;
+    report.save(study.path("report.html"))?;
+    report.save_markdown(&reproduction.out, "results")?;
+    Ok(results)
+}

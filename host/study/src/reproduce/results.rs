@@ -1,0 +1,278 @@
+//! `results.json`: everything found, in numbers, under names that scripts can rely on. What was not run is absent.
+
+use serde::{Deserialize, Serialize};
+
+use super::changes::{self, Change};
+use super::learning::{Learner, Learning};
+use super::study::Study;
+use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
+use data::provenance::git_revision;
+use judge::evaluate::Evaluation;
+
+/// Mean scores on one lung, cmH2O.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LungFigures {
+    /// Name.
+    pub lung: String,
+    /// Resistance, cmH2O/(L/s).
+    pub r: f64,
+    /// Compliance, mL/cmH2O.
+    pub c: f64,
+    /// The lung's own best PID.
+    pub pid: f64,
+    /// The best PID for all lungs.
+    pub single_pid: f64,
+    /// The controllers learned for it: mean over seeds.
+    pub learned: f64,
+    /// The same, by seed.
+    pub learned_by_seed: Vec<f64>,
+    /// The controller learned for all lungs.
+    pub generalist: Option<f64>,
+    /// What no controller can beat.
+    pub bound: Option<f64>,
+}
+
+impl LungFigures {
+    /// Part of the way from the best PID to the bound that the learned controllers have gone.
+    pub fn gap_closed(&self) -> Option<f64> {
+        Some((self.pid - self.learned) / (self.pid - self.bound?))
+    }
+}
+
+/// Means over the lungs, cmH2O.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Means {
+    /// Each lung's own best PID.
+    pub pid: f64,
+    /// The best PID for all lungs.
+    pub single_pid: f64,
+    /// The controllers learned for each.
+    pub learned: f64,
+    /// The controller learned for all lungs.
+    pub generalist: Option<f64>,
+    /// What no controller can beat.
+    pub bound: Option<f64>,
+}
+
+/// The authors' own plant: mean of |p - PIP| over the samples, cmH2O.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BalloonFigures {
+    /// Full flow, then an exact hold.
+    pub floor: f64,
+    /// Best PI of the authors' grid.
+    pub grid_pi: f64,
+    /// Trained through simulators learned from recordings: mean over seeds.
+    pub learned: f64,
+    /// The same, by seed.
+    pub learned_by_seed: Vec<f64>,
+}
+
+/// A way to learn.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RlFigure {
+    /// Score on the true bench, cmH2O.
+    pub score: f64,
+    /// Simulated control ticks that it took.
+    pub samples: u64,
+    /// Ticks until it was, on the held-out simulator, within `NEAR` of the best that any of the three reached.
+    pub samples_to_near_best: Option<u64>,
+}
+
+/// A score that exceeds another by at most this part of it is near it.
+pub const NEAR: f64 = 0.02;
+
+/// Reinforcement learning and ours, on the same simulators.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RlFigures {
+    /// Proximal policy optimisation.
+    pub ppo: RlFigure,
+    /// Deep Q-learning.
+    pub dqn: RlFigure,
+    /// Back-propagation through the simulators.
+    pub ours: RlFigure,
+}
+
+/// Scores on a plant outside of the training, cmH2O.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct UnseenFigures {
+    /// What it is.
+    pub plant: String,
+    /// Whether it lies within the trained lungs.
+    pub inside: bool,
+    /// Its own best PID.
+    pub pid: f64,
+    /// The best PID for the trained lungs.
+    pub single_pid: f64,
+    /// The controller learned for the trained lungs.
+    pub generalist: f64,
+}
+
+/// A row of the pressure-control test table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IsoFigures {
+    /// Its number.
+    pub row: u8,
+    /// Whether the best single PID keeps the plateau's tolerance.
+    pub single_pid: bool,
+    /// Whether the controller for all lungs does.
+    pub generalist: bool,
+    /// Tidal volume under the controller for all lungs, mL; none where the ventilator went to its safe state.
+    pub tidal_volume: Option<f64>,
+    /// Tidal volume that the table expects, mL.
+    pub expected_volume: f64,
+}
+
+/// Everything.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Results {
+    /// Seed of everything.
+    pub seed: u64,
+    /// Revision of the program.
+    pub revision: String,
+    /// By lung.
+    pub lungs: Vec<LungFigures>,
+    /// Over the lungs.
+    pub mean: Option<Means>,
+    /// Highest ratio of the generalist's score to the single PID's over all pairs of lung and waveform.
+    pub worst_cell_ratio: Option<f64>,
+    /// Plants outside of the training.
+    pub unseen: Vec<UnseenFigures>,
+    /// The test table.
+    pub iso_rows: Vec<IsoFigures>,
+    /// Most breaths that the generalist needed after a change of the lung.
+    pub breaths_to_reconverge: Option<usize>,
+    /// The authors' own plant.
+    pub balloon: Option<BalloonFigures>,
+    /// Reinforcement learning.
+    pub rl: Option<RlFigures>,
+    /// What each part of the system is worth.
+    pub ablations: Vec<Ablation>,
+}
+
+impl Results {
+    /// Reads what the folder holds.
+    pub(super) fn gather(study: &Study<'_>) -> Result<Self, ReproduceError> {
+        let kept = lungs::kept(study)?.unwrap_or_default();
+        let generalist = generalist::kept(study)?;
+        let everyone: Vec<Option<&Evaluation>> = match &generalist {
+            Some(generalist) => generalist.lungs.iter().map(Some).collect(),
+            None => vec![None; kept.len()],
+        };
+        let bounds: Vec<Option<f64>> = match limits::kept(study)? {
+            Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
+            None => vec![None; kept.len()],
+        };
+        let lungs: Vec<LungFigures> = study
+            .lungs()
+            .iter()
+            .zip(&kept)
+            .zip(&everyone)
+            .zip(bounds)
+            .map(|(((bench, lung), generalist), bound)| {
+                let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
+                LungFigures {
+                    lung: bench.name.clone(),
+                    r: bench.lung.first.resistance_cmh2o_per_l_s,
+                    c: bench.lung.first.compliance_ml_per_cmh2o,
+                    pid: lung.pid.mean.score,
+                    single_pid: lung.single_pid.mean.score,
+                    learned: mean(learned.iter().copied()),
+                    learned_by_seed: learned,
+                    generalist: generalist.map(|e| e.mean.score),
+                    bound,
+                }
+            })
+            .collect();
+        let means = (!lungs.is_empty()).then(|| Means {
+            pid: mean(lungs.iter().map(|lung| lung.pid)),
+            single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
+            learned: mean(lungs.iter().map(|lung| lung.learned)),
+            generalist: mean_of_all(&lungs, |lung| lung.generalist),
+            bound: mean_of_all(&lungs, |lung| lung.bound),
+        });
+        let cells = kept.iter().zip(&everyone).filter_map(|(lung, generalist)| {
+            let pairs = generalist.as_ref()?.waveforms.iter().zip(&lung.single_pid.waveforms);
+            Some(pairs.map(|(learned, pid)| learned.score.score / pid.score.score).fold(0.0, f64::max))
+        });
+        Ok(Self {
+            seed: study.reproduction.seed,
+            revision: git_revision(),
+            worst_cell_ratio: cells.reduce(f64::max),
+            unseen: unseen_figures(study)?,
+            iso_rows: iso_figures(study)?,
+            rl: learning::kept(study)?.as_ref().map(rl_figures),
+            ablations: ablations::kept(study)?.unwrap_or_default(),
+            balloon: balloon::kept(study)?.map(|found| BalloonFigures {
+                floor: found.floor,
+                grid_pi: found.grid_pi,
+                learned: mean(found.learned.iter().copied()),
+                learned_by_seed: found.learned,
+            }),
+            breaths_to_reconverge: changes::kept(study)?.and_then(|changes| {
+                changes.iter().map(|change| Change::breaths_to_reconverge(&change.generalist)).max()
+            }),
+            lungs,
+            mean: means,
+        })
+    }
+}
+
+fn rl_figures(found: &Learning) -> RlFigures {
+    let best = [&found.ppo, &found.dqn, &found.ours].map(Learner::best).into_iter().fold(f64::MAX, f64::min);
+    let figure = |learner: &Learner| RlFigure {
+        score: learner.score,
+        samples: learner.samples,
+        samples_to_near_best: learner.samples_until((1.0 + NEAR) * best),
+    };
+    RlFigures { ppo: figure(&found.ppo), dqn: figure(&found.dqn), ours: figure(&found.ours) }
+}
+
+fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceError> {
+    let figures = |plant: unseen::Unseen| UnseenFigures {
+        plant: plant.plant,
+        inside: plant.inside,
+        pid: plant.pid.mean.score,
+        single_pid: plant.single_pid.mean.score,
+        generalist: plant.generalist.mean.score,
+    };
+    Ok(unseen::kept(study)?.unwrap_or_default().into_iter().map(figures).collect())
+}
+
+fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, ReproduceError> {
+    let figures = |row: iso::Row| IsoFigures {
+        row: row.number,
+        single_pid: row.single_pid.is_some_and(|outcome| outcome.pass),
+        generalist: row.generalist.is_some_and(|outcome| outcome.pass),
+        tidal_volume: row.generalist.map(|outcome| outcome.tidal_volume),
+        expected_volume: row.expected_volume,
+    };
+    Ok(iso::kept(study)?.unwrap_or_default().into_iter().map(figures).collect())
+}
+
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
+}
+
+/// The mean over the lungs, if every lung has the figure.
+fn mean_of_all(lungs: &[LungFigures], of: impl Fn(&LungFigures) -> Option<f64>) -> Option<f64> {
+    let all = lungs.iter().map(of).collect::<Option<Vec<_>>>()?;
+    Some(mean(all.into_iter()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn near_the_best_is_judged_by_the_best_of_all_three() {
+        let learner = |curve: &[(u64, f64)]| Learner { score: 1.0, samples: 9, curve: curve.to_vec() };
+        let figures = rl_figures(&Learning {
+            ppo: learner(&[(1, 2.0), (5, 1.0)]),
+            dqn: learner(&[(1, 1.5), (9, 1.03)]),
+            ours: learner(&[(1, 1.02), (2, 1.01)]),
+        });
+        let until = [figures.ppo, figures.dqn, figures.ours].map(|figure| figure.samples_to_near_best);
+        assert_eq!(until, [Some(5), None, Some(1)]);
+    }
+}

@@ -1,0 +1,175 @@
+//! What experiments share: the folder where each keeps its result, how much they may spend, whom they tell of progress.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
+
+use super::{Observer, ReproduceError, Reproduction};
+use data::files::write_atomically;
+use judge::baselines::{Grid, Search};
+use judge::evaluate::{Evaluation, Plan, evaluate};
+use judge::rl::compare::RlConfig;
+use learn::pipeline::PipelineConfig;
+use plant::bench::BenchConfig;
+
+/// How much to spend.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Budget {
+    /// Controllers trained for each lung, under different seeds.
+    pub repeats: u64,
+    /// Search of the best PIDs.
+    pub search: Search,
+    /// Rounds of collect, fit and train for one lung; seed and gains are replaced.
+    pub lung: PipelineConfig,
+    /// The same for all lungs at once.
+    pub generalist: PipelineConfig,
+    /// What the ablations vary.
+    pub ablation: PipelineConfig,
+    /// PPO and DQN; the seed is replaced.
+    pub learners: RlConfig,
+}
+
+impl Budget {
+    /// What the published figures are made with.
+    pub fn full() -> Self {
+        let lung = PipelineConfig::default();
+        let mut generalist = PipelineConfig { ensemble: 1, ..lung.clone() };
+        generalist.collect.breaths = 60;
+        generalist.train.iterations = 1200;
+        let ablation = PipelineConfig { rounds: 1, ..lung.clone() };
+        let (search, learners) = (Search::default(), RlConfig::default());
+        Self { repeats: 2, search, lung, generalist, ablation, learners }
+    }
+
+    /// The same order of results in a few minutes.
+    pub fn quick() -> Self {
+        let mut lung = PipelineConfig { rounds: 1, ensemble: 1, ..PipelineConfig::default() };
+        lung.collect.breaths = 60;
+        lung.fit.epochs /= 2;
+        lung.train.iterations = 250;
+        let mut generalist = PipelineConfig { rounds: 2, ..lung.clone() };
+        generalist.collect.breaths = 40;
+        let mut ablation = lung.clone();
+        ablation.collect.breaths = 40;
+        ablation.fit.epochs /= 2;
+        ablation.train.iterations = 120;
+        let search = Search { grid: Grid::coarse(), refinements: 2, ..Search::default() };
+        let learners = RlConfig { ppo_samples: 2_000_000, dqn_samples: 1_000_000, ..RlConfig::default() };
+        Self { repeats: 1, search, lung, generalist, ablation, learners }
+    }
+}
+
+/// The lungs, budgets and folder of a reproduction.
+pub(super) struct Study<'a> {
+    pub(super) reproduction: &'a Reproduction,
+    pub(super) observer: Observer<'a>,
+    pub(super) stop: &'a AtomicBool,
+}
+
+/// What makes results comparable.
+#[derive(PartialEq, Serialize, Deserialize)]
+struct Claim {
+    seed: u64,
+    budget: Budget,
+    lungs: Vec<BenchConfig>,
+}
+
+impl<'a> Study<'a> {
+    /// Takes the folder, unless it belongs to another study.
+    pub(super) fn new(
+        reproduction: &'a Reproduction,
+        observer: Observer<'a>,
+        stop: &'a AtomicBool,
+    ) -> Result<Self, ReproduceError> {
+        let study = Self { reproduction, observer, stop };
+        let Reproduction { seed, budget, lungs, .. } = reproduction;
+        let claim = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
+        match study.read::<Claim>("run.json")? {
+            Some(earlier) if earlier != claim => {
+                Err(ReproduceError::OtherRun(reproduction.out.display().to_string()))
+            }
+            Some(_) => Ok(study),
+            None => study.write("run.json", &claim).map(|()| study),
+        }
+    }
+
+    /// The lungs to train on.
+    pub(super) fn lungs(&self) -> &'a [BenchConfig] {
+        &self.reproduction.lungs
+    }
+
+    /// Place in the list of the lung that stands for all where one has to do: the one in the middle.
+    pub(super) fn middle(&self) -> usize {
+        self.lungs().len() / 2
+    }
+
+    /// A file or folder within the study's.
+    pub(super) fn path(&self, name: &str) -> PathBuf {
+        self.reproduction.out.join(name)
+    }
+
+    /// Noise that judges, the same for all controllers.
+    pub(super) fn plan(&self) -> Plan {
+        Plan::evaluation(self.reproduction.seed)
+    }
+
+    /// Scores a controller on a bench.
+    pub(super) fn evaluate(
+        &self,
+        bench: &BenchConfig,
+        controller: &Controller,
+    ) -> Result<Evaluation, ReproduceError> {
+        Ok(evaluate(bench, controller, &self.plan())?)
+    }
+
+    /// A PID at the plan's control period.
+    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller, ReproduceError> {
+        Ok(Controller::Pid(Pid::new(gains, self.plan().period_us)?))
+    }
+
+    /// What an earlier run has kept under this name, or the outcome of `work`, which is then kept.
+    pub(super) fn keep<T: Serialize + DeserializeOwned>(
+        &self,
+        name: &str,
+        work: impl FnOnce() -> Result<T, ReproduceError>,
+    ) -> Result<T, ReproduceError> {
+        let file = format!("{name}.json");
+        if let Some(kept) = self.read(&file)? {
+            return Ok(kept);
+        }
+        let result = work()?;
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(ReproduceError::Stopped);
+        }
+        self.write(&file, &result)?;
+        Ok(result)
+    }
+
+    /// What is kept under this name.
+    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
+        self.read(&format!("{name}.json"))
+    }
+
+    fn read<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
+        let path = self.path(name);
+        let failure = |reason: String| ReproduceError::File { path: path.clone(), reason };
+        if !path.exists() {
+            return Ok(None);
+        }
+        let text = fs::read_to_string(&path).map_err(|error| failure(error.to_string()))?;
+        serde_json::from_str(&text).map(Some).map_err(|error| failure(format!("{error}; remove it")))
+    }
+
+    /// Writes a value as JSON.
+    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), ReproduceError> {
+        let path = self.path(name);
+        let text = serde_json::to_string_pretty(value).unwrap_or_default() + "\n";
+        write_atomically(&path, text.as_bytes())
+            .map_err(|error| ReproduceError::File { path, reason: error.to_string() })
+    }
+}

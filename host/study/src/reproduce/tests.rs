@@ -1,0 +1,78 @@
+//! A study of two lungs at a small size: what it leaves, and that it goes on where it was.
+
+use std::fs;
+use std::path::Path;
+
+use super::*;
+use judge::baselines::{Grid, Search};
+use judge::rl::compare::RlConfig;
+use learn::pipeline::PipelineConfig;
+
+fn small(out: &Path, only: &[Experiment]) -> Reproduction {
+    let grid = Grid { p: vec![1.0, 4.0], i: vec![15.0, 80.0], d: vec![0.0] };
+    let mut lung = PipelineConfig { rounds: 1, ensemble: 1, ..PipelineConfig::default() };
+    lung.collect.breaths = 24;
+    lung.fit.epochs = 60;
+    lung.train.iterations = 40;
+    lung.train.batch = 32;
+    lung.train.validate_every = 20;
+    let search = Search { grid, refinements: 0, exhaustive: true };
+    Reproduction {
+        seed: 1,
+        budget: Budget {
+            repeats: 1,
+            search,
+            lung: lung.clone(),
+            generalist: lung.clone(),
+            ablation: lung,
+            learners: RlConfig::default(),
+        },
+        lungs: vec![BenchConfig::paper(20.0, 20.0), BenchConfig::paper(50.0, 10.0)],
+        out: out.to_owned(),
+        only: only.to_vec(),
+    }
+}
+
+fn run_small(out: &Path, only: &[Experiment]) -> Results {
+    run(&small(out, only), &|_, _, _| (), &AtomicBool::new(false)).unwrap()
+}
+
+#[test]
+fn an_experiment_brings_those_it_needs_and_all_end_in_one_report() {
+    let out = tempfile::tempdir().unwrap();
+    let tracked = run_small(out.path(), &[Experiment::Tracking, Experiment::Iso]);
+    let mean = tracked.mean.clone().unwrap();
+    assert!(mean.learned < mean.pid && mean.generalist.unwrap() < mean.single_pid, "{mean:?}");
+    assert!(tracked.worst_cell_ratio.unwrap() > mean.generalist.unwrap() / mean.single_pid);
+    assert_eq!((tracked.iso_rows.len(), tracked.unseen.len(), tracked.breaths_to_reconverge), (21, 0, None));
+    let changed = run_small(out.path(), &[Experiment::Changes]);
+    assert_eq!(changed.lungs, tracked.lungs, "what was there stays");
+    assert!((1..=5).contains(&changed.breaths_to_reconverge.unwrap()));
+    let html = fs::read_to_string(out.path().join("report.html")).unwrap();
+    for heading in
+        ["Tracking", "Performance and robustness", "Changes of the lung", "Pressure-control test table"]
+    {
+        assert!(html.contains(&format!(">{heading}<")), "{heading}");
+    }
+    let json = fs::read_to_string(out.path().join("results.json")).unwrap();
+    assert_eq!(serde_json::from_str::<Results>(&json).unwrap(), changed);
+}
+
+#[test]
+fn a_folder_of_another_study_is_refused() {
+    let out = tempfile::tempdir().unwrap();
+    run_small(out.path(), &[]);
+    let other = Reproduction { seed: 2, ..small(out.path(), &[]) };
+    let refused = run(&other, &|_, _, _| (), &AtomicBool::new(false));
+    assert!(matches!(refused, Err(ReproduceError::OtherRun(_))));
+}
+
+#[test]
+fn a_wish_to_stop_is_told_and_the_study_goes_on_later() {
+    let out = tempfile::tempdir().unwrap();
+    let only = [Experiment::Generalist];
+    let stopped = run(&small(out.path(), &only), &|_, _, _| (), &AtomicBool::new(true));
+    let error = stopped.unwrap_err().to_string();
+    assert!(error.contains("the same command goes on"), "{error}");
+    run_small(out.path(), &only);
+}

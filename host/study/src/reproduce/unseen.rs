@@ -1,0 +1,114 @@
+//! Lungs and ventilators that nobody trained on: between and beyond the trained ones, with two compartments, a leak, a
+//! slower valve, another unit of the fleet, a cough.
+
+use serde::{Deserialize, Serialize};
+use shared::control::Controller;
+use shared::control::pid::PidGains;
+
+use super::study::Study;
+use super::{ReproduceError, Reproduction, generalist, lungs};
+use judge::baselines::tune_pid;
+use judge::evaluate::{Evaluation, Plan};
+use plant::bench::{BenchConfig, CompartmentConfig};
+
+/// A plant outside of the training.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Unseen {
+    /// What it is.
+    pub(super) plant: String,
+    /// Whether its resistance and compliance lie within the trained ones and all else is as in training.
+    pub(super) inside: bool,
+    /// Its own best PID.
+    pub(super) pid: Evaluation,
+    /// The best PID for the trained lungs.
+    pub(super) single_pid: Evaluation,
+    /// The controller trained on all trained lungs.
+    pub(super) generalist: Evaluation,
+}
+
+/// Scores the generalist and the single PID everywhere.
+pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>, ReproduceError> {
+    study.keep("unseen", || {
+        let learned = generalist::controller(study)?;
+        let single = lungs::tuned(study)?.over_all.pid.gains;
+        let plants = plants();
+        plants.iter().map(|(bench, inside)| plant(study, bench, *inside, &learned, single)).collect()
+    })
+}
+
+/// What the folder holds.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Unseen>>, ReproduceError> {
+    study.kept("unseen")
+}
+
+fn plant(
+    study: &Study<'_>,
+    bench: &BenchConfig,
+    inside: bool,
+    learned: &Controller,
+    single: PidGains,
+) -> Result<Unseen, ReproduceError> {
+    let Reproduction { seed, budget, .. } = study.reproduction;
+    let progress =
+        |done, total| (study.observer)(&format!("best PID of {}", bench.name), done as usize, total as usize);
+    let own =
+        tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress, study.stop)?;
+    if !own.complete {
+        return Err(ReproduceError::Stopped);
+    }
+    Ok(Unseen {
+        plant: bench.name.clone(),
+        inside,
+        pid: study.evaluate(bench, &study.pid(own.over_all.pid.gains)?)?,
+        single_pid: study.evaluate(bench, &study.pid(single)?)?,
+        generalist: study.evaluate(bench, learned)?,
+    })
+}
+
+/// The plants, and whether they lie inside the training.
+fn plants() -> Vec<(BenchConfig, bool)> {
+    let inside = [(10.0, 15.0), (35.0, 30.0), (30.0, 12.0), (12.0, 40.0)];
+    let beyond = [(3.0, 20.0), (80.0, 20.0), (20.0, 80.0), (20.0, 6.0)];
+    let changed = |name: &str, change: fn(&mut BenchConfig)| {
+        let mut bench = BenchConfig { name: format!("R20C20, {name}"), ..BenchConfig::paper(20.0, 20.0) };
+        change(&mut bench);
+        bench
+    };
+    let others = [
+        changed("two compartments", |bench| {
+            let half = bench.lung.first.compliance_ml_per_cmh2o / 2.0;
+            bench.lung.first.compliance_ml_per_cmh2o = half;
+            bench.lung.second = Some(CompartmentConfig {
+                resistance_cmh2o_per_l_s: 50.0,
+                compliance_ml_per_cmh2o: half,
+                ..CompartmentConfig::default()
+            });
+        }),
+        changed("a leak", |bench| bench.circuit.leak_l_per_s_at_30_cmh2o = 0.1),
+        changed("a slower valve", |bench| bench.valve.lag_ms *= 1.5),
+        changed("unit 7 of the fleet", |bench| bench.unit.number = 7),
+        changed("a cough", |bench| {
+            // In the first breath that is scored.
+            (bench.patient.cough_cmh2o, bench.patient.cough_at_s) = (20.0, 3.4);
+        }),
+    ];
+    let paper = |(r, c): (f64, f64)| BenchConfig::paper(r, c);
+    let inside = inside.map(|lung| (paper(lung), true));
+    inside.into_iter().chain(beyond.map(paper).into_iter().chain(others).map(|b| (b, false))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_plant_is_one_that_can_be_built_and_has_a_name_of_its_own() {
+        let plants = plants();
+        for (bench, _) in &plants {
+            bench.validate().unwrap();
+        }
+        let names: std::collections::BTreeSet<&str> = plants.iter().map(|(b, _)| b.name.as_str()).collect();
+        assert_eq!(names.len(), plants.len());
+        assert_eq!(plants.iter().filter(|(_, inside)| *inside).count(), 4);
+    }
+}

@@ -1,0 +1,314 @@
+//! Safe data collection: a known-good controller, the paper's random perturbations, a pressure limit that ends
+//! the breath (Suo et al. 2021, section 4).
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
+use shared::breath::{PAPER_PIPS, Phase};
+use shared::control::Controller;
+use shared::explore::{Exploration, ExplorationError};
+use shared::settings::{LIMIT_MARGIN, Settings};
+use thiserror::Error;
+
+use crate::{Source, SourceError, Tick};
+use data::provenance::Provenance;
+use data::recording::{EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
+use progress::Watch;
+
+/// What only a bench knows; what a source does not know is left out at the end.
+const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
+
+/// What to collect.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CollectConfig {
+    /// Breaths to record.
+    pub breaths: usize,
+    /// Every second breath has one of these PIPs, cmH2O.
+    pub pips: Vec<f32>,
+    /// The others have a PIP drawn uniformly from this range, cmH2O.
+    pub pip_range: (f32, f32),
+    /// Template of all settings but PIP.
+    pub settings: Settings,
+    /// Perturbations; none records the controller alone.
+    pub exploration: Option<Exploration>,
+    /// Breaths ended by the pressure limit after which collection gives up.
+    pub aborts: usize,
+    /// Seed of PIPs and perturbations.
+    pub seed: u64,
+}
+
+impl Default for CollectConfig {
+    fn default() -> Self {
+        Self {
+            breaths: 200,
+            pips: PAPER_PIPS.to_vec(),
+            pip_range: (8.0, 37.0),
+            settings: Settings::default(),
+            exploration: Some(Exploration::default()),
+            aborts: 20,
+            seed: 0,
+        }
+    }
+}
+
+/// Why collection cannot go on.
+#[derive(Debug, Error)]
+pub enum CollectError {
+    /// The exploration makes no sense.
+    #[error(transparent)]
+    Exploration(#[from] ExplorationError),
+    /// No PIP to breathe at.
+    #[error("the list of PIPs is empty; give at least one with --pips")]
+    NoPips,
+    /// The range of random PIPs cannot be breathed.
+    #[error(
+        "random PIPs from {0} to {1} cmH2O: the range must rise from PEEP and stay {LIMIT_MARGIN} cmH2O below the pressure limit"
+    )]
+    PipRange(f32, f32),
+    /// The source failed before anything was recorded.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The source failed on the way.
+    #[error("{reason}")]
+    Interrupted {
+        /// How.
+        reason: SourceError,
+        /// What was recorded up to then.
+        collected: Box<Collected>,
+    },
+}
+
+/// A recording, and how collection went.
+#[derive(Clone, Debug)]
+pub struct Collected {
+    /// Everything recorded, breaths that were ended early included.
+    pub recording: Recording,
+    /// Complete breaths.
+    pub breaths: usize,
+    /// Breaths ended by the pressure limit.
+    pub aborts: usize,
+}
+
+/// Records breaths from a source.
+///
+/// A breath in which the ventilator goes to its safe state stays in the recording as far as it came; collection
+/// goes on after the fault is acknowledged, until there were too many. A wish to stop ends it after a breath.
+///
+/// # Errors
+/// A configuration that makes no sense, or a source that fails for another reason than a fault; what was recorded up to
+/// then is in the error.
+pub fn collect(
+    source: &mut dyn Source,
+    controller: &Controller,
+    config: &CollectConfig,
+    watch: &Watch<'_>,
+) -> Result<Collected, CollectError> {
+    check(config)?;
+    let recording = Recording::with_extras(provenance(source, config), &TRUTH);
+    let mut collected = Collected { recording, breaths: 0, aborts: 0 };
+    let outcome = record(source, controller, config, watch, &mut collected);
+    collected.recording.leave_out_unknown();
+    match outcome {
+        Ok(()) => Ok(collected),
+        Err(reason) if collected.recording.is_empty() => Err(reason.into()),
+        Err(reason) => {
+            let number = collected.breaths + collected.aborts;
+            let notes = &mut collected.recording.provenance.notes;
+            notes.push(format!("the recording ended in breath {number}: {reason}"));
+            Err(CollectError::Interrupted { reason, collected: Box::new(collected) })
+        }
+    }
+}
+
+/// Adds breaths to what is collected until it is all, or the source fails.
+fn record(
+    source: &mut dyn Source,
+    controller: &Controller,
+    config: &CollectConfig,
+    watch: &Watch<'_>,
+    collected: &mut Collected,
+) -> Result<(), SourceError> {
+    let Collected { recording, breaths, aborts } = collected;
+    let plan = plan(config);
+    source.configure(controller.clone(), exploration(config, 0))?;
+    source.upcoming(&plan)?;
+    while *breaths < config.breaths && *aborts <= config.aborts && !watch.stopped() {
+        let number = (*breaths + *aborts) as u32;
+        let settings = plan[*breaths];
+        let result = source.breath(&settings, &mut |tick| recording.push(row(tick, number, &settings)));
+        match result {
+            Ok(()) => *breaths += 1,
+            Err(SourceError::Fault { fault, .. }) => {
+                *aborts += 1;
+                recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
+                source.acknowledge()?;
+                source.configure(controller.clone(), exploration(config, *aborts as u64))?;
+                source.upcoming(&plan[*breaths..])?;
+            }
+            Err(error) => return Err(error),
+        }
+        watch.progress(*breaths, config.breaths);
+    }
+    Ok(())
+}
+
+fn check(config: &CollectConfig) -> Result<(), CollectError> {
+    if let Some(exploration) = &config.exploration {
+        exploration.validate()?;
+    }
+    if config.pips.is_empty() {
+        return Err(CollectError::NoPips);
+    }
+    let (low, high) = config.pip_range;
+    if !(low >= config.settings.peep && low < high && high + LIMIT_MARGIN <= config.settings.pressure_limit) {
+        return Err(CollectError::PipRange(low, high));
+    }
+    Ok(())
+}
+
+/// Settings of every breath. A breath that the pressure limit ended is repeated.
+fn plan(config: &CollectConfig) -> Vec<Settings> {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    (0..config.breaths)
+        .map(|breath| Settings { pip: pip(config, breath, &mut rng), ..config.settings })
+        .collect()
+}
+
+/// Every second breath one of the listed waveforms in turn, the others anywhere in between.
+fn pip(config: &CollectConfig, breath: usize, rng: &mut ChaCha8Rng) -> f32 {
+    if breath.is_multiple_of(2) {
+        config.pips[breath / 2 % config.pips.len()]
+    } else {
+        rng.random_range(config.pip_range.0..config.pip_range.1)
+    }
+}
+
+/// A ventilator counts its breaths anew after a fault; another seed keeps the perturbations from repeating.
+fn exploration(config: &CollectConfig, restart: u64) -> Option<Exploration> {
+    config.exploration.map(|exploration| Exploration {
+        seed: exploration.seed ^ config.seed.rotate_left(20) ^ restart.rotate_left(48),
+        ..exploration
+    })
+}
+
+fn provenance(source: &dyn Source, config: &CollectConfig) -> Provenance {
+    Provenance {
+        seed: config.seed,
+        plant: source.plant(),
+        plant_parameters: source.plant_parameters(),
+        settings: serde_json::to_value(config).unwrap_or_default(),
+        ..Provenance::new(source.period_us(), "collect")
+    }
+}
+
+fn row(tick: &Tick, breath: u32, settings: &Settings) -> Row {
+    let sample = &tick.sample;
+    Row {
+        breath,
+        tick: sample.tick,
+        phase: match sample.phase {
+            Phase::Inspiration => INSPIRATION,
+            Phase::Fall => FALL,
+            Phase::Expiration => EXPIRATION,
+        },
+        target: sample.target,
+        pressure: sample.pressure,
+        u_in: sample.u_in,
+        u_out: if sample.u_out { 100.0 } else { 0.0 },
+        explore: sample.explore,
+        pip: settings.pip,
+        peep: settings.peep,
+        pressure_true: tick.truth.map(|truth| truth.airway_pressure),
+        pressure_sensor_true: tick.truth.map(|truth| truth.sensor_pressure),
+        ..Row::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BenchSource;
+    use plant::bench::BenchConfig;
+    use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use shared::control::pid::{Pid, PidGains};
+    use std::sync::atomic::AtomicBool;
+
+    fn controller(p: f32) -> Controller {
+        Controller::Pid(Pid::new(PidGains { p, i: 10.0, d: 0.0 }, DEFAULT_PERIOD_US).unwrap())
+    }
+
+    fn run(config: &CollectConfig, p: f32) -> Result<Collected, CollectError> {
+        run_on(&BenchConfig::paper(20.0, 20.0), config, p)
+    }
+
+    fn run_on(lung: &BenchConfig, config: &CollectConfig, p: f32) -> Result<Collected, CollectError> {
+        let mut source =
+            BenchSource::new(lung, controller(p), &paper_settings(20.0), DEFAULT_PERIOD_US, config.seed)
+                .unwrap();
+        collect(&mut source, &controller(p), config, &Watch::silent())
+    }
+
+    #[test]
+    fn every_breath_is_recorded_whole_and_valid() {
+        let collected = run(&CollectConfig { breaths: 6, ..CollectConfig::default() }, 1.0).unwrap();
+        assert_eq!((collected.breaths, collected.aborts), (6, 0));
+        assert_eq!(collected.recording.len(), 6 * 3000);
+        assert_eq!(collected.recording.inspirations().len(), 6);
+        collected.recording.validate().unwrap();
+        assert!(collected.recording.explore.iter().any(|x| x.abs() > 1.0));
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_recording() {
+        let config = CollectConfig { breaths: 3, seed: 4, ..CollectConfig::default() };
+        assert_eq!(run(&config, 1.0).unwrap().recording, run(&config, 1.0).unwrap().recording);
+        let other = CollectConfig { seed: 5, ..config.clone() };
+        assert_ne!(run(&config, 1.0).unwrap().recording.u_in, run(&other, 1.0).unwrap().recording.u_in);
+    }
+
+    #[test]
+    fn the_pressure_limit_ends_the_breath_and_collection_goes_on() {
+        let violent = Exploration {
+            boundary_probability: 0.5,
+            boundary_height: (95.0, 100.0),
+            boundary_duration: (0.3, 0.3),
+            ..Exploration::default()
+        };
+        let config = CollectConfig {
+            breaths: 20,
+            settings: Settings { pressure_limit: 42.0, ..Settings::default() },
+            exploration: Some(violent),
+            aborts: 200,
+            ..CollectConfig::default()
+        };
+        let stiff = BenchConfig::paper(50.0, 10.0);
+        let collected = run_on(&stiff, &config, 1.0).unwrap();
+        assert!(collected.aborts > 0 && collected.breaths == 20, "{} aborts", collected.aborts);
+        assert_eq!(collected.recording.inspirations().len(), 20);
+        collected.recording.validate().unwrap();
+        let highest = collected.recording.pressure.iter().copied().fold(0.0, f32::max);
+        assert!(highest < 60.0, "{highest}");
+        assert_eq!(collected.recording.provenance.notes.len(), collected.aborts);
+    }
+
+    #[test]
+    fn a_wish_to_stop_keeps_what_is_there() {
+        let stop = AtomicBool::new(true);
+        let lung = BenchConfig::paper(20.0, 20.0);
+        let mut source =
+            BenchSource::new(&lung, controller(1.0), &paper_settings(20.0), DEFAULT_PERIOD_US, 0).unwrap();
+        let watch = Watch::new(&|_, _| (), &stop);
+        let collected = collect(&mut source, &controller(1.0), &CollectConfig::default(), &watch).unwrap();
+        assert_eq!(collected.breaths, 0);
+    }
+
+    #[test]
+    fn impossible_plans_are_refused() {
+        let no_pips = CollectConfig { pips: Vec::new(), ..CollectConfig::default() };
+        assert!(matches!(run(&no_pips, 1.0), Err(CollectError::NoPips)));
+        let too_high = CollectConfig { pip_range: (10.0, 58.0), ..CollectConfig::default() };
+        assert!(matches!(run(&too_high, 1.0), Err(CollectError::PipRange(..))));
+    }
+}

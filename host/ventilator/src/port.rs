@@ -1,0 +1,317 @@
+//! A device at a port as a source: it breathes by its own clock, explores by itself, and sends every tick.
+//!
+//! The device knows the settings of the breaths to come before it needs them, so that what it does depends neither on how
+//! fast this computer answers nor on how fast the line is: with the plant's seed the same run gives the same samples, bit
+//! for bit, as [`super::BenchSource`] does.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+use shared::breath::Breath;
+use shared::control::Controller;
+use shared::explore::Exploration;
+use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, SlotState};
+use shared::link::refusal::Refusal;
+use shared::link::telemetry::PackedSample;
+use shared::safety::alarms::{Action, Fault};
+use shared::settings::Settings;
+use shared::ventilator::{Mode, Sample};
+use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
+
+use super::bench::REST_TIME;
+use super::{Reseed, Source, SourceError, Tick, TickTruth};
+use device::upload::UploadError;
+use device::{Device, DeviceError};
+
+/// Samples between two signs of life for the device.
+const HEARD_EVERY: usize = 2000;
+/// How long no sample may come while the device breathes.
+const SILENCE: Duration = Duration::from_secs(20);
+
+/// What only the plant behind a device knows of the numbered tick since the start of ventilation.
+pub type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
+
+/// A device that breathes.
+pub struct PortSource {
+    device: Device,
+    identity: DeviceIdentity,
+    plant: String,
+    plant_parameters: String,
+    /// Seed for the plant at the next start.
+    seed: Option<u64>,
+    /// Settings of the breaths to come; the first `sent` are on the device.
+    plan: VecDeque<Settings>,
+    sent: usize,
+    running: bool,
+    samples: VecDeque<Sample>,
+    /// Whether the first sample since the start has come; what comes before it is left over from the run before.
+    begun: bool,
+    /// Samples handed out since the start.
+    handed: usize,
+    alarm: Option<Fault>,
+    /// Samples that came since the device last heard of this host.
+    unheard: usize,
+    truth: Option<Truth>,
+    /// Images whose bytes, and so their names, are known.
+    images: Vec<Vec<u8>>,
+}
+
+impl PortSource {
+    /// A connected device as a source; stops it if it ventilates. With hardware in the loop its plant starts anew with
+    /// `seed`.
+    ///
+    /// # Errors
+    /// A device that cannot be reached or stands in a fault that cannot be acknowledged.
+    pub fn new(mut device: Device, seed: u64) -> Result<Self, SourceError> {
+        let identity = device.identify()?;
+        device.stop()?;
+        if let Mode::Fault(_) = identity.mode {
+            device.acknowledge()?;
+        }
+        device.telemetry(true)?;
+        let seed = (identity.device != DeviceKind::Ventilator).then_some(seed);
+        let plant = format!("device at {}", device.address());
+        Ok(Self {
+            device,
+            identity,
+            plant,
+            plant_parameters: String::new(),
+            seed,
+            plan: VecDeque::new(),
+            sent: 0,
+            running: false,
+            samples: VecDeque::new(),
+            begun: false,
+            handed: 0,
+            alarm: None,
+            unheard: 0,
+            truth: None,
+            images: Vec::new(),
+        })
+    }
+
+    /// Tells what the plant behind the device is, for the recording.
+    #[must_use]
+    pub fn with_plant(mut self, name: String, parameters: String, truth: Option<Truth>) -> Self {
+        (self.plant, self.plant_parameters, self.truth) = (name, parameters, truth);
+        self
+    }
+
+    /// An image to upload as it is when its controller is chosen, so that it keeps its name.
+    pub fn know(&mut self, image: Vec<u8>) {
+        self.images.push(image);
+    }
+
+    /// Who the device is.
+    pub fn identity(&self) -> &DeviceIdentity {
+        &self.identity
+    }
+
+    /// Stops the device and forgets what it still sends.
+    fn halt(&mut self) -> Result<(), SourceError> {
+        if self.running {
+            self.device.stop()?;
+            self.running = false;
+        }
+        while self.device.events().try_recv().is_ok() {}
+        self.samples.clear();
+        (self.sent, self.handed, self.alarm) = (0, 0, None);
+        Ok(())
+    }
+
+    /// Sends as many settings as the device takes.
+    fn fill(&mut self) -> Result<(), SourceError> {
+        while let Some(settings) = self.plan.get(self.sent) {
+            match self.device.queue(*settings) {
+                Ok(_) => self.sent += 1,
+                Err(DeviceError::Refused(Refusal::QueueFull)) => break,
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result<(), SourceError> {
+        self.fill()?;
+        if let Some(seed) = self.seed {
+            self.device.reset_plant(seed)?;
+        }
+        self.device.start()?;
+        (self.running, self.begun, self.handed) = (true, false, 0);
+        Ok(())
+    }
+
+    /// Asks for something every now and then, as the device's clock goes: it explores only for a host that is there.
+    fn be_heard(&mut self, samples: usize) -> Result<(), SourceError> {
+        self.unheard += samples;
+        if self.unheard >= HEARD_EVERY {
+            self.unheard = 0;
+            self.device.settings()?;
+        }
+        Ok(())
+    }
+
+    /// The next sample, or the fault that came in its place.
+    fn sample(&mut self, breath: u32) -> Result<Option<Sample>, SourceError> {
+        let deadline = Instant::now() + SILENCE;
+        loop {
+            while let Some(sample) = self.samples.pop_front() {
+                self.begun |= (sample.breath, sample.tick) == (0, 0);
+                if self.begun {
+                    return Ok(Some(sample));
+                }
+            }
+            if self.alarm.is_some() {
+                return Ok(None);
+            }
+            match self.device.events().recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(Event::Telemetry(batch)) => {
+                    self.samples.extend(batch.samples.iter().map(PackedSample::unpack));
+                    self.be_heard(batch.samples.len())?;
+                }
+                // What does not end ventilation does not end a recording.
+                Ok(Event::Alarm { fault, .. }) if fault.alarm().action == Action::Vent => {
+                    self.alarm = Some(fault);
+                }
+                Ok(Event::Alarm { .. } | Event::Breath(_)) => {}
+                Err(RecvTimeoutError::Timeout) => return Err(SourceError::Silent { breath }),
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(DeviceError::Gone(self.device.address().clone()).into());
+                }
+            }
+        }
+    }
+
+    /// Brings a learned controller onto the device, unless it runs already.
+    fn install(&mut self, controller: &Controller) -> Result<ControllerChoice, SourceError> {
+        let Controller::Residual(residual) = controller else {
+            return Ok(ControllerChoice::Pid(controller.pid().gains()));
+        };
+        let known =
+            self.images.iter().find(|image| decode(image).is_ok_and(|image| image.residual == *residual));
+        let image = if let Some(image) = known {
+            image.clone()
+        } else {
+            let mut image = vec![0; IMAGE_BYTES];
+            encode(residual, &Identity::default(), &mut image).map_err(UploadError::from)?;
+            image
+        };
+        let id = decode(&image).map_err(UploadError::from)?.id;
+        let slot = self.identity.running.map(|slot| self.identity.slots[slot as usize]);
+        if !matches!(slot, Some(SlotState::Valid { id: running, .. }) if running == id) {
+            self.device.upload(&image, &mut |_| ())?;
+            self.identity = self.device.restart()?;
+            self.device.telemetry(true)?;
+        }
+        Ok(ControllerChoice::Learned)
+    }
+}
+
+impl Source for PortSource {
+    fn period_us(&self) -> u32 {
+        self.identity.period_us
+    }
+
+    fn plant(&self) -> String {
+        self.plant.clone()
+    }
+
+    fn plant_parameters(&self) -> String {
+        self.plant_parameters.clone()
+    }
+
+    fn configure(
+        &mut self,
+        controller: Controller,
+        exploration: Option<Exploration>,
+    ) -> Result<(), SourceError> {
+        self.halt()?;
+        let choice = self.install(&controller)?;
+        self.device.choose(choice)?;
+        self.device.explore(exploration)?;
+        Ok(())
+    }
+
+    fn upcoming(&mut self, settings: &[Settings]) -> Result<(), SourceError> {
+        self.halt()?;
+        self.plan = settings.iter().copied().collect();
+        Ok(())
+    }
+
+    fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
+        let asked = Breath::new(settings, self.period_us())?;
+        let (inspiration, ticks) = (asked.inspiration_ticks(), asked.total_ticks());
+        if self.plan.front() != Some(settings) {
+            self.upcoming(core::slice::from_ref(settings))?;
+        }
+        if !self.running {
+            self.start()?;
+        }
+        let mut breath = None;
+        for tick in 0..ticks {
+            let Some(sample) = self.sample(breath.unwrap_or(0))? else {
+                return Err(self.fault(breath.unwrap_or(0), tick));
+            };
+            if sample.u_out && tick < inspiration {
+                // The inspiration was ended at the pressure limit: not the breath that was asked for.
+                self.device.stop()?;
+                self.alarm = Some(Fault::HighPressure);
+                return Err(self.fault(sample.breath, tick));
+            }
+            let expected = (*breath.get_or_insert(sample.breath), tick);
+            if (sample.breath, sample.tick) != expected {
+                return Err(SourceError::Lost { breath: expected.0, tick });
+            }
+            let number = self.handed;
+            self.handed += 1;
+            let truth = self.truth.as_mut().and_then(|truth| truth(number));
+            sink(&Tick { sample, truth });
+        }
+        self.plan.pop_front();
+        self.sent = self.sent.saturating_sub(1);
+        self.fill()
+    }
+
+    fn acknowledge(&mut self) -> Result<(), SourceError> {
+        let ticks = |device: &mut Device| device.timing(false).map(|times| times.ticks);
+        let from = ticks(&mut self.device)?;
+        let rest = shared::math::ticks(REST_TIME, self.period_us());
+        let deadline = Instant::now() + SILENCE;
+        while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        if let Mode::Fault(_) = self.device.identify()?.mode {
+            self.device.acknowledge()?;
+        }
+        // The plant goes on where it was, as a patient would.
+        self.seed = None;
+        self.halt()
+    }
+}
+
+impl Reseed for PortSource {
+    /// A real ventilator's plant goes on as it is; the simulated one of hardware in the loop starts anew.
+    fn reseed(&mut self, seed: u64) {
+        self.seed = (self.identity.device != DeviceKind::Ventilator).then_some(seed);
+    }
+}
+
+impl Drop for PortSource {
+    /// What it started it stops; a device that cannot be reached any more goes on by itself.
+    fn drop(&mut self) {
+        if self.running {
+            let _ = self.device.stop();
+        }
+    }
+}
+
+impl PortSource {
+    fn fault(&mut self, breath: u32, tick: u32) -> SourceError {
+        self.running = false;
+        match self.alarm.take() {
+            Some(fault) => SourceError::Fault { fault, breath, tick },
+            None => SourceError::Silent { breath },
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! A device at a real pseudo-terminal: what the line does to requests, uploads and recordings.
+
+use std::io::{self, Read, Write};
+use std::time::{Duration, Instant};
+
+use serialport::{SerialPort, TTYPort};
+use shared::breath::paper_settings;
+use shared::control::Controller;
+use shared::control::features::FeatureSpec;
+use shared::control::network::Network;
+use shared::control::pid::Pid;
+use shared::control::residual::{Residual, ResidualSpec};
+use shared::device::KNOWN_GOOD;
+use shared::link::messages::{DeviceKind, ResetCause, Slot};
+use shared::recorder::{FAST_ENTRIES, Happening, Recording};
+use shared::weights::{IMAGE_BYTES, Identity, encode};
+
+use crate::collect::{CollectConfig, collect};
+use crate::{BenchSource, PortSource, Source, SourceError};
+use device::port::{Address, BAUD, Port};
+use device::simulated::Simulated;
+use device::upload::UploadError;
+use device::{Device, DeviceError};
+use plant::bench::BenchConfig;
+use progress::Watch;
+use shared::link::messages::Request;
+use shared::link::refusal::Refusal;
+use shared::settings::Settings;
+
+/// Both ends of a pseudo-terminal: the device's as a line, the host's as an address.
+fn terminal() -> (Port, Address, TTYPort) {
+    let (mut master, slave) = TTYPort::pair().unwrap();
+    master.set_timeout(Duration::from_millis(2)).unwrap();
+    let address = Address::Serial { name: slave.name().unwrap(), baud: BAUD };
+    let reader = Box::new(master.try_clone_native().unwrap());
+    // Writes wait as long as it takes: the host may be busy.
+    master.set_timeout(Duration::from_mins(1)).unwrap();
+    (Port { reader, writer: Box::new(master) }, address, slave)
+}
+
+/// A simulated device and a connection to it; the terminal stays open as long as the last part lives.
+fn connected() -> (Device, Simulated, TTYPort) {
+    let (port, address, slave) = terminal();
+    let simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
+    (Device::connect(&address).unwrap(), simulated, slave)
+}
+
+fn image(p: f32) -> [u8; IMAGE_BYTES] {
+    let mut bytes = [0; IMAGE_BYTES];
+    encode(&residual(p), &Identity::default(), &mut bytes).unwrap();
+    bytes
+}
+
+fn residual(p: f32) -> Residual {
+    let spec = ResidualSpec {
+        period_us: 1000,
+        gains: shared::control::pid::PidGains { p, ..KNOWN_GOOD },
+        lambda: 1.0,
+        authority: 50.0,
+        features: FeatureSpec::default(),
+    };
+    let mut network = Network::zero();
+    network.output.bias[0] = 0.05;
+    Residual::new(spec, network).unwrap()
+}
+
+#[test]
+fn a_device_greets() {
+    let (mut device, _simulated, _terminal) = connected();
+    let identity = device.identify().unwrap();
+    assert_eq!((identity.device, identity.reset), (DeviceKind::Simulated, ResetCause::PowerOn));
+}
+
+#[test]
+fn weights_arrive_run_after_a_restart_and_are_named() {
+    let (mut device, _simulated, _terminal) = connected();
+    let mut arrived = Vec::new();
+    let uploaded = device.upload(&image(2.0), &mut |bytes| arrived.push(bytes)).unwrap();
+    assert_eq!((uploaded.slot, arrived.last()), (Slot::A, Some(&IMAGE_BYTES)));
+    let identity = device.restart().unwrap();
+    assert_eq!((identity.running, identity.reset), (Some(Slot::A), ResetCause::Software));
+    assert_eq!(device.upload(&image(3.0), &mut |_| ()).unwrap().slot, Slot::B);
+}
+
+#[test]
+fn a_broken_off_upload_goes_on_and_a_damaged_image_is_not_even_sent() {
+    let (mut device, _simulated, _terminal) = connected();
+    let image = image(2.0);
+    let id = u32::from_le_bytes(*image.last_chunk().unwrap());
+    device.request(&Request::BeginWeights { length: IMAGE_BYTES as u32, id }).unwrap();
+    let bytes = heapless::Vec::from_slice(&image[..100]).unwrap();
+    device.request(&Request::WeightsChunk { offset: 0, bytes }).unwrap();
+    device.reconnect().unwrap();
+    let mut first = None;
+    device.upload(&image, &mut |bytes| _ = first.get_or_insert(bytes)).unwrap();
+    assert_eq!(first, Some(100));
+    let mut damaged = image;
+    damaged[200] ^= 1;
+    assert!(matches!(device.upload(&damaged, &mut |_| ()), Err(UploadError::Image(_))));
+}
+
+#[test]
+fn weights_are_refused_while_ventilating() {
+    let (mut device, _simulated, _terminal) = connected();
+    device.start().unwrap();
+    let refused = device.upload(&image(2.0), &mut |_| ()).unwrap_err();
+    assert!(matches!(refused, UploadError::Device(DeviceError::Refused(Refusal::Ventilating))), "{refused}");
+    device.stop().unwrap();
+    device.upload(&image(2.0), &mut |_| ()).unwrap();
+}
+
+#[test]
+fn settings_in_force_and_refusals_come_back() {
+    let (mut device, _simulated, _terminal) = connected();
+    let wish = paper_settings(25.0);
+    assert_eq!(device.apply(wish).unwrap().1, Some(wish));
+    let refused = device.apply(paper_settings(80.0)).unwrap_err().to_string();
+    assert!(refused.contains("pip is 80 cmH2O"), "{refused}");
+}
+
+#[test]
+fn a_recording_over_the_line_is_that_of_the_bench_bit_for_bit() {
+    let (device, _simulated, _terminal) = connected();
+    let lung = BenchConfig::paper(20.0, 20.0);
+    let config = CollectConfig { breaths: 20, seed: (1 << 50) + 77, ..CollectConfig::default() };
+    let controller = Controller::Residual(residual(3.0));
+    let mut bench = BenchSource::new(&lung, controller.clone(), &config.settings, 1000, config.seed).unwrap();
+    let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap();
+    let mut port = PortSource::new(device, config.seed).unwrap();
+    let there = collect(&mut port, &controller, &config, &Watch::silent()).unwrap();
+    assert_eq!((here.breaths, there.breaths), (20, 20));
+    let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
+    let (here, there) = (&here.recording, &there.recording);
+    assert_eq!(bits(&here.u_in), bits(&there.u_in));
+    assert_eq!(bits(&here.pressure), bits(&there.pressure));
+    assert_eq!(bits(&here.explore), bits(&there.explore));
+    assert_eq!((&here.breath, &here.tick, &here.u_out), (&there.breath, &there.tick, &there.u_out));
+}
+
+#[test]
+fn a_fault_ends_the_breath_and_can_be_acknowledged() {
+    let (device, _simulated, _terminal) = connected();
+    let mut port = PortSource::new(device, 1).unwrap();
+    let wild = Pid::new(shared::control::pid::PidGains { p: 40.0, i: 900.0, d: 0.0 }, 1000).unwrap();
+    port.configure(Controller::Pid(wild), None).unwrap();
+    let tight = Settings { pressure_limit: 20.0, ..paper_settings(15.0) };
+    let mut ticks = 0;
+    let error = port.breath(&tight, &mut |_| ticks += 1).unwrap_err();
+    assert!(matches!(error, SourceError::Fault { tick, .. } if tick == ticks), "{error}");
+    port.acknowledge().unwrap();
+    port.configure(Controller::Pid(Pid::new(KNOWN_GOOD, 1000).unwrap()), None).unwrap();
+    port.breath(&paper_settings(15.0), &mut |_| ()).unwrap();
+}
+
+/// Passes bytes on, but for every so-manieth which it damages.
+struct Noisy<T> {
+    line: T,
+    count: usize,
+    every: usize,
+}
+
+impl<T: Read> Read for Noisy<T> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = self.line.read(bytes)?;
+        for byte in &mut bytes[..count] {
+            self.count += 1;
+            *byte ^= u8::from(self.count.is_multiple_of(self.every)) << 3;
+        }
+        Ok(count)
+    }
+}
+
+#[test]
+fn requests_get_through_a_line_that_damages_bytes() {
+    let (port, address, _slave) = terminal();
+    let reader = Box::new(Noisy { line: port.reader, count: 0, every: 211 });
+    let noisy = Port { reader, writer: port.writer };
+    let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), noisy).unwrap();
+    let mut device = Device::connect(&address).unwrap();
+    for pip in [10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0, 24.0] {
+        assert_eq!(device.apply(paper_settings(pip)).unwrap().1, Some(paper_settings(pip)));
+    }
+}
+
+#[test]
+fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_restart() {
+    let (mut device, _simulated, _terminal) = connected();
+    device.start().unwrap();
+    let deadline = Instant::now() + Duration::from_mins(1);
+    while device.recorder().unwrap().fast.next < 4000 {
+        assert!(Instant::now() < deadline, "no breath comes");
+    }
+    let mut shares = Vec::new();
+    let running = device.blackbox(&mut |share| shares.push(share)).unwrap();
+    assert!(shares.is_sorted() && shares.last().is_some_and(|share| (share - 1.0).abs() < 1e-9));
+    assert_eq!((running.status.recording, running.unread), (Recording::Running, 0));
+    assert!(running.slow.ticks().any(|tick| tick.pressure > 15.0), "a breath is in it");
+    device.stop().unwrap();
+    device.restart().unwrap();
+    let after = device.blackbox(&mut |_| ()).unwrap();
+    assert_eq!((after.status.boot, after.status.recording), (2, Recording::Stopped));
+    assert_eq!(after.fast.entries.len(), FAST_ENTRIES);
+    let again = device.blackbox(&mut |_| ()).unwrap();
+    assert_eq!((after.fast, after.slow), (again.fast, again.slow), "it stands still");
+    assert!(after.log.starts_with(&running.log));
+    let boot = Happening::Boot { cause: ResetCause::Software, failed: false };
+    assert_eq!(after.log.last().map(|event| event.happening), Some(boot));
+}
+
+#[test]
+fn silence_is_told_with_what_to_look_at() {
+    let (_port, address, _slave) = terminal();
+    let mut device = Device::connect(&address).unwrap();
+    let error = device.identify().unwrap_err();
+    assert!(matches!(error, DeviceError::Silent(_)) && error.to_string().contains("cable"), "{error}");
+}
+
+#[test]
+fn a_device_that_vanishes_is_told_and_can_be_connected_anew() {
+    let (port, address, slave) = terminal();
+    let mut device = Device::connect(&address).unwrap();
+    drop((port, slave));
+    assert!(matches!(device.identify(), Err(DeviceError::Gone(_) | DeviceError::Silent(_))));
+    assert!(matches!(device.reconnect(), Err(DeviceError::Port(_))));
+}
+
+#[test]
+fn another_protocol_is_told_with_both_versions() {
+    let (mut port, address, _slave) = terminal();
+    let mut device = Device::connect(&address).unwrap();
+    let answer = (0u8, 1u16, 0u8, 77u16);
+    let mut buffer = [0; 64];
+    let frame = shared::link::frame::encode_frame(&answer, &mut buffer).unwrap();
+    port.writer.write_all(frame).unwrap();
+    let error = device.identify().unwrap_err();
+    assert!(matches!(error, DeviceError::Protocol { device: 77 }), "{error}");
+}
