@@ -24,8 +24,7 @@ struct Step {
     cargo: &'static [&'static str],
 }
 
-/// What the computer's own compiler builds, then the tests in QEMU. Cheap checks first, so that a slip
-/// is reported early.
+/// What the computer's own compiler builds, then the tests in QEMU. Cheap checks first, so that a slip is reported early.
 const HOST: &[Step] = &[
     step("format", &["fmt", "--all", "--check"]),
     step("clippy", &["clippy", "--all-targets", "--features", "tests/board", "--", "-D", "warnings"]),
@@ -137,10 +136,12 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let chosen = |name: &str| only.is_empty() || only.iter().any(|only| only == name);
     let progress = Progress::default();
     let begun = Instant::now();
+    let alone = HOST.iter().all(|step| !chosen(step.name));
     let [host, chip] = LANES.map(|lane| lane.iter().filter(|step| chosen(step.name)));
     std::thread::scope(|scope| {
         scope.spawn(|| progress.follow(host, &chosen, |step| run_in_sight(step.command(&place))));
-        scope.spawn(|| progress.follow(chip, &chosen, |step| run_aside(step.command(&place))));
+        let show = if alone { run_in_sight } else { run_aside };
+        scope.spawn(|| progress.follow(chip, &chosen, move |step| show(step.command(&place))));
     });
     let State { passed, failed } = progress.state.into_inner().unwrap_or_else(PoisonError::into_inner);
     print!("{}", summary(&passed, begun.elapsed()));
