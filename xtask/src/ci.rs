@@ -137,11 +137,11 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let progress = Progress::default();
     let begun = Instant::now();
     let alone = HOST.iter().all(|step| !chosen(step.name));
+    let show_chip: fn(Command) -> io::Result<bool> = if alone { run_in_sight } else { run_aside };
     let [host, chip] = LANES.map(|lane| lane.iter().filter(|step| chosen(step.name)));
     std::thread::scope(|scope| {
         scope.spawn(|| progress.follow(host, &chosen, |step| run_in_sight(step.command(&place))));
-        let show = if alone { run_in_sight } else { run_aside };
-        scope.spawn(|| progress.follow(chip, &chosen, move |step| show(step.command(&place))));
+        scope.spawn(|| progress.follow(chip, &chosen, |step| show_chip(step.command(&place))));
     });
     let State { passed, failed } = progress.state.into_inner().unwrap_or_else(PoisonError::into_inner);
     print!("{}", summary(&passed, begun.elapsed()));
