@@ -48,11 +48,8 @@ const CHIP: &[Step] = &[
     step("clippy-shim", &chip_clippy("shim", "")),
     step("firmware", &["xtask", "firmware"]),
     // The test step runs them in debug; an optimiser that changed a bit of a command would show here.
-    step("golden", &["test", "--release", "-p", "tests", "--no-default-features", "--test", "golden"]),
-    step(
-        "frames",
-        &["test", "--release", "-p", "tests", "--no-default-features", "--test", "fuzz", "--", "--ignored"],
-    ),
+    step("golden", &optimised("golden", "golden")),
+    step("frames", &optimised("fuzz", "--ignored")),
     step("python", &["xtask", "python"]).after("build"),
     step("faults", &["xtask", "faults"]).after("build"),
     step("monitors", &["xtask", "mutate-monitors"]).after("build"),
@@ -79,6 +76,11 @@ const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static
         "-D",
         "warnings",
     ]
+}
+
+/// A test of the core with the chip's optimisation, without the crates of the host side.
+const fn optimised(test: &'static str, selection: &'static str) -> [&'static str; 10] {
+    ["test", "--profile", CHIP_PROFILE, "-p", "tests", "--no-default-features", "--test", test, "--", option]
 }
 
 const fn step(name: &'static str, cargo: &'static [&'static str]) -> Step {
