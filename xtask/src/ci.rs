@@ -80,7 +80,18 @@ const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static
 
 /// A test of the core with the chip's optimisation, without the crates of the host side.
 const fn optimised(test: &'static str, selection: &'static str) -> [&'static str; 10] {
-    ["test", "--profile", CHIP_PROFILE, "-p", "tests", "--no-default-features", "--test", test, "--", option]
+    [
+        "test",
+        "--profile",
+        CHIP_PROFILE,
+        "-p",
+        "tests",
+        "--no-default-features",
+        "--test",
+        test,
+        "--",
+        selection,
+    ]
 }
 
 const fn step(name: &'static str, cargo: &'static [&'static str]) -> Step {
