@@ -39,7 +39,7 @@ pub struct Entry {
 
 /// What a run left behind.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Trace {
+pub struct GoldenTrace {
     /// Hashes in order; the first that differs tells where two runs parted.
     pub entries: Vec<Entry>,
     /// Mean magnitude of the error in the last tenth of every inspiration of a second or more, cmH2O; tells that the
@@ -79,7 +79,7 @@ pub fn learned() -> Controller {
 ///
 /// # Errors
 /// The mode that the ventilator fell into, if it stopped ventilating: a trace of safe commands would prove nothing.
-pub fn run(controller: Controller) -> Result<Trace, Mode> {
+pub fn run(controller: Controller) -> Result<GoldenTrace, Mode> {
     let ventilator = Ventilator::new(DEFAULT_PERIOD_US, controller).with_exploration(Some(exploration()));
     let mut state = ventilator.standby(&settings(0)).expect("all settings of the protocol are in bounds");
     state.start();
@@ -110,7 +110,7 @@ pub fn run(controller: Controller) -> Result<Trace, Mode> {
             entries.push(Entry { breaths, hash: hash.0 });
         }
     }
-    Ok(Trace { entries, plateau_error: error / ticks as f32 })
+    Ok(GoldenTrace { entries, plateau_error: error / ticks as f32 })
 }
 
 /// How the device explores in a trace.

@@ -3,7 +3,7 @@
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use shared::link::plant::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
 
 /// How far virtual time may have fallen behind before it stops catching up.
 const SLACK: Duration = Duration::from_millis(100);

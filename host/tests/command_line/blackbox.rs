@@ -10,7 +10,7 @@ use plant::bench::BenchConfig;
 use serialport::{SerialPort, TTYPort};
 use shared::breath::paper_settings;
 use shared::link::messages::Event;
-use shared::recorder::{FAST_TAIL, Status};
+use shared::recorder::{FAST_TAIL, RecorderStatus};
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 
@@ -73,7 +73,7 @@ fn fail(name: &str) {
             break;
         }
     }
-    let ended = |status: &Status| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
+    let ended = |status: &RecorderStatus| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
     while !ended(&device.recorder().unwrap()) {
         assert!(Instant::now() < deadline, "the recording never ends");
     }
