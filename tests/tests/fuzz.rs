@@ -235,7 +235,7 @@ fn the_seeds_hold_every_message() {
 
 /// Ten million frames, damaged or random, in one stream: none of them is taken for another one, and each is counted.
 #[test]
-#[ignore = "takes half a minute, and needs an optimiser: cargo test --release -p tests --test fuzz -- --ignored"]
+#[ignore = "takes half a minute, and needs an optimiser: cargo xtask ci --only frames"]
 fn of_ten_million_damaged_frames_none_gets_through_as_another() {
     let frames: Vec<Vec<u8>> =
         (0..).zip(requests()).map(|(number, request)| frame(number, request)).collect();

@@ -12,13 +12,11 @@
 //! | `lockstep` | the plant's end of the line |
 //! | `bench_plant` | the virtual bench as a plant |
 //! | `error` | why a board does not run |
-//! | `debugger` | memory and registers of the running board |
 
 #![forbid(unsafe_code)]
 #![cfg(unix)]
 
 mod bench_plant;
-mod debugger;
 mod error;
 mod guardian;
 mod lockstep;
@@ -26,7 +24,6 @@ mod pipes;
 mod qemu;
 
 pub use bench_plant::{BenchPlant, TruthLog};
-pub use debugger::{Debugger, DebuggerError, symbol};
 pub use error::{EmulatorError, FLASH_BYTES};
 pub use lockstep::{LockstepPlant, Paced, Plant, PlantEnd};
 

@@ -1,4 +1,4 @@
-//! A minimal client of the GDB remote protocol: memory and registers of the board, for tests that inject faults.
+//! A minimal client of the GDB remote protocol: memory and registers of the board in QEMU, for tests that inject faults.
 //!
 //! Changes to the program in flash outlive a reset of the board.
 
@@ -124,22 +124,13 @@ impl Debugger {
         words.first_chunk().and_then(Record::from_words).ok_or(DebuggerError::NoRecord)
     }
 
-    /// Lets the board run.
+    /// Lets the power be cut right after one of the changes of the flash, counted from power-on.
     ///
     /// # Errors
     /// The connection failed.
-    pub fn resume(&mut self) -> Result<(), DebuggerError> {
-        self.send("c")
-    }
-
-    /// Halts a running board.
-    ///
-    /// # Errors
-    /// The connection failed.
-    pub fn halt(&mut self) -> Result<(), DebuggerError> {
-        self.output.write_all(&[0x03])?;
-        self.receive()?;
-        Ok(())
+    pub fn cut_power_at(mut self, flash_operation: u32) -> Result<(), DebuggerError> {
+        self.write(record::POWER_CUT_ADDRESS, &flash_operation.to_le_bytes())?;
+        self.detach()
     }
 
     /// Lets the board run until it is about to execute the instruction at an address.
