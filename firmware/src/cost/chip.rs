@@ -11,7 +11,7 @@ use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::features::{FeatureSpec, FeatureState};
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualSpec};
-use shared::control::{Controller, ControllerState, Observation, Wish};
+use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use shared::device::control::Control;
 use shared::device::timing::TickTime;
 use shared::device::{KNOWN_GOOD, Order, Report};
@@ -22,7 +22,7 @@ use shared::link::telemetry::{Batcher, Counters};
 use shared::math;
 use shared::recorder::{Boot, Memory, Recorder};
 use shared::safety::monitors::Monitors;
-use shared::safety::supervisor::Supervisor;
+use shared::safety::supervisor::{Supervisor, SupervisorState};
 use shared::sensor::{Counts, Sensors};
 use shared::ventilator::Output;
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
@@ -165,20 +165,21 @@ fn monitors(counting: &Cost) {
     let Ok(breath) = shared::breath::Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US) else {
         unreachable!("the paper's settings are in bounds")
     };
-    let (mut supervisor, mut cost) = (Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL), Cost::NONE);
+    let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+    let (mut state, mut cost) = (SupervisorState::default(), Cost::NONE);
     let mut plant = Plant::new(breath.settings().peep);
     for tick in (0..3).flat_map(|_| 0..breath.total_ticks()) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         let (reading, asked) = (plant.pressure(), breath.target(tick) - plant.pressure());
         let base = if inspires { math::limit(20.0 + 5.0 * asked, 0.0, 90.0) } else { 0.0 };
-        let wish = Wish { base, command: base + 1.0 };
+        let wanted = ControlOutput { base, command: base + 1.0 };
         let command = cost.of(|| {
-            supervisor.check(black_box(reading), &breath, Some(tick));
-            supervisor.command(black_box(wish), !inspires)
+            supervisor.check(&mut state, black_box(reading), &breath, Some(tick));
+            supervisor.command(&mut state, black_box(wanted), !inspires)
         });
         plant.step(command.u_in(), command.u_out());
     }
-    if supervisor.fault().is_some() {
+    if state.fault().is_some() {
         unreachable!("nothing is wrong with the plant of the golden traces")
     }
     cost.print("monitors", counting);

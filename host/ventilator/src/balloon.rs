@@ -2,11 +2,10 @@
 
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 use shared::ventilator::{Ventilator, VentilatorState};
 
-use super::{Source, SourceError, Tick, TickTruth, broken_off, ventilator};
+use super::{Source, SourceError, Tick, TickTruth, broken_off, on_any_plant};
 use plant::balloon::{Balloon, PERIOD_US, settings};
 
 /// A ventilator on the balloon. Expiration is no part of that plant: once the expiratory valve opens, the balloon is
@@ -24,7 +23,7 @@ impl BalloonSource {
     /// # Errors
     /// Settings that are refused.
     pub fn new(controller: Controller) -> Result<Self, SourceError> {
-        let ventilator = ventilator(PERIOD_US, controller, None).with_monitors(Monitors::ANY_PLANT);
+        let ventilator = on_any_plant(PERIOD_US, controller, None);
         let mut state = ventilator.standby(&settings(Settings::default().pip))?;
         state.start();
         Ok(Self { balloon: Balloon::default(), ventilator, state })
@@ -68,7 +67,7 @@ impl Source for BalloonSource {
         controller: Controller,
         exploration: Option<Exploration>,
     ) -> Result<(), SourceError> {
-        self.ventilator = ventilator(PERIOD_US, controller, exploration);
+        self.ventilator = on_any_plant(PERIOD_US, controller, exploration);
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! The in-process source: the ventilator core of `shared`, its valves and its sensor on the virtual bench.
 
-use shared::control::Controller;
+use shared::control::{ControlLaw, Controller};
 use shared::explore::Exploration;
 use shared::safety::filter::ValveCommand;
 use shared::settings::Settings;
@@ -12,25 +12,25 @@ use plant::bench::{Bench, BenchConfig, STEP_US};
 /// How long a fault's vented lung rests before the next breath, s.
 pub(super) const REST_TIME: f32 = 3.0;
 
-/// A ventilator on the virtual bench.
+/// A ventilator on the virtual bench, with a controller of ours or another.
 #[derive(Clone, Debug)]
-pub struct BenchSource {
+pub struct BenchSource<C: ControlLaw = Controller> {
     config: BenchConfig,
     bench: Bench,
-    ventilator: Ventilator,
-    state: VentilatorState,
+    ventilator: Ventilator<C>,
+    state: VentilatorState<C::State>,
     steps_per_tick: u32,
     reading: f32,
 }
 
-impl BenchSource {
+impl<C: ControlLaw> BenchSource<C> {
     /// A ventilator at rest on a bench; `seed` is that of the sensor's noise.
     ///
     /// # Errors
     /// A bench that cannot be built, settings that are refused, a period that is no multiple of the bench's step.
     pub fn new(
         config: &BenchConfig,
-        controller: Controller,
+        controller: C,
         settings: &Settings,
         period_us: u32,
         seed: u64,
@@ -49,6 +49,22 @@ impl BenchSource {
     /// The bench, for those who want to look behind the sensor.
     pub fn bench(&self) -> &Bench {
         &self.bench
+    }
+
+    /// Runs one whole breath, as [`Source::breath`] does.
+    ///
+    /// # Errors
+    /// Refused settings or a fault of the ventilator.
+    pub fn breathe(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
+        self.ventilator.apply(&mut self.state, settings)?;
+        self.bench.set_peep(settings.peep);
+        loop {
+            let tick = self.tick()?;
+            sink(&tick);
+            if self.state.tick() == 0 {
+                return Ok(());
+            }
+        }
     }
 
     /// One control tick: the ventilator reads, decides, and the bench runs one control period.
@@ -93,15 +109,7 @@ impl Source for BenchSource {
     }
 
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
-        self.ventilator.apply(&mut self.state, settings)?;
-        self.bench.set_peep(settings.peep);
-        loop {
-            let tick = self.tick()?;
-            sink(&tick);
-            if self.state.tick() == 0 {
-                return Ok(());
-            }
-        }
+        self.breathe(settings, sink)
     }
 
     fn acknowledge(&mut self) -> Result<(), SourceError> {

@@ -23,9 +23,10 @@ pub use remote::{PlantSource, SharedLink};
 #[cfg(unix)]
 pub use virtual_board::VirtualBoard;
 
-use shared::control::Controller;
+use shared::control::{ControlLaw, Controller};
 use shared::explore::Exploration;
 use shared::safety::alarms::Fault;
+use shared::safety::monitors::Monitors;
 use shared::settings::{Settings, SettingsError};
 use shared::ventilator::{Mode, Output, Sample, Ventilator, VentilatorState};
 use thiserror::Error;
@@ -157,7 +158,7 @@ pub trait Reseed: Source {
 }
 
 /// Why a tick ends its breath before its time, if it does: a latched fault, or the pressure limit.
-fn broken_off(state: &VentilatorState, output: &Output) -> Option<SourceError> {
+fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<SourceError> {
     let fault = match output.mode {
         Mode::Fault(fault) => fault,
         _ if state.cut() => Fault::HighPressure,
@@ -167,6 +168,15 @@ fn broken_off(state: &VentilatorState, output: &Output) -> Option<SourceError> {
 }
 
 /// A ventilator's configuration from its parts.
-fn ventilator(period_us: u32, controller: Controller, exploration: Option<Exploration>) -> Ventilator {
+fn ventilator<C: ControlLaw>(
+    period_us: u32,
+    controller: C,
+    exploration: Option<Exploration>,
+) -> Ventilator<C> {
     Ventilator::new(period_us, controller).with_exploration(exploration)
+}
+
+/// With the monitors that ask nothing of a plant but a bearable pressure: its valve and sensor may be of any kind.
+fn on_any_plant(period_us: u32, controller: Controller, exploration: Option<Exploration>) -> Ventilator {
+    ventilator(period_us, controller, exploration).with_monitors(Monitors::ANY_PLANT)
 }

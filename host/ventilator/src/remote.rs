@@ -5,12 +5,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::safety::filter::ValveCommand;
-use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 use shared::ventilator::{Ventilator, VentilatorState};
 
 use super::bench::REST_TIME;
-use super::{Reseed, Source, SourceError, Tick, TickTruth, broken_off, ventilator};
+use super::{Reseed, Source, SourceError, Tick, TickTruth, broken_off, on_any_plant};
 use plant::link::{PlantLink, Reading};
 
 /// A link that several sources use one after the other.
@@ -95,11 +94,6 @@ impl PlantSource {
         }
         Ok(())
     }
-}
-
-/// With the monitors that ask nothing of a plant but a bearable pressure: its valve and sensor may be of any kind.
-fn on_any_plant(period_us: u32, controller: Controller, exploration: Option<Exploration>) -> Ventilator {
-    ventilator(period_us, controller, exploration).with_monitors(Monitors::ANY_PLANT)
 }
 
 /// A plant tells the airway's pressure and nothing else.

@@ -100,13 +100,10 @@ impl Control {
         })
     }
 
-    /// The same with these monitors alone, for a plant that is no ventilator; before anything is started.
+    /// The same with these monitors alone, for a plant that is no ventilator.
     #[must_use]
     pub fn with_monitors(mut self, monitors: Monitors) -> Self {
         self.ventilator = self.ventilator.with_monitors(monitors);
-        if let Ok(state) = self.ventilator.standby(self.state.breath().settings()) {
-            self.state = state;
-        }
         self
     }
 
@@ -257,7 +254,7 @@ impl Control {
     pub fn record(&mut self, time: &TickTime) {
         let before = self.timer.missed();
         self.timer.record(time);
-        self.state.missed(self.timer.missed().saturating_sub(before));
+        self.ventilator.missed(&mut self.state, self.timer.missed().saturating_sub(before));
     }
 
     /// Carries out an order.

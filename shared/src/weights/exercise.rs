@@ -7,7 +7,7 @@
 
 use crate::checksum::CRC_32;
 use crate::control::residual::Residual;
-use crate::control::{Controller, ControllerState, Observation};
+use crate::control::{ControlLaw, Controller, ControllerState, Observation};
 
 /// Length of the exercise, ticks: longer than the features' history, so that every tap has seen the script.
 pub const TICKS: u32 = 160;

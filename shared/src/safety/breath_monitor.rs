@@ -1,7 +1,7 @@
 //! Does breath after breath go as it must? Judged once per phase, from the pressures at its end.
 
 use super::alarms::Fault;
-use super::monitors::{Monitors, Times};
+use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::{Breath, Phase};
 
 /// Distance above PEEP at which the expiration has not ended, cmH2O.
@@ -19,9 +19,23 @@ const OCCLUDED: f32 = 1.0 / 3.0;
 /// Rise that is needed to tell a compliance, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
-/// What breaths so far say.
+/// End of a phase over which pressure and command are averaged, s.
+const END_OF_PHASE: f32 = 0.05;
+/// How long the airway pressure may be gone, s.
+const DISCONNECTED: f32 = 0.15;
+
+/// Judges whole phases of breaths.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Breathing {
+pub struct BreathMonitor {
+    enabled: Monitors,
+    /// [`END_OF_PHASE`] and [`DISCONNECTED`] in ticks.
+    end_of_phase: u32,
+    disconnected: u32,
+}
+
+/// What breaths so far say.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BreathState {
     pressure: Mean,
     command: Mean,
     gone: u32,
@@ -36,6 +50,23 @@ pub struct Breathing {
     compliance: Option<f32>,
 }
 
+/// A tick as this monitor sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct BreathInput<'a> {
+    /// The running breath.
+    pub breath: &'a Breath,
+    /// Tick of that breath.
+    pub tick: u32,
+    /// Its inspiration was ended at the pressure limit.
+    pub cut: bool,
+    /// Believed pressure, cmH2O.
+    pub pressure: f32,
+    /// Last command, percent.
+    pub command: f32,
+    /// Volume delivered so far in this inspiration, mL.
+    pub volume: f32,
+}
+
 /// A mean over the end of a phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Mean {
@@ -44,122 +75,94 @@ struct Mean {
 }
 
 impl Mean {
-    const EMPTY: Self = Self { sum: 0.0, count: 0 };
-
     fn add(&mut self, value: f32) {
         self.sum += value;
         self.count += 1;
     }
 
-    /// The mean; starts anew.
+    /// The mean; what was added is forgotten.
     fn take(&mut self) -> f32 {
         let Self { sum, count } = core::mem::take(self);
         sum / count.max(1) as f32
     }
 }
 
-impl Breathing {
-    /// No breath has been seen yet.
-    pub const fn new() -> Self {
-        Self {
-            pressure: Mean::EMPTY,
-            command: Mean::EMPTY,
-            gone: 0,
-            cut: false,
-            high: 0,
-            low: 0,
-            weak: 0,
-            occluded: 0,
-            compliance: None,
-        }
+impl BreathMonitor {
+    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        let (end_of_phase, disconnected) = (ticks(END_OF_PHASE, period_us), ticks(DISCONNECTED, period_us));
+        Self { enabled, end_of_phase, disconnected }
     }
 
-    /// Takes in a tick: the believed pressure, cmH2O, the last command, percent, and the volume delivered so far, mL. A
-    /// breath that is cut short tells of the tube at that moment, and of nothing else.
+    /// Takes in a tick. A breath that is cut short tells of the tube at that moment, and of nothing else.
     #[inline]
-    pub fn check(
-        &mut self,
-        (pressure, command, volume): (f32, f32, f32),
-        (breath, tick, cut): (&Breath, u32, bool),
-        monitors: Monitors,
-        times: &Times,
-    ) -> Option<Fault> {
+    pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
+        let BreathInput { breath, tick, cut, pressure, command, volume } = *input;
         let peep = breath.settings().peep;
         let inspires = breath.phase(tick) == Phase::Inspiration;
         let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
         let gone = inspires && !cut && command > FILLING && pressure < peep - BELOW_PEEP;
-        self.gone = if gone { self.gone.saturating_add(1) } else { 0 };
-        if monitors.has(Fault::Disconnection) && self.gone >= times.disconnected {
+        state.gone = in_a_row(state.gone, gone);
+        if self.enabled.has(Fault::Disconnection) && state.gone >= self.disconnected {
             return Some(Fault::Disconnection);
         }
         // Where the baseline stands high another part has failed.
-        if inspires && cut && !self.cut && self.high == 0 && self.occluded(pressure - peep, volume, monitors)
-        {
+        let cut_now = inspires && cut && !state.cut && state.high == 0;
+        if cut_now && self.occluded(state, pressure - peep, volume) {
             return Some(Fault::Occlusion);
         }
-        self.cut = cut;
-        if tick + times.end_of_phase >= end {
-            self.pressure.add(pressure);
-            self.command.add(command);
+        state.cut = cut;
+        if tick + self.end_of_phase >= end {
+            state.pressure.add(pressure);
+            state.command.add(command);
         }
         if tick + 1 != end {
             return None;
         }
-        let (pressure, command) = (self.pressure.take(), self.command.take());
+        let (pressure, command) = (state.pressure.take(), state.command.take());
         match (inspires, cut) {
             (true, true) => None,
-            (true, false) => self.inspired(pressure, command, volume, breath, monitors),
-            (false, cut) => self.expired(pressure - peep, cut, monitors),
+            (true, false) => self.inspired(state, &BreathInput { pressure, command, ..*input }),
+            (false, cut) => self.expired(state, pressure - peep, cut),
         }
     }
 
-    fn inspired(
-        &mut self,
-        pressure: f32,
-        command: f32,
-        volume: f32,
-        breath: &Breath,
-        monitors: Monitors,
-    ) -> Option<Fault> {
-        let settings = breath.settings();
-        let rise = pressure - settings.peep;
-        let weak = rise < REACHED * (settings.pip - settings.peep) && command > WIDE_OPEN;
-        self.weak = if weak { self.weak.saturating_add(1) } else { 0 };
-        let occluded = self.occluded(rise, volume, monitors);
-        if monitors.has(Fault::LowPressure) && self.weak >= 2 {
+    /// Judges an inspiration by the means over its end.
+    fn inspired(&self, state: &mut BreathState, end: &BreathInput<'_>) -> Option<Fault> {
+        let settings = end.breath.settings();
+        let rise = end.pressure - settings.peep;
+        let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
+        state.weak = in_a_row(state.weak, weak);
+        let occluded = self.occluded(state, rise, end.volume);
+        if self.enabled.has(Fault::LowPressure) && state.weak >= 2 {
             return Some(Fault::LowPressure);
         }
         occluded.then_some(Fault::Occlusion)
     }
 
     /// Compares volume and rise with those of the last good breath; whether the tube is occluded.
-    fn occluded(&mut self, rise: f32, volume: f32, monitors: Monitors) -> bool {
+    fn occluded(&self, state: &mut BreathState, rise: f32, volume: f32) -> bool {
         if rise <= TELLING_RISE {
             return false;
         }
         let compliance = volume / rise;
-        if self.compliance.is_some_and(|before| compliance < OCCLUDED * before) {
-            self.occluded = self.occluded.saturating_add(1);
+        if state.compliance.is_some_and(|before| compliance < OCCLUDED * before) {
+            state.occluded = state.occluded.saturating_add(1);
         } else {
-            (self.occluded, self.compliance) = (0, Some(compliance));
+            (state.occluded, state.compliance) = (0, Some(compliance));
         }
-        monitors.has(Fault::Occlusion) && self.occluded >= 2
+        self.enabled.has(Fault::Occlusion) && state.occluded >= 2
     }
 
-    fn expired(&mut self, above_peep: f32, cut: bool, monitors: Monitors) -> Option<Fault> {
-        self.high = if above_peep > ABOVE_PEEP { self.high + 1 } else { 0 };
+    /// Judges an expiration by the mean pressure over its end.
+    fn expired(&self, state: &mut BreathState, above_peep: f32, cut: bool) -> Option<Fault> {
+        state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
         // After a cough the lung holds less than at PEEP.
-        self.low = if above_peep < -BELOW_PEEP && !cut { self.low + 1 } else { 0 };
-        if monitors.has(Fault::BaselineHigh) && self.high >= 2 {
+        state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
+        if self.enabled.has(Fault::BaselineHigh) && state.high >= 2 {
             return Some(Fault::BaselineHigh);
         }
-        (monitors.has(Fault::BaselineLow) && self.low >= 3).then_some(Fault::BaselineLow)
-    }
-}
-
-impl Default for Breathing {
-    fn default() -> Self {
-        Self::new()
+        (self.enabled.has(Fault::BaselineLow) && state.low >= 3).then_some(Fault::BaselineLow)
     }
 }
 
@@ -183,13 +186,15 @@ mod tests {
     /// The first complaint about breaths one after the other, and in which of them.
     fn complaint(breaths: &[Seen]) -> Option<(usize, Fault)> {
         let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
-        let (mut monitor, times) = (Breathing::new(), Times::new(DEFAULT_PERIOD_US));
+        let monitor = BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+        let mut state = BreathState::default();
         for (number, seen) in breaths.iter().enumerate() {
             for tick in 0..breath.total_ticks() {
                 let inspires = breath.phase(tick) == Phase::Inspiration;
                 let pressure = if inspires { seen.plateau } else { seen.baseline };
-                let seen = (pressure, seen.command, seen.volume);
-                if let Some(fault) = monitor.check(seen, (&breath, tick, false), Monitors::ALL, &times) {
+                let Seen { command, volume, .. } = *seen;
+                let input = BreathInput { breath: &breath, tick, cut: false, pressure, command, volume };
+                if let Some(fault) = monitor.check(&mut state, &input) {
                     return Some((number, fault));
                 }
             }

@@ -4,7 +4,7 @@
 //! never jumps: its noise proves that it lives.
 
 use super::alarms::Fault;
-use super::monitors::{Monitors, Times};
+use super::monitors::{Monitors, reads_quickly, ticks};
 
 /// Readings outside of this range are not from a working sensor, cmH2O.
 pub const SENSOR_RANGE: (f32, f32) = (-30.0, 110.0);
@@ -18,10 +18,25 @@ const SECOND_DIFFERENCE: f32 = 1.954;
 const NOISE_SHARE: f32 = 0.02;
 /// Good readings that make up for a missing one.
 const MAKE_UP: u32 = 9;
+/// How long readings may be missing, s.
+const MISSING: f32 = 0.005;
+/// How long a reading may stay the same to the last bit, s.
+const FROZEN: f32 = 0.04;
+
+/// Judges the sensor by its readings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReadingMonitor {
+    enabled: Monitors,
+    /// Whether jumps and noise from one reading to the next tell of the sensor.
+    quick: bool,
+    /// [`MISSING`] and [`FROZEN`] in ticks.
+    missing: u32,
+    frozen: u32,
+}
 
 /// What the readings so far say of the sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ReadingState {
     last_good: Option<f32>,
     before: f32,
     /// Missing readings, each counted [`MAKE_UP`] times, less the good ones since.
@@ -45,63 +60,7 @@ pub struct Believed {
     pub fault: Option<Fault>,
 }
 
-impl Reading {
-    /// Nothing has been read yet.
-    pub const fn new() -> Self {
-        Self {
-            last_good: None,
-            before: 0.0,
-            debt: 0,
-            problems: [0; 3],
-            gap: 0,
-            same: 0,
-            second_difference: 0.0,
-        }
-    }
-
-    /// Takes in one reading; `moving` says that a breath runs, so that a sound sensor cannot stand still.
-    #[inline]
-    pub fn check(&mut self, reading: f32, moving: bool, monitors: Monitors, times: &Times) -> Believed {
-        if let Some(problem) = self.problem(reading, monitors, times) {
-            return self.bridge(problem, times);
-        }
-        self.debt = self.debt.saturating_sub(1);
-        if self.debt == 0 {
-            self.problems = [0; 3];
-        }
-        let fault = self.good(reading, moving, monitors, times);
-        Believed { pressure: Some(reading), fresh: true, fault }
-    }
-
-    /// Why a reading counts as missing.
-    fn problem(&self, reading: f32, monitors: Monitors, times: &Times) -> Option<Fault> {
-        if reading.is_nan() {
-            return Some(Fault::ReadingNotANumber);
-        }
-        let in_range = reading >= SENSOR_RANGE.0 && reading <= SENSOR_RANGE.1;
-        if !in_range && monitors.has(Fault::ReadingOutOfRange) {
-            return Some(Fault::ReadingOutOfRange);
-        }
-        let jump = self.last_good.map_or(0.0, |last| (reading - last).abs());
-        // The longer the gap, the further the pressure may have come.
-        let possible = JUMP_MAX * (self.gap + 1) as f32;
-        (times.quick && monitors.has(Fault::ReadingJumps) && jump > possible).then_some(Fault::ReadingJumps)
-    }
-
-    fn bridge(&mut self, problem: Fault, times: &Times) -> Believed {
-        self.gap = self.gap.saturating_add(1);
-        self.debt = self.debt.saturating_add(MAKE_UP);
-        let [no_number, out_of_range, jumps] = &mut self.problems;
-        let count = match problem {
-            Fault::ReadingNotANumber => no_number,
-            Fault::ReadingOutOfRange => out_of_range,
-            _ => jumps,
-        };
-        *count = count.saturating_add(1);
-        let fault = (self.debt >= times.missing * MAKE_UP).then(|| self.main_problem());
-        Believed { pressure: self.last_good, fresh: false, fault }
-    }
-
+impl ReadingState {
     /// The problem that came most often.
     fn main_problem(&self) -> Fault {
         let [no_number, out_of_range, jumps] = self.problems;
@@ -113,28 +72,74 @@ impl Reading {
             Fault::ReadingNotANumber
         }
     }
-
-    fn good(&mut self, reading: f32, moving: bool, monitors: Monitors, times: &Times) -> Option<Fault> {
-        let (last, before) = (self.last_good.replace(reading), self.before);
-        self.before = last.unwrap_or(reading);
-        let (Some(last), 0, true, true) = (last, self.gap, moving, times.quick) else {
-            (self.gap, self.same, self.before) = (0, 0, reading);
-            return None;
-        };
-        self.same = if reading.to_bits() == last.to_bits() { self.same + 1 } else { 0 };
-        let second_difference = (reading - 2.0 * last + before).abs();
-        self.second_difference += NOISE_SHARE * (second_difference - self.second_difference);
-        if monitors.has(Fault::ReadingFrozen) && self.same >= times.frozen {
-            return Some(Fault::ReadingFrozen);
-        }
-        let noisy = self.second_difference > NOISE_MAX * SECOND_DIFFERENCE;
-        (monitors.has(Fault::ReadingNoisy) && noisy).then_some(Fault::ReadingNoisy)
-    }
 }
 
-impl Default for Reading {
-    fn default() -> Self {
-        Self::new()
+impl ReadingMonitor {
+    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        let (missing, frozen) = (ticks(MISSING, period_us), ticks(FROZEN, period_us));
+        Self { enabled, quick: reads_quickly(period_us), missing, frozen }
+    }
+
+    /// Takes in one reading; `moving` says that a breath runs, so that a sound sensor cannot stand still.
+    #[inline]
+    pub fn check(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Believed {
+        if let Some(problem) = self.problem(state, reading) {
+            return self.bridge(state, problem);
+        }
+        state.debt = state.debt.saturating_sub(1);
+        if state.debt == 0 {
+            state.problems = [0; 3];
+        }
+        let fault = self.good(state, reading, moving);
+        Believed { pressure: Some(reading), fresh: true, fault }
+    }
+
+    /// Why a reading counts as missing.
+    fn problem(&self, state: &ReadingState, reading: f32) -> Option<Fault> {
+        if reading.is_nan() {
+            return Some(Fault::ReadingNotANumber);
+        }
+        let in_range = reading >= SENSOR_RANGE.0 && reading <= SENSOR_RANGE.1;
+        if !in_range && self.enabled.has(Fault::ReadingOutOfRange) {
+            return Some(Fault::ReadingOutOfRange);
+        }
+        let jump = state.last_good.map_or(0.0, |last| (reading - last).abs());
+        // The longer the gap, the further the pressure may have come.
+        let possible = JUMP_MAX * (state.gap + 1) as f32;
+        (self.quick && self.enabled.has(Fault::ReadingJumps) && jump > possible)
+            .then_some(Fault::ReadingJumps)
+    }
+
+    fn bridge(&self, state: &mut ReadingState, problem: Fault) -> Believed {
+        state.gap = state.gap.saturating_add(1);
+        state.debt = state.debt.saturating_add(MAKE_UP);
+        let [no_number, out_of_range, jumps] = &mut state.problems;
+        let count = match problem {
+            Fault::ReadingNotANumber => no_number,
+            Fault::ReadingOutOfRange => out_of_range,
+            _ => jumps,
+        };
+        *count = count.saturating_add(1);
+        let fault = (state.debt >= self.missing * MAKE_UP).then(|| state.main_problem());
+        Believed { pressure: state.last_good, fresh: false, fault }
+    }
+
+    fn good(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Option<Fault> {
+        let (last, before) = (state.last_good.replace(reading), state.before);
+        state.before = last.unwrap_or(reading);
+        let (Some(last), 0, true, true) = (last, state.gap, moving, self.quick) else {
+            (state.gap, state.same, state.before) = (0, 0, reading);
+            return None;
+        };
+        state.same = if reading.to_bits() == last.to_bits() { state.same + 1 } else { 0 };
+        let second_difference = (reading - 2.0 * last + before).abs();
+        state.second_difference += NOISE_SHARE * (second_difference - state.second_difference);
+        if self.enabled.has(Fault::ReadingFrozen) && state.same >= self.frozen {
+            return Some(Fault::ReadingFrozen);
+        }
+        let noisy = state.second_difference > NOISE_MAX * SECOND_DIFFERENCE;
+        (self.enabled.has(Fault::ReadingNoisy) && noisy).then_some(Fault::ReadingNoisy)
     }
 }
 
@@ -143,25 +148,19 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const TIMES: Times = Times {
-        quick: true,
-        missing: 5,
-        frozen: 40,
-        spike: 3,
-        venting: 150,
-        sustained: 15_000,
-        end_of_phase: 50,
-        disconnected: 150,
-        unanswered: 40,
-        stands: 20,
-    };
+    const PERIOD_US: u32 = 1000;
+
+    /// The monitor and its state before the first reading.
+    fn monitor(enabled: Monitors) -> (ReadingMonitor, ReadingState) {
+        (ReadingMonitor::new(PERIOD_US, enabled), ReadingState::default())
+    }
 
     /// What is found in readings one after the other.
-    fn feed(monitors: Monitors, readings: impl IntoIterator<Item = f32>) -> Option<Fault> {
-        let mut sensor = Reading::new();
+    fn feed(enabled: Monitors, readings: impl IntoIterator<Item = f32>) -> Option<Fault> {
+        let (monitor, mut state) = monitor(enabled);
         readings
             .into_iter()
-            .map(|reading| sensor.check(reading, true, monitors, &TIMES).fault)
+            .map(|reading| monitor.check(&mut state, reading, true).fault)
             .fold(None, Option::or)
     }
 
@@ -176,10 +175,10 @@ mod tests {
 
     #[test]
     fn a_missing_reading_is_bridged_by_the_last_good_one() {
-        let mut sensor = Reading::new();
-        assert_eq!(sensor.check(f32::NAN, true, Monitors::ALL, &TIMES).pressure, None);
-        sensor.check(12.0, true, Monitors::ALL, &TIMES);
-        let bridged = sensor.check(f32::NAN, true, Monitors::ALL, &TIMES);
+        let (monitor, mut state) = monitor(Monitors::ALL);
+        assert_eq!(monitor.check(&mut state, f32::NAN, true).pressure, None);
+        monitor.check(&mut state, 12.0, true);
+        let bridged = monitor.check(&mut state, f32::NAN, true);
         assert_eq!(bridged, Believed { pressure: Some(12.0), fresh: false, fault: None });
     }
 
@@ -206,9 +205,9 @@ mod tests {
 
     #[test]
     fn a_resting_ventilator_may_have_a_sensor_that_stands_still() {
-        let mut sensor = Reading::new();
+        let (monitor, mut state) = monitor(Monitors::ALL);
         for _ in 0..1000 {
-            assert_eq!(sensor.check(0.0, false, Monitors::ALL, &TIMES).fault, None);
+            assert_eq!(monitor.check(&mut state, 0.0, false).fault, None);
         }
     }
 
@@ -234,9 +233,9 @@ mod tests {
         fn whatever_is_read_what_is_believed_is_a_number_in_range(
             readings in prop::collection::vec(prop::num::f32::ANY, 1..200),
         ) {
-            let mut sensor = Reading::new();
+            let (monitor, mut state) = monitor(Monitors::ALL);
             for reading in readings {
-                let believed = sensor.check(reading, true, Monitors::ALL, &TIMES);
+                let believed = monitor.check(&mut state, reading, true);
                 if let Some(pressure) = believed.pressure {
                     prop_assert!((SENSOR_RANGE.0..=SENSOR_RANGE.1).contains(&pressure));
                 }
