@@ -2,5 +2,5 @@
 //! trace of a ventilator that runs on it.
 #![forbid(unsafe_code)]
 
-pub mod plant;
+pub mod exact_lung;
 pub mod trace;

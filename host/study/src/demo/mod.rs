@@ -21,7 +21,7 @@ use data::files::write_atomically;
 use data::recording::DatasetError;
 use data::tensors::TensorError;
 use judge::baselines::{Best, Search, TuneError, tune_pid};
-use judge::evaluate::{Evaluation, Plan, Trace};
+use judge::evaluate::{BreathTrace, Evaluation, Plan};
 use learn::controller::learned::LearnedError;
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError, Stage};
 use plant::bench::BenchConfig;
@@ -109,7 +109,7 @@ pub struct Contestant {
     /// How it did on the true bench.
     pub evaluation: Evaluation,
     /// Two breaths at each PIP of [`TRACED_PIPS`].
-    pub traces: Vec<Trace>,
+    pub traces: Vec<BreathTrace>,
 }
 
 /// PIPs of the waveforms shown in the report, cmH2O.
