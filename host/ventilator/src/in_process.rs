@@ -132,7 +132,7 @@ where
     }
 
     /// One control tick: the ventilator reads and decides, the plant runs one control period. The tick is known before the
-    /// plant answers, and is not lost with it. Whether it belongs to the breath; one without a reading to believe does not.
+    /// plant answers, and is not lost with it. Gives whether the breath has moved on: without a reading to believe it waits.
     #[inline]
     fn tick(&mut self, run: &mut Run<C::State>, sink: &mut dyn FnMut(&Tick)) -> Result<bool, SourceError> {
         let Reading { pressure, truth } = run.reading;

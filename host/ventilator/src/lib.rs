@@ -19,12 +19,11 @@ pub use port::{PortSource, Truth};
 #[cfg(unix)]
 pub use virtual_board::VirtualBoard;
 
-use shared::control::{ControlLaw, Controller};
+use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::safety::alarms::Fault;
-use shared::safety::monitors::Monitors;
 use shared::settings::{Settings, SettingsError};
-use shared::ventilator::{Mode, Output, Sample, Ventilator, VentilatorState};
+use shared::ventilator::Sample;
 use thiserror::Error;
 
 use device::DeviceError;
