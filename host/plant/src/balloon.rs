@@ -83,7 +83,7 @@ impl Balloon {
         self.volume = low;
     }
 
-    fn reading(&self) -> Reading {
+    fn reading(self) -> Reading {
         let (pressure, lung_volume) = (self.pressure() as f32, self.volume() as f32);
         let truth = TickTruth { airway_pressure: pressure, sensor_pressure: pressure, lung_volume };
         Reading { pressure, truth: Some(truth) }
