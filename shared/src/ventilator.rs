@@ -146,9 +146,14 @@ impl<C: ControlLaw> Ventilator<C> {
     /// # Errors
     /// Settings that are refused.
     pub fn standby(&self, settings: &Settings) -> Result<VentilatorState<C::State>, SettingsError> {
-        Ok(VentilatorState {
+        Ok(self.at_rest(Breath::new(settings, self.period_us)?))
+    }
+
+    /// A state in standby with the first breath.
+    pub fn at_rest(&self, breath: Breath) -> VentilatorState<C::State> {
+        VentilatorState {
             mode: Mode::Standby,
-            breath: Breath::new(settings, self.period_us)?,
+            breath,
             pending: None,
             number: 0,
             tick: 0,
@@ -156,7 +161,7 @@ impl<C: ControlLaw> Ventilator<C> {
             perturbation: Perturbation::default(),
             controller: self.controller.initial_state(),
             supervisor: SupervisorState::default(),
-        })
+        }
     }
 
     /// Accepts settings for the next breath (in standby: for the first one).
@@ -168,7 +173,7 @@ impl<C: ControlLaw> Ventilator<C> {
         state: &mut VentilatorState<C::State>,
         settings: &Settings,
     ) -> Result<(), SettingsError> {
-        state.pending = Some(Breath::new(settings, self.period_us)?);
+        state.set_pending(Breath::new(settings, self.period_us)?);
         Ok(())
     }
 
@@ -272,6 +277,11 @@ impl<S> VentilatorState<S> {
     /// Settings that wait for the next breath.
     pub fn pending(&self) -> Option<&Settings> {
         self.pending.as_ref().map(Breath::settings)
+    }
+
+    /// Takes another breath from the next one on; it must be built for the ventilator's control period.
+    pub fn set_pending(&mut self, breath: Breath) {
+        self.pending = Some(breath);
     }
 
     /// Number of the running breath.

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use std::{env, fs};
 
 use device::Device;
-use device::blackbox::{Blackbox, Trace};
+use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
 use emulator::{Debugger, Emulator, EmulatorConfig, LockstepPlant, PlantEnd, symbol};
 use plant::bench::{BenchConfig, BenchPlant};
@@ -24,12 +24,16 @@ use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::device::KNOWN_GOOD;
-use shared::link::messages::{ControllerChoice, DeviceKind, Event, ResetCause, Slot, SlotState};
+use shared::link::messages::{ControllerChoice, DeviceKind, Event};
 use shared::link::telemetry::{Counters, PackedSample};
-use shared::recorder::{Activity, FAST_ENTRIES, FAST_TAIL, Happening, Recording, Status, TickEntry};
+use shared::recorder::{
+    Activity, FAST_ENTRIES, FAST_TAIL, Happening, RecorderStatus, RecordingState, TickEntry,
+};
+use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
+use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 use tests::exact_lung::ExactLung;
 use tests::trace::{self, Fnv};
@@ -522,13 +526,13 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     let deadline = Instant::now() + Duration::from_mins(1);
     while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
     // The recording goes on for its tail.
-    let ended = |status: &Status| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
+    let ended = |status: &RecorderStatus| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
     while !ended(&device.recorder().unwrap()) {
         assert!(Instant::now() < deadline, "the recording goes on and on");
     }
     let before = device.blackbox(&mut |_| ()).unwrap();
     let fault = Fault::ReadingNotANumber;
-    assert_eq!(before.status.recording, Recording::Fault(fault));
+    assert_eq!(before.status.recording, RecordingState::Fault(fault));
     assert_eq!(before.fast.entries.len(), FAST_ENTRIES);
     let end = before.fast.ticks().filter(|tick| tick.activity == Activity::Fault).count();
     assert_eq!(end, FAST_TAIL as usize);
@@ -542,14 +546,14 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
         (after.status.boot, after.status.recording),
         (before.status.boot + 1, before.status.recording)
     );
-    let bits = |trace: &Trace| trace.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
+    let bits = |ticks: &RecordedTicks| ticks.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
     assert!(bits(&after.fast) == bits(&before.fast), "the ticks are those of before");
     assert!(bits(&after.slow).starts_with(&bits(&before.slow)), "the last minute had its tail to go on with");
     assert!(after.log.starts_with(&before.log) && after.unread == 0);
     assert!(happened(&after, Happening::Fault(fault)) && happened(&after, Happening::Start));
     assert!(happened(&after, Happening::Boot { cause: ResetCause::Software, failed: false }));
     device.clear_recorder().unwrap();
-    assert_eq!(device.recorder().unwrap().recording, Recording::Nothing);
+    assert_eq!(device.recorder().unwrap().recording, RecordingState::Nothing);
 }
 
 #[test]
@@ -565,7 +569,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     debugger.detach().unwrap();
     restarted_by(&mut device, ResetCause::Watchdog);
     let blackbox = device.blackbox(&mut |_| ()).unwrap();
-    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, Recording::Reset));
+    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
     assert_eq!(blackbox.status.tick_boot, 1);
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
     // The newest ticks that came over the link before it hung are the recorder's, to its resolution.
@@ -597,7 +601,7 @@ fn reading_the_recorder_disturbs_no_tick() {
     let blackbox = device.blackbox(&mut |_| ()).unwrap();
     samples.until(&device, |sample| sample.breath == 3);
     let times = device.timing(false).unwrap();
-    assert_eq!((blackbox.status.recording, blackbox.unread), (Recording::Running, 0));
+    assert_eq!((blackbox.status.recording, blackbox.unread), (RecordingState::Running, 0));
     assert!(blackbox.fast.ticks().all(|tick| tick.activity == Activity::Ventilating));
     assert_eq!((times.missed, samples.counters.missed_ticks, samples.counters.dropped), (0, 0, 0));
     let jitter = times.period.longest.abs_diff(TICK_CYCLES).max(times.period.shortest.abs_diff(TICK_CYCLES));

@@ -4,7 +4,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use plant::{Plant, Reading};
-use shared::link::plant::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
 use shared::settings::Settings;
 
 /// How far virtual time may have fallen behind before it stops catching up.

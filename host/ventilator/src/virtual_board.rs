@@ -129,7 +129,7 @@ mod tests {
     use emulator::PlantEnd;
     use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
     use shared::control::pid::{Pid, PidGains};
-    use shared::link::plant::{Frame, Message};
+    use shared::link::plant_link::{Frame, Message};
 
     const SEED: u64 = 5;
 

@@ -27,10 +27,14 @@ const DISCONNECTED: f32 = 0.15;
 /// Judges whole phases of breaths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BreathMonitor {
-    enabled: Monitors,
     /// [`END_OF_PHASE`] and [`DISCONNECTED`] in ticks.
     end_of_phase: u32,
     disconnected: u32,
+    /// Breaths in a row that make each complaint a fault.
+    high: u32,
+    low: u32,
+    weak: u32,
+    occluded: u32,
 }
 
 /// What breaths so far say.
@@ -90,8 +94,14 @@ impl Mean {
 impl BreathMonitor {
     /// The monitor at a control period in microseconds; of its findings only those that are enabled.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
-        let (end_of_phase, disconnected) = (ticks(END_OF_PHASE, period_us), ticks(DISCONNECTED, period_us));
-        Self { enabled, end_of_phase, disconnected }
+        Self {
+            end_of_phase: ticks(END_OF_PHASE, period_us),
+            disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
+            high: enabled.limit(Fault::BaselineHigh, 2),
+            low: enabled.limit(Fault::BaselineLow, 3),
+            weak: enabled.limit(Fault::LowPressure, 2),
+            occluded: enabled.limit(Fault::Occlusion, 2),
+        }
     }
 
     /// Takes in a tick. A breath that is cut short tells of the tube at that moment, and of nothing else.
@@ -103,7 +113,7 @@ impl BreathMonitor {
         let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
         let gone = inspires && !cut && command > FILLING && pressure < peep - BELOW_PEEP;
         state.gone = in_a_row(state.gone, gone);
-        if self.enabled.has(Fault::Disconnection) && state.gone >= self.disconnected {
+        if state.gone >= self.disconnected {
             return Some(Fault::Disconnection);
         }
         // Where the baseline stands high another part has failed.
@@ -134,7 +144,7 @@ impl BreathMonitor {
         let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
         state.weak = in_a_row(state.weak, weak);
         let occluded = self.occluded(state, rise, end.volume);
-        if self.enabled.has(Fault::LowPressure) && state.weak >= 2 {
+        if state.weak >= self.weak {
             return Some(Fault::LowPressure);
         }
         occluded.then_some(Fault::Occlusion)
@@ -146,12 +156,12 @@ impl BreathMonitor {
             return false;
         }
         let compliance = volume / rise;
-        if state.compliance.is_some_and(|before| compliance < OCCLUDED * before) {
-            state.occluded = state.occluded.saturating_add(1);
-        } else {
-            (state.occluded, state.compliance) = (0, Some(compliance));
+        let occluded = state.compliance.is_some_and(|before| compliance < OCCLUDED * before);
+        state.occluded = in_a_row(state.occluded, occluded);
+        if !occluded {
+            state.compliance = Some(compliance);
         }
-        self.enabled.has(Fault::Occlusion) && state.occluded >= 2
+        state.occluded >= self.occluded
     }
 
     /// Judges an expiration by the mean pressure over its end.
@@ -159,10 +169,10 @@ impl BreathMonitor {
         state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
         // After a cough the lung holds less than at PEEP.
         state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
-        if self.enabled.has(Fault::BaselineHigh) && state.high >= 2 {
+        if state.high >= self.high {
             return Some(Fault::BaselineHigh);
         }
-        (self.enabled.has(Fault::BaselineLow) && state.low >= 3).then_some(Fault::BaselineLow)
+        (state.low >= self.low).then_some(Fault::BaselineLow)
     }
 }
 

@@ -6,6 +6,9 @@ use crate::math;
 /// Longest control period at which readings, one after the other, tell of the sensor itself, microseconds.
 const QUICK_PERIOD_US: u32 = 5000;
 
+/// The limit of a monitor that is left out: at 1 kHz no counter gets there in a month.
+const NEVER: u32 = u32::MAX;
+
 /// A set of monitors, named by what they find.
 ///
 /// A ventilator has [`Monitors::ALL`]. A plant of another kind (no noise, another valve) can have those that ask nothing of
@@ -33,6 +36,16 @@ impl Monitors {
     /// Whether this one is at work.
     pub const fn has(self, fault: Fault) -> bool {
         self.0 & 1 << fault as u32 != 0
+    }
+
+    /// How often in a row a monitor has to see its fault: so often, or out of reach if it is left out.
+    pub(super) fn limit(self, fault: Fault, limit: u32) -> u32 {
+        if self.has(fault) { limit } else { NEVER }
+    }
+
+    /// The highest value that a monitor lets pass: this one, or any if it is left out.
+    pub(super) fn highest(self, fault: Fault, highest: f32) -> f32 {
+        if self.has(fault) { highest } else { f32::INFINITY }
     }
 }
 

@@ -27,11 +27,12 @@ const SUSTAINED: f32 = 15.0;
 /// Compares the pressure with its limit and with PEEP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PressureMonitor {
-    enabled: Monitors,
     /// Whether the slope from one reading to the next tells where the pressure goes.
     quick: bool,
-    /// [`SPIKE`], [`VENTING`] and [`SUSTAINED`] in ticks.
-    spike: u32,
+    /// Ticks above the limit and far above it, [`SPIKE`].
+    above: u32,
+    far_above: u32,
+    /// [`VENTING`] and [`SUSTAINED`] in ticks.
     venting: u32,
     sustained: u32,
 }
@@ -75,9 +76,14 @@ pub enum PressureFinding {
 impl PressureMonitor {
     /// The monitor at a control period in microseconds; of its findings only those that are enabled.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
-        let ticks = |seconds| ticks(seconds, period_us);
-        let (spike, venting, sustained) = (ticks(SPIKE), ticks(VENTING), ticks(SUSTAINED));
-        Self { enabled, quick: reads_quickly(period_us), spike, venting, sustained }
+        let limit = |fault, seconds| enabled.limit(fault, ticks(seconds, period_us));
+        Self {
+            quick: reads_quickly(period_us),
+            above: limit(Fault::HighPressure, SPIKE),
+            far_above: limit(Fault::HardLimit, SPIKE),
+            venting: limit(Fault::HardLimit, VENTING),
+            sustained: limit(Fault::SustainedPressure, SUSTAINED),
+        }
     }
 
     /// Takes in a tick.
@@ -91,19 +97,14 @@ impl PressureMonitor {
         let ahead = pressure + AHEAD * state.slope;
         state.ahead_above = in_a_row(state.ahead_above, self.quick && ahead > limit + AHEAD_ABOVE);
         state.away = in_a_row(state.away, pressure > peep + BACK_AT_PEEP);
-        let stays = venting && state.above >= self.venting;
-        if self.enabled.has(Fault::HardLimit) && (state.far_above >= self.spike || stays) {
+        if state.far_above >= self.far_above || (venting && state.above >= self.venting) {
             return PressureFinding::Alarm(Fault::HardLimit);
         }
-        if self.enabled.has(Fault::SustainedPressure) && state.away >= self.sustained {
+        if state.away >= self.sustained {
             return PressureFinding::Alarm(Fault::SustainedPressure);
         }
-        let ends = state.above >= self.spike || state.ahead_above >= self.spike;
-        if self.enabled.has(Fault::HighPressure) && ends {
-            PressureFinding::EndInspiration
-        } else {
-            PressureFinding::Normal
-        }
+        let ends = state.above >= self.above || state.ahead_above >= self.above;
+        if ends { PressureFinding::EndInspiration } else { PressureFinding::Normal }
     }
 }
 

@@ -4,7 +4,7 @@
 //! never jumps: its noise proves that it lives.
 
 use super::alarms::Fault;
-use super::monitors::{Monitors, reads_quickly, ticks};
+use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
 
 /// Readings outside of this range are not from a working sensor, cmH2O.
 pub const SENSOR_RANGE: (f32, f32) = (-30.0, 110.0);
@@ -26,9 +26,13 @@ const FROZEN: f32 = 0.04;
 /// Judges the sensor by its readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadingMonitor {
-    enabled: Monitors,
     /// Whether jumps and noise from one reading to the next tell of the sensor.
     quick: bool,
+    /// Lowest and highest reading, highest jump, cmH2O.
+    range: (f32, f32),
+    jump: f32,
+    /// Highest mean of the absolute second difference, cmH2O.
+    noise: f32,
     /// [`MISSING`] and [`FROZEN`] in ticks.
     missing: u32,
     frozen: u32,
@@ -77,8 +81,17 @@ impl ReadingState {
 impl ReadingMonitor {
     /// The monitor at a control period in microseconds; of its findings only those that are enabled.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
-        let (missing, frozen) = (ticks(MISSING, period_us), ticks(FROZEN, period_us));
-        Self { enabled, quick: reads_quickly(period_us), missing, frozen }
+        let quick = reads_quickly(period_us);
+        let (lowest, highest) = SENSOR_RANGE;
+        let out_of_range = |bound| enabled.highest(Fault::ReadingOutOfRange, bound);
+        Self {
+            quick,
+            range: (-out_of_range(-lowest), out_of_range(highest)),
+            jump: if quick { enabled.highest(Fault::ReadingJumps, JUMP_MAX) } else { f32::INFINITY },
+            noise: enabled.highest(Fault::ReadingNoisy, NOISE_MAX * SECOND_DIFFERENCE),
+            missing: ticks(MISSING, period_us),
+            frozen: enabled.limit(Fault::ReadingFrozen, ticks(FROZEN, period_us)),
+        }
     }
 
     /// Takes in one reading; `moving` says that a breath runs, so that a sound sensor cannot stand still.
@@ -100,15 +113,14 @@ impl ReadingMonitor {
         if reading.is_nan() {
             return Some(Fault::ReadingNotANumber);
         }
-        let in_range = reading >= SENSOR_RANGE.0 && reading <= SENSOR_RANGE.1;
-        if !in_range && self.enabled.has(Fault::ReadingOutOfRange) {
+        let in_range = reading >= self.range.0 && reading <= self.range.1;
+        if !in_range {
             return Some(Fault::ReadingOutOfRange);
         }
         let jump = state.last_good.map_or(0.0, |last| (reading - last).abs());
         // The longer the gap, the further the pressure may have come.
-        let possible = JUMP_MAX * (state.gap + 1) as f32;
-        (self.quick && self.enabled.has(Fault::ReadingJumps) && jump > possible)
-            .then_some(Fault::ReadingJumps)
+        let possible = self.jump * (state.gap + 1) as f32;
+        (jump > possible).then_some(Fault::ReadingJumps)
     }
 
     fn bridge(&self, state: &mut ReadingState, problem: Fault) -> Believed {
@@ -132,14 +144,13 @@ impl ReadingMonitor {
             (state.gap, state.same, state.before) = (0, 0, reading);
             return None;
         };
-        state.same = if reading.to_bits() == last.to_bits() { state.same + 1 } else { 0 };
+        state.same = in_a_row(state.same, reading.to_bits() == last.to_bits());
         let second_difference = (reading - 2.0 * last + before).abs();
         state.second_difference += NOISE_SHARE * (second_difference - state.second_difference);
-        if self.enabled.has(Fault::ReadingFrozen) && state.same >= self.frozen {
+        if state.same >= self.frozen {
             return Some(Fault::ReadingFrozen);
         }
-        let noisy = state.second_difference > NOISE_MAX * SECOND_DIFFERENCE;
-        (self.enabled.has(Fault::ReadingNoisy) && noisy).then_some(Fault::ReadingNoisy)
+        (state.second_difference > self.noise).then_some(Fault::ReadingNoisy)
     }
 }
 

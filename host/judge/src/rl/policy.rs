@@ -11,7 +11,7 @@ use shared::control::residual::ResidualError;
 use shared::control::{ControlLaw, ControlOutput, Observation};
 
 use super::network::{Mlp, Tape, Weights};
-use super::ventilation::{Memory, Perception, Senses, command};
+use super::ventilation::{Perception, PolicyMemory, Senses, command};
 use super::{Actions, Greedy, best};
 use crate::evaluate::{Evaluation, Plan, evaluate_law};
 use data::tensors::{self, TensorError};
@@ -94,7 +94,7 @@ struct PolicyLaw<'a> {
 
 /// What a policy remembers of a breath, room for its network, and the command that it holds, percent.
 struct PolicyState {
-    memory: Memory,
+    memory: PolicyMemory,
     tape: Tape,
     held: f32,
 }
@@ -111,7 +111,7 @@ impl ControlLaw for PolicyLaw<'_> {
 
     fn initial_state(&self) -> PolicyState {
         let tape = Tape::new(&self.policy.greedy.network, 1);
-        PolicyState { memory: Memory::default(), tape, held: 0.0 }
+        PolicyState { memory: PolicyMemory::default(), tape, held: 0.0 }
     }
 
     fn start_breath(&self, state: &mut PolicyState, command: f32) {

@@ -21,7 +21,7 @@ use shared::control::{COMMAND_MAX, Observation};
 use shared::math;
 
 use super::lanes::{SimulatedLung, simulated_lung};
-use super::{Actions, End, Shard, Transition};
+use super::{Actions, End, TaskBatch, Transition};
 use engine::{LANES, Lane};
 use learn::simulator::Start;
 use learn::simulator::model::Simulator;
@@ -90,7 +90,7 @@ pub struct Perception {
 
 /// What an agent's senses remember of a breath.
 #[derive(Clone, Debug, Default)]
-pub struct Memory {
+pub struct PolicyMemory {
     features: FeatureState,
     integral: PidState,
 }
@@ -124,13 +124,13 @@ impl Perception {
     }
 
     /// Forgets the last breath; the valve stands at `command` percent.
-    pub fn start_breath(&self, memory: &mut Memory, command: f32) {
+    pub fn start_breath(&self, memory: &mut PolicyMemory, command: f32) {
         memory.features.start_breath(command);
         memory.integral = PidState::new();
     }
 
     /// Takes in the observation of a tick: what the agent sees.
-    pub fn see(&self, memory: &mut Memory, seen: &Observation) -> [f32; FEATURES] {
+    pub fn see(&self, memory: &mut PolicyMemory, seen: &Observation) -> [f32; FEATURES] {
         let features = self.features.step(&mut memory.features, seen, memory.integral.integral);
         // A PID with nothing but an integral part; its command is not used, its integral is the feature.
         self.integral.step(&mut memory.integral, seen, 0.0);
@@ -138,7 +138,7 @@ impl Perception {
     }
 
     /// Takes in the command applied in the tick, percent.
-    pub fn applied(&self, memory: &mut Memory, command: f32) {
+    pub fn applied(&self, memory: &mut PolicyMemory, command: f32) {
         self.features.applied(&mut memory.features, command);
     }
 }
@@ -163,7 +163,7 @@ pub struct Inspirations {
     tick: usize,
     pip: Lane,
     noise: Vec<Lane>,
-    memories: [Memory; LANES],
+    memories: [PolicyMemory; LANES],
     seen: [Lane; FEATURES],
     /// Sum of the absolute errors since the start of the inspiration, cmH2O.
     strayed: Lane,
@@ -209,7 +209,7 @@ impl Inspirations {
             tick: 0,
             pip: Lane::ZERO,
             noise: vec![Lane::ZERO; ticks],
-            memories: std::array::from_fn(|_| Memory::default()),
+            memories: std::array::from_fn(|_| PolicyMemory::default()),
             seen: [Lane::ZERO; FEATURES],
             strayed: Lane::ZERO,
         })
@@ -273,7 +273,7 @@ impl Inspirations {
     }
 }
 
-impl Shard for Inspirations {
+impl TaskBatch for Inspirations {
     fn observations(&self) -> usize {
         FEATURES
     }

@@ -9,7 +9,7 @@ mod line;
 
 use std::time::Duration;
 
-use shared::link::plant::{FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, Frame, Message, VERSION};
 use thiserror::Error;
 
 use crate::{Plant, Reading, TickTruth};

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, generalist, lungs};
+use super::{generalist, lungs};
+use crate::StudyError;
 use judge::evaluate::{BreathTrace, trace};
 use learn::controller::learned::Learned;
 
@@ -23,7 +24,7 @@ pub(super) struct Tracking {
 }
 
 /// Draws the curves on the lung in the middle of the list.
-pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking, ReproduceError> {
+pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking, StudyError> {
     study.keep("tracking", || {
         let index = study.lungs().len() / 2;
         let bench = &study.lungs()[index];
@@ -43,12 +44,12 @@ pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking, ReproduceError> {
             let trace = trace(bench, &controller, &settings, plan.period_us, plan.seeds[0], BREATHS)?;
             Ok((name.to_owned(), trace))
         };
-        let controllers = controllers.into_iter().map(curves).collect::<Result<_, ReproduceError>>()?;
+        let controllers = controllers.into_iter().map(curves).collect::<Result<_, StudyError>>()?;
         Ok(Tracking { lung: bench.name.clone(), controllers })
     })
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Tracking>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Tracking>, StudyError> {
     study.kept("tracking")
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use shared::breath::paper_settings;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
-use shared::link::plant::{FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, Frame, Message, VERSION};
 use shared::settings::Settings;
 
 use crate::collect::{CollectConfig, CollectError, Collected, collect};

@@ -15,14 +15,14 @@ const MOST_BREATHS: usize = 100;
 
 /// One waveform on one bench.
 #[derive(Clone, Debug)]
-pub(super) struct Breathing {
+pub(super) struct BenchBreath {
     breath: Breath,
     steps_per_tick: u32,
     rest: Bench,
     target: Vec<f64>,
 }
 
-impl Breathing {
+impl BenchBreath {
     /// The waveform of `settings` at a control period on a bench at rest.
     pub(super) fn new(config: &BenchConfig, settings: &Settings, period_us: u32) -> Result<Self, BoundError> {
         let steps_per_tick = steps_per_period(period_us).map_err(SourceError::from)?;

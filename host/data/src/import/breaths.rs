@@ -1,9 +1,9 @@
 //! From a stream of samples to breaths on an even grid of time.
 
 use super::account::Account;
-use super::map::{EndBy, Layout, Quantity, StartBy};
-use super::reader::Sample;
-use crate::import::rises::{Rises, is_up};
+use super::map::{EndBy, Quantity, StartBy, TableLayout};
+use super::reader::TableRow;
+use super::rises::{Rises, is_up};
 use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, Row};
 
 /// Opening of the expiratory valve from which it counts as open, percent.
@@ -19,13 +19,13 @@ const MOST_ROWS: usize = 200_000;
 
 /// Gathers samples into breaths and gives their rows away, one breath at a time.
 pub(super) struct Assembler<'a> {
-    layout: &'a Layout,
+    layout: &'a TableLayout,
     period_s: f64,
     rises: Rises,
     /// The samples of the running breath, and the set-point before it.
-    breath: Vec<Sample>,
+    breath: Vec<TableRow>,
     target_before: f64,
-    last: Option<Sample>,
+    last: Option<TableRow>,
     within: bool,
     after_gap: bool,
     number: u32,
@@ -33,7 +33,7 @@ pub(super) struct Assembler<'a> {
 }
 
 impl<'a> Assembler<'a> {
-    pub(super) fn new(layout: &'a Layout, period_s: f64) -> Self {
+    pub(super) fn new(layout: &'a TableLayout, period_s: f64) -> Self {
         Self {
             layout,
             period_s,
@@ -51,7 +51,7 @@ impl<'a> Assembler<'a> {
     /// Takes the next sample; `sink` gets the rows of a breath that ends with it.
     pub(super) fn push(
         &mut self,
-        sample: Sample,
+        sample: TableRow,
         account: &mut Account,
         sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
     ) -> Result<(), DatasetError> {
@@ -69,7 +69,7 @@ impl<'a> Assembler<'a> {
             StartBy::Number => sample.next_breath,
             StartBy::Target => self.rises.starts(sample.get(Quantity::Target) as f32),
             StartBy::Valve => {
-                let open = |sample: &Sample| sample.get(Quantity::UOut) >= OPEN;
+                let open = |sample: &TableRow| sample.get(Quantity::UOut) >= OPEN;
                 self.last.is_some_and(|last| open(&last)) && !open(&sample)
             }
         };
@@ -102,7 +102,7 @@ impl<'a> Assembler<'a> {
         Ok(())
     }
 
-    fn follows(&self, last: &Sample, next: &Sample) -> bool {
+    fn follows(&self, last: &TableRow, next: &TableRow) -> bool {
         let step = next.get(Quantity::Time) - last.get(Quantity::Time);
         step > 0.0 && step <= MOST_PERIODS * self.period_s
     }
@@ -120,7 +120,8 @@ impl<'a> Assembler<'a> {
         self.fill_rows(even.as_deref().unwrap_or(&samples));
         let complete =
             self.rows[0].phase == INSPIRATION && self.rows.iter().any(|row| row.phase != INSPIRATION);
-        account.breath(&samples, self.rows.len(), complete);
+        let lung = self.rows[0].lung();
+        account.breath(&samples, self.rows.len(), complete, lung);
         sink(&self.rows)?;
         self.number += 1;
         // The memory is used again.
@@ -130,7 +131,7 @@ impl<'a> Assembler<'a> {
     }
 
     /// The rows of a breath whose samples are on the grid.
-    fn fill_rows(&mut self, samples: &[Sample]) {
+    fn fill_rows(&mut self, samples: &[TableRow]) {
         let has = |quantity: Quantity| self.layout.origins[quantity as usize].is_some();
         let has_target = has(Quantity::Target);
         let targets = || samples.iter().map(|sample| sample.get(Quantity::Target));
@@ -166,6 +167,7 @@ impl<'a> Assembler<'a> {
                 flow_out: optional(Quantity::FlowOut),
                 resistance: optional(Quantity::Resistance),
                 compliance: optional(Quantity::Compliance),
+                u_psol: optional(Quantity::UPsol),
                 group: Some(sample.group),
                 ..Row::default()
             });
@@ -173,8 +175,8 @@ impl<'a> Assembler<'a> {
     }
 
     /// Rows of the inspiration.
-    fn inspiration(&self, samples: &[Sample], peep: f32) -> usize {
-        let until = |ends: &dyn Fn(&Sample) -> bool| samples.iter().position(ends).unwrap_or(samples.len());
+    fn inspiration(&self, samples: &[TableRow], peep: f32) -> usize {
+        let until = |ends: &dyn Fn(&TableRow) -> bool| samples.iter().position(ends).unwrap_or(samples.len());
         match self.layout.end {
             EndBy::Time(seconds) => ((seconds / self.period_s).round() as usize).min(samples.len()),
             EndBy::Valve => until(&|sample| sample.get(Quantity::UOut) >= OPEN),
@@ -182,7 +184,7 @@ impl<'a> Assembler<'a> {
         }
     }
 
-    fn plateau(&self, inspiration: &[Sample]) -> f32 {
+    fn plateau(&self, inspiration: &[TableRow]) -> f32 {
         let rows = ((PLATEAU_S / self.period_s).round() as usize).clamp(1, inspiration.len());
         let last = &inspiration[inspiration.len() - rows..];
         (last.iter().map(|sample| sample.get(Quantity::Pressure)).sum::<f64>() / rows as f64) as f32
@@ -196,7 +198,7 @@ fn setting(target: f64) -> f32 {
 
 /// The samples on the grid; none if they are on it already. Measured values are interpolated on straight lines, valve
 /// and set-points hold until the next row.
-fn evened(samples: &[Sample], period_s: f64, account: &mut Account) -> Option<Vec<Sample>> {
+fn evened(samples: &[TableRow], period_s: f64, account: &mut Account) -> Option<Vec<TableRow>> {
     let time = |n: usize| samples[n].get(Quantity::Time) - samples[0].get(Quantity::Time);
     let off = (0..samples.len()).map(|n| (time(n) - n as f64 * period_s).abs()).fold(0.0, f64::max);
     account.furthest_from_grid = account.furthest_from_grid.max(off);

@@ -3,7 +3,7 @@
 //! A chunk whose answer was lost may be sent again. Whether an upload is allowed at all (not while ventilating)
 //! is the caller's to decide.
 
-use super::refusal::Refusal;
+use crate::link::refusal::Refusal;
 use crate::weights::{IMAGE_BYTES, Image, ImageProblem, decode};
 
 /// An upload in progress, or none.
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn an_upload_that_was_broken_off_goes_on_where_it_was_and_another_image_starts_anew() {
+    fn an_upload_that_was_broken_off_goes_on_where_it_was_and_another_image_starts_over() {
         let ((bytes, id), mut upload) = (image(), Upload::new());
         upload.begin(IMAGE_BYTES as u32, id).unwrap();
         upload.chunk(0, &bytes[..300]).unwrap();

@@ -39,10 +39,10 @@ pub const START: u8 = 0xA5;
 /// Length of a frame.
 pub const FRAME_BYTES: usize = 16;
 
-/// What is said.
+/// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Message {
-    /// Start anew, at rest.
+    /// Restart at rest.
     Reset {
         /// Control period, microseconds.
         period_us: u32,
@@ -64,12 +64,12 @@ pub enum Message {
         /// The seed.
         seed: u64,
     },
-    /// Who is there?
+    /// The ventilator opens the link.
     Hello {
         /// [`VERSION`] of the one who asks.
         version: u32,
     },
-    /// What the plant is.
+    /// The plant describes itself.
     Greeting {
         /// Its [`VERSION`].
         version: u16,
@@ -85,7 +85,7 @@ pub enum Message {
         /// True airway pressure at the same instant, cmH2O.
         airway: f32,
     },
-    /// The plant has started anew, its PEEP valve is set, or it has the seed.
+    /// The plant has restarted, its PEEP valve is set, or it has the seed.
     Ready {
         /// Pressure now, cmH2O.
         pressure: f32,
@@ -102,7 +102,7 @@ pub enum Message {
 pub struct Frame {
     /// Tick that the ventilator chose.
     pub tick: u16,
-    /// What is said.
+    /// Content of a frame.
     pub message: Message,
 }
 

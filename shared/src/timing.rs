@@ -1,4 +1,4 @@
-//! How punctual and how long the control ticks are, counted in cycles of the core's clock.
+//! Punctuality and duration of the control ticks, in cycles of the core's clock.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ pub const BINS: usize = 12;
 
 /// Shortest, mean and longest of a number of times, in cycles of the core's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Span {
+pub struct CycleStats {
     /// Shortest.
     pub shortest: u32,
     /// Mean.
@@ -26,11 +26,11 @@ pub struct TickTimes {
     /// Ticks that did not run at all.
     pub missed: u32,
     /// From the moment that the tick was due to its first instruction.
-    pub latency: Span,
+    pub latency: CycleStats,
     /// From the pressure reading to the end of the tick; the time in which a plant makes its answer is not in it.
-    pub work: Span,
+    pub work: CycleStats,
     /// From the start of one tick to the start of the next.
-    pub period: Span,
+    pub period: CycleStats,
     /// Ticks by their work, see [`BINS`].
     pub histogram: [u32; BINS],
 }
@@ -42,7 +42,7 @@ impl TickTimes {
     }
 }
 
-/// What one tick measured, in cycles of the core's clock.
+/// Times of one tick, in cycles of the core's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TickTime {
     /// See [`TickTimes::latency`].
@@ -134,12 +134,12 @@ impl Sum {
         self.longest = self.longest.max(cycles);
     }
 
-    fn span(self) -> Span {
+    fn span(self) -> CycleStats {
         if self.count == 0 {
-            return Span::default();
+            return CycleStats::default();
         }
         let mean = self.total as f32 / self.count as f32;
-        Span { shortest: self.shortest, mean, longest: self.longest }
+        CycleStats { shortest: self.shortest, mean, longest: self.longest }
     }
 }
 
@@ -180,7 +180,7 @@ mod tests {
     fn missed_ticks_are_counted_and_give_no_period() {
         let mut timer = TickTimer::new(CORE_HZ);
         timer.record(&TickTime { period: None, missed: 7, ..tick(100) });
-        assert_eq!((timer.missed(), timer.times().period), (7, Span::default()));
+        assert_eq!((timer.missed(), timer.times().period), (7, CycleStats::default()));
         timer.clear();
         assert_eq!(timer.times(), TickTimer::new(CORE_HZ).times());
     }

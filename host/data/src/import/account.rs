@@ -6,7 +6,9 @@ use std::fmt;
 use serde::Serialize;
 
 use super::map::Quantity;
-use super::reader::Sample;
+use super::reader::TableRow;
+use super::saturation::Saturation;
+use crate::identity::LungParameters;
 use crate::recording::quality::{noise_of_second_differences, quantum};
 
 /// Rows from which quantum and noise are estimated: the first of them, so that memory has a bound.
@@ -14,16 +16,19 @@ const JUDGED: usize = 500_000;
 /// A command this near to 0 or 100 percent is at the end of the valve's range.
 const AT_END: f64 = 1e-6;
 
+/// Valves whose saturation is told.
+const VALVES: [Quantity; 3] = [Quantity::UIn, Quantity::UOut, Quantity::UPsol];
+
 /// Lowest and highest value.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Range {
+pub struct Extremes {
     /// Lowest.
     pub low: f64,
     /// Highest.
     pub high: f64,
 }
 
-impl Range {
+impl Extremes {
     const NONE: Self = Self { low: f64::INFINITY, high: f64::NEG_INFINITY };
 
     fn add(&mut self, value: f64) {
@@ -44,12 +49,13 @@ pub(super) struct Account {
     kept: usize,
     breaths: usize,
     complete: usize,
-    steps: Range,
-    pressure: Range,
-    u_in: Range,
+    steps: Extremes,
+    pressure: Extremes,
+    u_in: Extremes,
     /// Rows at an end of the inspiratory valve's range while the expiratory valve is not open, and all such rows.
     saturated: (usize, usize),
-    lungs: BTreeMap<(u32, u32), usize>,
+    valves: [Saturation; 3],
+    lungs: BTreeMap<String, usize>,
     pressures: Vec<f32>,
     second_differences: Vec<f32>,
     /// Pressures of the two rows before that follow on.
@@ -68,10 +74,11 @@ impl Account {
             kept: 0,
             breaths: 0,
             complete: 0,
-            steps: Range::NONE,
-            pressure: Range::NONE,
-            u_in: Range::NONE,
+            steps: Extremes::NONE,
+            pressure: Extremes::NONE,
+            u_in: Extremes::NONE,
             saturated: (0, 0),
+            valves: Default::default(),
             lungs: BTreeMap::new(),
             pressures: Vec::new(),
             second_differences: Vec::new(),
@@ -80,11 +87,14 @@ impl Account {
     }
 
     /// Notes a row, and the one before if it follows on.
-    pub(super) fn sample(&mut self, sample: &Sample, last: Option<&Sample>) {
+    pub(super) fn sample(&mut self, sample: &TableRow, last: Option<&TableRow>) {
         self.rows += 1;
         let pressure = sample.get(Quantity::Pressure);
         self.pressure.add(pressure);
         self.u_in.add(sample.get(Quantity::UIn));
+        for (valve, quantity) in self.valves.iter_mut().zip(VALVES) {
+            valve.add(sample.get(quantity));
+        }
         let pressure = pressure as f32;
         if let Some(last) = last {
             self.steps.add(sample.get(Quantity::Time) - last.get(Quantity::Time));
@@ -100,13 +110,20 @@ impl Account {
         }
     }
 
-    /// Notes a breath: its samples, and the rows that it became.
-    pub(super) fn breath(&mut self, samples: &[Sample], rows: usize, complete: bool) {
+    /// Notes a breath: its samples, how many rows it became, and its lung where the table has R and C.
+    pub(super) fn breath(
+        &mut self,
+        samples: &[TableRow],
+        rows: usize,
+        complete: bool,
+        lung: Option<LungParameters>,
+    ) {
         self.breaths += 1;
         self.complete += usize::from(complete);
         self.kept += rows;
-        let bits = |quantity| (samples[0].get(quantity) as f32).to_bits();
-        *self.lungs.entry((bits(Quantity::Resistance), bits(Quantity::Compliance))).or_default() += 1;
+        if let Some(lung) = lung {
+            *self.lungs.entry(lung.to_string()).or_default() += 1;
+        }
         for command in
             samples.iter().take_while(|s| s.get(Quantity::UOut) < 50.0).map(|s| s.get(Quantity::UIn))
         {
@@ -115,35 +132,43 @@ impl Account {
         }
     }
 
-    pub(super) fn finish(mut self, period_us: u32) -> Summary {
-        let known = self.lungs.into_iter().filter(|(key, _)| *key != (0, 0));
-        Summary {
+    pub(super) fn end_of_table(&mut self) {
+        self.valves.iter_mut().for_each(Saturation::end_of_table);
+    }
+
+    /// The account of so many test runs.
+    pub(super) fn finish(mut self, period_us: u32, tests: usize) -> ImportSummary {
+        let [saturated_inhale, saturated_exhale, saturated_psol] =
+            self.valves.each_ref().map(Saturation::share);
+        ImportSummary {
             rows: self.rows,
             kept: self.kept,
             dropped_before_first_breath: self.dropped_before_first,
             dropped_after_gap: self.dropped_after_gap,
+            tests,
             breaths: self.breaths,
             complete_breaths: self.complete,
             resampled_breaths: self.resampled,
             furthest_from_grid_ms: 1e3 * self.furthest_from_grid,
             gaps: self.gaps,
             period_us,
-            step_ms: Range { low: 1e3 * self.steps.low, high: 1e3 * self.steps.high },
+            step_ms: Extremes { low: 1e3 * self.steps.low, high: 1e3 * self.steps.high },
             pressure: self.pressure,
             u_in: self.u_in,
             quantum: quantum(&self.pressures),
             noise: noise_of_second_differences(&mut self.second_differences),
             saturated: self.saturated.0 as f64 / self.saturated.1.max(1) as f64,
-            lungs: known
-                .map(|((r, c), breaths)| (format!("{}:{}", f32::from_bits(r), f32::from_bits(c)), breaths))
-                .collect(),
+            saturated_inhale,
+            saturated_exhale,
+            saturated_psol,
+            lungs: self.lungs,
         }
     }
 }
 
 /// Account of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Summary {
+pub struct ImportSummary {
     /// Rows read.
     pub rows: usize,
     /// Rows written; a breath that was put on an even grid may have a few more or less than were read.
@@ -152,6 +177,8 @@ pub struct Summary {
     pub dropped_before_first_breath: usize,
     /// Rows between a gap in time and the next breath.
     pub dropped_after_gap: usize,
+    /// Test runs; a table without groups is one.
+    pub tests: usize,
     /// Breaths, complete or not.
     pub breaths: usize,
     /// Breaths with a complete inspiration.
@@ -165,31 +192,54 @@ pub struct Summary {
     /// Sample period of the recording, microseconds.
     pub period_us: u32,
     /// Shortest and longest time step between rows that follow on, ms.
-    pub step_ms: Range,
+    pub step_ms: Extremes,
     /// Pressures, cmH2O.
-    pub pressure: Range,
+    pub pressure: Extremes,
     /// Commands of the inspiratory valve, percent.
-    pub u_in: Range,
+    pub u_in: Extremes,
     /// Smallest step of the pressure column, cmH2O; 0 if there is none.
     pub quantum: f64,
     /// Standard deviation of the pressure noise, cmH2O.
     pub noise: f64,
     /// Share of rows before the expiratory valve opens with the inspiratory valve shut or fully open, 0..1.
     pub saturated: f64,
+    /// Share of all rows with the inspiratory valve at an end of the range that it uses, 0..1.
+    pub saturated_inhale: f64,
+    /// The same of the expiratory valve.
+    pub saturated_exhale: f64,
+    /// The same of the second inspiratory valve (oxygen).
+    pub saturated_psol: f64,
     /// Breaths by nominal `R:C`, if the table has them.
     pub lungs: BTreeMap<String, usize>,
 }
 
-impl fmt::Display for Summary {
+impl ImportSummary {
+    /// The whole in a line, for the recording.
+    pub(super) fn note(&self) -> String {
+        format!(
+            "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid, {:.1} % of inspiratory rows with the \
+             valve at an end",
+            self.rows,
+            self.dropped_before_first_breath + self.dropped_after_gap,
+            self.gaps,
+            self.resampled_breaths,
+            100.0 * self.saturated
+        )
+    }
+}
+
+impl fmt::Display for ImportSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let range =
-            |range: &Range, digits: usize| format!("{:.digits$} to {:.digits$}", range.low, range.high);
+            |range: &Extremes, digits: usize| format!("{:.digits$} to {:.digits$}", range.low, range.high);
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let mut lines = vec![
             ("rows read", self.rows.to_string()),
             ("rows written", self.kept.to_string()),
             ("rows dropped", (self.dropped_before_first_breath + self.dropped_after_gap).to_string()),
             ("  before the first breath", self.dropped_before_first_breath.to_string()),
             ("  after a gap", self.dropped_after_gap.to_string()),
+            ("test runs", self.tests.to_string()),
             ("breaths", format!("{} ({} complete)", self.breaths, self.complete_breaths)),
             ("gaps in time", self.gaps.to_string()),
             ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
@@ -206,6 +256,9 @@ impl fmt::Display for Summary {
             ("pressure noise (sd)", format!("{:.3} cmH2O", self.noise)),
             ("inspiratory valve", format!("{} %", range(&self.u_in, 1))),
             ("  shut or fully open", format!("{:.1} % of inspiratory rows", 100.0 * self.saturated)),
+            ("  at an end of its use", percent(self.saturated_inhale)),
+            ("expiratory valve at an end", percent(self.saturated_exhale)),
+            ("oxygen valve at an end", percent(self.saturated_psol)),
         ];
         let lungs: Vec<_> = self.lungs.iter().map(|(lung, breaths)| format!("{lung} ({breaths})")).collect();
         lines.extend((!lungs.is_empty()).then(|| ("lungs R:C (breaths)", lungs.join(", "))));

@@ -7,6 +7,7 @@
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 
 use super::{Actions, End, Environment, Transition};
 
@@ -84,54 +85,48 @@ impl Environment for CartPole {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use rand_chacha::rand_core::SeedableRng;
+fn balanced() -> CartPole {
+    let mut cart = CartPole::default();
+    cart.reset(&mut ChaCha8Rng::seed_from_u64(3));
+    cart
+}
 
-    fn balanced() -> CartPole {
-        let mut cart = CartPole::default();
-        cart.reset(&mut ChaCha8Rng::seed_from_u64(3));
-        cart
+#[test]
+fn a_push_from_rest_gives_the_textbooks_accelerations() {
+    let mut cart = CartPole::default();
+    cart.step(1.0);
+    // F / M = 10 / 1.1; spin rate = -(F / M) / (l (4/3 - m / M)).
+    let push = 10.0 / 1.1;
+    let spin_rate = -push / (0.5 * (4.0 / 3.0 - 0.1 / 1.1));
+    let speed = 0.02 * (push - 0.1 * 0.5 * spin_rate / 1.1);
+    let expected = [0.0, speed, 0.0, 0.02 * spin_rate];
+    for (got, expected) in cart.state.iter().zip(expected) {
+        assert!((got - expected).abs() < 1e-6, "{:?}", cart.state);
     }
+}
 
-    #[test]
-    fn a_push_from_rest_gives_the_textbooks_accelerations() {
-        let mut cart = CartPole::default();
-        cart.step(1.0);
-        // F / M = 10 / 1.1; spin rate = -(F / M) / (l (4/3 - m / M)).
-        let push = 10.0 / 1.1;
-        let spin_rate = -push / (0.5 * (4.0 / 3.0 - 0.1 / 1.1));
-        let speed = 0.02 * (push - 0.1 * 0.5 * spin_rate / 1.1);
-        let expected = [0.0, speed, 0.0, 0.02 * spin_rate];
-        for (got, expected) in cart.state.iter().zip(expected) {
-            assert!((got - expected).abs() < 1e-6, "{:?}", cart.state);
-        }
-    }
+#[test]
+fn a_pole_pushed_one_way_falls_within_a_quarter_second() {
+    let mut cart = balanced();
+    let steps = (1..STEPS_MAX).find(|_| cart.step(1.0).end == End::Terminal).unwrap();
+    assert!((7..13).contains(&steps), "{steps} steps");
+}
 
-    #[test]
-    fn a_pole_pushed_one_way_falls_within_a_quarter_second() {
-        let mut cart = balanced();
-        let steps = (1..STEPS_MAX).find(|_| cart.step(1.0).end == End::Terminal).unwrap();
-        assert!((7..13).contains(&steps), "{steps} steps");
-    }
+#[test]
+fn a_balanced_pole_is_cut_after_500_steps() {
+    let mut cart = balanced();
+    let ends: Vec<End> = (0..STEPS_MAX)
+        .map(|_| {
+            let [position, speed, angle, spin] = cart.state;
+            let lean = 10.0 * angle + 2.0 * spin + 0.3 * position + 0.6 * speed;
+            cart.step(f32::from(u8::from(lean > 0.0))).end
+        })
+        .collect();
+    assert!(ends[..ends.len() - 1].iter().all(|end| *end == End::Not));
+    assert_eq!(ends.last(), Some(&End::TimeLimit));
+}
 
-    #[test]
-    fn a_balanced_pole_is_cut_after_500_steps() {
-        let mut cart = balanced();
-        let ends: Vec<End> = (0..STEPS_MAX)
-            .map(|_| {
-                let [position, speed, angle, spin] = cart.state;
-                let lean = 10.0 * angle + 2.0 * spin + 0.3 * position + 0.6 * speed;
-                cart.step(f32::from(u8::from(lean > 0.0))).end
-            })
-            .collect();
-        assert!(ends[..ends.len() - 1].iter().all(|end| *end == End::Not));
-        assert_eq!(ends.last(), Some(&End::TimeLimit));
-    }
-
-    #[test]
-    fn episodes_start_close_to_the_balance() {
-        assert!(balanced().state.iter().all(|x| x.abs() < START_SPREAD && *x != 0.0));
-    }
+#[test]
+fn episodes_start_close_to_the_balance() {
+    assert!(balanced().state.iter().all(|x| x.abs() < START_SPREAD && *x != 0.0));
 }

@@ -1,5 +1,7 @@
 //! Generated tables in layouts of others.
 
+mod respiraworks;
+
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -9,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::map::ColumnMap;
 use super::*;
+use crate::identity::TestRun;
 use crate::recording::{EXPIRATION, FALL, INSPIRATION, Recording};
 
 const QUANTUM: f64 = 0.070_304;
@@ -40,7 +43,7 @@ fn kaggle(breaths: usize) -> String {
     text
 }
 
-fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, Summary), DatasetError> {
+fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, ImportSummary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
     let (table, out) = (folder.path().join("table.csv"), folder.path().join("out.parquet"));
     std::fs::write(&table, text).unwrap();
@@ -50,7 +53,7 @@ fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, Summary), Dataset
 
 #[test]
 fn the_kaggle_layout_becomes_breaths_on_an_even_grid() {
-    let (recording, summary) = imported(&kaggle(9), &ColumnMap::kaggle()).unwrap();
+    let (recording, summary) = imported(&kaggle(9), &ColumnMap::kaggle().unwrap()).unwrap();
     assert!((32_900..33_100).contains(&summary.period_us), "{summary}");
     assert_eq!((summary.rows, summary.breaths, summary.complete_breaths, summary.gaps), (720, 9, 9, 0));
     assert_eq!((summary.dropped_before_first_breath, summary.dropped_after_gap), (0, 0));
@@ -125,7 +128,7 @@ fn mapped(rows: usize) -> Vec<String> {
 
 const HEAD: &str = "t;set;Paw;valve;V'in;V'out;lung\n";
 
-fn from_rows(rows: &[String]) -> Result<(Recording, Summary), DatasetError> {
+fn from_rows(rows: &[String]) -> Result<(Recording, ImportSummary), DatasetError> {
     imported(&format!("{HEAD}{}", rows.concat()), &ColumnMap::from_toml(MAP).unwrap())
 }
 
@@ -148,7 +151,7 @@ fn a_column_map_gives_names_units_scales_and_constants() {
         (recording.pip[0], recording.peep[0], recording.u_out[0], recording.u_out[60]),
         (20.0, 5.0, 0.0, 100.0)
     );
-    assert_eq!(recording.provenance.groups, ["left"]);
+    assert_eq!(recording.provenance.groups, ["left"].map(TestRun::from));
     assert_eq!(recording.provenance.plant, "bench of the neighbours");
 }
 
@@ -173,7 +176,7 @@ fn a_change_of_group_ends_a_breath() {
     let mut rows = mapped(420);
     rows[200..].iter_mut().for_each(|row| *row = row.replace("left", "right"));
     let (recording, summary) = from_rows(&rows).unwrap();
-    assert_eq!(recording.provenance.groups, ["left", "right"]);
+    assert_eq!(recording.provenance.groups, ["left", "right"].map(TestRun::from));
     assert_eq!((summary.breaths, summary.gaps, summary.dropped_before_first_breath), (4, 0, 40));
     let groups = recording.group.unwrap();
     assert_eq!((groups[0], groups[179], groups[180]), (0, 0, 1));
@@ -215,7 +218,7 @@ fn bad_cells_columns_and_tables_are_named() {
     rows[50] = rows[50].replace(";30;", ";NaN;");
     let error = from_rows(&rows).unwrap_err().to_string();
     assert!(error.contains("line 52") && error.contains("V'in") && error.contains("not finite"), "{error}");
-    let kaggle_map = ColumnMap::kaggle();
+    let kaggle_map = ColumnMap::kaggle().unwrap();
     let error = imported("id,breath_id,R,C\n1,1,1,1\n", &kaggle_map).unwrap_err().to_string();
     assert!(error.contains("no column `time_step`"), "{error}");
     assert!(matches!(imported(&kaggle(0), &kaggle_map), Err(DatasetError::NoPeriod { .. })));

@@ -15,14 +15,14 @@ pub type Points = Vec<(f64, f64)>;
 
 /// Samples of the last seconds.
 #[derive(Clone, Debug)]
-pub struct Trace {
+pub struct TelemetryWindow {
     samples: VecDeque<Taken>,
     ticks: u64,
     period_us: u32,
 }
 
-impl Trace {
-    /// An empty trace over so many seconds at a control period.
+impl TelemetryWindow {
+    /// An empty window over so many seconds at a control period.
     pub fn new(seconds: f64, period_us: u32) -> Self {
         let period_us = period_us.max(1);
         let ticks = (seconds * 1e6 / f64::from(period_us)) as u64;

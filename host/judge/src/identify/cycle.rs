@@ -1,4 +1,4 @@
-//! One breath as the rows of a least-squares problem.
+//! One respiratory cycle as the rows of a least-squares problem.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ const SLOPE_S: f64 = 0.02;
 
 /// A whole respiratory cycle: pressures, net flow less the drift of its sensors, and the pressure's slope.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Breath {
+pub struct Cycle {
     period_s: f64,
     /// Rows of its inspiration.
     inspiration: usize,
@@ -26,9 +26,9 @@ pub struct Breath {
     pub offset: f64,
 }
 
-/// Which rows of a breath count.
+/// Which rows of a cycle count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Span {
+pub enum FitSpan {
     /// Its inspiration.
     Inspiration,
     /// All of it.
@@ -44,8 +44,8 @@ pub enum Drift {
     Corrected,
 }
 
-impl Breath {
-    /// The breath in these rows of a recording with flows; the slope looks into the rows around it where it can.
+impl Cycle {
+    /// The cycle in these rows of a recording with flows; the slope looks into the rows around it where it can.
     pub fn new(recording: &Recording, rows: &Range<usize>, inspiration: usize) -> Option<Self> {
         let (flow_in, flow_out) = (recording.flow_in.as_deref()?, recording.flow_out.as_deref()?);
         let flow: Vec<f64> =
@@ -68,16 +68,16 @@ impl Breath {
 
     /// The least-squares fit of `P = P0 + V/C + R q + R2 q|q|`, `q` being the net flow less what the circuit takes
     /// (`circuit`, mL/cmH2O, times the slope of the pressure). Coefficients in that order, 1/C in cmH2O/mL.
-    pub fn fit(&self, span: Span, drift: Drift, circuit: f64) -> Option<Solution<COEFFICIENTS>> {
+    pub fn fit(&self, span: FitSpan, drift: Drift, circuit: f64) -> Option<Solution<COEFFICIENTS>> {
         let rows = self.rows(drift, circuit);
         let count = match span {
-            Span::Inspiration => self.inspiration.min(rows.len()),
-            Span::Cycle => rows.len(),
+            FitSpan::Inspiration => self.inspiration.min(rows.len()),
+            FitSpan::Cycle => rows.len(),
         };
         solve(&rows[..count], &self.pressure[..count])
     }
 
-    /// One row per sample: 1, volume since the breath's start (mL), flow, flow times its magnitude.
+    /// One row per sample: 1, volume since the cycle's start (mL), flow, flow times its magnitude.
     pub fn rows(&self, drift: Drift, circuit: f64) -> Vec<[f64; COEFFICIENTS]> {
         let offset = if drift == Drift::Corrected { self.offset } else { 0.0 };
         let mut volume = 0.0;

@@ -1,10 +1,5 @@
 //! Import of generated tables in the measured layout, and of the measured tables where they are at hand.
 
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
 use super::*;
@@ -36,9 +31,17 @@ fn write(folder: &Path, name: &str, lines: &[String]) -> PathBuf {
     path
 }
 
+fn import_tables(paths: &[PathBuf]) -> Result<(Recording, ImportSummary), DatasetError> {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out.parquet");
+    let layout = ColumnMap::respiraworks().unwrap().layout().unwrap();
+    let summary = import(paths, &layout, &out, &mut |_| ())?;
+    Ok((Recording::load(&out).unwrap(), summary))
+}
+
 fn import_lines(lines: &[String]) -> Result<(Recording, ImportSummary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
-    import(&[write(folder.path(), "table.csv", lines)])
+    import_tables(&[write(folder.path(), "table.csv", lines)])
 }
 
 #[test]
@@ -47,8 +50,8 @@ fn a_test_becomes_breaths_in_the_units_of_a_recording() {
     assert_eq!(recording.breaths(), [40..340, 340..640, 640..700].map(|rows| rows.start - 40..rows.end - 40));
     assert_eq!(recording.inspirations(), [0..90, 300..390]);
     assert_eq!(recording.provenance.period_us, 10_000);
-    assert_eq!(recording.provenance.groups, ["AIR:3"]);
-    assert_eq!(summary.dropped, Dropped { before_first_rise: 40, after_gap: 0 });
+    assert_eq!(recording.provenance.groups, ["AIR:3"].map(TestRun::from));
+    assert_eq!((summary.dropped_before_first_breath, summary.dropped_after_gap), (40, 0));
     assert_eq!((summary.rows, summary.kept, summary.breaths, summary.complete_breaths), (700, 660, 3, 2));
 
     assert_eq!((recording.pip[0], recording.peep[0]), (15.0, 5.0));
@@ -75,11 +78,11 @@ fn a_change_of_test_or_run_ends_a_breath() {
     table.extend(lines("AIR", 2, 150, 0.1));
     table.extend(lines("OXY", 2, 150, 0.1));
     let (recording, summary) = import_lines(&table).unwrap();
-    assert_eq!(recording.provenance.groups, ["AIR:1", "AIR:2", "OXY:2"]);
+    assert_eq!(recording.provenance.groups, ["AIR:1", "AIR:2", "OXY:2"].map(TestRun::from));
     assert_eq!(recording.breaths(), [0..110, 110..220, 220..330]);
     let groups = recording.group.unwrap();
     assert_eq!([groups[0], groups[110], groups[329]], [0, 1, 2]);
-    assert_eq!((summary.tests, summary.dropped.before_first_rise), (3, 120));
+    assert_eq!((summary.tests, summary.dropped_before_first_breath), (3, 120));
 }
 
 #[test]
@@ -89,7 +92,7 @@ fn a_gap_in_time_ends_a_breath_and_rows_up_to_the_next_rise_are_dropped() {
     let (recording, summary) = import_lines(&table).unwrap();
     assert_eq!(recording.breaths(), [0..160, 160..220]);
     assert_eq!(summary.gaps, 1);
-    assert_eq!(summary.dropped, Dropped { before_first_rise: 40, after_gap: 130 });
+    assert_eq!((summary.dropped_before_first_breath, summary.dropped_after_gap), (40, 130));
     assert_eq!(summary.kept + 40 + 130, summary.rows);
 }
 
@@ -98,8 +101,8 @@ fn several_tables_become_one_recording() {
     let folder = tempfile::tempdir().unwrap();
     let a = write(folder.path(), "a.csv", &lines("A", 1, 400, 0.1));
     let b = write(folder.path(), "b.csv", &lines("B", 1, 400, 0.1));
-    let (recording, summary) = import(&[a, b]).unwrap();
-    assert_eq!(recording.provenance.groups, ["A:1", "B:1"]);
+    let (recording, summary) = import_tables(&[a, b]).unwrap();
+    assert_eq!(recording.provenance.groups, ["A:1", "B:1"].map(TestRun::from));
     assert_eq!((summary.breaths, recording.breaths().len()), (4, 4));
     assert_eq!(recording.provenance.settings["files"], json!(["a.csv", "b.csv"]));
 }
@@ -109,10 +112,10 @@ fn quantum_noise_and_saturation_are_estimated() {
     let (_, summary) = import_lines(&lines("AIR", 1, 3_040, 0.08)).unwrap();
     assert!((summary.quantum - QUANTUM).abs() < 2e-5, "{}", summary.quantum);
     assert!((summary.noise - 0.08).abs() < 0.008, "{}", summary.noise);
-    assert!(summary.pressure_range.0 < 5.0 && summary.pressure_range.1 > 15.0);
+    assert!(summary.pressure.low < 5.0 && summary.pressure.high > 15.0);
     // The generated valves only ever stand at an end of their range; the oxygen valve is not in use.
     assert_eq!((summary.saturated_inhale, summary.saturated_exhale, summary.saturated_psol), (1.0, 1.0, 0.0));
-    assert!(summary.to_string().contains("rows read                 3040\n"), "{summary}");
+    assert!(summary.to_string().contains("rows read                   3040\n"), "{summary}");
 }
 
 /// The error for a table whose line 52 has `cell` in place of `column`.
@@ -134,9 +137,9 @@ fn a_bad_cell_is_named_with_file_line_and_column() {
     ];
     for (place, cell, name, why) in cases {
         match error_for(place, cell) {
-            DatasetError::Cell { path, line, column, value, reason } => {
+            DatasetError::TableCell { path, line, column, value, reason } => {
                 assert!(path.ends_with("table.csv"));
-                assert_eq!((line, column, value.as_str(), reason), (52, name, cell, why));
+                assert_eq!((line, column.as_str(), value.as_str(), reason), (52, name, cell, why));
             }
             other => panic!("{other}"),
         }
@@ -156,24 +159,28 @@ fn a_short_line_a_missing_column_and_a_missing_file_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.csv");
     std::fs::write(&path, "run,test\nA,1\n").unwrap();
-    assert!(matches!(import(&[path]), Err(DatasetError::TableColumn { column: "t_s", .. })));
-    assert!(matches!(import(&[folder.path().join("none.csv")]), Err(DatasetError::Missing { .. })));
+    assert!(
+        matches!(import_tables(&[path]), Err(DatasetError::TableColumn { column, .. }) if column == "t_s")
+    );
+    assert!(matches!(import_tables(&[folder.path().join("none.csv")]), Err(DatasetError::Missing { .. })));
 }
 
 #[test]
 fn tables_without_a_breath_or_at_two_rates_are_refused() {
     assert!(matches!(import_lines(&lines("AIR", 1, 40, 0.1)), Err(DatasetError::NoBreath { tables: 1 })));
-    let mut table = lines("AIR", 1, 400, 0.1);
-    let mut slow = String::new();
-    for (row, line) in lines("AIR", 2, 400, 0.1).iter().enumerate() {
+    let folder = tempfile::tempdir().unwrap();
+    let fast = write(folder.path(), "fast.csv", &lines("AIR", 1, 400, 0.1));
+    let mut slow = lines("AIR", 2, 400, 0.1);
+    for (row, line) in slow.iter_mut().enumerate() {
         let mut cells: Vec<_> = line.split(',').map(str::to_owned).collect();
         cells[4] = format!("{:.3}", row as f64 * 0.02);
-        write!(slow, "{}", cells.join(",")).unwrap();
+        *line = cells.join(",");
     }
-    table.push(slow);
-    match import_lines(&table).unwrap_err() {
-        DatasetError::Period { test, found_us, expected_us, .. } => {
-            assert_eq!((test.as_str(), found_us, expected_us), ("AIR:2", 20_000, 10_000));
+    let slow = write(folder.path(), "slow.csv", &slow);
+    match import_tables(&[fast, slow]).unwrap_err() {
+        DatasetError::Period { path, found_us, expected_us } => {
+            assert!(path.ends_with("slow.csv"));
+            assert_eq!((found_us, expected_us), (20_000, 10_000));
         }
         other => panic!("{other}"),
     }
@@ -182,20 +189,19 @@ fn tables_without_a_breath_or_at_two_rates_are_refused() {
 #[test]
 fn the_measured_tables_import_whole() {
     let Some(paths) = measured() else { return };
-    let (recording, summary) = import(&paths).unwrap();
+    let (recording, summary) = import_tables(&paths).unwrap();
     println!("{summary}");
     assert_eq!((summary.rows, summary.tests, summary.gaps, summary.period_us), (56_160, 24, 0, 10_000));
     assert_eq!(summary.breaths, recording.breaths().len());
-    assert_eq!(summary.kept + summary.dropped.before_first_rise, summary.rows);
-    assert_eq!(summary.dropped.after_gap, 0);
+    assert_eq!(summary.kept + summary.dropped_before_first_breath, summary.rows);
+    assert_eq!(summary.dropped_after_gap, 0);
     assert!((summary.quantum - 0.010_197).abs() < 2e-5, "one pascal is expected: {}", summary.quantum);
 
     // Each test holds its row of the lung table, whole breaths at one pair of settings.
     let settings = [(15, 5), (25, 10), (30, 5), (35, 10), (20, 5), (35, 10), (35, 5), (35, 10)];
-    let groups = recording.group.as_deref().unwrap();
     for inspiration in recording.inspirations() {
         let row = inspiration.start;
-        let (_, test) = recording.provenance.groups[groups[row] as usize].split_once(':').unwrap();
+        let test = recording.test_run(row).unwrap().run.as_ref().unwrap();
         let (pip, peep) = settings[test.parse::<usize>().unwrap() - 1];
         assert_eq!((recording.pip[row], recording.peep[row]), (pip as f32, peep as f32), "row {row}");
         assert_eq!(inspiration.len(), 90);
@@ -205,7 +211,7 @@ fn the_measured_tables_import_whole() {
 #[test]
 fn the_oxygen_run_is_driven_by_the_oxygen_valve_alone() {
     let Some(paths) = measured() else { return };
-    let (recording, _) = import(&paths[1..2]).unwrap();
+    let (recording, _) = import_tables(&paths[1..2]).unwrap();
     assert!(recording.u_in.iter().all(|&command| command == 0.0));
     assert!(recording.u_psol.unwrap().iter().any(|&command| command > 99.0));
 }

@@ -1,6 +1,10 @@
-//! Where the tests of every crate find the measured tables.
+//! What the tests of every crate share: where the measured tables are, and their recording.
 
 use std::path::{Path, PathBuf};
+
+use super::import;
+use super::map::ColumnMap;
+use crate::recording::Recording;
 
 /// The three measured tables, if they are at hand: in the folder that `EUPNEA_DATA` names, else beside the project.
 pub fn measured() -> Option<Vec<PathBuf>> {
@@ -12,4 +16,12 @@ pub fn measured() -> Option<Vec<PathBuf>> {
     }
     eprintln!("skipped: no measured tables in {}", folder.display());
     None
+}
+
+/// Imports measured tables into a file of `folder` and reads it; panics where that fails.
+pub fn measured_recording(tables: &[PathBuf], folder: &Path) -> Recording {
+    let layout = ColumnMap::respiraworks().and_then(|map| map.layout()).expect("the map is sound");
+    let out = folder.join("measured.parquet");
+    import(tables, &layout, &out, &mut |_| ()).expect("the tables are whole");
+    Recording::load(out).expect("it was just written")
 }

@@ -26,7 +26,15 @@ pub enum Quantity {
     Resistance,
     /// Compliance, mL/cmH2O.
     Compliance,
+    /// Command of a second inspiratory valve (oxygen), percent.
+    UPsol,
 }
+
+/// How many quantities there are.
+pub const QUANTITIES: usize = 10;
+
+/// The unit of a command from 0 to 1.
+const SHARE: &str = "share";
 
 /// Pressure units: name and factor to cmH2O.
 const PRESSURES: &[(&str, f64)] = &[
@@ -40,7 +48,7 @@ const PRESSURES: &[(&str, f64)] = &[
 
 impl Quantity {
     /// All of them.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; QUANTITIES] = [
         Self::Time,
         Self::Pressure,
         Self::UIn,
@@ -50,6 +58,7 @@ impl Quantity {
         Self::FlowOut,
         Self::Resistance,
         Self::Compliance,
+        Self::UPsol,
     ];
 
     /// Its table in the column map.
@@ -64,6 +73,7 @@ impl Quantity {
             Self::FlowOut => "flow_out",
             Self::Resistance => "resistance",
             Self::Compliance => "compliance",
+            Self::UPsol => "u_psol",
         }
     }
 
@@ -72,7 +82,7 @@ impl Quantity {
         match self {
             Self::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)],
             Self::Pressure | Self::Target => PRESSURES,
-            Self::UIn | Self::UOut => &[("percent", 1.0), ("share", 100.0)],
+            Self::UIn | Self::UOut | Self::UPsol => &[("percent", 1.0), (SHARE, 100.0)],
             Self::FlowIn | Self::FlowOut => {
                 &[("L/s", 1.0), ("L/min", 1.0 / 60.0), ("mL/s", 1e-3), ("mL/min", 1e-3 / 60.0)]
             }
@@ -158,12 +168,25 @@ struct Label {
     column: String,
 }
 
+/// The columns of test runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Group {
+    /// The ventilator's name, or the name of the whole.
+    column: String,
+    /// The name of the run among the ventilator's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    run: Option<String>,
+}
+
 /// A column map as typed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ColumnMap {
     #[serde(default = "no_name")]
     plant: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    note: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     period_ms: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -173,7 +196,7 @@ pub struct ColumnMap {
     #[serde(skip_serializing_if = "Option::is_none")]
     breath: Option<Label>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    group: Option<Label>,
+    group: Option<Group>,
     time: Entry,
     pressure: Entry,
     u_in: Entry,
@@ -189,6 +212,8 @@ pub struct ColumnMap {
     resistance: Option<Entry>,
     #[serde(skip_serializing_if = "Option::is_none")]
     compliance: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    u_psol: Option<Entry>,
 }
 
 fn no_name() -> String {
@@ -201,7 +226,7 @@ fn comma() -> char {
 
 /// Where a quantity comes from.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Origin {
+pub enum ColumnSource {
     /// A column, times a factor, plus an offset: our unit.
     Column {
         /// Its head.
@@ -210,6 +235,8 @@ pub enum Origin {
         factor: f64,
         /// What is added then, in our unit.
         offset: f64,
+        /// Whether it is a command from 0 to 1, beyond which it makes no sense.
+        share: bool,
     },
     /// The same for all rows, in our unit.
     Value(f64),
@@ -239,9 +266,11 @@ pub enum EndBy {
 
 /// A column map that has been checked.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Layout {
+pub struct TableLayout {
     /// What was recorded.
     pub plant: String,
+    /// Remark for people.
+    pub note: Option<String>,
     /// Sample period in seconds, where the map gives it.
     pub period_s: Option<f64>,
     /// Column separator.
@@ -250,8 +279,10 @@ pub struct Layout {
     pub breath: Option<String>,
     /// Head of the column of groups.
     pub group: Option<String>,
+    /// Head of the column of runs within a group.
+    pub run: Option<String>,
     /// Quantities, in the order of [`Quantity::ALL`].
-    pub origins: [Option<Origin>; 9],
+    pub origins: [Option<ColumnSource>; QUANTITIES],
     /// What starts a breath.
     pub start: StartBy,
     /// What ends an inspiration.
@@ -278,30 +309,19 @@ impl ColumnMap {
     }
 
     /// The layout of the Kaggle competition "Ventilator Pressure Prediction" (Google Brain, 2021).
-    pub fn kaggle() -> Self {
-        let column = |name: &str, unit: &str| Entry {
-            column: Some(name.into()),
-            unit: Some(unit.into()),
-            scale: 1.0,
-            ..Entry::default()
-        };
-        Self {
-            plant: "kaggle".into(),
-            period_ms: None,
-            inspiration_s: None,
-            separator: comma(),
-            breath: Some(Label { column: "breath_id".into() }),
-            group: None,
-            time: column("time_step", "s"),
-            pressure: column("pressure", "cmH2O"),
-            u_in: column("u_in", "percent"),
-            u_out: Some(column("u_out", "share")),
-            target: None,
-            flow_in: None,
-            flow_out: None,
-            resistance: Some(column("R", "cmH2O/(L/s)")),
-            compliance: Some(column("C", "mL/cmH2O")),
-        }
+    ///
+    /// # Errors
+    /// As [`Self::from_toml`], which a test rules out.
+    pub fn kaggle() -> Result<Self, MapError> {
+        Self::from_toml(include_str!("kaggle.toml"))
+    }
+
+    /// The layout of the measured tables of the `RespiraWorks` ventilator.
+    ///
+    /// # Errors
+    /// As [`Self::from_toml`], which a test rules out.
+    pub fn respiraworks() -> Result<Self, MapError> {
+        Self::from_toml(include_str!("respiraworks.toml"))
     }
 
     fn entry(&self, quantity: Quantity) -> Option<&Entry> {
@@ -315,6 +335,7 @@ impl ColumnMap {
             Quantity::FlowOut => self.flow_out.as_ref(),
             Quantity::Resistance => self.resistance.as_ref(),
             Quantity::Compliance => self.compliance.as_ref(),
+            Quantity::UPsol => self.u_psol.as_ref(),
         }
     }
 
@@ -322,14 +343,14 @@ impl ColumnMap {
     ///
     /// # Errors
     /// The first thing in it that makes no sense.
-    pub fn layout(&self) -> Result<Layout, MapError> {
+    pub fn layout(&self) -> Result<TableLayout, MapError> {
         let positive = |value: Option<f64>, what| match value {
             Some(value) if !(value > 0.0 && value.is_finite()) => Err(MapError::Number(what)),
             value => Ok(value),
         };
         let period_s = positive(self.period_ms, "period_ms")?.map(|ms| ms * 1e-3);
         let inspiration_s = positive(self.inspiration_s, "inspiration_s")?;
-        let mut origins: [Option<Origin>; 9] = Default::default();
+        let mut origins: [Option<ColumnSource>; QUANTITIES] = Default::default();
         for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
             *origin = self.entry(quantity).map(|entry| entry.origin(quantity)).transpose()?;
         }
@@ -346,12 +367,14 @@ impl ColumnMap {
             None if target => EndBy::Target,
             None => return Err(MapError::NoEnd),
         };
-        Ok(Layout {
+        Ok(TableLayout {
             plant: self.plant.clone(),
+            note: self.note.clone(),
             period_s,
             separator: u8::try_from(self.separator).unwrap_or(b','),
             breath: self.breath.as_ref().map(|label| label.column.clone()),
-            group: self.group.as_ref().map(|label| label.column.clone()),
+            group: self.group.as_ref().map(|group| group.column.clone()),
+            run: self.group.as_ref().and_then(|group| group.run.clone()),
             origins,
             start,
             end,
@@ -360,7 +383,7 @@ impl ColumnMap {
 }
 
 impl Entry {
-    fn origin(&self, quantity: Quantity) -> Result<Origin, MapError> {
+    fn origin(&self, quantity: Quantity) -> Result<ColumnSource, MapError> {
         let name = quantity.name();
         let units = quantity.units();
         let unit = self.unit.as_deref().unwrap_or(units[0].0);
@@ -369,13 +392,14 @@ impl Entry {
             return Err(MapError::Unit { quantity: name, unit: unit.to_owned(), known });
         };
         match (&self.column, self.value) {
-            (Some(column), None) => Ok(Origin::Column {
+            (Some(column), None) => Ok(ColumnSource::Column {
                 name: column.clone(),
                 factor: factor * self.scale,
                 offset: factor * self.offset,
+                share: unit == SHARE,
             }),
             (None, Some(value)) if matches!(quantity, Quantity::Resistance | Quantity::Compliance) => {
-                Ok(Origin::Value(factor * (value * self.scale + self.offset)))
+                Ok(ColumnSource::Value(factor * (value * self.scale + self.offset)))
             }
             (None, Some(_)) => Err(MapError::NotConstant(name)),
             _ => Err(MapError::Source(name)),
