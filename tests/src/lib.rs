@@ -4,5 +4,5 @@
 
 #[cfg(feature = "host")]
 pub mod debugger;
-pub mod plant;
+pub mod exact_lung;
 pub mod trace;

@@ -4,6 +4,7 @@
 //! board is virtual and stands still while the plant computes.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::io::Write;
 use std::net::TcpStream;
 use std::path::PathBuf;
@@ -15,8 +16,9 @@ use std::{env, fs};
 use device::Device;
 use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
-use emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd};
-use plant::bench::BenchConfig;
+use emulator::{Emulator, EmulatorConfig, LockstepPlant, PlantEnd};
+use plant::bench::{BenchConfig, BenchPlant};
+use plant::{Plant, Reading};
 use progress::Watch;
 use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
@@ -34,7 +36,7 @@ use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 use tests::debugger::{Debugger, symbol};
-use tests::plant::Plant as Lung;
+use tests::exact_lung::ExactLung;
 use tests::trace::{self, Fnv};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, PortSource, Source};
@@ -124,22 +126,34 @@ impl PlantEnd for Silence {
 }
 
 /// The lung of the golden traces at the end of the plant line.
-struct TraceLung(Lung);
+struct GoldenPlant(ExactLung);
 
-impl Plant for TraceLung {
-    fn reset(&mut self, _period_us: u32, _seed: u64) -> f32 {
-        self.0 = Lung::new(trace::settings(0).peep);
-        self.0.pressure()
+impl GoldenPlant {
+    fn reading(&self) -> Reading {
+        Reading { pressure: self.0.pressure(), truth: None }
+    }
+}
+
+impl Plant for GoldenPlant {
+    type Error = Infallible;
+
+    fn name(&self) -> String {
+        "exact lung".to_owned()
     }
 
-    fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
-        self.0.step(u_in, u_out);
-        self.0.pressure()
+    fn reset(&mut self, _period_us: u32, _seed: u64, peep: f32) -> Result<Reading, Infallible> {
+        self.0 = ExactLung::new(peep);
+        Ok(self.reading())
     }
 
-    fn set_peep(&mut self, peep: f32) -> f32 {
+    fn set_peep(&mut self, peep: f32) -> Result<(), Infallible> {
         self.0.set_peep(peep);
-        self.0.pressure()
+        Ok(())
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, Infallible> {
+        self.0.step(u_in, u_out);
+        Ok(self.reading())
     }
 }
 
@@ -159,7 +173,7 @@ fn the_boards_own_image_stands_in_the_safe_state_and_names_the_missing_sensor() 
 #[test]
 fn golden_trace_of_learned_weights_is_the_hosts_bit_for_bit() {
     let host = trace::run(trace::learned()).unwrap();
-    let board = Emulator::start(config("hil"), LockstepPlant::new(TraceLung(Lung::new(5.0)))).unwrap();
+    let board = Emulator::start(config("hil"), LockstepPlant::new(GoldenPlant(ExactLung::new(5.0)))).unwrap();
     let mut port = PortSource::new(connect(&board), 0).unwrap();
     port.know(trace::LEARNED.to_vec());
     port.configure(trace::learned(), Some(trace::exploration())).unwrap();

@@ -28,8 +28,8 @@ use shared::timing::TickTime;
 use shared::ventilator::Output;
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
+use super::exact_lung::ExactLung;
 use super::fixture::{Numbers, RUNS, reference_bits, relu};
-use super::plant::Plant;
 
 /// Nanoseconds of an instruction: two to the power of QEMU's icount shift.
 const INSTRUCTION_SHIFT: u32 = 3;
@@ -168,7 +168,7 @@ fn monitors(counting: &Cost) {
     };
     let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
     let (mut state, mut cost) = (SupervisorState::default(), Cost::NONE);
-    let mut plant = Plant::new(breath.settings().peep);
+    let mut plant = ExactLung::new(breath.settings().peep);
     for tick in (0..3).flat_map(|_| 0..breath.total_ticks()) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         let (reading, asked) = (plant.pressure(), breath.target(tick) - plant.pressure());
@@ -250,7 +250,7 @@ fn recording(counting: &Cost) {
 fn ticks(counting: &Cost) {
     let mut control = control();
     let mut recorder = recorder();
-    let mut plant = Plant::new(paper_settings(PAPER_PIPS[0]).peep);
+    let mut plant = ExactLung::new(paper_settings(PAPER_PIPS[0]).peep);
     control.execute(&ControlRequest::Start);
     let (mut all, mut inspiring) = (Cost::NONE, Cost::NONE);
     for pip in PAPER_PIPS {

@@ -24,7 +24,8 @@ use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
-use plant::bench::{Bench, BenchConfig, BenchError};
+use plant::Plant;
+use plant::bench::{BenchConfig, BenchError, BenchPlant};
 
 /// Control ticks between two looks at the line.
 const TICKS_AT_ONCE: usize = 16;
@@ -48,15 +49,14 @@ impl Simulated {
     /// # Errors
     /// A bench that cannot be built.
     pub fn start(bench: &BenchConfig, port: Port) -> Result<Self, BenchError> {
-        let config = bench.clone();
         // A bench that cannot be built is told here, not in the thread.
-        let bench = Bench::new(&config, shared::settings::Settings::default().peep, 0)?;
+        let bench = BenchPlant::new(bench)?;
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let thread = thread::spawn(move || {
             // It survives the device's resets, as the chip's does.
             let memory = Box::new(RecorderMemory::new());
-            Chip::new(config, bench, &memory).run(port, &stopped);
+            Chip::new(bench, &memory).run(port, &stopped);
         });
         Ok(Self { stop, thread: Some(thread) })
     }
@@ -76,8 +76,7 @@ impl Drop for Simulated {
 struct Chip<'a> {
     memory: &'a RecorderMemory,
     recorder: Recorder<'a>,
-    config: BenchConfig,
-    bench: Bench,
+    bench: BenchPlant,
     peep: f32,
     control: Control,
     server: Server<'a>,
@@ -91,13 +90,12 @@ struct Chip<'a> {
 }
 
 impl<'a> Chip<'a> {
-    fn new(config: BenchConfig, bench: Bench, memory: &'a RecorderMemory) -> Self {
+    fn new(bench: BenchPlant, memory: &'a RecorderMemory) -> Self {
         let (control, server, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
         let peep = shared::settings::Settings::default().peep;
         Self {
             memory,
             recorder,
-            config,
             bench,
             peep,
             control,
@@ -139,18 +137,15 @@ impl<'a> Chip<'a> {
     /// One control tick, as the firmware's control task runs it.
     fn tick(&mut self) {
         let change = self.control.plant_change();
-        if let Some(seed) = change.reset {
-            self.peep = change.peep.unwrap_or(self.peep);
-            // The bench was built once from this configuration.
-            if let Ok(bench) = Bench::new(&self.config, self.peep, seed) {
-                (self.bench, self.reading) = (bench, self.peep);
-            }
-        } else {
-            self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
-            if let Some(peep) = change.peep {
-                self.peep = peep;
-                self.bench.set_peep(peep);
-            }
+        self.peep = change.peep.unwrap_or(self.peep);
+        let reading = match change.reset {
+            Some(seed) => self.bench.reset(DEFAULT_PERIOD_US, seed, self.peep),
+            None => self.bench.step(self.command.u_in(), self.command.u_out()),
+        };
+        // The bench was built once from this configuration, and never fails.
+        self.reading = reading.map_or(f32::NAN, |reading| reading.pressure);
+        if let Some(peep) = change.peep {
+            let _ = self.bench.set_peep(peep);
         }
         let output = self.control.step(self.reading);
         self.command = output.command;

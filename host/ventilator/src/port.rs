@@ -19,8 +19,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
-use super::bench::REST_TIME;
-use super::{Reseed, Source, SourceError, Tick, TickTruth};
+use super::{REST_TIME, Reseed, Source, SourceError, Tick, TickTruth};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
 

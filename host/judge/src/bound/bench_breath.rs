@@ -5,7 +5,7 @@ use shared::settings::Settings;
 
 use super::BoundError;
 use crate::evaluate::{Inspiration, Score, score_breath};
-use plant::bench::{Bench, BenchConfig, STEP_S, STEP_US};
+use plant::bench::{Bench, BenchConfig, STEP_S, steps_per_period};
 use ventilator::SourceError;
 
 /// Largest change of the alveolar pressure from breath to breath that counts as none, cmH2O.
@@ -25,14 +25,12 @@ pub(super) struct BenchBreath {
 impl BenchBreath {
     /// The waveform of `settings` at a control period on a bench at rest.
     pub(super) fn new(config: &BenchConfig, settings: &Settings, period_us: u32) -> Result<Self, BoundError> {
-        if period_us == 0 || !period_us.is_multiple_of(STEP_US) {
-            return Err(SourceError::Period { period_us }.into());
-        }
+        let steps_per_tick = steps_per_period(period_us).map_err(SourceError::from)?;
         let breath = Breath::new(settings, period_us).map_err(SourceError::from)?;
         // The seed is that of the sensor's noise, and nobody looks at the sensor.
         let rest = Bench::new(config, settings.peep, 0).map_err(SourceError::from)?;
         let target = (0..breath.inspiration_ticks()).map(|tick| f64::from(breath.target(tick))).collect();
-        Ok(Self { breath, steps_per_tick: period_us / STEP_US, rest, target })
+        Ok(Self { breath, steps_per_tick, rest, target })
     }
 
     /// Control ticks of the inspiration.

@@ -11,7 +11,7 @@ use super::descent::Descent;
 use super::shape::CommandShape;
 use super::*;
 use crate::evaluate::{evaluate, trace};
-use plant::bench::{PatientConfig, SensorConfig, ValveConfig};
+use plant::bench::{BenchError, PatientConfig, SensorConfig, ValveConfig};
 
 /// Gains near the best ones at R 20, C 20.
 const GOOD: PidGains = PidGains { p: 7.2, i: 253.0, d: 0.133 };
@@ -146,7 +146,10 @@ fn a_patient_who_moves_is_refused() {
 fn a_period_that_the_bench_cannot_run_is_refused() {
     let plan = Plan { period_us: 1500, ..plan(&[20.0]) };
     let refused = bound(&BenchConfig::paper(20.0, 20.0), &plan, &BoundConfig::default(), &Watch::silent());
-    assert!(matches!(refused, Err(BoundError::Source(SourceError::Period { period_us: 1500 }))));
+    assert!(matches!(
+        refused,
+        Err(BoundError::Source(SourceError::Bench(BenchError::Period { period_us: 1500 })))
+    ));
 }
 
 #[test]

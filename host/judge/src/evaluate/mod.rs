@@ -12,7 +12,7 @@ mod trace;
 
 pub use plant_ground::PlantGround;
 pub use score::{Inspiration, Score, score_breath};
-pub use trace::{Trace, trace, trace_source};
+pub use trace::{BreathTrace, trace, trace_source};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -146,7 +146,7 @@ impl Run<'_> {
         };
         // An alarm before there was anything to find is one too.
         self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
-        self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
+        self.reading = self.bench.step(self.command.u_in(), self.command.u_out());
         if let Some(since) = since {
             self.watch(since);
         }

@@ -22,13 +22,13 @@ fn record(config: &BenchConfig, breaths: u32, command: f32, offset: f32) -> Reco
         // Falling commands: a constant flow would leave R and R2 without contrast.
         let u_in =
             if inspires { command * (1.0 - 0.7 * tick as f32 / INSPIRATION_TICKS as f32) } else { 0.0 };
-        let reading = bench.step(u_in, !inspires);
+        let pressure = bench.step(u_in, !inspires);
         let truth = bench.truth();
         recording.push(Row {
             breath,
             tick,
             phase: if inspires { INSPIRATION } else { EXPIRATION },
-            pressure: reading.pressure,
+            pressure,
             u_in,
             flow_in: Some(truth.flow_valve as f32 + offset),
             flow_out: Some((truth.flow_expiratory + truth.flow_leak + truth.flow_relief) as f32),

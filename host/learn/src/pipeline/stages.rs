@@ -8,7 +8,7 @@ use shared::control::Controller;
 
 use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage, Studied};
 use crate::controller::learned::{Learned, Origin};
-use crate::controller::{Checkpoint, Plant, Progress, TrainConfig, Trained, Training};
+use crate::controller::{Checkpoint, PlantModels, Progress, TrainConfig, Trained, Training};
 use crate::simulator::episode::{Episode, episodes};
 use crate::simulator::fit::{Fit, FitConfig, OpenLoop, open_loop, split};
 use crate::simulator::model::Simulator;
@@ -307,12 +307,12 @@ impl<'a> Run<'a> {
         if warm.is_some() {
             config.adam.rate *= 0.5;
         }
-        let plants: Option<Vec<Plant<'_>>> = self
+        let plants: Option<Vec<PlantModels<'_>>> = self
             .simulators
             .iter()
             .map(|simulators| {
                 let (held_out, trained_on) = simulators.split_last()?;
-                (!trained_on.is_empty()).then_some(Plant { trained_on, held_out })
+                (!trained_on.is_empty()).then_some(PlantModels { trained_on, held_out })
             })
             .collect();
         let plants = plants.ok_or(PipelineError::Stopped)?;

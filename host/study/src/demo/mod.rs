@@ -19,7 +19,7 @@ use shared::control::pid::{Pid, PidGains};
 use crate::StudyError;
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
 use judge::baselines::{Best, Search, tune_pid};
-use judge::evaluate::{Evaluation, Plan, Trace};
+use judge::evaluate::{BreathTrace, Evaluation, Plan};
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig, Stage};
 use plant::bench::BenchConfig;
 
@@ -64,7 +64,7 @@ pub struct Contestant {
     /// How it did on the true bench.
     pub evaluation: Evaluation,
     /// Two breaths at each PIP of [`TRACED_PIPS`].
-    pub traces: Vec<Trace>,
+    pub traces: Vec<BreathTrace>,
 }
 
 /// PIPs of the waveforms shown in the report, cmH2O.

@@ -36,7 +36,7 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, StudyError> {
             let config = balloon::pipeline(seed + repeat);
             let base = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
             let source = |_| -> Result<Box<dyn Source>, SourceError> {
-                Ok(Box::new(BalloonSource::new(base.clone())?))
+                Ok(Box::new(BalloonSource::new(base.clone())))
             };
             let outcome = lungs::train_on(study, &[&source], &config, &format!("balloon-{repeat}"))?;
             learned.push(balloon::score(&Controller::Residual(outcome.learned.controller))?);

@@ -12,7 +12,7 @@ use crate::StudyError;
 use engine::LANES;
 use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;
-use learn::controller::{Plant, TrainConfig, Training};
+use learn::controller::{PlantModels, TrainConfig, Training};
 use learn::pipeline::PipelineConfig;
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
@@ -120,7 +120,8 @@ fn ours(
     let ticks = u64::from(shared::math::ticks(train.inspiratory_time, config.period_us));
     let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
     let iterations = train.iterations;
-    let mut training = Training::new(config.residual(), &[Plant { trained_on, held_out }], train, None)?;
+    let mut training =
+        Training::new(config.residual(), &[PlantModels { trained_on, held_out }], train, None)?;
     let mut curve = Vec::new();
     while let Some(progress) = training.advance() {
         if study.stop.load(Ordering::Relaxed) {

@@ -8,7 +8,7 @@ use super::study::Study;
 use super::{Ablation, LungFigures, changes, iso, learning, lungs, tracking};
 use crate::StudyError;
 use data::provenance::Provenance;
-use judge::evaluate::Trace;
+use judge::evaluate::BreathTrace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Length of the inspiration that is shown enlarged, s.
@@ -231,7 +231,7 @@ fn tracking_section(tracking: &tracking::Tracking) -> Section {
     }
 }
 
-fn points(trace: &Trace, values: &[f64], until: f64) -> Vec<(f64, f64)> {
+fn points(trace: &BreathTrace, values: &[f64], until: f64) -> Vec<(f64, f64)> {
     let both = trace.time_s.iter().copied().zip(values.iter().copied());
     both.take_while(|(time, _)| *time < until).collect()
 }

@@ -6,7 +6,7 @@ use shared::control::Controller;
 use super::study::Study;
 use super::{generalist, lungs};
 use crate::StudyError;
-use judge::evaluate::{Trace, trace};
+use judge::evaluate::{BreathTrace, trace};
 use learn::controller::learned::Learned;
 
 /// The waveform shown, cmH2O.
@@ -20,7 +20,7 @@ pub(super) struct Tracking {
     /// Name of the lung.
     pub(super) lung: String,
     /// Name and curves of each controller.
-    pub(super) controllers: Vec<(String, Trace)>,
+    pub(super) controllers: Vec<(String, BreathTrace)>,
 }
 
 /// Draws the curves on the lung in the middle of the list.

@@ -14,8 +14,9 @@ use shared::settings::Settings;
 
 use crate::collect::{CollectConfig, CollectError, Collected, collect};
 use crate::{BenchSource, PlantSource, Source, SourceError};
-use emulator::{BenchPlant, LockstepPlant, PlantEnd};
-use plant::bench::BenchConfig;
+use emulator::{LockstepPlant, PlantEnd};
+use plant::Plant;
+use plant::bench::{BenchConfig, BenchPlant};
 use plant::link::{Greeting, PlantAddress, PlantError, PlantLink};
 use progress::Watch;
 

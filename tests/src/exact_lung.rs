@@ -1,7 +1,7 @@
 //! A lung on a circuit in additions, multiplications and comparisons of f32, which IEEE 754 defines to the last bit.
 //!
 //! The virtual bench of `host` is the better model, but it uses powers and roots that differ between platforms, so
-//! its traces have no hash that holds everywhere. This plant is as simple as one can be that still makes a controller
+//! its traces have no hash that holds everywhere. This lung is as simple as one can be that still makes a controller
 //! work:
 //!
 //! ```text
@@ -26,16 +26,16 @@ const CIRCUIT_ELASTANCE: f32 = 500.0;
 /// Pressure of the lung per volume, cmH2O/L: a compliance of 20 mL/cmH2O.
 const LUNG_ELASTANCE: f32 = 50.0;
 
-/// State of the plant.
+/// The lung and its circuit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Plant {
+pub struct ExactLung {
     opening: f32,
     pressure: f32,
     lung_pressure: f32,
     peep: f32,
 }
 
-impl Plant {
+impl ExactLung {
     /// At rest at a PEEP in cmH2O.
     pub fn new(peep: f32) -> Self {
         Self { opening: 0.0, pressure: peep, lung_pressure: peep, peep }
