@@ -35,8 +35,9 @@ mod tune_pid;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
-use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::{Layer, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// Learned pressure control for mechanical ventilators: record, fit, train, evaluate, pack.
 #[derive(Debug, Parser)]
@@ -116,11 +117,10 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
 }
 
 fn log_to_standard_error() {
-    let filter = EnvFilter::builder()
-        .with_env_var(LOG_VARIABLE)
-        .with_default_directive(LevelFilter::WARN.into())
-        .from_env_lossy();
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let asked = std::env::var(LOG_VARIABLE).ok().and_then(|text| text.parse().ok());
+    let targets = asked.unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN));
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    tracing_subscriber::registry().with(lines.with_filter(targets)).init();
 }
 
 /// An error and its causes; many errors quote their cause already, which is then not said twice.
