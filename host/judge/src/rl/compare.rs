@@ -13,7 +13,7 @@ use super::dqn::{Dqn, DqnConfig};
 use super::policy::Policy;
 use super::ppo::{Ppo, PpoConfig};
 use super::ventilation::{Inspirations, TaskConfig};
-use super::{Actions, End, Greedy, Shard};
+use super::{Actions, End, Greedy, VectorEnvironment};
 use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
 use progress::Watch;
@@ -79,7 +79,7 @@ impl Default for RlConfig {
 
 /// Outcome of a training.
 #[derive(Clone, Debug)]
-pub struct Trained {
+pub struct TrainedPolicy {
     /// The best policy found.
     pub policy: Policy,
     /// Its score on the held-out simulator, cmH2O.
@@ -99,7 +99,7 @@ trait Learner {
     fn greedy(&self) -> Greedy;
 }
 
-impl<S: Shard> Learner for Ppo<S> {
+impl<S: VectorEnvironment> Learner for Ppo<S> {
     fn round(&mut self, progress: f32) {
         Self::round(self, progress);
     }
@@ -113,7 +113,7 @@ impl<S: Shard> Learner for Ppo<S> {
     }
 }
 
-impl<S: Shard> Learner for Dqn<S> {
+impl<S: VectorEnvironment> Learner for Dqn<S> {
     fn round(&mut self, progress: f32) {
         Self::round(self, progress);
     }
@@ -141,7 +141,7 @@ pub fn train(
     held_out: &Simulator,
     config: &RlConfig,
     watch: &Watch<'_>,
-) -> Result<Trained, ResidualError> {
+) -> Result<TrainedPolicy, ResidualError> {
     let (task_config, actions, samples) = match kind {
         Kind::Ppo => (&config.ppo_task, Actions::Continuous, config.ppo_samples),
         Kind::Dqn => (&config.dqn_task, Actions::Discrete(config.dqn_task.levels), config.dqn_samples),
@@ -175,7 +175,7 @@ pub fn train(
         }
     }
     let (validation, greedy) = best;
-    Ok(Trained { policy: Policy { greedy, perception }, validation, curve })
+    Ok(TrainedPolicy { policy: Policy { greedy, perception }, validation, curve })
 }
 
 /// Number of the validation's random stream.
@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    fn run(kind: Kind, config: &RlConfig, watch: &Watch<'_>) -> Trained {
+    fn run(kind: Kind, config: &RlConfig, watch: &Watch<'_>) -> TrainedPolicy {
         train(kind, &[first_order(1.0)], &first_order(1.0), config, watch).unwrap()
     }
 

@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
-use super::network::{Mlp, Tape};
-use super::{Actions, End, Greedy, Shard, Transition, best, highest};
+use super::network::{Mlp, MlpTape};
+use super::{Actions, End, Greedy, Transition, VectorEnvironment, best, highest};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -65,7 +65,7 @@ impl Default for DqnConfig {
 #[derive(Debug)]
 pub struct Dqn<S> {
     config: DqnConfig,
-    shard: S,
+    environment: S,
     network: Mlp,
     choices: usize,
     parameters: Vec<f32>,
@@ -97,27 +97,27 @@ struct Fact {
     goes_on: bool,
 }
 
-impl<S: Shard> Dqn<S> {
-    /// Prepares a training on `shard`.
+impl<S: VectorEnvironment> Dqn<S> {
+    /// Prepares a training on `environment`.
     ///
     /// # Panics
-    /// If the shard's actions are continuous.
-    pub fn new(config: DqnConfig, mut shard: S, seed: u64) -> Self {
-        let Actions::Discrete(choices) = shard.actions() else {
+    /// If its actions are continuous.
+    pub fn new(config: DqnConfig, mut environment: S, seed: u64) -> Self {
+        let Actions::Discrete(choices) = environment.actions() else {
             panic!("Q-learning needs a finite number of choices");
         };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let network = Mlp::with_hidden(shard.observations(), &config.hidden, choices);
+        let network = Mlp::with_hidden(environment.observations(), &config.hidden, choices);
         let parameters = network.initialise(1.0, &mut rng);
-        shard.reset(&[true; LANES], &mut rng);
-        let mut seen = vec![Lane::ZERO; shard.observations()];
-        shard.observe(&mut seen);
+        environment.reset(&[true; LANES], &mut rng);
+        let mut seen = vec![Lane::ZERO; environment.observations()];
+        environment.observe(&mut seen);
         Self {
             adam: Adam::new(config.adam, parameters.len()),
-            replay: Replay::new(shard.observations(), config.capacity),
+            replay: Replay::new(environment.observations(), config.capacity),
             target: parameters.clone(),
             config,
-            shard,
+            environment,
             network,
             choices,
             parameters,
@@ -137,14 +137,14 @@ impl<S: Shard> Dqn<S> {
     /// for learning rate and random choices.
     pub fn round(&mut self, progress: f32) {
         let actions = self.choose(progress);
-        let transitions = self.shard.step(&actions);
+        let transitions = self.environment.step(&actions);
         let before = self.seen.clone();
-        self.shard.observe(&mut self.seen);
+        self.environment.observe(&mut self.seen);
         self.replay.record(&before, &actions, &transitions, &self.seen);
         let ended = transitions.map(|transition| transition.end != End::Not);
         if ended.contains(&true) {
-            self.shard.reset(&ended, &mut self.rng);
-            self.shard.observe(&mut self.seen);
+            self.environment.reset(&ended, &mut self.rng);
+            self.environment.observe(&mut self.seen);
         }
         if self.replay.facts.len() >= self.config.warm_up.max(LANES) {
             (0..self.config.updates).for_each(|_| self.improve(progress));
@@ -152,7 +152,7 @@ impl<S: Shard> Dqn<S> {
     }
 
     fn choose(&mut self, progress: f32) -> Lane {
-        let mut tape = Tape::new(&self.network, 1);
+        let mut tape = MlpTape::new(&self.network, 1);
         tape.inputs(0).copy_from_slice(&self.seen);
         self.network.load(&self.parameters).forward(&mut tape);
         let greedy = best(Actions::Discrete(self.choices), tape.outputs(0));
@@ -170,7 +170,7 @@ impl<S: Shard> Dqn<S> {
             (0..groups * LANES).map(|_| self.rng.random_range(0..self.replay.facts.len())).collect();
         let wanted = self.targets(&samples);
         let weights = self.network.load(&self.parameters);
-        let mut tape = Tape::new(&self.network, groups);
+        let mut tape = MlpTape::new(&self.network, groups);
         self.replay.gather(&samples, State::Before, &mut tape);
         weights.forward(&mut tape);
         let share = 1.0 / samples.len() as f32;
@@ -195,7 +195,7 @@ impl<S: Shard> Dqn<S> {
 
     /// What the values of the samples' choices should be.
     fn targets(&self, samples: &[usize]) -> Vec<Lane> {
-        let mut tape = Tape::new(&self.network, samples.len() / LANES);
+        let mut tape = MlpTape::new(&self.network, samples.len() / LANES);
         self.replay.gather(samples, State::After, &mut tape);
         let mut slow = tape.clone();
         self.network.load(&self.parameters).forward(&mut tape);
@@ -249,7 +249,7 @@ impl Replay {
         }
     }
 
-    fn gather(&self, samples: &[usize], state: State, tape: &mut Tape) {
+    fn gather(&self, samples: &[usize], state: State, tape: &mut MlpTape) {
         for (group, samples) in samples.chunks_exact(LANES).enumerate() {
             let inputs = tape.inputs(group);
             for (l, sample) in samples.iter().enumerate() {
@@ -323,7 +323,7 @@ mod tests {
             replay.record(&[before], &Lane::splat(1.0), &step(f32::from(n), End::Not), &[after]);
         }
         assert_eq!(replay.facts.len(), 2 * LANES);
-        let mut tape = Tape::new(&Mlp::new(&[1, 1]), 2);
+        let mut tape = MlpTape::new(&Mlp::new(&[1, 1]), 2);
         let all: Vec<usize> = (0..2 * LANES).collect();
         replay.gather(&all, State::After, &mut tape);
         let (newest, older) = (tape.inputs(0)[0], tape.inputs(1)[0]);

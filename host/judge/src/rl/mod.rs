@@ -7,9 +7,8 @@
 //! |---|---|
 //! | [`network`] | multilayer perceptron with gradient |
 //! | [`head`] | what a policy's outputs mean: Gaussian or categorical distribution |
-//! | [`ppo`], [`dqn`] | the two algorithms, for any [`Shard`] |
+//! | [`ppo`], [`dqn`] | the two algorithms, for any [`VectorEnvironment`] |
 //! | [`cart_pole`] | a task with known difficulty, which proves them correct |
-//! | [`plant`] | a learned simulator advanced tick by tick |
 //! | [`ventilation`] | the inspiration as a task |
 //! | [`policy`] | what was learned, as commands of the valve; its file; its score on the true bench |
 //! | [`compare`] | training of either on learned simulators under a budget |
@@ -21,7 +20,6 @@ pub mod cart_pole;
 pub mod compare;
 pub mod dqn;
 pub mod head;
-pub mod lanes;
 pub mod network;
 pub mod policy;
 pub mod ppo;
@@ -31,7 +29,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use engine::{LANES, Lane};
-use network::{Mlp, Tape};
+use network::{Mlp, MlpTape};
 
 /// What an agent may do in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -83,7 +81,7 @@ pub trait Environment {
 }
 
 /// [`LANES`] copies of a task in step, as simulators and networks compute them.
-pub trait Shard {
+pub trait VectorEnvironment {
     /// Length of an observation.
     fn observations(&self) -> usize;
 
@@ -100,7 +98,7 @@ pub trait Shard {
     fn observe(&self, observation: &mut [Lane]);
 }
 
-/// Independent copies of an environment as a shard.
+/// Independent copies of an environment side by side.
 #[derive(Clone, Debug)]
 pub struct Copies<E>([E; LANES]);
 
@@ -111,7 +109,7 @@ impl<E: Environment + Clone> Copies<E> {
     }
 }
 
-impl<E: Environment> Shard for Copies<E> {
+impl<E: Environment> VectorEnvironment for Copies<E> {
     fn observations(&self) -> usize {
         self.0[0].observations()
     }
@@ -156,7 +154,7 @@ impl Greedy {
     /// Actions for observations, ready to be asked again and again.
     pub fn actor(&self) -> impl FnMut(&[Lane]) -> Lane + use<> {
         let weights = self.network.load(&self.parameters);
-        let (mut tape, actions) = (Tape::new(&self.network, 1), self.actions);
+        let (mut tape, actions) = (MlpTape::new(&self.network, 1), self.actions);
         move |observation| {
             tape.inputs(0).copy_from_slice(observation);
             weights.forward(&mut tape);
@@ -165,20 +163,25 @@ impl Greedy {
     }
 
     /// Mean return of so many whole episodes (rounded up to whole shards), each copy's first ones.
-    pub fn mean_return(&self, shard: &mut impl Shard, episodes: usize, rng: &mut ChaCha8Rng) -> f64 {
+    pub fn mean_return(
+        &self,
+        environment: &mut impl VectorEnvironment,
+        episodes: usize,
+        rng: &mut ChaCha8Rng,
+    ) -> f64 {
         let mut act = self.actor();
         let each = episodes.div_ceil(LANES);
         let (mut done, mut total) = ([0; LANES], 0.0);
-        let mut seen = vec![Lane::ZERO; shard.observations()];
-        shard.reset(&[true; LANES], rng);
+        let mut seen = vec![Lane::ZERO; environment.observations()];
+        environment.reset(&[true; LANES], rng);
         while done.iter().any(|done| *done < each) {
-            shard.observe(&mut seen);
-            let transitions = shard.step(&act(&seen));
+            environment.observe(&mut seen);
+            let transitions = environment.step(&act(&seen));
             for (done, transition) in done.iter_mut().zip(&transitions).filter(|(done, _)| **done < each) {
                 total += f64::from(transition.reward);
                 *done += usize::from(transition.end != End::Not);
             }
-            shard.reset(&transitions.map(|transition| transition.end != End::Not), rng);
+            environment.reset(&transitions.map(|transition| transition.end != End::Not), rng);
         }
         total / (each * LANES) as f64
     }

@@ -16,8 +16,8 @@ use shared::safety::alarms::Fault;
 use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::Supervisor;
 
-use super::network::{Mlp, Tape, Weights};
-use super::ventilation::{Memory, Perception, Senses, command};
+use super::network::{Mlp, MlpTape, Weights};
+use super::ventilation::{Perception, PerceptionState, Senses, command};
 use super::{Actions, Greedy, best};
 use crate::evaluate::{Evaluation, Inspiration, Plan, Score, score_breath, summarize};
 use data::tensors::{self, TensorError};
@@ -106,16 +106,16 @@ trait Pilot {
 struct Flight<'a> {
     policy: &'a Policy,
     weights: Weights,
-    tape: Tape,
-    memory: Memory,
+    tape: MlpTape,
+    memory: PerceptionState,
     held: f32,
 }
 
 impl<'a> Flight<'a> {
     fn new(policy: &'a Policy) -> Self {
         let Greedy { network, parameters, .. } = &policy.greedy;
-        let (weights, tape) = (network.load(parameters), Tape::new(network, 1));
-        Self { policy, weights, tape, memory: Memory::default(), held: 0.0 }
+        let (weights, tape) = (network.load(parameters), MlpTape::new(network, 1));
+        Self { policy, weights, tape, memory: PerceptionState::default(), held: 0.0 }
     }
 }
 

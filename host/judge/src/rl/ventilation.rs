@@ -20,11 +20,11 @@ use shared::control::residual::ResidualError;
 use shared::control::{COMMAND_MAX, Observation};
 use shared::math;
 
-use super::lanes::{Plant, plant};
-use super::{Actions, End, Shard, Transition};
+use super::{Actions, End, Transition, VectorEnvironment};
 use engine::{LANES, Lane};
-use learn::simulator::Start;
-use learn::simulator::model::Simulator;
+use learn::simulator::BreathStart;
+use learn::simulator::model::{Model, Simulator};
+use learn::simulator::rollout::Rollout;
 
 /// What an agent sees, when it acts, and how it is paid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -90,7 +90,7 @@ pub struct Perception {
 
 /// What an agent's senses remember of a breath.
 #[derive(Clone, Debug, Default)]
-pub struct Memory {
+pub struct PerceptionState {
     features: FeatureState,
     integral: PidState,
 }
@@ -124,13 +124,13 @@ impl Perception {
     }
 
     /// Forgets the last breath; the valve stands at `command` percent.
-    pub fn start_breath(&self, memory: &mut Memory, command: f32) {
+    pub fn start_breath(&self, memory: &mut PerceptionState, command: f32) {
         memory.features.start_breath(command);
         memory.integral = PidState::new();
     }
 
     /// Takes in the observation of a tick: what the agent sees.
-    pub fn see(&self, memory: &mut Memory, seen: &Observation) -> [f32; FEATURES] {
+    pub fn see(&self, memory: &mut PerceptionState, seen: &Observation) -> [f32; FEATURES] {
         let features = self.features.step(&mut memory.features, seen, memory.integral.integral);
         // A PID with nothing but an integral part; its command is not used, its integral is the feature.
         self.integral.step(&mut memory.integral, seen, 0.0);
@@ -138,7 +138,7 @@ impl Perception {
     }
 
     /// Takes in the command applied in the tick, percent.
-    pub fn applied(&self, memory: &mut Memory, command: f32) {
+    pub fn applied(&self, memory: &mut PerceptionState, command: f32) {
         self.features.applied(&mut memory.features, command);
     }
 }
@@ -157,21 +157,23 @@ pub struct Inspirations {
     config: TaskConfig,
     actions: Actions,
     perception: Perception,
-    simulators: Vec<Learned>,
+    simulators: Vec<Candidate>,
     running: usize,
+    /// Of the simulator that is running.
+    rollout: Rollout,
     ticks: usize,
     tick: usize,
     pip: Lane,
     noise: Vec<Lane>,
-    memories: [Memory; LANES],
+    memories: [PerceptionState; LANES],
     seen: [Lane; FEATURES],
     /// Sum of the absolute errors since the start of the inspiration, cmH2O.
     strayed: Lane,
 }
 
-/// A simulator ready to be stepped.
-struct Learned {
-    plant: Box<dyn Plant>,
+/// One of the simulators that take turns.
+struct Candidate {
+    model: Model,
     noise: f32,
     start_pressure: f32,
 }
@@ -194,14 +196,16 @@ impl Inspirations {
         let alike = simulators.iter().all(|s| s.architecture.timing().period_us == period_us);
         assert!(alike, "simulators of one control period");
         let ticks = math::ticks(config.inspiratory_time, period_us) as usize;
-        let learned = |simulator: &Simulator| Learned {
-            plant: plant(simulator, ticks),
+        let candidate = |simulator: &Simulator| Candidate {
+            model: simulator.model(),
             noise: simulator.noise,
             start_pressure: simulator.start_pressure,
         };
+        let simulators: Vec<_> = simulators.iter().map(candidate).collect();
         Ok(Self {
             perception: Senses::new(config, period_us).build()?,
-            simulators: simulators.iter().map(learned).collect(),
+            rollout: Rollout::new(&simulators[0].model, ticks),
+            simulators,
             config: config.clone(),
             actions,
             running: 0,
@@ -209,7 +213,7 @@ impl Inspirations {
             tick: 0,
             pip: Lane::ZERO,
             noise: vec![Lane::ZERO; ticks],
-            memories: std::array::from_fn(|_| Memory::default()),
+            memories: std::array::from_fn(|_| PerceptionState::default()),
             seen: [Lane::ZERO; FEATURES],
             strayed: Lane::ZERO,
         })
@@ -224,9 +228,10 @@ impl Inspirations {
     pub fn begin(&mut self, pip: Lane, rng: &mut ChaCha8Rng) {
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         self.running = (self.running + 1) % self.simulators.len();
-        let Learned { plant, noise, start_pressure } = &mut self.simulators[self.running];
+        let Candidate { model, noise, start_pressure } = &self.simulators[self.running];
         let pressure = Lane::from_fn(|_| *start_pressure + normal(self.config.start_spread));
-        plant.begin(&Start { pressure, plateau: pip, ..Start::default() }, self.config.rest);
+        let start = BreathStart { pressure, plateau: pip, ..BreathStart::default() };
+        self.rollout.begin(model, &start, self.config.rest);
         self.noise.fill_with(|| Lane::from_fn(|_| normal(*noise)));
         (self.pip, self.tick, self.strayed) = (pip, 0, Lane::ZERO);
         for memory in &mut self.memories {
@@ -242,7 +247,7 @@ impl Inspirations {
 
     /// Takes in the readings of the present tick.
     fn sense(&mut self) {
-        let pressure = self.simulators[self.running].plant.pressure();
+        let pressure = self.rollout.pressure();
         for (l, memory) in self.memories.iter_mut().enumerate() {
             let seen = Observation {
                 pressure: pressure[l] + self.noise[self.tick][l],
@@ -259,9 +264,8 @@ impl Inspirations {
 
     /// One tick under a command: the absolute error, cmH2O.
     fn tick(&mut self, command: &Lane) -> Lane {
-        let plant = &mut self.simulators[self.running].plant;
-        let error = plant.pressure().zip(&self.pip, |p, target| (p - target).abs());
-        plant.advance(command);
+        let error = self.rollout.pressure().zip(&self.pip, |p, target| (p - target).abs());
+        self.rollout.advance(command);
         for (l, memory) in self.memories.iter_mut().enumerate() {
             self.perception.applied(memory, command[l]);
         }
@@ -273,7 +277,7 @@ impl Inspirations {
     }
 }
 
-impl Shard for Inspirations {
+impl VectorEnvironment for Inspirations {
     fn observations(&self) -> usize {
         FEATURES
     }
@@ -359,7 +363,7 @@ mod tests {
         for _ in 0..60 {
             task.step(&Lane::splat(20.0));
         }
-        let pressure = task.simulators[0].plant.pressure();
+        let pressure = task.rollout.pressure();
         assert!(pressure.0.iter().all(|p| (p - 35.0).abs() < 0.01), "{pressure:?}");
     }
 
@@ -383,10 +387,11 @@ mod tests {
         let features = Features::new(FeatureSpec::default(), 1000).unwrap();
         let mut state = FeatureState::new();
         state.start_breath(5.0);
-        let mut plant = plant(&first_order(1.0), 1000);
+        let model = first_order(1.0).model();
+        let mut plant = Rollout::new(&model, 1000);
         let start =
-            Start { pressure: task.simulators[0].plant.pressure(), plateau: task.pip, ..Start::default() };
-        plant.begin(&start, 5.0);
+            BreathStart { pressure: task.rollout.pressure(), plateau: task.pip, ..BreathStart::default() };
+        plant.begin(&model, &start, 5.0);
         for tick in 0..=10 {
             let (pressure, pip) = (plant.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
             let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick };

@@ -8,7 +8,7 @@
 //! ```
 
 use super::ventilator::{OPENINGS, Openings};
-use crate::simulator::{Start, Timing};
+use crate::simulator::{BreathStart, Timing};
 use engine::{LANES, Lane};
 
 /// Parameters of lungs and circuit: see [`Physics`].
@@ -74,7 +74,7 @@ struct Flow {
 
 /// Forward values and backward gradients of a rollout, step after step.
 #[derive(Clone, Debug)]
-pub(super) struct Tape {
+pub(super) struct LungTape {
     flow: Vec<Flow>,
     lungs: Lungs,
     /// Plateau less pressure at the start, cmH2O.
@@ -105,8 +105,8 @@ impl Physics {
     }
 
     /// Memory for a rollout of so many steps.
-    pub fn tape(steps: usize) -> Tape {
-        Tape {
+    pub fn tape(steps: usize) -> LungTape {
+        LungTape {
             flow: vec![Flow::default(); steps],
             lungs: Lungs::default(),
             fall: Lane::ZERO,
@@ -119,7 +119,7 @@ impl Physics {
     }
 
     /// Starts a breath of a lung with deviations from its nominal R and C.
-    pub fn begin(&self, tape: &mut Tape, start: &Start, deviations: &[Lane; DEVIATIONS]) {
+    pub fn begin(&self, tape: &mut LungTape, start: &BreathStart, deviations: &[Lane; DEVIATIONS]) {
         let step = ML_PER_L * self.step_s;
         let resistance = start.resistance.zip(&deviations[0], |r, own| r / NOMINAL * own.exp());
         let compliance = start.compliance.zip(&deviations[1], |c, own| c * own.exp());
@@ -138,7 +138,7 @@ impl Physics {
     }
 
     /// Adds the gradients by the parameters and by the deviations, once all steps have gone back.
-    pub fn finish(tape: &Tape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
+    pub fn finish(tape: &LungTape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
         let d = &tape.d_lungs;
         let by_physics = [
             d.linear.sum(),
@@ -156,7 +156,7 @@ impl Physics {
     }
 }
 
-impl Tape {
+impl LungTape {
     /// One implicit step under a ventilator; the airway pressure after it, cmH2O.
     pub fn step(&mut self, step: usize, [inlet, outlet]: &Openings) -> Lane {
         let lungs = &self.lungs;

@@ -13,10 +13,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::own::Own;
 use crate::simulator::leaky::{Leaky, sigmoid};
-use crate::simulator::{CommandLog, Start, Timing, piece, piece_mut};
+use crate::simulator::{BreathStart, CommandLog, Timing, piece, piece_mut};
 use engine::Lane;
 use engine::activation::Activation;
-use engine::dense::{Dense, DenseWeights};
+use engine::dense::{DenseLayer, DenseWeights};
 
 /// Openings: towards the supply and towards the room.
 pub(super) const OPENINGS: usize = 2;
@@ -31,7 +31,7 @@ const LONGEST_FILTER_S: f32 = 0.2;
 
 /// Shape of the ventilator.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shape {
+pub(super) struct VentilatorShape {
     pub timing: Timing,
     /// Filters of past commands.
     pub states: usize,
@@ -43,7 +43,7 @@ pub(super) struct Shape {
     pub ventilators: usize,
 }
 
-impl Shape {
+impl VentilatorShape {
     fn commands(&self) -> usize {
         self.history * self.timing.width()
     }
@@ -54,12 +54,12 @@ impl Shape {
     }
 
     /// Layers (filters, curves, source, start), index of the decays, number of parameters; what ventilators own is last.
-    fn layout(&self) -> ([Dense; 4], usize, usize) {
-        let (layers, decay) = Dense::layout([
+    fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
+        let (layers, decay) = DenseLayer::layout([
             (self.commands(), self.states),
             (self.states, self.hidden),
             (self.states + self.hidden, OPENINGS),
-            (Start::KNOWN, self.states),
+            (BreathStart::KNOWN, self.states),
         ]);
         (layers, decay, decay + self.states + self.ventilators * self.own())
     }
@@ -87,8 +87,8 @@ impl Shape {
 
 /// The ventilator with its parameters.
 #[derive(Clone, Debug)]
-pub(super) struct Ventilator {
-    shape: Shape,
+pub(super) struct VentilatorModel {
+    shape: VentilatorShape,
     filters: DenseWeights,
     curves: DenseWeights,
     source: DenseWeights,
@@ -100,7 +100,7 @@ pub(super) struct Ventilator {
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
-pub(super) struct Tape {
+pub(super) struct VentilatorTape {
     /// `v` of each block.
     commands: Vec<Lane>,
     /// `c` before each block, and after the last.
@@ -109,7 +109,7 @@ pub(super) struct Tape {
     after: Vec<Lane>,
     drive: Vec<Lane>,
     pub openings: Vec<Openings>,
-    known: [Lane; Start::KNOWN],
+    known: [Lane; BreathStart::KNOWN],
     /// Which ventilator it is in each lane.
     member: Lane,
     /// Its shifts.
@@ -126,9 +126,9 @@ pub(super) struct Tape {
     scratch: Vec<Lane>,
 }
 
-impl Ventilator {
+impl VentilatorModel {
     /// The ventilator from its parameters.
-    pub fn new(shape: Shape, parameters: &[f32]) -> Self {
+    pub fn new(shape: VentilatorShape, parameters: &[f32]) -> Self {
         let ([filters, curves, source, start], decay_offset, total) = shape.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
         let (decays, own) = parameters[decay_offset..].split_at(shape.states);
@@ -149,17 +149,17 @@ impl Ventilator {
     }
 
     /// Memory for a rollout of so many blocks.
-    pub fn tape(&self, blocks: usize) -> Tape {
-        let Shape { states, hidden, .. } = self.shape;
+    pub fn tape(&self, blocks: usize) -> VentilatorTape {
+        let VentilatorShape { states, hidden, .. } = self.shape;
         let commands = self.shape.commands();
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
-        Tape {
+        VentilatorTape {
             commands: zeros(commands),
             state: vec![Lane::ZERO; (blocks + 1) * states],
             after: zeros(states + hidden),
             drive: zeros(states),
             openings: vec![[Lane::ZERO; OPENINGS]; blocks],
-            known: [Lane::ZERO; Start::KNOWN],
+            known: [Lane::ZERO; BreathStart::KNOWN],
             member: Lane::ZERO,
             shifts: vec![Lane::ZERO; hidden],
             stretch: [Lane::ZERO; OPENINGS],
@@ -174,7 +174,7 @@ impl Ventilator {
     }
 
     /// Starts a breath; `stretch` holds logarithms of what the test run multiplies its openings by.
-    pub fn begin(&self, tape: &mut Tape, start: &Start, stretch: &Openings) {
+    pub fn begin(&self, tape: &mut VentilatorTape, start: &BreathStart, stretch: &Openings) {
         tape.known = start.known();
         tape.member = start.ventilator;
         self.start.forward(&tape.known, &mut tape.state[..self.shape.states]);
@@ -191,8 +191,8 @@ impl Ventilator {
     }
 
     /// The openings of a block.
-    pub fn step(&self, tape: &mut Tape, block: usize, log: &CommandLog) {
-        let Shape { states, hidden, history, .. } = self.shape;
+    pub fn step(&self, tape: &mut VentilatorTape, block: usize, log: &CommandLog) {
+        let VentilatorShape { states, hidden, history, .. } = self.shape;
         let commands = piece_mut(&mut tape.commands, block, self.shape.commands());
         log.gather(self.newest(block), history, commands);
         let drive = piece_mut(&mut tape.drive, block, states);
@@ -216,8 +216,14 @@ impl Ventilator {
     }
 
     /// One block back, from the gradient by its openings.
-    pub fn step_back(&self, tape: &mut Tape, block: usize, d_openings: &Openings, d_log: &mut CommandLog) {
-        let Shape { states, hidden, .. } = self.shape;
+    pub fn step_back(
+        &self,
+        tape: &mut VentilatorTape,
+        block: usize,
+        d_openings: &Openings,
+        d_log: &mut CommandLog,
+    ) {
+        let VentilatorShape { states, hidden, .. } = self.shape;
         let d_y = piece_mut(&mut tape.d_source, block, OPENINGS);
         for n in 0..OPENINGS {
             let opening = &tape.openings[block][n];
@@ -248,8 +254,8 @@ impl Ventilator {
     }
 
     /// Adds the gradient by the parameters, once all blocks have gone back.
-    pub fn finish(&self, tape: &Tape, gradient: &mut [f32]) {
-        let Shape { states, hidden, .. } = self.shape;
+    pub fn finish(&self, tape: &VentilatorTape, gradient: &mut [f32]) {
+        let VentilatorShape { states, hidden, .. } = self.shape;
         self.filters.shape().gradient(&tape.d_drive, &tape.commands, gradient);
         let c: Vec<Lane> =
             tape.after.chunks_exact(states + hidden).flat_map(|after| &after[..states]).copied().collect();
