@@ -160,7 +160,7 @@ mod tests {
     const TICKS: usize = 100;
 
     fn weight(tick: usize, feature: usize) -> f32 {
-        ((7 * tick + 3 * feature) as f32).cos()
+        10.0 * ((7 * tick + 3 * feature) as f32).cos()
     }
 
     /// Sum of all features of all ticks, each with a weight of its own, where every lane has the same signals.
@@ -194,9 +194,13 @@ mod tests {
             built.backward(&mut back, &d, tick, &mut d_signals, &mut d_integral);
         }
         let first = |lanes: &[Lane]| -> Vec<f32> { lanes.iter().map(|lane| lane[0]).collect() };
-        check_slopes("error", &errors, &first(&d_signals.error), |varied| run(&built, varied, &commands));
-        check_slopes("command", &commands, &first(&d_signals.command), |varied| run(&built, &errors, varied));
+        check_slopes("error", &errors, 1e-2, &first(&d_signals.error), |varied| {
+            run(&built, varied, &commands)
+        });
+        check_slopes("command", &commands, 1.0, &first(&d_signals.command), |varied| {
+            run(&built, &errors, varied)
+        });
         let by_integral: f32 = (0..TICKS).map(|tick| weight(tick, INTEGRAL) / COMMAND_SCALE).sum();
-        assert!((d_integral[0] - by_integral).abs() < 1e-4);
+        assert!((d_integral[0] - by_integral).abs() < 1e-3);
     }
 }

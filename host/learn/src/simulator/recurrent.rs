@@ -252,3 +252,50 @@ impl RecurrentNetwork {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests_support::check_slopes;
+    use engine::LANES;
+    use rand_chacha::rand_core::SeedableRng;
+
+    const BLOCKS: usize = 6;
+
+    fn weight(block: usize, output: usize) -> Lane {
+        Lane::from_fn(|l| ((7 * block + 3 * output + l) as f32).cos())
+    }
+
+    /// A breath; sum of all outputs, each with a weight of its own.
+    fn breathe(shape: RecurrentShape, parameters: &[f32]) -> (RecurrentNetwork, RecurrentTape, f64) {
+        let network = RecurrentNetwork::new(shape, parameters);
+        let mut tape = network.tape(BLOCKS);
+        network.begin(&mut tape, &[Lane::splat(0.3), Lane::splat(-0.4)], &[Lane::splat(0.5)]);
+        let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.2); shape.timing.width()]);
+        let (mut outputs, mut total) = (vec![Lane::ZERO; shape.outputs], 0.0);
+        for block in 0..BLOCKS {
+            log.block_mut(block).fill(Lane::from_fn(|l| 0.6 + 0.4 * ((3 * block + l) as f32).sin()));
+            network.step(&mut tape, block, &log, &mut outputs);
+            for (n, output) in outputs.iter().enumerate() {
+                total += (0..LANES).map(|l| f64::from(weight(block, n)[l] * output[l])).sum::<f64>();
+            }
+        }
+        (network, tape, total)
+    }
+
+    #[test]
+    fn gradients_by_parameters_agree_with_finite_differences() {
+        let timing = Timing::for_period(1000, 1);
+        let shape =
+            RecurrentShape { timing, states: 3, hidden: 4, history: 2, known: 2, constants: 1, outputs: 2 };
+        let parameters = shape.initialise(1.0, &mut ChaCha8Rng::seed_from_u64(7));
+        let (network, mut tape, _) = breathe(shape, &parameters);
+        let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; timing.width()]);
+        for block in (0..BLOCKS).rev() {
+            network.step_back(&mut tape, block, |n| weight(block, n), &mut d_log);
+        }
+        let mut gradient = vec![0.0; parameters.len()];
+        network.finish(&tape, &mut gradient);
+        check_slopes("parameter", &parameters, 5e-3, &gradient, |varied| breathe(shape, varied).2);
+    }
+}

@@ -342,7 +342,7 @@ mod tests {
     }
 
     fn weight(tick: usize) -> f32 {
-        (0.7 * tick as f32).cos()
+        10.0 * (0.7 * tick as f32).cos()
     }
 
     /// Sum of the pressures of all ticks under these commands, each with a weight of its own.
@@ -368,8 +368,7 @@ mod tests {
                 gradient[tick] = rollout.command_gradient(tick)[3];
                 rollout.add_pressure_gradient(tick, &Lane::splat(weight(tick)));
             }
-            assert!(gradient.iter().any(|g| g.abs() > 0.1), "a check needs slopes");
-            check_slopes("command", &commands, &gradient, |varied| {
+            check_slopes("command", &commands, 0.2, &gradient, |varied| {
                 weighted(&mut Rollout::new(&model, ticks), &model, varied)
             });
         }

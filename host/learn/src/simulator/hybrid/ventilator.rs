@@ -277,3 +277,60 @@ impl VentilatorModel {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests_support::check_slopes;
+    use engine::LANES;
+    use rand_chacha::rand_core::SeedableRng;
+
+    const BLOCKS: usize = 6;
+
+    fn weight(block: usize, opening: usize) -> Lane {
+        Lane::from_fn(|l| 10.0 * ((7 * block + 3 * opening + l) as f32).cos())
+    }
+
+    /// A breath of a ventilator that every third lane does not know; sum of its openings, each with a weight.
+    fn breathe(shape: VentilatorShape, parameters: &[f32]) -> (VentilatorModel, VentilatorTape, f64) {
+        let model = VentilatorModel::new(shape, parameters);
+        let mut tape = model.tape(BLOCKS);
+        let ventilator = Lane::from_fn(|l| (l % 3) as f32 - 1.0);
+        let start = BreathStart {
+            pressure: Lane::splat(6.0),
+            ventilator,
+            rest: Lane::splat(0.2),
+            ..BreathStart::default()
+        };
+        model.begin(&mut tape, &start, &[Lane::splat(0.1), Lane::splat(-0.2)]);
+        let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.2); shape.timing.width()]);
+        let mut total = 0.0;
+        for block in 0..BLOCKS {
+            log.block_mut(block).fill(Lane::from_fn(|l| 0.6 + 0.4 * ((3 * block + l) as f32).sin()));
+            model.step(&mut tape, block, &log);
+            for (n, opening) in tape.openings[block].iter().enumerate() {
+                total += (0..LANES).map(|l| f64::from(weight(block, n)[l] * opening[l])).sum::<f64>();
+            }
+        }
+        (model, tape, total)
+    }
+
+    #[test]
+    fn gradients_by_parameters_agree_with_finite_differences() {
+        let timing = Timing::for_period(10_000, 1);
+        let shape = VentilatorShape { timing, states: 3, hidden: 4, history: 2, ventilators: 2 };
+        let mut parameters = shape.initialise(&mut ChaCha8Rng::seed_from_u64(7));
+        let own = parameters.len() - shape.ventilators * shape.own();
+        for (n, parameter) in parameters[own..].iter_mut().enumerate() {
+            *parameter = 0.1 * (n as f32).sin();
+        }
+        let (model, mut tape, _) = breathe(shape, &parameters);
+        let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; timing.width()]);
+        for block in (0..BLOCKS).rev() {
+            model.step_back(&mut tape, block, &[weight(block, 0), weight(block, 1)], &mut d_log);
+        }
+        let mut gradient = vec![0.0; parameters.len()];
+        model.finish(&tape, &mut gradient);
+        check_slopes("parameter", &parameters, 5e-3, &gradient, |varied| breathe(shape, varied).2);
+    }
+}
