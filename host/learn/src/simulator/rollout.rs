@@ -274,7 +274,10 @@ mod tests {
     fn all() -> [(Model, usize); 3] {
         let hybrid = Architecture::Hybrid(HybridConfig::for_period(1000, 1));
         let stitched = Architecture::Stitched(StitchedConfig::for_period(30_000));
-        [(model(state_space(16)), 123), (model(hybrid), 123), (model(stitched), 33)]
+        // As drawn, the authors' networks are so steep that their rounding errors grow from tick to tick.
+        let wild = stitched.initialise(&mut ChaCha8Rng::seed_from_u64(8));
+        let tame: Vec<f32> = wild.iter().map(|w| 0.5 * w).collect();
+        [(model(state_space(16)), 123), (model(hybrid), 123), (Model::new(stitched, &tame), 33)]
     }
 
     fn start() -> BreathStart {
@@ -342,7 +345,7 @@ mod tests {
     }
 
     fn weight(tick: usize) -> f32 {
-        10.0 * (0.7 * tick as f32).cos()
+        20.0 + 10.0 * (0.7 * tick as f32).cos()
     }
 
     /// Sum of the pressures of all ticks under these commands, each with a weight of its own.
