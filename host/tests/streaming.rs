@@ -8,8 +8,8 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::time::Instant;
 
-use data::import::foreign::import;
-use data::import::foreign::map::ColumnMap;
+use data::import::import;
+use data::import::map::ColumnMap;
 
 const BREATHS: usize = 75_000;
 const ROWS: usize = 80;
@@ -47,7 +47,7 @@ fn six_million_rows_stream_through_little_memory() {
     let folder = tempfile::tempdir().unwrap();
     let (table, out) = (folder.path().join("train.csv"), folder.path().join("out.parquet"));
     write_table(&table);
-    let layout = ColumnMap::kaggle().layout().unwrap();
+    let layout = ColumnMap::kaggle().unwrap().layout().unwrap();
     let start = Instant::now();
     let summary = import(&[table], &layout, &out, &mut |_| ()).unwrap();
     println!("{:.1} s, {:.0} MiB at most", start.elapsed().as_secs_f64(), peak_mib());

@@ -4,6 +4,9 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
 /// Replaces `path` by `bytes` in one step: a temporary file beside it, synced, then renamed.
 ///
 /// Missing parent folders are created.
@@ -34,6 +37,37 @@ pub fn temporary(path: &Path) -> io::Result<PathBuf> {
     }
     // The process id keeps two processes that write the same file from sharing the temporary one.
     Ok(path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())))
+}
+
+/// Writes a value as JSON in one line, all or nothing.
+///
+/// # Errors
+/// A value that JSON cannot hold, else as [`write_atomically`].
+pub fn write_json(path: &Path, value: &impl Serialize) -> io::Result<()> {
+    write_atomically(path, serde_json::to_string(value)?.as_bytes())
+}
+
+/// As [`write_json`], for people: indented.
+///
+/// # Errors
+/// As [`write_json`].
+pub fn write_json_indented(path: &Path, value: &impl Serialize) -> io::Result<()> {
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    write_atomically(path, text.as_bytes())
+}
+
+/// Reads what [`write_json`] wrote; none if there is no such file.
+///
+/// # Errors
+/// The file cannot be read, or holds something else.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
+    match fs::read_to_string(path) {
+        Ok(text) => serde_json::from_str(&text).map(Some).map_err(|error| {
+            io::Error::new(io::ErrorKind::InvalidData, format!("{error}; remove it if it is damaged"))
+        }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {

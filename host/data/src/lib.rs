@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod files;
+pub mod identity;
 pub mod import;
 pub mod provenance;
 pub mod recording;

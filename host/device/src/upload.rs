@@ -1,7 +1,8 @@
 //! Uploading a weights image.
 
-use shared::link::messages::{CHUNK_BYTES, Request, Response, Slot};
+use shared::link::messages::{CHUNK_BYTES, Request, Response};
 use shared::link::refusal::Refusal;
+use shared::weights::slots::Slot;
 use shared::weights::{IMAGE_BYTES, WeightsError, decode};
 use thiserror::Error;
 
@@ -40,7 +41,7 @@ impl Device {
         while offset < image.len() {
             progress(offset);
             let end = image.len().min(offset + CHUNK_BYTES);
-            let bytes = heapless::Vec::from_slice(&image[offset..end]).unwrap_or_default();
+            let bytes = image[offset..end].iter().copied().collect();
             let chunk = Request::WeightsChunk { offset: offset as u32, bytes };
             offset = match self.progress_of(&chunk) {
                 // The device knows better what it has, for instance after it was connected anew.

@@ -14,7 +14,7 @@ use super::stage_bars::StageBars;
 use super::train::stage_name;
 use judge::baselines::Search;
 use learn::pipeline::PipelineConfig;
-use study::demo::{DemoConfig, Step, Venue, run as run_demo};
+use study::demo::{DemoConfig, DemoStep, Venue, run as run_demo};
 
 /// Run the whole pipeline on one lung: search the best PID, record, fit, train, compare, report
 #[derive(Debug, clap::Args)]
@@ -131,10 +131,10 @@ impl Args {
     }
 }
 
-fn name(step: Step) -> String {
+fn name(step: DemoStep) -> String {
     match step {
-        Step::Tune => "search PID".into(),
-        Step::Round(round, stage) => stage_name(round, stage),
-        Step::Evaluate => "compare".into(),
+        DemoStep::Tune => "search PID".into(),
+        DemoStep::Round(round, stage) => stage_name(round, stage),
+        DemoStep::Evaluate => "compare".into(),
     }
 }

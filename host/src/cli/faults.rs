@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use super::common::{bar, benches, stop};
 use super::output::OutputArgs;
 use data::provenance::Provenance;
-use judge::faults::matrix::{Row, false_alarms, matrix, sound_pid};
+use judge::faults::matrix::{FaultRow, false_alarms, matrix, sound_pid};
 use plant::bench::BenchConfig;
 use progress::Watch;
 use shared::breath::DEFAULT_PERIOD_US;
@@ -54,7 +54,7 @@ pub struct Args {
 /// What `--json` gives.
 #[derive(Debug, Serialize)]
 struct Summary {
-    rows: Vec<Row>,
+    rows: Vec<FaultRow>,
 }
 
 /// Runs the command.
@@ -67,7 +67,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-fn tried(what: &str, args: &Args, lungs: &[BenchConfig], monitors: Monitors) -> anyhow::Result<Vec<Row>> {
+fn tried(
+    what: &str,
+    args: &Args,
+    lungs: &[BenchConfig],
+    monitors: Monitors,
+) -> anyhow::Result<Vec<FaultRow>> {
     let bar = bar(what, 0);
     let progress = |done: u64, total: u64| {
         bar.set_length(total);
@@ -139,7 +144,7 @@ fn named(id: &str) -> anyhow::Result<Fault> {
     })
 }
 
-fn table(rows: &[Row]) -> Table {
+fn table(rows: &[FaultRow]) -> Table {
     let mut table = Table::new(
         "Faults; times in ms, pressures in cmH2O",
         &["fault", "lung", "monitor", "found", "action", "peak", "allowed", "back at PEEP", "pass"],

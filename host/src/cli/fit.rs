@@ -13,6 +13,7 @@ use serde::Serialize;
 use super::common::{bar, stopped};
 use super::output::OutputArgs;
 use super::preset::Preset;
+use data::identity::{LungParameters, TestRun};
 use data::recording::Recording;
 use judge::identify;
 use learn::pipeline::PAPER_PERIOD_US;
@@ -76,8 +77,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..))]
     hold_out: u16,
     /// Hold out every breath of the lung with this nominal resistance and compliance; may be given several times
-    #[arg(long, value_name = "R:C", value_parser = lung)]
-    hold_out_lung: Vec<(f32, f32)>,
+    #[arg(long, value_name = "R:C")]
+    hold_out_lung: Vec<LungParameters>,
     /// Seed of initial parameters and order
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -156,14 +157,6 @@ struct ByGroup {
     open_loop: OpenLoop,
 }
 
-/// A lung as typed: `R:C`.
-fn lung(text: &str) -> Result<(f32, f32), String> {
-    let number =
-        |text: &str| text.trim().parse::<f32>().ok().filter(|number| *number > 0.0 && number.is_finite());
-    let parts = text.split_once(':').and_then(|(r, c)| Some((number(r)?, number(c)?)));
-    parts.ok_or_else(|| "write R:C in cmH2O/(L/s) and mL/cmH2O, as in 50:20".into())
-}
-
 /// Breaths by what they are for.
 struct Parts<'a> {
     training: Vec<&'a Episode>,
@@ -176,7 +169,7 @@ impl<'a> Parts<'a> {
     fn new(args: &Args, all: &'a [Episode]) -> anyhow::Result<Self> {
         for lung in &args.hold_out_lung {
             if !all.iter().any(|episode| episode.lung == Some(*lung)) {
-                bail!("no breath with R {} and C {}: the recording has {}", lung.0, lung.1, lungs(all));
+                bail!("no breath of the lung {lung} (R:C): the recording has {}", lungs(all));
             }
         }
         let held_out_lung = |e: &&Episode| e.lung.is_some_and(|lung| args.hold_out_lung.contains(&lung));
@@ -218,7 +211,7 @@ fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Epis
 
 /// The lungs that a recording names.
 fn lungs(episodes: &[Episode]) -> String {
-    let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|(r, c)| format!("{r}:{c}")).collect();
+    let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|lung| lung.to_string()).collect();
     names.dedup();
     names.sort();
     names.dedup();
@@ -270,10 +263,9 @@ fn load(files: &[PathBuf]) -> anyhow::Result<Recording> {
 
 /// The architecture asked for, or the one that makes the most of what the recording says.
 fn kind(args: &Args, recording: &Recording) -> Kind {
-    let lungs = recording.resistance.is_some() && recording.compliance.is_some();
     let usual = match args.preset {
         Some(Preset::Paper30Ms) => Kind::Stitched,
-        None if lungs => Kind::Hybrid,
+        None if recording.names_lungs() => Kind::Hybrid,
         None => Kind::StateSpace,
     };
     args.architecture.unwrap_or(usual)
@@ -281,11 +273,7 @@ fn kind(args: &Args, recording: &Recording) -> Kind {
 
 /// Whether a recording names more than one lung.
 fn many_lungs(recording: &Recording) -> bool {
-    let (Some(resistance), Some(compliance)) = (&recording.resistance, &recording.compliance) else {
-        return false;
-    };
-    let lungs = || resistance.iter().zip(compliance).map(|(r, c)| (r.to_bits(), c.to_bits()));
-    lungs().any(|lung| Some(lung) != lungs().next())
+    (1..recording.len()).any(|row| recording.lung(row) != recording.lung(0))
 }
 
 fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architecture> {
@@ -308,7 +296,7 @@ fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architectu
             }))
         }
         Kind::Hybrid => {
-            if recording.resistance.is_none() || recording.compliance.is_none() {
+            if !recording.names_lungs() {
                 bail!(
                     "the hybrid needs R and C of every lung, which this recording does not name: fit state-space"
                 );
@@ -440,13 +428,13 @@ fn repeated<'a>(episodes: &[&'a Episode]) -> Vec<&'a Episode> {
     episodes.iter().copied().filter(|episode| count(episode.pip) > 1).collect()
 }
 
-fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[String]) -> Vec<ByGroup> {
+fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[TestRun]) -> Vec<ByGroup> {
     let of_group = |index: usize| -> Vec<&Episode> {
         episodes.iter().copied().filter(|e| e.group == Some(index as u32)).collect()
     };
     let judged = names.iter().enumerate().map(|(index, name)| {
         let own = of_group(index);
-        ByGroup { group: name.clone(), episodes: own.len(), open_loop: open_loop(simulator, &own) }
+        ByGroup { group: name.to_string(), episodes: own.len(), open_loop: open_loop(simulator, &own) }
     });
     judged.filter(|group| group.episodes > 0).collect()
 }

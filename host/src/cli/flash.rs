@@ -6,7 +6,8 @@ use std::process::Command;
 use anyhow::{Context, bail};
 use indicatif::ProgressBar;
 use serde::Serialize;
-use shared::link::messages::{DeviceIdentity, Slot, SlotState};
+use shared::link::messages::DeviceIdentity;
+use shared::weights::slots::Slot;
 use shared::weights::{IMAGE_BYTES, decode};
 
 use super::common::bar;
@@ -95,10 +96,7 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
 
 /// Name of the weights that were loaded at the start.
 fn running(identity: &DeviceIdentity) -> Option<String> {
-    match identity.slots[identity.running? as usize] {
-        SlotState::Valid { id, .. } => Some(image_id(id)),
-        _ => None,
-    }
+    identity.running_id().map(image_id)
 }
 
 fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {

@@ -16,7 +16,7 @@ use super::settings_args::SettingsArgs;
 use super::stage_bars::StageBars;
 use data::provenance::git_revision;
 use learn::controller::learned::{Learned, Origin};
-use learn::controller::{CurvePoint, Plant, TrainConfig, Training, Weighting};
+use learn::controller::{CurvePoint, PlantModels, TrainConfig, Training, Weighting};
 use learn::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
 use learn::simulator::model::{Architecture, Simulator};
 use show::report::{Cell, Table};
@@ -277,7 +277,7 @@ impl Args {
         // A single simulator judges too, under noise that training does not see.
         let trained_on = if rest.is_empty() { simulators } else { rest };
         let train = TrainConfig { seed: seeds::training(self.seed, 0), ..config.train.clone() };
-        let plant = Plant { trained_on, held_out };
+        let plant = PlantModels { trained_on, held_out };
         let mut training = Training::new(config.residual(), &[plant], train, None)?;
         let checkpoint = self.out.join("training.json");
         if let Ok(text) = std::fs::read_to_string(&checkpoint) {

@@ -32,9 +32,7 @@ impl Ground for PlantGround {
         let mut source = self.source();
         let own = source.period_us();
         if own != plan.period_us {
-            return Err(
-                PlantError::Period { asked: plan.period_us, own: format!(", but at {own} us") }.into()
-            );
+            return Err(PlantError::other_period(plan.period_us, own).into());
         }
         evaluate_source(&mut *source, controller, plan, &Watch::silent())
     }

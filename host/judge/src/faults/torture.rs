@@ -30,7 +30,7 @@ pub const BREATHS_PER_RUN: u64 = 10;
 pub const LIMIT: f32 = 40.0;
 /// Highest true airway pressure, cmH2O.
 pub const BOUND: f64 = 60.0;
-/// No fault comes before the second opinion has seen two breaths, ms.
+/// No fault comes before the lung estimator has seen two breaths, ms.
 const WARM_UP_MS: u32 = 6000;
 /// Runs between two looks at the wish to stop.
 const BATCH: u64 = 500;

@@ -10,7 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
 use super::network::{Mlp, MlpTape};
-use super::{Actions, End, Greedy, Transition, VectorEnvironment, best, highest};
+use super::{Actions, End, Greedy, TaskBatch, Transition, best, highest};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -65,7 +65,7 @@ impl Default for DqnConfig {
 #[derive(Debug)]
 pub struct Dqn<S> {
     config: DqnConfig,
-    environment: S,
+    tasks: S,
     network: Mlp,
     choices: usize,
     parameters: Vec<f32>,
@@ -97,27 +97,27 @@ struct Fact {
     goes_on: bool,
 }
 
-impl<S: VectorEnvironment> Dqn<S> {
-    /// Prepares a training on `environment`.
+impl<S: TaskBatch> Dqn<S> {
+    /// Prepares a training on `tasks`.
     ///
     /// # Panics
-    /// If its actions are continuous.
-    pub fn new(config: DqnConfig, mut environment: S, seed: u64) -> Self {
-        let Actions::Discrete(choices) = environment.actions() else {
+    /// If their actions are continuous.
+    pub fn new(config: DqnConfig, mut tasks: S, seed: u64) -> Self {
+        let Actions::Discrete(choices) = tasks.actions() else {
             panic!("Q-learning needs a finite number of choices");
         };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let network = Mlp::with_hidden(environment.observations(), &config.hidden, choices);
+        let network = Mlp::with_hidden(tasks.observations(), &config.hidden, choices);
         let parameters = network.initialise(1.0, &mut rng);
-        environment.reset(&[true; LANES], &mut rng);
-        let mut seen = vec![Lane::ZERO; environment.observations()];
-        environment.observe(&mut seen);
+        tasks.reset(&[true; LANES], &mut rng);
+        let mut seen = vec![Lane::ZERO; tasks.observations()];
+        tasks.observe(&mut seen);
         Self {
             adam: Adam::new(config.adam, parameters.len()),
-            replay: Replay::new(environment.observations(), config.capacity),
+            replay: Replay::new(tasks.observations(), config.capacity),
             target: parameters.clone(),
             config,
-            environment,
+            tasks,
             network,
             choices,
             parameters,
@@ -137,14 +137,14 @@ impl<S: VectorEnvironment> Dqn<S> {
     /// for learning rate and random choices.
     pub fn round(&mut self, progress: f32) {
         let actions = self.choose(progress);
-        let transitions = self.environment.step(&actions);
+        let transitions = self.tasks.step(&actions);
         let before = self.seen.clone();
-        self.environment.observe(&mut self.seen);
+        self.tasks.observe(&mut self.seen);
         self.replay.record(&before, &actions, &transitions, &self.seen);
         let ended = transitions.map(|transition| transition.end != End::Not);
         if ended.contains(&true) {
-            self.environment.reset(&ended, &mut self.rng);
-            self.environment.observe(&mut self.seen);
+            self.tasks.reset(&ended, &mut self.rng);
+            self.tasks.observe(&mut self.seen);
         }
         if self.replay.facts.len() >= self.config.warm_up.max(LANES) {
             (0..self.config.updates).for_each(|_| self.improve(progress));
@@ -265,8 +265,8 @@ impl Replay {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::Copies;
-    use crate::rl::cart_pole::CartPole;
+    use crate::rl::tests::cart_pole::CartPole;
+    use crate::rl::tests::{Copies, mean_return};
 
     /// One hidden layer: with two the pole stands, but the cart drifts off its track. A discount that looks far
     /// enough ahead, and target copies often enough for its values to get there.
@@ -294,7 +294,7 @@ mod tests {
     fn cart_pole_is_solved() {
         let greedy = trained(5000, 5000, 1);
         let mut rng = ChaCha8Rng::seed_from_u64(999);
-        let mean = greedy.mean_return(&mut Copies::of(&CartPole::default()), 100, &mut rng);
+        let mean = mean_return(&greedy, &mut Copies::of(&CartPole::default()), 100, &mut rng);
         assert!(mean >= 475.0, "mean return {mean}");
     }
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::head::{Head, Slope};
 use super::network::{Mlp, MlpTape, Weights};
-use super::{Actions, End, Greedy, Transition, VectorEnvironment};
+use super::{Actions, End, Greedy, TaskBatch, Transition};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -75,7 +75,7 @@ const ADVANTAGE_FLOOR: f32 = 1e-6;
 #[derive(Debug)]
 pub struct Ppo<S> {
     config: PpoConfig,
-    environment: S,
+    tasks: S,
     actions: Actions,
     policy: Mlp,
     value: Mlp,
@@ -104,23 +104,23 @@ struct RolloutBuffer {
     returns: Vec<Lane>,
 }
 
-impl<S: VectorEnvironment> Ppo<S> {
-    /// Prepares a training on `environment`.
-    pub fn new(config: PpoConfig, mut environment: S, seed: u64) -> Self {
+impl<S: TaskBatch> Ppo<S> {
+    /// Prepares a training on `tasks`.
+    pub fn new(config: PpoConfig, mut tasks: S, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (width, actions) = (environment.observations(), environment.actions());
+        let (width, actions) = (tasks.observations(), tasks.actions());
         let policy = Mlp::with_hidden(width, &config.hidden, Head::outputs(actions));
         let value = Mlp::with_hidden(width, &config.hidden, 1);
         let mut policy_parameters = policy.initialise(POLICY_GAIN, &mut rng);
         policy_parameters.push(config.log_sd);
         let value_parameters = value.initialise(1.0, &mut rng);
-        environment.reset(&[true; LANES], &mut rng);
+        tasks.reset(&[true; LANES], &mut rng);
         Self {
             policy_adam: Adam::new(config.policy, policy_parameters.len()),
             value_adam: Adam::new(config.value, value_parameters.len()),
             rollout: RolloutBuffer::new(width, config.horizon),
             config,
-            environment,
+            tasks,
             actions,
             policy,
             value,
@@ -184,20 +184,20 @@ impl<S: VectorEnvironment> Ppo<S> {
         let mut critic = Critic::new(&self.value, &self.value_parameters);
         let mut tape = MlpTape::new(&self.policy, 1);
         for step in 0..self.config.horizon {
-            self.environment.observe(tape.inputs(0));
+            self.tasks.observe(tape.inputs(0));
             policy.forward(&mut tape);
             let actions = head.sample(tape.outputs(0), &mut self.rng);
             let log_probability = head.log_probability(tape.outputs(0), &actions);
             let value = critic.value(tape.inputs(0));
-            let transitions = self.environment.step(&actions);
+            let transitions = self.tasks.step(&actions);
             self.rollout.record(step, tape.inputs(0), &actions, &log_probability, &value);
             let cut = self.value_of_cut(&mut critic, &transitions);
             self.rollout.rewards[step] = Lane::from_fn(|l| transitions[l].reward).zip(&cut, |r, c| r + c);
             let ended = transitions.map(|transition| transition.end != End::Not);
             self.rollout.goes_on[step] = Lane::from_fn(|l| f32::from(u8::from(!ended[l])));
-            self.environment.reset(&ended, &mut self.rng);
+            self.tasks.reset(&ended, &mut self.rng);
         }
-        self.environment.observe(tape.inputs(0));
+        self.tasks.observe(tape.inputs(0));
         self.rollout.values[self.config.horizon] = critic.value(tape.inputs(0));
     }
 
@@ -207,7 +207,7 @@ impl<S: VectorEnvironment> Ppo<S> {
             return Lane::ZERO;
         }
         let mut last = vec![Lane::ZERO; self.rollout.width];
-        self.environment.observe(&mut last);
+        self.tasks.observe(&mut last);
         let value = critic.value(&last);
         Lane::from_fn(|l| match transitions[l].end {
             End::TimeLimit => self.config.discount * value[l],
@@ -356,8 +356,8 @@ impl RolloutBuffer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::cart_pole::CartPole;
-    use crate::rl::{Copies, Environment};
+    use crate::rl::tests::cart_pole::CartPole;
+    use crate::rl::tests::{Copies, Environment, mean_return};
     use rand_distr::{Distribution, StandardNormal};
 
     /// For tasks that need fewer samples per round.
@@ -375,7 +375,7 @@ mod tests {
     fn cart_pole_is_solved() {
         let greedy = trained(100, 1);
         let mut rng = ChaCha8Rng::seed_from_u64(999);
-        let mean = greedy.mean_return(&mut Copies::of(&CartPole::default()), 100, &mut rng);
+        let mean = mean_return(&greedy, &mut Copies::of(&CartPole::default()), 100, &mut rng);
         assert!(mean >= 475.0, "mean return {mean}");
     }
 

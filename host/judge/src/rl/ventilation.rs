@@ -20,7 +20,7 @@ use shared::control::residual::ResidualError;
 use shared::control::{COMMAND_MAX, Observation};
 use shared::math;
 
-use super::{Actions, End, Transition, VectorEnvironment};
+use super::{Actions, End, TaskBatch, Transition};
 use engine::{LANES, Lane};
 use learn::simulator::BreathStart;
 use learn::simulator::model::{Model, Simulator};
@@ -90,7 +90,7 @@ pub struct Perception {
 
 /// What an agent's senses remember of a breath.
 #[derive(Clone, Debug, Default)]
-pub struct PerceptionState {
+pub struct PolicyMemory {
     features: FeatureState,
     integral: PidState,
 }
@@ -124,13 +124,13 @@ impl Perception {
     }
 
     /// Forgets the last breath; the valve stands at `command` percent.
-    pub fn start_breath(&self, memory: &mut PerceptionState, command: f32) {
+    pub fn start_breath(&self, memory: &mut PolicyMemory, command: f32) {
         memory.features.start_breath(command);
         memory.integral = PidState::new();
     }
 
     /// Takes in the observation of a tick: what the agent sees.
-    pub fn see(&self, memory: &mut PerceptionState, seen: &Observation) -> [f32; FEATURES] {
+    pub fn see(&self, memory: &mut PolicyMemory, seen: &Observation) -> [f32; FEATURES] {
         let features = self.features.step(&mut memory.features, seen, memory.integral.integral);
         // A PID with nothing but an integral part; its command is not used, its integral is the feature.
         self.integral.step(&mut memory.integral, seen, 0.0);
@@ -138,7 +138,7 @@ impl Perception {
     }
 
     /// Takes in the command applied in the tick, percent.
-    pub fn applied(&self, memory: &mut PerceptionState, command: f32) {
+    pub fn applied(&self, memory: &mut PolicyMemory, command: f32) {
         self.features.applied(&mut memory.features, command);
     }
 }
@@ -165,7 +165,7 @@ pub struct Inspirations {
     tick: usize,
     pip: Lane,
     noise: Vec<Lane>,
-    memories: [PerceptionState; LANES],
+    memories: [PolicyMemory; LANES],
     seen: [Lane; FEATURES],
     /// Sum of the absolute errors since the start of the inspiration, cmH2O.
     strayed: Lane,
@@ -213,7 +213,7 @@ impl Inspirations {
             tick: 0,
             pip: Lane::ZERO,
             noise: vec![Lane::ZERO; ticks],
-            memories: std::array::from_fn(|_| PerceptionState::default()),
+            memories: std::array::from_fn(|_| PolicyMemory::default()),
             seen: [Lane::ZERO; FEATURES],
             strayed: Lane::ZERO,
         })
@@ -277,7 +277,7 @@ impl Inspirations {
     }
 }
 
-impl VectorEnvironment for Inspirations {
+impl TaskBatch for Inspirations {
     fn observations(&self) -> usize {
         FEATURES
     }
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn the_plant_of_the_tests_is_what_it_says() {
+    fn the_lung_of_the_tests_is_what_it_says() {
         let mut task = inspirations(1, &TaskConfig::default());
         for _ in 0..60 {
             task.step(&Lane::splat(20.0));
@@ -388,12 +388,12 @@ mod tests {
         let mut state = FeatureState::new();
         state.start_breath(5.0);
         let model = first_order(1.0).model();
-        let mut plant = Rollout::new(&model, 1000);
+        let mut lung = Rollout::new(&model, 1000);
         let start =
             BreathStart { pressure: task.rollout.pressure(), plateau: task.pip, ..BreathStart::default() };
-        plant.begin(&model, &start, 5.0);
+        lung.begin(&model, &start, 5.0);
         for tick in 0..=10 {
-            let (pressure, pip) = (plant.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
+            let (pressure, pip) = (lung.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
             let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick };
             let expected = features.step(&mut state, &seen, 0.0);
             if tick == 10 {
@@ -407,7 +407,7 @@ mod tests {
                 }
             }
             features.applied(&mut state, 40.0);
-            plant.advance(&Lane::splat(40.0));
+            lung.advance(&Lane::splat(40.0));
         }
         let integral: f32 = task.seen[18][2];
         assert!(integral > 0.0, "the pressure was below its target");

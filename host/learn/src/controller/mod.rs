@@ -16,4 +16,4 @@ pub mod scenario;
 mod training;
 
 pub use config::{TrainConfig, Weighting};
-pub use training::{Checkpoint, CurvePoint, Plant, Trained, Training};
+pub use training::{Checkpoint, CurvePoint, PlantModels, Trained, Training};

@@ -21,7 +21,7 @@ use engine::{LANES, Lane};
 
 /// The learned simulators of one plant.
 #[derive(Clone, Copy, Debug)]
-pub struct Plant<'a> {
+pub struct PlantModels<'a> {
     /// Those to train on.
     pub trained_on: &'a [Simulator],
     /// The one that judges.
@@ -55,7 +55,7 @@ struct Ensemble {
 }
 
 impl Ensemble {
-    fn new(plant: &Plant<'_>, config: &TrainConfig) -> Self {
+    fn new(plant: &PlantModels<'_>, config: &TrainConfig) -> Self {
         Self {
             trained_on: plant.trained_on.iter().map(|simulator| Member::new(simulator, config)).collect(),
             held_out: Member::new(plant.held_out, config),
@@ -133,7 +133,7 @@ impl Training {
     /// Without a plant, with one that has no simulator to train on, or blind to a feature that does not exist.
     pub fn new(
         spec: ResidualSpec,
-        plants: &[Plant<'_>],
+        plants: &[PlantModels<'_>],
         config: TrainConfig,
         warm: Option<&[f32]>,
     ) -> Result<Self, ResidualError> {
@@ -342,7 +342,7 @@ mod tests {
         };
         let config = TrainConfig { iterations: 3, batch: 16, blind_to: vec![3, 9], ..TrainConfig::default() };
         let simulator = first_order(1.0);
-        let plant = Plant { trained_on: std::slice::from_ref(&simulator), held_out: &simulator };
+        let plant = PlantModels { trained_on: std::slice::from_ref(&simulator), held_out: &simulator };
         let mut training = Training::new(spec, &[plant], config, None).unwrap();
         let before = training.parameters().to_vec();
         for _ in 0..3 {

@@ -9,14 +9,14 @@
 //! round-0/controller.safetensors, round-0/round.json
 //! ```
 
-use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::{PipelineConfig, PipelineError};
-use data::files::write_atomically;
+use data::files::{read_json, write_json};
 
 /// A run's folder.
 #[derive(Clone, Debug)]
@@ -41,12 +41,12 @@ impl Folder {
     /// The folder holds a run with another one.
     pub(super) fn claim(&self, config: &PipelineConfig) -> Result<(), PipelineError> {
         let path = self.path.join("run.json");
-        match read_json::<PipelineConfig>(&path)? {
+        match read_json::<PipelineConfig>(&path).map_err(failure(&path))? {
             Some(earlier) if earlier != *config => {
                 Err(PipelineError::OtherRun(self.path.display().to_string()))
             }
             Some(_) => Ok(()),
-            None => write_json(&path, config),
+            None => write_json(&path, config).map_err(failure(&path)),
         }
     }
 
@@ -56,28 +56,18 @@ impl Folder {
         round: usize,
         name: &str,
     ) -> Result<Option<T>, PipelineError> {
-        read_json(&self.file(round, name))
+        let path = self.file(round, name);
+        read_json(&path).map_err(failure(&path))
     }
 
     /// Leaves something.
     pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
-        write_json(&self.file(round, name), value)
+        let path = self.file(round, name);
+        write_json(&path, value).map_err(failure(&path))
     }
 }
 
-fn failure(path: &Path, reason: &impl ToString) -> PipelineError {
-    PipelineError::Folder { path: path.display().to_string(), reason: reason.to_string() }
-}
-
-fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, PipelineError> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    let text = fs::read_to_string(path).map_err(|e| failure(path, &e))?;
-    serde_json::from_str(&text).map(Some).map_err(|e| failure(path, &e))
-}
-
-fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
-    let text = serde_json::to_string(value).map_err(|e| failure(path, &e))?;
-    write_atomically(path, text.as_bytes()).map_err(|e| failure(path, &e))
+fn failure(path: &Path) -> impl FnOnce(io::Error) -> PipelineError {
+    let path = path.display().to_string();
+    move |reason| PipelineError::Folder { path, reason: reason.to_string() }
 }

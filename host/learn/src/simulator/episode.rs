@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::{COMMAND_SCALE, Timing};
+use data::identity::{LungParameters, TestRun};
 use data::recording::Recording;
 use engine::least_squares::solve;
 
@@ -38,8 +39,8 @@ pub struct Episode {
     pub ventilator: Option<u32>,
     /// Its rows in the recording.
     pub rows: Range<usize>,
-    /// Nominal R (cmH2O/(L/s)) and C (mL/cmH2O), where the recording has them.
-    pub lung: Option<(f32, f32)>,
+    /// Its lung, where the recording names it.
+    pub lung: Option<LungParameters>,
 }
 
 impl Episode {
@@ -102,7 +103,7 @@ fn cut(
             group,
             ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
             rows: rows.clone(),
-            lung: lung(recording, rows.start),
+            lung: recording.lung(rows.start),
         });
         let end = rows.end - average.min(rows.len())..rows.end;
         last_plateau = Some(mean(&recording.pressure[end.clone()]));
@@ -111,23 +112,16 @@ fn cut(
     episodes
 }
 
-/// Index of the ventilator of each group. Groups of one ventilator have names that begin alike, up to a colon, as in
-/// `CT_AIR:5`; a name without one stands for a ventilator that has this group alone.
+/// Index of the ventilator of each group.
 pub fn ventilators(recording: &Recording) -> Vec<u32> {
-    let mut names = Vec::new();
-    let ventilator = |group: &String| {
-        let name = group.split(':').next().unwrap_or_default().to_owned();
-        let index = names.iter().position(|known| *known == name).unwrap_or_else(|| {
-            names.push(name);
-            names.len() - 1
-        });
-        index as u32
+    let mut known = Vec::new();
+    let mut index = |run: &TestRun| {
+        known.iter().position(|ventilator| *ventilator == run.ventilator).unwrap_or_else(|| {
+            known.push(run.ventilator.clone());
+            known.len() - 1
+        }) as u32
     };
-    recording.provenance.groups.iter().map(ventilator).collect()
-}
-
-fn lung(recording: &Recording, row: usize) -> Option<(f32, f32)> {
-    Some((recording.resistance.as_ref()?[row], recording.compliance.as_ref()?[row]))
+    recording.provenance.groups.iter().map(&mut index).collect()
 }
 
 fn mean(values: &[f32]) -> f32 {

@@ -28,7 +28,7 @@ pub mod stitched;
 mod tests_support;
 mod timing;
 
-pub use breath_start::{BreathStart, USUAL_LUNG};
+pub use breath_start::{BreathStart, Members, USUAL_LUNG};
 pub use command_log::CommandLog;
 pub use first_order::first_order;
 pub use timing::Timing;

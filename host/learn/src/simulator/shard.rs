@@ -25,8 +25,13 @@ impl<'a> Shard<'a> {
         self.episodes.iter().map(|episode| episode.ticks()).max().unwrap_or(0)
     }
 
+    /// The episode in a lane.
+    fn episode(&self, l: usize) -> &'a Episode {
+        self.episodes[l.min(self.episodes.len() - 1)]
+    }
+
     fn lane(&self, mut value: impl FnMut(&Episode) -> f32) -> Lane {
-        Lane::from_fn(|l| value(self.episodes[l.min(self.episodes.len() - 1)]))
+        Lane::from_fn(|l| value(self.episode(l)))
     }
 
     /// How the breaths start.
@@ -35,11 +40,11 @@ impl<'a> Shard<'a> {
             pressure: self.lane(|episode| episode.start),
             plateau: self.lane(|episode| episode.plateau),
             rest: self.lane(|episode| episode.rest[0]),
-            group: self.lane(|episode| episode.group.map_or(-1.0, |group| group as f32)),
-            ventilator: self.lane(|episode| episode.ventilator.map_or(-1.0, |ventilator| ventilator as f32)),
+            group: std::array::from_fn(|l| self.episode(l).group),
+            ventilator: std::array::from_fn(|l| self.episode(l).ventilator),
             plateau_command: self.lane(|episode| episode.plateau_command),
-            resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).0),
-            compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).1),
+            resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).resistance),
+            compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).compliance),
         }
     }
 

@@ -1,7 +1,7 @@
 //! What the simulators' tests share: gradients against finite differences, and a breath.
 
 use super::episode::Episode;
-use super::{BreathStart, CommandLog, Dynamics};
+use super::{BreathStart, CommandLog, Dynamics, USUAL_LUNG};
 use engine::{LANES, Lane};
 
 /// An inspiration of a lung of R 20 and C 20, of a simulator with one command per block.
@@ -19,7 +19,7 @@ pub(super) fn episode(ticks: usize) -> Episode {
         group: None,
         ventilator: None,
         rows: 0..ticks,
-        lung: Some((20.0, 20.0)),
+        lung: Some(USUAL_LUNG),
     }
 }
 
@@ -31,8 +31,8 @@ fn start() -> BreathStart {
         plateau: Lane::from_fn(|l| 10.0 + l as f32),
         rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
         plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),
-        group: Lane::from_fn(|l| (l % 4) as f32 - 1.0),
-        ventilator: Lane::from_fn(|l| (l % 3) as f32 - 1.0),
+        group: std::array::from_fn(|l| (l as u32 % 4).checked_sub(1)),
+        ventilator: std::array::from_fn(|l| (l as u32 % 3).checked_sub(1)),
         resistance: Lane::from_fn(|l| 5.0 + 3.0 * l as f32),
         compliance: Lane::from_fn(|l| 50.0 - 2.5 * l as f32),
     }

@@ -1,8 +1,7 @@
 //! What of the command can be told without a process.
 
 use super::*;
-use data::import::respiraworks::import;
-use data::import::respiraworks::measured;
+use data::import::{measured, measured_recording};
 use data::provenance::Provenance;
 use data::recording::Extra;
 
@@ -106,21 +105,14 @@ fn without_r_and_c_there_is_no_hybrid() {
 }
 
 #[test]
-fn a_lung_is_typed_as_r_and_c() {
-    assert_eq!(lung("50:20"), Ok((50.0, 20.0)));
-    for wrong in ["50", "50:", "a:b", "0:20", "50:-1", "inf:20", "NaN:3"] {
-        assert!(lung(wrong).is_err(), "{wrong}");
-    }
-}
-
-#[test]
 fn a_lung_held_out_is_in_no_lesson_and_in_no_other_part() {
+    let lung = |resistance| LungParameters { resistance, compliance: 20.0 };
     let of = |lung, group| Episode { lung: Some(lung), rows: 0..1, ..episode(15.0, Some(group)) };
     let all: Vec<Episode> =
-        (0..30).map(|n| if n % 3 == 0 { of((5.0, 20.0), 1) } else { of((20.0, 20.0), 0) }).collect();
+        (0..30).map(|n| if n % 3 == 0 { of(lung(5.0), 1) } else { of(lung(20.0), 0) }).collect();
     let args = args(&["--hold-out-lung", "5:20"]);
     let parts = Parts::new(&args, &all).unwrap();
-    let is_other = |episode: &&Episode| episode.lung == Some((5.0, 20.0));
+    let is_other = |episode: &&Episode| episode.lung == Some(lung(5.0));
     assert!(!parts.training.iter().chain(&parts.held_out).any(is_other));
     assert_eq!((parts.training.len(), parts.held_out.len(), parts.other_lungs.len()), (16, 4, 10));
     let refused = Parts::new(&self::args(&["--hold-out-lung", "7:7"]), &all).err().unwrap().to_string();
@@ -131,7 +123,8 @@ fn a_lung_held_out_is_in_no_lesson_and_in_no_other_part() {
 #[test]
 fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_lungs_it_never_saw() {
     let Some(paths) = measured() else { return };
-    let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
     let args = args(&["--epochs", "400", "--hold-out-lung", "5:20", "--hold-out-lung", "50:20"]);
     let architecture = architecture(&args, &recording).unwrap();
     assert_eq!(architecture.timing().channels, 1, "the exhale valve follows the inhale valve");

@@ -7,28 +7,23 @@ mod summary;
 mod tests;
 mod venue;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
-use shared::control::pid::{GainError, Pid, PidGains};
-use thiserror::Error;
+use shared::control::pid::{Pid, PidGains};
 
-use data::files::write_atomically;
-use data::recording::DatasetError;
-use data::tensors::TensorError;
-use judge::baselines::{Best, Search, TuneError, tune_pid};
-use judge::evaluate::{Evaluation, Plan, Trace};
-use learn::controller::learned::LearnedError;
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError, Stage};
+use crate::StudyError;
+use data::files::{read_json, write_atomically, write_json, write_json_indented};
+use judge::baselines::{Best, Search, tune_pid};
+use judge::evaluate::{BreathTrace, Evaluation, Plan};
+use learn::pipeline::{self, Folder, Outcome, PipelineConfig, Stage};
 use plant::bench::BenchConfig;
-use show::report::ReportError;
-use ventilator::SourceError;
 
-pub use summary::{Compared, Means, Summary};
+pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
 
 /// What to run.
@@ -47,7 +42,7 @@ pub struct DemoConfig {
 
 /// Which part is under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum DemoStep {
     /// Searching the best PID.
     Tune,
     /// A stage of a round (from 0).
@@ -57,47 +52,7 @@ pub enum Step {
 }
 
 /// Progress: step, done, in all.
-pub type Observer<'a> = &'a (dyn Fn(Step, usize, usize) + Sync);
-
-/// Why the job cannot be finished.
-#[derive(Debug, Error)]
-pub enum DemoError {
-    /// Search.
-    #[error(transparent)]
-    Tune(#[from] TuneError),
-    /// Learning.
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    /// Evaluation.
-    #[error(transparent)]
-    Source(#[from] SourceError),
-    /// Gains.
-    #[error(transparent)]
-    Gain(#[from] GainError),
-    /// Recording.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// Simulator's file.
-    #[error(transparent)]
-    Tensors(#[from] TensorError),
-    /// Controller's file or image.
-    #[error(transparent)]
-    Learned(#[from] LearnedError),
-    /// Report.
-    #[error(transparent)]
-    Report(#[from] ReportError),
-    /// Another file.
-    #[error("cannot write {path}: {reason}")]
-    File {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        reason: String,
-    },
-    /// Stopped before the search was done.
-    #[error("stopped during the search of the best PID; nothing was learned yet, start again")]
-    Stopped,
-}
+pub type Observer<'a> = &'a (dyn Fn(DemoStep, usize, usize) + Sync);
 
 /// One controller's part of the comparison.
 #[derive(Clone, Debug)]
@@ -109,7 +64,7 @@ pub struct Contestant {
     /// How it did on the true bench.
     pub evaluation: Evaluation,
     /// Two breaths at each PIP of [`TRACED_PIPS`].
-    pub traces: Vec<Trace>,
+    pub traces: Vec<BreathTrace>,
 }
 
 /// PIPs of the waveforms shown in the report, cmH2O.
@@ -121,7 +76,7 @@ const TRACED_BREATHS: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Demo {
     /// Figures.
-    pub summary: Summary,
+    pub summary: DemoSummary,
     /// Best of each kind of PID.
     pub best: Best,
     /// What was learned.
@@ -150,13 +105,13 @@ pub fn run(
     out: &Path,
     observer: Observer<'_>,
     stop: &AtomicBool,
-) -> Result<Demo, DemoError> {
+) -> Result<Demo, StudyError> {
     let started = Instant::now();
     let best = tuned(config, out, observer, stop)?;
     let outcome = learn(config, best.pid.gains, out, observer, stop)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
     let contestants = compare(config, &best, &outcome, &plan, observer, stop)?;
-    let mut summary = Summary::new(config, &best, &outcome, &contestants);
+    let mut summary = DemoSummary::new(config, &best, &outcome, &contestants);
     summary.wall_s = started.elapsed().as_secs_f64();
     let demo = Demo { summary, best, outcome, contestants, plan };
     demo.save(out)?;
@@ -169,24 +124,24 @@ fn tuned(
     out: &Path,
     observer: Observer<'_>,
     stop: &AtomicBool,
-) -> Result<Best, DemoError> {
+) -> Result<Best, StudyError> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
     let file = out.join("tuning.json");
-    let earlier: Option<Tuned> =
-        std::fs::read_to_string(&file).ok().and_then(|text| serde_json::from_str(&text).ok());
+    // A file that cannot be read is as good as none: the search is done again.
+    let earlier = read_json::<Tuned>(&file).ok().flatten();
     if let Some(tuned) = earlier
         && (&tuned.bench, &tuned.search, &tuned.plan) == (&config.bench, &config.search, &plan)
     {
         return Ok(tuned.best);
     }
-    let progress = |done, total| observer(Step::Tune, done as usize, total as usize);
+    let progress = |done, total| observer(DemoStep::Tune, done as usize, total as usize);
     let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, &progress, stop)?;
     if !result.complete {
-        return Err(DemoError::Stopped);
+        return Err(StudyError::SearchStopped);
     }
     let (bench, search) = (config.bench.clone(), config.search.clone());
     let tuned = Tuned { bench, search, plan, best: result.over_all };
-    write(&file, serde_json::to_string(&tuned).unwrap_or_default().as_bytes())?;
+    write_json(&file, &tuned).map_err(StudyError::file(&file))?;
     Ok(tuned.best)
 }
 
@@ -196,13 +151,13 @@ fn learn(
     out: &Path,
     observer: Observer<'_>,
     stop: &AtomicBool,
-) -> Result<Outcome, DemoError> {
+) -> Result<Outcome, StudyError> {
     let pipeline = PipelineConfig { gains, ..config.pipeline.clone() };
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Folder::new(out.join("run"));
-    let progress = |round, stage, done, total| observer(Step::Round(round, stage), done, total);
+    let progress = |round, stage, done, total| observer(DemoStep::Round(round, stage), done, total);
     Ok(pipeline::run(&pipeline, &[&source], Some(&folder), &progress, stop)?)
 }
 
@@ -213,7 +168,7 @@ fn compare(
     plan: &Plan,
     observer: Observer<'_>,
     stop: &AtomicBool,
-) -> Result<Vec<Contestant>, DemoError> {
+) -> Result<Vec<Contestant>, StudyError> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
     // A vector: on the stack, controllers with their weights would be large.
     let controllers = vec![
@@ -224,10 +179,10 @@ fn compare(
     ];
     let total = controllers.len() * plan.pips.len() * plan.seeds.len();
     let done = AtomicUsize::new(0);
-    observer(Step::Evaluate, 0, total);
+    observer(DemoStep::Evaluate, 0, total);
     // Side by side: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
-        let one_more = || observer(Step::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        let one_more = || observer(DemoStep::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
         let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &one_more, stop)?;
         let traces = config.venue.traces(&config.bench, &controller, plan)?;
         Ok(Contestant { name, controller, evaluation, traces })
@@ -236,20 +191,15 @@ fn compare(
 }
 
 impl Demo {
-    fn save(&self, out: &Path) -> Result<(), DemoError> {
+    fn save(&self, out: &Path) -> Result<(), StudyError> {
         self.outcome.plants[0].recording.save(out.join("recording.parquet"))?;
         if let Some(simulator) = self.outcome.plants[0].simulators.first() {
             simulator.save(&out.join("simulator.safetensors"))?;
         }
         self.outcome.learned.save(&out.join("controller.safetensors"))?;
-        write(&out.join("weights.bin"), &self.outcome.learned.image()?)?;
-        let summary = serde_json::to_string_pretty(&self.summary).unwrap_or_default();
-        write(&out.join("summary.json"), summary.as_bytes())?;
+        let (image, summary) = (out.join("weights.bin"), out.join("summary.json"));
+        write_atomically(&image, &self.outcome.learned.image()?).map_err(StudyError::file(&image))?;
+        write_json_indented(&summary, &self.summary).map_err(StudyError::file(&summary))?;
         Ok(self.report().save(out.join("report.html"))?)
     }
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), DemoError> {
-    write_atomically(path, bytes)
-        .map_err(|e| DemoError::File { path: path.to_owned(), reason: e.to_string() })
 }

@@ -10,7 +10,7 @@ use super::{TRACED_BREATHS, TRACED_PIPS};
 use emulator::EmulatorConfig;
 #[cfg(unix)]
 use judge::evaluate::evaluate_source;
-use judge::evaluate::{Evaluation, Plan, Trace, evaluate, trace_source};
+use judge::evaluate::{BreathTrace, Evaluation, Plan, evaluate, trace_source};
 use plant::bench::BenchConfig;
 use progress::Watch;
 #[cfg(unix)]
@@ -79,7 +79,7 @@ impl Venue {
         bench: &BenchConfig,
         controller: &Controller,
         plan: &Plan,
-    ) -> Result<Vec<Trace>, SourceError> {
+    ) -> Result<Vec<BreathTrace>, SourceError> {
         let one = |pip: &f32| {
             let settings = plan.waveform(*pip);
             let mut source =

@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 
+use super::Reproduction;
 use super::study::Study;
-use super::{ReproduceError, Reproduction};
+use crate::StudyError;
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
 use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig, Stage};
@@ -15,7 +16,7 @@ use ventilator::{BenchSource, Source, SourceError};
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Tuned {
+pub(super) struct TunedPids {
     /// By lung.
     pub(super) lungs: Vec<Best>,
     /// For all of them.
@@ -24,7 +25,7 @@ pub(super) struct Tuned {
 
 /// What became of a lung.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Lung {
+pub(super) struct LungScores {
     /// Its own best PID.
     pub(super) pid: Evaluation,
     /// The best PID for all lungs.
@@ -38,22 +39,22 @@ pub(super) struct Lung {
 }
 
 /// Searches the PIDs.
-pub(super) fn tuned(study: &Study<'_>) -> Result<Tuned, ReproduceError> {
+pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids, StudyError> {
     study.keep("tuning", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let progress = |done, total| (study.observer)("search PIDs", done as usize, total as usize);
         let plan = Plan::tuning(*seed);
         let result = tune_pid(study.lungs(), &budget.search, &plan, &progress, study.stop)?;
         if !result.complete {
-            return Err(ReproduceError::Stopped);
+            return Err(StudyError::Stopped);
         }
         let lungs = result.lungs.into_iter().map(|lung| lung.best).collect();
-        Ok(Tuned { lungs, over_all: result.over_all })
+        Ok(TunedPids { lungs, over_all: result.over_all })
     })
 }
 
 /// Trains and scores a controller for each lung.
-pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<Lung>, ReproduceError> {
+pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>, StudyError> {
     let tuned = tuned(study)?;
     let lungs = study.lungs().iter().zip(&tuned.lungs);
     lungs
@@ -66,7 +67,7 @@ pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<Lung>, ReproduceError> {
 }
 
 /// All that the folder holds, if it holds every lung.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Lung>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>, StudyError> {
     study.lungs().iter().map(|bench| study.kept(&format!("lungs/{}", bench.name))).collect()
 }
 
@@ -75,7 +76,7 @@ fn lung(
     bench: &BenchConfig,
     own: PidGains,
     single: PidGains,
-) -> Result<Lung, ReproduceError> {
+) -> Result<LungScores, StudyError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let (mut learned, mut open_loop, mut ticks) = (Vec::new(), Vec::new(), Vec::new());
     for repeat in 0..budget.repeats {
@@ -88,7 +89,7 @@ fn lung(
         ticks.push(outcome.plants.iter().map(|plant| plant.recording.len()).sum());
     }
     let (pid, single_pid) = (study.pid(own)?, study.pid(single)?);
-    Ok(Lung {
+    Ok(LungScores {
         pid: study.evaluate(bench, &pid)?,
         single_pid: study.evaluate(bench, &single_pid)?,
         learned,
@@ -103,7 +104,7 @@ pub(super) fn train(
     benches: &[BenchConfig],
     config: &PipelineConfig,
     folder: &str,
-) -> Result<Outcome, ReproduceError> {
+) -> Result<Outcome, StudyError> {
     let base = study.pid(config.gains)?;
     let make: Vec<_> = benches
         .iter()
@@ -124,7 +125,7 @@ pub(super) fn train_on(
     sources: &[MakeSource<'_>],
     config: &PipelineConfig,
     folder: &str,
-) -> Result<Outcome, ReproduceError> {
+) -> Result<Outcome, StudyError> {
     let observer = |round: usize, stage: Stage, done, total| {
         let stage = match stage {
             Stage::Collect => "collect",
@@ -136,7 +137,7 @@ pub(super) fn train_on(
     let run = Folder::new(study.path(folder));
     let outcome = pipeline::run(config, sources, Some(&run), &observer, study.stop)?;
     if !outcome.complete {
-        return Err(ReproduceError::Stopped);
+        return Err(StudyError::Stopped);
     }
     outcome.learned.save(&study.path(folder).join("controller.safetensors"))?;
     Ok(outcome)

@@ -1,6 +1,5 @@
 //! What experiments share: the folder where each keeps its result, how much they may spend, whom they tell of progress.
 
-use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -9,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::{Observer, ReproduceError, Reproduction};
-use data::files::write_atomically;
+use super::{Observer, Reproduction};
+use crate::StudyError;
+use data::files::{read_json, write_json_indented};
 use judge::baselines::{Grid, Search};
 use judge::evaluate::{Evaluation, Plan, evaluate};
 use judge::rl::compare::RlConfig;
@@ -85,13 +85,13 @@ impl<'a> Study<'a> {
         reproduction: &'a Reproduction,
         observer: Observer<'a>,
         stop: &'a AtomicBool,
-    ) -> Result<Self, ReproduceError> {
+    ) -> Result<Self, StudyError> {
         let study = Self { reproduction, observer, stop };
         let Reproduction { seed, budget, lungs, .. } = reproduction;
         let claim = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
         match study.read::<Claim>("run.json")? {
             Some(earlier) if earlier != claim => {
-                Err(ReproduceError::OtherRun(reproduction.out.display().to_string()))
+                Err(StudyError::OtherRun(reproduction.out.display().to_string()))
             }
             Some(_) => Ok(study),
             None => study.write("run.json", &claim).map(|()| study),
@@ -123,12 +123,12 @@ impl<'a> Study<'a> {
         &self,
         bench: &BenchConfig,
         controller: &Controller,
-    ) -> Result<Evaluation, ReproduceError> {
+    ) -> Result<Evaluation, StudyError> {
         Ok(evaluate(bench, controller, &self.plan())?)
     }
 
     /// A PID at the plan's control period.
-    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller, ReproduceError> {
+    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller, StudyError> {
         Ok(Controller::Pid(Pid::new(gains, self.plan().period_us)?))
     }
 
@@ -136,40 +136,33 @@ impl<'a> Study<'a> {
     pub(super) fn keep<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
-        work: impl FnOnce() -> Result<T, ReproduceError>,
-    ) -> Result<T, ReproduceError> {
+        work: impl FnOnce() -> Result<T, StudyError>,
+    ) -> Result<T, StudyError> {
         let file = format!("{name}.json");
         if let Some(kept) = self.read(&file)? {
             return Ok(kept);
         }
         let result = work()?;
         if self.stop.load(Ordering::Relaxed) {
-            return Err(ReproduceError::Stopped);
+            return Err(StudyError::Stopped);
         }
         self.write(&file, &result)?;
         Ok(result)
     }
 
     /// What is kept under this name.
-    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
+    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, StudyError> {
         self.read(&format!("{name}.json"))
     }
 
-    fn read<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
+    fn read<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, StudyError> {
         let path = self.path(name);
-        let failure = |reason: String| ReproduceError::File { path: path.clone(), reason };
-        if !path.exists() {
-            return Ok(None);
-        }
-        let text = fs::read_to_string(&path).map_err(|error| failure(error.to_string()))?;
-        serde_json::from_str(&text).map(Some).map_err(|error| failure(format!("{error}; remove it")))
+        read_json(&path).map_err(StudyError::file(&path))
     }
 
     /// Writes a value as JSON.
-    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), ReproduceError> {
+    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), StudyError> {
         let path = self.path(name);
-        let text = serde_json::to_string_pretty(value).unwrap_or_default() + "\n";
-        write_atomically(&path, text.as_bytes())
-            .map_err(|error| ReproduceError::File { path, reason: error.to_string() })
+        write_json_indented(&path, value).map_err(StudyError::file(&path))
     }
 }

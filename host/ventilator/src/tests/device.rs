@@ -11,8 +11,10 @@ use shared::control::network::Network;
 use shared::control::pid::Pid;
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::device::KNOWN_GOOD;
-use shared::link::messages::{DeviceKind, ResetCause, Slot};
-use shared::recorder::{FAST_ENTRIES, Happening, Recording};
+use shared::link::messages::DeviceKind;
+use shared::recorder::{FAST_ENTRIES, Happening, RecordingState};
+use shared::reset::ResetCause;
+use shared::weights::slots::Slot;
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use crate::collect::{CollectConfig, collect};
@@ -193,12 +195,12 @@ fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_re
     let mut shares = Vec::new();
     let running = device.blackbox(&mut |share| shares.push(share)).unwrap();
     assert!(shares.is_sorted() && shares.last().is_some_and(|share| (share - 1.0).abs() < 1e-9));
-    assert_eq!((running.status.recording, running.unread), (Recording::Running, 0));
+    assert_eq!((running.status.recording, running.unread), (RecordingState::Running, 0));
     assert!(running.slow.ticks().any(|tick| tick.pressure > 15.0), "a breath is in it");
     device.stop().unwrap();
     device.restart().unwrap();
     let after = device.blackbox(&mut |_| ()).unwrap();
-    assert_eq!((after.status.boot, after.status.recording), (2, Recording::Stopped));
+    assert_eq!((after.status.boot, after.status.recording), (2, RecordingState::Stopped));
     assert_eq!(after.fast.entries.len(), FAST_ENTRIES);
     let again = device.blackbox(&mut |_| ()).unwrap();
     assert_eq!((after.fast, after.slow), (again.fast, again.slow), "it stands still");

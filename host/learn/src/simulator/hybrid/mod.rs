@@ -28,8 +28,8 @@ use self::lung::{LungTape, PHYSICS, Physics};
 use self::own::Own;
 use self::ventilator::{OPENINGS, VentilatorModel, VentilatorShape, VentilatorTape};
 use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
-use super::{BreathStart, CommandLog, Dynamics, Timing, piece, piece_mut};
-use engine::Lane;
+use super::{BreathStart, CommandLog, Dynamics, Members, Timing, piece, piece_mut};
+use engine::{LANES, Lane};
 
 /// Deviations of a group from what all have in common, as logarithms: R, C, opening towards the supply, opening towards
 /// the room. A run whose resistor is not what its label says keeps that to itself; a lung that was never seen has none.
@@ -152,8 +152,8 @@ pub struct Hybrid {
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
 pub struct HybridTape {
-    /// Group of each lane, below zero where it is unknown.
-    group: Lane,
+    /// Group of each lane.
+    group: Members,
     ventilator: VentilatorTape,
     lung: LungTape,
     network: RecurrentTape,
@@ -204,7 +204,7 @@ impl Dynamics for Hybrid {
     fn tape(&self, blocks: usize) -> HybridTape {
         let steps = blocks * self.config.timing.points;
         HybridTape {
-            group: Lane::ZERO,
+            group: [None; LANES],
             ventilator: self.ventilator.tape(blocks),
             lung: Physics::tape(steps),
             network: self.network.tape(blocks),
@@ -281,7 +281,6 @@ impl Dynamics for Hybrid {
 mod tests {
     use super::*;
     use crate::simulator::tests_support::{check_gradients, check_gradients_by};
-    use engine::LANES;
     use rand_chacha::rand_core::SeedableRng;
 
     fn config(period_us: u32) -> HybridConfig {
@@ -379,8 +378,8 @@ mod tests {
         common[layout.mixing.clone()].fill(0.0);
         let mut wild = common.clone();
         wild[layout.mixing].fill(1e4);
-        let unknown = BreathStart { ventilator: Lane::splat(1.0), ..BreathStart::default() };
-        let known = BreathStart { group: Lane::splat(1.0), ..unknown };
+        let unknown = BreathStart { ventilator: [Some(1); LANES], ..BreathStart::default() };
+        let known = BreathStart { group: [Some(1); LANES], ..unknown };
         let physics = pressures(config, &common, &unknown);
         assert_eq!(pressures(config, &own, &unknown), physics);
         assert_ne!(pressures(config, &own, &known), physics);

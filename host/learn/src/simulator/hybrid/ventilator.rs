@@ -13,10 +13,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::own::Own;
 use crate::simulator::leaky::{Leaky, sigmoid};
-use crate::simulator::{BreathStart, CommandLog, Timing, piece, piece_mut};
-use engine::Lane;
+use crate::simulator::{BreathStart, CommandLog, Members, Timing, piece, piece_mut};
 use engine::activation::Activation;
 use engine::dense::{DenseLayer, DenseWeights};
+use engine::{LANES, Lane};
 
 /// Openings: towards the supply and towards the room.
 pub(super) const OPENINGS: usize = 2;
@@ -111,7 +111,7 @@ pub(super) struct VentilatorTape {
     pub openings: Vec<Openings>,
     known: [Lane; BreathStart::KNOWN],
     /// Which ventilator it is in each lane.
-    member: Lane,
+    members: Members,
     /// Its shifts.
     shifts: Vec<Lane>,
     /// What the openings are multiplied by.
@@ -160,7 +160,7 @@ impl VentilatorModel {
             drive: zeros(states),
             openings: vec![[Lane::ZERO; OPENINGS]; blocks],
             known: [Lane::ZERO; BreathStart::KNOWN],
-            member: Lane::ZERO,
+            members: [None; LANES],
             shifts: vec![Lane::ZERO; hidden],
             stretch: [Lane::ZERO; OPENINGS],
             d_hidden: zeros(hidden),
@@ -176,13 +176,13 @@ impl VentilatorModel {
     /// Starts a breath; `stretch` holds logarithms of what the test run multiplies its openings by.
     pub fn begin(&self, tape: &mut VentilatorTape, start: &BreathStart, stretch: &Openings) {
         tape.known = start.known();
-        tape.member = start.ventilator;
+        tape.members = start.ventilator;
         self.start.forward(&tape.known, &mut tape.state[..self.shape.states]);
         for (n, shift) in tape.shifts.iter_mut().enumerate() {
-            *shift = self.own.lane(&tape.member, n);
+            *shift = self.own.lane(&tape.members, n);
         }
         for (n, run) in stretch.iter().enumerate() {
-            let own = self.own.lane(&tape.member, self.shape.hidden + n);
+            let own = self.own.lane(&tape.members, self.shape.hidden + n);
             tape.stretch[n] = own.zip(run, |own, run| (own + run).exp());
         }
         tape.d_state.fill(Lane::ZERO);
@@ -273,7 +273,7 @@ impl VentilatorModel {
             }
         }
         for (n, d) in d_shifts.iter().chain(&tape.d_stretch).enumerate() {
-            self.own.add_gradient(&tape.member, n, d, own);
+            self.own.add_gradient(&tape.members, n, d, own);
         }
     }
 }
@@ -282,7 +282,6 @@ impl VentilatorModel {
 mod tests {
     use super::*;
     use crate::tests_support::check_slopes;
-    use engine::LANES;
     use rand_chacha::rand_core::SeedableRng;
 
     const BLOCKS: usize = 6;
@@ -295,7 +294,7 @@ mod tests {
     fn breathe(shape: VentilatorShape, parameters: &[f32]) -> (VentilatorModel, VentilatorTape, f64) {
         let model = VentilatorModel::new(shape, parameters);
         let mut tape = model.tape(BLOCKS);
-        let ventilator = Lane::from_fn(|l| (l % 3) as f32 - 1.0);
+        let ventilator = std::array::from_fn(|l| (l as u32 % 3).checked_sub(1));
         let start = BreathStart {
             pressure: Lane::splat(6.0),
             ventilator,
