@@ -12,7 +12,7 @@ const CHUNK: usize = 16;
 /// Shape and place of a layer's parameters within a flat parameter vector: weights row by row (one row per
 /// output), then biases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Dense {
+pub struct DenseLayer {
     /// Inputs.
     pub inputs: usize,
     /// Outputs.
@@ -24,7 +24,7 @@ pub struct Dense {
 /// Parameters of a layer, ready for both directions.
 #[derive(Clone, Debug)]
 pub struct DenseWeights {
-    shape: Dense,
+    shape: DenseLayer,
     /// `[outputs][inputs]`: for the backward pass.
     by_output: Vec<f32>,
     /// `[inputs][outputs]`: for the forward pass.
@@ -32,7 +32,7 @@ pub struct DenseWeights {
     bias: Vec<f32>,
 }
 
-impl Dense {
+impl DenseLayer {
     /// Lays out layers one after the other: `(inputs, outputs)` each. Gives the layers and the total length.
     pub fn layout<const N: usize>(shapes: [(usize, usize); N]) -> ([Self; N], usize) {
         let mut offset = 0;
@@ -110,7 +110,7 @@ impl DenseWeights {
     }
 
     /// Shape of the layer.
-    pub fn shape(&self) -> &Dense {
+    pub fn shape(&self) -> &DenseLayer {
         &self.shape
     }
 }
@@ -121,7 +121,7 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng;
 
     /// A scalar function of a layer's output: `sum of y^2 / 2`, so that `dy = y`.
-    fn loss(layer: &Dense, parameters: &[f32], x: &[Lane]) -> f32 {
+    fn loss(layer: &DenseLayer, parameters: &[f32], x: &[Lane]) -> f32 {
         let mut y = vec![Lane::ZERO; layer.outputs];
         layer.load(parameters).forward(x, &mut y);
         y.iter().map(|y| y.zip(y, |a, b| 0.5 * a * b).sum()).sum()
@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn gradients_agree_with_finite_differences() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let ([_, layer], total) = Dense::layout([(2, 3), (5, 9)]);
+        let ([_, layer], total) = DenseLayer::layout([(2, 3), (5, 9)]);
         let mut parameters = vec![0.0; total];
         layer.initialise(&mut parameters, 1.0, &mut rng);
         let mut x: Vec<Lane> = (0..5).map(|i| Lane::from_fn(|l| ((i * 5 + l) as f32).sin())).collect();

@@ -9,6 +9,7 @@
 pub mod activation;
 pub mod adam;
 pub mod dense;
+pub mod huber;
 pub mod lane;
 pub mod least_squares;
 

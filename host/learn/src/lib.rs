@@ -4,3 +4,5 @@
 pub mod controller;
 pub mod pipeline;
 pub mod simulator;
+#[cfg(test)]
+mod tests_support;

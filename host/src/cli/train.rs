@@ -16,7 +16,7 @@ use super::settings_args::SettingsArgs;
 use super::stage_bars::StageBars;
 use data::provenance::git_revision;
 use learn::controller::learned::{Learned, Origin};
-use learn::controller::{PlantModels, Progress, TrainConfig, Training, Weighting};
+use learn::controller::{CurvePoint, PlantModels, TrainConfig, Training, Weighting};
 use learn::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
 use learn::simulator::model::{Architecture, Simulator};
 use show::report::{Cell, Table};
@@ -119,7 +119,7 @@ struct Summary {
     improved: bool,
     complete: bool,
     rounds: Vec<Round>,
-    train_curve: Vec<Progress>,
+    train_curve: Vec<CurvePoint>,
 }
 
 /// Name of the controller's file in the folder.

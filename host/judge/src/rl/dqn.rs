@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
-use super::network::{Mlp, Tape};
+use super::network::{Mlp, MlpTape};
 use super::{Actions, End, Greedy, TaskBatch, Transition, best, highest};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
@@ -65,7 +65,7 @@ impl Default for DqnConfig {
 #[derive(Debug)]
 pub struct Dqn<S> {
     config: DqnConfig,
-    shard: S,
+    tasks: S,
     network: Mlp,
     choices: usize,
     parameters: Vec<f32>,
@@ -98,26 +98,26 @@ struct Fact {
 }
 
 impl<S: TaskBatch> Dqn<S> {
-    /// Prepares a training on `shard`.
+    /// Prepares a training on `tasks`.
     ///
     /// # Panics
-    /// If the shard's actions are continuous.
-    pub fn new(config: DqnConfig, mut shard: S, seed: u64) -> Self {
-        let Actions::Discrete(choices) = shard.actions() else {
+    /// If their actions are continuous.
+    pub fn new(config: DqnConfig, mut tasks: S, seed: u64) -> Self {
+        let Actions::Discrete(choices) = tasks.actions() else {
             panic!("Q-learning needs a finite number of choices");
         };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let network = Mlp::with_hidden(shard.observations(), &config.hidden, choices);
+        let network = Mlp::with_hidden(tasks.observations(), &config.hidden, choices);
         let parameters = network.initialise(1.0, &mut rng);
-        shard.reset(&[true; LANES], &mut rng);
-        let mut seen = vec![Lane::ZERO; shard.observations()];
-        shard.observe(&mut seen);
+        tasks.reset(&[true; LANES], &mut rng);
+        let mut seen = vec![Lane::ZERO; tasks.observations()];
+        tasks.observe(&mut seen);
         Self {
             adam: Adam::new(config.adam, parameters.len()),
-            replay: Replay::new(shard.observations(), config.capacity),
+            replay: Replay::new(tasks.observations(), config.capacity),
             target: parameters.clone(),
             config,
-            shard,
+            tasks,
             network,
             choices,
             parameters,
@@ -137,14 +137,14 @@ impl<S: TaskBatch> Dqn<S> {
     /// for learning rate and random choices.
     pub fn round(&mut self, progress: f32) {
         let actions = self.choose(progress);
-        let transitions = self.shard.step(&actions);
+        let transitions = self.tasks.step(&actions);
         let before = self.seen.clone();
-        self.shard.observe(&mut self.seen);
+        self.tasks.observe(&mut self.seen);
         self.replay.record(&before, &actions, &transitions, &self.seen);
         let ended = transitions.map(|transition| transition.end != End::Not);
         if ended.contains(&true) {
-            self.shard.reset(&ended, &mut self.rng);
-            self.shard.observe(&mut self.seen);
+            self.tasks.reset(&ended, &mut self.rng);
+            self.tasks.observe(&mut self.seen);
         }
         if self.replay.facts.len() >= self.config.warm_up.max(LANES) {
             (0..self.config.updates).for_each(|_| self.improve(progress));
@@ -152,7 +152,7 @@ impl<S: TaskBatch> Dqn<S> {
     }
 
     fn choose(&mut self, progress: f32) -> Lane {
-        let mut tape = Tape::new(&self.network, 1);
+        let mut tape = MlpTape::new(&self.network, 1);
         tape.inputs(0).copy_from_slice(&self.seen);
         self.network.load(&self.parameters).forward(&mut tape);
         let greedy = best(Actions::Discrete(self.choices), tape.outputs(0));
@@ -170,7 +170,7 @@ impl<S: TaskBatch> Dqn<S> {
             (0..groups * LANES).map(|_| self.rng.random_range(0..self.replay.facts.len())).collect();
         let wanted = self.targets(&samples);
         let weights = self.network.load(&self.parameters);
-        let mut tape = Tape::new(&self.network, groups);
+        let mut tape = MlpTape::new(&self.network, groups);
         self.replay.gather(&samples, State::Before, &mut tape);
         weights.forward(&mut tape);
         let share = 1.0 / samples.len() as f32;
@@ -195,7 +195,7 @@ impl<S: TaskBatch> Dqn<S> {
 
     /// What the values of the samples' choices should be.
     fn targets(&self, samples: &[usize]) -> Vec<Lane> {
-        let mut tape = Tape::new(&self.network, samples.len() / LANES);
+        let mut tape = MlpTape::new(&self.network, samples.len() / LANES);
         self.replay.gather(samples, State::After, &mut tape);
         let mut slow = tape.clone();
         self.network.load(&self.parameters).forward(&mut tape);
@@ -249,7 +249,7 @@ impl Replay {
         }
     }
 
-    fn gather(&self, samples: &[usize], state: State, tape: &mut Tape) {
+    fn gather(&self, samples: &[usize], state: State, tape: &mut MlpTape) {
         for (group, samples) in samples.chunks_exact(LANES).enumerate() {
             let inputs = tape.inputs(group);
             for (l, sample) in samples.iter().enumerate() {
@@ -323,7 +323,7 @@ mod tests {
             replay.record(&[before], &Lane::splat(1.0), &step(f32::from(n), End::Not), &[after]);
         }
         assert_eq!(replay.facts.len(), 2 * LANES);
-        let mut tape = Tape::new(&Mlp::new(&[1, 1]), 2);
+        let mut tape = MlpTape::new(&Mlp::new(&[1, 1]), 2);
         let all: Vec<usize> = (0..2 * LANES).collect();
         replay.gather(&all, State::After, &mut tape);
         let (newest, older) = (tape.inputs(0)[0], tape.inputs(1)[0]);

@@ -8,7 +8,6 @@
 //! | [`network`] | multilayer perceptron with gradient |
 //! | [`head`] | what a policy's outputs mean: Gaussian or categorical distribution |
 //! | [`ppo`], [`dqn`] | the two algorithms, for any [`TaskBatch`] |
-//! | [`plant`] | a learned simulator advanced tick by tick |
 //! | [`ventilation`] | the inspiration as a task |
 //! | [`policy`] | what was learned, as commands of the valve; its file; its score on the true bench |
 //! | [`compare`] | training of either on learned simulators under a budget |
@@ -19,7 +18,6 @@
 pub mod compare;
 pub mod dqn;
 pub mod head;
-pub mod lanes;
 pub mod network;
 pub mod policy;
 pub mod ppo;
@@ -31,7 +29,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use engine::{LANES, Lane};
-use network::{Mlp, Tape};
+use network::{Mlp, MlpTape};
 
 /// What an agent may do in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -97,7 +95,7 @@ impl Greedy {
     /// Actions for observations, ready to be asked again and again.
     pub fn actor(&self) -> impl FnMut(&[Lane]) -> Lane + use<> {
         let weights = self.network.load(&self.parameters);
-        let (mut tape, actions) = (Tape::new(&self.network, 1), self.actions);
+        let (mut tape, actions) = (MlpTape::new(&self.network, 1), self.actions);
         move |observation| {
             tape.inputs(0).copy_from_slice(observation);
             weights.forward(&mut tape);

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use engine::Lane;
-use engine::dense::{Dense, DenseWeights};
+use engine::dense::{DenseLayer, DenseWeights};
 
 /// Shape of a network: units of each layer, inputs first.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,7 +22,7 @@ pub struct Weights {
 
 /// Values of every layer, and the gradients by them, for some groups of samples.
 #[derive(Clone, Debug)]
-pub struct Tape {
+pub struct MlpTape {
     widths: Vec<usize>,
     groups: usize,
     values: Vec<Vec<Lane>>,
@@ -54,10 +54,10 @@ impl Mlp {
         self.widths[self.widths.len() - 1]
     }
 
-    fn layers(&self) -> impl Iterator<Item = Dense> + '_ {
+    fn layers(&self) -> impl Iterator<Item = DenseLayer> + '_ {
         let mut offset = 0;
         self.widths.windows(2).map(move |pair| {
-            let layer = Dense { inputs: pair[0], outputs: pair[1], offset };
+            let layer = DenseLayer { inputs: pair[0], outputs: pair[1], offset };
             offset += layer.parameters();
             layer
         })
@@ -84,7 +84,7 @@ impl Mlp {
     }
 }
 
-impl Tape {
+impl MlpTape {
     /// Memory for so many groups of samples.
     pub fn new(network: &Mlp, groups: usize) -> Self {
         let zeros: Vec<Vec<Lane>> =
@@ -118,7 +118,7 @@ impl Tape {
 
 impl Weights {
     /// Outputs of every group whose inputs have been written.
-    pub fn forward(&self, tape: &mut Tape) {
+    pub fn forward(&self, tape: &mut MlpTape) {
         let last = self.layers.len() - 1;
         for (n, layer) in self.layers.iter().enumerate() {
             let (before, after) = tape.values.split_at_mut(n + 1);
@@ -133,7 +133,7 @@ impl Weights {
     }
 
     /// Adds the gradient by the parameters, given that by the outputs.
-    pub fn backward(&self, tape: &mut Tape, gradient: &mut [f32]) {
+    pub fn backward(&self, tape: &mut MlpTape, gradient: &mut [f32]) {
         for (n, layer) in self.layers.iter().enumerate().rev() {
             let (before, after) = tape.gradients.split_at_mut(n + 1);
             layer.shape().gradient(&after[0], &tape.values[n], gradient);
@@ -185,8 +185,8 @@ mod tests {
     }
 
     /// Tape after a forward pass on fixed inputs.
-    fn forward(network: &Mlp, parameters: &[f32]) -> Tape {
-        let mut tape = Tape::new(network, GROUPS);
+    fn forward(network: &Mlp, parameters: &[f32]) -> MlpTape {
+        let mut tape = MlpTape::new(network, GROUPS);
         for group in 0..GROUPS {
             for (i, lane) in tape.inputs(group).iter_mut().enumerate() {
                 *lane = Lane::from_fn(|l| ((group * 5 + i * 3 + l) as f32).sin());
@@ -243,7 +243,7 @@ mod tests {
         let network = Mlp::with_hidden(2, &[5], 1);
         let parameters = network.initialise(1.0, &mut ChaCha8Rng::seed_from_u64(1));
         let together = forward(&network, &parameters);
-        let mut alone = Tape::new(&network, 1);
+        let mut alone = MlpTape::new(&network, 1);
         let mut copy = together.clone();
         alone.inputs(0).copy_from_slice(copy.inputs(2));
         network.load(&parameters).forward(&mut alone);

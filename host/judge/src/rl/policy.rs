@@ -10,7 +10,7 @@ use shared::control::features::FEATURES;
 use shared::control::residual::ResidualError;
 use shared::control::{ControlLaw, ControlOutput, Observation};
 
-use super::network::{Mlp, Tape, Weights};
+use super::network::{Mlp, MlpTape, Weights};
 use super::ventilation::{Perception, PolicyMemory, Senses, command};
 use super::{Actions, Greedy, best};
 use crate::evaluate::{Evaluation, Plan, evaluate_law};
@@ -95,7 +95,7 @@ struct PolicyLaw<'a> {
 /// What a policy remembers of a breath, room for its network, and the command that it holds, percent.
 struct PolicyState {
     memory: PolicyMemory,
-    tape: Tape,
+    tape: MlpTape,
     held: f32,
 }
 
@@ -110,7 +110,7 @@ impl ControlLaw for PolicyLaw<'_> {
     type State = PolicyState;
 
     fn initial_state(&self) -> PolicyState {
-        let tape = Tape::new(&self.policy.greedy.network, 1);
+        let tape = MlpTape::new(&self.policy.greedy.network, 1);
         PolicyState { memory: PolicyMemory::default(), tape, held: 0.0 }
     }
 

@@ -10,7 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
 use super::head::{Head, Slope};
-use super::network::{Mlp, Tape, Weights};
+use super::network::{Mlp, MlpTape, Weights};
 use super::{Actions, End, Greedy, TaskBatch, Transition};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
@@ -75,7 +75,7 @@ const ADVANTAGE_FLOOR: f32 = 1e-6;
 #[derive(Debug)]
 pub struct Ppo<S> {
     config: PpoConfig,
-    shard: S,
+    tasks: S,
     actions: Actions,
     policy: Mlp,
     value: Mlp,
@@ -84,13 +84,13 @@ pub struct Ppo<S> {
     value_parameters: Vec<f32>,
     policy_adam: Adam,
     value_adam: Adam,
-    rollout: Rollout,
+    rollout: RolloutBuffer,
     rng: ChaCha8Rng,
 }
 
 /// What a round collected, step after step.
 #[derive(Debug)]
-struct Rollout {
+struct RolloutBuffer {
     width: usize,
     observations: Vec<Lane>,
     actions: Vec<Lane>,
@@ -105,22 +105,22 @@ struct Rollout {
 }
 
 impl<S: TaskBatch> Ppo<S> {
-    /// Prepares a training on `shard`.
-    pub fn new(config: PpoConfig, mut shard: S, seed: u64) -> Self {
+    /// Prepares a training on `tasks`.
+    pub fn new(config: PpoConfig, mut tasks: S, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (width, actions) = (shard.observations(), shard.actions());
+        let (width, actions) = (tasks.observations(), tasks.actions());
         let policy = Mlp::with_hidden(width, &config.hidden, Head::outputs(actions));
         let value = Mlp::with_hidden(width, &config.hidden, 1);
         let mut policy_parameters = policy.initialise(POLICY_GAIN, &mut rng);
         policy_parameters.push(config.log_sd);
         let value_parameters = value.initialise(1.0, &mut rng);
-        shard.reset(&[true; LANES], &mut rng);
+        tasks.reset(&[true; LANES], &mut rng);
         Self {
             policy_adam: Adam::new(config.policy, policy_parameters.len()),
             value_adam: Adam::new(config.value, value_parameters.len()),
-            rollout: Rollout::new(width, config.horizon),
+            rollout: RolloutBuffer::new(width, config.horizon),
             config,
-            shard,
+            tasks,
             actions,
             policy,
             value,
@@ -151,8 +151,8 @@ impl<S: TaskBatch> Ppo<S> {
         self.collect();
         self.rollout.estimate(self.config.discount, self.config.lambda);
         let groups = self.config.minibatch.div_ceil(LANES).min(self.config.horizon).max(1);
-        let mut policy_tape = Tape::new(&self.policy, groups);
-        let mut value_tape = Tape::new(&self.value, groups);
+        let mut policy_tape = MlpTape::new(&self.policy, groups);
+        let mut value_tape = MlpTape::new(&self.value, groups);
         let mut order: Vec<usize> = (0..self.steps_per_round()).collect();
         for _ in 0..self.config.epochs {
             order.shuffle(&mut self.rng);
@@ -182,22 +182,22 @@ impl<S: TaskBatch> Ppo<S> {
         let head = self.head();
         let policy = self.policy.load(&self.policy_parameters);
         let mut critic = Critic::new(&self.value, &self.value_parameters);
-        let mut tape = Tape::new(&self.policy, 1);
+        let mut tape = MlpTape::new(&self.policy, 1);
         for step in 0..self.config.horizon {
-            self.shard.observe(tape.inputs(0));
+            self.tasks.observe(tape.inputs(0));
             policy.forward(&mut tape);
             let actions = head.sample(tape.outputs(0), &mut self.rng);
             let log_probability = head.log_probability(tape.outputs(0), &actions);
             let value = critic.value(tape.inputs(0));
-            let transitions = self.shard.step(&actions);
+            let transitions = self.tasks.step(&actions);
             self.rollout.record(step, tape.inputs(0), &actions, &log_probability, &value);
             let cut = self.value_of_cut(&mut critic, &transitions);
             self.rollout.rewards[step] = Lane::from_fn(|l| transitions[l].reward).zip(&cut, |r, c| r + c);
             let ended = transitions.map(|transition| transition.end != End::Not);
             self.rollout.goes_on[step] = Lane::from_fn(|l| f32::from(u8::from(!ended[l])));
-            self.shard.reset(&ended, &mut self.rng);
+            self.tasks.reset(&ended, &mut self.rng);
         }
-        self.shard.observe(tape.inputs(0));
+        self.tasks.observe(tape.inputs(0));
         self.rollout.values[self.config.horizon] = critic.value(tape.inputs(0));
     }
 
@@ -207,7 +207,7 @@ impl<S: TaskBatch> Ppo<S> {
             return Lane::ZERO;
         }
         let mut last = vec![Lane::ZERO; self.rollout.width];
-        self.shard.observe(&mut last);
+        self.tasks.observe(&mut last);
         let value = critic.value(&last);
         Lane::from_fn(|l| match transitions[l].end {
             End::TimeLimit => self.config.discount * value[l],
@@ -216,7 +216,7 @@ impl<S: TaskBatch> Ppo<S> {
     }
 
     /// One gradient step of the policy; the batch's mean divergence from the policy that collected it.
-    fn improve_policy(&mut self, tape: &mut Tape, batch: &[usize], progress: f32) -> f32 {
+    fn improve_policy(&mut self, tape: &mut MlpTape, batch: &[usize], progress: f32) -> f32 {
         let (head, size) = (self.head(), self.policy.parameters());
         let weights = self.policy.load(&self.policy_parameters);
         let (mean, scale) = self.rollout.normalisation(batch);
@@ -244,7 +244,7 @@ impl<S: TaskBatch> Ppo<S> {
     }
 
     /// One gradient step of the value network: half the mean squared distance from the returns.
-    fn improve_value(&mut self, tape: &mut Tape, batch: &[usize], progress: f32) {
+    fn improve_value(&mut self, tape: &mut MlpTape, batch: &[usize], progress: f32) {
         let weights = self.value.load(&self.value_parameters);
         self.rollout.gather_observations(batch, tape);
         weights.forward(tape);
@@ -263,12 +263,12 @@ impl<S: TaskBatch> Ppo<S> {
 /// The value network, asked for one group at a time.
 struct Critic {
     weights: Weights,
-    tape: Tape,
+    tape: MlpTape,
 }
 
 impl Critic {
     fn new(network: &Mlp, parameters: &[f32]) -> Self {
-        Self { weights: network.load(parameters), tape: Tape::new(network, 1) }
+        Self { weights: network.load(parameters), tape: MlpTape::new(network, 1) }
     }
 
     fn value(&mut self, observation: &[Lane]) -> Lane {
@@ -289,7 +289,7 @@ fn gather(values: &[Lane], samples: &[usize]) -> Lane {
     Lane::from_fn(|l| values[samples[l] / LANES][samples[l] % LANES])
 }
 
-impl Rollout {
+impl RolloutBuffer {
     fn new(width: usize, horizon: usize) -> Self {
         let zeros = || vec![Lane::ZERO; horizon];
         Self {
@@ -342,7 +342,7 @@ impl Rollout {
         (mean, 1.0 / (variance.sqrt() + ADVANTAGE_FLOOR))
     }
 
-    fn gather_observations(&self, batch: &[usize], tape: &mut Tape) {
+    fn gather_observations(&self, batch: &[usize], tape: &mut MlpTape) {
         for (group, samples) in batch.chunks_exact(LANES).enumerate() {
             for (i, lane) in tape.inputs(group).iter_mut().enumerate() {
                 *lane = Lane::from_fn(|l| {
@@ -463,7 +463,7 @@ mod tests {
 
     #[test]
     fn advantages_stop_at_the_end_of_an_episode() {
-        let mut rollout = Rollout::new(1, 3);
+        let mut rollout = RolloutBuffer::new(1, 3);
         rollout.rewards = vec![Lane::splat(1.0), Lane::splat(2.0), Lane::splat(4.0)];
         rollout.values = [0.5, 0.25, 3.0, 7.0].map(Lane::splat).to_vec();
         rollout.goes_on = vec![Lane::splat(1.0), Lane::ZERO, Lane::splat(1.0)];
@@ -485,12 +485,12 @@ mod tests {
 
     #[test]
     fn a_sample_is_gathered_with_all_that_belongs_to_it() {
-        let mut rollout = Rollout::new(2, 4);
+        let mut rollout = RolloutBuffer::new(2, 4);
         for (n, lane) in rollout.observations.iter_mut().enumerate() {
             *lane = Lane::from_fn(|l| (100 * n + l) as f32);
         }
         let batch: Vec<usize> = (0..LANES).map(|n| (n * 13 + 5) % (4 * LANES)).collect();
-        let mut tape = Tape::new(&Mlp::new(&[2, 1]), 1);
+        let mut tape = MlpTape::new(&Mlp::new(&[2, 1]), 1);
         rollout.gather_observations(&batch, &mut tape);
         for (l, sample) in batch.iter().enumerate() {
             let (step, copy) = (sample / LANES, sample % LANES);

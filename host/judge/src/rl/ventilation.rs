@@ -20,11 +20,11 @@ use shared::control::residual::ResidualError;
 use shared::control::{COMMAND_MAX, Observation};
 use shared::math;
 
-use super::lanes::{SimulatedLung, simulated_lung};
 use super::{Actions, End, TaskBatch, Transition};
 use engine::{LANES, Lane};
-use learn::simulator::Start;
-use learn::simulator::model::Simulator;
+use learn::simulator::BreathStart;
+use learn::simulator::model::{Model, Simulator};
+use learn::simulator::rollout::Rollout;
 
 /// What an agent sees, when it acts, and how it is paid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -157,8 +157,10 @@ pub struct Inspirations {
     config: TaskConfig,
     actions: Actions,
     perception: Perception,
-    simulators: Vec<Learned>,
+    simulators: Vec<Candidate>,
     running: usize,
+    /// Of the simulator that is running.
+    rollout: Rollout,
     ticks: usize,
     tick: usize,
     pip: Lane,
@@ -169,9 +171,9 @@ pub struct Inspirations {
     strayed: Lane,
 }
 
-/// A simulator ready to be stepped.
-struct Learned {
-    lung: Box<dyn SimulatedLung>,
+/// One of the simulators that take turns.
+struct Candidate {
+    model: Model,
     noise: f32,
     start_pressure: f32,
 }
@@ -194,14 +196,16 @@ impl Inspirations {
         let alike = simulators.iter().all(|s| s.architecture.timing().period_us == period_us);
         assert!(alike, "simulators of one control period");
         let ticks = math::ticks(config.inspiratory_time, period_us) as usize;
-        let learned = |simulator: &Simulator| Learned {
-            lung: simulated_lung(simulator, ticks),
+        let candidate = |simulator: &Simulator| Candidate {
+            model: simulator.model(),
             noise: simulator.noise,
             start_pressure: simulator.start_pressure,
         };
+        let simulators: Vec<_> = simulators.iter().map(candidate).collect();
         Ok(Self {
             perception: Senses::new(config, period_us).build()?,
-            simulators: simulators.iter().map(learned).collect(),
+            rollout: Rollout::new(&simulators[0].model, ticks),
+            simulators,
             config: config.clone(),
             actions,
             running: 0,
@@ -224,9 +228,10 @@ impl Inspirations {
     pub fn begin(&mut self, pip: Lane, rng: &mut ChaCha8Rng) {
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         self.running = (self.running + 1) % self.simulators.len();
-        let Learned { lung, noise, start_pressure } = &mut self.simulators[self.running];
+        let Candidate { model, noise, start_pressure } = &self.simulators[self.running];
         let pressure = Lane::from_fn(|_| *start_pressure + normal(self.config.start_spread));
-        lung.begin(&Start { pressure, plateau: pip, ..Start::default() }, self.config.rest);
+        let start = BreathStart { pressure, plateau: pip, ..BreathStart::default() };
+        self.rollout.begin(model, &start, self.config.rest);
         self.noise.fill_with(|| Lane::from_fn(|_| normal(*noise)));
         (self.pip, self.tick, self.strayed) = (pip, 0, Lane::ZERO);
         for memory in &mut self.memories {
@@ -242,7 +247,7 @@ impl Inspirations {
 
     /// Takes in the readings of the present tick.
     fn sense(&mut self) {
-        let pressure = self.simulators[self.running].lung.pressure();
+        let pressure = self.rollout.pressure();
         for (l, memory) in self.memories.iter_mut().enumerate() {
             let seen = Observation {
                 pressure: pressure[l] + self.noise[self.tick][l],
@@ -259,9 +264,8 @@ impl Inspirations {
 
     /// One tick under a command: the absolute error, cmH2O.
     fn tick(&mut self, command: &Lane) -> Lane {
-        let lung = &mut self.simulators[self.running].lung;
-        let error = lung.pressure().zip(&self.pip, |p, target| (p - target).abs());
-        lung.advance(command);
+        let error = self.rollout.pressure().zip(&self.pip, |p, target| (p - target).abs());
+        self.rollout.advance(command);
         for (l, memory) in self.memories.iter_mut().enumerate() {
             self.perception.applied(memory, command[l]);
         }
@@ -359,7 +363,7 @@ mod tests {
         for _ in 0..60 {
             task.step(&Lane::splat(20.0));
         }
-        let pressure = task.simulators[0].lung.pressure();
+        let pressure = task.rollout.pressure();
         assert!(pressure.0.iter().all(|p| (p - 35.0).abs() < 0.01), "{pressure:?}");
     }
 
@@ -383,10 +387,11 @@ mod tests {
         let features = Features::new(FeatureSpec::default(), 1000).unwrap();
         let mut state = FeatureState::new();
         state.start_breath(5.0);
-        let mut lung = simulated_lung(&first_order(1.0), 1000);
+        let model = first_order(1.0).model();
+        let mut lung = Rollout::new(&model, 1000);
         let start =
-            Start { pressure: task.simulators[0].lung.pressure(), plateau: task.pip, ..Start::default() };
-        lung.begin(&start, 5.0);
+            BreathStart { pressure: task.rollout.pressure(), plateau: task.pip, ..BreathStart::default() };
+        lung.begin(&model, &start, 5.0);
         for tick in 0..=10 {
             let (pressure, pip) = (lung.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
             let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick };

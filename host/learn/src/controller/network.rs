@@ -5,7 +5,7 @@ use shared::control::network::{HIDDEN_1, HIDDEN_2, Network};
 
 use engine::Lane;
 use engine::activation::Activation;
-use engine::dense::{Dense, DenseWeights};
+use engine::dense::{DenseLayer, DenseWeights};
 
 /// The network's three layers, ready for both directions.
 #[derive(Clone, Debug)]
@@ -24,8 +24,8 @@ pub struct NetworkTape {
     d_output: Vec<Lane>,
 }
 
-fn layout() -> [Dense; 3] {
-    Dense::layout([(FEATURES, HIDDEN_1), (HIDDEN_1, HIDDEN_2), (HIDDEN_2, 1)]).0
+fn layout() -> [DenseLayer; 3] {
+    DenseLayer::layout([(FEATURES, HIDDEN_1), (HIDDEN_1, HIDDEN_2), (HIDDEN_2, 1)]).0
 }
 
 impl NetworkTape {

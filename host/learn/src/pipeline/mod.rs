@@ -22,10 +22,11 @@ use shared::settings::Settings;
 use thiserror::Error;
 
 use crate::controller::learned::{Learned, LearnedError};
-use crate::controller::{Progress, TrainConfig};
+use crate::controller::{CurvePoint, TrainConfig};
 use crate::simulator::Timing;
-use crate::simulator::fit::{FitConfig, OpenLoop};
+use crate::simulator::fit::FitConfig;
 use crate::simulator::model::{Architecture, Simulator};
+use crate::simulator::open_loop::OpenLoop;
 use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
 use data::recording::{DatasetError, Recording};
@@ -241,7 +242,7 @@ pub struct Round {
     /// Errors of each ensemble member (held-out member last) on held-out breaths, plant after plant.
     pub open_loop: Vec<OpenLoop>,
     /// Training curve.
-    pub train_curve: Vec<Progress>,
+    pub train_curve: Vec<CurvePoint>,
     /// Controller's score on the held-out simulator, cmH2O.
     pub validation: f64,
     /// PID's score on the held-out simulator, cmH2O.

@@ -8,10 +8,11 @@ use shared::control::Controller;
 
 use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage, Studied};
 use crate::controller::learned::{Learned, Origin};
-use crate::controller::{Checkpoint, PlantModels, Progress, TrainConfig, Trained, Training};
-use crate::simulator::episode::{Episode, episodes};
-use crate::simulator::fit::{Fit, FitConfig, OpenLoop, open_loop, split};
+use crate::controller::{Checkpoint, CurvePoint, PlantModels, TrainConfig, Trained, Training};
+use crate::simulator::episode::{Episode, episodes, split};
+use crate::simulator::fit::{Fit, FitConfig};
 use crate::simulator::model::Simulator;
+use crate::simulator::open_loop::{OpenLoop, open_loop};
 use data::provenance::git_revision;
 use data::recording::Recording;
 use progress::Watch;
@@ -47,7 +48,7 @@ struct Fitted {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Pause {
     checkpoint: Checkpoint,
-    curve: Vec<Progress>,
+    curve: Vec<CurvePoint>,
 }
 
 impl<'a> Run<'a> {
@@ -268,7 +269,7 @@ impl<'a> Run<'a> {
     }
 
     /// Trains the controller on all members but the last.
-    fn train(&mut self, round: usize) -> Result<(Trained, Vec<Progress>), PipelineError> {
+    fn train(&mut self, round: usize) -> Result<(Trained, Vec<CurvePoint>), PipelineError> {
         let mut training = self.training(round)?;
         let mut curve = Vec::new();
         let pause = self.folder.map(|folder| folder.load::<Pause>(round, "training.json")).transpose()?;

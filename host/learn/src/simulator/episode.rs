@@ -1,19 +1,16 @@
 //! Episodes: the inspirations of a recording, cut into a simulator's blocks.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::{COMMAND_SCALE, CommandLog, Start, Timing, USUAL_LUNG};
+use super::{COMMAND_SCALE, Timing};
 use data::identity::{LungParameters, TestRun};
 use data::recording::Recording;
 use engine::least_squares::solve;
-use engine::{LANES, Lane};
 
 /// Time before the inspiration over which its starting pressure is averaged, s; also the time before the end of
 /// the last inspiration over which its plateau is.
 const AVERAGE_TIME: f32 = 0.05;
-
-/// What an error in an expiration weighs, against one in an inspiration: there the simulator is not used.
-const EXPIRATION_WEIGHT: f32 = 0.5;
 
 /// One inspiration.
 #[derive(Clone, Debug, PartialEq)]
@@ -188,75 +185,14 @@ fn commands(recording: &Recording, rows: &Range<usize>, timing: &Timing) -> Vec<
     sums.iter().zip(&counts).map(|(sum, count)| sum / count.max(1.0)).collect()
 }
 
-/// Up to [`LANES`] episodes side by side.
-#[derive(Clone, Debug)]
-pub struct Shard<'a> {
-    /// The episodes; rollouts beyond them repeat the last one with weight zero.
-    pub episodes: Vec<&'a Episode>,
-}
-
-impl<'a> Shard<'a> {
-    /// Cuts episodes into shards.
-    pub fn cut(episodes: &[&'a Episode]) -> Vec<Self> {
-        episodes.chunks(LANES).map(|chunk| Self { episodes: chunk.to_vec() }).collect()
-    }
-
-    /// Longest episode, ticks.
-    pub fn ticks(&self) -> usize {
-        self.episodes.iter().map(|episode| episode.ticks()).max().unwrap_or(0)
-    }
-
-    /// The episode in a lane.
-    fn episode(&self, l: usize) -> &'a Episode {
-        self.episodes[l.min(self.episodes.len() - 1)]
-    }
-
-    fn lane(&self, mut value: impl FnMut(&Episode) -> f32) -> Lane {
-        Lane::from_fn(|l| value(self.episode(l)))
-    }
-
-    /// How the breaths start.
-    pub fn start(&self) -> Start {
-        Start {
-            pressure: self.lane(|episode| episode.start),
-            plateau: self.lane(|episode| episode.plateau),
-            rest: self.lane(|episode| episode.rest[0]),
-            group: std::array::from_fn(|l| self.episode(l).group),
-            ventilator: std::array::from_fn(|l| self.episode(l).ventilator),
-            plateau_command: self.lane(|episode| episode.plateau_command),
-            resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).resistance),
-            compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).compliance),
-        }
-    }
-
-    /// What was commanded.
-    pub fn log(&self, timing: &Timing) -> CommandLog {
-        let width = timing.width();
-        let rest = (0..width).map(|place| self.lane(|episode| episode.rest[place])).collect();
-        let blocks = timing.blocks(self.ticks());
-        let mut log = CommandLog::new(blocks, rest);
-        for block in 0..blocks {
-            for (place, lane) in log.block_mut(block).iter_mut().enumerate() {
-                *lane = self.lane(|e| e.commands.get(block * width + place).copied().unwrap_or(0.0));
-            }
-        }
-        log
-    }
-
-    /// Measured pressure at a tick, cmH2O; the last one beyond an episode's end.
-    pub fn pressure(&self, tick: usize) -> Lane {
-        self.lane(|episode| episode.pressure[tick.min(episode.ticks() - 1)])
-    }
-
-    /// What an error at this tick weighs: one in an inspiration, less in what follows, zero where an episode has no such tick.
-    pub fn weight(&self, tick: usize) -> Lane {
-        let weight = |episode: &Episode| match tick {
-            tick if tick < episode.rows.len() => 1.0,
-            tick if tick < episode.ticks() => EXPIRATION_WEIGHT,
-            _ => 0.0,
-        };
-        Lane::from_fn(|l| self.episodes.get(l).map_or(0.0, |episode| weight(episode)))
-    }
+/// Splits episodes into those to train on and every `every`-th of each group, held out.
+pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode>) {
+    let mut before: BTreeMap<Option<u32>, usize> = BTreeMap::new();
+    episodes.iter().partition(|episode| {
+        let place = before.entry(episode.group).or_default();
+        *place += 1;
+        !place.is_multiple_of(every.max(2))
+    })
 }
 
 #[cfg(test)]
@@ -335,13 +271,5 @@ mod tests {
         assert_eq!(channels(&recording), 1, "two percent from a line");
         recording.u_out[7] += 5.0;
         assert_eq!(channels(&recording), 2);
-    }
-
-    #[test]
-    fn shards_weigh_ticks_and_rollouts_that_exist() {
-        let episodes = episodes(&recording(), &Timing::for_period(1000, 1));
-        let shard = &Shard::cut(&episodes.iter().collect::<Vec<_>>())[0];
-        assert!((shard.weight(24).sum() - 2.0).abs() < 1e-6);
-        assert!(shard.weight(25).sum().abs() < 1e-6);
     }
 }

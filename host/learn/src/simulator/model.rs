@@ -1,7 +1,9 @@
 //! A learned simulator as a value: architecture, parameters, origin, and the safetensors file that holds them.
 
 use std::path::Path;
+use std::sync::Arc;
 
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::Timing;
@@ -40,6 +42,15 @@ impl Architecture {
             Self::Stitched(config) => config.parameters(),
         }
     }
+
+    /// Draws parameters.
+    pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        match self {
+            Self::StateSpace(config) => config.initialise(rng),
+            Self::Hybrid(config) => config.initialise(rng),
+            Self::Stitched(config) => config.initialise(rng),
+        }
+    }
 }
 
 /// A learned simulator.
@@ -57,21 +68,45 @@ pub struct Simulator {
     pub plant: String,
 }
 
-/// A simulator ready to run.
+/// A simulator ready to run, to be shared by any number of rollouts.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
 pub enum Model {
     /// Ours.
-    StateSpace(StateSpace),
+    StateSpace(Arc<StateSpace>),
     /// Ours for many lungs.
-    Hybrid(Hybrid),
+    Hybrid(Arc<Hybrid>),
     /// The authors'.
-    Stitched(Stitched),
+    Stitched(Arc<Stitched>),
+}
+
+impl Model {
+    /// A model of an architecture.
+    ///
+    /// # Panics
+    /// If `parameters` does not have [`Architecture::parameters`] entries.
+    pub fn new(architecture: Architecture, parameters: &[f32]) -> Self {
+        match architecture {
+            Architecture::StateSpace(config) => {
+                Self::StateSpace(Arc::new(StateSpace::new(config, parameters)))
+            }
+            Architecture::Hybrid(config) => Self::Hybrid(Arc::new(Hybrid::new(config, parameters))),
+            Architecture::Stitched(config) => Self::Stitched(Arc::new(Stitched::new(config, parameters))),
+        }
+    }
+
+    /// Architecture and shape.
+    pub fn architecture(&self) -> Architecture {
+        match self {
+            Self::StateSpace(model) => Architecture::StateSpace(*model.config()),
+            Self::Hybrid(model) => Architecture::Hybrid(*model.config()),
+            Self::Stitched(model) => Architecture::Stitched(*model.config()),
+        }
+    }
 }
 
 /// What stands in the file's metadata.
 #[derive(Serialize, Deserialize)]
-struct Metadata {
+struct SimulatorMetadata {
     #[serde(flatten)]
     architecture: Architecture,
     noise: f32,
@@ -87,16 +122,7 @@ const PARAMETERS: &str = "parameters";
 impl Simulator {
     /// The simulator, ready to run.
     pub fn model(&self) -> Model {
-        Self::model_of(self.architecture, &self.parameters)
-    }
-
-    /// A model from an architecture and its parameters.
-    pub(crate) fn model_of(architecture: Architecture, parameters: &[f32]) -> Model {
-        match architecture {
-            Architecture::StateSpace(config) => Model::StateSpace(StateSpace::new(config, parameters)),
-            Architecture::Hybrid(config) => Model::Hybrid(Hybrid::new(config, parameters)),
-            Architecture::Stitched(config) => Model::Stitched(Stitched::new(config, parameters)),
-        }
+        Model::new(self.architecture, &self.parameters)
     }
 
     /// Writes a safetensors file: one vector of parameters, everything else as JSON in the metadata.
@@ -104,7 +130,7 @@ impl Simulator {
     /// # Errors
     /// The file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), TensorError> {
-        let metadata = Metadata {
+        let metadata = SimulatorMetadata {
             architecture: self.architecture,
             noise: self.noise,
             start_pressure: self.start_pressure,
@@ -118,14 +144,14 @@ impl Simulator {
     /// # Errors
     /// The file cannot be read, is torn, or holds something else.
     pub fn load(path: &Path) -> Result<Self, TensorError> {
-        let (metadata, mut vectors): (Metadata, _) = tensors::load(path, KIND, &[PARAMETERS])?;
+        let (metadata, mut vectors): (SimulatorMetadata, _) = tensors::load(path, KIND, &[PARAMETERS])?;
         let parameters = vectors.swap_remove(0);
         let expected = metadata.architecture.parameters();
         if parameters.len() != expected {
             let reason = format!("{} parameters where {expected} belong", parameters.len());
             return Err(TensorError::format(path, KIND, &reason));
         }
-        let Metadata { architecture, noise, start_pressure, plant } = metadata;
+        let SimulatorMetadata { architecture, noise, start_pressure, plant } = metadata;
         Ok(Self { architecture, parameters, noise, start_pressure, plant })
     }
 }
@@ -133,7 +159,6 @@ impl Simulator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
 
     fn simulator() -> Simulator {

@@ -1,14 +1,14 @@
 //! Our simulator: a nonlinear state-space model.
 //!
 //! States are leaky integrators with learned time constants, driven by past commands and by a hidden layer that
-//! sees states and commands (`states.rs`); outputs are pressures at the block's points, `20 + 10 y`.
+//! sees states and commands (`recurrent.rs`); outputs are pressures at the block's points, `20 + 10 y`.
 //! Slow linear states carry the lung's volume without loss, fast ones the valve's lag; the hidden layer bends them.
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::states::{Network, Shape, Tape};
-use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing, USUAL_LUNG};
+use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
+use super::{BreathStart, CommandLog, Dynamics, PRESSURE_SCALE, Timing, USUAL_LUNG};
 use data::identity::LungParameters;
 use engine::Lane;
 
@@ -49,9 +49,9 @@ impl StateSpaceConfig {
         }
     }
 
-    fn shape(&self) -> Shape {
+    fn shape(&self) -> RecurrentShape {
         let Self { timing, states, hidden, history, lungs } = *self;
-        Shape {
+        RecurrentShape {
             timing,
             states,
             hidden,
@@ -77,12 +77,12 @@ impl StateSpaceConfig {
 #[derive(Clone, Debug)]
 pub struct StateSpace {
     config: StateSpaceConfig,
-    network: Network,
+    network: RecurrentNetwork,
 }
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
-pub struct StateSpaceTape(Tape);
+pub struct StateSpaceTape(RecurrentTape);
 
 impl StateSpace {
     /// A model from its parameters.
@@ -90,7 +90,12 @@ impl StateSpace {
     /// # Panics
     /// If `parameters` does not have [`StateSpaceConfig::parameters`] entries.
     pub fn new(config: StateSpaceConfig, parameters: &[f32]) -> Self {
-        Self { config, network: Network::new(config.shape(), parameters) }
+        Self { config, network: RecurrentNetwork::new(config.shape(), parameters) }
+    }
+
+    /// Its shape.
+    pub fn config(&self) -> &StateSpaceConfig {
+        &self.config
     }
 }
 
@@ -109,13 +114,13 @@ impl Dynamics for StateSpace {
         StateSpaceTape(self.network.tape(blocks))
     }
 
-    fn begin(&self, tape: &mut StateSpaceTape, start: &Start) {
+    fn begin(&self, tape: &mut StateSpaceTape, start: &BreathStart) {
         let LungParameters { resistance, compliance } = USUAL_LUNG;
         let lung: [Lane; LUNG_INPUTS] = [
             start.resistance.map(|r| (r / resistance).ln()),
             start.compliance.map(|c| (c / compliance).ln()),
         ];
-        let Shape { known, constants, .. } = self.config.shape();
+        let RecurrentShape { known, constants, .. } = self.config.shape();
         self.network.begin(&mut tape.0, &start.known()[..known], &lung[..constants]);
     }
 
@@ -167,7 +172,7 @@ mod tests {
             let (mut tape, mut points) = (model.tape(6), vec![Lane::ZERO; 2]);
             let mut log = CommandLog::new(6, vec![Lane::ZERO; 2]);
             log.block_mut(block).fill(Lane::splat(command));
-            model.begin(&mut tape, &Start::default());
+            model.begin(&mut tape, &BreathStart::default());
             for block in 0..6 {
                 model.step(&mut tape, block, &log, &mut points);
             }

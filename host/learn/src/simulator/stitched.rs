@@ -8,10 +8,10 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing};
+use super::{BreathStart, CommandLog, Dynamics, PRESSURE_SCALE, Timing};
 use engine::Lane;
 use engine::activation::Activation;
-use engine::dense::{Dense, DenseWeights};
+use engine::dense::{DenseLayer, DenseWeights};
 
 /// Commands that a step sees.
 const COMMANDS: usize = 5;
@@ -44,8 +44,8 @@ impl StitchedConfig {
         Self { timing: Timing { period_us, block_ticks: 1, parts: 1, points: 1, channels: 1 } }
     }
 
-    fn layout() -> ([Dense; LAYERS], usize) {
-        Dense::layout(std::array::from_fn(|n| match n {
+    fn layout() -> ([DenseLayer; LAYERS], usize) {
+        DenseLayer::layout(std::array::from_fn(|n| match n {
             n if n < 2 * BOUNDARIES && n % 2 == 0 => (INPUTS, HIDDEN),
             n if n < 2 * BOUNDARIES => (HIDDEN, 1),
             n if n == 2 * BOUNDARIES => (INPUTS, HIDDEN),
@@ -109,15 +109,13 @@ impl Stitched {
         }
     }
 
-    /// Teacher forcing: the next step starts from this measured pressure (cmH2O) instead of the prediction, and
-    /// no gradient flows from step to step.
-    pub fn teach(&self, tape: &mut StitchedTape, step: usize, measured: &Lane) {
-        tape.measured = true;
-        tape.pressures[step + 1] = measured.map(scale);
-    }
-
     fn pressures_seen(step: usize) -> usize {
         if step < BOUNDARIES { PRESSURES } else { PRESSURES_SHARED }
+    }
+
+    /// Its shape.
+    pub fn config(&self) -> &StitchedConfig {
+        &self.config
     }
 }
 
@@ -152,7 +150,7 @@ impl Dynamics for Stitched {
         }
     }
 
-    fn begin(&self, tape: &mut StitchedTape, start: &Start) {
+    fn begin(&self, tape: &mut StitchedTape, start: &BreathStart) {
         tape.pressures[0] = start.pressure.map(scale);
         tape.d_pressures.fill(Lane::ZERO);
         tape.measured = false;
@@ -203,6 +201,11 @@ impl Dynamics for Stitched {
         for (age, d) in d_input[COMMANDS..].iter().enumerate().take(seen) {
             tape.d_pressures[block - age].add_scaled(1.0, d);
         }
+    }
+
+    fn teach(&self, tape: &mut StitchedTape, block: usize, measured: &Lane) {
+        tape.measured = true;
+        tape.pressures[block + 1] = measured.map(scale);
     }
 
     fn finish(&self, tape: &mut StitchedTape, gradient: &mut [f32]) {

@@ -1,12 +1,32 @@
-//! What the simulators' tests share: the gradient of a whole rollout against finite differences.
+//! What the simulators' tests share: gradients against finite differences, and a breath.
 
-use super::{CommandLog, Dynamics, Start};
+use super::episode::Episode;
+use super::{BreathStart, CommandLog, Dynamics, USUAL_LUNG};
 use engine::{LANES, Lane};
+
+/// An inspiration of a lung of R 20 and C 20, of a simulator with one command per block.
+pub(super) fn episode(ticks: usize) -> Episode {
+    Episode {
+        pressure: (0..ticks).map(|tick| 5.0 + 0.5 * tick as f32).collect(),
+        truth: None,
+        commands: vec![0.5; ticks],
+        rest: vec![0.1],
+        start: 5.0,
+        plateau: 15.0,
+        plateau_command: 0.3,
+        pip: 15.0,
+        peep: 5.0,
+        group: None,
+        ventilator: None,
+        rows: 0..ticks,
+        lung: Some(USUAL_LUNG),
+    }
+}
 
 const BLOCKS: usize = 8;
 
-fn start() -> Start {
-    Start {
+fn start() -> BreathStart {
+    BreathStart {
         pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
         plateau: Lane::from_fn(|l| 10.0 + l as f32),
         rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),

@@ -5,8 +5,8 @@ use data::identity::TestRun;
 use data::provenance::Provenance;
 use data::recording::Recording;
 use learn::simulator::episode::Episode;
-use learn::simulator::fit::predict;
 use learn::simulator::model::Simulator;
+use learn::simulator::open_loop::predict;
 use show::report::{Block, Plot, Report, Section, Series, Style};
 
 /// Held-out breaths shown.

@@ -3,8 +3,8 @@
 use super::{Contestant, Demo, TRACED_PIPS};
 use data::provenance::Provenance;
 use judge::evaluate::BreathTrace;
-use learn::simulator::episode::{Episode, episodes};
-use learn::simulator::fit::{predict, split};
+use learn::simulator::episode::{Episode, episodes, split};
+use learn::simulator::open_loop::predict;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Held-out breaths whose prediction is shown.

@@ -8,7 +8,7 @@
 //! ```
 
 use super::ventilator::{OPENINGS, Openings};
-use crate::simulator::{Start, Timing};
+use crate::simulator::{BreathStart, Timing};
 use engine::{LANES, Lane};
 
 /// Parameters of lungs and circuit: see [`Physics`].
@@ -74,7 +74,7 @@ struct Flow {
 
 /// Forward values and backward gradients of a rollout, step after step.
 #[derive(Clone, Debug)]
-pub(super) struct Tape {
+pub(super) struct LungTape {
     flow: Vec<Flow>,
     lungs: Lungs,
     /// Plateau less pressure at the start, cmH2O.
@@ -105,8 +105,8 @@ impl Physics {
     }
 
     /// Memory for a rollout of so many steps.
-    pub fn tape(steps: usize) -> Tape {
-        Tape {
+    pub fn tape(steps: usize) -> LungTape {
+        LungTape {
             flow: vec![Flow::default(); steps],
             lungs: Lungs::default(),
             fall: Lane::ZERO,
@@ -119,7 +119,7 @@ impl Physics {
     }
 
     /// Starts a breath of a lung with deviations from its nominal R and C.
-    pub fn begin(&self, tape: &mut Tape, start: &Start, deviations: &[Lane; DEVIATIONS]) {
+    pub fn begin(&self, tape: &mut LungTape, start: &BreathStart, deviations: &[Lane; DEVIATIONS]) {
         let step = ML_PER_L * self.step_s;
         let resistance = start.resistance.zip(&deviations[0], |r, own| r / NOMINAL * own.exp());
         let compliance = start.compliance.zip(&deviations[1], |c, own| c * own.exp());
@@ -138,7 +138,7 @@ impl Physics {
     }
 
     /// Adds the gradients by the parameters and by the deviations, once all steps have gone back.
-    pub fn finish(tape: &Tape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
+    pub fn finish(tape: &LungTape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
         let d = &tape.d_lungs;
         let by_physics = [
             d.linear.sum(),
@@ -156,7 +156,7 @@ impl Physics {
     }
 }
 
-impl Tape {
+impl LungTape {
     /// One implicit step under a ventilator; the airway pressure after it, cmH2O.
     pub fn step(&mut self, step: usize, [inlet, outlet]: &Openings) -> Lane {
         let lungs = &self.lungs;
@@ -233,4 +233,51 @@ fn orifice(drop: f32) -> (f32, f32) {
     let square = drop * drop + 1.0;
     let share = 1.0 / square.sqrt().sqrt();
     (share, -0.5 * drop * share / square)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests_support::check_slopes;
+
+    const STEPS: usize = 12;
+
+    fn weight(step: usize) -> Lane {
+        Lane::from_fn(|l| ((5 * step + l) as f32).cos())
+    }
+
+    /// A breath under the same openings in every step and lane: `at` holds the physics, then the two openings.
+    fn breathe(at: &[f32]) -> (LungTape, Openings, f64) {
+        let mut tape = Physics::tape(STEPS);
+        let start = BreathStart {
+            pressure: Lane::splat(6.0),
+            plateau: Lane::splat(15.0),
+            resistance: Lane::from_fn(|l| 5.0 + 3.0 * l as f32),
+            compliance: Lane::from_fn(|l| 50.0 - 2.0 * l as f32),
+            ..BreathStart::default()
+        };
+        let physics = Physics::new(&Timing::for_period(30_000, 1), &at[..PHYSICS]);
+        physics.begin(&mut tape, &start, &[Lane::splat(0.1), Lane::splat(-0.1)]);
+        let openings = [Lane::splat(at[PHYSICS]), Lane::splat(at[PHYSICS + 1])];
+        let mut total = 0.0;
+        for step in 0..STEPS {
+            let pressure = tape.step(step, &openings);
+            total += (0..LANES).map(|l| f64::from(weight(step)[l] * pressure[l])).sum::<f64>();
+        }
+        (tape, openings, total)
+    }
+
+    #[test]
+    fn gradients_by_physics_and_openings_agree_with_finite_differences() {
+        let at = [1.8, 2.8, 0.2, 0.9, 0.3, 3.7, 0.15, 0.08];
+        let (mut tape, openings, _) = breathe(&at);
+        let mut d_openings = [Lane::ZERO; OPENINGS];
+        for step in (0..STEPS).rev() {
+            tape.step_back(step, &openings, &weight(step), &mut d_openings);
+        }
+        let mut gradient = vec![0.0; PHYSICS];
+        Physics::finish(&tape, &mut gradient);
+        gradient.extend(d_openings.map(|d| d.sum()));
+        check_slopes("argument", &at, 1e-3, &gradient, |at| breathe(at).2);
+    }
 }

@@ -24,11 +24,11 @@ use std::ops::Range;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use self::lung::{PHYSICS, Physics};
+use self::lung::{LungTape, PHYSICS, Physics};
 use self::own::Own;
-use self::ventilator::{OPENINGS, Ventilator};
-use super::states::{self, Network};
-use super::{CommandLog, Dynamics, Members, Start, Timing};
+use self::ventilator::{OPENINGS, VentilatorModel, VentilatorShape, VentilatorTape};
+use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
+use super::{BreathStart, CommandLog, Dynamics, Members, Timing, piece, piece_mut};
 use engine::{LANES, Lane};
 
 /// Deviations of a group from what all have in common, as logarithms: R, C, opening towards the supply, opening towards
@@ -63,7 +63,7 @@ pub struct HybridConfig {
 }
 
 /// Where the parts of the parameter vector are.
-struct Layout {
+struct HybridLayout {
     ventilator: Range<usize>,
     physics: Range<usize>,
     deviations: Range<usize>,
@@ -78,9 +78,9 @@ impl HybridConfig {
         Self { timing, states: 8, hidden: 24, history: 8, ventilators: 0, groups: 0 }
     }
 
-    fn ventilator(&self) -> ventilator::Shape {
+    fn ventilator(&self) -> VentilatorShape {
         let Self { timing, states, hidden, history, ventilators, .. } = *self;
-        ventilator::Shape { timing, states, hidden, history, ventilators }
+        VentilatorShape { timing, states, hidden, history, ventilators }
     }
 
     /// Modes of a block: each of its points has its own.
@@ -88,27 +88,27 @@ impl HybridConfig {
         MODES * self.timing.points
     }
 
-    fn network(&self) -> states::Shape {
+    fn network(&self) -> RecurrentShape {
         let (states, hidden) = REST;
         let Self { timing, history, .. } = *self;
-        states::Shape {
+        RecurrentShape {
             timing,
             states,
             hidden,
             history,
-            known: Start::KNOWN,
+            known: BreathStart::KNOWN,
             constants: 0,
             outputs: self.modes(),
         }
     }
 
-    fn layout(&self) -> Layout {
+    fn layout(&self) -> HybridLayout {
         let mut end = 0;
         let mut next = |length: usize| {
             end += length;
             end - length..end
         };
-        Layout {
+        HybridLayout {
             ventilator: next(self.ventilator().parameters()),
             physics: next(PHYSICS),
             deviations: next(self.groups * DEVIATIONS),
@@ -142,21 +142,21 @@ impl HybridConfig {
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     config: HybridConfig,
-    ventilator: Ventilator,
+    ventilator: VentilatorModel,
     physics: Physics,
     deviations: Own,
-    network: Network,
+    network: RecurrentNetwork,
     mixing: Own,
 }
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
 pub struct HybridTape {
-    /// Group of each lane, below zero where it is unknown.
+    /// Group of each lane.
     group: Members,
-    ventilator: ventilator::Tape,
-    lung: lung::Tape,
-    network: states::Tape,
+    ventilator: VentilatorTape,
+    lung: LungTape,
+    network: RecurrentTape,
     /// `e` of each lane.
     mixing: [Lane; MODES],
     d_mixing: [Lane; MODES],
@@ -176,12 +176,17 @@ impl Hybrid {
         assert_eq!(parameters.len(), layout.mixing.end, "parameters of another shape");
         Self {
             config,
-            ventilator: Ventilator::new(config.ventilator(), &parameters[layout.ventilator]),
+            ventilator: VentilatorModel::new(config.ventilator(), &parameters[layout.ventilator]),
             physics: Physics::new(&config.timing, &parameters[layout.physics]),
             deviations: Own::new(DEVIATIONS, &parameters[layout.deviations]),
-            network: Network::new(config.network(), &parameters[layout.network]),
+            network: RecurrentNetwork::new(config.network(), &parameters[layout.network]),
             mixing: Own::new(MODES, &parameters[layout.mixing]),
         }
+    }
+
+    /// Its shape.
+    pub fn config(&self) -> &HybridConfig {
+        &self.config
     }
 }
 
@@ -210,7 +215,7 @@ impl Dynamics for Hybrid {
         }
     }
 
-    fn begin(&self, tape: &mut HybridTape, start: &Start) {
+    fn begin(&self, tape: &mut HybridTape, start: &BreathStart) {
         tape.group = start.group;
         let [resistance, compliance, inlet, outlet] =
             std::array::from_fn(|n| self.deviations.lane(&start.group, n));
@@ -223,7 +228,7 @@ impl Dynamics for Hybrid {
 
     fn step(&self, tape: &mut HybridTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
         self.ventilator.step(&mut tape.ventilator, block, log);
-        let modes = super::piece_mut(&mut tape.modes, block, self.config.modes());
+        let modes = piece_mut(&mut tape.modes, block, self.config.modes());
         self.network.step(&mut tape.network, block, log, modes);
         let first = block * points.len();
         for (n, (point, modes)) in points.iter_mut().zip(modes.chunks_exact(MODES)).enumerate() {
@@ -247,7 +252,7 @@ impl Dynamics for Hybrid {
         self.ventilator.step_back(&mut tape.ventilator, block, &d_openings, d_log);
 
         let d_rest = |n: usize| d_points[n].zip(&tape.slopes[first + n], |d, slope| d * slope);
-        let modes = super::piece(&tape.modes, block, self.config.modes());
+        let modes = piece(&tape.modes, block, self.config.modes());
         for (n, modes) in modes.chunks_exact(MODES).enumerate() {
             for (d_e, y) in tape.d_mixing.iter_mut().zip(modes) {
                 d_e.add_scaled(1.0, &d_rest(n).zip(y, |d, y| d * y));
@@ -276,7 +281,6 @@ impl Dynamics for Hybrid {
 mod tests {
     use super::*;
     use crate::simulator::tests_support::{check_gradients, check_gradients_by};
-    use engine::LANES;
     use rand_chacha::rand_core::SeedableRng;
 
     fn config(period_us: u32) -> HybridConfig {
@@ -341,7 +345,7 @@ mod tests {
         let pressure = Lane::splat(5.0);
         model.begin(
             &mut tape,
-            &Start { pressure, plateau: pressure, resistance, compliance, ..Start::default() },
+            &BreathStart { pressure, plateau: pressure, resistance, compliance, ..BreathStart::default() },
         );
         for block in 0..blocks {
             model.step(&mut tape, block, &log, &mut points);
@@ -350,7 +354,7 @@ mod tests {
     }
 
     /// Pressures of a rollout of these parameters.
-    fn pressures(config: HybridConfig, parameters: &[f32], start: &Start) -> Vec<Lane> {
+    fn pressures(config: HybridConfig, parameters: &[f32], start: &BreathStart) -> Vec<Lane> {
         const BLOCKS: usize = 12;
         let model = Hybrid::new(config, parameters);
         let mut tape = model.tape(BLOCKS);
@@ -374,8 +378,8 @@ mod tests {
         common[layout.mixing.clone()].fill(0.0);
         let mut wild = common.clone();
         wild[layout.mixing].fill(1e4);
-        let unknown = Start { ventilator: [Some(1); LANES], ..Start::default() };
-        let known = Start { group: [Some(1); LANES], ..unknown };
+        let unknown = BreathStart { ventilator: [Some(1); LANES], ..BreathStart::default() };
+        let known = BreathStart { group: [Some(1); LANES], ..unknown };
         let physics = pressures(config, &common, &unknown);
         assert_eq!(pressures(config, &own, &unknown), physics);
         assert_ne!(pressures(config, &own, &known), physics);

@@ -13,9 +13,9 @@ use rand_chacha::ChaCha8Rng;
 
 use super::own::Own;
 use crate::simulator::leaky::{Leaky, sigmoid};
-use crate::simulator::{CommandLog, Members, Start, Timing, piece, piece_mut};
+use crate::simulator::{BreathStart, CommandLog, Members, Timing, piece, piece_mut};
 use engine::activation::Activation;
-use engine::dense::{Dense, DenseWeights};
+use engine::dense::{DenseLayer, DenseWeights};
 use engine::{LANES, Lane};
 
 /// Openings: towards the supply and towards the room.
@@ -31,7 +31,7 @@ const LONGEST_FILTER_S: f32 = 0.2;
 
 /// Shape of the ventilator.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shape {
+pub(super) struct VentilatorShape {
     pub timing: Timing,
     /// Filters of past commands.
     pub states: usize,
@@ -43,7 +43,7 @@ pub(super) struct Shape {
     pub ventilators: usize,
 }
 
-impl Shape {
+impl VentilatorShape {
     fn commands(&self) -> usize {
         self.history * self.timing.width()
     }
@@ -54,12 +54,12 @@ impl Shape {
     }
 
     /// Layers (filters, curves, source, start), index of the decays, number of parameters; what ventilators own is last.
-    fn layout(&self) -> ([Dense; 4], usize, usize) {
-        let (layers, decay) = Dense::layout([
+    fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
+        let (layers, decay) = DenseLayer::layout([
             (self.commands(), self.states),
             (self.states, self.hidden),
             (self.states + self.hidden, OPENINGS),
-            (Start::KNOWN, self.states),
+            (BreathStart::KNOWN, self.states),
         ]);
         (layers, decay, decay + self.states + self.ventilators * self.own())
     }
@@ -87,8 +87,8 @@ impl Shape {
 
 /// The ventilator with its parameters.
 #[derive(Clone, Debug)]
-pub(super) struct Ventilator {
-    shape: Shape,
+pub(super) struct VentilatorModel {
+    shape: VentilatorShape,
     filters: DenseWeights,
     curves: DenseWeights,
     source: DenseWeights,
@@ -100,7 +100,7 @@ pub(super) struct Ventilator {
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
-pub(super) struct Tape {
+pub(super) struct VentilatorTape {
     /// `v` of each block.
     commands: Vec<Lane>,
     /// `c` before each block, and after the last.
@@ -109,7 +109,7 @@ pub(super) struct Tape {
     after: Vec<Lane>,
     drive: Vec<Lane>,
     pub openings: Vec<Openings>,
-    known: [Lane; Start::KNOWN],
+    known: [Lane; BreathStart::KNOWN],
     /// Which ventilator it is in each lane.
     members: Members,
     /// Its shifts.
@@ -126,9 +126,9 @@ pub(super) struct Tape {
     scratch: Vec<Lane>,
 }
 
-impl Ventilator {
+impl VentilatorModel {
     /// The ventilator from its parameters.
-    pub fn new(shape: Shape, parameters: &[f32]) -> Self {
+    pub fn new(shape: VentilatorShape, parameters: &[f32]) -> Self {
         let ([filters, curves, source, start], decay_offset, total) = shape.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
         let (decays, own) = parameters[decay_offset..].split_at(shape.states);
@@ -149,17 +149,17 @@ impl Ventilator {
     }
 
     /// Memory for a rollout of so many blocks.
-    pub fn tape(&self, blocks: usize) -> Tape {
-        let Shape { states, hidden, .. } = self.shape;
+    pub fn tape(&self, blocks: usize) -> VentilatorTape {
+        let VentilatorShape { states, hidden, .. } = self.shape;
         let commands = self.shape.commands();
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
-        Tape {
+        VentilatorTape {
             commands: zeros(commands),
             state: vec![Lane::ZERO; (blocks + 1) * states],
             after: zeros(states + hidden),
             drive: zeros(states),
             openings: vec![[Lane::ZERO; OPENINGS]; blocks],
-            known: [Lane::ZERO; Start::KNOWN],
+            known: [Lane::ZERO; BreathStart::KNOWN],
             members: [None; LANES],
             shifts: vec![Lane::ZERO; hidden],
             stretch: [Lane::ZERO; OPENINGS],
@@ -174,7 +174,7 @@ impl Ventilator {
     }
 
     /// Starts a breath; `stretch` holds logarithms of what the test run multiplies its openings by.
-    pub fn begin(&self, tape: &mut Tape, start: &Start, stretch: &Openings) {
+    pub fn begin(&self, tape: &mut VentilatorTape, start: &BreathStart, stretch: &Openings) {
         tape.known = start.known();
         tape.members = start.ventilator;
         self.start.forward(&tape.known, &mut tape.state[..self.shape.states]);
@@ -191,8 +191,8 @@ impl Ventilator {
     }
 
     /// The openings of a block.
-    pub fn step(&self, tape: &mut Tape, block: usize, log: &CommandLog) {
-        let Shape { states, hidden, history, .. } = self.shape;
+    pub fn step(&self, tape: &mut VentilatorTape, block: usize, log: &CommandLog) {
+        let VentilatorShape { states, hidden, history, .. } = self.shape;
         let commands = piece_mut(&mut tape.commands, block, self.shape.commands());
         log.gather(self.newest(block), history, commands);
         let drive = piece_mut(&mut tape.drive, block, states);
@@ -216,8 +216,14 @@ impl Ventilator {
     }
 
     /// One block back, from the gradient by its openings.
-    pub fn step_back(&self, tape: &mut Tape, block: usize, d_openings: &Openings, d_log: &mut CommandLog) {
-        let Shape { states, hidden, .. } = self.shape;
+    pub fn step_back(
+        &self,
+        tape: &mut VentilatorTape,
+        block: usize,
+        d_openings: &Openings,
+        d_log: &mut CommandLog,
+    ) {
+        let VentilatorShape { states, hidden, .. } = self.shape;
         let d_y = piece_mut(&mut tape.d_source, block, OPENINGS);
         for n in 0..OPENINGS {
             let opening = &tape.openings[block][n];
@@ -248,8 +254,8 @@ impl Ventilator {
     }
 
     /// Adds the gradient by the parameters, once all blocks have gone back.
-    pub fn finish(&self, tape: &Tape, gradient: &mut [f32]) {
-        let Shape { states, hidden, .. } = self.shape;
+    pub fn finish(&self, tape: &VentilatorTape, gradient: &mut [f32]) {
+        let VentilatorShape { states, hidden, .. } = self.shape;
         self.filters.shape().gradient(&tape.d_drive, &tape.commands, gradient);
         let c: Vec<Lane> =
             tape.after.chunks_exact(states + hidden).flat_map(|after| &after[..states]).copied().collect();
@@ -269,5 +275,61 @@ impl Ventilator {
         for (n, d) in d_shifts.iter().chain(&tape.d_stretch).enumerate() {
             self.own.add_gradient(&tape.members, n, d, own);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests_support::check_slopes;
+    use rand_chacha::rand_core::SeedableRng;
+
+    const BLOCKS: usize = 6;
+
+    fn weight(block: usize, opening: usize) -> Lane {
+        Lane::from_fn(|l| 10.0 * ((7 * block + 3 * opening + l) as f32).cos())
+    }
+
+    /// A breath of a ventilator that every third lane does not know; sum of its openings, each with a weight.
+    fn breathe(shape: VentilatorShape, parameters: &[f32]) -> (VentilatorModel, VentilatorTape, f64) {
+        let model = VentilatorModel::new(shape, parameters);
+        let mut tape = model.tape(BLOCKS);
+        let ventilator = std::array::from_fn(|l| (l as u32 % 3).checked_sub(1));
+        let start = BreathStart {
+            pressure: Lane::splat(6.0),
+            ventilator,
+            rest: Lane::splat(0.2),
+            ..BreathStart::default()
+        };
+        model.begin(&mut tape, &start, &[Lane::splat(0.1), Lane::splat(-0.2)]);
+        let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.2); shape.timing.width()]);
+        let mut total = 0.0;
+        for block in 0..BLOCKS {
+            log.block_mut(block).fill(Lane::from_fn(|l| 0.6 + 0.4 * ((3 * block + l) as f32).sin()));
+            model.step(&mut tape, block, &log);
+            for (n, opening) in tape.openings[block].iter().enumerate() {
+                total += (0..LANES).map(|l| f64::from(weight(block, n)[l] * opening[l])).sum::<f64>();
+            }
+        }
+        (model, tape, total)
+    }
+
+    #[test]
+    fn gradients_by_parameters_agree_with_finite_differences() {
+        let timing = Timing::for_period(10_000, 1);
+        let shape = VentilatorShape { timing, states: 3, hidden: 4, history: 2, ventilators: 2 };
+        let mut parameters = shape.initialise(&mut ChaCha8Rng::seed_from_u64(7));
+        let own = parameters.len() - shape.ventilators * shape.own();
+        for (n, parameter) in parameters[own..].iter_mut().enumerate() {
+            *parameter = 0.1 * (n as f32).sin();
+        }
+        let (model, mut tape, _) = breathe(shape, &parameters);
+        let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; timing.width()]);
+        for block in (0..BLOCKS).rev() {
+            model.step_back(&mut tape, block, &[weight(block, 0), weight(block, 1)], &mut d_log);
+        }
+        let mut gradient = vec![0.0; parameters.len()];
+        model.finish(&tape, &mut gradient);
+        check_slopes("parameter", &parameters, 5e-3, &gradient, |varied| breathe(shape, varied).2);
     }
 }

@@ -17,11 +17,11 @@ use super::leaky::Leaky;
 use super::{CommandLog, Timing, piece, piece_mut};
 use engine::Lane;
 use engine::activation::Activation;
-use engine::dense::{Dense, DenseWeights};
+use engine::dense::{DenseLayer, DenseWeights};
 
 /// Shape of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Shape {
+pub(super) struct RecurrentShape {
     /// How time is cut.
     pub timing: Timing,
     /// States.
@@ -38,7 +38,7 @@ pub(super) struct Shape {
     pub outputs: usize,
 }
 
-impl Shape {
+impl RecurrentShape {
     fn commands(&self) -> usize {
         self.history * self.timing.width()
     }
@@ -49,9 +49,9 @@ impl Shape {
     }
 
     /// Layers (hidden, drive, readout, start), index of the decays, number of parameters.
-    fn layout(&self) -> ([Dense; 4], usize, usize) {
+    fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
         let commands = self.commands();
-        let (layers, decay) = Dense::layout([
+        let (layers, decay) = DenseLayer::layout([
             (self.inputs(), self.hidden),
             (self.hidden + commands, self.states),
             (self.states + self.hidden, self.outputs),
@@ -85,8 +85,8 @@ impl Shape {
 
 /// The network with its parameters, ready to run.
 #[derive(Clone, Debug)]
-pub(super) struct Network {
-    shape: Shape,
+pub(super) struct RecurrentNetwork {
+    shape: RecurrentShape,
     hidden: DenseWeights,
     drive: DenseWeights,
     readout: DenseWeights,
@@ -97,7 +97,7 @@ pub(super) struct Network {
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
-pub(super) struct Tape {
+pub(super) struct RecurrentTape {
     /// `[c, v, k]` before each block.
     state: Vec<Lane>,
     /// `[z, v]` of each block.
@@ -116,12 +116,12 @@ pub(super) struct Tape {
     scratch: Vec<Lane>,
 }
 
-impl Network {
+impl RecurrentNetwork {
     /// A network from its parameters.
     ///
     /// # Panics
-    /// If `parameters` does not have [`Shape::parameters`] entries.
-    pub fn new(shape: Shape, parameters: &[f32]) -> Self {
+    /// If `parameters` does not have [`RecurrentShape::parameters`] entries.
+    pub fn new(shape: RecurrentShape, parameters: &[f32]) -> Self {
         let ([hidden, drive, readout, start], decay_offset, total) = shape.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
         Self {
@@ -141,11 +141,11 @@ impl Network {
     }
 
     /// Memory for a rollout of so many blocks.
-    pub fn tape(&self, blocks: usize) -> Tape {
-        let Shape { states, hidden, known, constants, outputs, .. } = self.shape;
+    pub fn tape(&self, blocks: usize) -> RecurrentTape {
+        let RecurrentShape { states, hidden, known, constants, outputs, .. } = self.shape;
         let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
-        Tape {
+        RecurrentTape {
             state: vec![Lane::ZERO; (blocks + 1) * inputs],
             hidden: zeros(hidden + commands),
             after: zeros(states + hidden),
@@ -162,7 +162,7 @@ impl Network {
     }
 
     /// Starts a breath.
-    pub fn begin(&self, tape: &mut Tape, known: &[Lane], constants: &[Lane]) {
+    pub fn begin(&self, tape: &mut RecurrentTape, known: &[Lane], constants: &[Lane]) {
         tape.known.copy_from_slice(known);
         tape.constants.copy_from_slice(constants);
         self.start.forward(known, &mut tape.state[..self.shape.states]);
@@ -171,8 +171,8 @@ impl Network {
     }
 
     /// One block forward.
-    pub fn step(&self, tape: &mut Tape, block: usize, log: &CommandLog, outputs: &mut [Lane]) {
-        let Shape { states, hidden, history, .. } = self.shape;
+    pub fn step(&self, tape: &mut RecurrentTape, block: usize, log: &CommandLog, outputs: &mut [Lane]) {
+        let RecurrentShape { states, hidden, history, .. } = self.shape;
         let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
         let (before, after) = tape.state.split_at_mut((block + 1) * inputs);
         let before = piece_mut(before, block, inputs);
@@ -197,12 +197,12 @@ impl Network {
     /// One block back, from `d_outputs(n)`, the gradient by its n-th output.
     pub fn step_back(
         &self,
-        tape: &mut Tape,
+        tape: &mut RecurrentTape,
         block: usize,
         d_outputs: impl Fn(usize) -> Lane,
         d_log: &mut CommandLog,
     ) {
-        let Shape { states, hidden, outputs, .. } = self.shape;
+        let RecurrentShape { states, hidden, outputs, .. } = self.shape;
         let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
         let d_y = piece_mut(&mut tape.d_readout, block, outputs);
         for (n, d_y) in d_y.iter_mut().enumerate() {
@@ -240,7 +240,7 @@ impl Network {
     }
 
     /// Adds the gradient by the parameters, once all blocks have gone back.
-    pub fn finish(&self, tape: &Tape, gradient: &mut [f32]) {
+    pub fn finish(&self, tape: &RecurrentTape, gradient: &mut [f32]) {
         let blocks = tape.drive.len() / self.shape.states;
         let inputs = self.shape.inputs();
         self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
@@ -250,5 +250,52 @@ impl Network {
         for (gradient, d) in gradient[self.decay_offset..].iter_mut().zip(&tape.d_decay) {
             *gradient += d.sum();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests_support::check_slopes;
+    use engine::LANES;
+    use rand_chacha::rand_core::SeedableRng;
+
+    const BLOCKS: usize = 6;
+
+    fn weight(block: usize, output: usize) -> Lane {
+        Lane::from_fn(|l| ((7 * block + 3 * output + l) as f32).cos())
+    }
+
+    /// A breath; sum of all outputs, each with a weight of its own.
+    fn breathe(shape: RecurrentShape, parameters: &[f32]) -> (RecurrentNetwork, RecurrentTape, f64) {
+        let network = RecurrentNetwork::new(shape, parameters);
+        let mut tape = network.tape(BLOCKS);
+        network.begin(&mut tape, &[Lane::splat(0.3), Lane::splat(-0.4)], &[Lane::splat(0.5)]);
+        let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.2); shape.timing.width()]);
+        let (mut outputs, mut total) = (vec![Lane::ZERO; shape.outputs], 0.0);
+        for block in 0..BLOCKS {
+            log.block_mut(block).fill(Lane::from_fn(|l| 0.6 + 0.4 * ((3 * block + l) as f32).sin()));
+            network.step(&mut tape, block, &log, &mut outputs);
+            for (n, output) in outputs.iter().enumerate() {
+                total += (0..LANES).map(|l| f64::from(weight(block, n)[l] * output[l])).sum::<f64>();
+            }
+        }
+        (network, tape, total)
+    }
+
+    #[test]
+    fn gradients_by_parameters_agree_with_finite_differences() {
+        let timing = Timing::for_period(1000, 1);
+        let shape =
+            RecurrentShape { timing, states: 3, hidden: 4, history: 2, known: 2, constants: 1, outputs: 2 };
+        let parameters = shape.initialise(1.0, &mut ChaCha8Rng::seed_from_u64(7));
+        let (network, mut tape, _) = breathe(shape, &parameters);
+        let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; timing.width()]);
+        for block in (0..BLOCKS).rev() {
+            network.step_back(&mut tape, block, |n| weight(block, n), &mut d_log);
+        }
+        let mut gradient = vec![0.0; parameters.len()];
+        network.finish(&tape, &mut gradient);
+        check_slopes("parameter", &parameters, 5e-3, &gradient, |varied| breathe(shape, varied).2);
     }
 }

@@ -1,0 +1,80 @@
+//! The loss of a breath: mean distance of the pressure from its target, with a factor on overshoot.
+
+use engine::{Lane, huber};
+
+use super::scenario::Scenario;
+
+/// Error below which the L1 loss is rounded off, cmH2O: its kink would make the last steps of training rattle.
+const ROUNDING: f32 = 0.02;
+
+/// Loss of a shard: the weighted mean of |p - target| over ticks and rollouts (with its factor on overshoot),
+/// and the plain mean of each rollout.
+#[derive(Clone, Debug)]
+pub struct Loss {
+    /// Weighted sum over rollouts of the mean over ticks.
+    pub weighted: f64,
+    /// Mean |p - target| of each rollout, cmH2O.
+    pub score: Lane,
+}
+
+impl Loss {
+    /// The loss of the pressures (cmH2O) of all ticks.
+    pub fn of(scenario: &Scenario, pressure: &[Lane]) -> Self {
+        let (mut score, mut weighted) = (Lane::ZERO, 0.0);
+        let share = 1.0 / scenario.ticks as f32;
+        for pressure in pressure {
+            let error = pressure.zip(&scenario.pip, |p, target| p - target);
+            score.add_scaled(share, &error.map(f32::abs));
+            let rounded = error.map(|e| {
+                let size = huber::value(e, ROUNDING);
+                if e > 0.0 { scenario.overshoot_weight * size } else { size }
+            });
+            weighted += f64::from(rounded.zip(&scenario.weight, |e, w| share * w * e).sum());
+        }
+        Self { weighted, score }
+    }
+
+    /// Mean score of the rollouts, cmH2O.
+    pub fn mean_score(&self) -> f64 {
+        f64::from(self.score.sum()) / engine::LANES as f64
+    }
+}
+
+/// Gradient of [`Loss::weighted`] by the pressures of one tick.
+pub(super) fn slope(scenario: &Scenario, pressure: &Lane) -> Lane {
+    let above = scenario.overshoot_weight;
+    let share = 1.0 / scenario.ticks as f32;
+    Lane::from_fn(|l| {
+        let error = pressure[l] - scenario.pip[l];
+        let slope = huber::slope(error, ROUNDING);
+        share * scenario.weight[l] * if error > 0.0 { above * slope } else { slope }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_slope_agrees_with_finite_differences_and_overshoot_weighs_more() {
+        let scenario = Scenario {
+            weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),
+            overshoot_weight: 1.5,
+            ..Scenario::plain(2, Lane::splat(20.0))
+        };
+        // Errors from -7.5 to 7.5, none of them at the kink.
+        let pressure = Lane::from_fn(|l| 12.5 + l as f32);
+        let slope = slope(&scenario, &pressure);
+        let step = 0.25;
+        for l in 0..engine::LANES {
+            let at = |step: f32| {
+                let mut moved = pressure;
+                moved[l] += step;
+                Loss::of(&scenario, &[pressure, moved]).weighted
+            };
+            let numeric = (at(step) - at(-step)) / f64::from(2.0 * step);
+            assert!((numeric - f64::from(slope[l])).abs() < 1e-4, "rollout {l}: {numeric}");
+        }
+        assert!((slope[15] + 1.5 * slope[0]).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,74 @@
+//! What a shard breathes in training: PIPs, starts of the breaths, sensor noise.
+
+use engine::Lane;
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::StandardNormal;
+
+use super::config::TrainConfig;
+use crate::simulator::BreathStart;
+
+/// What a shard breathes.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// Ticks of the inspiration.
+    pub ticks: usize,
+    /// PIP of each rollout, cmH2O.
+    pub pip: Lane,
+    /// PEEP, cmH2O.
+    pub peep: f32,
+    /// How the breaths start.
+    pub start: BreathStart,
+    /// Command before the inspiration, percent.
+    pub rest: f32,
+    /// Sensor noise of each tick, cmH2O.
+    pub noise: Vec<Lane>,
+    /// Weight of each rollout in the loss.
+    pub weight: Lane,
+    /// Factor on errors above the target, 1 for the plain L1.
+    pub overshoot_weight: f32,
+}
+
+impl Scenario {
+    /// Inspirations from a PEEP of 5 cmH2O, without noise.
+    #[cfg(test)]
+    pub fn plain(ticks: usize, pip: Lane) -> Self {
+        Self {
+            ticks,
+            pip,
+            peep: 5.0,
+            start: BreathStart { pressure: Lane::splat(5.0), plateau: pip, ..BreathStart::default() },
+            rest: 5.0,
+            noise: vec![Lane::ZERO; ticks],
+            weight: Lane::splat(1.0),
+            overshoot_weight: 1.0,
+        }
+    }
+
+    /// Draws a shard's inspirations, with starting pressures around `start` and sensor noise of this standard
+    /// deviation, cmH2O.
+    pub(super) fn draw(config: &TrainConfig, ticks: usize, start: f32, noise: f32, stream: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        rng.set_stream(stream);
+        let pip = Lane::from_fn(|l| match config.pips.get(l) {
+            Some(pip) => *pip,
+            None => rng.random_range(config.pip_range.0..config.pip_range.1),
+        });
+        let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
+        Self {
+            ticks,
+            pip,
+            peep: config.peep,
+            start: BreathStart {
+                pressure: Lane::from_fn(|_| start + normal(config.start_spread)),
+                plateau: pip,
+                ..BreathStart::default()
+            },
+            rest: config.rest,
+            noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
+            weight: Lane::splat(1.0),
+            overshoot_weight: config.overshoot_weight,
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! How a simulator cuts time: control ticks into blocks, blocks into the parts that commands are averaged over and the
+//! points that pressures are given at.
+
+use serde::{Deserialize, Serialize};
+
+/// How a simulator cuts time; in control ticks of the recording it was fitted to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Timing {
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// Control ticks per block.
+    pub block_ticks: usize,
+    /// Parts of a block over which commands are averaged.
+    pub parts: usize,
+    /// Pressure points per block, the last one at its end.
+    pub points: usize,
+    /// Command channels: 1 for the inspiratory valve alone.
+    pub channels: usize,
+}
+
+/// Longest block, seconds: the least dead time of the bench's valve.
+const BLOCK_TIME: f32 = 0.010;
+
+impl Timing {
+    /// The blocks for a control period: 10 ms, or one tick where that is longer.
+    pub fn for_period(period_us: u32, channels: usize) -> Self {
+        let block_ticks = (shared::math::ticks(BLOCK_TIME, period_us) as usize).max(1);
+        let (parts, points) = if block_ticks >= 2 { (2, 2) } else { (1, 1) };
+        Self { period_us, block_ticks, parts, points, channels }
+    }
+
+    /// Duration of a block, s.
+    pub fn block_s(&self) -> f32 {
+        self.block_ticks as f32 * self.period_us as f32 * 1e-6
+    }
+
+    /// Values per block in a [`CommandLog`].
+    pub fn width(&self) -> usize {
+        self.parts * self.channels
+    }
+
+    /// Blocks that cover `ticks` control ticks.
+    pub fn blocks(&self, ticks: usize) -> usize {
+        ticks.div_ceil(self.block_ticks)
+    }
+
+    /// Age in blocks of the newest command that a step may use: the running block's where it is a single tick
+    /// (its command is known before its pressure), the previous one's otherwise.
+    pub fn lag(&self) -> usize {
+        usize::from(self.block_ticks > 1)
+    }
+
+    /// Part of its block in which a tick lies.
+    pub fn part(&self, tick_in_block: usize) -> usize {
+        tick_in_block * self.parts / self.block_ticks
+    }
+
+    /// Number of ticks in a part.
+    pub fn part_ticks(&self, part: usize) -> usize {
+        (0..self.block_ticks).filter(|tick| self.part(*tick) == part).count()
+    }
+
+    /// Weights of the block's start, and its points, in the pressure `tick` ticks after the start of the block:
+    /// the parabola (with two points) or line (with one) through them.
+    pub fn interpolation(&self, tick: usize) -> [f32; 3] {
+        let s = tick as f32 / self.block_ticks as f32;
+        if self.points == 1 {
+            return [1.0 - s, s, 0.0];
+        }
+        [(1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_are_ten_milliseconds_or_one_tick() {
+        let fast = Timing::for_period(1000, 1);
+        assert_eq!((fast.block_ticks, fast.parts, fast.points, fast.lag()), (10, 2, 2, 1));
+        let slow = Timing::for_period(30_000, 1);
+        assert_eq!((slow.block_ticks, slow.parts, slow.points, slow.lag()), (1, 1, 1, 0));
+        assert_eq!((fast.blocks(1000), fast.part(4), fast.part(5), fast.part_ticks(0)), (100, 0, 1, 5));
+    }
+
+    #[test]
+    fn interpolation_passes_through_the_points_and_is_exact_for_parabolas() {
+        let timing = Timing::for_period(1000, 1);
+        let parabola = |s: f32| 3.0 - 2.0 * s + 5.0 * s * s;
+        for tick in 0..=10 {
+            let [start, middle, end] = timing.interpolation(tick);
+            let value = start * parabola(0.0) + middle * parabola(0.5) + end * parabola(1.0);
+            assert!((value - parabola(tick as f32 / 10.0)).abs() < 1e-5);
+        }
+    }
+}
