@@ -49,7 +49,7 @@ fn six_million_rows_stream_through_little_memory() {
     write_table(&table);
     let layout = ColumnMap::kaggle().layout().unwrap();
     let start = Instant::now();
-    let summary = import(&[table], &layout, &out, &mut |_| ()).unwrap();
+    let summary = import(&[table], &layout, &out, &Progress::silent()).unwrap();
     println!("{:.1} s, {:.0} MiB at most", start.elapsed().as_secs_f64(), peak_mib());
     assert_eq!((summary.rows, summary.breaths), (BREATHS * ROWS, BREATHS));
     assert!(peak_mib() < MOST_MIB, "{} MiB", peak_mib());

@@ -17,7 +17,7 @@ use device::blackbox::{Blackbox, Trace};
 use device::port::Address;
 use emulator::{BenchPlant, Debugger, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd, symbol};
 use plant::bench::BenchConfig;
-use progress::Watch;
+use progress::Progress;
 use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
@@ -85,7 +85,7 @@ fn renamed(training: u8) -> ([u8; IMAGE_BYTES], u32) {
 }
 
 fn upload(device: &mut Device, training: u8) -> (u32, Slot) {
-    let uploaded = device.upload(&renamed(training).0, &mut |_| ()).unwrap();
+    let uploaded = device.upload(&renamed(training).0, &Progress::silent()).unwrap();
     assert_eq!(uploaded.id, renamed(training).1);
     (uploaded.id, uploaded.slot)
 }
@@ -210,9 +210,9 @@ fn a_recording_over_the_link_is_that_of_the_bench_in_process_bit_for_bit() {
     let controller = pid(KNOWN_GOOD);
     let mut bench =
         BenchSource::new(&lung(), controller.clone(), &config.settings, 1000, config.seed).unwrap();
-    let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap().recording;
+    let here = collect(&mut bench, &controller, &config, &Progress::silent()).unwrap().recording;
     let mut port = PortSource::new(device, config.seed).unwrap();
-    let there = collect(&mut port, &controller, &config, &Watch::silent()).unwrap().recording;
+    let there = collect(&mut port, &controller, &config, &Progress::silent()).unwrap().recording;
     let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&here.u_in), bits(&there.u_in));
     assert_eq!(bits(&here.pressure), bits(&there.pressure));
@@ -287,7 +287,7 @@ fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
             std::thread::sleep(Duration::from_millis(400 + delay_ms));
             board.kill();
         });
-        let stored = device.upload(&image, &mut |_| ()).is_ok();
+        let stored = device.upload(&image, &Progress::silent()).is_ok();
         cutter.join().unwrap();
         drop(device);
         let (_board, mut device) = breathing(config(), &lung());
@@ -512,7 +512,7 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     while !ended(&device.recorder().unwrap()) {
         assert!(Instant::now() < deadline, "the recording goes on and on");
     }
-    let before = device.blackbox(&mut |_| ()).unwrap();
+    let before = device.blackbox(&Progress::silent()).unwrap();
     let fault = Fault::ReadingNotANumber;
     assert_eq!(before.status.recording, Recording::Fault(fault));
     assert_eq!(before.fast.entries.len(), FAST_ENTRIES);
@@ -523,7 +523,7 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     );
     assert!(before.slow.ticks().any(|tick| tick.pressure > 20.0), "the breaths before are in it");
     device.restart().unwrap();
-    let after = device.blackbox(&mut |_| ()).unwrap();
+    let after = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!(
         (after.status.boot, after.status.recording),
         (before.status.boot + 1, before.status.recording)
@@ -550,7 +550,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     debugger.write(step, &[0xFE, 0xE7]).unwrap();
     debugger.detach().unwrap();
     restarted_by(&mut device, ResetCause::Watchdog);
-    let blackbox = device.blackbox(&mut |_| ()).unwrap();
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, Recording::Reset));
     assert_eq!(blackbox.status.tick_boot, 1);
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
@@ -580,7 +580,7 @@ fn reading_the_recorder_disturbs_no_tick() {
     let mut samples = Samples::default();
     samples.until(&device, |sample| sample.breath == 1);
     device.timing(true).unwrap();
-    let blackbox = device.blackbox(&mut |_| ()).unwrap();
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
     samples.until(&device, |sample| sample.breath == 3);
     let times = device.timing(false).unwrap();
     assert_eq!((blackbox.status.recording, blackbox.unread), (Recording::Running, 0));

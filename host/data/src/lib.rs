@@ -3,6 +3,7 @@
 
 pub mod files;
 pub mod import;
+pub mod json;
 pub mod provenance;
 pub mod recording;
 pub mod tensors;

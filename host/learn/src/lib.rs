@@ -3,4 +3,5 @@
 
 pub mod controller;
 pub mod pipeline;
+pub mod recipe;
 pub mod simulator;

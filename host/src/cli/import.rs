@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Subcommand;
 use serde::Serialize;
 
-use super::common::bar;
+use super::bars::with_bars;
 use super::output::OutputArgs;
 use data::import::foreign::map::ColumnMap;
 use data::import::respiraworks::ImportSummary;
@@ -143,11 +143,7 @@ fn respiraworks(args: &FileArgs) -> anyhow::Result<()> {
 
 fn foreign(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
     let layout = map.layout()?;
-    let length = |path: &PathBuf| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
-    let bar = bar("reading, bytes", args.files.iter().map(length).sum::<u64>() as usize);
-    let summary = foreign::import(&args.files, &layout, &args.out, &mut |bytes| bar.set_position(bytes));
-    bar.finish_and_clear();
-    let summary = summary?;
+    let summary = with_bars(|progress| foreign::import(&args.files, &layout, &args.out, progress))?;
     args.output.line(&summary.to_string());
     args.output.line(&format!("saved {}", args.out.display()));
     args.output.finish(&summary)

@@ -200,7 +200,7 @@ impl PortSource {
         let id = decode(&image).map_err(UploadError::from)?.id;
         let slot = self.identity.running.map(|slot| self.identity.slots[slot as usize]);
         if !matches!(slot, Some(SlotState::Valid { id: running, .. }) if running == id) {
-            self.device.upload(&image, &mut |_| ())?;
+            self.device.upload(&image, &Progress::silent())?;
             self.identity = self.device.restart()?;
             self.device.telemetry(true)?;
         }

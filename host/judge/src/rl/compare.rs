@@ -16,7 +16,7 @@ use super::ventilation::{Inspirations, TaskConfig};
 use super::{Actions, End, Greedy, Shard};
 use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
-use progress::Watch;
+use progress::{Progress, Stage};
 
 /// Which algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -140,7 +140,7 @@ pub fn train(
     simulators: &[Simulator],
     held_out: &Simulator,
     config: &RlConfig,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Trained, ResidualError> {
     let (task_config, actions, samples) = match kind {
         Kind::Ppo => (&config.ppo_task, Actions::Continuous, config.ppo_samples),
@@ -159,8 +159,9 @@ pub fn train(
     let per_round = learner.steps() as u64 * hold;
     let rounds = samples.div_ceil(per_round);
     let every = (rounds / config.validations.max(1)).max(1);
+    let task = progress.task(Stage::Reinforce, rounds as usize);
     for round in 0..rounds {
-        if watch.stopped() {
+        if task.stopped() {
             break;
         }
         learner.round(round as f32 / rounds as f32);
@@ -171,7 +172,7 @@ pub fn train(
             if score < best.0 {
                 best = (score, greedy);
             }
-            watch.progress((round + 1) as usize, rounds as usize);
+            task.reach((round + 1) as usize);
         }
     }
     let (validation, greedy) = best;
@@ -223,14 +224,14 @@ mod tests {
         }
     }
 
-    fn run(kind: Kind, config: &RlConfig, watch: &Watch<'_>) -> Trained {
-        train(kind, &[first_order(1.0)], &first_order(1.0), config, watch).unwrap()
+    fn run(kind: Kind, config: &RlConfig, progress: &Progress<'_>) -> Trained {
+        train(kind, &[first_order(1.0)], &first_order(1.0), config, progress).unwrap()
     }
 
     #[test]
     fn both_learn_and_keep_their_best_policy() {
         for kind in [Kind::Ppo, Kind::Dqn] {
-            let trained = run(kind, &small(), &Watch::silent());
+            let trained = run(kind, &small(), &Progress::silent());
             let best = trained.curve.iter().map(|(_, score)| *score).fold(f64::INFINITY, f64::min);
             assert!((trained.validation - best).abs() < f64::EPSILON, "{kind:?}");
             assert!(best < 0.5 * trained.curve[0].1, "{kind:?}: {:?}", trained.curve);
@@ -240,7 +241,7 @@ mod tests {
     #[test]
     fn samples_are_control_ticks_and_cover_the_budget() {
         for (kind, per_round) in [(Kind::Ppo, 16_000), (Kind::Dqn, 160)] {
-            let curve = run(kind, &small(), &Watch::silent()).curve;
+            let curve = run(kind, &small(), &Progress::silent()).curve;
             let budget = if kind == Kind::Ppo { small().ppo_samples } else { small().dqn_samples };
             let (last, _) = curve[curve.len() - 1];
             assert!((budget..budget + per_round).contains(&last), "{kind:?}: {last}");
@@ -251,7 +252,7 @@ mod tests {
     #[test]
     fn the_same_seed_gives_the_same_curve() {
         for kind in [Kind::Ppo, Kind::Dqn] {
-            let curve = |seed| run(kind, &RlConfig { seed, ..small() }, &Watch::silent()).curve;
+            let curve = |seed| run(kind, &RlConfig { seed, ..small() }, &Progress::silent()).curve;
             assert_eq!(curve(1), curve(1));
             assert_ne!(curve(1), curve(2));
         }
@@ -260,7 +261,7 @@ mod tests {
     #[test]
     fn a_stopped_training_ends_at_once_with_what_it_has() {
         let stop = AtomicBool::new(true);
-        let trained = run(Kind::Ppo, &small(), &Watch::new(&|_, _| (), &stop));
+        let trained = run(Kind::Ppo, &small(), &Progress::quiet(&stop));
         assert_eq!(trained.curve.len(), 1);
     }
 

@@ -146,7 +146,7 @@ struct Ensemble {
 
 /// A point of the training curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Progress {
+pub struct CurvePoint {
     /// Gradient steps done.
     pub iteration: usize,
     /// Score of the last training batch, cmH2O.
@@ -295,7 +295,7 @@ impl Training {
     }
 
     /// Steps until the next validation; none when training is done.
-    pub fn advance(&mut self) -> Option<Progress> {
+    pub fn advance(&mut self) -> Option<CurvePoint> {
         if self.iteration >= self.config.iterations {
             return None;
         }
@@ -305,7 +305,7 @@ impl Training {
             training = self.step();
         }
         let validation = self.keep_best();
-        Some(Progress { iteration: self.iteration, training, validation })
+        Some(CurvePoint { iteration: self.iteration, training, validation })
     }
 
     /// Validates the present parameters and keeps them if they are the best so far; the mean score over the plants.

@@ -9,14 +9,13 @@
 //! round-0/controller.safetensors, round-0/round.json
 //! ```
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use data::json::{self, JsonError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{PipelineConfig, PipelineError};
-use data::files::write_atomically;
+use super::PipelineError;
 
 /// A run's folder.
 #[derive(Clone, Debug)]
@@ -39,14 +38,14 @@ impl Folder {
     ///
     /// # Errors
     /// The folder holds a run with another one.
-    pub(super) fn claim(&self, config: &PipelineConfig) -> Result<(), PipelineError> {
-        let path = self.path.join("run.json");
-        match read_json::<PipelineConfig>(&path)? {
-            Some(earlier) if earlier != *config => {
-                Err(PipelineError::OtherRun(self.path.display().to_string()))
-            }
-            Some(_) => Ok(()),
-            None => write_json(&path, config),
+    pub(super) fn claim<T: PartialEq + Serialize + DeserializeOwned>(
+        &self,
+        configuration: &T,
+    ) -> Result<(), PipelineError> {
+        if json::claim(&self.path, configuration)? {
+            Ok(())
+        } else {
+            Err(PipelineError::OtherRun(self.path.display().to_string()))
         }
     }
 
@@ -55,29 +54,12 @@ impl Folder {
         &self,
         round: usize,
         name: &str,
-    ) -> Result<Option<T>, PipelineError> {
-        read_json(&self.file(round, name))
+    ) -> Result<Option<T>, JsonError> {
+        json::read(&self.file(round, name))
     }
 
     /// Leaves something.
-    pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
-        write_json(&self.file(round, name), value)
+    pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), JsonError> {
+        json::write(&self.file(round, name), value)
     }
-}
-
-fn failure(path: &Path, reason: &impl ToString) -> PipelineError {
-    PipelineError::Folder { path: path.display().to_string(), reason: reason.to_string() }
-}
-
-fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, PipelineError> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    let text = fs::read_to_string(path).map_err(|e| failure(path, &e))?;
-    serde_json::from_str(&text).map(Some).map_err(|e| failure(path, &e))
-}
-
-fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
-    let text = serde_json::to_string(value).map_err(|e| failure(path, &e))?;
-    write_atomically(path, text.as_bytes()).map_err(|e| failure(path, &e))
 }

@@ -8,7 +8,6 @@ mod tests;
 mod venue;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -18,13 +17,15 @@ use shared::control::pid::{GainError, Pid, PidGains};
 use thiserror::Error;
 
 use data::files::write_atomically;
+use data::json::{self, JsonError};
 use data::recording::DatasetError;
 use data::tensors::TensorError;
 use judge::baselines::{Best, Search, TuneError, tune_pid};
 use judge::evaluate::{Evaluation, Plan, Trace};
 use learn::controller::learned::LearnedError;
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError, Stage};
+use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};
 use plant::bench::BenchConfig;
+use progress::{Progress, Stage};
 use show::report::ReportError;
 use ventilator::SourceError;
 
@@ -44,20 +45,6 @@ pub struct DemoConfig {
     /// Where breaths are recorded and compared; the search is always in this process.
     pub venue: Venue,
 }
-
-/// Which part is under way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
-    /// Searching the best PID.
-    Tune,
-    /// A stage of a round (from 0).
-    Round(usize, Stage),
-    /// Comparing the controllers on the true bench.
-    Evaluate,
-}
-
-/// Progress: step, done, in all.
-pub type Observer<'a> = &'a (dyn Fn(Step, usize, usize) + Sync);
 
 /// Why the job cannot be finished.
 #[derive(Debug, Error)]
@@ -86,6 +73,9 @@ pub enum DemoError {
     /// Report.
     #[error(transparent)]
     Report(#[from] ReportError),
+    /// Settings or figures.
+    #[error(transparent)]
+    Json(#[from] JsonError),
     /// Another file.
     #[error("cannot write {path}: {reason}")]
     File {
@@ -145,17 +135,12 @@ struct Tuned {
 ///
 /// # Errors
 /// The first step that fails; what earlier steps wrote stays.
-pub fn run(
-    config: &DemoConfig,
-    out: &Path,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
-) -> Result<Demo, DemoError> {
+pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo, DemoError> {
     let started = Instant::now();
-    let best = tuned(config, out, observer, stop)?;
-    let outcome = learn(config, best.pid.gains, out, observer, stop)?;
+    let best = tuned(config, out, progress)?;
+    let outcome = learn(config, best.pid.gains, out, progress)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
-    let contestants = compare(config, &best, &outcome, &plan, observer, stop)?;
+    let contestants = compare(config, &best, &outcome, &plan, progress)?;
     let mut summary = Summary::new(config, &best, &outcome, &contestants);
     summary.wall_s = started.elapsed().as_secs_f64();
     let demo = Demo { summary, best, outcome, contestants, plan };
@@ -164,29 +149,22 @@ pub fn run(
 }
 
 /// The best PID, searched or as an earlier run in this folder found it.
-fn tuned(
-    config: &DemoConfig,
-    out: &Path,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
-) -> Result<Best, DemoError> {
+fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best, DemoError> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
     let file = out.join("tuning.json");
-    let earlier: Option<Tuned> =
-        std::fs::read_to_string(&file).ok().and_then(|text| serde_json::from_str(&text).ok());
-    if let Some(tuned) = earlier
+    // A file of another version is searched again, as one of another bench is.
+    if let Ok(Some(tuned)) = json::read::<Tuned>(&file)
         && (&tuned.bench, &tuned.search, &tuned.plan) == (&config.bench, &config.search, &plan)
     {
         return Ok(tuned.best);
     }
-    let progress = |done, total| observer(Step::Tune, done as usize, total as usize);
-    let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, &progress, stop)?;
+    let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, progress)?;
     if !result.complete {
         return Err(DemoError::Stopped);
     }
     let (bench, search) = (config.bench.clone(), config.search.clone());
     let tuned = Tuned { bench, search, plan, best: result.over_all };
-    write(&file, serde_json::to_string(&tuned).unwrap_or_default().as_bytes())?;
+    json::write(&file, &tuned)?;
     Ok(tuned.best)
 }
 
@@ -194,16 +172,14 @@ fn learn(
     config: &DemoConfig,
     gains: PidGains,
     out: &Path,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
+    progress: &Progress<'_>,
 ) -> Result<Outcome, DemoError> {
     let pipeline = PipelineConfig { gains, ..config.pipeline.clone() };
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Folder::new(out.join("run"));
-    let progress = |round, stage, done, total| observer(Step::Round(round, stage), done, total);
-    Ok(pipeline::run(&pipeline, &[&source], Some(&folder), &progress, stop)?)
+    Ok(pipeline::run(&pipeline, &[&source], Some(&folder), progress)?)
 }
 
 fn compare(
@@ -211,8 +187,7 @@ fn compare(
     best: &Best,
     outcome: &Outcome,
     plan: &Plan,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
+    progress: &Progress<'_>,
 ) -> Result<Vec<Contestant>, DemoError> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
     // A vector: on the stack, controllers with their weights would be large.
@@ -222,13 +197,10 @@ fn compare(
         ("PID", pid(best.pid.gains)?),
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
-    let total = controllers.len() * plan.pips.len() * plan.seeds.len();
-    let done = AtomicUsize::new(0);
-    observer(Step::Evaluate, 0, total);
+    let task = progress.task(Stage::Evaluate, controllers.len() * plan.pips.len() * plan.seeds.len());
     // Side by side: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
-        let one_more = || observer(Step::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &one_more, stop)?;
+        let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &task.part())?;
         let traces = config.venue.traces(&config.bench, &controller, plan)?;
         Ok(Contestant { name, controller, evaluation, traces })
     };
@@ -243,8 +215,7 @@ impl Demo {
         }
         self.outcome.learned.save(&out.join("controller.safetensors"))?;
         write(&out.join("weights.bin"), &self.outcome.learned.image()?)?;
-        let summary = serde_json::to_string_pretty(&self.summary).unwrap_or_default();
-        write(&out.join("summary.json"), summary.as_bytes())?;
+        json::write(&out.join("summary.json"), &self.summary)?;
         Ok(self.report().save(out.join("report.html"))?)
     }
 }

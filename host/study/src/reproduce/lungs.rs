@@ -9,9 +9,8 @@ use super::study::Study;
 use super::{ReproduceError, Reproduction};
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
-use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig, Stage};
+use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
-use ventilator::{BenchSource, Source, SourceError};
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -41,9 +40,8 @@ pub(super) struct Lung {
 pub(super) fn tuned(study: &Study<'_>) -> Result<Tuned, ReproduceError> {
     study.keep("tuning", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
-        let progress = |done, total| (study.observer)("search PIDs", done as usize, total as usize);
         let plan = Plan::tuning(*seed);
-        let result = tune_pid(study.lungs(), &budget.search, &plan, &progress, study.stop)?;
+        let result = tune_pid(study.lungs(), &budget.search, &plan, &study.progress)?;
         if !result.complete {
             return Err(ReproduceError::Stopped);
         }
@@ -104,18 +102,9 @@ pub(super) fn train(
     config: &PipelineConfig,
     folder: &str,
 ) -> Result<Outcome, ReproduceError> {
-    let base = study.pid(config.gains)?;
-    let make: Vec<_> = benches
-        .iter()
-        .map(|bench| {
-            |seed| -> Result<Box<dyn Source>, SourceError> {
-                let settings = &config.collect.settings;
-                Ok(Box::new(BenchSource::new(bench, base.clone(), settings, config.period_us, seed)?))
-            }
-        })
-        .collect();
-    let sources: Vec<MakeSource<'_>> = make.iter().map(|make| make as MakeSource<'_>).collect();
-    train_on(study, &sources, config, folder)
+    let run = Folder::new(study.path(folder));
+    let progress = study.progress.of(folder);
+    finished(study, pipeline::run_on_benches(config, benches, Some(&run), &progress)?, folder)
 }
 
 /// The same on any plants.
@@ -125,16 +114,13 @@ pub(super) fn train_on(
     config: &PipelineConfig,
     folder: &str,
 ) -> Result<Outcome, ReproduceError> {
-    let observer = |round: usize, stage: Stage, done, total| {
-        let stage = match stage {
-            Stage::Collect => "collect",
-            Stage::Fit => "fit",
-            Stage::Train => "train",
-        };
-        (study.observer)(&format!("{folder} {}: {stage}", round + 1), done, total);
-    };
     let run = Folder::new(study.path(folder));
-    let outcome = pipeline::run(config, sources, Some(&run), &observer, study.stop)?;
+    let progress = study.progress.of(folder);
+    finished(study, pipeline::run(config, sources, Some(&run), &progress)?, folder)
+}
+
+/// Saves the controller of a run that was not stopped.
+fn finished(study: &Study<'_>, outcome: Outcome, folder: &str) -> Result<Outcome, ReproduceError> {
     if !outcome.complete {
         return Err(ReproduceError::Stopped);
     }

@@ -37,18 +37,19 @@ mod tracking;
 mod unseen;
 
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 
 use serde::{Deserialize, Serialize};
 use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
 use thiserror::Error;
 
+use data::json::JsonError;
 use judge::baselines::TuneError;
 use judge::bound::BoundError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
 use plant::bench::{BenchConfig, BenchError};
+use progress::Progress;
 use show::report::ReportError;
 use ventilator::SourceError;
 
@@ -155,31 +156,19 @@ pub enum ReproduceError {
     )]
     OtherRun(String),
     /// A file.
-    #[error("{path}: {reason}")]
-    File {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        reason: String,
-    },
+    #[error(transparent)]
+    File(#[from] JsonError),
     /// Ctrl-C.
     #[error("stopped; the same command goes on from here")]
     Stopped,
 }
 
-/// Progress: what is under way, steps done, and in all.
-pub type Observer<'a> = &'a (dyn Fn(&str, usize, usize) + Sync);
-
 /// Runs the experiments, then writes everything that the folder holds as `results.json`, `report.html` and `results.md`.
 ///
 /// # Errors
 /// The first experiment that fails; what earlier ones left stays.
-pub fn run(
-    reproduction: &Reproduction,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
-) -> Result<Results, ReproduceError> {
-    let study = Study::new(reproduction, observer, stop)?;
+pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results, ReproduceError> {
+    let study = Study::new(reproduction, progress)?;
     for experiment in Experiment::ALL.into_iter().filter(|e| reproduction.only.contains(e)) {
         match experiment {
             Experiment::Tuning => drop(lungs::tuned(&study)?),

@@ -1,21 +1,20 @@
 //! What experiments share: the folder where each keeps its result, how much they may spend, whom they tell of progress.
 
-use std::fs;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::{Observer, ReproduceError, Reproduction};
-use data::files::write_atomically;
+use super::{ReproduceError, Reproduction};
+use data::json::{self, JsonError};
 use judge::baselines::{Grid, Search};
 use judge::evaluate::{Evaluation, Plan, evaluate};
 use judge::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;
 use plant::bench::BenchConfig;
+use progress::Progress;
 
 /// How much to spend.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,8 +66,7 @@ impl Budget {
 /// The lungs, budgets and folder of a reproduction.
 pub(super) struct Study<'a> {
     pub(super) reproduction: &'a Reproduction,
-    pub(super) observer: Observer<'a>,
-    pub(super) stop: &'a AtomicBool,
+    pub(super) progress: Progress<'a>,
 }
 
 /// What makes results comparable.
@@ -83,18 +81,14 @@ impl<'a> Study<'a> {
     /// Takes the folder, unless it belongs to another study.
     pub(super) fn new(
         reproduction: &'a Reproduction,
-        observer: Observer<'a>,
-        stop: &'a AtomicBool,
+        progress: &Progress<'a>,
     ) -> Result<Self, ReproduceError> {
-        let study = Self { reproduction, observer, stop };
-        let Reproduction { seed, budget, lungs, .. } = reproduction;
+        let Reproduction { seed, budget, lungs, out, .. } = reproduction;
         let claim = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
-        match study.read::<Claim>("run.json")? {
-            Some(earlier) if earlier != claim => {
-                Err(ReproduceError::OtherRun(reproduction.out.display().to_string()))
-            }
-            Some(_) => Ok(study),
-            None => study.write("run.json", &claim).map(|()| study),
+        if json::claim(out, &claim)? {
+            Ok(Self { reproduction, progress: *progress })
+        } else {
+            Err(ReproduceError::OtherRun(out.display().to_string()))
         }
     }
 
@@ -138,38 +132,24 @@ impl<'a> Study<'a> {
         name: &str,
         work: impl FnOnce() -> Result<T, ReproduceError>,
     ) -> Result<T, ReproduceError> {
-        let file = format!("{name}.json");
-        if let Some(kept) = self.read(&file)? {
+        if let Some(kept) = self.kept(name)? {
             return Ok(kept);
         }
         let result = work()?;
-        if self.stop.load(Ordering::Relaxed) {
+        if self.progress.stopped() {
             return Err(ReproduceError::Stopped);
         }
-        self.write(&file, &result)?;
+        self.write(&format!("{name}.json"), &result)?;
         Ok(result)
     }
 
     /// What is kept under this name.
     pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
-        self.read(&format!("{name}.json"))
-    }
-
-    fn read<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
-        let path = self.path(name);
-        let failure = |reason: String| ReproduceError::File { path: path.clone(), reason };
-        if !path.exists() {
-            return Ok(None);
-        }
-        let text = fs::read_to_string(&path).map_err(|error| failure(error.to_string()))?;
-        serde_json::from_str(&text).map(Some).map_err(|error| failure(format!("{error}; remove it")))
+        Ok(json::read(&self.path(&format!("{name}.json")))?)
     }
 
     /// Writes a value as JSON.
-    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), ReproduceError> {
-        let path = self.path(name);
-        let text = serde_json::to_string_pretty(value).unwrap_or_default() + "\n";
-        write_atomically(&path, text.as_bytes())
-            .map_err(|error| ReproduceError::File { path, reason: error.to_string() })
+    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), JsonError> {
+        json::write(&self.path(name), value)
     }
 }
