@@ -14,6 +14,7 @@ use super::output::OutputArgs;
 use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
+use data::recording;
 use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
@@ -210,7 +211,7 @@ fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Col
         aborted: *aborts,
         ticks: recording.len(),
         period_us: chosen.period_us,
-        pressure: recording.pressure_range().unwrap_or((0.0, 0.0)),
+        pressure: recording::range(&recording.pressure).unwrap_or((0.0, 0.0)),
         explored: recording.explored(),
         complete: *breaths == config.breaths,
     }

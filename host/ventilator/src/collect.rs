@@ -67,6 +67,9 @@ pub enum CollectError {
         "random PIPs from {0} to {1} cmH2O: the range must rise from PEEP and stay {LIMIT_MARGIN} cmH2O below the pressure limit"
     )]
     PipRange(f32, f32),
+    /// The settings cannot be written down beside the recording.
+    #[error("cannot write down the settings of the collection: {0}")]
+    Provenance(serde_json::Error),
     /// The source failed before anything was recorded.
     #[error(transparent)]
     Source(#[from] SourceError),
@@ -106,7 +109,7 @@ pub fn collect(
     progress: &Progress<'_>,
 ) -> Result<Collected, CollectError> {
     check(config)?;
-    let recording = Recording::with_extras(provenance(source, config), &TRUTH);
+    let recording = Recording::with_extras(provenance(source, config)?, &TRUTH);
     let mut collected = Collected { recording, breaths: 0, aborts: 0 };
     let outcome = record(source, controller, config, progress, &mut collected);
     collected.recording.leave_out_unknown();
@@ -196,14 +199,14 @@ fn exploration(config: &CollectConfig, restart: u64) -> Option<Exploration> {
     })
 }
 
-fn provenance(source: &dyn Source, config: &CollectConfig) -> Provenance {
-    Provenance {
+fn provenance(source: &dyn Source, config: &CollectConfig) -> Result<Provenance, CollectError> {
+    Ok(Provenance {
         seed: config.seed,
         plant: source.plant(),
         plant_parameters: source.plant_parameters(),
-        settings: serde_json::to_value(config).unwrap_or_default(),
+        settings: serde_json::to_value(config).map_err(CollectError::Provenance)?,
         ..Provenance::new(source.period_us(), "collect")
-    }
+    })
 }
 
 fn row(tick: &Tick, breath: u32, settings: &Settings) -> Row {

@@ -1,6 +1,8 @@
 //! A device at a real pseudo-terminal: what the line does to requests, uploads and recordings.
 
 use std::io::{self, Read, Write};
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use serialport::{SerialPort, TTYPort};
