@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use shared::settings::Settings;
 
-use crate::Plant;
+use crate::lockstep::Plant;
 use plant::TickTruth;
 use plant::bench::{Bench, BenchConfig, BenchError, PEEP_RANGE_CMH2O, STEP_US};
 

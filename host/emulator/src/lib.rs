@@ -11,6 +11,7 @@
 //! | `pipes` | the plant line, between shim and host |
 //! | `lockstep` | the plant's end of the line |
 //! | `bench_plant` | the virtual bench as a plant |
+//! | `error` | why a board does not run |
 //! | `debugger` | memory and registers of the running board |
 
 #![forbid(unsafe_code)]
@@ -18,6 +19,7 @@
 
 mod bench_plant;
 mod debugger;
+mod error;
 mod guardian;
 mod lockstep;
 mod pipes;
@@ -25,10 +27,11 @@ mod qemu;
 
 pub use bench_plant::{BenchPlant, TruthLog};
 pub use debugger::{Debugger, DebuggerError, symbol};
+pub use error::{EmulatorError, FLASH_BYTES};
 pub use lockstep::{LockstepPlant, Paced, Plant, PlantEnd};
 
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
@@ -36,13 +39,11 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
-use thiserror::Error;
 
+use error::tried;
 use guardian::{Guarded, Surroundings};
-use pipes::PlantThread;
+use pipes::{PlantThread, name};
 
-/// Bytes of both weights slots together.
-pub const FLASH_BYTES: usize = shim::flash::SLOTS_BYTES as usize;
 /// What QEMU and the shim have to say.
 const LOG_FILE: &str = "qemu.log";
 /// Held while a board runs in a folder.
@@ -67,68 +68,6 @@ pub struct EmulatorConfig {
     pub flash: Option<Vec<u8>>,
     /// Whether a debugger can connect.
     pub debugger: bool,
-}
-
-/// Why a virtual board does not run.
-#[derive(Debug, Error)]
-pub enum EmulatorError {
-    /// QEMU is not there.
-    #[error("{program} is missing; run: cargo xtask setup", program = qemu::PROGRAM)]
-    QemuMissing,
-    /// QEMU is too old.
-    #[error("{program} is {found}, it must be {least} or newer; run: cargo xtask setup", program = qemu::PROGRAM, least = qemu::LEAST_VERSION)]
-    QemuTooOld {
-        /// What it says of itself.
-        found: String,
-    },
-    /// An image is not there, or is none.
-    #[error("{} is no ELF image; run: cargo xtask firmware", .0.display())]
-    ImageMissing(PathBuf),
-    /// The flash has the wrong size.
-    #[error("the initial flash has {0} bytes; both slots together have {FLASH_BYTES}")]
-    FlashSize(usize),
-    /// Another board runs in the folder.
-    #[error("a board is running in {} already; give each its own folder", .0.display())]
-    FolderInUse(PathBuf),
-    /// The link's port is taken.
-    #[error("port {port} cannot be opened for the link ({error}); choose another, or 0 for any")]
-    Port {
-        /// The port.
-        port: u16,
-        /// Why.
-        error: io::Error,
-    },
-    /// QEMU ended before the firmware was started.
-    #[error("QEMU ended at its start, {status}:\n{log}")]
-    Ended {
-        /// How.
-        status: ExitStatus,
-        /// What it said.
-        log: String,
-    },
-    /// The shim did not report.
-    #[error("the shim did not start; are {} and {} made for each other? QEMU said:\n{log}", firmware.display(), shim.display())]
-    Silent {
-        /// The firmware's image.
-        firmware: PathBuf,
-        /// The shim's image.
-        shim: PathBuf,
-        /// What QEMU said.
-        log: String,
-    },
-    /// Files, pipes or processes.
-    #[error("{what}: {error}")]
-    Io {
-        /// What was tried.
-        what: &'static str,
-        /// Why it failed.
-        error: io::Error,
-    },
-}
-
-/// Names what was tried when it failed.
-fn tried(what: &'static str) -> impl FnOnce(io::Error) -> EmulatorError {
-    move |error| EmulatorError::Io { what, error }
 }
 
 /// A running virtual board. Dropping it ends QEMU and the plant's thread.
@@ -299,12 +238,6 @@ impl Folder {
     fn flash(&self) -> PathBuf {
         self.path.join(name(shim::FLASH_FILE))
     }
-}
-
-/// A file's name as the shim has it.
-fn name(name: &std::ffi::CStr) -> &Path {
-    use std::os::unix::ffi::OsStrExt;
-    Path::new(std::ffi::OsStr::from_bytes(name.to_bytes()))
 }
 
 #[cfg(test)]

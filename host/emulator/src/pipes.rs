@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use nix::sys::stat::Mode;
 
-use super::{PlantEnd, name};
+use crate::lockstep::PlantEnd;
 
 /// The thread that answers the board.
 #[derive(Debug)]
@@ -95,6 +95,12 @@ fn serve(
         frame.extend(&answer[..length.into()]);
         answers.write_all(&frame)?;
     }
+}
+
+/// A file's name as the shim has it.
+pub(crate) fn name(name: &std::ffi::CStr) -> &Path {
+    use std::os::unix::ffi::OsStrExt;
+    Path::new(std::ffi::OsStr::from_bytes(name.to_bytes()))
 }
 
 #[cfg(test)]

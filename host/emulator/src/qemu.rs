@@ -4,12 +4,7 @@ use std::io;
 use std::path::Path;
 use std::process::Command;
 
-use super::{EmulatorError, tried};
-
-/// Name of the program.
-pub(super) const PROGRAM: &str = "qemu-system-arm";
-/// Older ones lack the core-coupled memory and the serial port's interrupts.
-pub(super) const LEAST_VERSION: u32 = 10;
+use crate::error::{EmulatorError, LEAST_VERSION, PROGRAM, tried};
 
 /// Virtual time: 2^3 ns per instruction, and no waiting for real time while the core sleeps.
 const CLOCK: &str = "shift=3,sleep=off";

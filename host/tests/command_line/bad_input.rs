@@ -2,12 +2,13 @@
 
 use std::fs::{self, File};
 use std::path::Path;
+use std::sync::Arc;
 
-use arrow_array::{Array, ArrayRef, Float32Array, RecordBatch};
-use data::recording::{PROVENANCE_KEY, Recording};
-use parquet::arrow::ArrowWriter;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use parquet::file::metadata::KeyValue;
+use data::recording::PROVENANCE_KEY;
+use parquet::column::reader::ColumnReader;
+use parquet::data_type::{FloatType, Int32Type};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::file::writer::SerializedFileWriter;
 
 use super::support::Place;
 
@@ -47,25 +48,38 @@ fn a_weights_image_with_a_flipped_bit() {
     }
 }
 
-/// Writes the recording again with one pressure that is no number, as another program would: without a checksum.
+/// Copies the recording with one pressure that is no number, as another program would write it: without a checksum.
 fn spoil(path: &Path) {
-    let provenance = serde_json::to_string(&Recording::load(path).unwrap().provenance).unwrap();
-    let reader = ParquetRecordBatchReaderBuilder::try_new(File::open(path).unwrap()).unwrap();
-    let schema = reader.schema().clone();
-    let batches: Vec<RecordBatch> = reader.build().unwrap().map(Result::unwrap).collect();
-    let mut writer = ArrowWriter::try_new(Vec::new(), schema.clone(), None).unwrap();
-    for (number, batch) in batches.into_iter().enumerate() {
-        let mut columns: Vec<ArrayRef> = batch.columns().to_vec();
-        if number == 0 {
-            let index = schema.index_of("pressure").unwrap();
-            let column = columns[index].as_any().downcast_ref::<Float32Array>().unwrap();
-            let mut values = column.values().to_vec();
-            values[17] = f32::NAN;
-            columns[index] = std::sync::Arc::new(Float32Array::from(values));
+    let reader = SerializedFileReader::new(File::open(path).unwrap()).unwrap();
+    let about = reader.metadata().file_metadata();
+    let provenance = about.key_value_metadata().unwrap().iter().find(|pair| pair.key == PROVENANCE_KEY);
+    let schema = about.schema_descr().root_schema_ptr();
+    let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::default()).unwrap();
+    let group = reader.get_row_group(0).unwrap();
+    let rows = group.metadata().num_rows() as usize;
+    let mut copy = writer.next_row_group().unwrap();
+    for index in 0..group.num_columns() {
+        let mut column = copy.next_column().unwrap().unwrap();
+        match group.get_column_reader(index).unwrap() {
+            ColumnReader::Int32ColumnReader(mut source) => {
+                let mut values = Vec::new();
+                source.read_records(rows, None, None, &mut values).unwrap();
+                column.typed::<Int32Type>().write_batch(&values, None, None).unwrap();
+            }
+            ColumnReader::FloatColumnReader(mut source) => {
+                let mut values = Vec::new();
+                source.read_records(rows, None, None, &mut values).unwrap();
+                if about.schema_descr().column(index).name() == "pressure" {
+                    values[17] = f32::NAN;
+                }
+                column.typed::<FloatType>().write_batch(&values, None, None).unwrap();
+            }
+            _ => unreachable!("a recording has whole numbers and floats"),
         }
-        writer.write(&RecordBatch::try_new(schema.clone(), columns).unwrap()).unwrap();
+        column.close().unwrap();
     }
-    writer.append_key_value_metadata(KeyValue::new(PROVENANCE_KEY.to_owned(), provenance));
+    copy.close().unwrap();
+    writer.append_key_value_metadata(provenance.unwrap().clone());
     fs::write(path, writer.into_inner().unwrap()).unwrap();
 }
 

@@ -1,5 +1,7 @@
 //! The columns of a recording by name, so that files, checks and joins treat them alike.
 
+use std::fmt;
+
 use super::table::Recording;
 
 /// A column that a recording may or may not have.
@@ -61,6 +63,25 @@ impl Extra {
     }
 }
 
+/// The type of a column's numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Number {
+    U8,
+    U32,
+    F32,
+}
+
+impl fmt::Display for Number {
+    /// The type's name in pandas.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::U8 => "UInt8",
+            Self::U32 => "UInt32",
+            Self::F32 => "Float32",
+        })
+    }
+}
+
 /// Values of one column.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Values<'a> {
@@ -77,6 +98,14 @@ impl Values<'_> {
             Self::F32(values) => values.len(),
         }
     }
+
+    pub(super) fn number(&self) -> Number {
+        match self {
+            Self::U8(_) => Number::U8,
+            Self::U32(_) => Number::U32,
+            Self::F32(_) => Number::F32,
+        }
+    }
 }
 
 /// Values of one column, to be filled.
@@ -85,6 +114,16 @@ pub(super) enum ValuesMut<'a> {
     U8(&'a mut Vec<u8>),
     U32(&'a mut Vec<u32>),
     F32(&'a mut Vec<f32>),
+}
+
+impl ValuesMut<'_> {
+    pub(super) fn number(&self) -> Number {
+        match self {
+            Self::U8(_) => Number::U8,
+            Self::U32(_) => Number::U32,
+            Self::F32(_) => Number::F32,
+        }
+    }
 }
 
 impl Recording {

@@ -4,24 +4,22 @@
 //! before anything is decoded, because Parquet decoders trust the bytes: damage gives other numbers or a panic.
 
 use std::fs::File;
-use std::io::{ErrorKind, Read, Seek};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::path::Path;
 use std::sync::Arc;
 
-use arrow_array::types::{Float32Type, UInt8Type, UInt32Type};
-use arrow_array::{
-    Array, ArrayRef, ArrowPrimitiveType, Float32Array, PrimitiveArray, RecordBatch, UInt8Array, UInt32Array,
-};
-use arrow_schema::{ArrowError, Field, Schema};
-use parquet::arrow::ArrowWriter;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use parquet::arrow::arrow_writer::ArrowWriterOptions;
-use parquet::basic::Compression;
+use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
+use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::data_type::{DataType, FloatType, Int32Type};
+use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
-use parquet::file::properties::{DEFAULT_MAX_ROW_GROUP_ROW_COUNT, WriterProperties};
+use parquet::file::properties::WriterProperties;
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::{ColumnDescriptor, Type};
 
 use super::checksum;
-use super::columns::{Extra, Values, ValuesMut};
+use super::columns::{Extra, Number, Values, ValuesMut};
 use super::{DatasetError, Recording};
 use crate::files::write_atomically;
 use crate::provenance::{FORMAT, Provenance};
@@ -31,6 +29,8 @@ pub const PROVENANCE_KEY: &str = "eupnea";
 
 /// First and last bytes of every Parquet file.
 const MAGIC: &[u8; 4] = b"PAR1";
+/// Rows that are encoded and compressed together.
+pub(super) const GROUP_ROWS: usize = 1 << 18;
 
 impl Recording {
     /// Writes the recording, replacing an older file in one step.
@@ -55,21 +55,24 @@ impl Recording {
         let path = path.as_ref();
         let torn = |detail: String| DatasetError::Torn { path: path.to_owned(), detail };
         let file = open(path)?;
-        let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|e| torn(e.to_string()))?;
-
-        let metadata = builder.metadata().file_metadata().key_value_metadata();
-        let metadata = metadata.map_or(&[][..], Vec::as_slice);
+        let reader = SerializedFileReader::new(file).map_err(|e| torn(e.to_string()))?;
+        let about = reader.metadata().file_metadata();
+        let metadata = about.key_value_metadata().map_or(&[][..], Vec::as_slice);
         let text = value(metadata, PROVENANCE_KEY)
             .ok_or_else(|| DatasetError::NoProvenance { path: path.to_owned() })?;
         let provenance = read_provenance(path, text)?;
-        let schema = builder.schema().clone();
-        let extras: Vec<_> =
-            Extra::ALL.into_iter().filter(|extra| schema.index_of(extra.name()).is_ok()).collect();
+        let found = about.schema_descr().columns();
+        let index = |name: &str| found.iter().position(|column| column.name() == name);
+        let extras: Vec<_> = Extra::ALL.into_iter().filter(|extra| index(extra.name()).is_some()).collect();
         let mut recording = Self::with_extras(provenance, &extras);
-        // An empty file has no batch to check against.
-        fill(&mut recording, &RecordBatch::new_empty(schema), path)?;
-        for batch in builder.build().map_err(|e| torn(e.to_string()))? {
-            fill(&mut recording, &batch.map_err(|e| torn(e.to_string()))?, path)?;
+        for (column, values) in recording.columns_mut() {
+            let place =
+                index(column).ok_or_else(|| DatasetError::MissingColumn { path: path.to_owned(), column })?;
+            check_type(&found[place], values.number(), column, path)?;
+            let nulls = fill(&reader, place, values).map_err(|e| torn(e.to_string()))?;
+            if nulls > 0 {
+                return Err(DatasetError::Null { path: path.to_owned(), column, nulls });
+            }
         }
         recording
             .validate()
@@ -78,43 +81,67 @@ impl Recording {
     }
 }
 
-/// The columns of a recording as one batch.
-pub(super) fn batch(recording: &Recording) -> Result<RecordBatch, ArrowError> {
-    let columns = recording.columns().into_iter().map(|(name, values)| {
-        let array: ArrayRef = match values {
-            Values::U8(values) => Arc::new(UInt8Array::from(values.to_vec())),
-            Values::U32(values) => Arc::new(UInt32Array::from(values.to_vec())),
-            Values::F32(values) => Arc::new(Float32Array::from(values.to_vec())),
-        };
-        (Field::new(name, array.data_type().clone(), false), array)
-    });
-    let (fields, arrays): (Vec<_>, Vec<_>) = columns.unzip();
-    RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)
-}
-
 /// What stands in the metadata. The checksum is the last pair, so that no text within the provenance can be taken for it.
 pub(super) fn metadata(provenance: String) -> Vec<KeyValue> {
     let pairs = [(PROVENANCE_KEY, provenance), (checksum::KEY, checksum::blank())];
     pairs.map(|(key, value)| KeyValue::new(key.to_owned(), value)).to_vec()
 }
 
-/// How files are written, with so many rows compressed together.
-pub(super) fn options(metadata: Option<Vec<KeyValue>>, rows: usize) -> ArrowWriterOptions {
+/// A writer of files with the columns of this recording.
+pub(super) fn writer<W: Write + Send>(
+    to: W,
+    recording: &Recording,
+) -> Result<SerializedFileWriter<W>, ParquetError> {
+    let fields = recording.columns().into_iter().map(|(name, values)| {
+        let (physical, logical) = types(values.number());
+        let builder = Type::primitive_type_builder(name, physical).with_logical_type(logical);
+        builder.with_repetition(Repetition::REQUIRED).build().map(Arc::new)
+    });
+    let fields = fields.collect::<Result<_, _>>()?;
+    let schema = Type::group_type_builder("recording").with_fields(fields).build()?;
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .set_created_by(PROVENANCE_KEY.to_owned())
-        .set_key_value_metadata(metadata)
-        .set_max_row_group_row_count(Some(rows))
         .build();
-    // The Parquet types say all there is to say; a second schema would only tie the bytes to the arrow version.
-    ArrowWriterOptions::new().with_properties(properties).with_skip_arrow_metadata(true)
+    SerializedFileWriter::new(to, Arc::new(schema), Arc::new(properties))
 }
 
-fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, ArrowError> {
-    let batch = batch(recording)?;
-    let options = options(Some(metadata(provenance)), DEFAULT_MAX_ROW_GROUP_ROW_COUNT);
-    let mut writer = ArrowWriter::try_new_with_options(Vec::new(), batch.schema(), options)?;
-    writer.write(&batch)?;
+/// Writes all rows of a recording, in groups of [`GROUP_ROWS`].
+pub(super) fn write_rows<W: Write + Send>(
+    writer: &mut SerializedFileWriter<W>,
+    recording: &Recording,
+) -> Result<(), ParquetError> {
+    for start in (0..recording.len()).step_by(GROUP_ROWS) {
+        let rows = start..(start + GROUP_ROWS).min(recording.len());
+        let mut group = writer.next_row_group()?;
+        for (_, values) in recording.columns() {
+            let Some(mut column) = group.next_column()? else { break };
+            match values {
+                Values::U8(values) => {
+                    let values: Vec<i32> = values[rows.clone()].iter().map(|value| (*value).into()).collect();
+                    column.typed::<Int32Type>().write_batch(&values, None, None)?;
+                }
+                Values::U32(values) => {
+                    let values: Vec<i32> = values[rows.clone()].iter().map(|value| *value as i32).collect();
+                    column.typed::<Int32Type>().write_batch(&values, None, None)?;
+                }
+                Values::F32(values) => {
+                    column.typed::<FloatType>().write_batch(&values[rows.clone()], None, None)?;
+                }
+            }
+            column.close()?;
+        }
+        group.close()?;
+    }
+    Ok(())
+}
+
+fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, ParquetError> {
+    let mut writer = writer(Vec::new(), recording)?;
+    write_rows(&mut writer, recording)?;
+    for pair in metadata(provenance) {
+        writer.append_key_value_metadata(pair);
+    }
     Ok(checksum::seal(writer.into_inner()?))
 }
 
@@ -159,39 +186,75 @@ fn read_provenance(path: &Path, text: &str) -> Result<Provenance, DatasetError> 
     Ok(provenance)
 }
 
-/// Appends the rows of one batch to the columns of the recording.
-fn fill(recording: &mut Recording, batch: &RecordBatch, path: &Path) -> Result<(), DatasetError> {
-    for (name, values) in recording.columns_mut() {
-        let Some(array) = batch.column_by_name(name) else {
-            return Err(DatasetError::MissingColumn { path: path.to_owned(), column: name });
-        };
-        match values {
-            ValuesMut::U8(values) => {
-                values.extend_from_slice(primitive::<UInt8Type>(array, name, path)?.values());
-            }
-            ValuesMut::U32(values) => {
-                values.extend_from_slice(primitive::<UInt32Type>(array, name, path)?.values());
-            }
-            ValuesMut::F32(values) => {
-                values.extend_from_slice(primitive::<Float32Type>(array, name, path)?.values());
-            }
-        }
+/// How a file holds a column's numbers: by their Parquet types.
+fn types(number: Number) -> (Physical, Option<LogicalType>) {
+    match number {
+        Number::U8 => (Physical::INT32, Some(LogicalType::integer(8, false))),
+        Number::U32 => (Physical::INT32, Some(LogicalType::integer(32, false))),
+        Number::F32 => (Physical::FLOAT, None),
     }
-    Ok(())
 }
 
-fn primitive<'a, T: ArrowPrimitiveType>(
-    array: &'a ArrayRef,
+/// Refuses a column whose numbers are of another type than `expected`.
+fn check_type(
+    found: &ColumnDescriptor,
+    expected: Number,
     column: &'static str,
     path: &Path,
-) -> Result<&'a PrimitiveArray<T>, DatasetError> {
-    if array.null_count() > 0 {
-        return Err(DatasetError::Null { path: path.to_owned(), column, nulls: array.null_count() });
+) -> Result<(), DatasetError> {
+    let found = (found.physical_type(), found.logical_type_ref().cloned());
+    if found == types(expected) {
+        return Ok(());
     }
-    array.as_any().downcast_ref().ok_or_else(|| DatasetError::WrongType {
+    let known = [Number::U8, Number::U32, Number::F32].into_iter().find(|number| types(*number) == found);
+    Err(DatasetError::WrongType {
         path: path.to_owned(),
         column,
-        expected: T::DATA_TYPE.to_string(),
-        found: array.data_type().to_string(),
+        expected: expected.to_string(),
+        found: known.map_or_else(|| found.0.to_string(), |number| number.to_string()),
     })
+}
+
+/// Appends a column of the file, whose type has been checked; gives how many of its cells are empty.
+fn fill(
+    reader: &SerializedFileReader<File>,
+    place: usize,
+    mut values: ValuesMut<'_>,
+) -> Result<usize, ParquetError> {
+    let mut nulls = 0;
+    for group in 0..reader.num_row_groups() {
+        let group = reader.get_row_group(group)?;
+        let rows = usize::try_from(group.metadata().num_rows()).unwrap_or_default();
+        nulls += match (&mut values, group.get_column_reader(place)?) {
+            (ValuesMut::U8(values), ColumnReader::Int32ColumnReader(column)) => {
+                read(column, rows, |value| values.push(value as u8))?
+            }
+            (ValuesMut::U32(values), ColumnReader::Int32ColumnReader(column)) => {
+                read(column, rows, |value| values.push(value as u32))?
+            }
+            (ValuesMut::F32(values), ColumnReader::FloatColumnReader(column)) => {
+                read(column, rows, |value| values.push(value))?
+            }
+            _ => return Err(ParquetError::General("a column changes its type".to_owned())),
+        };
+    }
+    Ok(nulls)
+}
+
+/// Hands on each value of a group's column; gives how many cells are empty.
+fn read<T: DataType>(
+    mut column: ColumnReaderImpl<T>,
+    rows: usize,
+    each: impl FnMut(T::T),
+) -> Result<usize, ParquetError> {
+    let (mut values, mut levels, mut done) = (Vec::with_capacity(rows), Vec::new(), 0);
+    while done < rows {
+        match column.read_records(rows - done, Some(&mut levels), None, &mut values)? {
+            (0, ..) => return Err(ParquetError::General(format!("{done} of {rows} rows are there"))),
+            (records, ..) => done += records,
+        }
+    }
+    let nulls = rows.saturating_sub(values.len());
+    values.into_iter().for_each(each);
+    Ok(nulls)
 }

@@ -251,37 +251,76 @@ mod foreign_files {
 
     use std::sync::Arc;
 
-    use arrow_array::{ArrayRef, Float32Array, Float64Array, RecordBatch, UInt8Array, UInt32Array};
-    use parquet::arrow::ArrowWriter;
+    use parquet::basic::{LogicalType, Repetition, Type as Physical};
+    use parquet::data_type::{DoubleType, FloatType, Int32Type};
     use parquet::file::metadata::KeyValue;
+    use parquet::file::writer::SerializedFileWriter;
+    use parquet::schema::types::Type;
 
     use super::*;
 
-    type Columns = Vec<(&'static str, ArrayRef)>;
+    /// A column of two rows.
+    enum Cells {
+        Whole { bits: i8, values: [i32; 2] },
+        Single([Option<f32>; 2]),
+        Double([f64; 2]),
+    }
+
+    type Columns = Vec<(&'static str, Cells)>;
 
     fn good_columns() -> Columns {
-        let mut columns: Columns = vec![
-            ("breath", Arc::new(UInt32Array::from(vec![0, 0]))),
-            ("tick", Arc::new(UInt32Array::from(vec![0, 1]))),
-            ("phase", Arc::new(UInt8Array::from(vec![0, 1]))),
+        let mut columns = vec![
+            ("breath", Cells::Whole { bits: 32, values: [0, 0] }),
+            ("tick", Cells::Whole { bits: 32, values: [0, 1] }),
+            ("phase", Cells::Whole { bits: 8, values: [0, 1] }),
         ];
         for name in ["target", "pressure", "u_in", "u_out", "explore", "pip", "peep"] {
-            columns.push((name, Arc::new(Float32Array::from(vec![1.0, 2.0]))));
+            columns.push((name, Cells::Single([Some(1.0), Some(2.0)])));
         }
         columns
     }
 
-    fn load(columns: Columns, metadata: Option<&str>) -> Result<Recording, DatasetError> {
+    fn load(columns: &Columns, metadata: Option<&str>) -> Result<Recording, DatasetError> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("foreign.parquet");
         write(&path, columns, metadata);
         Recording::load(path)
     }
 
-    fn write(path: &Path, columns: Columns, metadata: Option<&str>) {
-        let batch = RecordBatch::try_from_iter(columns).unwrap();
-        let mut writer = ArrowWriter::try_new(Vec::new(), batch.schema(), None).unwrap();
-        writer.write(&batch).unwrap();
+    /// As pandas writes: every column may have empty cells.
+    fn field(name: &str, cells: &Cells) -> Type {
+        let (physical, logical) = match cells {
+            Cells::Whole { bits, .. } => (Physical::INT32, Some(LogicalType::integer(*bits, false))),
+            Cells::Single(_) => (Physical::FLOAT, None),
+            Cells::Double(_) => (Physical::DOUBLE, None),
+        };
+        let builder = Type::primitive_type_builder(name, physical).with_logical_type(logical);
+        builder.with_repetition(Repetition::OPTIONAL).build().unwrap()
+    }
+
+    fn write(path: &Path, columns: &Columns, metadata: Option<&str>) {
+        let fields = columns.iter().map(|(name, cells)| Arc::new(field(name, cells))).collect();
+        let schema = Arc::new(Type::group_type_builder("schema").with_fields(fields).build().unwrap());
+        let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::default()).unwrap();
+        let mut group = writer.next_row_group().unwrap();
+        for (_, cells) in columns {
+            let mut column = group.next_column().unwrap().unwrap();
+            match cells {
+                Cells::Whole { values, .. } => {
+                    column.typed::<Int32Type>().write_batch(values, Some(&[1, 1]), None).unwrap();
+                }
+                Cells::Single(values) => {
+                    let there = values.map(|value| value.is_some().into());
+                    let values: Vec<f32> = values.iter().flatten().copied().collect();
+                    column.typed::<FloatType>().write_batch(&values, Some(&there), None).unwrap();
+                }
+                Cells::Double(values) => {
+                    column.typed::<DoubleType>().write_batch(values, Some(&[1, 1]), None).unwrap();
+                }
+            }
+            column.close().unwrap();
+        }
+        group.close().unwrap();
         if let Some(text) = metadata {
             writer.append_key_value_metadata(KeyValue::new(PROVENANCE_KEY.to_owned(), text.to_owned()));
         }
@@ -292,51 +331,50 @@ mod foreign_files {
         serde_json::to_string(&provenance(&[])).unwrap()
     }
 
-    fn with(name: &str, array: ArrayRef) -> Columns {
+    fn with(name: &str, cells: Cells) -> Columns {
         let mut columns = good_columns();
-        columns.iter_mut().find(|column| column.0 == name).unwrap().1 = array;
+        columns.iter_mut().find(|column| column.0 == name).unwrap().1 = cells;
         columns
     }
 
     #[test]
     fn a_file_in_the_same_layout_is_read() {
         let mut columns = good_columns();
-        columns.push(("comment", Arc::new(Float64Array::from(vec![0.0, 0.0]))));
-        assert_eq!(load(columns, Some(&origin())).unwrap().pressure, [1.0, 2.0]);
+        columns.push(("comment", Cells::Double([0.0, 0.0])));
+        assert_eq!(load(&columns, Some(&origin())).unwrap().pressure, [1.0, 2.0]);
     }
 
     #[test]
     fn a_missing_column_is_named() {
         for (name, _) in good_columns() {
-            let columns = good_columns().into_iter().filter(|column| column.0 != name).collect();
-            let error = load(columns, Some(&origin())).unwrap_err();
+            let columns = good_columns().into_iter().filter(|column| column.0 != name).collect::<Columns>();
+            let error = load(&columns, Some(&origin())).unwrap_err();
             assert!(matches!(error, DatasetError::MissingColumn { column, .. } if column == name), "{error}");
         }
     }
 
     #[test]
     fn a_wrong_type_is_named_with_both_types() {
-        let error =
-            load(with("u_in", Arc::new(Float64Array::from(vec![0.0, 0.0]))), Some(&origin())).unwrap_err();
-        assert!(error.to_string().contains("column `u_in` is Float64, expected Float32"), "{error}");
+        let error = load(&with("u_in", Cells::Double([0.0, 0.0])), Some(&origin())).unwrap_err();
+        assert!(error.to_string().contains("column `u_in` is DOUBLE, expected Float32"), "{error}");
     }
 
     #[test]
     fn empty_cells_and_nan_are_refused() {
-        let error = load(with("peep", Arc::new(Float32Array::from(vec![None, Some(1.0)]))), Some(&origin()));
+        let error = load(&with("peep", Cells::Single([None, Some(1.0)])), Some(&origin()));
         assert!(matches!(error, Err(DatasetError::Null { column: "peep", nulls: 1, .. })));
-        let error = load(with("peep", Arc::new(Float32Array::from(vec![1.0, f32::NAN]))), Some(&origin()))
-            .unwrap_err();
+        let error =
+            load(&with("peep", Cells::Single([Some(1.0), Some(f32::NAN)])), Some(&origin())).unwrap_err();
         let text = error.to_string();
         assert!(text.contains("foreign.parquet: column `peep` is NaN in row 1"), "{text}");
     }
 
     #[test]
     fn a_file_without_a_readable_provenance_of_this_format_is_refused() {
-        assert!(matches!(load(good_columns(), None), Err(DatasetError::NoProvenance { .. })));
-        assert!(matches!(load(good_columns(), Some("{}")), Err(DatasetError::BadProvenance { .. })));
+        assert!(matches!(load(&good_columns(), None), Err(DatasetError::NoProvenance { .. })));
+        assert!(matches!(load(&good_columns(), Some("{}")), Err(DatasetError::BadProvenance { .. })));
         let newer = serde_json::to_string(&Provenance { format: 2, ..provenance(&[]) }).unwrap();
-        let error = load(good_columns(), Some(&newer)).unwrap_err();
+        let error = load(&good_columns(), Some(&newer)).unwrap_err();
         assert!(matches!(error, DatasetError::Format { found: 2, expected: 1, .. }));
     }
 }

@@ -4,18 +4,13 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
-use parquet::arrow::ArrowWriter;
+use parquet::file::writer::SerializedFileWriter;
 
 use super::columns::Extra;
-use super::parquet_file::{batch, metadata, options};
+use super::parquet_file::{GROUP_ROWS, metadata, write_rows, writer};
 use super::{DatasetError, Recording, Row, checksum};
 use crate::files::temporary;
 use crate::provenance::Provenance;
-
-/// Rows that are checked and encoded together.
-const CHUNK: usize = 1 << 16;
-/// Rows that are compressed together; what is not yet compressed is in memory.
-const GROUP: usize = 1 << 19;
 
 /// A recording that is being written. The file appears, whole, with [`Self::finish`]; without it nothing is left.
 #[derive(Debug)]
@@ -25,7 +20,7 @@ pub struct RecordingWriter {
     chunk: Recording,
     extras: Vec<Extra>,
     /// None once it is finished.
-    writer: Option<ArrowWriter<BufWriter<File>>>,
+    writer: Option<SerializedFileWriter<BufWriter<File>>>,
     last: Option<(u32, u32)>,
     rows: usize,
 }
@@ -39,10 +34,8 @@ impl RecordingWriter {
         let write = |source| DatasetError::Write { path: path.to_owned(), source };
         let temporary = temporary(path).map_err(write)?;
         let chunk = Recording::with_extras(provenance, extras);
-        let schema = batch(&chunk).map_err(|e| encode(path, &e))?.schema();
         let file = BufWriter::new(File::create(&temporary).map_err(write)?);
-        let writer = ArrowWriter::try_new_with_options(file, schema, options(None, GROUP))
-            .map_err(|e| encode(path, &e))?;
+        let writer = writer(file, &chunk).map_err(|e| encode(path, &e))?;
         Ok(Self {
             path: path.to_owned(),
             temporary,
@@ -65,7 +58,7 @@ impl RecordingWriter {
     /// A rule of [`Recording::validate`] is broken (rows are checked in bundles), or the file cannot be written.
     pub fn push(&mut self, row: Row) -> Result<(), DatasetError> {
         self.chunk.push(row);
-        if self.chunk.len() >= CHUNK { self.flush() } else { Ok(()) }
+        if self.chunk.len() >= GROUP_ROWS { self.flush() } else { Ok(()) }
     }
 
     fn flush(&mut self) -> Result<(), DatasetError> {
@@ -79,9 +72,8 @@ impl RecordingWriter {
         }
         self.last = self.chunk.key(last);
         self.rows += self.chunk.len();
-        let batch = batch(&self.chunk).map_err(|e| encode(&self.path, &e))?;
         if let Some(writer) = &mut self.writer {
-            writer.write(&batch).map_err(|e| encode(&self.path, &e))?;
+            write_rows(writer, &self.chunk).map_err(|e| encode(&self.path, &e))?;
         }
         let provenance = self.chunk.provenance.clone();
         self.chunk = Recording::with_extras(provenance, &self.extras);
@@ -157,9 +149,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/streamed.parquet");
         // More than one bundle, and not a multiple of it.
-        written(&path, CHUNK as u32 + 1_234).unwrap();
+        written(&path, GROUP_ROWS as u32 + 1_234).unwrap();
         let mut whole = Recording::with_extras(provenance(), &EXTRAS);
-        rows(CHUNK as u32 + 1_234).for_each(|row| whole.push(row));
+        rows(GROUP_ROWS as u32 + 1_234).for_each(|row| whole.push(row));
         assert_eq!(Recording::load(&path).unwrap(), whole);
         written(&path, 0).unwrap();
         assert!(Recording::load(&path).unwrap().is_empty());
@@ -197,7 +189,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("streamed.parquet");
         let mut writer = RecordingWriter::create(&path, provenance(), &EXTRAS).unwrap();
-        rows(CHUNK as u32).for_each(|row| writer.push(row).unwrap());
+        rows(GROUP_ROWS as u32).for_each(|row| writer.push(row).unwrap());
         writer.push(rows(1).next().unwrap()).unwrap();
         assert!(writer.finish().unwrap_err().to_string().contains("out of order"));
         let mut writer = RecordingWriter::create(&path, provenance(), &EXTRAS).unwrap();
