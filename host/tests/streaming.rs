@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use data::import::foreign::import;
 use data::import::foreign::map::ColumnMap;
+use progress::Progress;
 
 const BREATHS: usize = 75_000;
 const ROWS: usize = 80;

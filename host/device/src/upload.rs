@@ -35,7 +35,6 @@ impl Device {
     /// # Errors
     /// [`UploadError`]; the weights that run stay.
     pub fn upload(&mut self, image: &[u8], progress: &Progress<'_>) -> Result<Uploaded, UploadError> {
-
         let id = decode(image)?.id;
         let image = &image[..IMAGE_BYTES];
         let mut offset = self.progress_of(&Request::BeginWeights { length: IMAGE_BYTES as u32, id })?;

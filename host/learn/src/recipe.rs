@@ -174,10 +174,7 @@ impl Recipe {
                     states: self.states.unwrap_or(shape.states),
                     hidden: self.hidden.unwrap_or(shape.hidden),
                     history: self.history.unwrap_or(shape.history),
-                    ventilators: ventilators(recording)
-                        .into_iter()
-                        .max()
-                        .map_or(0, |last| last as usize + 1),
+                    ventilators: ventilators(recording).into_iter().max().map_or(0, |last| last as usize + 1),
                     groups: recording.provenance.groups.len(),
                     ..shape
                 }))

@@ -102,8 +102,7 @@ impl<'a> Progress<'a> {
 
     /// Begins a stage of so many steps.
     pub fn task(&self, stage: Stage, total: usize) -> Task<'a> {
-        let task =
-            Task { progress: *self, stage, done: AtomicUsize::new(0), total: AtomicUsize::new(total) };
+        let task = Task { progress: *self, stage, done: AtomicUsize::new(0), total: AtomicUsize::new(total) };
         task.report(0);
         task
     }

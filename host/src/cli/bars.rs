@@ -96,7 +96,8 @@ mod tests {
     fn a_bar_never_goes_back_and_a_stage_that_changes_gets_a_new_one() {
         let bars = Bars::default();
         let event = Event { subject: "", round: None, stage: Stage::Collect, done: 3, total: 9 };
-        let position = || bars.current.lock().unwrap().as_ref().map(|(_, bar)| (bar.position(), bar.length()));
+        let position =
+            || bars.current.lock().unwrap().as_ref().map(|(_, bar)| (bar.position(), bar.length()));
         bars.show(&event);
         bars.show(&Event { done: 2, ..event });
         assert_eq!(position(), Some((3, Some(9))));

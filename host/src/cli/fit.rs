@@ -115,8 +115,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let architecture = recipe.architecture(&recording)?;
     let all = episodes(&recording, architecture.timing());
     let parts = recipe.parts(&all)?;
-    let fitted =
-        with_bars(|progress| recipe.fit(architecture, &recording, &parts.training, progress))?;
+    let fitted = with_bars(|progress| recipe.fit(architecture, &recording, &parts.training, progress))?;
     if let Some(path) = &args.out {
         fitted.simulator.save(path)?;
     }

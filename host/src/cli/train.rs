@@ -132,8 +132,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let simulators: Vec<Simulator> =
         args.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
     let config = args.config(args.period_us(plant.as_ref(), &simulators)?)?;
-    let summary =
-        if simulators.is_empty() { args.rounds(&config, plant.as_ref())? } else { args.once(&config, &simulators)? };
+    let summary = if simulators.is_empty() {
+        args.rounds(&config, plant.as_ref())?
+    } else {
+        args.once(&config, &simulators)?
+    };
     args.output.line(&format!(
         "held-out simulator: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
         summary.validation,

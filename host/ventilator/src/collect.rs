@@ -306,8 +306,7 @@ mod tests {
         let mut source =
             BenchSource::new(&lung, controller(1.0), &paper_settings(20.0), DEFAULT_PERIOD_US, 0).unwrap();
         let config = CollectConfig::default();
-        let collected =
-            collect(&mut source, &controller(1.0), &config, &Progress::quiet(&stop)).unwrap();
+        let collected = collect(&mut source, &controller(1.0), &config, &Progress::quiet(&stop)).unwrap();
         assert_eq!(collected.breaths, 0);
     }
 

@@ -23,6 +23,7 @@ use super::bench::REST_TIME;
 use super::{Reseed, Source, SourceError, Tick, TickTruth};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
+use progress::Progress;
 
 /// Samples between two signs of life for the device.
 const HEARD_EVERY: usize = 2000;

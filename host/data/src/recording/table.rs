@@ -234,8 +234,7 @@ impl Recording {
 
     /// Share of the inspiratory ticks that were perturbed, 0 to 1.
     pub fn explored(&self) -> f64 {
-        let inspiratory =
-            self.phase.iter().zip(&self.explore).filter(|(phase, _)| **phase == INSPIRATION);
+        let inspiratory = self.phase.iter().zip(&self.explore).filter(|(phase, _)| **phase == INSPIRATION);
         let (all, perturbed) = inspiratory
             .fold((0_usize, 0), |(all, some), (_, explore)| (all + 1, some + usize::from(*explore != 0.0)));
         perturbed as f64 / all.max(1) as f64

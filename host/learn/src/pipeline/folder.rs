@@ -50,11 +50,7 @@ impl Folder {
     }
 
     /// What a stage left, if it did.
-    pub(super) fn load<T: DeserializeOwned>(
-        &self,
-        round: usize,
-        name: &str,
-    ) -> Result<Option<T>, JsonError> {
+    pub(super) fn load<T: DeserializeOwned>(&self, round: usize, name: &str) -> Result<Option<T>, JsonError> {
         json::read(&self.file(round, name))
     }
 

@@ -33,10 +33,7 @@ fn source(config: &PipelineConfig) -> impl Fn(u64) -> Result<Box<dyn Source>, So
     }
 }
 
-fn run_small(
-    folder: Option<&Path>,
-    progress: &Progress<'_>,
-) -> Result<Outcome, PipelineError> {
+fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, PipelineError> {
     let (config, folder) = (small(), folder.map(Folder::new));
     run(&config, &[&source(&config)], folder.as_ref(), progress)
 }

@@ -106,7 +106,12 @@ pub fn train_on_simulators(
     let (trained, curve) = self::train(training, config.train.iterations, Some((folder, 0)), progress)?;
     let complete = curve.last().map_or(0, |point| point.iteration) >= config.train.iterations;
     let improved = trained.improved;
-    Ok(TrainedOnce { learned: learned(trained, held_out.plant.clone(), config.seed), improved, curve, complete })
+    Ok(TrainedOnce {
+        learned: learned(trained, held_out.plant.clone(), config.seed),
+        improved,
+        curve,
+        complete,
+    })
 }
 
 /// A trained controller with where it comes from.
@@ -135,9 +140,11 @@ fn suits(simulator: &Simulator, period_us: u32) -> Result<(), String> {
         Architecture::Stitched(_) => false,
     };
     if many_lungs {
-        return Err("is a simulator of many lungs, a controller is trained on one: fit a recording of one lung \
+        return Err(
+            "is a simulator of many lungs, a controller is trained on one: fit a recording of one lung \
                     with --architecture state-space"
-            .to_owned());
+                .to_owned(),
+        );
     }
     if timing.channels != 1 {
         return Err(format!("has {} valves to command; a controller commands one", timing.channels));

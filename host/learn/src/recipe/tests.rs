@@ -28,8 +28,7 @@ fn sizes_are_the_models_unless_given() {
         other => panic!("asked for state-space, got {other:?}"),
     };
     assert_eq!(shape(Recipe::default()), StateSpaceConfig::for_period(1_000, 1));
-    let small =
-        shape(Recipe { states: Some(3), hidden: Some(4), history: Some(5), ..Recipe::default() });
+    let small = shape(Recipe { states: Some(3), hidden: Some(4), history: Some(5), ..Recipe::default() });
     assert_eq!((small.states, small.hidden, small.history), (3, 4, 5));
 }
 

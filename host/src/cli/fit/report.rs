@@ -13,12 +13,7 @@ use show::report::{Block, Plot, Report, Section, Series, Style};
 const SHOWN: usize = 8;
 
 /// Everything about a fit on one page.
-pub fn report(
-    summary: &FitSummary,
-    fitted: &Fitted,
-    parts: &Parts<'_>,
-    recording: &Recording,
-) -> Report {
+pub fn report(summary: &FitSummary, fitted: &Fitted, parts: &Parts<'_>, recording: &Recording) -> Report {
     let Fitted { simulator, curve, .. } = fitted;
     let period_s = f64::from(simulator.architecture.timing().period_us) * 1e-6;
     let shown = [spread(&parts.held_out, SHOWN), spread(&parts.other_lungs, SHOWN / 2)].concat();
