@@ -185,7 +185,9 @@ mod tests {
         let expected = run(&small(), &simulators, &straight, &Progress::silent()).unwrap();
         assert!(expected.complete);
         let (stop, stopped) = (AtomicBool::new(false), folders.path().join("stopped"));
-        let observer = |event: &Event<'_>| stop.fetch_or(event.done >= 4, Ordering::Relaxed);
+        let observer = |event: &Event<'_>| {
+            stop.fetch_or(event.done >= 4, Ordering::Relaxed);
+        };
         let half = run(&small(), &simulators, &stopped, &Progress::new(&observer, &stop)).unwrap();
         assert_eq!((half.complete, half.curve.len()), (false, 1));
         let resumed = run(&small(), &simulators, &stopped, &Progress::silent()).unwrap();

@@ -43,7 +43,7 @@ fn kaggle(breaths: usize) -> String {
 fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, Summary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
     let (table, out) = (folder.path().join("table.csv"), folder.path().join("out.parquet"));
-    std::fs::write(&table, text).unwrap();
+    fs::write(&table, text).unwrap();
     let summary = import(&[table], &map.layout().unwrap(), &out, &Progress::silent())?;
     Ok((Recording::load(&out).unwrap(), summary))
 }
