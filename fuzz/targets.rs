@@ -4,14 +4,14 @@
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::checksum::{CHECKSUM_BYTES, crc32, verified};
 use shared::device::control::Control;
-use shared::device::desk::{Desk, Facts, Step};
+use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
-use shared::link::messages::{
-    DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, greeted_protocol, read_reply, read_request,
-};
-use shared::link::plant;
-use shared::recorder::{Boot, LogEntry, Memory, Recorder, TickEntry};
+use shared::link::messages::{DeviceKind, ToDevice, ToHost, greeted_protocol, read_reply, read_request};
+use shared::link::plant_link;
+use shared::recorder::{Boot, LogEntry, Recorder, RecorderMemory, TickEntry};
+use shared::reset::ResetCause;
 use shared::ventilator::Mode;
+use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, decode, encode};
 
 /// Clock of the device, Hz.
@@ -43,15 +43,15 @@ pub fn frames(data: &[u8]) {
 
 /// A frame of the plant link is accepted only with the very bytes that it is written with.
 fn plant_frames(data: &[u8]) {
-    let (mut decoder, mut found) = (plant::Decoder::default(), 0);
+    let (mut decoder, mut found) = (plant_link::Decoder::default(), 0);
     for (index, byte) in data.iter().enumerate() {
         if let Some(frame) = decoder.push(*byte) {
             found += 1;
             let bytes = frame.encode();
-            assert_eq!(data.get((index + 1).wrapping_sub(plant::FRAME_BYTES)..=index), Some(&bytes[..]));
+            assert_eq!(data.get((index + 1).wrapping_sub(plant_link::FRAME_BYTES)..=index), Some(&bytes[..]));
         }
     }
-    assert!(found * plant::FRAME_BYTES + decoder.skipped() as usize <= data.len());
+    assert!(found * plant_link::FRAME_BYTES + decoder.skipped() as usize <= data.len());
 }
 
 /// What is understood says the same when it is sent again, and fits into a frame.
@@ -115,7 +115,7 @@ pub fn device(data: &[u8]) {
 
 /// All that a device says to a stream of bytes.
 pub fn conversation(data: &[u8]) -> Vec<ToHost> {
-    let (memory, mut said) = (Box::new(Memory::new()), Vec::new());
+    let (memory, mut said) = (Box::new(RecorderMemory::new()), Vec::new());
     let mut rig = Rig::new(&memory);
     for (number, byte) in data.iter().enumerate() {
         said.extend(rig.hear(*byte));
@@ -128,16 +128,15 @@ pub fn conversation(data: &[u8]) -> Vec<ToHost> {
 }
 
 struct Rig<'a> {
-    memory: &'a Memory,
     recorder: Recorder<'a>,
     control: Control,
-    desk: Desk,
+    server: Server<'a>,
     decoder: FrameDecoder<DECODER_BYTES>,
 }
 
 impl<'a> Rig<'a> {
-    fn new(memory: &'a Memory) -> Self {
-        let facts = Facts {
+    fn new(memory: &'a RecorderMemory) -> Self {
+        let facts = DeviceFacts {
             firmware: [0; 3],
             device: DeviceKind::HardwareInTheLoop,
             period_us: DEFAULT_PERIOD_US,
@@ -148,11 +147,10 @@ impl<'a> Rig<'a> {
         };
         let boot = Boot { cause: facts.reset, failed: false, weights: None };
         Self {
-            memory,
             recorder: Recorder::attach(memory, boot),
             control: Control::new(facts.device, facts.period_us, None, CORE_HZ)
                 .expect("the period is in bounds"),
-            desk: Desk::new(facts),
+            server: Server::new(facts, memory),
             decoder: FrameDecoder::new(),
         }
     }
@@ -164,18 +162,17 @@ impl<'a> Rig<'a> {
         };
         match request {
             Ok(request) => Some(self.serve(&request)),
-            Err(unreadable) => unreadable.sequence.map(|sequence| self.desk.unreadable(sequence)),
+            Err(unreadable) => unreadable.refusal(),
         }
     }
 
     fn serve(&mut self, request: &ToDevice) -> ToHost {
-        let mut step = self.desk.receive(request);
+        let mut step = self.server.receive(request);
         loop {
             step = match step {
-                Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
-                Step::Look(look) => self.desk.looked(self.memory.look(look)),
-                Step::Store => self.desk.stored(Some(Slot::A), [SlotState::Torn; 2]),
-                Step::Send(answer) | Step::Restart(answer) => {
+                NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
+                NextStep::Store => self.server.stored(Some(Slot::A), [SlotState::Torn; 2]),
+                NextStep::Send(answer) | NextStep::Restart(answer) => {
                     let answered =
                         matches!(answer, ToHost::Response { sequence, .. } if sequence == request.sequence);
                     assert!(answered, "{request:?}: {answer:?}");
@@ -186,14 +183,14 @@ impl<'a> Rig<'a> {
     }
 
     fn tick(&mut self, reading: f32) -> Vec<ToHost> {
-        let _ = self.control.cue();
+        let _ = self.control.plant_change();
         let output = self.control.step(reading);
         assert!(output.mode == Mode::Ventilating || (output.command.u_out() && output.command.u_in() <= 0.0));
         assert!((0.0..=100.0).contains(&output.command.u_in()));
         self.recorder.record(&self.control.moment(reading, &output, 0));
-        let (Self { control, desk, .. }, mut events) = (self, Vec::new());
+        let (Self { control, server, .. }, mut events) = (self, Vec::new());
         control.report(&output, &mut |report| {
-            events.extend(desk.report(&report));
+            events.extend(server.report(&report));
             true
         });
         events

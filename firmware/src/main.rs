@@ -1,6 +1,6 @@
 //! The ventilator's firmware for an STM32F405: pins, interrupts and tasks around the ventilator of `shared`.
 //!
-//! What can be computed without the chip is not here, so that host and chip share it and tests reach it. Build with
+//! Computations that need no chip stand in `shared`, where host and tests use them too. Build with
 //! `cargo xtask firmware`. Compiled for any other system this is a program that says so, which keeps
 //! `cargo check --workspace` working.
 #![cfg_attr(target_os = "none", no_std)]

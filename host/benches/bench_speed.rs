@@ -34,7 +34,7 @@ fn breath(bench: &mut Bench) -> f32 {
     for ms in 0..BREATH_MS {
         let inspiration = ms < INSPIRATION_MS;
         let u_in = if inspiration { pi.command(PIP_CMH2O - pressure) } else { BIAS_PERCENT };
-        pressure = bench.step(u_in, !inspiration).pressure;
+        pressure = bench.step(u_in, !inspiration);
     }
     pressure
 }

@@ -4,7 +4,7 @@
 //! Run with `cargo bench -p host -- rollout`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use learn::controller::{Plant, TrainConfig, Training};
+use learn::controller::{PlantModels, TrainConfig, Training};
 use learn::simulator::model::{Architecture, Simulator};
 use learn::simulator::state_space::StateSpaceConfig;
 use rand_chacha::ChaCha8Rng;
@@ -37,7 +37,7 @@ fn training(batch: usize) -> Training {
     let config = TrainConfig { batch, iterations: usize::MAX, ..TrainConfig::default() };
     match Training::new(
         spec,
-        &[Plant { trained_on: std::slice::from_ref(&simulator), held_out: &simulator }],
+        &[PlantModels { trained_on: std::slice::from_ref(&simulator), held_out: &simulator }],
         config,
         None,
     ) {

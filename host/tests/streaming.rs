@@ -48,7 +48,7 @@ fn six_million_rows_stream_through_little_memory() {
     let folder = tempfile::tempdir().unwrap();
     let (table, out) = (folder.path().join("train.csv"), folder.path().join("out.parquet"));
     write_table(&table);
-    let layout = ColumnMap::kaggle().layout().unwrap();
+    let layout = ColumnMap::kaggle().unwrap().layout().unwrap();
     let start = Instant::now();
     let summary = import(&[table], &layout, &out, &Progress::silent()).unwrap();
     println!("{:.1} s, {:.0} MiB at most", start.elapsed().as_secs_f64(), peak_mib());

@@ -20,7 +20,7 @@ pub fn verified(bytes: &[u8]) -> Option<&[u8]> {
     (crc32(covered) == u32::from_le_bytes(*stored)).then_some(covered)
 }
 
-/// A number that stands for some others (Fowler, Noll and Vo's hash, by words): it tells layouts apart, no damage.
+/// Hash of some words (Fowler, Noll and Vo): it tells layouts apart, and does not detect damage.
 pub const fn fnv(words: &[u32]) -> u32 {
     let (mut hash, mut index) = (0x811C_9DC5_u32, 0);
     while index < words.len() {

@@ -28,12 +28,12 @@ pub const PRESSURE_SPAN: f32 = 71.4;
 pub const ORIFICE_SPAN: f32 = 20.4;
 /// Flow through the orifice at 1 cmH2O, L/s.
 pub const ORIFICE_FLOW: f32 = 0.66;
-/// How far airway and outlet may be apart, cmH2O: the tube between them takes up to 5 at full flow.
+/// Largest difference of airway and outlet, cmH2O: the tube between them takes up to 5 at full flow.
 pub const DISAGREEMENT: f32 = 10.0;
-/// How long they may be further apart before neither is believed, ticks.
+/// Time of a larger difference after which neither is believed, ticks.
 pub const DISAGREEMENT_TICKS: u32 = 20;
 
-/// What the converter gave, 12 bits each.
+/// Counts of the converter, 12 bits each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counts {
     /// Airway pressure.
@@ -44,9 +44,9 @@ pub struct Counts {
     pub flow: u16,
 }
 
-/// What the sensors say; NaN where there is nothing to believe.
+/// Values of the sensors; NaN where there is nothing to believe.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub struct SensorReading {
     /// Airway pressure, cmH2O.
     pub pressure: f32,
     /// Flow towards the patient, L/s.
@@ -62,12 +62,12 @@ pub struct Sensors {
 
 impl Sensors {
     /// Takes in one tick's counts.
-    pub fn read(&mut self, counts: Counts) -> Reading {
+    pub fn read(&mut self, counts: Counts) -> SensorReading {
         let (airway, outlet) = (value(counts.airway, PRESSURE_SPAN), value(counts.outlet, PRESSURE_SPAN));
         let agree = (airway - outlet).abs() <= DISAGREEMENT;
         self.apart = if agree { 0 } else { self.apart.saturating_add(1) };
         let pressure = if self.apart < DISAGREEMENT_TICKS { airway } else { f32::NAN };
-        Reading { pressure, flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)) }
+        SensorReading { pressure, flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)) }
     }
 }
 

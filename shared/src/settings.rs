@@ -1,8 +1,6 @@
-//! What an operator may set: names, units, bounds and defaults of every setting, once for firmware, command
-//! line and documents.
+//! The operator's settings: names, units, bounds and defaults, once for firmware, command line and documents.
 //!
-//! [`Settings`] is what was typed or received; [`crate::breath::Breath`] is the validated, built form that the
-//! control loop sees.
+//! [`Settings`] is what was typed or received; a `Breath` is the validated, built form that the control loop sees.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -34,6 +32,8 @@ pub struct Settings {
 pub struct Field {
     /// Name as in [`Settings`].
     pub name: &'static str,
+    /// What it is, as printed.
+    pub description: &'static str,
     /// Unit, as printed.
     pub unit: &'static str,
     /// Lowest accepted value.
@@ -53,10 +53,11 @@ impl Field {
 }
 
 macro_rules! fields {
-    ($($name:ident, $unit:literal, $min:literal ..= $max:literal, $default:literal;)*) => {
+    ($($name:ident, $unit:literal, $min:literal ..= $max:literal, $default:literal, $description:literal;)*) => {
         /// Every setting with unit, bounds and default.
         pub const FIELDS: &[Field] = &[$(Field {
-            name: stringify!($name), unit: $unit, min: $min, max: $max, default: $default, get: |s| s.$name,
+            name: stringify!($name), description: $description, unit: $unit, min: $min, max: $max,
+            default: $default, get: |s| s.$name,
         }),*];
 
         impl Default for Settings {
@@ -68,17 +69,17 @@ macro_rules! fields {
 }
 
 fields! {
-    pip,              "cmH2O", 5.0 ..= 50.0,  20.0;
-    peep,             "cmH2O", 0.0 ..= 20.0,  5.0;
-    rate,             "1/min", 4.0 ..= 80.0,  20.0;
-    inspiratory_time, "s",     0.2 ..= 5.0,   1.0;
-    rise_time,        "s",     0.0 ..= 1.0,   0.0;
-    fall_time,        "s",     0.0 ..= 2.0,   0.5;
-    expiratory_bias,  "%",     0.0 ..= 20.0,  5.0;
-    pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0;
+    pip,              "cmH2O", 5.0 ..= 50.0,  20.0, "Peak inspiratory pressure";
+    peep,             "cmH2O", 0.0 ..= 20.0,  5.0,  "Positive end-expiratory pressure";
+    rate,             "1/min", 4.0 ..= 80.0,  20.0, "Breaths per minute";
+    inspiratory_time, "s",     0.2 ..= 5.0,   1.0,  "Length of the inspiration";
+    rise_time,        "s",     0.0 ..= 1.0,   0.0,  "Time of the rise from PEEP to PIP, 0 for the paper's square waveform";
+    fall_time,        "s",     0.0 ..= 2.0,   0.5,  "Time of the fall from PIP to PEEP";
+    expiratory_bias,  "%",     0.0 ..= 20.0,  5.0,  "Inspiratory valve while the expiratory valve is open";
+    pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0, "Pressure above which a breath is ended";
 }
 
-/// Why settings were refused.
+/// Reason for refusing settings.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SettingsError {
     /// A value lies outside its bounds (or is no number).

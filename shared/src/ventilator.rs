@@ -11,19 +11,19 @@
 //! and the inspiratory valve is closed (fall) or at its bias (expiration).
 //!
 //! # Order of a tick
-//! supervisor checks the reading -> controller -> exploration -> safety filter -> controller learns what was
-//! applied.
+//! supervisor checks the reading -> controller -> exploration -> safety filter -> controller takes in what was
+//! applied. Any [`ControlLaw`] can be the controller; the order and the safety are the same for all.
 
 use serde::{Deserialize, Serialize};
 
 use crate::breath::{Breath, Phase};
-use crate::control::{Controller, ControllerState, Observation, Wish};
+use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use crate::explore::{Exploration, Perturbation};
 use crate::safety::alarms::Fault;
 use crate::safety::filter::ValveCommand;
 use crate::safety::ladder::Level;
 use crate::safety::monitors::Monitors;
-use crate::safety::supervisor::Supervisor;
+use crate::safety::supervisor::{Supervisor, SupervisorState};
 use crate::settings::{Settings, SettingsError};
 
 /// What the ventilator is doing.
@@ -54,7 +54,7 @@ pub struct Sample {
     pub u_in: f32,
     /// Expiratory valve open?
     pub u_out: bool,
-    /// Part of `u_in`'s wish that exploration added, percent.
+    /// What exploration added to the controller's output, percent.
     pub explore: f32,
 }
 
@@ -71,19 +71,19 @@ pub struct Output {
     pub alarm: Option<Fault>,
 }
 
-/// The configuration of a ventilator: control period, controller, exploration. Replacing it leaves the state,
-/// and with it the running breath, alone.
+/// The configuration of a ventilator: control period, controller, exploration, supervisor. Replacing it leaves the
+/// state, and with it the running breath, alone.
 #[derive(Clone, Debug)]
-pub struct Ventilator {
+pub struct Ventilator<C = Controller> {
     period_us: u32,
-    controller: Controller,
+    controller: C,
     exploration: Option<Exploration>,
-    monitors: Monitors,
+    supervisor: Supervisor,
 }
 
 /// Everything that changes from tick to tick.
 #[derive(Clone, Debug)]
-pub struct VentilatorState {
+pub struct VentilatorState<S = ControllerState> {
     mode: Mode,
     breath: Breath,
     pending: Option<Breath>,
@@ -91,20 +91,21 @@ pub struct VentilatorState {
     tick: u32,
     last_command: f32,
     perturbation: Perturbation,
-    controller: ControllerState,
-    supervisor: Supervisor,
+    controller: S,
+    supervisor: SupervisorState,
 }
 
-impl Ventilator {
+impl<C: ControlLaw> Ventilator<C> {
     /// A ventilator with a control period in microseconds.
-    pub fn new(period_us: u32, controller: Controller) -> Self {
-        Self { period_us, controller, exploration: None, monitors: Monitors::ALL }
+    pub fn new(period_us: u32, controller: C) -> Self {
+        let supervisor = Supervisor::new(period_us, Monitors::ALL);
+        Self { period_us, controller, exploration: None, supervisor }
     }
 
     /// The same with these monitors alone, for a plant that is no ventilator, or to see what a monitor is there for.
     #[must_use]
     pub fn with_monitors(mut self, monitors: Monitors) -> Self {
-        self.monitors = monitors;
+        self.supervisor = Supervisor::new(self.period_us, monitors);
         self
     }
 
@@ -116,7 +117,7 @@ impl Ventilator {
     }
 
     /// Takes another controller; the running breath goes on with it.
-    pub fn set_controller(&mut self, controller: Controller) {
+    pub fn set_controller(&mut self, controller: C) {
         self.controller = controller;
     }
 
@@ -127,12 +128,7 @@ impl Ventilator {
 
     /// Which monitors are at work.
     pub fn monitors(&self) -> Monitors {
-        self.monitors
-    }
-
-    /// How it explores.
-    pub fn exploration(&self) -> Option<&Exploration> {
-        self.exploration.as_ref()
+        self.supervisor.monitors()
     }
 
     /// Control period, microseconds.
@@ -141,7 +137,7 @@ impl Ventilator {
     }
 
     /// The controller.
-    pub fn controller(&self) -> &Controller {
+    pub fn controller(&self) -> &C {
         &self.controller
     }
 
@@ -149,32 +145,48 @@ impl Ventilator {
     ///
     /// # Errors
     /// Settings that are refused.
-    pub fn standby(&self, settings: &Settings) -> Result<VentilatorState, SettingsError> {
-        Ok(VentilatorState {
+    pub fn standby(&self, settings: &Settings) -> Result<VentilatorState<C::State>, SettingsError> {
+        Ok(self.at_rest(Breath::new(settings, self.period_us)?))
+    }
+
+    /// A state in standby with the first breath.
+    pub fn at_rest(&self, breath: Breath) -> VentilatorState<C::State> {
+        VentilatorState {
             mode: Mode::Standby,
-            breath: Breath::new(settings, self.period_us)?,
+            breath,
             pending: None,
             number: 0,
             tick: 0,
             last_command: 0.0,
             perturbation: Perturbation::default(),
-            controller: ControllerState::new(),
-            supervisor: Supervisor::new(self.period_us, self.monitors),
-        })
+            controller: self.controller.initial_state(),
+            supervisor: SupervisorState::default(),
+        }
     }
 
     /// Accepts settings for the next breath (in standby: for the first one).
     ///
     /// # Errors
     /// Settings that are refused; those in force stay.
-    pub fn apply(&self, state: &mut VentilatorState, settings: &Settings) -> Result<(), SettingsError> {
-        state.pending = Some(Breath::new(settings, self.period_us)?);
+    pub fn apply(
+        &self,
+        state: &mut VentilatorState<C::State>,
+        settings: &Settings,
+    ) -> Result<(), SettingsError> {
+        state.set_pending(Breath::new(settings, self.period_us)?);
         Ok(())
+    }
+
+    /// Control ticks have been missed since the last step.
+    pub fn missed(&self, state: &mut VentilatorState<C::State>, ticks: u32) {
+        if state.mode == Mode::Ventilating {
+            self.supervisor.missed(&mut state.supervisor, ticks);
+        }
     }
 
     /// One control tick with the pressure reading in cmH2O.
     #[inline]
-    pub fn step(&self, state: &mut VentilatorState, reading: f32) -> Output {
+    pub fn step(&self, state: &mut VentilatorState<C::State>, reading: f32) -> Output {
         let tick = if state.mode == Mode::Ventilating {
             if state.tick == 0 {
                 self.start_breath(state);
@@ -183,7 +195,7 @@ impl Ventilator {
         } else {
             None
         };
-        let believed = state.supervisor.check(reading, &state.breath, tick);
+        let believed = self.supervisor.check(&mut state.supervisor, reading, &state.breath, tick);
         if let Some(fault) = state.supervisor.fault() {
             state.mode = Mode::Fault(fault);
         }
@@ -191,14 +203,14 @@ impl Ventilator {
             (Mode::Ventilating, Some(pressure)) => self.breathe(state, reading, pressure),
             (mode, _) => {
                 state.last_command = 0.0;
-                let command = state.supervisor.rest();
+                let command = self.supervisor.rest(&mut state.supervisor);
                 Output { command, mode, sample: None, alarm: state.supervisor.take_raised() }
             }
         }
     }
 
     /// One tick of a breath; `pressure` is the reading or, for a moment, what replaces it.
-    fn breathe(&self, state: &mut VentilatorState, reading: f32, pressure: f32) -> Output {
+    fn breathe(&self, state: &mut VentilatorState<C::State>, reading: f32, pressure: f32) -> Output {
         let (tick, breath) = (state.tick, state.breath);
         let settings = breath.settings();
         let (phase, target) = match breath.phase(tick) {
@@ -206,16 +218,16 @@ impl Ventilator {
             Phase::Inspiration if state.supervisor.cut() => (Phase::Fall, settings.peep),
             phase => (phase, breath.target(tick)),
         };
-        let (wish, explore) = match phase {
+        let (wanted, explore) = match phase {
             Phase::Inspiration => {
                 let seen = Observation { pressure, target, pip: settings.pip, peep: settings.peep, tick };
                 let explore = state.perturbation.at(tick, self.period_us);
                 (self.controller.step(&mut state.controller, &seen).plus(explore), explore)
             }
-            Phase::Fall => (Wish::plain(0.0), 0.0),
-            Phase::Expiration => (Wish::plain(settings.expiratory_bias), 0.0),
+            Phase::Fall => (ControlOutput::plain(0.0), 0.0),
+            Phase::Expiration => (ControlOutput::plain(settings.expiratory_bias), 0.0),
         };
-        let command = state.supervisor.command(wish, phase != Phase::Inspiration);
+        let command = self.supervisor.command(&mut state.supervisor, wanted, phase != Phase::Inspiration);
         if phase == Phase::Inspiration {
             self.controller.applied(&mut state.controller, command.u_in());
         }
@@ -239,7 +251,7 @@ impl Ventilator {
         Output { command, mode: state.mode, sample: Some(sample), alarm }
     }
 
-    fn start_breath(&self, state: &mut VentilatorState) {
+    fn start_breath(&self, state: &mut VentilatorState<C::State>) {
         if let Some(breath) = state.pending.take() {
             state.breath = breath;
         }
@@ -251,7 +263,7 @@ impl Ventilator {
     }
 }
 
-impl VentilatorState {
+impl<S> VentilatorState<S> {
     /// What the ventilator is doing.
     pub fn mode(&self) -> Mode {
         self.mode
@@ -267,6 +279,11 @@ impl VentilatorState {
         self.pending.as_ref().map(Breath::settings)
     }
 
+    /// Takes another breath from the next one on; it must be built for the ventilator's control period.
+    pub fn set_pending(&mut self, breath: Breath) {
+        self.pending = Some(breath);
+    }
+
     /// Number of the running breath.
     pub fn breath_number(&self) -> u32 {
         self.number
@@ -277,11 +294,6 @@ impl VentilatorState {
         self.tick
     }
 
-    /// The controller's state.
-    pub fn controller(&self) -> &ControllerState {
-        &self.controller
-    }
-
     /// Who commands the inspiratory valve.
     pub fn level(&self) -> Level {
         self.supervisor.level()
@@ -290,18 +302,6 @@ impl VentilatorState {
     /// Whether the running inspiration was ended at the pressure limit.
     pub fn cut(&self) -> bool {
         self.supervisor.cut()
-    }
-
-    /// Elastance, cmH2O/mL, and resistance, cmH2O/(L/s), of the lung as the last inspiration showed them.
-    pub fn lung(&self) -> Option<(f32, f32)> {
-        self.supervisor.lung()
-    }
-
-    /// Control ticks have been missed since the last step.
-    pub fn missed(&mut self, ticks: u32) {
-        if self.mode == Mode::Ventilating {
-            self.supervisor.missed(ticks);
-        }
     }
 
     /// From standby, starts the first breath at the next tick. A latched fault must be acknowledged first.
@@ -332,13 +332,34 @@ impl VentilatorState {
 mod tests {
     use super::*;
     use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use crate::control::features::FeatureSpec;
+    use crate::control::network::Network;
     use crate::control::pid::{Pid, PidGains};
+    use crate::control::residual::{Residual, ResidualSpec};
     use proptest::prelude::*;
+    use std::vec::Vec;
+
+    const GAINS: PidGains = PidGains { p: 2.0, i: 20.0, d: 0.0 };
 
     /// With a plant that does as the tests say.
     fn ventilator() -> Ventilator {
-        let pid = Pid::new(PidGains { p: 2.0, i: 20.0, d: 0.0 }, DEFAULT_PERIOD_US).unwrap();
+        let pid = Pid::new(GAINS, DEFAULT_PERIOD_US).unwrap();
         Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid)).with_monitors(Monitors::ANY_PLANT)
+    }
+
+    /// The same with a network on top of the PID that always asks for so many percent more.
+    fn learned(percent: f32) -> Ventilator {
+        let mut network = Network::zero();
+        network.output.bias[0] = 0.01 * percent;
+        let spec = ResidualSpec {
+            period_us: DEFAULT_PERIOD_US,
+            gains: GAINS,
+            lambda: 1.0,
+            authority: 100.0,
+            features: FeatureSpec::default(),
+        };
+        let residual = Residual::new(spec, network).unwrap();
+        Ventilator::new(DEFAULT_PERIOD_US, Controller::Residual(residual)).with_monitors(Monitors::ANY_PLANT)
     }
 
     fn started(ventilator: &Ventilator) -> VentilatorState {
@@ -443,6 +464,28 @@ mod tests {
         let first = |v: &Ventilator| run(v, &mut started(v), 1, 15.0).sample.unwrap();
         assert!((first(&exploring).u_in - first(&quiet).u_in - 10.0).abs() < 1e-4);
         assert!((first(&exploring).explore - 10.0).abs() < 1e-6);
+    }
+
+    /// What SAFETY.md says of a hand-over: the learned part fades at the slew, and the PID under it goes on as if nothing
+    /// had happened, its integral neither reset nor fitted to the command applied.
+    #[test]
+    fn a_hand_over_is_a_ramp_of_the_learned_part_alone() {
+        let (learned, pid) = (learned(60.0), ventilator());
+        let (mut state, mut pid_state) = (started(&learned), started(&pid));
+        // Thousandths of a percent between each command and that of a PID that never had a network.
+        let mut added = |state: &mut VentilatorState, readings: &[f32]| -> Vec<i32> {
+            let mut added = |reading| {
+                let command = learned.step(state, reading).command.u_in();
+                command - pid.step(&mut pid_state, reading).command.u_in()
+            };
+            readings.iter().map(|reading| (1000.0 * added(*reading) + 0.5) as i32).collect()
+        };
+        assert_eq!(added(&mut state, &[15.0; 4]), [25_000, 50_000, 60_000, 60_000]);
+        assert_eq!(added(&mut state, &[f32::NAN, 15.0]), [35_000, 60_000], "bridged");
+        learned.missed(&mut state, 1);
+        assert_eq!(added(&mut state, &[15.0; 100])[..4], [35_000, 10_000, 0, 0], "the PID takes over");
+        assert!(added(&mut state, &[20.0; 2894]).iter().all(|percent| *percent == 0));
+        assert_eq!(added(&mut state, &[15.0; 4]), [25_000, 50_000, 60_000, 60_000], "the next breath");
     }
 
     proptest! {

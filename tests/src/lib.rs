@@ -1,6 +1,8 @@
-//! What the whole-system tests in `tests/tests` share: a plant whose results are the same on every machine, and the
-//! trace of a ventilator that runs on it.
+//! What the whole-system tests in `tests/tests` share: a plant whose results are the same on every machine, the trace of a
+//! ventilator that runs on it, and a debugger for the board in QEMU.
 #![forbid(unsafe_code)]
 
-pub mod plant;
+#[cfg(feature = "host")]
+pub mod debugger;
+pub mod exact_lung;
 pub mod trace;

@@ -13,7 +13,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Ventilator};
 use shared::weights::decode;
 
-use crate::plant::Plant;
+use crate::exact_lung::ExactLung;
 
 /// Weights of `cargo trainer demo --seed 1`.
 pub const LEARNED: &[u8] = include_bytes!("../golden/learned.bin");
@@ -39,7 +39,7 @@ pub struct Entry {
 
 /// What a run left behind.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Trace {
+pub struct GoldenTrace {
     /// Hashes in order; the first that differs tells where two runs parted.
     pub entries: Vec<Entry>,
     /// Mean magnitude of the error in the last tenth of every inspiration of a second or more, cmH2O; tells that the
@@ -75,27 +75,27 @@ pub fn learned() -> Controller {
     Controller::Residual(decode(LEARNED).expect("the committed image is sound").residual)
 }
 
-/// Runs [`BREATHS`] breaths of changing settings on the [`Plant`], exploring.
+/// Runs [`BREATHS`] breaths of changing settings on the [`ExactLung`], exploring.
 ///
 /// # Errors
 /// The mode that the ventilator fell into, if it stopped ventilating: a trace of safe commands would prove nothing.
-pub fn run(controller: Controller) -> Result<Trace, Mode> {
+pub fn run(controller: Controller) -> Result<GoldenTrace, Mode> {
     let ventilator = Ventilator::new(DEFAULT_PERIOD_US, controller).with_exploration(Some(exploration()));
     let mut state = ventilator.standby(&settings(0)).expect("all settings of the protocol are in bounds");
     state.start();
-    let mut plant = Plant::new(settings(0).peep);
+    let mut lung = ExactLung::new(settings(0).peep);
     let (mut hash, mut entries) = (Fnv::default(), Vec::new());
     let (mut error, mut ticks) = (0.0, 0);
     while state.breath_number() < BREATHS {
         if state.tick() == 0 {
-            plant.set_peep(settings(state.breath_number()).peep);
+            lung.set_peep(settings(state.breath_number()).peep);
         }
-        let output = ventilator.step(&mut state, plant.pressure());
+        let output = ventilator.step(&mut state, lung.pressure());
         let Some(sample) = output.sample else {
             return Err(output.mode);
         };
         hash.command(output.command.u_in(), output.command.u_out());
-        plant.step(output.command.u_in(), output.command.u_out());
+        lung.step(output.command.u_in(), output.command.u_out());
         let inspiration = state.breath().inspiration_ticks();
         if inspiration >= 1000 && sample.tick < inspiration && sample.tick >= inspiration - inspiration / 10 {
             error += (sample.target - sample.pressure).abs();
@@ -110,7 +110,7 @@ pub fn run(controller: Controller) -> Result<Trace, Mode> {
             entries.push(Entry { breaths, hash: hash.0 });
         }
     }
-    Ok(Trace { entries, plateau_error: error / ticks as f32 })
+    Ok(GoldenTrace { entries, plateau_error: error / ticks as f32 })
 }
 
 /// How the device explores in a trace.

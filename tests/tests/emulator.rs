@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use emulator::{Debugger, Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd, symbol};
+use emulator::{Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd};
 use shim::rcc::ResetCause;
+use tests::debugger::{Debugger, symbol};
 
 /// Names the folder of the images.
 const IMAGES: &str = "EUPNEA_IMAGES";
@@ -323,7 +324,9 @@ fn processes_in(folder: &str) -> usize {
 fn a_killed_parent_child_process() {
     let Some(folder) = std::env::var_os("EUPNEA_PARENT_FOLDER") else { return };
     let _probe = Probe::start(EmulatorConfig { folder: Some(folder.into()), ..config() });
-    std::thread::sleep(PATIENCE);
+    loop {
+        std::thread::park();
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ use shared::breath::paper_settings;
 use shared::explore::Exploration;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{CHUNK_BYTES, ControllerChoice, Event, Request, ToDevice, ToHost, read_request};
-use shared::link::plant;
+use shared::link::plant_link;
 use shared::link::telemetry::BreathSummary;
 use shared::recorder::Part;
 use shared::safety::alarms::Fault;
@@ -171,14 +171,14 @@ fn replies(frames: &[u8]) -> Vec<ToHost> {
 /// A frame of each kind on the plant link.
 fn plant_frames() -> Vec<u8> {
     let messages = [
-        plant::Message::Reset { period_us: 1000 },
-        plant::Message::Step { u_in: 50.0, u_out: false },
-        plant::Message::Peep { pressure: 5.0 },
-        plant::Message::Seed { seed: 9 },
-        plant::Message::Ready { pressure: 5.0 },
-        plant::Message::Pressure { pressure: 20.0 },
+        plant_link::Message::Reset { period_us: 1000 },
+        plant_link::Message::Step { u_in: 50.0, u_out: false },
+        plant_link::Message::Peep { pressure: 5.0 },
+        plant_link::Message::Seed { seed: 9 },
+        plant_link::Message::Ready { pressure: 5.0 },
+        plant_link::Message::Pressure { pressure: 20.0 },
     ];
-    (0..).zip(messages).flat_map(|(tick, message)| plant::Frame { tick, message }.encode()).collect()
+    (0..).zip(messages).flat_map(|(tick, message)| plant_link::Frame { tick, message }.encode()).collect()
 }
 
 fn content(frame: &[u8]) -> Vec<u8> {
@@ -235,7 +235,7 @@ fn the_seeds_hold_every_message() {
 
 /// Ten million frames, damaged or random, in one stream: none of them is taken for another one, and each is counted.
 #[test]
-#[ignore = "takes half a minute, and needs an optimiser: cargo test --release -p tests --test fuzz -- --ignored"]
+#[ignore = "takes half a minute, and needs an optimiser: cargo xtask ci --only frames"]
 fn of_ten_million_damaged_frames_none_gets_through_as_another() {
     let frames: Vec<Vec<u8>> =
         (0..).zip(requests()).map(|(number, request)| frame(number, request)).collect();

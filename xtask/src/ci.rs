@@ -1,52 +1,68 @@
-//! `cargo xtask ci`: every check that a change must pass, as one table of cargo commands.
+//! `cargo xtask ci`: every check that a change must pass, as a table of commands in two lanes.
 //!
-//! The first failing step ends the run and names the command that repeats it.
+//! The lanes run side by side, because one alone leaves a core idle wherever it waits: for a linker, for a download, for a board in
+//! lockstep with its plant. After a failure no further step starts, and the command that repeats the failed step is named.
 
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use clap::builder::PossibleValuesParser;
-use xshell::{Shell, cmd};
+use xshell::Shell;
 
-use crate::CHIP_TARGET;
+use crate::{CHIP_PROFILE, CHIP_TARGET};
 
 /// One check.
 struct Step {
     name: &'static str,
+    /// A step of the other lane that must have passed: it builds what this one uses.
+    after: Option<&'static str>,
     environment: Option<(&'static str, &'static str)>,
     cargo: &'static [&'static str],
 }
 
-/// Cheap checks first, so that a slip is told early.
-const STEPS: &[Step] = &[
+/// What the computer's own compiler builds, then the tests in QEMU. Cheap checks first, so that a slip is reported early.
+const HOST: &[Step] = &[
     step("format", &["fmt", "--all", "--check"]),
     step("clippy", &["clippy", "--all-targets", "--features", "tests/board", "--", "-D", "warnings"]),
-    step("test", &["test", "--workspace", "--exclude", "firmware"]),
-    step("python", &["xtask", "python"]),
-    // The test step ran them in debug; an optimiser that changed a bit of a command would show here.
-    step("golden", &["test", "--release", "-p", "tests", "golden"]),
-    step("faults", &["xtask", "faults"]),
-    step("monitors", &["xtask", "mutate-monitors"]),
-    step("frames", &["test", "--release", "-p", "tests", "--test", "fuzz", "--", "--ignored"]),
+    // Beside clippy, since it needs the same dependencies.
     Step {
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),
         ..step("doc", &["doc", "--no-deps", "--document-private-items"])
     },
+    step("build", &["test", "--no-run", "--workspace", "--exclude", "firmware"]),
+    step("test", &["test", "--workspace", "--exclude", "firmware"]),
+    step("qemu-test", &["xtask", "qemu-test"]).after("firmware"),
+    step("cost", &["xtask", "cost"]),
+];
+
+/// The chip, and what uses the trainer that the other lane has built.
+const CHIP: &[Step] = &[
     step("setup", &["xtask", "setup"]),
     step("clippy-board", &chip_clippy("firmware", "stm32f405")),
     step("clippy-hil", &chip_clippy("firmware", "stm32f405,hil,cost")),
     step("clippy-f446", &chip_clippy("firmware", "stm32f446")),
     step("clippy-shim", &chip_clippy("shim", "")),
     step("firmware", &["xtask", "firmware"]),
-    step("qemu-test", &["xtask", "qemu-test"]),
-    step("cost", &["xtask", "cost"]),
+    // The test step runs them in debug; an optimiser that changed a bit of a command would show here.
+    step("golden", &optimised("golden", "golden")),
+    step("frames", &optimised("fuzz", "--ignored")),
+    step("python", &["xtask", "python"]).after("build"),
+    step("faults", &["xtask", "faults"]).after("build"),
+    step("monitors", &["xtask", "mutate-monitors"]).after("build"),
 ];
 
+const LANES: [&[Step]; 2] = [HOST, CHIP];
+
 /// The lints of a package for the chip, with these features.
-const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 14] {
+const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 15] {
     [
         "clippy",
-        "--release",
+        "--profile",
+        CHIP_PROFILE,
         "-p",
         package,
         "--no-default-features",
@@ -62,11 +78,31 @@ const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static
     ]
 }
 
+/// A test of the core with the chip's optimisation, without the crates of the host side.
+const fn optimised(test: &'static str, selection: &'static str) -> [&'static str; 10] {
+    [
+        "test",
+        "--profile",
+        CHIP_PROFILE,
+        "-p",
+        "tests",
+        "--no-default-features",
+        "--test",
+        test,
+        "--",
+        selection,
+    ]
+}
+
 const fn step(name: &'static str, cargo: &'static [&'static str]) -> Step {
-    Step { name, environment: None, cargo }
+    Step { name, after: None, environment: None, cargo }
 }
 
 impl Step {
+    const fn after(self, step: &'static str) -> Self {
+        Self { after: Some(step), ..self }
+    }
+
     /// The command as one would type it.
     fn command_line(&self) -> String {
         let environment =
@@ -74,56 +110,151 @@ impl Step {
         format!("{environment}cargo {}", self.cargo.join(" "))
     }
 
-    fn run(&self, shell: &Shell) -> Result<(), xshell::Error> {
-        let cargo = self.cargo;
-        cmd!(shell, "cargo {cargo...}").envs(self.environment).quiet().run()
+    /// The command as it is run. `cargo xtask` is this very program: cargo would wait for the other lane's build, only to find
+    /// that nothing is to be done.
+    fn command(&self, place: &Place) -> Command {
+        let (program, arguments) = match self.cargo {
+            ["xtask", arguments @ ..] => (place.xtask.as_path(), arguments),
+            arguments => (Path::new("cargo"), arguments),
+        };
+        let mut command = Command::new(program);
+        command.args(arguments).current_dir(&place.root).envs(self.environment);
+        command
     }
+}
+
+/// Where commands run, and this program.
+struct Place {
+    root: PathBuf,
+    xtask: PathBuf,
 }
 
 /// Arguments of `cargo xtask ci`.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Run only these steps
-    #[arg(long, value_name = "STEP", value_parser = PossibleValuesParser::new(STEPS.iter().map(|step| step.name)))]
+    #[arg(long, value_name = "STEP", value_parser = PossibleValuesParser::new(names()))]
     only: Vec<String>,
 }
 
-/// Runs all steps, or those asked for, in the table's order.
+fn names() -> impl Iterator<Item = &'static str> {
+    LANES.into_iter().flatten().map(|step| step.name)
+}
+
+/// Runs all steps, or those asked for, each lane in the table's order.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
-    let mut times = Vec::new();
-    for step in STEPS {
-        if !arguments.only.is_empty() && !arguments.only.iter().any(|name| name == step.name) {
-            continue;
-        }
-        println!("\n=== {}: {}", step.name, step.command_line());
-        let start = Instant::now();
-        let result = step.run(shell);
-        times.push((step.name, start.elapsed()));
-        if result.is_err() {
-            print!("{}", summary(&times));
-            bail!("step `{}` failed; repeat it with: {}", step.name, step.command_line());
-        }
+    let xtask = std::env::current_exe().context("this program cannot be started again")?;
+    let place = Place { root: shell.current_dir(), xtask };
+    let only = &arguments.only;
+    let chosen = |name: &str| only.is_empty() || only.iter().any(|only| only == name);
+    let progress = Progress::default();
+    let begun = Instant::now();
+    let alone = HOST.iter().all(|step| !chosen(step.name));
+    let show_chip: fn(Command) -> io::Result<bool> = if alone { run_in_sight } else { run_aside };
+    let [host, chip] = LANES.map(|lane| lane.iter().filter(|step| chosen(step.name)));
+    std::thread::scope(|scope| {
+        scope.spawn(|| progress.follow(host, &chosen, |step| run_in_sight(step.command(&place))));
+        scope.spawn(|| progress.follow(chip, &chosen, |step| show_chip(step.command(&place))));
+    });
+    let State { passed, failed } = progress.state.into_inner().unwrap_or_else(PoisonError::into_inner);
+    print!("{}", summary(&passed, begun.elapsed()));
+    if let Some(step) = failed {
+        bail!("step `{}` failed; repeat it with: {}", step.name, step.command_line());
     }
-    print!("{}", summary(&times));
-    println!("all {} steps passed", times.len());
+    println!("all {} steps passed", passed.len());
     Ok(())
 }
 
-/// A line per step and their sum.
-fn summary(times: &[(&str, Duration)]) -> String {
-    let total = ("total", times.iter().map(|(_, time)| time).sum());
+/// Runs a command whose output appears as it comes; tells whether it succeeded.
+fn run_in_sight(mut command: Command) -> io::Result<bool> {
+    Ok(command.status()?.success())
+}
+
+/// Runs a command whose output appears in one piece at its end, lest it be torn by the other lane's.
+fn run_aside(mut command: Command) -> io::Result<bool> {
+    let (mut output, input) = io::pipe()?;
+    let mut child = command.stdin(Stdio::null()).stdout(input.try_clone()?).stderr(input).spawn()?;
+    // It holds our end of the pipe.
+    drop(command);
+    let mut text = Vec::new();
+    output.read_to_end(&mut text)?;
+    io::stdout().write_all(&text)?;
+    Ok(child.wait()?.success())
+}
+
+/// How far both lanes are.
+#[derive(Default)]
+struct Progress {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    passed: Vec<(&'static str, Duration)>,
+    /// The first step that failed.
+    failed: Option<&'static Step>,
+}
+
+impl Progress {
+    /// Runs steps one after the other, until one fails in either lane.
+    fn follow(
+        &self,
+        steps: impl Iterator<Item = &'static Step>,
+        chosen: &impl Fn(&str) -> bool,
+        run: impl Fn(&Step) -> io::Result<bool>,
+    ) {
+        for step in steps {
+            if !self.may_start(step, chosen) {
+                return;
+            }
+            println!("\n=== {}: {}", step.name, step.command_line());
+            let begun = Instant::now();
+            let result = run(step);
+            if let Err(error) = &result {
+                println!("{}: {error}", step.name);
+            }
+            self.finish(step, begun.elapsed(), matches!(result, Ok(true)));
+        }
+    }
+
+    /// Waits for the other lane's step that this one needs; false if a step has failed.
+    fn may_start(&self, step: &Step, chosen: &impl Fn(&str) -> bool) -> bool {
+        let waits = |state: &mut State| {
+            let needed = step.after.filter(|needed| chosen(needed));
+            state.failed.is_none()
+                && needed.is_some_and(|needed| state.passed.iter().all(|(name, _)| *name != needed))
+        };
+        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        self.changed.wait_while(state, waits).unwrap_or_else(PoisonError::into_inner).failed.is_none()
+    }
+
+    fn finish(&self, step: &'static Step, time: Duration, passed: bool) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if passed {
+            state.passed.push((step.name, time));
+        } else {
+            state.failed.get_or_insert(step);
+        }
+        self.changed.notify_all();
+    }
+}
+
+/// A line per step that passed, and the time of all.
+fn summary(times: &[(&str, Duration)], total: Duration) -> String {
     let line = |(name, time): &(&str, Duration)| format!("{name:<12} {:>7.1} s\n", time.as_secs_f64());
-    let lines: String = times.iter().chain([&total]).map(line).collect();
-    format!("\n=== summary\n{lines}")
+    let lines: String = times.iter().chain([&("total", total)]).map(line).collect();
+    format!("\n=== summary, lanes side by side\n{lines}")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::cell::RefCell;
 
     #[test]
     fn a_step_can_be_repeated_from_its_command_line() {
-        let doc = STEPS.iter().find(|step| step.name == "doc").unwrap();
+        let doc = LANES.into_iter().flatten().find(|step| step.name == "doc").unwrap();
         assert_eq!(
             doc.command_line(),
             "RUSTDOCFLAGS='-D warnings' cargo doc --no-deps --document-private-items"
@@ -131,19 +262,67 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_adds_up() {
-        let text = summary(&[("format", Duration::from_millis(1500)), ("test", Duration::from_secs(62))]);
-        assert_eq!(
-            text,
-            "\n=== summary\nformat           1.5 s\ntest            62.0 s\ntotal           63.5 s\n"
-        );
+    fn the_summary_names_each_step_and_the_time_of_all() {
+        let times = [("format", Duration::from_millis(1500)), ("test", Duration::from_secs(62))];
+        let text = summary(&times, Duration::from_secs(62));
+        let lines = "format           1.5 s\ntest            62.0 s\ntotal           62.0 s\n";
+        assert_eq!(text, format!("\n=== summary, lanes side by side\n{lines}"));
     }
 
     #[test]
     fn no_two_steps_share_a_name() {
-        let mut names: Vec<_> = STEPS.iter().map(|step| step.name).collect();
-        names.sort_unstable();
-        names.dedup();
-        assert_eq!(names.len(), STEPS.len());
+        let mut different: Vec<_> = names().collect();
+        different.sort_unstable();
+        different.dedup();
+        assert_eq!(different.len(), names().count());
+    }
+
+    #[test]
+    fn a_step_waits_for_one_that_the_other_lane_runs() {
+        for [lane, other] in [[HOST, CHIP], [CHIP, HOST]] {
+            for needed in lane.iter().filter_map(|step| step.after) {
+                assert!(other.iter().any(|step| step.name == needed), "{needed}");
+            }
+        }
+    }
+
+    /// Two lanes; the second has to wait for the first.
+    const FIRST: &[Step] = &[step("a", &[]), step("b", &[])];
+    const SECOND: &[Step] = &[step("c", &[]).after("b"), step("d", &[])];
+
+    #[test]
+    fn nothing_starts_before_what_it_needs() {
+        let (progress, order) = (Progress::default(), Mutex::new(Vec::new()));
+        std::thread::scope(|scope| {
+            for lane in [SECOND, FIRST] {
+                scope.spawn(|| {
+                    progress.follow(lane.iter(), &|_| true, |step| {
+                        order.lock().unwrap().push(step.name);
+                        Ok(true)
+                    });
+                });
+            }
+        });
+        assert_eq!(order.into_inner().unwrap(), ["a", "b", "c", "d"]);
+    }
+
+    #[test]
+    fn after_a_failure_nothing_starts() {
+        let (progress, order) = (Progress::default(), RefCell::new(Vec::new()));
+        let run = |step: &Step| {
+            order.borrow_mut().push(step.name);
+            Ok(step.name != "a")
+        };
+        progress.follow(FIRST.iter(), &|_| true, run);
+        progress.follow(SECOND.iter(), &|_| true, run);
+        assert_eq!(order.into_inner(), ["a"]);
+        assert_eq!(progress.state.into_inner().unwrap().failed.map(|step| step.name), Some("a"));
+    }
+
+    #[test]
+    fn what_was_not_asked_for_is_not_waited_for() {
+        let progress = Progress::default();
+        progress.follow(SECOND.iter(), &|name| name != "b", |_| Ok(true));
+        assert_eq!(progress.state.into_inner().unwrap().passed.len(), 2);
     }
 }

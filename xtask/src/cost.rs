@@ -10,7 +10,7 @@ use shared::control::network::Network;
 use xshell::{Shell, cmd};
 
 use crate::firmware::{self, Size};
-use crate::{CHIP_TARGET, qemu_test};
+use crate::qemu_test;
 
 #[path = "../../firmware/src/cost/fixture.rs"]
 mod fixture;
@@ -163,11 +163,7 @@ fn check_sizes(text: &str, sizes: &[(&str, Size)]) -> Result<()> {
 
 /// Builds the counting image and runs it.
 fn count(shell: &Shell) -> Result<Counted> {
-    let target = CHIP_TARGET;
-    cmd!(shell, "cargo build --release -p firmware --bin cost --features cost --target {target}")
-        .quiet()
-        .run()?;
-    let image = firmware::cargo_folder(shell).join(CHIP_TARGET).join("release/cost");
+    let image = firmware::build_cost(shell)?;
     let output = cmd!(
         shell,
         "qemu-system-arm -M netduinoplus2 -display none -monitor none -serial none

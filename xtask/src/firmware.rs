@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use object::read::elf::{ElfFile32, FileHeader, SectionHeader};
 use object::{Object, ObjectSection, elf};
 use xshell::{Shell, cmd};
 
 use crate::memory::{self, Region};
-use crate::{CHIP_TARGET, setup};
+use crate::{CHIP_PROFILE, CHIP_TARGET};
 
 /// What of a section matters for its size.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -68,27 +68,38 @@ pub fn run(shell: &Shell) -> Result<()> {
 
 /// Builds the images of the main board, and the shim that lets them run in the emulator.
 pub fn build(shell: &Shell) -> Result<Images> {
-    ensure!(setup::can_build(shell)?, "the toolchain cannot build for {CHIP_TARGET}; run: cargo xtask setup");
     let hil = compile(shell, "hil", &["--features", "hil"])?;
     let board = compile(shell, "board", &[])?;
-    cmd!(shell, "cargo build --release -p shim --bin shim --target {CHIP_TARGET}").quiet().run()?;
+    build_for_chip(shell, &["-p", "shim", "--bin", "shim"])?;
     let shim = keep(shell, "shim", "shim")?;
     Ok(Images { board, hil, shim })
 }
 
 /// Builds the firmware that tests the emulator, to lie beside the other images.
 pub fn build_probe(shell: &Shell) -> Result<()> {
-    cmd!(shell, "cargo build --release -p shim --example probe --target {CHIP_TARGET}").quiet().run()?;
+    build_for_chip(shell, &["-p", "shim", "--example", "probe"])?;
     keep(shell, "examples/probe", "probe")?;
     Ok(())
 }
 
+/// Builds the program that counts instructions; gives its file.
+pub fn build_cost(shell: &Shell) -> Result<PathBuf> {
+    build_for_chip(shell, &["-p", "firmware", "--bin", "cost", "--features", "cost"])?;
+    Ok(chip_folder(shell).join("cost"))
+}
+
 /// Builds the firmware with some features and keeps the image under a name of its own.
 fn compile(shell: &Shell, name: &str, features: &[&str]) -> Result<PathBuf> {
-    cmd!(shell, "cargo build --release -p firmware --bin firmware {features...} --target {CHIP_TARGET}")
-        .quiet()
-        .run()?;
+    build_for_chip(shell, &[&["-p", "firmware", "--bin", "firmware"], features].concat())?;
     keep(shell, "firmware", name)
+}
+
+/// Builds a program for the chip.
+fn build_for_chip(shell: &Shell, program: &[&str]) -> Result<()> {
+    cmd!(shell, "cargo build --profile {CHIP_PROFILE} --target {CHIP_TARGET} {program...}")
+        .quiet()
+        .run()
+        .context("if the toolchain lacks the chip's core library, run: cargo xtask setup")
 }
 
 /// Copies what cargo built to where it is not overwritten by a build with other features; leaves an equal file alone, so
@@ -96,12 +107,17 @@ fn compile(shell: &Shell, name: &str, features: &[&str]) -> Result<PathBuf> {
 fn keep(shell: &Shell, built: &str, name: &str) -> Result<PathBuf> {
     let folder = cargo_folder(shell).join("firmware");
     shell.create_dir(&folder)?;
-    let from = cargo_folder(shell).join(CHIP_TARGET).join("release").join(built);
+    let from = chip_folder(shell).join(built);
     let to = folder.join(format!("{name}.elf"));
     if std::fs::read(&to).ok() != Some(read(&from)?) {
         shell.copy_file(from, &to)?;
     }
     Ok(to)
+}
+
+/// Where cargo leaves programs for the chip.
+fn chip_folder(shell: &Shell) -> PathBuf {
+    cargo_folder(shell).join(CHIP_TARGET).join(CHIP_PROFILE)
 }
 
 /// Where cargo builds.

@@ -20,6 +20,8 @@ use xshell::Shell;
 
 /// The chip's instruction set: Cortex-M4 with a hardware unit for f32.
 const CHIP_TARGET: &str = "thumbv7em-none-eabihf";
+/// The profile of the chip's programs, and of tests that must see the same optimisation.
+const CHIP_PROFILE: &str = "chip";
 
 /// Build and check automation of Eupnea.
 #[derive(Parser)]

@@ -110,7 +110,7 @@ mod tests {
         for (map, _) in CHIPS {
             let room = find(&regions(map).unwrap(), "RECORDER").unwrap().length;
             assert!(
-                room >= size_of::<shared::recorder::Memory>() as u64 && room <= 64 * 1024,
+                room >= size_of::<shared::recorder::RecorderMemory>() as u64 && room <= 64 * 1024,
                 "{room} bytes"
             );
         }

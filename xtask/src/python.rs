@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail};
 use xshell::{Shell, cmd};
 
 use crate::trainer::Trainer;
@@ -53,26 +53,12 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
     }
 }
 
-/// Python that can make virtual environments; Debian keeps that part in a package of its own.
+/// Python that can make virtual environments.
 fn ensure_python(shell: &Shell) -> Result<()> {
-    let can_make_environments = cmd!(shell, "python3 -c 'import ensurepip, venv'");
-    if can_make_environments.quiet().ignore_stderr().run().is_ok() {
-        return Ok(());
+    if cmd!(shell, "python3 -c 'import ensurepip, venv'").quiet().ignore_stderr().run().is_err() {
+        cmd!(shell, "bash .ci/setup/python-venv").quiet().run()?;
     }
-    let instructions =
-        "python3 with its module venv is needed; on Debian, as root: apt-get install python3-venv";
-    let is_root = cmd!(shell, "id -u").quiet().read().is_ok_and(|id| id == "0");
-    ensure!(
-        is_root && cmd!(shell, "apt-get --version").quiet().ignore_stdout().run().is_ok(),
-        "{instructions}"
-    );
-    println!("python3: installing it");
-    cmd!(shell, "apt-get update -qq").quiet().run().context(instructions)?;
-    cmd!(shell, "apt-get install -y -qq --no-install-recommends python3-venv")
-        .env("DEBIAN_FRONTEND", "noninteractive")
-        .quiet()
-        .run()
-        .context(instructions)
+    Ok(())
 }
 
 /// Tune, collect, fit, train and evaluate on the plant in Python, over a pipe; sizes are just large enough to run.

@@ -29,10 +29,9 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build(shell)?;
     firmware::build_probe(shell)?;
     let folder = images.folder();
-    // Of the same packages as all other tests, lest their dependencies be built anew. One after the other: each keeps a core
-    // busy with QEMU and another with its plant.
+    // Of the same packages as all other tests, lest their dependencies be built again.
     let packages = ["--workspace", "--exclude", "firmware", "--features", "tests/board"];
-    cmd!(shell, "cargo test {packages...} --test emulator --test qemu -- --test-threads=1 {filters...}")
+    cmd!(shell, "cargo test {packages...} --test emulator --test qemu -- {filters...}")
         .env(IMAGES, folder)
         .quiet()
         .run()?;

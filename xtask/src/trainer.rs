@@ -1,10 +1,12 @@
-//! The trainer as the tests have built it: another selection of packages would build its dependencies anew, and another profile
+//! The trainer as the tests have built it: another selection of packages would build its dependencies again, and another profile
 //! everything.
 
 use std::path::PathBuf;
 
 use anyhow::Result;
 use xshell::{Shell, cmd};
+
+use crate::firmware::cargo_folder;
 
 /// A trainer that can be run.
 pub struct Trainer<'a> {
@@ -15,12 +17,10 @@ pub struct Trainer<'a> {
 impl<'a> Trainer<'a> {
     /// Builds it, unless the tests have.
     pub fn build(shell: &'a Shell) -> Result<Self> {
-        let target =
-            shell.var("CARGO_TARGET_DIR").map_or_else(|_| shell.current_dir().join("target"), PathBuf::from);
         cmd!(shell, "cargo test --quiet --workspace --exclude firmware --test command_line --no-run")
             .quiet()
             .run()?;
-        Ok(Self { shell, program: target.join("debug/trainer") })
+        Ok(Self { shell, program: cargo_folder(shell).join("debug/trainer") })
     }
 
     /// Runs a command line, in which `words` stand for what holds spaces.

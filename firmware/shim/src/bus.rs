@@ -57,6 +57,8 @@ pub trait Outside: Line {
     fn now(&mut self) -> u32;
     /// Changes the slots.
     fn change(&mut self, operation: Operation);
+    /// Cuts the power.
+    fn cut_power(&mut self);
 }
 
 /// The modelled parts, but for what the record holds.
@@ -131,6 +133,9 @@ fn change(operation: Option<Operation>, record: &mut Record, outside: &mut impl 
     if let Some(operation) = operation {
         record.flash_operations += 1;
         outside.change(operation);
+        if record.flash_operations == record.power_cut {
+            outside.cut_power();
+        }
     }
 }
 
@@ -143,6 +148,7 @@ mod tests {
     #[derive(Default)]
     struct Recorder {
         operations: Vec<Operation>,
+        power_cuts: usize,
     }
 
     impl Line for Recorder {
@@ -161,6 +167,10 @@ mod tests {
 
         fn change(&mut self, operation: Operation) {
             self.operations.push(operation);
+        }
+
+        fn cut_power(&mut self) {
+            self.power_cuts += 1;
         }
     }
 
@@ -231,22 +241,33 @@ mod tests {
         assert_eq!(record.reset_flags, 0);
     }
 
+    /// Opens the flash controller for programming by words.
+    fn unlock(chip: &mut Chip, record: &mut Record, outside: &mut Recorder) {
+        for (offset, value) in [(0x04, 0x4567_0123), (0x04, 0xCDEF_89AB), (0x10, 1 | 2 << 8)] {
+            chip.store(FLASH + offset, Width::Word, value, record, outside);
+        }
+    }
+
     #[test]
     fn the_slots_are_programmed_by_stores_to_them() {
         let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
-        let steps = [
-            (FLASH + 4, 0x4567_0123),
-            (FLASH + 4, 0xCDEF_89AB),
-            (FLASH + 0x10, 1 | 2 << 8),
-            (0x080F_FFFC, 7),
-        ];
-        for (address, value) in steps {
-            chip.store(address, Width::Word, value, &mut record, &mut outside);
-        }
+        unlock(&mut chip, &mut record, &mut outside);
+        chip.store(0x080F_FFFC, Width::Word, 7, &mut record, &mut outside);
         assert_eq!(
             outside.operations,
             [Operation::Program { address: 0x080F_FFFC, width: Width::Word, value: 7 }]
         );
         assert_eq!(record.flash_operations, 1);
+    }
+
+    #[test]
+    fn the_power_is_cut_after_the_chosen_operation_and_no_other() {
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
+        unlock(&mut chip, &mut record, &mut outside);
+        record.power_cut = 2;
+        for (operations, cuts) in [(1, 0), (2, 1), (3, 1)] {
+            chip.store(flash::SLOTS, Width::Word, 0, &mut record, &mut outside);
+            assert_eq!((outside.operations.len(), outside.power_cuts), (operations, cuts));
+        }
     }
 }

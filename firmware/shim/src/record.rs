@@ -1,6 +1,8 @@
 //! What outlives a reset of the system, and what a debugger may want to know: at a fixed address, outside of everything
 //! that QEMU loads again.
 
+use core::mem::offset_of;
+
 use crate::gpio::{self, Gpio};
 use crate::iwdg::Effect;
 use crate::rcc::ResetCause;
@@ -9,10 +11,12 @@ use crate::rcc::ResetCause;
 pub const ADDRESS: u32 = 0x1000_FF00;
 /// Its length in words.
 pub const WORDS: usize = size_of::<Record>() / 4;
+/// Where [`Record::power_cut`] lies.
+pub const POWER_CUT_ADDRESS: u32 = ADDRESS + offset_of!(Record, power_cut) as u32;
 /// Marks a record that was written by this program.
 const MARK: u32 = 0x5265_6331;
 /// Words before the ports.
-const PLAIN: usize = 12;
+const PLAIN: usize = 13;
 const PORT_WORDS: usize = gpio::BYTES as usize / 4;
 
 /// The record. Counts are those since power-on.
@@ -42,6 +46,8 @@ pub struct Record {
     pub answer_pipe: u32,
     /// Sectors erased and values programmed.
     pub flash_operations: u32,
+    /// Count of flash operations at which the power is cut, for a debugger to set ([`POWER_CUT_ADDRESS`]); zero: never.
+    pub power_cut: u32,
     /// Ports A and B.
     pub ports: [Gpio; 2],
 }
@@ -66,6 +72,7 @@ impl Record {
             request_pipe: 0,
             answer_pipe: 0,
             flash_operations: 0,
+            power_cut: 0,
             ports: PORTS,
         }
     }
@@ -104,7 +111,8 @@ impl Record {
     /// The record in words read from [`ADDRESS`]; none if no shim has run there.
     pub fn from_words(words: &[u32; WORDS]) -> Option<Self> {
         let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *words;
-        let [.., flash_file, request_pipe, answer_pipe, flash_operations] = *words.first_chunk::<PLAIN>()?;
+        let [.., flash_file, request_pipe, answer_pipe, flash_operations, power_cut] =
+            *words.first_chunk::<PLAIN>()?;
         let (a, b) = words[PLAIN..].split_first_chunk::<PORT_WORDS>()?;
         let ports = [Gpio::from_words(*a), Gpio::from_words(*b.first_chunk()?)];
         let record = Self {
@@ -120,6 +128,7 @@ impl Record {
             request_pipe,
             answer_pipe,
             flash_operations,
+            power_cut,
             ports,
         };
         (mark == MARK).then_some(record)
@@ -202,6 +211,7 @@ mod tests {
         words[0] = MARK;
         let record = Record::from_words(&words).unwrap();
         assert_eq!((record.starts, record.traps, record.flash_operations), (1, 7, 11));
-        assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 22 + n as u32)));
+        assert_eq!((record.power_cut, POWER_CUT_ADDRESS), (12, ADDRESS + 4 * 12));
+        assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 23 + n as u32)));
     }
 }

@@ -6,26 +6,26 @@ use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::residual::Residual;
 use shared::device::control::Control;
-use shared::device::timing::TickTime;
-use shared::device::{Answer, Order, Report};
+use shared::device::{ControlReply, ControlReport, ControlRequest};
 use shared::link::messages::DeviceKind;
 use shared::recorder::Recorder;
+use shared::timing::TickTime;
 
 use static_cell::StaticCell;
 
-use super::board::{CORE_CLOCK, Plant, SelectedPlant};
+use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{clock, link_uart, usable};
+use super::drivers::{clock, link_uart, taken_once};
 
 /// Reports that can wait for the link task: more than a tenth of a second of samples.
 const REPORTS_LENGTH: usize = 128;
 
 /// From the link task; one at a time.
-pub static ORDER: Signal<CriticalSectionRawMutex, Order> = Signal::new();
+pub static REQUEST: Signal<CriticalSectionRawMutex, ControlRequest> = Signal::new();
 /// To the link task.
-pub static ANSWER: Signal<CriticalSectionRawMutex, Answer> = Signal::new();
+pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
 /// To the link task.
-pub static REPORTS: Channel<CriticalSectionRawMutex, Report, REPORTS_LENGTH> = Channel::new();
+pub static REPORTS: Channel<CriticalSectionRawMutex, ControlReport, REPORTS_LENGTH> = Channel::new();
 
 /// The device's control half. Kept here and built in place: as part of the task it would be moved over the stack.
 static CONTROL: StaticCell<Control> = StaticCell::new();
@@ -33,10 +33,10 @@ static CONTROL: StaticCell<Control> = StaticCell::new();
 /// Makes the control half. Called once.
 #[inline(never)]
 pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Control {
-    CONTROL.init_with(|| usable(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
+    CONTROL.init_with(|| taken_once(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
 }
 
-/// Runs for ever.
+/// Never returns.
 #[embassy_executor::task]
 pub async fn run(
     control: &'static mut Control,
@@ -48,15 +48,15 @@ pub async fn run(
     loop {
         let number = clock::tick().await;
         let (latency, begun) = (clock::since_tick(), clock::now());
-        link_uart::go_on();
-        let cue = control.cue();
-        let reading = plant.read(&cue);
+        link_uart::resume();
+        let change = control.plant_change();
+        let reading = plant.read(&change);
         let read = clock::now();
         let output = control.step(reading);
         plant.drive(&output.command);
         control.report(&output, &mut |report| REPORTS.try_send(report).is_ok());
-        if let Some(order) = ORDER.try_take() {
-            ANSWER.signal(control.execute(&order));
+        if let Some(request) = REQUEST.try_take() {
+            REPLY.signal(control.execute(&request));
         }
         let (missed, period) = since(before, number, begun);
         recorder.record(&control.moment(reading, &output, missed));

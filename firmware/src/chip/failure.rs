@@ -1,5 +1,5 @@
-//! What happens when the program cannot go on: the valves are put in their safe state, the reason is kept over the
-//! restart, and the chip starts anew, in standby.
+//! Failures of the program: the valves go to their safe state, the reason is kept, and
+//! the chip restarts in standby.
 //!
 //! After a restart nothing moves until a host asks for it, and the greeting tells the reason.
 
@@ -45,7 +45,7 @@ fn panic(info: &PanicInfo) -> ! {
     let mut text = Text(String::new());
     // What does not fit is cut off.
     let _ = write!(text, "{}:{}: {}", place.0, place.1, info.message());
-    start_anew(&text.0)
+    restart(&text.0)
 }
 
 #[exception]
@@ -53,7 +53,7 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     stop_safely();
     let mut text = Text(String::new());
     let _ = write!(text, "hard fault at {:#010x}, called from {:#010x}", frame.pc(), frame.lr());
-    start_anew(&text.0)
+    restart(&text.0)
 }
 
 fn stop_safely() {
@@ -61,7 +61,7 @@ fn stop_safely() {
     board::force_valves_safe();
 }
 
-fn start_anew(text: &str) -> ! {
+fn restart(text: &str) -> ! {
     error!("{}", Display2Format(text));
     let mut note = Note { mark: MARK, length: text.len(), text: [0; FAILURE_BYTES] };
     note.text[..text.len()].copy_from_slice(text.as_bytes());

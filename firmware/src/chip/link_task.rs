@@ -1,17 +1,18 @@
-//! The link task: moves bytes, orders and reports between the line, the desk and the control task; owns the flash.
+//! The link task: moves bytes, requests and reports between the line, the server and the control task; owns the flash.
 
 use embassy_futures::select::{Either, select};
 use shared::control::residual::Residual;
-use shared::device::Report;
-use shared::device::desk::{Desk, Facts, Step};
+use shared::device::ControlReport;
+use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
-use shared::link::messages::{Slot, SlotState, ToDevice, ToHost, read_request};
+use shared::link::messages::{ToDevice, ToHost, read_request};
 use shared::weights::IMAGE_BYTES;
 use shared::weights::slots::Slots;
+use shared::weights::slots::{Slot, SlotState};
 
 use static_cell::StaticCell;
 
-use super::control_task::{ANSWER, ORDER, REPORTS};
+use super::control_task::{REPLY, REPORTS, REQUEST};
 use super::drivers::flash::{WeightsFlash, slots};
 use super::drivers::{link_uart, watchdog};
 use super::recorder;
@@ -56,23 +57,23 @@ impl Storage {
     /// Stores a validated image; the core stands still while a sector is erased. Gives the slot that took it, if one
     /// did, and what both hold now.
     fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> (Option<Slot>, [SlotState; 2]) {
-        let stored = watchdog::patiently(|| self.slots.store(image));
+        let stored = watchdog::with_long_timeout(|| self.slots.store(image));
         (stored.ok().map(|(slot, _)| slot), self.slots.states())
     }
 }
 
-/// The device's other half. Kept here and built in place: as part of the task it would be moved over the stack.
-static DESK: StaticCell<Desk> = StaticCell::new();
+/// The device's server. Kept here and built in place: as part of the task it would be moved over the stack.
+static SERVER: StaticCell<Server<'static>> = StaticCell::new();
 
-/// Makes the desk. Called once.
+/// Makes the server. Called once.
 #[inline(never)]
-pub fn prepare(facts: Facts) -> &'static mut Desk {
-    DESK.init_with(|| Desk::new(facts))
+pub fn prepare(facts: DeviceFacts) -> &'static mut Server<'static> {
+    SERVER.init_with(|| Server::new(facts, recorder::memory()))
 }
 
-/// Runs for ever.
+/// Never returns.
 #[embassy_executor::task]
-pub async fn run(desk: &'static mut Desk, mut storage: Storage) {
+pub async fn run(server: &'static mut Server<'static>, mut storage: Storage) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
     let mut chunk = [0; CHUNK];
     loop {
@@ -81,38 +82,37 @@ pub async fn run(desk: &'static mut Desk, mut storage: Storage) {
                 for byte in &chunk[..count] {
                     if let Poll::Frame(content) = decoder.push(*byte) {
                         match read_request(content) {
-                            Ok(request) => serve(desk, &mut storage, &request).await,
+                            Ok(request) => serve(server, &mut storage, &request).await,
                             Err(unreadable) => {
-                                if let Some(sequence) = unreadable.sequence {
-                                    send(&desk.unreadable(sequence)).await;
+                                if let Some(refusal) = unreadable.refusal() {
+                                    send(&refusal).await;
                                 }
                             }
                         }
                     }
                 }
-                desk.corrupt_frames(decoder.counters().corrupt().wrapping_add(link_uart::lost()));
+                server.corrupt_frames(decoder.counters().corrupt().wrapping_add(link_uart::lost()));
             }
-            Either::Second(report) => tell(desk, &report).await,
+            Either::Second(report) => forward(server, &report).await,
         }
     }
 }
 
 /// Takes a request to its answer.
-async fn serve(desk: &mut Desk, storage: &mut Storage, request: &ToDevice) {
-    let mut step = desk.receive(request);
+async fn serve(server: &mut Server<'_>, storage: &mut Storage, request: &ToDevice) {
+    let mut step = server.receive(request);
     loop {
         step = match step {
-            Step::Send(answer) => return send(&answer).await,
-            Step::Ask(order) => {
-                ORDER.signal(order);
-                desk.answered(ANSWER.wait().await)
+            NextStep::Send(answer) => return send(&answer).await,
+            NextStep::Control(request) => {
+                REQUEST.signal(request);
+                server.control_replied(REPLY.wait().await)
             }
-            Step::Look(look) => desk.looked(recorder::memory().look(look)),
-            Step::Store => {
-                let (slot, states) = storage.store(desk.image());
-                desk.stored(slot, states)
+            NextStep::Store => {
+                let (slot, states) = storage.store(server.image());
+                server.stored(slot, states)
             }
-            Step::Restart(answer) => {
+            NextStep::Restart(answer) => {
                 send(&answer).await;
                 link_uart::flush();
                 cortex_m::peripheral::SCB::sys_reset();
@@ -121,8 +121,9 @@ async fn serve(desk: &mut Desk, storage: &mut Storage, request: &ToDevice) {
     }
 }
 
-async fn tell(desk: &mut Desk, report: &Report) {
-    for event in desk.report(report) {
+/// Sends what a report of the control task makes the server say.
+async fn forward(server: &mut Server<'_>, report: &ControlReport) {
+    for event in server.report(report) {
         send(&event).await;
     }
 }

@@ -1,6 +1,6 @@
 //! Everything that runs on the chip: start, the 1 kHz control task, the link task.
 //!
-//! | who | priority | does |
+//! | runs | priority | does |
 //! |---|---|---|
 //! | `SysTick` | 0 | announces a tick |
 //! | USART1 | 2 | takes and gives the link's bytes |
@@ -22,11 +22,11 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::Start;
-use shared::device::desk::Facts;
+use shared::device::BootFindings;
+use shared::device::server::DeviceFacts;
 
-use board::Plant;
-use drivers::{clock, reset, usable};
+use board::PlantInterface;
+use drivers::{clock, reset, taken_once};
 use link_task::Storage;
 
 static CONTROL: InterruptExecutor = InterruptExecutor::new();
@@ -52,8 +52,8 @@ fn start() {
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let control = control_task::prepare(kind, learned);
     let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
-    control.started(&Start { cause: reset, interrupted: recorder.interrupted(), slots });
-    let facts = Facts {
+    control.report_boot(&BootFindings { cause: reset, interrupted: recorder.interrupted(), slots });
+    let facts = DeviceFacts {
         firmware: link_task::VERSION,
         device: kind,
         period_us: DEFAULT_PERIOD_US,
@@ -65,9 +65,10 @@ fn start() {
     interrupt::CAN2_SCE.set_priority(Priority::P4);
     let spawner = CONTROL.start(interrupt::CAN2_SCE);
     board.watchdog.start();
-    spawner.spawn(usable(control_task::run(control, recorder, board.plant, board.watchdog).ok()));
+    spawner.spawn(taken_once(control_task::run(control, recorder, board.plant, board.watchdog).ok()));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
-    LINK.start(interrupt::CAN2_RX0).spawn(usable(link_task::run(link_task::prepare(facts), storage).ok()));
+    LINK.start(interrupt::CAN2_RX0)
+        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage).ok()));
     clock::start(&mut board.core);
 }
 

@@ -11,24 +11,25 @@ use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::features::{FeatureSpec, FeatureState};
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualSpec};
-use shared::control::{Controller, ControllerState, Observation, Wish};
+use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use shared::device::control::Control;
-use shared::device::timing::TickTime;
-use shared::device::{KNOWN_GOOD, Order, Report};
+use shared::device::{ControlReport, ControlRequest, KNOWN_GOOD};
 use shared::explore::Exploration;
 use shared::link::frame::{FRAME_BYTES, encode_frame};
-use shared::link::messages::{ControllerChoice, DeviceKind, Event, ResetCause, ToHost};
+use shared::link::messages::{ControllerChoice, DeviceKind, Event, ToHost};
 use shared::link::telemetry::{Batcher, Counters};
 use shared::math;
-use shared::recorder::{Boot, Memory, Recorder};
+use shared::recorder::{Boot, Recorder, RecorderMemory};
+use shared::reset::ResetCause;
 use shared::safety::monitors::Monitors;
-use shared::safety::supervisor::Supervisor;
+use shared::safety::supervisor::{Supervisor, SupervisorState};
 use shared::sensor::{Counts, Sensors};
+use shared::timing::TickTime;
 use shared::ventilator::Output;
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
+use super::exact_lung::ExactLung;
 use super::fixture::{Numbers, RUNS, reference_bits, relu};
-use super::plant::Plant;
 
 /// Nanoseconds of an instruction: two to the power of QEMU's icount shift.
 const INSTRUCTION_SHIFT: u32 = 3;
@@ -165,20 +166,21 @@ fn monitors(counting: &Cost) {
     let Ok(breath) = shared::breath::Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US) else {
         unreachable!("the paper's settings are in bounds")
     };
-    let (mut supervisor, mut cost) = (Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL), Cost::NONE);
-    let mut plant = Plant::new(breath.settings().peep);
+    let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+    let (mut state, mut cost) = (SupervisorState::default(), Cost::NONE);
+    let mut plant = ExactLung::new(breath.settings().peep);
     for tick in (0..3).flat_map(|_| 0..breath.total_ticks()) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         let (reading, asked) = (plant.pressure(), breath.target(tick) - plant.pressure());
         let base = if inspires { math::limit(20.0 + 5.0 * asked, 0.0, 90.0) } else { 0.0 };
-        let wish = Wish { base, command: base + 1.0 };
+        let wanted = ControlOutput { base, command: base + 1.0 };
         let command = cost.of(|| {
-            supervisor.check(black_box(reading), &breath, Some(tick));
-            supervisor.command(black_box(wish), !inspires)
+            supervisor.check(&mut state, black_box(reading), &breath, Some(tick));
+            supervisor.command(&mut state, black_box(wanted), !inspires)
         });
         plant.step(command.u_in(), command.u_out());
     }
-    if supervisor.fault().is_some() {
+    if state.fault().is_some() {
         unreachable!("nothing is wrong with the plant of the golden traces")
     }
     cost.print("monitors", counting);
@@ -189,7 +191,7 @@ fn telemetry(counting: &Cost) {
     let (mut pack, mut encoding) = (Cost::NONE, Cost::NONE);
     let mut batcher = Batcher::new();
     let mut control = control();
-    control.execute(&Order::Start);
+    control.execute(&ControlRequest::Start);
     for tick in 0..u64::from(RUNS) {
         let Some(sample) = control.step(5.0).sample else { continue };
         let batch = pack.of(|| batcher.push(tick, black_box(&sample), &Counters::ZERO));
@@ -224,16 +226,16 @@ fn control() -> Control {
 }
 
 /// The flight recorder's memory.
-static MEMORY: Memory = Memory::new();
+static MEMORY: RecorderMemory = RecorderMemory::new();
 
 fn recorder() -> Recorder<'static> {
     Recorder::attach(&MEMORY, Boot { cause: ResetCause::PowerOn, failed: false, weights: None })
 }
 
-/// What the flight recorder adds to a tick.
+/// The flight recorder's share of a tick.
 fn recording(counting: &Cost) {
     let (mut control, mut recorder, mut cost) = (control(), recorder(), Cost::NONE);
-    control.execute(&Order::Start);
+    control.execute(&ControlRequest::Start);
     for tick in 0..2 * TICKS {
         let reading = 5.0 + (tick % 1000) as f32 / 100.0;
         let output = control.step(reading);
@@ -244,26 +246,27 @@ fn recording(counting: &Cost) {
 }
 
 /// Whole ticks of the device's control half, learned and exploring, on the plant of the golden traces: reading, step, report
-/// and an order, as the control task runs them. A tick in which the network runs is counted apart, since most do not need it.
+/// and a request, as the control task runs them. A tick in which the network runs is counted apart, since most do not need it.
 fn ticks(counting: &Cost) {
     let mut control = control();
     let mut recorder = recorder();
-    let mut plant = Plant::new(paper_settings(PAPER_PIPS[0]).peep);
-    control.execute(&Order::Start);
+    let mut plant = ExactLung::new(paper_settings(PAPER_PIPS[0]).peep);
+    control.execute(&ControlRequest::Start);
     let (mut all, mut inspiring) = (Cost::NONE, Cost::NONE);
     for pip in PAPER_PIPS {
         let settings = paper_settings(pip);
         plant.set_peep(settings.peep);
-        let mut orders = [
-            Order::Apply(settings),
-            Order::Exploration(Some(Exploration::default())),
-            Order::Controller(ControllerChoice::Learned),
-            Order::Timing { clear: false },
+        let mut requests = [
+            ControlRequest::Apply(settings),
+            ControlRequest::Exploration(Some(Exploration::default())),
+            ControlRequest::Controller(ControllerChoice::Learned),
+            ControlRequest::Timing { clear: false },
         ]
         .into_iter();
         for _ in 0..TICKS {
-            let (mut cost, order, reading) = (Cost::NONE, orders.next(), plant.pressure());
-            let output = cost.of(|| tick(&mut control, &mut recorder, black_box(reading), black_box(order)));
+            let (mut cost, request, reading) = (Cost::NONE, requests.next(), plant.pressure());
+            let output =
+                cost.of(|| tick(&mut control, &mut recorder, black_box(reading), black_box(request)));
             let Some(sample) = output.sample else { unreachable!("the ventilator ventilates to the end") };
             if sample.phase == Phase::Inspiration {
                 inspiring.add(&cost);
@@ -276,14 +279,19 @@ fn ticks(counting: &Cost) {
     inspiring.print("tick_of_inspiration", counting);
 }
 
-fn tick(control: &mut Control, recorder: &mut Recorder, reading: f32, order: Option<Order>) -> Output {
+fn tick(
+    control: &mut Control,
+    recorder: &mut Recorder,
+    reading: f32,
+    request: Option<ControlRequest>,
+) -> Output {
     let output = control.step(reading);
-    control.report(&output, &mut |report: Report| {
+    control.report(&output, &mut |report: ControlReport| {
         black_box(report);
         true
     });
-    if let Some(order) = order {
-        black_box(control.execute(&order));
+    if let Some(request) = request {
+        black_box(control.execute(&request));
     }
     recorder.record(&control.moment(reading, &output, black_box(0)));
     control.record(black_box(&TickTime { latency: 20, work: 5000, period: Some(168_000), missed: 0 }));

@@ -7,12 +7,12 @@
 
 #[cfg(target_os = "none")]
 mod chip;
-#[cfg(target_os = "none")]
-mod fixture;
 /// The plant of the golden traces.
 #[cfg(target_os = "none")]
-#[path = "../../../tests/src/plant.rs"]
-mod plant;
+#[path = "../../../tests/src/exact_lung.rs"]
+mod exact_lung;
+#[cfg(target_os = "none")]
+mod fixture;
 
 #[cfg(not(target_os = "none"))]
 fn main() {

@@ -4,6 +4,9 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
 /// Replaces `path` by `bytes` in one step: a temporary file beside it, synced, then renamed.
 ///
 /// Missing parent folders are created.
@@ -36,6 +39,56 @@ pub fn temporary(path: &Path) -> io::Result<PathBuf> {
     Ok(path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())))
 }
 
+/// Writes a value as JSON in one line, all or nothing.
+///
+/// # Errors
+/// A value that JSON cannot hold, else as [`write_atomically`].
+pub fn write_json(path: &Path, value: &impl Serialize) -> io::Result<()> {
+    write_atomically(path, serde_json::to_string(value)?.as_bytes())
+}
+
+/// As [`write_json`], for people: indented.
+///
+/// # Errors
+/// As [`write_json`].
+pub fn write_json_indented(path: &Path, value: &impl Serialize) -> io::Result<()> {
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    write_atomically(path, text.as_bytes())
+}
+
+/// Reads what [`write_json`] wrote; none if there is no such file.
+///
+/// # Errors
+/// The file cannot be read, or holds something else.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
+    match fs::read_to_string(path) {
+        Ok(text) => serde_json::from_str(&text).map(Some).map_err(|error| {
+            io::Error::new(io::ErrorKind::InvalidData, format!("{error}; remove it if it is damaged"))
+        }),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Marks a folder as that of one configuration, in its `run.json`; false if it belongs to another.
+///
+/// # Errors
+/// A file that cannot be read or written.
+pub fn claim<T: PartialEq + Serialize + DeserializeOwned>(
+    folder: &Path,
+    configuration: &T,
+) -> io::Result<bool> {
+    let path = folder.join("run.json");
+    match fs::read_to_string(&path) {
+        // A configuration of another shape is another one.
+        Ok(text) => Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            write_json_indented(&path, configuration).map(|()| true)
+        }
+        Err(error) => Err(error),
+    }
+}
+
 fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
     file.write_all(bytes)?;
@@ -63,6 +116,24 @@ mod tests {
         write_atomically(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(entries(path.parent().unwrap()), ["file.txt"]);
+    }
+
+    #[test]
+    fn a_folder_belongs_to_its_first_configuration() {
+        let folder = tempfile::tempdir().unwrap();
+        for (configuration, own) in [(1, true), (1, true), (2, false)] {
+            assert_eq!(claim(folder.path(), &configuration).unwrap(), own);
+        }
+        assert!(!claim(folder.path(), &"of another shape".to_owned()).unwrap());
+    }
+
+    #[test]
+    fn a_value_that_json_cannot_hold_writes_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.json");
+        let keyed_by_lists = std::collections::BTreeMap::from([(vec![1], 2)]);
+        assert!(write_json(&path, &keyed_by_lists).is_err());
+        assert!(!path.exists());
     }
 
     #[test]

@@ -2,8 +2,8 @@
 #![forbid(unsafe_code)]
 
 pub mod files;
+pub mod identity;
 pub mod import;
-pub mod json;
 pub mod provenance;
 pub mod recording;
 pub mod tensors;

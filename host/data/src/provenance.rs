@@ -5,6 +5,8 @@ use std::sync::OnceLock;
 
 use serde::{Deserialize, Serialize};
 
+use crate::identity::TestRun;
+
 /// Version of the recording format that this program writes, and the only one it reads.
 pub const FORMAT: u32 = 1;
 
@@ -29,9 +31,9 @@ pub struct Provenance {
     pub weights_id: String,
     /// What delivered the rows: a bench, a port, an imported table.
     pub source: String,
-    /// Names that the column `group` points into, such as `CT_AIR:3`.
+    /// Test runs that the column `group` points into, such as `CT_AIR:3`.
     #[serde(default)]
-    pub groups: Vec<String>,
+    pub groups: Vec<TestRun>,
     /// Remarks for people.
     pub notes: Vec<String>,
 }
@@ -117,7 +119,7 @@ mod tests {
             plant: "bench \"r20c20\"".to_owned(),
             plant_parameters: "r = 20.0\n".to_owned(),
             settings: serde_json::json!({ "kp": 0.1 + 0.2, "pip": [10, 35] }),
-            groups: vec!["CT_AIR:3".to_owned()],
+            groups: vec!["CT_AIR:3".into()],
             notes: vec!["ÿ µ 𝛿".to_owned()],
             ..Provenance::new(1_000, "test")
         };

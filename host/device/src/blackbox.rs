@@ -4,7 +4,7 @@ use progress::{Progress, Stage, Task};
 use serde::Serialize;
 use shared::link::messages::{Request, Response};
 use shared::recorder::entry::{EVENT_BYTES, TICK_BYTES};
-use shared::recorder::{Held, LogEntry, Part, SLOW_STRIDE, Status, TickEntry};
+use shared::recorder::{Held, LogEntry, Part, RecorderStatus, SLOW_STRIDE, TickEntry};
 
 use super::{Device, DeviceError};
 
@@ -12,13 +12,13 @@ use super::{Device, DeviceError};
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Blackbox {
     /// What its recording is about.
-    pub status: Status,
+    pub status: RecorderStatus,
     /// Control period, microseconds.
     pub period_us: u32,
     /// Every control tick of the last 2 s.
-    pub fast: Trace,
+    pub fast: RecordedTicks,
     /// Every 20th of the last 60 s, each with the highest pressure of the 20.
-    pub slow: Trace,
+    pub slow: RecordedTicks,
     /// What happened, oldest first.
     pub log: Vec<LogEntry>,
     /// Events that were damaged, or are of a kind that this program does not know.
@@ -27,14 +27,14 @@ pub struct Blackbox {
 
 /// Ticks in order.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Trace {
+pub struct RecordedTicks {
     /// Seconds from one entry to the next.
     pub step_s: f64,
     /// Entries; none marks a gap, where the recording had stood still.
     pub entries: Vec<Option<TickEntry>>,
 }
 
-impl Trace {
+impl RecordedTicks {
     /// Entries of a part, with their distance in seconds.
     fn of(bytes: &[u8], step_s: f64) -> Self {
         let entries = bytes.as_chunks::<TICK_BYTES>().0.iter().map(|entry| TickEntry::read(*entry)).collect();
@@ -62,7 +62,7 @@ impl Device {
     ///
     /// # Errors
     /// [`DeviceError`].
-    pub fn recorder(&mut self) -> Result<Status, DeviceError> {
+    pub fn recorder(&mut self) -> Result<RecorderStatus, DeviceError> {
         match self.request(&Request::GetRecorder)? {
             Response::Recorder(status) => Ok(status),
             _ => Err(DeviceError::Unexpected),
@@ -90,8 +90,8 @@ impl Device {
         Ok(Blackbox {
             status,
             period_us,
-            fast: Trace::of(&fast, tick_s),
-            slow: Trace::of(&slow, tick_s * f64::from(SLOW_STRIDE)),
+            fast: RecordedTicks::of(&fast, tick_s),
+            slow: RecordedTicks::of(&slow, tick_s * f64::from(SLOW_STRIDE)),
             log: events.into_iter().flatten().collect(),
             unread,
         })

@@ -15,12 +15,12 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use shared::device::timing::TickTimes;
 use shared::explore::Exploration;
 use shared::link::PROTOCOL;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response, ToDevice};
 use shared::link::refusal::Refusal;
 use shared::settings::Settings;
+use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 use thiserror::Error;
 

@@ -9,20 +9,23 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::Start;
+use shared::device::BootFindings;
 use shared::device::control::Control;
-use shared::device::desk::{Desk, Facts, Step};
-use shared::device::timing::TickTime;
+use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
-use shared::link::messages::{DeviceKind, ResetCause, Slot, SlotState, ToDevice, ToHost, read_request};
+use shared::link::messages::{DeviceKind, ToDevice, ToHost, read_request};
 use shared::link::refusal::Refusal;
-use shared::recorder::{Boot, Memory, Recorder};
+use shared::recorder::{Boot, Recorder, RecorderMemory};
+use shared::reset::ResetCause;
 use shared::safety::filter::ValveCommand;
+use shared::timing::TickTime;
 use shared::ventilator::Mode;
+use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
-use plant::bench::{Bench, BenchConfig, BenchError};
+use plant::Plant;
+use plant::bench::{BenchConfig, BenchError, BenchPlant};
 
 /// Control ticks between two looks at the line.
 const TICKS_AT_ONCE: usize = 16;
@@ -46,15 +49,14 @@ impl Simulated {
     /// # Errors
     /// A bench that cannot be built.
     pub fn start(bench: &BenchConfig, port: Port) -> Result<Self, BenchError> {
-        let config = bench.clone();
         // A bench that cannot be built is told here, not in the thread.
-        let bench = Bench::new(&config, shared::settings::Settings::default().peep, 0)?;
+        let bench = BenchPlant::new(bench)?;
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let thread = thread::spawn(move || {
             // It survives the device's resets, as the chip's does.
-            let memory = Box::new(Memory::new());
-            Chip::new(config, bench, &memory).run(port, &stopped);
+            let memory = Box::new(RecorderMemory::new());
+            Chip::new(bench, &memory).run(port, &stopped);
         });
         Ok(Self { stop, thread: Some(thread) })
     }
@@ -72,13 +74,12 @@ impl Drop for Simulated {
 
 /// What a chip would hold.
 struct Chip<'a> {
-    memory: &'a Memory,
+    memory: &'a RecorderMemory,
     recorder: Recorder<'a>,
-    config: BenchConfig,
-    bench: Bench,
+    bench: BenchPlant,
     peep: f32,
     control: Control,
-    desk: Desk,
+    server: Server<'a>,
     decoder: FrameDecoder<DECODER_BYTES>,
     reading: f32,
     command: ValveCommand,
@@ -89,17 +90,16 @@ struct Chip<'a> {
 }
 
 impl<'a> Chip<'a> {
-    fn new(config: BenchConfig, bench: Bench, memory: &'a Memory) -> Self {
-        let (control, desk, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
+    fn new(bench: BenchPlant, memory: &'a RecorderMemory) -> Self {
+        let (control, server, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
         let peep = shared::settings::Settings::default().peep;
         Self {
             memory,
             recorder,
-            config,
             bench,
             peep,
             control,
-            desk,
+            server,
             decoder: FrameDecoder::new(),
             reading: peep,
             command: ValveCommand::SAFE,
@@ -136,19 +136,16 @@ impl<'a> Chip<'a> {
 
     /// One control tick, as the firmware's control task runs it.
     fn tick(&mut self) {
-        let cue = self.control.cue();
-        if let Some(seed) = cue.reset {
-            self.peep = cue.peep.unwrap_or(self.peep);
-            // The bench was built once from this configuration.
-            if let Ok(bench) = Bench::new(&self.config, self.peep, seed) {
-                (self.bench, self.reading) = (bench, self.peep);
-            }
-        } else {
-            self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
-            if let Some(peep) = cue.peep {
-                self.peep = peep;
-                self.bench.set_peep(peep);
-            }
+        let change = self.control.plant_change();
+        self.peep = change.peep.unwrap_or(self.peep);
+        let reading = match change.reset {
+            Some(seed) => self.bench.reset(DEFAULT_PERIOD_US, seed, self.peep),
+            None => self.bench.step(self.command.u_in(), self.command.u_out()),
+        };
+        // The bench was built once from this configuration, and never fails.
+        self.reading = reading.map_or(f32::NAN, |reading| reading.pressure);
+        if let Some(peep) = change.peep {
+            let _ = self.bench.set_peep(peep);
         }
         let output = self.control.step(self.reading);
         self.command = output.command;
@@ -160,7 +157,7 @@ impl<'a> Chip<'a> {
             true
         });
         for report in reports {
-            for event in self.desk.report(&report) {
+            for event in self.server.report(&report) {
                 self.say(&event);
             }
         }
@@ -174,30 +171,28 @@ impl<'a> Chip<'a> {
         match request {
             Ok(request) => self.serve(&request),
             Err(unreadable) => {
-                if let Some(sequence) = unreadable.sequence {
-                    let refusal = self.desk.unreadable(sequence);
+                if let Some(refusal) = unreadable.refusal() {
                     self.say(&refusal);
                 }
             }
         }
-        self.desk.corrupt_frames(self.decoder.counters().corrupt());
+        self.server.corrupt_frames(self.decoder.counters().corrupt());
     }
 
     fn serve(&mut self, request: &ToDevice) {
-        let mut step = self.desk.receive(request);
+        let mut step = self.server.receive(request);
         loop {
             step = match step {
-                Step::Send(answer) => return self.say(&answer),
-                Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
-                Step::Look(look) => self.desk.looked(self.memory.look(look)),
-                Step::Store => {
+                NextStep::Send(answer) => return self.say(&answer),
+                NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
+                NextStep::Store => {
                     let slot = self.store();
-                    self.desk.stored(Some(slot), states(&self.flash))
+                    self.server.stored(Some(slot), states(&self.flash))
                 }
-                Step::Restart(answer) => {
+                NextStep::Restart(answer) => {
                     self.say(&answer);
                     let cause = ResetCause::Software;
-                    (self.control, self.desk, self.recorder) =
+                    (self.control, self.server, self.recorder) =
                         boot(self.memory, cause, &self.flash, self.newest);
                     self.command = ValveCommand::SAFE;
                     return;
@@ -208,7 +203,7 @@ impl<'a> Chip<'a> {
 
     fn store(&mut self) -> Slot {
         let slot = if self.newest == Some(Slot::A) { Slot::B } else { Slot::A };
-        self.flash[slot as usize] = Some(*self.desk.image());
+        self.flash[slot as usize] = Some(*self.server.image());
         self.newest = Some(slot);
         slot
     }
@@ -249,22 +244,19 @@ fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
 
 /// Both halves and the flight recorder after a start.
 fn boot<'a>(
-    memory: &'a Memory,
+    memory: &'a RecorderMemory,
     reset: ResetCause,
     flash: &[Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
-) -> (Control, Desk, Recorder<'a>) {
+) -> (Control, Server<'a>, Recorder<'a>) {
     let slots = states(flash);
-    let weights = newest.and_then(|slot| match slots[slot as usize] {
-        SlotState::Valid { id, .. } => Some(id),
-        _ => None,
-    });
+    let weights = newest.and_then(|slot| slots[slot as usize].id());
     let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights });
     let image = newest.and_then(|slot| flash[slot as usize]).and_then(|bytes| decode(&bytes).ok());
     let learned = image.map(|image| image.residual);
     let running = newest.filter(|_| learned.is_some());
     let device = DeviceKind::Simulated;
-    let facts = Facts {
+    let facts = DeviceFacts {
         firmware: [0; 3],
         device,
         period_us: DEFAULT_PERIOD_US,
@@ -275,6 +267,6 @@ fn boot<'a>(
     };
     let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
     let mut control = control.expect("the default control period is in bounds");
-    control.started(&Start { cause: reset, interrupted: recorder.interrupted(), slots });
-    (control, Desk::new(facts), recorder)
+    control.report_boot(&BootFindings { cause: reset, interrupted: recorder.interrupted(), slots });
+    (control, Server::new(facts, memory), recorder)
 }

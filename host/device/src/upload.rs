@@ -1,8 +1,9 @@
 //! Uploading a weights image.
 
 use progress::{Progress, Stage};
-use shared::link::messages::{CHUNK_BYTES, Request, Response, Slot};
+use shared::link::messages::{CHUNK_BYTES, Request, Response};
 use shared::link::refusal::Refusal;
+use shared::weights::slots::Slot;
 use shared::weights::{IMAGE_BYTES, WeightsError, decode};
 use thiserror::Error;
 

@@ -10,25 +10,19 @@
 //! | `guardian` | QEMU never outlives the process that started it |
 //! | `pipes` | the plant line, between shim and host |
 //! | `lockstep` | the plant's end of the line |
-//! | `bench_plant` | the virtual bench as a plant |
 //! | `error` | why a board does not run |
-//! | `debugger` | memory and registers of the running board |
 
 #![forbid(unsafe_code)]
 #![cfg(unix)]
 
-mod bench_plant;
-mod debugger;
 mod error;
 mod guardian;
 mod lockstep;
 mod pipes;
 mod qemu;
 
-pub use bench_plant::{BenchPlant, TruthLog};
-pub use debugger::{Debugger, DebuggerError, symbol};
 pub use error::{EmulatorError, FLASH_BYTES};
-pub use lockstep::{LockstepPlant, Paced, Plant, PlantEnd};
+pub use lockstep::{LockstepPlant, Paced, PlantEnd};
 
 use std::fs::{self, File};
 use std::io::Read;

@@ -3,7 +3,9 @@
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use shared::link::plant::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
+use plant::{Plant, Reading};
+use shared::link::plant_link::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
+use shared::settings::Settings;
 
 /// How far virtual time may have fallen behind before it stops catching up.
 const SLACK: Duration = Duration::from_millis(100);
@@ -19,29 +21,18 @@ pub trait PlantEnd {
     fn answer(&mut self, request: &[u8]) -> Vec<u8>;
 }
 
-/// A plant in the terms of the plant link.
-pub trait Plant {
-    /// Starts anew, at rest, with steps of `period_us` microseconds and this seed for its random numbers; gives the
-    /// pressure read, cmH2O. NaN says that it cannot.
-    fn reset(&mut self, period_us: u32, seed: u64) -> f32;
-
-    /// One control period with the inspiratory valve at `u_in` percent and the expiratory valve open if `u_out`; gives
-    /// the pressure read at its end, cmH2O.
-    fn step(&mut self, u_in: f32, u_out: bool) -> f32;
-
-    /// Turns the mechanical PEEP valve to `peep` cmH2O; gives the pressure read last, cmH2O.
-    fn set_peep(&mut self, peep: f32) -> f32;
-}
-
-/// A plant behind the frames of the plant link. A frame that comes again gets the same answer again, and nothing moves.
+/// A plant behind the frames of the plant link. A frame that comes again gets the same answer again, and nothing moves. Where
+/// the plant fails, the answer is NaN.
 #[derive(Clone, Debug)]
 pub struct LockstepPlant<P> {
     plant: P,
     decoder: Decoder,
     /// Seed of the resets to come.
     seed: u64,
+    /// Setting of the mechanical PEEP valve, cmH2O, which resets leave alone.
+    peep: f32,
     /// What the plant read last, cmH2O.
-    reading: f32,
+    pressure: f32,
     /// The frame answered last, and its answer.
     last: Option<[[u8; FRAME_BYTES]; 2]>,
 }
@@ -49,7 +40,8 @@ pub struct LockstepPlant<P> {
 impl<P: Plant> LockstepPlant<P> {
     /// Puts a plant at the end of the line.
     pub fn new(plant: P) -> Self {
-        Self { plant, decoder: Decoder::default(), seed: 0, reading: 0.0, last: None }
+        let peep = Settings::default().peep;
+        Self { plant, decoder: Decoder::default(), seed: 0, peep, pressure: 0.0, last: None }
     }
 
     fn reply(&mut self, frame: &Frame) -> Option<[u8; FRAME_BYTES]> {
@@ -60,11 +52,18 @@ impl<P: Plant> LockstepPlant<P> {
             return Some(answer);
         }
         match frame.message {
-            Message::Reset { period_us } => self.reading = self.plant.reset(period_us, self.seed),
-            Message::Step { u_in, u_out } => self.reading = self.plant.step(u_in, u_out),
-            Message::Peep { pressure } => self.reading = self.plant.set_peep(pressure),
+            Message::Reset { period_us } => {
+                self.pressure = pressure(self.plant.reset(period_us, self.seed, self.peep));
+            }
+            Message::Step { u_in, u_out } => self.pressure = pressure(self.plant.step(u_in, u_out)),
+            Message::Peep { pressure } if !pressure.is_nan() => {
+                self.peep = pressure;
+                if self.plant.set_peep(pressure).is_err() {
+                    self.pressure = f32::NAN;
+                }
+            }
             Message::Seed { seed } => self.seed = seed,
-            Message::Hello { .. } => {}
+            Message::Peep { .. } | Message::Hello { .. } => {}
             // A plant's own words.
             Message::Ready { .. }
             | Message::Pressure { .. }
@@ -73,7 +72,7 @@ impl<P: Plant> LockstepPlant<P> {
                 return None;
             }
         }
-        let pressure = self.reading;
+        let pressure = self.pressure;
         let message = match frame.message {
             Message::Hello { .. } => {
                 Message::Greeting { version: VERSION, highest: HIGHEST, period_us: ANY_PERIOD }
@@ -85,6 +84,11 @@ impl<P: Plant> LockstepPlant<P> {
         self.last = Some([request, answer]);
         Some(answer)
     }
+}
+
+/// The pressure of a reading, cmH2O.
+fn pressure<E>(reading: Result<Reading, E>) -> f32 {
+    reading.map_or(f32::NAN, |reading| reading.pressure)
 }
 
 impl<P: Plant> PlantEnd for LockstepPlant<P> {
@@ -130,6 +134,7 @@ impl<E: PlantEnd> PlantEnd for Paced<E> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::convert::Infallible;
 
     /// Counts what is asked of it.
     #[derive(Default)]
@@ -139,20 +144,30 @@ mod tests {
     }
 
     impl Plant for Counter {
-        fn reset(&mut self, period_us: u32, seed: u64) -> f32 {
-            self.steps = 0;
-            period_us as f32 + seed as f32
+        type Error = Infallible;
+
+        fn name(&self) -> String {
+            "counter".to_owned()
         }
 
-        fn step(&mut self, u_in: f32, _: bool) -> f32 {
-            self.steps += 1;
-            u_in + self.peep
+        fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, Infallible> {
+            (self.steps, self.peep) = (0, peep);
+            Ok(reading(period_us as f32 + seed as f32))
         }
 
-        fn set_peep(&mut self, peep: f32) -> f32 {
+        fn set_peep(&mut self, peep: f32) -> Result<(), Infallible> {
             self.peep = peep;
-            -1.0
+            Ok(())
         }
+
+        fn step(&mut self, u_in: f32, _: bool) -> Result<Reading, Infallible> {
+            self.steps += 1;
+            Ok(reading(u_in + self.peep))
+        }
+    }
+
+    fn reading(pressure: f32) -> Reading {
+        Reading { pressure, truth: None }
     }
 
     fn frame(tick: u16, message: Message) -> [u8; FRAME_BYTES] {
@@ -173,8 +188,18 @@ mod tests {
         let reset = frame(1, Message::Reset { period_us: 1000 });
         assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1000.0 }));
         let peep = frame(2, Message::Peep { pressure: 5.0 });
-        assert_eq!(plant.answer(&peep), frame(2, Message::Ready { pressure: -1.0 }));
+        assert_eq!(plant.answer(&peep), frame(2, Message::Ready { pressure: 1000.0 }), "no time passes");
         assert_eq!(plant.answer(&step(3, 20.0)), pressure(3, 25.0));
+    }
+
+    #[test]
+    fn the_peep_valve_stays_where_it_was_turned() {
+        let mut plant = LockstepPlant::new(Counter::default());
+        for (tick, pressure) in [(1, 8.0), (2, f32::NAN)] {
+            plant.answer(&frame(tick, Message::Peep { pressure }));
+        }
+        plant.answer(&frame(3, Message::Reset { period_us: 1000 }));
+        assert_eq!(plant.answer(&step(4, 20.0)), pressure(4, 28.0));
     }
 
     #[test]

@@ -104,11 +104,6 @@ impl DenseWeights {
         multiply_add(&self.by_input, x, y);
     }
 
-    /// `y += W x`, without the bias.
-    pub fn forward_add(&self, x: &[Lane], y: &mut [Lane]) {
-        multiply_add(&self.by_input, x, y);
-    }
-
     /// `dx += W^T dy`.
     pub fn backward(&self, dy: &[Lane], dx: &mut [Lane]) {
         multiply_add(&self.by_output, dy, dx);

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::identify;
+use data::identity::TestRun;
 use data::recording::Recording;
 use learn::recipe::{Fitted, Parts};
 use learn::simulator::episode::Episode;
@@ -113,13 +114,13 @@ fn repeated<'a>(episodes: &[&'a Episode]) -> Vec<&'a Episode> {
     episodes.iter().copied().filter(|episode| count(episode.pip) > 1).collect()
 }
 
-fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[String]) -> Vec<ByGroup> {
+fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[TestRun]) -> Vec<ByGroup> {
     let of_group = |index: usize| -> Vec<&Episode> {
         episodes.iter().copied().filter(|e| e.group == Some(index as u32)).collect()
     };
     let judged = names.iter().enumerate().map(|(index, name)| {
         let own = of_group(index);
-        ByGroup { group: name.clone(), episodes: own.len(), open_loop: open_loop(simulator, &own) }
+        ByGroup { group: name.to_string(), episodes: own.len(), open_loop: open_loop(simulator, &own) }
     });
     judged.filter(|group| group.episodes > 0).collect()
 }
@@ -127,7 +128,8 @@ fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[String]) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use data::import::respiraworks::{import, measured};
+    use data::identity::LungParameters;
+    use data::import::{measured, measured_recording};
     use learn::recipe::Recipe;
     use learn::simulator::episode::episodes;
     use progress::Progress;
@@ -162,8 +164,10 @@ mod tests {
     #[test]
     fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_lungs_it_never_saw() {
         let Some(paths) = measured() else { return };
-        let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
-        let hold_out_lungs = vec![(5.0, 20.0), (50.0, 20.0)];
+        let folder = tempfile::tempdir().unwrap();
+        let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
+        let lung = |resistance| LungParameters { resistance, compliance: 20.0 };
+        let hold_out_lungs = vec![lung(5.0), lung(50.0)];
         let recipe = Recipe { epochs: Some(400), hold_out_lungs, ..Recipe::default() };
         let architecture = recipe.architecture(&recording).unwrap();
         assert_eq!(architecture.timing().channels, 1, "the exhale valve follows the inhale valve");

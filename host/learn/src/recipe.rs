@@ -13,6 +13,7 @@ use crate::simulator::hybrid::HybridConfig;
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
+use data::identity::LungParameters;
 use data::recording::Recording;
 use progress::{Progress, Stage};
 use ventilator::seeds;
@@ -62,8 +63,8 @@ pub struct Recipe {
     pub history: Option<usize>,
     /// Every so-many-th breath of each lung or test run is held out.
     pub hold_out: usize,
-    /// Lungs that are held out altogether: nominal resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
-    pub hold_out_lungs: Vec<(f32, f32)>,
+    /// Lungs that are held out altogether.
+    pub hold_out_lungs: Vec<LungParameters>,
     /// Seed of initial parameters and order.
     pub seed: u64,
 }
@@ -88,10 +89,10 @@ impl Default for Recipe {
 #[derive(Debug, Error)]
 pub enum RecipeError {
     /// A lung to hold out that is not there.
-    #[error("no breath with R {} and C {}: the recording has {names}", lung.0, lung.1)]
+    #[error("no breath of the lung {lung} (R:C): the recording has {names}")]
     NoSuchLung {
         /// The lung.
-        lung: (f32, f32),
+        lung: LungParameters,
         /// Those that are.
         names: String,
     },
@@ -145,7 +146,7 @@ pub struct Fitted {
 impl Recipe {
     /// The kind asked for, or the one that makes the most of what the recording says.
     pub fn kind(&self, recording: &Recording) -> Kind {
-        self.kind.unwrap_or(if names_lungs(recording) { Kind::Hybrid } else { Kind::StateSpace })
+        self.kind.unwrap_or(if recording.names_lungs() { Kind::Hybrid } else { Kind::StateSpace })
     }
 
     /// The architecture for a recording.
@@ -167,7 +168,7 @@ impl Recipe {
                     ..shape
                 }))
             }
-            Kind::Hybrid if !names_lungs(recording) => Err(RecipeError::UnknownLungs),
+            Kind::Hybrid if !recording.names_lungs() => Err(RecipeError::UnknownLungs),
             Kind::Hybrid => {
                 let shape = HybridConfig::for_period(period_us, channels(recording));
                 Ok(Architecture::Hybrid(HybridConfig {
@@ -270,22 +271,13 @@ fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Epis
 
 /// The lungs of some breaths.
 fn lungs(episodes: &[Episode]) -> String {
-    let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|(r, c)| format!("{r}:{c}")).collect();
+    let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|lung| lung.to_string()).collect();
     names.sort();
     names.dedup();
     if names.is_empty() { "no R and C at all".to_owned() } else { names.join(", ") }
 }
 
-/// Whether a recording names R and C of its lungs.
-fn names_lungs(recording: &Recording) -> bool {
-    recording.resistance.is_some() && recording.compliance.is_some()
-}
-
 /// Whether a recording names more than one lung.
 fn many_lungs(recording: &Recording) -> bool {
-    let (Some(resistance), Some(compliance)) = (&recording.resistance, &recording.compliance) else {
-        return false;
-    };
-    let lungs = || resistance.iter().zip(compliance).map(|(r, c)| (r.to_bits(), c.to_bits()));
-    lungs().any(|lung| Some(lung) != lungs().next())
+    (1..recording.len()).any(|row| recording.lung(row) != recording.lung(0))
 }

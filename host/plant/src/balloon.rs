@@ -4,6 +4,9 @@ use std::f64::consts::PI;
 
 use shared::settings::Settings;
 
+use crate::link::PlantError;
+use crate::{Plant, Reading, TickTruth};
+
 /// Control period, microseconds.
 pub const PERIOD_US: u32 = 30_000;
 /// Samples of an inspiration.
@@ -16,10 +19,6 @@ const STEP_S: f64 = PERIOD_US as f64 * 1e-6;
 const FIRST_VOLUME: f64 = 1.5;
 /// Scale of the recoil.
 const RECOIL: f64 = 40.0;
-/// The balloon leaks through the open expiratory valve above this pressure, cmH2O.
-const PEEP_VALVE: f64 = 5.0;
-/// Flow through the open expiratory valve per pressure.
-const LEAK: f64 = 0.05;
 /// Largest flow through the inspiratory valve.
 const FULL_FLOW: f64 = 2.0;
 
@@ -63,16 +62,14 @@ impl Balloon {
         RECOIL * (1.0 - (first / radius).powi(6)) / (first * first * radius)
     }
 
-    /// One control period with the inspiratory valve at `u_in` percent, the expiratory valve open if `u_out`.
-    pub fn step(&mut self, u_in: f64, u_out: bool) {
-        let pressure = self.pressure();
-        let leak = if u_out && pressure > PEEP_VALVE { LEAK * pressure } else { 0.0 };
-        self.volume += STEP_S * (flow(u_in) - leak);
+    /// One control period of an inspiration with the inspiratory valve at `u_in` percent.
+    pub fn inspire(&mut self, u_in: f64) {
+        self.volume += STEP_S * flow(u_in);
     }
 
-    /// One control period with just the flow that brings the pressure to `target` cmH2O, or as close to it as the valve
+    /// One control period of an inspiration with just the flow that brings the pressure to `target` cmH2O, or as close to it as the valve
     /// can if it could also shut tightly. Pressure rises with volume as long as the recoil does.
-    pub fn step_towards(&mut self, target: f64) {
+    pub fn inspire_towards(&mut self, target: f64) {
         let full = Self { volume: self.volume + STEP_S * FULL_FLOW };
         if full.pressure() <= target {
             *self = full;
@@ -84,6 +81,43 @@ impl Balloon {
             if (Self { volume: middle }).pressure() > target { high = middle } else { low = middle }
         }
         self.volume = low;
+    }
+
+    fn reading(self) -> Reading {
+        let (pressure, lung_volume) = (self.pressure() as f32, self.volume() as f32);
+        let truth = TickTruth { airway_pressure: pressure, sensor_pressure: pressure, lung_volume };
+        Reading { pressure, truth: Some(truth) }
+    }
+}
+
+/// Expiration is no part of the balloon: once the expiratory valve opens, it is back at the volume at which a breath
+/// starts. It has no PEEP valve and no noise.
+impl Plant for Balloon {
+    type Error = PlantError;
+
+    fn name(&self) -> String {
+        "balloon".to_owned()
+    }
+
+    fn reset(&mut self, period_us: u32, _seed: u64, _peep: f32) -> Result<Reading, PlantError> {
+        if period_us != PERIOD_US {
+            return Err(PlantError::other_period(period_us, PERIOD_US));
+        }
+        *self = Self::default();
+        Ok(self.reading())
+    }
+
+    fn set_peep(&mut self, _peep: f32) -> Result<(), PlantError> {
+        Ok(())
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, PlantError> {
+        if u_out {
+            *self = Self::default();
+        } else {
+            self.inspire(f64::from(u_in));
+        }
+        Ok(self.reading())
     }
 }
 
@@ -111,7 +145,7 @@ mod tests {
     fn full_flow_raises_the_pressure_as_published() {
         let mut balloon = Balloon::default();
         for expected in [8.3177, 15.5318, 21.8139, 27.3042] {
-            balloon.step(100.0, false);
+            balloon.inspire(100.0);
             assert!((balloon.pressure() - expected).abs() < 1e-4, "{balloon:?}");
         }
     }
@@ -124,25 +158,20 @@ mod tests {
     }
 
     #[test]
-    fn gas_leaves_through_the_expiratory_valve_above_its_pressure_only() {
-        let after = |volume: f64, u_out| {
-            let mut balloon = Balloon { volume };
-            balloon.step(0.0, u_out);
-            balloon.volume - volume
-        };
-        let high = Balloon { volume: 1.7 };
-        let lost = after(1.7, false) - after(1.7, true);
-        assert!((lost - STEP_S * LEAK * high.pressure()).abs() < 1e-12, "{lost}");
-        assert!((after(1.52, false) - after(1.52, true)).abs() < 1e-12, "below the valve's pressure");
+    fn an_open_expiratory_valve_ends_the_breath() {
+        let mut balloon = Balloon::default();
+        assert!(balloon.step(100.0, false).unwrap().pressure > 8.0);
+        assert_eq!(balloon.step(100.0, true).unwrap(), Balloon::default().reading());
+        assert!(matches!(balloon.reset(1000, 0, 0.0), Err(PlantError::Period { asked: 1000, .. })));
     }
 
     #[test]
     fn a_step_towards_a_target_stops_there() {
         let mut balloon = Balloon::default();
-        balloon.step_towards(12.0);
+        balloon.inspire_towards(12.0);
         assert!((balloon.pressure() - 8.3177).abs() < 1e-4, "as far as full flow gets");
         for _ in 0..3 {
-            balloon.step_towards(12.0);
+            balloon.inspire_towards(12.0);
             assert!((balloon.pressure() - 12.0).abs() < 1e-6);
         }
     }

@@ -1,11 +1,95 @@
 //! What stands in for the ventilator's hardware and the lung.
 //!
-//! [`bench`] is the virtual bench, [`balloon`] the plant of the paper's authors, [`link`] a plant in another process.
+//! A [`Plant`] is a lung with valves, circuit and sensor. [`bench`] is the virtual bench, [`balloon`] the plant of the
+//! paper's authors, [`link`] a plant in another process.
 #![forbid(unsafe_code)]
 
 pub mod balloon;
 pub mod bench;
 pub mod link;
-mod truth;
 
-pub use truth::TickTruth;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A lung with valves, circuit and sensor, driven one control period at a time.
+pub trait Plant {
+    /// Why it cannot run.
+    type Error: std::error::Error;
+
+    /// Its name, for recordings.
+    fn name(&self) -> String;
+
+    /// Its parameters as TOML, empty where they are unknown.
+    fn parameters(&self) -> String {
+        String::new()
+    }
+
+    /// Brings it to rest at `peep` cmH2O, valves safe, with control periods of `period_us` microseconds and this seed
+    /// for its random numbers. From here on the same commands give the same readings.
+    ///
+    /// # Errors
+    /// A control period or PEEP that it cannot run, or a plant that cannot be reached.
+    fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, Self::Error>;
+
+    /// Turns the mechanical PEEP valve to `peep` cmH2O; no time passes.
+    ///
+    /// # Errors
+    /// A plant that cannot be reached.
+    fn set_peep(&mut self, peep: f32) -> Result<(), Self::Error>;
+
+    /// One control period with the inspiratory valve at `u_in` percent and the expiratory valve open if `u_out`; the
+    /// reading at its end.
+    ///
+    /// # Errors
+    /// A plant that cannot be reached.
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, Self::Error>;
+}
+
+/// What a plant tells at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// Airway pressure as the sensor gives it, cmH2O.
+    pub pressure: f32,
+    /// What lies behind the sensor, from a plant that knows it; no controller sees it.
+    pub truth: Option<TickTruth>,
+}
+
+/// What only a virtual plant knows of an instant. NaN stands for what it does not tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TickTruth {
+    /// Pressure at the airway, cmH2O.
+    pub airway_pressure: f32,
+    /// Pressure behind the sensor's lag, before noise and quantum, cmH2O.
+    pub sensor_pressure: f32,
+    /// Gas in the lung above its volume at rest, mL.
+    pub lung_volume: f32,
+}
+
+/// A plant that several ventilators use one after the other.
+impl<P: Plant> Plant for Arc<Mutex<P>> {
+    type Error = P::Error;
+
+    fn name(&self) -> String {
+        locked(self).name()
+    }
+
+    fn parameters(&self) -> String {
+        locked(self).parameters()
+    }
+
+    fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, P::Error> {
+        locked(self).reset(period_us, seed, peep)
+    }
+
+    fn set_peep(&mut self, peep: f32) -> Result<(), P::Error> {
+        locked(self).set_peep(peep)
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, P::Error> {
+        locked(self).step(u_in, u_out)
+    }
+}
+
+/// Each call leaves a plant whole, so that a panic elsewhere has not harmed it.
+fn locked<P>(plant: &Mutex<P>) -> MutexGuard<'_, P> {
+    plant.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn save(path: &Path, found: &Found) -> anyhow::Result<()> {
     match kind(path) {
-        Some("csv") => write_atomically(path, csv(&found.blackbox).as_bytes())
+        Some("csv") => write_atomically(path, csv(found.blackbox).as_bytes())
             .with_context(|| format!("cannot write {}", path.display())),
         Some("json") => write_json(path, found),
         _ => bail!("{} is neither CSV nor JSON", path.display()),

@@ -4,12 +4,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use serde::Serialize;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use data::json;
+use data::files::write_json_indented;
 use learn::controller::learned::Learned;
 use plant::bench::BenchConfig;
 
@@ -110,8 +110,9 @@ pub fn learned(path: &Path) -> anyhow::Result<Learned> {
 /// Writes JSON to a file, or to standard output for `-`.
 pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
     if path == Path::new("-") {
-        std::io::stdout().write_all(json::text(value)?.as_bytes())?;
+        let text = serde_json::to_string_pretty(value)? + "\n";
+        std::io::stdout().write_all(text.as_bytes())?;
         return Ok(());
     }
-    Ok(json::write(path, value)?)
+    write_json_indented(path, value).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -17,7 +17,7 @@ use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use data::provenance::Provenance;
-use judge::evaluate::{Comparison, Ground, Plan, SourceGround, Trace, compare, trace};
+use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace};
 use plant::bench::BenchConfig;
 use show::report::{Block, Plot, Report, Section, Series, Style};
 use ventilator::PlantSource;
@@ -234,6 +234,6 @@ fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Sectio
     })
 }
 
-fn points(trace: &Trace, values: &[f64]) -> Vec<(f64, f64)> {
+fn points(trace: &BreathTrace, values: &[f64]) -> Vec<(f64, f64)> {
     trace.time_s.iter().copied().zip(values.iter().copied()).collect()
 }

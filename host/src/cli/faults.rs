@@ -10,7 +10,7 @@ use super::bars::with_bars;
 use super::common::benches;
 use super::output::OutputArgs;
 use data::provenance::Provenance;
-use judge::faults::matrix::{Row, false_alarms, matrix, without_each_monitor};
+use judge::faults::matrix::{FaultRow, false_alarms, matrix, without_each_monitor};
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
@@ -54,7 +54,7 @@ pub struct Args {
 /// What `--json` gives.
 #[derive(Debug, Serialize)]
 struct Summary {
-    rows: Vec<Row>,
+    rows: Vec<FaultRow>,
 }
 
 /// Runs the command.
@@ -122,7 +122,7 @@ fn named(id: &str) -> anyhow::Result<Fault> {
     })
 }
 
-fn table(rows: &[Row]) -> Table {
+fn table(rows: &[FaultRow]) -> Table {
     let mut table = Table::new(
         "Faults; times in ms, pressures in cmH2O",
         &["fault", "lung", "monitor", "found", "action", "peak", "allowed", "back at PEEP", "pass"],

@@ -12,6 +12,7 @@ use clap::ValueEnum;
 use super::bars::with_bars;
 use super::output::OutputArgs;
 use super::preset::Preset;
+use data::identity::LungParameters;
 use data::recording::Recording;
 use judge::simulator::{FitSummary, RESPONSE_S};
 use learn::recipe::{self, Recipe};
@@ -69,8 +70,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..))]
     hold_out: u16,
     /// Hold out every breath of the lung with this nominal resistance and compliance; may be given several times
-    #[arg(long, value_name = "R:C", value_parser = lung)]
-    hold_out_lung: Vec<(f32, f32)>,
+    #[arg(long, value_name = "R:C")]
+    hold_out_lung: Vec<LungParameters>,
     /// Seed of initial parameters and order
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -97,14 +98,6 @@ impl From<Kind> for recipe::Kind {
             Kind::Stitched => Self::Stitched,
         }
     }
-}
-
-/// A lung as typed: `R:C`.
-fn lung(text: &str) -> Result<(f32, f32), String> {
-    let number =
-        |text: &str| text.trim().parse::<f32>().ok().filter(|number| *number > 0.0 && number.is_finite());
-    let parts = text.split_once(':').and_then(|(r, c)| Some((number(r)?, number(c)?)));
-    parts.ok_or_else(|| "write R:C in cmH2O/(L/s) and mL/cmH2O, as in 50:20".into())
 }
 
 /// Runs the command.

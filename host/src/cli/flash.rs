@@ -5,8 +5,9 @@ use std::process::Command;
 
 use anyhow::{Context, bail};
 use serde::Serialize;
-use shared::link::messages::{DeviceIdentity, Slot, SlotState};
+use shared::link::messages::DeviceIdentity;
 use shared::weights::decode;
+use shared::weights::slots::Slot;
 
 use super::bars::with_bars;
 use super::controller_args::{image_id, read};
@@ -91,10 +92,7 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
 
 /// Name of the weights that were loaded at the start.
 fn running(identity: &DeviceIdentity) -> Option<String> {
-    match identity.slots[identity.running? as usize] {
-        SlotState::Valid { id, .. } => Some(image_id(id)),
-        _ => None,
-    }
+    identity.running_id().map(image_id)
 }
 
 fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {

@@ -4,13 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Subcommand;
-use serde::Serialize;
 
 use super::bars::with_bars;
 use super::output::OutputArgs;
-use data::import::foreign::map::ColumnMap;
-use data::import::respiraworks::ImportSummary;
-use data::import::{foreign, respiraworks};
+use data::import::map::ColumnMap;
 
 /// Make a recording from tables measured elsewhere
 #[derive(Debug, clap::Args)]
@@ -109,41 +106,21 @@ struct FileArgs {
     output: OutputArgs,
 }
 
-/// What `--json` gives for tables of `RespiraWorks`.
-#[derive(Debug, Serialize)]
-struct Summary {
-    rows: usize,
-    kept: usize,
-    tests: usize,
-    breaths: usize,
-    complete_breaths: usize,
-    period_us: u32,
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.from {
-        From::Respiraworks(args) => respiraworks(&args.files),
-        From::Kaggle(args) => foreign(&args.files, &ColumnMap::kaggle()),
+        From::Respiraworks(args) => import(&args.files, &ColumnMap::respiraworks()?),
+        From::Kaggle(args) => import(&args.files, &ColumnMap::kaggle()?),
         From::Csv(args) => {
             let map = ColumnMap::load(&args.map).with_context(|| args.map.display().to_string())?;
-            foreign(&args.files, &map)
+            import(&args.files, &map)
         }
     }
 }
 
-fn respiraworks(args: &FileArgs) -> anyhow::Result<()> {
-    let (recording, summary) = respiraworks::import(&args.files)?;
-    recording.save(&args.out)?;
-    args.output.line(&summary.to_string());
-    args.output.line(&format!("saved {}", args.out.display()));
-    let ImportSummary { rows, kept, tests, breaths, complete_breaths, period_us, .. } = summary;
-    args.output.finish(&Summary { rows, kept, tests, breaths, complete_breaths, period_us })
-}
-
-fn foreign(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
+fn import(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
     let layout = map.layout()?;
-    let summary = with_bars(|progress| foreign::import(&args.files, &layout, &args.out, progress))?;
+    let summary = with_bars(|progress| data::import::import(&args.files, &layout, &args.out, progress))?;
     args.output.line(&summary.to_string());
     args.output.line(&format!("saved {}", args.out.display()));
     args.output.finish(&summary)

@@ -7,9 +7,9 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
-use shared::device::timing::TickTimes;
 use shared::link::messages::DeviceIdentity;
 use shared::settings::{FIELDS, Field, Settings};
+use shared::timing::TickTimes;
 
 use super::common::{gains, stop, stopped};
 use super::controller_args::format_gains;
@@ -146,8 +146,10 @@ fn setting(field: &Field, state: &State) -> String {
 mod tests {
     use super::*;
     use shared::link::PROTOCOL;
-    use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, SlotState};
+    use shared::link::messages::{ControllerChoice, DeviceKind};
+    use shared::reset::ResetCause;
     use shared::ventilator::Mode;
+    use shared::weights::slots::SlotState;
 
     #[test]
     fn a_setting_that_waits_for_its_breath_is_told_beside_the_one_in_force() {

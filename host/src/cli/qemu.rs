@@ -7,7 +7,8 @@ use std::time::Duration;
 use anyhow::bail;
 
 use super::common::{BenchArgs, stopped};
-use emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, Paced};
+use emulator::{Emulator, EmulatorConfig, LockstepPlant, Paced};
+use plant::bench::BenchPlant;
 
 /// Control period of the board.
 const PERIOD: Duration = Duration::from_millis(1);

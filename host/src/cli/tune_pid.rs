@@ -13,7 +13,9 @@ use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
 use data::provenance::Provenance;
-use judge::baselines::{Best, Candidate, FAULT_SCORE, Grid, Kind, LungResult, Search, TuneResult, tune_pid};
+use judge::baselines::{
+    Best, Candidate, FAULT_SCORE, Grid, LungResult, PidKind, Search, TuneResult, tune_pid,
+};
 use judge::evaluate::{Ground, Plan, SourceGround};
 use plant::bench::BenchConfig;
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
@@ -131,12 +133,12 @@ fn search(args: &Args) -> Search {
 
 fn table(result: &TuneResult) -> Table {
     let mut table = Table::new("Mean absolute error of the airway pressure, cmH2O", &["lung"]);
-    table.header.extend(Kind::ALL.iter().flat_map(|kind| {
+    table.header.extend(PidKind::ALL.iter().flat_map(|kind| {
         let gains = match kind {
-            Kind::POnly => "P",
-            Kind::IOnly => "I",
-            Kind::Pi => "P,I",
-            Kind::Pid => "P,I,D",
+            PidKind::POnly => "P",
+            PidKind::IOnly => "I",
+            PidKind::Pi => "P,I",
+            PidKind::Pid => "P,I,D",
         };
         [gains.to_owned(), format!("score {}", kind.name())]
     }));
@@ -151,14 +153,14 @@ fn table(result: &TuneResult) -> Table {
 
 fn row(name: &str, best: &Best) -> Vec<Cell> {
     let mut cells = vec![Cell::text(name)];
-    let lowest = Kind::ALL.iter().map(|kind| best.of(*kind).score).fold(f64::INFINITY, f64::min);
-    for kind in Kind::ALL {
+    let lowest = PidKind::ALL.iter().map(|kind| best.of(*kind).score).fold(f64::INFINITY, f64::min);
+    for kind in PidKind::ALL {
         let Candidate { gains, score } = best.of(kind);
         let text = match kind {
-            Kind::POnly => format!("{:.3}", gains.p),
-            Kind::IOnly => format!("{:.2}", gains.i),
-            Kind::Pi => format!("{:.3},{:.2}", gains.p, gains.i),
-            Kind::Pid => format!("{:.3},{:.2},{:.4}", gains.p, gains.i, gains.d),
+            PidKind::POnly => format!("{:.3}", gains.p),
+            PidKind::IOnly => format!("{:.2}", gains.i),
+            PidKind::Pi => format!("{:.3},{:.2}", gains.p, gains.i),
+            PidKind::Pid => format!("{:.3},{:.2},{:.4}", gains.p, gains.i, gains.d),
         };
         cells.push(Cell::right(text));
         cells.push(score_cell(score).best_if(score <= lowest));

@@ -2,4 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod demo;
+mod error;
 pub mod reproduce;
+
+pub use error::StudyError;

@@ -10,7 +10,7 @@ use plant::bench::BenchConfig;
 use serialport::{SerialPort, TTYPort};
 use shared::breath::paper_settings;
 use shared::link::messages::Event;
-use shared::recorder::FAST_TAIL;
+use shared::recorder::{FAST_TAIL, RecorderStatus};
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 
@@ -73,16 +73,9 @@ fn fail(name: &str) {
             break;
         }
     }
-    let ended = |device: &mut Device| device.recorder().unwrap().fast.next;
-    let mut before = ended(&mut device);
-    loop {
-        std::thread::sleep(Duration::from_millis(50));
-        let now = ended(&mut device);
-        if now == before {
-            return;
-        }
-        assert!(Instant::now() < deadline, "the recording never stands still");
-        before = now;
+    let ended = |status: &RecorderStatus| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
+    while !ended(&device.recorder().unwrap()) {
+        assert!(Instant::now() < deadline, "the recording never ends");
     }
 }
 

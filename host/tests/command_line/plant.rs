@@ -25,12 +25,12 @@ fn python_is_there() -> bool {
 }
 
 /// The example as a server; ends with its owner.
-struct Server {
+struct PlantServer {
     process: Child,
     port: u16,
 }
 
-impl Server {
+impl PlantServer {
     fn start() -> Self {
         let mut command = Command::new("python3");
         command.arg(script()).arg("0").stderr(Stdio::piped());
@@ -46,7 +46,7 @@ impl Server {
     }
 }
 
-impl Drop for Server {
+impl Drop for PlantServer {
     fn drop(&mut self) {
         self.process.kill().unwrap();
         self.process.wait().unwrap();
@@ -98,7 +98,7 @@ fn a_plant_in_python_is_recorded_alike_over_tcp_and_over_a_pipe() {
         return;
     }
     let (place, pipe) = place_with_script();
-    let server = Server::start();
+    let server = PlantServer::start();
     let tcp = server.address();
     let summary = json(&place, &format!("collect --plant {tcp} --breaths 6 --seed 3 --out tcp.parquet"));
     assert_eq!((&summary["breaths"], &summary["period_us"]), (&6.into(), &30_000.into()));

@@ -1,25 +1,21 @@
-//! Where samples come from: one trait for the in-process bench, for plants behind the plant link and for devices at a port.
+//! Where samples come from: one trait for the ventilator in this process, on any plant, and for devices at a port.
 //!
 //! A [`Source`] is a whole *ventilator*: it takes settings and a controller and breathes by its own clock. What
 //! it does reaches the host as one sample per control tick.
 
 #![forbid(unsafe_code)]
 
-mod balloon;
-mod bench;
 pub mod collect;
+mod in_process;
 mod port;
-mod remote;
 pub mod seeds;
 #[cfg(all(test, unix))]
 mod tests;
 #[cfg(unix)]
 mod virtual_board;
 
-pub use balloon::BalloonSource;
-pub use bench::BenchSource;
+pub use in_process::{BalloonSource, BenchSource, InProcess, PlantSource, SharedLink};
 pub use port::{PortSource, Truth};
-pub use remote::{PlantSource, SharedLink};
 #[cfg(unix)]
 pub use virtual_board::VirtualBoard;
 
@@ -27,7 +23,7 @@ use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::safety::alarms::Fault;
 use shared::settings::{Settings, SettingsError};
-use shared::ventilator::{Mode, Output, Sample, Ventilator, VentilatorState};
+use shared::ventilator::Sample;
 use thiserror::Error;
 
 use device::DeviceError;
@@ -35,6 +31,9 @@ use device::upload::UploadError;
 use plant::TickTruth;
 use plant::bench::BenchError;
 use plant::link::PlantError;
+
+/// How long a fault's vented lung rests before the next breath, s.
+const REST_TIME: f32 = 3.0;
 
 /// One control tick as the host sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +62,7 @@ pub enum SourceError {
     /// Settings were refused.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// The bench cannot be built.
+    /// The bench cannot be built or run.
     #[error(transparent)]
     Bench(#[from] BenchError),
     /// The device.
@@ -98,12 +97,6 @@ pub enum SourceError {
     /// Ctrl-C.
     #[error("stopped before all breaths were run")]
     Stopped,
-    /// The bench steps in milliseconds.
-    #[error("the bench runs in steps of 1000 us: a control period of {period_us} us is no multiple of that")]
-    Period {
-        /// Control period asked for, microseconds.
-        period_us: u32,
-    },
 }
 
 /// A ventilator that can be run from here.
@@ -152,21 +145,6 @@ pub trait Source {
 
 /// A source whose plant can be brought back to rest.
 pub trait Reseed: Source {
-    /// The plant starts anew with this seed for its noise before the next breath.
+    /// The plant starts from rest with this seed for its noise before the next breath.
     fn reseed(&mut self, seed: u64);
-}
-
-/// Why a tick ends its breath before its time, if it does: a latched fault, or the pressure limit.
-fn broken_off(state: &VentilatorState, output: &Output) -> Option<SourceError> {
-    let fault = match output.mode {
-        Mode::Fault(fault) => fault,
-        _ if state.cut() => Fault::HighPressure,
-        _ => return None,
-    };
-    Some(SourceError::Fault { fault, breath: state.breath_number(), tick: state.tick() })
-}
-
-/// A ventilator's configuration from its parts.
-fn ventilator(period_us: u32, controller: Controller, exploration: Option<Exploration>) -> Ventilator {
-    Ventilator::new(period_us, controller).with_exploration(exploration)
 }

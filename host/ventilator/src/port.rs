@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use shared::breath::Breath;
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, SlotState};
+use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::PackedSample;
 use shared::safety::alarms::{Action, Fault};
@@ -19,8 +19,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
-use super::bench::REST_TIME;
-use super::{Reseed, Source, SourceError, Tick, TickTruth};
+use super::{REST_TIME, Reseed, Source, SourceError, Tick, TickTruth};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
 use progress::Progress;
@@ -199,8 +198,7 @@ impl PortSource {
             image
         };
         let id = decode(&image).map_err(UploadError::from)?.id;
-        let slot = self.identity.running.map(|slot| self.identity.slots[slot as usize]);
-        if !matches!(slot, Some(SlotState::Valid { id: running, .. }) if running == id) {
+        if self.identity.running_id() != Some(id) {
             self.device.upload(&image, &Progress::silent())?;
             self.identity = self.device.restart()?;
             self.device.telemetry(true)?;

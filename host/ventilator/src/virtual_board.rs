@@ -2,7 +2,7 @@
 //!
 //! It gives the samples of [`super::BenchSource`] under the same seed, bit for bit.
 
-use std::sync::PoisonError;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use shared::control::Controller;
 use shared::explore::Exploration;
@@ -11,8 +11,9 @@ use shared::settings::Settings;
 use super::{PortSource, Source, SourceError, Tick, TickTruth};
 use device::Device;
 use device::port::Address;
-use emulator::{BenchPlant, Emulator, EmulatorConfig, LockstepPlant, TruthLog};
-use plant::bench::BenchConfig;
+use emulator::{Emulator, EmulatorConfig, LockstepPlant};
+use plant::bench::{BenchConfig, BenchPlant};
+use plant::{Plant, Reading};
 
 /// A board that runs as long as this lives.
 pub struct VirtualBoard {
@@ -27,11 +28,11 @@ impl VirtualBoard {
     /// # Errors
     /// A bench that cannot be built, QEMU or images that are missing, a device that does not answer.
     pub fn start(config: EmulatorConfig, bench: &BenchConfig, seed: u64) -> Result<Self, SourceError> {
-        let plant = BenchPlant::new(bench)?;
-        let truths = plant.truths();
+        let truths = TruthLog::default();
+        let plant = Logged { plant: BenchPlant::new(bench)?, truths: Arc::clone(&truths) };
         let emulator = Emulator::start(config, LockstepPlant::new(plant))?;
         let device = Device::connect(&Address::Tcp(emulator.address().to_string()))?;
-        let truth = Box::new(move |tick| truth_at(&truths, tick));
+        let truth = Box::new(move |tick| log(&truths).get(tick).copied());
         let port = PortSource::new(device, seed)?.with_plant(
             format!("{} on the virtual board", bench.name),
             bench.to_toml(),
@@ -46,8 +47,45 @@ impl VirtualBoard {
     }
 }
 
-fn truth_at(truths: &TruthLog, tick: usize) -> Option<TickTruth> {
-    truths.lock().unwrap_or_else(PoisonError::into_inner).get(tick).copied()
+/// The truths since the last reset: entry `n` is from the instant of the `n`-th reading, which is that of tick `n` since
+/// then. It is there before the board has the reading.
+type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
+
+/// What is logged; whoever panicked with it in hand has not harmed it.
+fn log(truths: &TruthLog) -> MutexGuard<'_, Vec<TickTruth>> {
+    truths.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A plant that logs its truths.
+struct Logged<P> {
+    plant: P,
+    truths: TruthLog,
+}
+
+impl<P: Plant> Plant for Logged<P> {
+    type Error = P::Error;
+
+    fn name(&self) -> String {
+        self.plant.name()
+    }
+
+    fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, P::Error> {
+        let reading = self.plant.reset(period_us, seed, peep)?;
+        let mut truths = log(&self.truths);
+        truths.clear();
+        truths.extend(reading.truth);
+        Ok(reading)
+    }
+
+    fn set_peep(&mut self, peep: f32) -> Result<(), P::Error> {
+        self.plant.set_peep(peep)
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, P::Error> {
+        let reading = self.plant.step(u_in, u_out)?;
+        log(&self.truths).extend(reading.truth);
+        Ok(reading)
+    }
 }
 
 impl Source for VirtualBoard {
@@ -81,5 +119,66 @@ impl Source for VirtualBoard {
 
     fn acknowledge(&mut self) -> Result<(), SourceError> {
         self.port.acknowledge()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BenchSource;
+    use emulator::PlantEnd;
+    use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use shared::control::pid::{Pid, PidGains};
+    use shared::link::plant_link::{Frame, Message};
+
+    const SEED: u64 = 5;
+
+    fn bench() -> BenchConfig {
+        BenchConfig::paper(20.0, 20.0)
+    }
+
+    /// Ticks of two breaths with different settings from the in-process source.
+    fn ticks(period_us: u32) -> Vec<Tick> {
+        let pid = Pid::new(PidGains { p: 1.0, i: 20.0, d: 0.0 }, period_us).unwrap();
+        let (first, second) = (paper_settings(20.0), Settings { peep: 8.0, ..paper_settings(25.0) });
+        let mut source = BenchSource::new(&bench(), Controller::Pid(pid), &first, period_us, SEED).unwrap();
+        let mut ticks = Vec::new();
+        for settings in [first, second] {
+            source.breath(&settings, &mut |tick| ticks.push(*tick)).unwrap();
+        }
+        ticks
+    }
+
+    #[test]
+    fn behind_the_plant_line_the_bench_gives_the_bits_of_the_in_process_bench() {
+        for period_us in [DEFAULT_PERIOD_US, 30_000] {
+            let ticks = ticks(period_us);
+            let truths = TruthLog::default();
+            let plant = Logged { plant: BenchPlant::new(&bench()).unwrap(), truths: Arc::clone(&truths) };
+            let (mut line, mut number) = (LockstepPlant::new(plant), 0);
+            let mut ask = |message| {
+                number += 1;
+                let answer = line.answer(&Frame { tick: number, message }.encode());
+                match Frame::decode(answer.as_slice().try_into().unwrap()).unwrap().message {
+                    Message::Ready { pressure } | Message::Pressure { pressure } => pressure.to_bits(),
+                    other => panic!("{other:?}"),
+                }
+            };
+            ask(Message::Seed { seed: SEED });
+            ask(Message::Peep { pressure: 5.0 });
+            let mut reading = ask(Message::Reset { period_us });
+            let mut breath = ticks[0].sample.breath;
+            for tick in &ticks {
+                if tick.sample.breath != breath {
+                    breath = tick.sample.breath;
+                    ask(Message::Peep { pressure: 8.0 });
+                }
+                assert_eq!(reading, tick.sample.pressure.to_bits(), "{tick:?}");
+                reading = ask(Message::Step { u_in: tick.sample.u_in, u_out: tick.sample.u_out });
+            }
+            let logged: Vec<_> = log(&truths).iter().copied().map(Some).collect();
+            let expected: Vec<_> = ticks.iter().map(|tick| tick.truth).collect();
+            assert_eq!(logged[..ticks.len()], expected);
+        }
     }
 }

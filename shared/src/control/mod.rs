@@ -1,16 +1,17 @@
-//! Controllers: what turns a pressure reading into a command of the inspiratory valve.
+//! Controllers: what turns a pressure reading into a demand on the inspiratory valve.
 //!
-//! [`pid`] is the industry's standard and the base; [`features`] and [`network`] make the learned residual;
-//! [`residual`] adds it, scaled by lambda, to the base. [`Controller`] is whichever of the two a ventilator
-//! runs. A controller works during the inspiration only; [`Controller::start_breath`] resets it.
+//! [`ControlLaw`] is what a ventilator asks of a controller. [`Controller`] is the one that a device runs: [`pid`], the
+//! industry's standard, alone or with the learned residual, which [`features`] and [`network`] compute and [`residual`] adds,
+//! scaled by lambda. A controller works during the inspiration only; each breath starts it afresh.
 
 pub mod features;
 pub mod network;
 pub mod pid;
 pub mod residual;
 
+use features::FeatureState;
 use pid::{Pid, PidState};
-use residual::{Residual, ResidualState};
+use residual::Residual;
 
 /// Highest command of the inspiratory valve, percent.
 pub const COMMAND_MAX: f32 = 100.0;
@@ -30,16 +31,16 @@ pub struct Observation {
     pub tick: u32,
 }
 
-/// What a controller wants of the inspiratory valve, percent, both within `0..=100`.
+/// What a controller asks of the inspiratory valve before the safety filter, percent, both within `0..=100`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wish {
-    /// What its PID would command alone, in the same state.
+pub struct ControlOutput {
+    /// The part that needs no trust: what its PID would command alone, in the same state.
     pub base: f32,
-    /// What it commands, with what it has learned.
+    /// The whole command, with what it has learned.
     pub command: f32,
 }
 
-impl Wish {
+impl ControlOutput {
     /// A command with nothing learned in it.
     pub const fn plain(command: f32) -> Self {
         Self { base: command, command }
@@ -52,6 +53,26 @@ impl Wish {
     }
 }
 
+/// A controller as the ventilator runs it: [`Controller`], or any other that takes its place.
+///
+/// In a tick of the inspiration the ventilator calls [`Self::step`], filters the output, and calls [`Self::applied`].
+pub trait ControlLaw {
+    /// What it remembers from tick to tick.
+    type State;
+
+    /// Before the first breath, valve closed.
+    fn initial_state(&self) -> Self::State;
+
+    /// Forgets the last breath; the valve stands at `command` percent.
+    fn start_breath(&self, state: &mut Self::State, command: f32);
+
+    /// One tick: the command wanted.
+    fn step(&self, state: &mut Self::State, seen: &Observation) -> ControlOutput;
+
+    /// Takes in which command was applied, percent; exploration and the safety filter may have changed it.
+    fn applied(&self, state: &mut Self::State, command: f32);
+}
+
 /// A built controller.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "one controller exists at a time, and nothing may allocate")]
@@ -62,10 +83,11 @@ pub enum Controller {
     Residual(Residual),
 }
 
-/// State of either controller; the PID's part is shared, so that one can take over from the other.
-#[derive(Clone, Debug, PartialEq)]
+/// State of either controller; both have the PID's part, so that one can take over from the other.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ControllerState {
-    residual: ResidualState,
+    pid: PidState,
+    features: FeatureState,
 }
 
 impl Controller {
@@ -76,40 +98,37 @@ impl Controller {
             Self::Residual(residual) => residual.pid(),
         }
     }
+}
 
-    /// Forgets the last breath; the valve stands at `command` percent.
-    pub fn start_breath(&self, state: &mut ControllerState, command: f32) {
-        state.residual.start_breath(command);
+impl ControlLaw for Controller {
+    type State = ControllerState;
+
+    fn initial_state(&self) -> ControllerState {
+        ControllerState::new()
     }
 
-    /// One tick: the command wanted.
-    pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> Wish {
+    fn start_breath(&self, state: &mut ControllerState, command: f32) {
+        state.pid = PidState::new();
+        state.features.start_breath(command);
+    }
+
+    fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
         match self {
-            Self::Pid(pid) => pid.step(&mut state.residual.pid, seen, 0.0),
-            Self::Residual(residual) => residual.step(&mut state.residual, seen),
+            Self::Pid(pid) => pid.step(&mut state.pid, seen, 0.0),
+            Self::Residual(residual) => residual.step(state, seen),
         }
     }
 
-    /// Tells the controller which command was applied (it may differ: exploration, safety filter).
-    pub fn applied(&self, state: &mut ControllerState, command: f32) {
-        state.residual.applied(self, command);
+    fn applied(&self, state: &mut ControllerState, command: f32) {
+        if let Self::Residual(residual) = self {
+            residual.features().applied(&mut state.features, command);
+        }
     }
 }
 
 impl ControllerState {
     /// State before the first breath, valve closed.
     pub const fn new() -> Self {
-        Self { residual: ResidualState::new() }
-    }
-
-    /// The PID's state.
-    pub fn pid(&self) -> &PidState {
-        &self.residual.pid
-    }
-}
-
-impl Default for ControllerState {
-    fn default() -> Self {
-        Self::new()
+        Self { pid: PidState::new(), features: FeatureState::new() }
     }
 }

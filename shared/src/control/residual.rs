@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::features::{FeatureError, FeatureSpec, FeatureState, Features};
+use super::features::{FeatureError, FeatureSpec, Features};
 use super::network::Network;
-use super::pid::{GainError, Pid, PidGains, PidState};
-use super::{COMMAND_MAX, Controller, Observation, Wish};
+use super::pid::{GainError, Pid, PidGains};
+use super::{COMMAND_MAX, ControlOutput, ControllerState, Observation};
 use crate::breath::PERIOD_BOUNDS_US;
 use crate::math;
 
@@ -62,31 +62,6 @@ pub struct Residual {
     network: Network,
 }
 
-/// State of the learned controller.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ResidualState {
-    pub(super) pid: PidState,
-    features: FeatureState,
-}
-
-impl ResidualState {
-    /// State before the first breath.
-    pub const fn new() -> Self {
-        Self { pid: PidState::new(), features: FeatureState::new() }
-    }
-
-    pub(super) fn start_breath(&mut self, command: f32) {
-        self.pid = PidState::new();
-        self.features.start_breath(command);
-    }
-
-    pub(super) fn applied(&mut self, controller: &Controller, command: f32) {
-        if let Controller::Residual(residual) = controller {
-            residual.features.applied(&mut self.features, command);
-        }
-    }
-}
-
 impl Residual {
     /// Builds a learned controller.
     ///
@@ -130,7 +105,7 @@ impl Residual {
     }
 
     /// One tick: the command wanted.
-    pub fn step(&self, state: &mut ResidualState, seen: &Observation) -> Wish {
+    pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
         let features = self.features.step(&mut state.features, seen, state.pid.integral);
         let residual = self.correction(self.network.forward(&features));
         self.pid.step(&mut state.pid, seen, residual)
@@ -146,7 +121,7 @@ impl Residual {
 mod tests {
     use super::*;
     use crate::breath::DEFAULT_PERIOD_US;
-    use crate::control::ControllerState;
+    use crate::control::{ControlLaw, Controller};
 
     fn spec(lambda: f32) -> ResidualSpec {
         ResidualSpec {

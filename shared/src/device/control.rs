@@ -1,14 +1,13 @@
 //! The half of a device that runs with the control tick.
 //!
-//! A tick is [`Control::cue`] (hardware in the loop only) -> reading -> [`Control::step`] -> valves ->
+//! A tick is [`Control::plant_change`] (hardware in the loop only) -> reading -> [`Control::step`] -> valves ->
 //! [`Control::report`] -> at most one [`Control::execute`] -> the flight recorder, by [`Control::moment`] ->
-//! [`Control::record`]. Orders about settings, controller and exploration wait for the breath boundary, so that no breath
-//! changes while it runs.
+//! [`Control::record`]. A request about settings, controller or exploration is built when it is accepted, and refused with a
+//! reason if that fails. What was built waits for the breath boundary, so that no breath changes while it runs.
 
 use heapless::Deque;
 
-use super::timing::{TickTime, TickTimer};
-use super::{Answer, KNOWN_GOOD, Order, Report, Start, Status};
+use super::{BootFindings, ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
 use crate::breath::Breath;
 use crate::control::Controller;
 use crate::control::pid::Pid;
@@ -22,20 +21,30 @@ use crate::safety::alarms::Fault;
 use crate::safety::host::HostWatch;
 use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
+use crate::timing::{TickTime, TickTimer};
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
 
-/// Settings that can wait for their breaths.
+/// Breaths that can wait for their turn.
 pub const QUEUE_LENGTH: usize = 16;
 /// Ticks between two reports of the counters.
 const COUNTERS_EVERY: u64 = 64;
 
-/// What a plant that takes the place of sensor and valves has to be told before the next tick.
+/// Changes that a plant in the place of sensor and valves makes before its next tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cue {
+pub struct PlantChange {
     /// PEEP of the breath that begins, cmH2O, if it is another than before.
     pub peep: Option<f32>,
-    /// Start anew, at rest, with this seed; comes in place of a step.
+    /// Restart at rest with this seed, in place of a step.
     pub reset: Option<u64>,
+}
+
+/// A controller that was accepted and waits for the breath boundary.
+#[derive(Clone, Copy, Debug)]
+enum NextController {
+    /// This one.
+    Pid(Pid),
+    /// The stored weights, which are kilobytes long and stay in their place until then.
+    Learned,
 }
 
 /// The control half.
@@ -46,18 +55,18 @@ pub struct Control {
     state: VentilatorState,
     learned: Option<Residual>,
     status: Status,
-    /// Whether `status` differs from what the ventilator runs.
-    changed: bool,
-    queue: Deque<Settings, QUEUE_LENGTH>,
+    /// Runs from the next breath on.
+    next_controller: Option<NextController>,
+    queue: Deque<Breath, QUEUE_LENGTH>,
     meter: BreathMeter,
     timer: TickTimer,
     tick: u64,
     dropped: u32,
     host: HostWatch,
-    /// Alarms that wait to be told.
-    alarms: Deque<Fault, 2>,
+    /// Alarms that wait for a tick to report them: two that a start can find, and one of a silent host.
+    alarms: Deque<Fault, 3>,
     seed: Option<u64>,
-    /// PEEP that the plant was told last, cmH2O.
+    /// PEEP that the plant was last set to, cmH2O.
     peep: Option<f32>,
 }
 
@@ -66,7 +75,7 @@ impl Control {
     /// [`KNOWN_GOOD`] gains; `core_hz` is the unit of the tick times.
     ///
     /// # Errors
-    /// [`Refusal::Settings`] for a control period that cannot be.
+    /// [`Refusal::Settings`] for a control period out of bounds.
     pub fn new(
         kind: DeviceKind,
         period_us: u32,
@@ -77,9 +86,9 @@ impl Control {
         let ventilator = Ventilator::new(period_us, Controller::Pid(pid));
         let state = ventilator.standby(&Settings::default())?;
         let learned = learned.filter(|residual| residual.spec().period_us == period_us);
-        let controller = match learned {
-            Some(_) => ControllerChoice::Learned,
-            None => ControllerChoice::Pid(KNOWN_GOOD),
+        let (controller, next_controller) = match learned {
+            Some(_) => (ControllerChoice::Learned, Some(NextController::Learned)),
+            None => (ControllerChoice::Pid(KNOWN_GOOD), None),
         };
         Ok(Self {
             kind,
@@ -87,7 +96,7 @@ impl Control {
             state,
             learned,
             status: Status { mode: Mode::Standby, controller, exploration: None },
-            changed: true,
+            next_controller,
             queue: Deque::new(),
             meter: BreathMeter::default(),
             timer: TickTimer::new(core_hz),
@@ -100,27 +109,26 @@ impl Control {
         })
     }
 
-    /// The same with these monitors alone, for a plant that is no ventilator; before anything is started.
+    /// The same with these monitors alone, for a plant that is no ventilator.
     #[must_use]
     pub fn with_monitors(mut self, monitors: Monitors) -> Self {
         self.ventilator = self.ventilator.with_monitors(monitors);
-        if let Ok(state) = self.ventilator.standby(self.state.breath().settings()) {
-            self.state = state;
-        }
         self
     }
 
-    /// Tells with the first ticks what the start has found.
-    pub fn started(&mut self, start: &Start) {
-        let found = [(Fault::Restarted, start.by_itself()), (Fault::WeightsRefused, start.refused_weights())];
-        for (fault, _) in found.into_iter().filter(|(_, is)| *is) {
-            self.tell(fault);
+    /// Reports with the first ticks what the start has found.
+    pub fn report_boot(&mut self, findings: &BootFindings) {
+        if findings.unrequested() {
+            self.raise(Fault::Restarted);
+        }
+        if findings.refused_weights() {
+            self.raise(Fault::WeightsRefused);
         }
     }
 
-    fn tell(&mut self, fault: Fault) {
+    fn raise(&mut self, fault: Fault) {
         if self.ventilator.monitors().has(fault) {
-            // There is room for what a start can find and for what a tick can.
+            // There is room: each tick takes one, and a host falls silent only once in many.
             let _ = self.alarms.push_back(fault);
         }
     }
@@ -130,21 +138,21 @@ impl Control {
         &self.state
     }
 
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     pub fn mode(&self) -> Mode {
         self.state.mode()
     }
 
-    /// What a plant must be told before this tick's reading is taken.
-    pub fn cue(&mut self) -> Cue {
-        let peep = match (self.begins_breath(), self.queue.front().or(self.state.pending())) {
+    /// Changes for the plant to make before this tick's reading is taken.
+    pub fn plant_change(&mut self) -> PlantChange {
+        let peep = match (self.begins_breath(), self.next_settings()) {
             (true, Some(next)) => next.peep,
             _ => self.state.breath().settings().peep,
         };
         let begins = self.begins_breath() && self.state.breath_number() == 0;
         let reset = if begins { self.seed.take() } else { None };
-        let told = self.peep.replace(peep);
-        Cue { peep: (told != Some(peep)).then_some(peep), reset }
+        let before = self.peep.replace(peep);
+        PlantChange { peep: (before != Some(peep)).then_some(peep), reset }
     }
 
     /// One step of the ventilator with the pressure reading in cmH2O.
@@ -164,12 +172,12 @@ impl Control {
         output
     }
 
-    /// The host is gone: nobody watches what exploration does.
+    /// The host is gone: nobody watches the exploration.
     #[cold]
     fn go_on_alone(&mut self) {
-        self.tell(Fault::HostSilent);
+        self.raise(Fault::HostSilent);
         if self.ventilator.monitors().has(Fault::HostSilent) {
-            (self.status.exploration, self.changed) = (None, true);
+            self.status.exploration = None;
         }
     }
 
@@ -180,62 +188,49 @@ impl Control {
 
     /// Hands the ventilator what waited for the breath boundary.
     fn begin_breath(&mut self) {
-        if let Some(settings) = self.queue.pop_front() {
-            // They were validated when they came.
-            let _ = self.ventilator.apply(&mut self.state, &settings);
+        if let Some(breath) = self.queue.pop_front() {
+            self.state.set_pending(breath);
         }
-        if self.changed {
-            self.changed = false;
-            self.ventilator.set_exploration(self.status.exploration);
-            self.choose_controller();
-        }
-    }
-
-    /// Hands the ventilator the controller that was chosen. A learned one is copied straight to its place: it is kilobytes
-    /// long, and each move on the way would cost the tick as much as the network itself.
-    fn choose_controller(&mut self) {
-        match (self.status.controller, &self.learned) {
-            (ControllerChoice::Pid(gains), _) => {
-                // They were validated when they came.
-                if let Ok(pid) = Pid::new(gains, self.ventilator.period_us()) {
-                    self.ventilator.set_controller(Controller::Pid(pid));
-                }
-            }
-            (ControllerChoice::Learned, Some(residual)) => {
+        self.ventilator.set_exploration(self.status.exploration);
+        match (self.next_controller.take(), &self.learned) {
+            (Some(NextController::Pid(pid)), _) => self.ventilator.set_controller(Controller::Pid(pid)),
+            // Copied straight to its place: each move on the way would cost the tick as much as the network itself.
+            (Some(NextController::Learned), Some(residual)) => {
                 self.ventilator.set_controller(Controller::Residual(residual.clone()));
             }
-            (ControllerChoice::Learned, None) => {}
+            // It was accepted only because there are weights, and they stay.
+            (None, _) | (Some(NextController::Learned), None) => {}
         }
     }
 
     /// Reports what a step did; `room` takes a report or says that there is no room for it.
     #[inline]
-    pub fn report(&mut self, output: &Output, room: &mut dyn FnMut(Report) -> bool) {
+    pub fn report(&mut self, output: &Output, room: &mut dyn FnMut(ControlReport) -> bool) {
         let tick = self.tick.wrapping_sub(1);
         let counters = tick.is_multiple_of(COUNTERS_EVERY).then(|| self.counters());
         let before = core::mem::replace(&mut self.status.mode, output.mode);
-        let mut tell = |report| {
+        let mut send = |report| {
             if !room(report) {
                 self.dropped = self.dropped.saturating_add(1);
             }
         };
         if let Some(sample) = output.sample {
             if let Some(summary) = self.meter.take(&sample) {
-                tell(Report::Breath(summary));
+                send(ControlReport::Breath(summary));
             }
-            tell(Report::Sample { tick, sample });
+            send(ControlReport::Sample { tick, sample });
         }
         if before == Mode::Ventilating && output.mode != Mode::Ventilating {
-            tell(Report::Stopped);
+            send(ControlReport::Stopped);
         }
         if let (Mode::Fault(_), true) = (output.mode, before != output.mode) {
             self.queue.clear();
         }
         if let Some(fault) = output.alarm {
-            tell(Report::Alarm { fault, tick });
+            send(ControlReport::Alarm { fault, tick });
         }
         if let Some(counters) = counters {
-            tell(Report::Counters(counters));
+            send(ControlReport::Counters(counters));
         }
     }
 
@@ -245,7 +240,7 @@ impl Control {
         Counters { dropped, corrupt_frames: 0, missed_ticks, worst_tick_us, mean_tick_us }
     }
 
-    /// What a step did, for the flight recorder: the reading that it was given, its output, and the ticks missed before it.
+    /// A step for the flight recorder: its reading, its output, and the ticks missed before it.
     #[inline]
     pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;
@@ -257,31 +252,40 @@ impl Control {
     pub fn record(&mut self, time: &TickTime) {
         let before = self.timer.missed();
         self.timer.record(time);
-        self.state.missed(self.timer.missed().saturating_sub(before));
+        self.ventilator.missed(&mut self.state, self.timer.missed().saturating_sub(before));
     }
 
-    /// Carries out an order.
-    pub fn execute(&mut self, order: &Order) -> Answer {
+    /// Carries out a request.
+    pub fn execute(&mut self, request: &ControlRequest) -> ControlReply {
         self.host.heard();
-        let response = match *order {
-            Order::Status => return Answer::Status(Status { mode: self.state.mode(), ..self.status }),
-            Order::Settings => Ok(self.settings()),
-            Order::Apply(settings) => self.apply(&settings),
-            Order::Queue(settings) => self.enqueue(&settings),
-            Order::Start => self.start(),
-            Order::Stop => Ok(self.stop()),
-            Order::Acknowledge => self.acknowledge(),
-            Order::Controller(choice) => self.choose(choice),
-            Order::Exploration(exploration) => self.explore(exploration),
-            Order::Timing { clear } => Ok(self.timing(clear)),
-            Order::ResetPlant(seed) => self.reset_plant(seed),
+        let response = match *request {
+            ControlRequest::Status => {
+                return ControlReply::Status(Status { mode: self.state.mode(), ..self.status });
+            }
+            ControlRequest::Settings => Ok(self.settings()),
+            ControlRequest::Apply(settings) => self.apply(&settings),
+            ControlRequest::Queue(settings) => self.enqueue(&settings),
+            ControlRequest::Start => self.start(),
+            ControlRequest::Stop => Ok(self.stop()),
+            ControlRequest::Acknowledge => self.acknowledge(),
+            ControlRequest::Controller(choice) => self.choose(choice),
+            ControlRequest::Exploration(exploration) => self.explore(exploration),
+            ControlRequest::Timing { clear } => Ok(self.timing(clear)),
+            ControlRequest::ResetPlant(seed) => self.reset_plant(seed),
         };
-        Answer::Host(response.unwrap_or_else(Response::Refused))
+        ControlReply::Response(response.unwrap_or_else(Response::Refused))
     }
 
     fn settings(&self) -> Response {
-        let pending = self.queue.front().or(self.state.pending());
-        Response::Settings { in_force: *self.state.breath().settings(), pending: pending.copied() }
+        Response::Settings {
+            in_force: *self.state.breath().settings(),
+            pending: self.next_settings().copied(),
+        }
+    }
+
+    /// Settings of the next breath, if they differ from those in force.
+    fn next_settings(&self) -> Option<&Settings> {
+        self.queue.front().map(Breath::settings).or(self.state.pending())
     }
 
     fn apply(&mut self, settings: &Settings) -> Result<Response, Refusal> {
@@ -291,8 +295,8 @@ impl Control {
     }
 
     fn enqueue(&mut self, settings: &Settings) -> Result<Response, Refusal> {
-        Breath::new(settings, self.ventilator.period_us())?;
-        self.queue.push_back(*settings).map_err(|_| Refusal::QueueFull)?;
+        let breath = Breath::new(settings, self.ventilator.period_us())?;
+        self.queue.push_back(breath).map_err(|_| Refusal::QueueFull)?;
         Ok(Response::Queued { free: (QUEUE_LENGTH - self.queue.len()) as u8 })
     }
 
@@ -322,14 +326,15 @@ impl Control {
     }
 
     fn choose(&mut self, choice: ControllerChoice) -> Result<Response, Refusal> {
-        match choice {
+        let next = match choice {
             ControllerChoice::Pid(gains) => {
-                Pid::new(gains, self.ventilator.period_us()).map_err(|_| Refusal::Gains)?;
+                let pid = Pid::new(gains, self.ventilator.period_us()).map_err(|_| Refusal::Gains)?;
+                NextController::Pid(pid)
             }
             ControllerChoice::Learned if self.learned.is_none() => return Err(Refusal::NoWeights),
-            ControllerChoice::Learned => {}
-        }
-        (self.status.controller, self.changed) = (choice, true);
+            ControllerChoice::Learned => NextController::Learned,
+        };
+        (self.status.controller, self.next_controller) = (choice, Some(next));
         Ok(Response::Controller(choice))
     }
 
@@ -337,7 +342,7 @@ impl Control {
         if let Some(exploration) = &exploration {
             exploration.validate().map_err(|_| Refusal::Exploration)?;
         }
-        (self.status.exploration, self.changed) = (exploration, true);
+        self.status.exploration = exploration;
         Ok(Response::Exploration(exploration))
     }
 

@@ -5,60 +5,62 @@
 //!
 //! | half | runs | holds |
 //! |---|---|---|
-//! | [`control`] | once per control tick | ventilator, settings waiting, breath meter, tick statistics |
-//! | [`desk`] | when bytes or reports are there | requests and their answers, telemetry batches, uploads |
+//! | [`control`] | once per control tick | ventilator, breaths that wait, breath meter, tick statistics |
+//! | [`server`] | when bytes or reports are there | requests and their answers, telemetry batches, uploads |
 //!
-//! From the desk to the control half go [`Order`]s, one at a time, each answered with an [`Answer`]; the other way
-//! [`Report`]s. Neither half waits: whoever runs them moves orders, answers and reports.
+//! The server sends the control half one [`ControlRequest`] at a time and gets a [`ControlReply`] to each; unasked, the control
+//! half sends [`ControlReport`]s. Neither half waits: the caller moves requests, replies and reports between them.
 
 pub mod control;
-pub mod desk;
-pub mod timing;
+pub mod server;
+pub mod upload;
 
 #[cfg(test)]
 mod tests;
 
 use crate::control::pid::PidGains;
 use crate::explore::Exploration;
-use crate::link::messages::{ControllerChoice, ResetCause, Response, SlotState};
+use crate::link::messages::{ControllerChoice, Response};
 use crate::link::telemetry::{BreathSummary, Counters};
+use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
+use crate::weights::slots::SlotState;
 
 /// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O, and safe
 /// to explore around; on a stiff lung of low resistance they ring.
 pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
-/// How a device started.
+/// State that a device finds at its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Start {
-    /// Why.
+pub struct BootFindings {
+    /// Cause of the start.
     pub cause: ResetCause,
     /// Whether it ventilated when the last run ended.
     pub interrupted: bool,
-    /// What each weights slot holds.
+    /// Content of each weights slot.
     pub slots: [SlotState; 2],
 }
 
-impl Start {
-    /// Whether nobody asked for it.
-    pub fn by_itself(&self) -> bool {
+impl BootFindings {
+    /// Whether the start was unrequested: after a fault of supply or program, or in the middle of ventilation.
+    pub fn unrequested(&self) -> bool {
         self.interrupted || matches!(self.cause, ResetCause::BrownOut | ResetCause::Watchdog)
     }
 
-    /// Whether a slot holds something that is no usable weights.
+    /// Whether a slot holds something other than valid weights.
     pub fn refused_weights(&self) -> bool {
         self.slots.iter().any(|slot| matches!(slot, SlotState::Torn | SlotState::Invalid(_)))
     }
 }
 
-/// What the desk asks of the control half.
+/// A request of the server to the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Order {
-    /// What are you doing? Answered by [`Answer::Status`].
+pub enum ControlRequest {
+    /// Report the status. Answered by [`ControlReply::Status`].
     Status,
-    /// Which settings are in force?
+    /// Report the settings in force and those that wait.
     Settings,
     /// Settings for the next breath, in place of all that wait.
     Apply(Settings),
@@ -76,46 +78,46 @@ pub enum Order {
     Exploration(Option<Exploration>),
     /// Statistics of the ticks.
     Timing {
-        /// Count anew?
+        /// Clear them?
         clear: bool,
     },
-    /// At the next start the plant starts anew with this seed.
+    /// At the next start the plant restarts with this seed.
     ResetPlant(u64),
 }
 
-/// What the control half answers.
+/// The control half's answer to a request.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Answer {
-    /// For the host as it is.
-    Host(Response),
-    /// What the device is doing.
+pub enum ControlReply {
+    /// For the host, as it is.
+    Response(Response),
+    /// For the server.
     Status(Status),
 }
 
-/// What a device is doing.
+/// Status of the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Status {
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     pub mode: Mode,
-    /// Which controller runs, or will from the next breath on.
+    /// The controller that runs, or will from the next breath on.
     pub controller: ControllerChoice,
-    /// How it explores, or will from the next breath on.
+    /// The exploration in force, or from the next breath on.
     pub exploration: Option<Exploration>,
 }
 
-/// What the control half tells unasked.
+/// An unasked report of the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Report {
+pub enum ControlReport {
     /// A tick of a breath.
     Sample {
         /// Control tick since power-up.
         tick: u64,
-        /// What it did.
+        /// Its sample.
         sample: Sample,
     },
     /// A breath has ended.
     Breath(BreathSummary),
-    /// A monitor has found something; what follows from it says its row in [`crate::safety::alarms::ALARMS`].
+    /// A monitor has raised an alarm; [`crate::safety::alarms::ALARMS`] lists the response to each.
     Alarm {
         /// Which.
         fault: Fault,
@@ -124,6 +126,6 @@ pub enum Report {
     },
     /// Ventilation has stopped.
     Stopped,
-    /// The counters of the control half; `corrupt_frames` is the desk's to fill in.
+    /// The counters of the control half; `corrupt_frames` is the server's to fill in.
     Counters(Counters),
 }

@@ -4,19 +4,19 @@ use std::vec::Vec;
 use proptest::prelude::*;
 
 use super::control::{Control, QUEUE_LENGTH};
-use super::desk::{Desk, Facts, Step};
+use super::server::{DeviceFacts, NextStep, Server};
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
 use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::residual::{Residual, ResidualSpec};
-use crate::link::messages::{
-    CHUNK_BYTES, DeviceKind, Event, Request, ResetCause, Slot, SlotState, ToDevice, ToHost,
-};
+use crate::link::messages::{CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
-use crate::recorder::{Boot, Memory, Part, Recorder, Recording, Status};
+use crate::recorder::{Boot, Part, Recorder, RecorderMemory, RecorderStatus, RecordingState};
+use crate::reset::ResetCause;
 use crate::safety::monitors::Monitors;
+use crate::weights::slots::{Slot, SlotState};
 use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 const CORE_HZ: u32 = 168_000_000;
@@ -25,20 +25,19 @@ const TICKS_OF_A_BREATH: usize = 3000;
 /// A device without a chip: both halves, a plant that is always at 5 cmH2O and no ventilator, and what would go over the link.
 struct Rig {
     control: Control,
-    desk: Desk,
-    reports: Vec<Report>,
+    server: Server<'static>,
+    reports: Vec<ControlReport>,
     events: Vec<ToHost>,
     sequence: u16,
     stored: Vec<[u8; IMAGE_BYTES]>,
     flash_fails: bool,
     restarts: usize,
-    memory: &'static Memory,
     recorder: Recorder<'static>,
 }
 
 impl Rig {
     fn new(learned: Option<Residual>) -> Self {
-        let facts = Facts {
+        let facts = DeviceFacts {
             firmware: [1, 2, 3],
             device: DeviceKind::HardwareInTheLoop,
             period_us: DEFAULT_PERIOD_US,
@@ -47,15 +46,14 @@ impl Rig {
             reset: ResetCause::PowerOn,
             failure: None,
         };
-        let memory: &'static Memory = Box::leak(Box::new(Memory::new()));
+        let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let boot = Boot { cause: facts.reset, failed: false, weights: None };
         Self {
-            memory,
             recorder: Recorder::attach(memory, boot),
             control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ)
                 .unwrap()
                 .with_monitors(Monitors::ANY_PLANT),
-            desk: Desk::new(facts),
+            server: Server::new(facts, memory),
             reports: Vec::new(),
             events: Vec::new(),
             sequence: 0,
@@ -79,7 +77,7 @@ impl Rig {
                 true
             });
             for report in self.reports.drain(..) {
-                self.events.extend(self.desk.report(&report));
+                self.events.extend(self.server.report(&report));
             }
         }
     }
@@ -90,27 +88,26 @@ impl Rig {
     }
 
     fn ask_as(&mut self, sequence: u16, request: Request) -> Response {
-        let mut step = self.desk.receive(&ToDevice { sequence, request });
+        let mut step = self.server.receive(&ToDevice { sequence, request });
         loop {
             step = match step {
-                Step::Send(ToHost::Response { sequence: answered, response }) => {
+                NextStep::Send(ToHost::Response { sequence: answered, response }) => {
                     assert_eq!(answered, sequence);
                     return response;
                 }
-                Step::Restart(ToHost::Response { response, .. }) => {
+                NextStep::Restart(ToHost::Response { response, .. }) => {
                     self.restarts += 1;
                     return response;
                 }
-                Step::Ask(order) => self.desk.answered(self.control.execute(&order)),
-                Step::Look(look) => self.desk.looked(self.memory.look(look)),
-                Step::Store => {
-                    let image = *self.desk.image();
+                NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
+                NextStep::Store => {
+                    let image = *self.server.image();
                     if self.flash_fails {
-                        self.desk.stored(None, [SlotState::Empty, SlotState::Torn])
+                        self.server.stored(None, [SlotState::Empty, SlotState::Torn])
                     } else {
                         self.stored.push(image);
                         let id = decode(&image).unwrap().id;
-                        self.desk
+                        self.server
                             .stored(Some(Slot::B), [SlotState::Empty, SlotState::Valid { generation: 4, id }])
                     }
                 }
@@ -245,17 +242,17 @@ fn controller_and_exploration_change_at_the_breath_boundary() {
 #[test]
 fn the_plant_is_told_each_new_peep_and_one_reset_at_the_start() {
     let mut rig = Rig::new(None);
-    assert_eq!(rig.control.cue(), control::Cue { peep: Some(5.0), reset: None });
-    assert_eq!(rig.control.cue(), control::Cue::default());
+    assert_eq!(rig.control.plant_change(), control::PlantChange { peep: Some(5.0), reset: None });
+    assert_eq!(rig.control.plant_change(), control::PlantChange::default());
     assert_eq!(rig.ask(Request::ResetPlant { seed: 77 }), Response::Done);
     rig.ask(Request::QueueSettings(Settings { peep: 8.0, ..paper_settings(20.0) }));
-    assert_eq!(rig.control.cue(), control::Cue::default(), "not in standby");
+    assert_eq!(rig.control.plant_change(), control::PlantChange::default(), "not in standby");
     rig.ask(Request::Start);
-    assert_eq!(rig.control.cue(), control::Cue { peep: Some(8.0), reset: Some(77) });
+    assert_eq!(rig.control.plant_change(), control::PlantChange { peep: Some(8.0), reset: Some(77) });
     rig.run(1);
-    assert_eq!(rig.control.cue(), control::Cue::default());
+    assert_eq!(rig.control.plant_change(), control::PlantChange::default());
     rig.run(TICKS_OF_A_BREATH - 1);
-    assert_eq!(rig.control.cue(), control::Cue::default());
+    assert_eq!(rig.control.plant_change(), control::PlantChange::default());
 }
 
 #[test]
@@ -278,7 +275,7 @@ fn a_fault_is_an_alarm_after_the_last_samples_and_empties_the_queue() {
     assert!(matches!(rig.ask(Request::GetSettings), Response::Settings { pending: None, .. }));
 }
 
-fn recorded(rig: &mut Rig) -> Status {
+fn recorded(rig: &mut Rig) -> RecorderStatus {
     match rig.ask(Request::GetRecorder) {
         Response::Recorder(status) => status,
         other => panic!("{other:?}"),
@@ -291,14 +288,14 @@ fn the_flight_recorder_is_read_while_ventilating_and_emptied_on_request() {
     rig.ask(Request::Start);
     rig.run(100);
     let status = recorded(&mut rig);
-    assert_eq!((status.recording, status.fast.next - status.fast.first), (Recording::Running, 101));
+    assert_eq!((status.recording, status.fast.next - status.fast.first), (RecordingState::Running, 101));
     let page = rig.ask(Request::ReadRecorder { part: Part::Fast, from: status.fast.next - 2 });
     assert!(matches!(page, Response::Recorded(page) if page.first == 99 && page.bytes.len() == 12));
     rig.run_at(20, f32::NAN);
-    assert_eq!(recorded(&mut rig).recording, Recording::Fault(Fault::ReadingNotANumber));
+    assert_eq!(recorded(&mut rig).recording, RecordingState::Fault(Fault::ReadingNotANumber));
     assert_eq!(rig.ask(Request::ClearRecorder), Response::Done);
     rig.run(1);
-    assert_eq!(recorded(&mut rig).recording, Recording::Nothing);
+    assert_eq!(recorded(&mut rig).recording, RecordingState::Nothing);
 }
 
 #[test]
@@ -340,12 +337,12 @@ fn reports_that_find_no_room_are_counted() {
     let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ)
         .unwrap()
         .with_monitors(Monitors::ANY_PLANT);
-    control.execute(&Order::Start);
+    control.execute(&ControlRequest::Start);
     let mut counted = 0;
     for tick in 0..=64 {
         let output = control.step(5.0);
         control.report(&output, &mut |report| match report {
-            Report::Counters(counters) => {
+            ControlReport::Counters(counters) => {
                 counted = counters.dropped;
                 true
             }
@@ -358,7 +355,10 @@ fn reports_that_find_no_room_are_counted() {
 #[test]
 fn a_ventilator_has_no_plant_to_reset() {
     let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
-    assert_eq!(control.execute(&Order::ResetPlant(1)), Answer::Host(Response::Refused(Refusal::NoPlant)));
+    assert_eq!(
+        control.execute(&ControlRequest::ResetPlant(1)),
+        ControlReply::Response(Response::Refused(Refusal::NoPlant))
+    );
 }
 
 proptest! {

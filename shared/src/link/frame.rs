@@ -39,7 +39,7 @@ pub fn encode_frame<'a, M: Serialize>(message: &M, buffer: &'a mut [u8]) -> Resu
     buffer.get(..=written).ok_or(FrameTooLong)
 }
 
-/// What went wrong with a frame.
+/// Damage of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Corrupt {
     /// The checksum does not match.
@@ -53,7 +53,7 @@ pub enum Corrupt {
     Cobs,
 }
 
-/// How many frames came and how many were refused.
+/// Numbers of good and of refused frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameCounters {
     /// Good frames.
@@ -83,7 +83,7 @@ impl FrameCounters {
     }
 }
 
-/// What a byte completed.
+/// Result of one byte.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Poll<'a> {
     /// Nothing yet.
@@ -98,13 +98,13 @@ pub enum Poll<'a> {
 #[derive(Clone, Debug)]
 pub struct FrameDecoder<const N: usize> {
     buffer: [u8; N],
-    progress: Progress,
+    state: DecoderState,
     counters: FrameCounters,
 }
 
-/// Where in a frame the decoder stands.
+/// Position of the decoder within a frame.
 #[derive(Clone, Copy, Debug, Default)]
-struct Progress {
+struct DecoderState {
     started: bool,
     length: usize,
     /// Bytes left in the present COBS block.
@@ -119,12 +119,12 @@ impl<const N: usize> FrameDecoder<N> {
     pub const fn new() -> Self {
         Self {
             buffer: [0; N],
-            progress: Progress { started: false, length: 0, block: 0, zero: false, overlong: false },
+            state: DecoderState { started: false, length: 0, block: 0, zero: false, overlong: false },
             counters: FrameCounters { frames: 0, checksum: 0, overlong: 0, cobs: 0 },
         }
     }
 
-    /// What has come so far.
+    /// Frames so far.
     pub fn counters(&self) -> &FrameCounters {
         &self.counters
     }
@@ -135,11 +135,11 @@ impl<const N: usize> FrameDecoder<N> {
             self.take(byte);
             return Poll::Pending;
         }
-        let progress = core::mem::take(&mut self.progress);
-        if !progress.started {
+        let state = core::mem::take(&mut self.state);
+        if !state.started {
             return Poll::Pending;
         }
-        let result = progress.finish(&self.buffer);
+        let result = state.finish(&self.buffer);
         self.counters.count(result.map(|_| ()));
         match result {
             Ok(message) => Poll::Frame(message),
@@ -148,26 +148,26 @@ impl<const N: usize> FrameDecoder<N> {
     }
 
     fn take(&mut self, byte: u8) {
-        self.progress.started = true;
-        if self.progress.block > 0 {
-            self.progress.block -= 1;
+        self.state.started = true;
+        if self.state.block > 0 {
+            self.state.block -= 1;
             self.store(byte);
         } else {
-            if self.progress.zero {
+            if self.state.zero {
                 self.store(0);
             }
-            self.progress.block = byte - 1;
-            self.progress.zero = byte != FULL_BLOCK;
+            self.state.block = byte - 1;
+            self.state.zero = byte != FULL_BLOCK;
         }
     }
 
     fn store(&mut self, byte: u8) {
-        match self.buffer.get_mut(self.progress.length) {
+        match self.buffer.get_mut(self.state.length) {
             Some(place) => {
                 *place = byte;
-                self.progress.length += 1;
+                self.state.length += 1;
             }
-            None => self.progress.overlong = true,
+            None => self.state.overlong = true,
         }
     }
 }
@@ -178,7 +178,7 @@ impl<const N: usize> Default for FrameDecoder<N> {
     }
 }
 
-impl Progress {
+impl DecoderState {
     fn finish(self, buffer: &[u8]) -> Result<&[u8], Corrupt> {
         if self.overlong {
             Err(Corrupt::Overlong)

@@ -1,4 +1,4 @@
-//! What host and device say to each other.
+//! The messages between host and device.
 //!
 //! **The order of variants and fields in this file, and in the types it names, is the protocol**: postcard
 //! writes a variant as its number and fields without names. Append variants at the end; any other change is a
@@ -15,13 +15,14 @@ use super::PROTOCOL;
 use super::refusal::Refusal;
 use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
-use crate::device::timing::TickTimes;
 use crate::explore::Exploration;
-use crate::recorder::{Page, Part, Status};
+use crate::recorder::{Page, Part, RecorderStatus};
+use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
+use crate::timing::TickTimes;
 use crate::ventilator::Mode;
-use crate::weights::ImageProblem;
+use crate::weights::slots::{Slot, SlotState};
 
 /// Most bytes of an image in one chunk.
 pub const CHUNK_BYTES: usize = 128;
@@ -33,14 +34,14 @@ pub const FAILURE_BYTES: usize = 120;
 pub struct ToDevice {
     /// Chosen by the host, returned with the answer.
     pub sequence: u16,
-    /// What is asked.
+    /// The request.
     pub request: Request,
 }
 
-/// What a host can ask.
+/// A request of the host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Request {
-    /// Who are you? Answered by [`Response::Identity`].
+    /// Report the identity. Answered by [`Response::Identity`].
     Identify,
     /// Answered by [`Response::Settings`].
     GetSettings,
@@ -83,22 +84,22 @@ pub enum Request {
     /// stay in force. So a sequence of breaths does not depend on how fast the host is. Answered by
     /// [`Response::Queued`].
     QueueSettings(Settings),
-    /// How long the control ticks take; answered by [`Response::Timing`].
+    /// Statistics of the control ticks; answered by [`Response::Timing`].
     GetTiming {
-        /// Count anew from here?
+        /// Clear them?
         clear: bool,
     },
-    /// At the next start of ventilation the plant starts anew with this seed of its random numbers; answered by
+    /// At the next start of ventilation the plant restarts with this seed of its random numbers; answered by
     /// [`Response::Done`]. Only with hardware in the loop.
     ResetPlant {
         /// The seed.
         seed: u64,
     },
-    /// What does the flight recorder hold? Answered by [`Response::Recorder`].
+    /// Status of the flight recorder; answered by [`Response::Recorder`].
     GetRecorder,
     /// Entries of the flight recorder; answered by [`Response::Recorded`].
     ReadRecorder {
-        /// Of which part?
+        /// The part.
         part: Part,
         /// Number of the first entry.
         from: u32,
@@ -131,10 +132,10 @@ pub enum ToHost {
     Event(Event),
 }
 
-/// What a device answers: the value in force after the request.
+/// A device's answer: the value in force after the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Response {
-    /// Who the device is and what it does.
+    /// Identity of the device and its state.
     Identity(DeviceIdentity),
     /// Settings.
     Settings {
@@ -143,18 +144,18 @@ pub enum Response {
         /// Of the next breath, if different ones wait.
         pending: Option<Settings>,
     },
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     Mode(Mode),
-    /// Which controller runs.
+    /// The controller that runs.
     Controller(ControllerChoice),
-    /// How the device explores.
+    /// The device's exploration.
     Exploration(Option<Exploration>),
     /// Whether telemetry is sent.
     Telemetry {
         /// Sending?
         on: bool,
     },
-    /// How much of an upload has arrived.
+    /// Progress of an upload.
     Progress {
         /// First byte that is missing.
         offset: u32,
@@ -163,7 +164,7 @@ pub enum Response {
     Weights {
         /// Their id.
         id: u32,
-        /// Where they lie.
+        /// Their slot.
         slot: Slot,
     },
     /// Done, and there is no value to show for it.
@@ -172,13 +173,13 @@ pub enum Response {
     Refused(Refusal),
     /// Settings wait for their breath.
     Queued {
-        /// How many more would find room.
+        /// Room left for this many more.
         free: u8,
     },
     /// Statistics of the control ticks.
     Timing(TickTimes),
-    /// What the flight recorder holds.
-    Recorder(Status),
+    /// Status of the flight recorder.
+    Recorder(RecorderStatus),
     /// Entries of the flight recorder.
     Recorded(Page),
 }
@@ -190,82 +191,45 @@ pub struct DeviceIdentity {
     pub protocol: u16,
     /// Version of the firmware: major, minor, patch.
     pub firmware: [u16; 3],
-    /// What it runs on.
+    /// Kind of the device.
     pub device: DeviceKind,
     /// Control period, microseconds.
     pub period_us: u32,
-    /// What the ventilator is doing.
+    /// Mode of the ventilator.
     pub mode: Mode,
-    /// Which controller runs.
+    /// The controller that runs.
     pub controller: ControllerChoice,
-    /// How it explores.
+    /// Its exploration.
     pub exploration: Option<Exploration>,
-    /// What each weights slot holds, in the order of [`Slot`].
+    /// Content of each weights slot, in the order of [`Slot`].
     pub slots: [SlotState; 2],
     /// The slot whose weights run when they are chosen, if one holds valid ones.
     pub running: Option<Slot>,
-    /// Why the device started.
+    /// Cause of the start.
     pub reset: ResetCause,
-    /// What the program failed with before it started anew, if it did.
+    /// Message of the failure before the start, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
 }
 
-/// One of the two places for weights in the flash.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Slot {
-    /// The first.
-    A,
-    /// The second.
-    B,
+impl DeviceIdentity {
+    /// Id of the weights that were loaded at the start.
+    pub fn running_id(&self) -> Option<u32> {
+        self.slots[self.running? as usize].id()
+    }
 }
 
-/// What a slot holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum SlotState {
-    /// Nothing: erased.
-    Empty,
-    /// Something that was not finished.
-    Torn,
-    /// A finished image that this device refuses.
-    Invalid(ImageProblem),
-    /// A valid image.
-    Valid {
-        /// The higher of two is the newer one.
-        generation: u32,
-        /// The image's id.
-        id: u32,
-    },
-}
-
-/// Why a device started.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum ResetCause {
-    /// The supply was switched on.
-    PowerOn,
-    /// The supply dipped.
-    BrownOut,
-    /// The reset pin.
-    Pin,
-    /// The program, by request or after a failure.
-    Software,
-    /// The watchdog: a control tick did not end.
-    Watchdog,
-    /// None of the above.
-    Other,
-}
-
-/// What a device is.
+/// Kind of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DeviceKind {
     /// A ventilator: real sensor, real valves.
     Ventilator,
-    /// A microcontroller whose sensor and valves are the [`super::plant`] link.
+    /// A microcontroller whose sensor and valves are the [`super::plant_link`].
     HardwareInTheLoop,
     /// A program on a computer.
     Simulated,
 }
 
-/// What a device tells unasked.
+/// An unasked message of the device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::large_enum_variant, reason = "a batch is most of the traffic, and nothing may allocate")]
 pub enum Event {
@@ -290,10 +254,18 @@ pub struct Unreadable {
     pub sequence: Option<u16>,
 }
 
+impl Unreadable {
+    /// The answer to the host, if the request's sequence number could be read.
+    pub fn refusal(self) -> Option<ToHost> {
+        let response = Response::Refused(Refusal::UnknownRequest);
+        self.sequence.map(|sequence| ToHost::Response { sequence, response })
+    }
+}
+
 /// Reads a frame's content on the device.
 ///
 /// # Errors
-/// [`Unreadable`]; answer with [`Refusal::UnknownRequest`].
+/// [`Unreadable`]; answer with [`Unreadable::refusal`].
 pub fn read_request(content: &[u8]) -> Result<ToDevice, Unreadable> {
     whole(content).ok_or_else(|| Unreadable {
         sequence: postcard::take_from_bytes(content).ok().map(|(sequence, _)| sequence),

@@ -8,14 +8,13 @@
 //! is now in force. In between the device sends events: batches of [`telemetry`], breath summaries, alarms.
 //! After a connection the host reads first ([`messages::Request::Identify`]) and pushes nothing unasked.
 //!
-//! [`upload`] puts a weights image together; [`plant`] is a second, separate link for hardware in the loop.
+//! [`plant_link`] is a second, separate link for hardware in the loop.
 
 pub mod frame;
 pub mod messages;
-pub mod plant;
+pub mod plant_link;
 pub mod refusal;
 pub mod telemetry;
-pub mod upload;
 
 /// Version of the protocol: changes whenever the bytes of an existing message change.
 pub const PROTOCOL: u16 = 2;

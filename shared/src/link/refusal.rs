@@ -1,4 +1,4 @@
-//! Why a device did not do what it was asked; as text, what to do about it.
+//! Reasons for a refused request; as text, each says how to go on.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

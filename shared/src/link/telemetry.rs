@@ -57,7 +57,7 @@ impl PackedSample {
     }
 }
 
-/// What went wrong since power-up, and how long control ticks take.
+/// Losses since power-up, and the duration of control ticks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counters {
     /// Samples that found no room in the device's queue.
@@ -288,7 +288,7 @@ mod tests {
         let expected =
             BreathSummary { breath: 0, mean_absolute_error: 3.0, peak_pressure: 22.0, end_pressure: 5.5 };
         assert_eq!(meter.take(&breath(1)[0]), Some(expected));
-        assert_eq!(meter.take(&breath(0)[0]), None, "broken off and started anew");
+        assert_eq!(meter.take(&breath(0)[0]), None, "broken off and restarted");
     }
 
     proptest! {

@@ -1,10 +1,10 @@
-//! What one entry holds: a control tick in six bytes, an event in twelve.
+//! The entries: a control tick in six bytes, an event in twelve.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::breath::Phase;
-use crate::link::messages::ResetCause;
+use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 
@@ -32,7 +32,7 @@ const COMMAND_CODE: u32 = 1_023;
 /// Steps of a setting in an event's argument.
 const SETTING_STEPS: f32 = 10.0;
 
-/// What the ventilator was doing in a tick.
+/// Activity of the ventilator in a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activity {
     /// Standing by.
@@ -69,7 +69,7 @@ pub struct TickEntry {
     pub phase: Option<Phase>,
     /// Whether exploration moved the inspiratory valve.
     pub explored: bool,
-    /// What the ventilator was doing.
+    /// Activity of the ventilator.
     pub activity: Activity,
     /// Number of the breath, modulo 16.
     pub breath: u8,
@@ -147,12 +147,12 @@ fn code(value: f32, low: u32, high: u32) -> u16 {
     ((value + 0.5) as u32).clamp(low, high) as u16
 }
 
-/// What happened.
+/// An event worth logging.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Happening {
     /// The device started.
     Boot {
-        /// Why.
+        /// Cause.
         cause: ResetCause,
         /// Whether the program had failed before.
         failed: bool,
@@ -183,7 +183,7 @@ pub enum Happening {
     },
     /// Control ticks that did not run, since the start.
     Missed {
-        /// How many.
+        /// Their number.
         ticks: u32,
     },
     /// A host emptied the recording.
@@ -249,7 +249,7 @@ pub struct LogEntry {
     pub tick: u32,
     /// Which start that was; they are counted since the memory was last without power.
     pub boot: u16,
-    /// What happened.
+    /// The event.
     pub happening: Happening,
 }
 

@@ -9,17 +9,17 @@
 //! # When it records
 //! Ticks are recorded while the ventilator ventilates and for a short time after that ([`FAST_TAIL`], [`SLOW_TAIL`]): what
 //! the pressure did when the valves went to their safe state is half of the story. Then the recording stands still, so that
-//! a fault can be looked at whenever someone comes, until ventilation starts again or a host empties it. The event log never
+//! the moments before a fault can be read at any later time, until ventilation starts again or a host empties it. The event log never
 //! stands still.
 //!
 //! # What survives
-//! [`Memory`] lies where no start of the program touches it. [`Recorder::attach`] keeps what it finds there after a reset and
+//! [`RecorderMemory`] lies where no start of the program touches it. [`Recorder::attach`] keeps what it finds there after a reset and
 //! empties it after power-up, or if it is not what this very layout left. A reset in the middle of a write loses at most
 //! that entry. A start that finds a recording that never ended knows that the device was reset while it ventilated.
 //!
 //! # Who writes, who reads
-//! The control task alone writes ([`Recorder`]), a constant handful of stores per tick. Anyone may read ([`Memory::look`]);
-//! a reader that was overtaken by the writer takes notice and reads again, so the writer waits for nobody.
+//! The control task alone writes ([`Recorder`]), a constant handful of stores per tick. Anyone may read ([`RecorderMemory::status`],
+//! [`RecorderMemory::page`]); a reader that the writer has overtaken notices it and reads again, so the writer never waits.
 
 mod cell;
 pub mod entry;
@@ -32,7 +32,6 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::checksum::fnv;
-use crate::link::messages::Response;
 use crate::safety::alarms::Fault;
 use cell::Word;
 pub use entry::{Activity, Happening, LogEntry, TickEntry};
@@ -61,10 +60,10 @@ pub const BYTES: usize = 64 * 1024;
 const MAGIC: u32 = 0x4575_7042;
 /// Changes with the meaning of any bit that the layout's numbers do not tell.
 const VERSION: u32 = 1;
-/// What the memory looks like, as a number: another one's memory is emptied.
+/// Hash of the layout: memory of another layout is emptied.
 const LAYOUT: u32 = fnv(&[
     VERSION,
-    size_of::<Memory>() as u32,
+    size_of::<RecorderMemory>() as u32,
     FAST_ENTRIES as u32,
     SLOW_ENTRIES as u32,
     LOG_ENTRIES as u32,
@@ -73,7 +72,7 @@ const LAYOUT: u32 = fnv(&[
 /// Asks the writer to empty the recording.
 const CLEAR: u32 = 0x434C_4541;
 
-const _: () = assert!(size_of::<Memory>() <= BYTES);
+const _: () = assert!(size_of::<RecorderMemory>() <= BYTES);
 
 /// A part of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,9 +85,9 @@ pub enum Part {
     Log,
 }
 
-/// What the recording of ticks is about.
+/// State of the recording of ticks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Recording {
+pub enum RecordingState {
     /// Nothing was recorded.
     Nothing,
     /// It goes on: the device ventilates.
@@ -101,7 +100,7 @@ pub enum Recording {
     Reset,
 }
 
-impl Recording {
+impl RecordingState {
     const FAULTS: u8 = 16;
 
     fn code(self) -> u8 {
@@ -125,7 +124,7 @@ impl Recording {
     }
 }
 
-/// What a part holds: the entries from `first` up to, but without, `next`.
+/// Range of a part's entries: from `first` up to, but without, `next`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Held {
     /// Number of the oldest entry.
@@ -144,13 +143,13 @@ impl Held {
     }
 }
 
-/// What the recorder holds.
+/// Status of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Status {
+pub struct RecorderStatus {
     /// Starts of the device since its memory was last without power.
     pub boot: u16,
-    /// What the recording of ticks is about.
-    pub recording: Recording,
+    /// State of the recording of ticks.
+    pub recording: RecordingState,
     /// Control tick since the device's start at which it ended (or began, while it runs).
     pub tick: u32,
     /// Start of the device that `tick` counts from.
@@ -174,33 +173,17 @@ pub struct Page {
     pub bytes: Vec<u8, PAGE_BYTES>,
 }
 
-/// What a host asks of the recorder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Look {
-    /// What is there?
-    Status,
-    /// Some entries.
-    Page {
-        /// Of which part?
-        part: Part,
-        /// From which number on?
-        from: u32,
-    },
-    /// Empty the recording of ticks; the log stays.
-    Clear,
-}
-
 /// The recorder's memory. Whatever lies in it, [`Recorder::attach`] makes it usable.
 #[derive(Debug)]
 #[repr(C)]
-pub struct Memory {
+pub struct RecorderMemory {
     magic: Word,
     layout: Word,
     /// Number of starts, and its complement.
     boots: Word,
-    /// Code of [`Recording`], the start that it belongs to, and their check.
+    /// Code of [`RecordingState`], the start that it belongs to, and their check.
     recording: Word,
-    /// See [`Status::tick`].
+    /// See [`RecorderStatus::tick`].
     tick: Word,
     /// [`CLEAR`] for one tick.
     clear: Word,
@@ -209,7 +192,7 @@ pub struct Memory {
     log: Ring<{ LOG_ENTRIES + 1 }, EVENT_HALVES>,
 }
 
-impl Memory {
+impl RecorderMemory {
     /// Memory as after power-up.
     pub const fn new() -> Self {
         Self {
@@ -242,7 +225,7 @@ impl Memory {
         self.tick.store(0);
         self.clear.store(0);
         self.set_boots(0);
-        self.set_recording(Recording::Nothing, 0);
+        self.set_recording(RecordingState::Nothing, 0);
         self.magic.store(MAGIC);
     }
 
@@ -255,38 +238,32 @@ impl Memory {
         self.boots.store(u32::from(boots) | u32::from(!boots) << 16);
     }
 
-    /// What the recording is about, and the start that it belongs to.
-    fn recording(&self) -> Option<(Recording, u16)> {
+    /// State of the recording, and the start that it belongs to.
+    fn recording(&self) -> Option<(RecordingState, u16)> {
         let [code, low, high, check] = self.recording.load().to_le_bytes();
-        let recording = Recording::of(code).filter(|_| check == code ^ low ^ high ^ 0xA5)?;
+        let recording = RecordingState::of(code).filter(|_| check == code ^ low ^ high ^ 0xA5)?;
         Some((recording, u16::from_le_bytes([low, high])))
     }
 
-    fn set_recording(&self, recording: Recording, boot: u16) {
+    fn set_recording(&self, recording: RecordingState, boot: u16) {
         let (code, [low, high]) = (recording.code(), boot.to_le_bytes());
         self.recording.store(u32::from_le_bytes([code, low, high, code ^ low ^ high ^ 0xA5]));
     }
 
-    /// Answers a host. Takes as long as a page; the writer is not held up.
-    pub fn look(&self, look: Look) -> Response {
-        match look {
-            Look::Status => Response::Recorder(self.status()),
-            Look::Page { part, from } => Response::Recorded(self.page(part, from)),
-            Look::Clear => {
-                self.clear.store(CLEAR);
-                Response::Done
-            }
-        }
+    /// Asks the writer to empty the recording of ticks with the next tick; the log stays.
+    pub fn request_clear(&self) {
+        self.clear.store(CLEAR);
     }
 
-    fn status(&self) -> Status {
+    /// Its status.
+    pub fn status(&self) -> RecorderStatus {
         let cleared = self.clear.load() == CLEAR;
         // The writer leaves it readable; what cannot be read is nothing.
-        let (recording, tick_boot) = self.recording().unwrap_or((Recording::Nothing, 0));
+        let (recording, tick_boot) = self.recording().unwrap_or((RecordingState::Nothing, 0));
         let recording =
-            if cleared && recording != Recording::Running { Recording::Nothing } else { recording };
+            if cleared && recording != RecordingState::Running { RecordingState::Nothing } else { recording };
         let ticks = |held: Held| if cleared { Held { first: held.next, ..held } } else { held };
-        Status {
+        RecorderStatus {
             boot: self.boots().unwrap_or(0),
             recording,
             tick: self.tick.load(),
@@ -297,7 +274,8 @@ impl Memory {
         }
     }
 
-    fn page(&self, part: Part, from: u32) -> Page {
+    /// Entries of a part from this number on, or from the oldest that is left.
+    pub fn page(&self, part: Part, from: u32) -> Page {
         let (first, bytes) = match part {
             Part::Fast => self.fast.read(from),
             Part::Slow => self.slow.read(from),
@@ -307,7 +285,7 @@ impl Memory {
     }
 }
 
-impl Default for Memory {
+impl Default for RecorderMemory {
     fn default() -> Self {
         Self::new()
     }

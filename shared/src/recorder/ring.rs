@@ -8,7 +8,7 @@ use heapless::Vec;
 use super::cell::{Half, Word};
 use super::{Held, PAGE_BYTES};
 
-/// How often a reader tries anew if a writer overtook it: a writer comes once in a millisecond, reading takes far less.
+/// Attempts of a reader that the writer overtakes: the writer comes once in a millisecond, reading takes far less.
 const ATTEMPTS: usize = 3;
 
 /// The ring. Entries are numbered; the number of an entry gives its slot.
@@ -88,7 +88,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         self.next.store(SLOTS as u32);
     }
 
-    /// What can be seen.
+    /// The visible entries.
     pub(super) fn held(&self) -> Held {
         let next = self.next.load();
         let first = self.start.load().max(next.saturating_sub(Self::VISIBLE)).min(next);

@@ -8,10 +8,11 @@ use super::cell::fuse;
 use super::entry::{EVENT_BYTES, TICK_BYTES};
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
+use crate::device::ControlRequest;
 use crate::device::KNOWN_GOOD;
-use crate::device::Order;
 use crate::device::control::Control;
-use crate::link::messages::{ControllerChoice, DeviceKind, ResetCause};
+use crate::link::messages::{ControllerChoice, DeviceKind};
+use crate::reset::ResetCause;
 use crate::safety::filter::ValveCommand;
 use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
@@ -44,16 +45,9 @@ fn control() -> Control {
     control.with_monitors(Monitors::ANY_PLANT)
 }
 
-fn status(memory: &Memory) -> Status {
-    match memory.look(Look::Status) {
-        Response::Recorder(status) => status,
-        other => panic!("{other:?}"),
-    }
-}
-
 /// Bytes of all entries of a part, page by page.
-fn bytes(memory: &Memory, part: Part) -> StdVec<u8> {
-    let status = status(memory);
+fn bytes(memory: &RecorderMemory, part: Part) -> StdVec<u8> {
+    let status = memory.status();
     let held = match part {
         Part::Fast => status.fast,
         Part::Slow => status.slow,
@@ -61,7 +55,7 @@ fn bytes(memory: &Memory, part: Part) -> StdVec<u8> {
     };
     let (mut from, mut all) = (held.first, StdVec::new());
     loop {
-        let Response::Recorded(page) = memory.look(Look::Page { part, from }) else { panic!("no page") };
+        let page = memory.page(part, from);
         assert_eq!((page.part, page.first), (part, from));
         if page.bytes.is_empty() {
             return all;
@@ -73,20 +67,20 @@ fn bytes(memory: &Memory, part: Part) -> StdVec<u8> {
     }
 }
 
-fn ticks(memory: &Memory, part: Part) -> StdVec<Option<TickEntry>> {
+fn ticks(memory: &RecorderMemory, part: Part) -> StdVec<Option<TickEntry>> {
     bytes(memory, part).as_chunks().0.iter().map(|entry| TickEntry::read(*entry)).collect()
 }
 
 /// Pressures of a part as whole numbers, gaps as -1.
-fn pressures(memory: &Memory, part: Part) -> StdVec<i32> {
+fn pressures(memory: &RecorderMemory, part: Part) -> StdVec<i32> {
     ticks(memory, part).iter().map(|entry| entry.map_or(-1, |entry| (entry.pressure + 0.5) as i32)).collect()
 }
 
-fn log(memory: &Memory) -> StdVec<LogEntry> {
+fn log(memory: &RecorderMemory) -> StdVec<LogEntry> {
     bytes(memory, Part::Log).as_chunks().0.iter().map(|entry| LogEntry::read(*entry).unwrap()).collect()
 }
 
-fn happenings(memory: &Memory) -> StdVec<Happening> {
+fn happenings(memory: &RecorderMemory) -> StdVec<Happening> {
     log(memory).iter().map(|entry| entry.happening).collect()
 }
 
@@ -101,33 +95,32 @@ fn counted(from: u32, count: u32) -> StdVec<i32> {
 
 #[test]
 fn all_of_it_fits_into_its_room() {
-    assert!(size_of::<Memory>() <= 44 * 1024, "{} bytes", size_of::<Memory>());
-    assert!(size_of::<Memory>() <= BYTES);
-    assert!(size_of::<Response>() <= 272, "{} bytes: every answer takes as many", size_of::<Response>());
+    assert!(size_of::<RecorderMemory>() <= 44 * 1024, "{} bytes", size_of::<RecorderMemory>());
+    assert!(size_of::<RecorderMemory>() <= BYTES);
 }
 
 #[test]
 fn the_last_two_seconds_are_there_in_order_and_tell_their_ticks() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Standby, counting(0, 77));
     run(&mut recorder, Mode::Ventilating, counting(0, 10));
     assert_eq!(pressures(&memory, Part::Fast), [vec![-1], counted(0, 10)].concat());
     run(&mut recorder, Mode::Ventilating, counting(10, 4000));
     assert_eq!(pressures(&memory, Part::Fast), counted(2010, 2000));
-    let Status { fast, recording, tick, tick_boot, .. } = status(&memory);
+    let RecorderStatus { fast, recording, tick, tick_boot, .. } = memory.status();
     assert_eq!(fast.tick(fast.next - 1, 1), 77 + 4009);
-    assert_eq!((recording, tick, tick_boot), (Recording::Running, 77, 1));
+    assert_eq!((recording, tick, tick_boot), (RecordingState::Running, 77, 1));
 }
 
 #[test]
 fn the_last_minute_keeps_every_peak() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, (0..60_040).map(|tick| if tick == 60_003 { 61.0 } else { 8.0 }));
     let slow = pressures(&memory, Part::Slow);
     assert_eq!(slow.len(), SLOW_ENTRIES);
-    let held = status(&memory).slow;
+    let held = memory.status().slow;
     let peak = slow.iter().position(|pressure| *pressure == 61).unwrap() as u32;
     assert_eq!(held.tick(held.first + peak, SLOW_STRIDE), 60_019, "the last of the twenty");
     assert_eq!(slow.iter().filter(|pressure| **pressure == 8).count(), SLOW_ENTRIES - 1);
@@ -135,7 +128,7 @@ fn the_last_minute_keeps_every_peak() {
 
 #[test]
 fn readings_that_are_no_number_do_not_hide_the_others() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, (0..20).map(|tick| if tick == 7 { 9.0 } else { f32::NAN }));
     run(&mut recorder, Mode::Ventilating, [f32::NAN; 20]);
@@ -145,7 +138,7 @@ fn readings_that_are_no_number_do_not_hide_the_others() {
 
 #[test]
 fn a_fault_ends_the_recording_after_its_tail_and_nothing_but_a_new_start_goes_on() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, counting(0, 3000));
     let fault = Mode::Fault(Fault::HighPressure);
@@ -154,8 +147,8 @@ fn a_fault_ends_the_recording_after_its_tail_and_nothing_but_a_new_start_goes_on
     assert_eq!(pressures(&memory, Part::Fast), counted(1500, 2000), "half a second after the fault is in it");
     assert_eq!(ticks(&memory, Part::Fast)[1500].unwrap().activity, Activity::Fault);
     assert_eq!(
-        (status(&memory).recording, status(&memory).tick),
-        (Recording::Fault(Fault::HighPressure), 3000)
+        (memory.status().recording, memory.status().tick),
+        (RecordingState::Fault(Fault::HighPressure), 3000)
     );
     run(&mut recorder, fault, counting(0, SLOW_TAIL));
     let slow = bytes(&memory, Part::Slow);
@@ -165,27 +158,27 @@ fn a_fault_ends_the_recording_after_its_tail_and_nothing_but_a_new_start_goes_on
     assert_eq!((bytes(&memory, Part::Fast), bytes(&memory, Part::Slow)), (kept, slow), "it stands still");
     run(&mut recorder, Mode::Ventilating, [1.0, 2.0]);
     assert_eq!(pressures(&memory, Part::Fast)[1997..], [-1, 1, 2], "a gap, then the new run");
-    assert_eq!(status(&memory).recording, Recording::Running);
+    assert_eq!(memory.status().recording, RecordingState::Running);
 }
 
 #[test]
 fn a_fault_in_standby_is_logged_and_leaves_the_recording_alone() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Fault(Fault::ReadingNotANumber), [f32::NAN; 2000]);
-    assert_eq!((status(&memory).recording, status(&memory).fast.next), (Recording::Nothing, 0));
+    assert_eq!((memory.status().recording, memory.status().fast.next), (RecordingState::Nothing, 0));
     assert_eq!(happenings(&memory)[1..], [Happening::Fault(Fault::ReadingNotANumber)]);
 }
 
 #[test]
 fn a_reset_while_ventilating_leaves_the_recording_and_names_it() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, counting(0, 700));
     let mut recorder = Recorder::attach(&memory, RESET);
     run(&mut recorder, Mode::Standby, [0.0; 100]);
-    let Status { boot, recording, tick, tick_boot, .. } = status(&memory);
-    assert_eq!((boot, recording, tick, tick_boot), (2, Recording::Reset, 699, 1));
+    let RecorderStatus { boot, recording, tick, tick_boot, .. } = memory.status();
+    assert_eq!((boot, recording, tick, tick_boot), (2, RecordingState::Reset, 699, 1));
     assert_eq!(pressures(&memory, Part::Fast), [vec![-1], counted(0, 700)].concat());
     let boots: StdVec<_> = log(&memory).iter().map(|entry| (entry.boot, entry.tick)).collect();
     assert_eq!(boots.first(), Some(&(1, 0)));
@@ -197,7 +190,7 @@ fn power_up_empties_everything_and_a_dip_of_the_supply_keeps_the_log_alone() {
     for (cause, ticks, events) in
         [(ResetCause::BrownOut, 0, 3), (ResetCause::PowerOn, 0, 1), (ResetCause::Pin, 11, 3)]
     {
-        let memory = Box::new(Memory::new());
+        let memory = Box::new(RecorderMemory::new());
         let mut recorder = Recorder::attach(&memory, POWER_ON);
         run(&mut recorder, Mode::Ventilating, counting(0, 10));
         Recorder::attach(&memory, Boot { cause, ..POWER_ON });
@@ -208,40 +201,45 @@ fn power_up_empties_everything_and_a_dip_of_the_supply_keeps_the_log_alone() {
 
 #[test]
 fn memory_of_another_layout_is_emptied() {
-    for spoil in [|memory: &Memory| memory.layout.store(7), |memory: &Memory| memory.magic.store(7)] {
-        let memory = Box::new(Memory::new());
+    for spoil in
+        [|memory: &RecorderMemory| memory.layout.store(7), |memory: &RecorderMemory| memory.magic.store(7)]
+    {
+        let memory = Box::new(RecorderMemory::new());
         let mut recorder = Recorder::attach(&memory, POWER_ON);
         run(&mut recorder, Mode::Ventilating, counting(0, 10));
         spoil(&memory);
         Recorder::attach(&memory, RESET);
-        assert_eq!((status(&memory).boot, status(&memory).fast.next, log(&memory).len()), (1, 0, 1));
+        assert_eq!((memory.status().boot, memory.status().fast.next, log(&memory).len()), (1, 0, 1));
     }
 }
 
 #[test]
 fn a_host_empties_the_recording_and_the_log_tells_it() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, counting(0, 100));
     run(&mut recorder, Mode::Fault(Fault::HighPressure), [30.0]);
-    assert_eq!(memory.look(Look::Clear), Response::Done);
+    memory.request_clear();
     for _ in 0..2 {
-        let Status { recording, fast, slow, .. } = status(&memory);
-        assert_eq!((recording, fast.next - fast.first, slow.next - slow.first), (Recording::Nothing, 0, 0));
+        let RecorderStatus { recording, fast, slow, .. } = memory.status();
+        assert_eq!(
+            (recording, fast.next - fast.first, slow.next - slow.first),
+            (RecordingState::Nothing, 0, 0)
+        );
         run(&mut recorder, Mode::Fault(Fault::HighPressure), [30.0; 1000]);
     }
     assert_eq!(happenings(&memory).last(), Some(&Happening::Cleared));
     run(&mut recorder, Mode::Standby, [5.0]);
     run(&mut recorder, Mode::Ventilating, [6.0]);
-    memory.look(Look::Clear);
+    memory.request_clear();
     run(&mut recorder, Mode::Ventilating, [7.0, 8.0]);
     assert_eq!(pressures(&memory, Part::Fast), [7, 8], "one that runs goes on");
-    assert_eq!(status(&memory).recording, Recording::Running);
+    assert_eq!(memory.status().recording, RecordingState::Running);
 }
 
 #[test]
 fn the_log_holds_a_thousand_events_and_drops_the_oldest() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     for _ in 0..600 {
         run(&mut recorder, Mode::Ventilating, [5.0]);
@@ -255,12 +253,12 @@ fn the_log_holds_a_thousand_events_and_drops_the_oldest() {
 
 #[test]
 fn settings_of_every_breath_do_not_push_the_rest_out_of_the_log() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     let mut control = control();
-    control.execute(&Order::Start);
+    control.execute(&ControlRequest::Start);
     for breath in 0..60 {
-        control.execute(&Order::Apply(paper_settings(10.0 + (breath % 20) as f32)));
+        control.execute(&ControlRequest::Apply(paper_settings(10.0 + (breath % 20) as f32)));
         for _ in 0..3000 {
             let output = control.step(5.0);
             recorder.record(&control.moment(5.0, &output, 1));
@@ -276,7 +274,7 @@ fn settings_of_every_breath_do_not_push_the_rest_out_of_the_log() {
 
 #[test]
 fn an_alarm_that_does_not_end_ventilation_is_logged_and_recording_goes_on() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, [5.0]);
     let told = |mode, alarm| Output { command: ValveCommand::SAFE, mode, sample: None, alarm: Some(alarm) };
@@ -295,11 +293,11 @@ fn an_alarm_that_does_not_end_ventilation_is_logged_and_recording_goes_on() {
 
 #[test]
 fn what_the_ventilator_did_is_what_is_recorded() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     let mut control = control();
-    control.execute(&Order::Controller(ControllerChoice::Pid(KNOWN_GOOD)));
-    control.execute(&Order::Start);
+    control.execute(&ControlRequest::Controller(ControllerChoice::Pid(KNOWN_GOOD)));
+    control.execute(&ControlRequest::Start);
     let mut expected = StdVec::new();
     for tick in 0..1800 {
         let reading = 5.0 + tick as f32 / 100.0;
@@ -320,28 +318,28 @@ fn what_the_ventilator_did_is_what_is_recorded() {
 
 #[test]
 fn numbers_begin_again_without_a_gap() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     let slots = FAST_ENTRIES as u32 + 1;
     memory.fast.jump(Ring::<{ FAST_ENTRIES + 1 }, TICK_HALVES>::LIMIT - 1000);
     run(&mut recorder, Mode::Ventilating, counting(0, 999));
-    let before = status(&memory).fast;
+    let before = memory.status().fast;
     assert_eq!((before.next, before.tick(slots - 1, 1)), (slots, 998), "the last one before it has its tick");
     assert_eq!(pressures(&memory, Part::Fast), [vec![-1], counted(0, 999)].concat());
     run(&mut recorder, Mode::Ventilating, counting(999, 3000));
-    let after = status(&memory).fast;
+    let after = memory.status().fast;
     assert_eq!(after.tick(after.next - 1, 1), 3998);
     assert_eq!(pressures(&memory, Part::Fast), counted(1999, 2000));
 }
 
 #[test]
 fn a_page_from_anywhere_begins_with_the_oldest_that_is_left_or_is_empty() {
-    let memory = Box::new(Memory::new());
+    let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, counting(0, 5000));
-    let page = |from| match memory.look(Look::Page { part: Part::Fast, from }) {
-        Response::Recorded(page) => (page.first, page.bytes.len() / TICK_BYTES),
-        other => panic!("{other:?}"),
+    let page = |from| {
+        let page = memory.page(Part::Fast, from);
+        (page.first, page.bytes.len() / TICK_BYTES)
     };
     assert_eq!(page(0), (3001, PAGE_BYTES / TICK_BYTES));
     assert_eq!(page(5000), (5000, 1));
@@ -349,12 +347,12 @@ fn a_page_from_anywhere_begins_with_the_oldest_that_is_left_or_is_empty() {
 }
 
 /// A short life with all that writes: start, ticks of a full ring, a fault, its tail, a clear, a new start.
-fn life(memory: &Memory) {
+fn life(memory: &RecorderMemory) {
     let mut recorder = Recorder::attach(memory, Boot { weights: Some(7), ..RESET });
     run(&mut recorder, Mode::Ventilating, counting(0, 45));
     run(&mut recorder, Mode::Fault(Fault::HighPressure), counting(45, 5));
     run(&mut recorder, Mode::Standby, counting(50, 3));
-    memory.look(Look::Clear);
+    memory.request_clear();
     run(&mut recorder, Mode::Ventilating, counting(53, 25));
 }
 
@@ -362,7 +360,7 @@ fn life(memory: &Memory) {
 #[test]
 fn a_reset_at_any_store_leaves_no_wrong_entry() {
     let aged = || {
-        let memory = Box::new(Memory::new());
+        let memory = Box::new(RecorderMemory::new());
         run(&mut Recorder::attach(&memory, POWER_ON), Mode::Ventilating, counting(100, 2600));
         memory
     };
@@ -399,7 +397,7 @@ fn a_reset_at_any_store_leaves_no_wrong_entry() {
 #[test]
 fn a_reset_at_any_store_of_the_first_start_is_harmless() {
     for cut in 0..40 {
-        let memory = Box::new(Memory::new());
+        let memory = Box::new(RecorderMemory::new());
         fuse::set(cut);
         Recorder::attach(&memory, POWER_ON);
         fuse::set(usize::MAX);
@@ -418,7 +416,7 @@ proptest! {
         words in prop::array::uniform9(any::<u32>()), header in prop::array::uniform3(any::<u32>()), marked: bool,
         from: u32,
     ) {
-        let memory = Box::new(Memory::new());
+        let memory = Box::new(RecorderMemory::new());
         let ring = |index: usize| [words[index], words[index + 1], words[index + 2]];
         memory.fast.spoil(ring(0));
         memory.slow.spoil(ring(3));
@@ -429,17 +427,17 @@ proptest! {
         memory.layout.store(if marked { LAYOUT } else { header[0] });
         memory.magic.store(if marked { MAGIC } else { header[1] });
         let mut recorder = Recorder::attach(&memory, RESET);
-        let Status { boot, recording, fast, slow, .. } = status(&memory);
-        prop_assert_eq!((boot, recording, fast.next - fast.first, slow.next - slow.first), (1, Recording::Nothing, 0, 0));
+        let RecorderStatus { boot, recording, fast, slow, .. } = memory.status();
+        prop_assert_eq!((boot, recording, fast.next - fast.first, slow.next - slow.first), (1, RecordingState::Nothing, 0, 0));
         run(&mut recorder, Mode::Ventilating, counting(0, 50));
         prop_assert_eq!(pressures(&memory, Part::Fast).len(), 51);
-        memory.look(Look::Page { part: Part::Slow, from });
+        memory.page(Part::Slow, from);
     }
 
     /// Whatever the modes, the rings hold the newest ticks in their order, parted by gaps.
     #[test]
     fn ticks_stay_in_order_through_any_life(parts in prop::collection::vec((0u8..4, 1u32..900), 1..20)) {
-        let memory = Box::new(Memory::new());
+        let memory = Box::new(RecorderMemory::new());
         let mut recorder = Recorder::attach(&memory, POWER_ON);
         let mut number = 0;
         for (kind, length) in parts {

@@ -1,18 +1,18 @@
-//! The one that writes: ticks while the ventilator ventilates and shortly after, events always.
+//! The writer: ticks while the ventilator ventilates and shortly after, events always.
 
 use super::entry::{Activity, GAP, Happening, LogEntry, TickEntry};
-use super::{CLEAR, FAST_TAIL, Memory, Recording, SLOW_STRIDE, SLOW_TAIL};
-use crate::link::messages::ResetCause;
+use super::{CLEAR, FAST_TAIL, RecorderMemory, RecordingState, SLOW_STRIDE, SLOW_TAIL};
+use crate::reset::ResetCause;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output};
 
-/// Ticks between two events of a kind that could come with every tick or breath: the log is for what is rare.
-const SELDOM: u32 = 60_000;
+/// Ticks between two log entries of a kind that could come with every tick or breath.
+const LOG_INTERVAL: u32 = 60_000;
 
-/// How the device started.
+/// The start of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Boot {
-    /// Why.
+    /// Cause.
     pub cause: ResetCause,
     /// Whether the program had failed before.
     pub failed: bool,
@@ -25,7 +25,7 @@ pub struct Boot {
 pub struct Moment<'a> {
     /// Pressure as read, cmH2O.
     pub reading: f32,
-    /// What the tick gave.
+    /// Output of the tick.
     pub output: &'a Output,
     /// Settings in force.
     pub settings: &'a Settings,
@@ -35,10 +35,10 @@ pub struct Moment<'a> {
     pub missed: u32,
 }
 
-/// Writes a [`Memory`]. There is one writer at a time.
+/// Writes a [`RecorderMemory`]. There is one writer at a time.
 #[derive(Debug)]
 pub struct Recorder<'a> {
-    memory: &'a Memory,
+    memory: &'a RecorderMemory,
     boot: u16,
     interrupted: bool,
     /// Number of the tick to come.
@@ -52,23 +52,24 @@ pub struct Recorder<'a> {
     /// Highest pressure since the last one, cmH2O; NaN if there was no number.
     highest: f32,
     learned: Option<bool>,
-    settings: Seldom<Happening>,
+    settings: RateLimited<Happening>,
     missed: u32,
-    missed_logged: Seldom<u32>,
+    missed_logged: RateLimited<u32>,
 }
 
-/// A value that is logged when it has changed, but not too often.
+/// A value that is logged when it has changed, at most once in [`LOG_INTERVAL`].
 #[derive(Clone, Copy, Debug)]
-struct Seldom<T> {
+struct RateLimited<T> {
     logged: Option<(T, u32)>,
 }
 
-impl<T: Copy + PartialEq> Seldom<T> {
+impl<T: Copy + PartialEq> RateLimited<T> {
     const NEVER: Self = Self { logged: None };
 
     /// Whether this value is to be logged now.
     fn is_due(&mut self, value: T, now: u32) -> bool {
-        let due = self.logged.is_none_or(|(last, when)| last != value && now.wrapping_sub(when) >= SELDOM);
+        let due =
+            self.logged.is_none_or(|(last, when)| last != value && now.wrapping_sub(when) >= LOG_INTERVAL);
         if due {
             self.logged = Some((value, now));
         }
@@ -80,17 +81,17 @@ impl<'a> Recorder<'a> {
     /// Takes over memory that holds anything, as the first one to use it since the device started. What an earlier run left
     /// stays, unless the supply was gone since then: after power-up nothing does, after a dip of the supply only the log,
     /// whose every entry has a check.
-    pub fn attach(memory: &'a Memory, boot: Boot) -> Self {
+    pub fn attach(memory: &'a RecorderMemory, boot: Boot) -> Self {
         if boot.cause == ResetCause::PowerOn || !memory.is_sound() {
             memory.format();
         } else if boot.cause == ResetCause::BrownOut {
             forget(memory);
         }
-        let running = memory.recording().filter(|(recording, _)| *recording == Recording::Running);
+        let running = memory.recording().filter(|(recording, _)| *recording == RecordingState::Running);
         if let Some((_, before)) = running {
             let fast = memory.fast.held();
             memory.tick.store(fast.tick(fast.next.wrapping_sub(1), 1));
-            memory.set_recording(Recording::Reset, before);
+            memory.set_recording(RecordingState::Reset, before);
         }
         memory.clear.store(0);
         let number = memory.boots().unwrap_or(0).wrapping_add(1);
@@ -106,9 +107,9 @@ impl<'a> Recorder<'a> {
             until_slow: 0,
             highest: f32::NAN,
             learned: None,
-            settings: Seldom::NEVER,
+            settings: RateLimited::NEVER,
             missed: 0,
-            missed_logged: Seldom { logged: Some((0, SELDOM.wrapping_neg())) },
+            missed_logged: RateLimited { logged: Some((0, LOG_INTERVAL.wrapping_neg())) },
         };
         recorder.enter(Happening::Boot { cause: boot.cause, failed: boot.failed });
         if let Some(id) = boot.weights {
@@ -180,13 +181,13 @@ impl<'a> Recorder<'a> {
             }
             Mode::Standby if before == Mode::Ventilating => {
                 self.enter(Happening::Stop);
-                self.note(Recording::Stopped);
+                self.note(RecordingState::Stopped);
             }
             Mode::Standby => self.enter(Happening::Acknowledged),
             Mode::Fault(fault) => {
                 self.enter(Happening::Fault(fault));
                 if before == Mode::Ventilating {
-                    self.note(Recording::Fault(fault));
+                    self.note(RecordingState::Fault(fault));
                 }
             }
         }
@@ -194,7 +195,7 @@ impl<'a> Recorder<'a> {
 
     /// A recording begins.
     fn begin(&mut self) {
-        let Memory { fast, slow, .. } = self.memory;
+        let RecorderMemory { fast, slow, .. } = self.memory;
         fast.push(GAP, 1);
         fast.set_origin(self.now.wrapping_sub(fast.next()));
         slow.push(GAP, SLOW_STRIDE);
@@ -202,16 +203,16 @@ impl<'a> Recorder<'a> {
         slow.set_origin(first.wrapping_sub(slow.next().wrapping_mul(SLOW_STRIDE)));
         (self.until_slow, self.highest) = (SLOW_STRIDE, f32::NAN);
         (self.fast_left, self.slow_left) = (FAST_TAIL, SLOW_TAIL);
-        self.note(Recording::Running);
+        self.note(RecordingState::Running);
     }
 
-    /// What the recording is about from this tick on.
-    fn note(&self, recording: Recording) {
+    /// Sets the state of the recording from this tick on.
+    fn note(&self, recording: RecordingState) {
         self.memory.tick.store(self.now);
         self.memory.set_recording(recording, self.boot);
     }
 
-    /// What may have changed with a breath.
+    /// Logs changes that come with a breath.
     fn log_changes(&mut self, moment: &Moment) {
         if self.missed_logged.is_due(self.missed, self.now) {
             self.enter(Happening::Missed { ticks: self.missed });
@@ -235,23 +236,23 @@ impl<'a> Recorder<'a> {
         self.memory.slow.empty();
         if self.mode != Mode::Ventilating {
             (self.fast_left, self.slow_left) = (0, 0);
-            self.note(Recording::Nothing);
+            self.note(RecordingState::Nothing);
         }
         self.memory.clear.store(0);
     }
 
     fn enter(&self, happening: Happening) {
         let entry = LogEntry { tick: self.now, boot: self.boot, happening };
-        let Memory { log, .. } = self.memory;
+        let RecorderMemory { log, .. } = self.memory;
         log.push(entry.pack(), 0);
     }
 }
 
 /// Forgets what has no check of its own.
-fn forget(memory: &Memory) {
+fn forget(memory: &RecorderMemory) {
     memory.fast.empty();
     memory.slow.empty();
-    memory.set_recording(Recording::Nothing, 0);
+    memory.set_recording(RecordingState::Nothing, 0);
 }
 
 fn entry(moment: &Moment) -> TickEntry {

@@ -45,7 +45,7 @@ pub enum Fault {
     HostSilent,
     /// Weights in flash are torn or damaged.
     WeightsRefused,
-    /// The device has started anew without being told to.
+    /// The device has restarted by itself.
     Restarted,
 }
 
@@ -206,7 +206,7 @@ pub const ALARMS: [Alarm; 20] = [
         Fault::NoResponse,
         "no-response",
         Priority::High,
-        "40 ms with less than an eighth of the rise that valve, resistance and compliance foretell, or 20 ms without any",
+        "40 ms with less than an eighth of the rise that valve, resistance and compliance predict, or 20 ms without any",
         "pressure does not answer to the valve",
     ),
     vent(

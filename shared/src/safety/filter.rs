@@ -6,12 +6,12 @@ use crate::math;
 /// What goes to the valves. Its fields are private and only the safety filter makes one, so no controller can
 /// reach a valve past it.
 ///
-/// Everyone may pass a command on:
+/// Any code may pass a command on:
 /// ```
 /// let command = shared::safety::filter::ValveCommand::SAFE;
 /// assert!(command.u_out());
 /// ```
-/// Nobody outside of [`crate::safety`] can write one down,
+/// No code outside of [`crate::safety`] can construct one,
 /// ```compile_fail,E0451
 /// let command = shared::safety::filter::ValveCommand { u_in: 80.0, u_out: false };
 /// ```
@@ -34,7 +34,7 @@ impl ValveCommand {
     /// Inspiratory valve closed, expiratory valve open: pressure can only fall.
     pub const SAFE: Self = Self { u_in: 0.0, u_out: true };
 
-    /// The command for a wish: limited to the valve's range, a NaN closes it.
+    /// The command for what is asked: limited to the valve's range, a NaN closes it.
     pub(super) fn limited(u_in: f32, u_out: bool) -> Self {
         Self { u_in: math::limit(u_in, 0.0, COMMAND_MAX), u_out }
     }
@@ -57,8 +57,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_wish_leaves_the_valves_range(wish in prop::num::f32::ANY, u_out: bool) {
-            let command = ValveCommand::limited(wish, u_out);
+        fn no_controller_output_leaves_the_valves_range(asked in prop::num::f32::ANY, u_out: bool) {
+            let command = ValveCommand::limited(asked, u_out);
             prop_assert!((0.0..=100.0).contains(&command.u_in()));
             prop_assert_eq!(command.u_out(), u_out);
         }

@@ -1,6 +1,6 @@
 //! The ladder of trust: learned controller, PID, PID with a capped command; below it stands only the latched safe state.
 //!
-//! A breath that ends at the pressure limit is a strike. Strikes lead down, clean breaths up again, but not for ever.
+//! A breath that ends at the pressure limit is a strike. Strikes lead down, clean breaths up again, a few times.
 
 use serde::{Deserialize, Serialize};
 
@@ -27,8 +27,8 @@ pub enum Level {
     CappedPid,
 }
 
-/// Where the ventilator stands on the ladder.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Where the ventilator stands on the ladder; at first at its top.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ladder {
     level: Level,
     strikes: u32,
@@ -37,11 +37,6 @@ pub struct Ladder {
 }
 
 impl Ladder {
-    /// At the top.
-    pub const fn new() -> Self {
-        Self { level: Level::Learned, strikes: 0, clean: 0, returns: 0 }
-    }
-
     /// Who commands.
     pub fn level(&self) -> Level {
         self.level
@@ -84,12 +79,6 @@ impl Ladder {
     }
 }
 
-impl Default for Ladder {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -98,7 +87,7 @@ mod tests {
     use std::vec::Vec;
 
     fn after(breaths: &[bool]) -> (Ladder, Vec<Fault>) {
-        let mut ladder = Ladder::new();
+        let mut ladder = Ladder::default();
         let told = breaths.iter().filter_map(|cut| ladder.breath_ended(*cut)).collect();
         (ladder, told)
     }
@@ -118,7 +107,7 @@ mod tests {
 
     #[test]
     fn five_clean_breaths_lead_up_again_but_only_three_times() {
-        let mut ladder = Ladder::new();
+        let mut ladder = Ladder::default();
         for time in 0..5 {
             ladder.breath_ended(true);
             ladder.breath_ended(true);
@@ -138,7 +127,7 @@ mod tests {
     proptest! {
         #[test]
         fn nothing_leads_up_but_clean_breaths(breaths in prop::collection::vec(any::<bool>(), 0..200)) {
-            let mut ladder = Ladder::new();
+            let mut ladder = Ladder::default();
             for cut in breaths {
                 let before = ladder.level();
                 ladder.breath_ended(cut);

@@ -3,23 +3,23 @@
 //! | file | what |
 //! |---|---|
 //! | [`filter`] | the valve command, which this module alone can make |
-//! | [`supervisor`] | everything between a controller's wish and the valves |
-//! | [`reading`] | monitors: can the reading be believed? |
-//! | [`pressure`] | monitors: is the pressure bearable? |
-//! | [`breathing`] | monitors: does breath after breath go as it must? |
-//! | [`opinion`] | monitor: does the pressure answer to what the valve delivers? |
-//! | [`host`] | monitor: is a host still there? |
+//! | [`supervisor`] | everything between a controller's output and the valves |
+//! | [`reading_monitor`] | can the reading be believed? |
+//! | [`pressure_monitor`] | is the pressure within its limits? |
+//! | [`breath_monitor`] | does breath after breath go as it must? |
+//! | [`lung_estimator`] | what is the lung like, and does the pressure answer to what the valve delivers? |
+//! | [`host`] | is a host still there? |
 //! | [`ladder`] | learned controller, PID, capped PID |
 //! | [`alarms`] | all that can be found, how urgent it is and what is done |
 //! | [`monitors`] | which monitors are at work, and their times |
 
 pub mod alarms;
-pub mod breathing;
+pub mod breath_monitor;
 pub mod filter;
 pub mod host;
 pub mod ladder;
+pub mod lung_estimator;
 pub mod monitors;
-pub mod opinion;
-pub mod pressure;
-pub mod reading;
+pub mod pressure_monitor;
+pub mod reading_monitor;
 pub mod supervisor;

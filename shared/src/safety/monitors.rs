@@ -1,10 +1,13 @@
-//! Which monitors are at work, and their times in control ticks.
+//! Which monitors are at work, and what all of them count with.
 
 use super::alarms::Fault;
 use crate::math;
 
 /// Longest control period at which readings, one after the other, tell of the sensor itself, microseconds.
 const QUICK_PERIOD_US: u32 = 5000;
+
+/// The limit of a monitor that is left out: at 1 kHz no counter gets there in a month.
+const NEVER: u32 = u32::MAX;
 
 /// A set of monitors, named by what they find.
 ///
@@ -34,50 +37,31 @@ impl Monitors {
     pub const fn has(self, fault: Fault) -> bool {
         self.0 & 1 << fault as u32 != 0
     }
-}
 
-/// Times of the monitors in control ticks, so that no tick has to convert them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Times {
-    /// Whether readings come so quickly that their noise and their jumps tell of the sensor.
-    pub quick: bool,
-    /// Readings may be missing for so long.
-    pub missing: u32,
-    /// A reading may stay the same to the last bit for so long.
-    pub frozen: u32,
-    /// The pressure may exceed its limit for so long, a spike of noise.
-    pub spike: u32,
-    /// It may do so with the expiratory valve open for so long.
-    pub venting: u32,
-    /// It may stay away from PEEP for so long.
-    pub sustained: u32,
-    /// The end of a phase, over which a pressure is averaged.
-    pub end_of_phase: u32,
-    /// The airway pressure may be gone for so long.
-    pub disconnected: u32,
-    /// It may leave the valve's delivery unanswered for so long.
-    pub unanswered: u32,
-    /// It may stand still against it for so long.
-    pub stands: u32,
-}
-
-impl Times {
-    /// The times at a control period in microseconds.
-    pub fn new(period_us: u32) -> Self {
-        let at_least_one = |seconds| math::ticks(seconds, period_us).max(1);
-        Self {
-            quick: period_us <= QUICK_PERIOD_US,
-            missing: at_least_one(0.005),
-            frozen: at_least_one(0.04),
-            spike: at_least_one(0.003),
-            venting: at_least_one(0.15),
-            sustained: at_least_one(15.0),
-            end_of_phase: at_least_one(0.05),
-            disconnected: at_least_one(0.15),
-            unanswered: at_least_one(0.04),
-            stands: at_least_one(0.02),
-        }
+    /// How often in a row a monitor has to see its fault: so often, or out of reach if it is left out.
+    pub(super) fn limit(self, fault: Fault, limit: u32) -> u32 {
+        if self.has(fault) { limit } else { NEVER }
     }
+
+    /// The highest value that a monitor lets pass: this one, or any if it is left out.
+    pub(super) fn highest(self, fault: Fault, highest: f32) -> f32 {
+        if self.has(fault) { highest } else { f32::INFINITY }
+    }
+}
+
+/// Whether readings come so quickly that their noise and their jumps tell of the sensor.
+pub(super) const fn reads_quickly(period_us: u32) -> bool {
+    period_us <= QUICK_PERIOD_US
+}
+
+/// A monitor's time in control ticks, at least one.
+pub(super) fn ticks(seconds: f32, period_us: u32) -> u32 {
+    math::ticks(seconds, period_us).max(1)
+}
+
+/// How often in a row something holds, counting this time.
+pub(super) fn in_a_row(before: u32, holds: bool) -> u32 {
+    if holds { before.saturating_add(1) } else { 0 }
 }
 
 #[cfg(test)]
@@ -94,8 +78,7 @@ mod tests {
 
     #[test]
     fn times_are_never_shorter_than_a_tick() {
-        assert_eq!(Times::new(1000).frozen, 40);
-        let slow = Times::new(50_000);
-        assert_eq!((slow.missing, slow.spike, slow.quick), (1, 1, false));
+        assert_eq!((ticks(0.04, 1000), ticks(0.003, 50_000)), (40, 1));
+        assert!(reads_quickly(1000) && !reads_quickly(50_000));
     }
 }

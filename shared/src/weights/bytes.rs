@@ -36,7 +36,7 @@ impl<'a> Writer<'a> {
         values.into_iter().try_for_each(|value| self.bytes(&value.to_le_bytes()))
     }
 
-    /// What has been written so far.
+    /// The bytes written so far.
     pub(super) fn written(&self) -> &[u8] {
         self.out.get(..self.at).unwrap_or(&[])
     }

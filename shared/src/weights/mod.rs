@@ -25,7 +25,7 @@
 //! | 126 | ... | parameters in the order of [`Network::parameters`] |
 //! | end | 4 | CRC-32 over everything before, u32; also the image's id |
 //!
-//! What follows the checksum belongs to nobody: a flash slot is longer than its image.
+//! Bytes after the checksum are ignored: a flash slot is longer than its image.
 //!
 //! The golden values are what the *built* controller commanded when the image was packed. A device that gets
 //! other bits from the same script computes features, network or PID differently from the trainer, and must
@@ -57,7 +57,7 @@ pub const PARAMETER_BYTES: usize = 4 * Network::PARAMETERS;
 /// Bytes of an image.
 pub const IMAGE_BYTES: usize = HEADER_BYTES + PARAMETER_BYTES + crate::checksum::CHECKSUM_BYTES;
 
-/// Where weights come from.
+/// Origin of weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity {
     /// Which training made them.
@@ -71,15 +71,15 @@ pub struct Identity {
 pub struct Image {
     /// The learned controller, ready to run.
     pub residual: Residual,
-    /// Where it comes from.
+    /// Its origin.
     pub identity: Identity,
-    /// What it commands in the exercise.
+    /// Its commands in the exercise.
     pub golden: Golden,
     /// The image's checksum, which names it.
     pub id: u32,
 }
 
-/// Why an image is refused.
+/// Reason for refusing an image.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum WeightsError {
     /// Bytes are missing.

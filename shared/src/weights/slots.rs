@@ -14,11 +14,11 @@
 
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use heapless::Vec;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{IMAGE_BYTES, Image, ImageProblem, decode};
 use crate::checksum::{crc32, verified};
-use crate::link::messages::{Slot, SlotState};
 
 /// Written at once: the longest word of the supported flash memories.
 pub const UNIT: usize = 32;
@@ -30,10 +30,47 @@ const COMMIT: u32 = RECORD + UNIT as u32;
 pub const SLOT_BYTES: u32 = COMMIT + UNIT as u32;
 /// Says that everything before it was written and read back.
 const COMMITTED: u32 = 0x4B4F_2121;
-/// What erased flash reads as.
+/// Value of an erased byte.
 const ERASED: u8 = 0xFF;
 
-/// Why an image was not stored.
+/// One of the two places for weights in the flash. The order of the variants is part of the link's protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Slot {
+    /// The first.
+    A,
+    /// The second.
+    B,
+}
+
+/// Content of a slot. The order of the variants is part of the link's protocol: append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SlotState {
+    /// Nothing: erased.
+    Empty,
+    /// Something that was not finished.
+    Torn,
+    /// A finished image that this device refuses.
+    Invalid(ImageProblem),
+    /// A valid image.
+    Valid {
+        /// The higher of two is the newer one.
+        generation: u32,
+        /// The image's id.
+        id: u32,
+    },
+}
+
+impl SlotState {
+    /// The id of the valid image, if there is one.
+    pub fn id(&self) -> Option<u32> {
+        match *self {
+            Self::Valid { id, .. } => Some(id),
+            _ => None,
+        }
+    }
+}
+
+/// Reason why an image was not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum StoreError {
     /// The flash refused an operation.
@@ -49,7 +86,7 @@ pub enum StoreError {
 pub struct Slots<F> {
     flash: F,
     starts: [u32; 2],
-    /// Why the decoder refused the image of a slot, if it did.
+    /// The decoder's reason against the image of a slot, if it refused it.
     refused: [Option<ImageProblem>; 2],
 }
 
@@ -60,7 +97,8 @@ impl<F: NorFlash> Slots<F> {
         Self { flash, starts, refused: [None; 2] }
     }
 
-    /// What both slots hold; what cannot be read counts as torn. A sound checksum is enough to count as valid, unless [`Slots::load`] refused the image.
+    /// Content of both slots; an unreadable one counts as torn. A sound checksum is enough to count as valid, unless
+    /// [`Slots::load`] refused the image.
     pub fn states(&mut self) -> [SlotState; 2] {
         [Slot::A, Slot::B].map(|slot| self.state(slot).unwrap_or(SlotState::Torn))
     }

@@ -13,7 +13,7 @@ use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
 };
 use embassy_stm32::{Config, Peri};
-use shared::device::control::Cue;
+use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 
@@ -29,26 +29,26 @@ use super::drivers::flash::WeightsFlash;
 use super::drivers::valves::Valves;
 use super::drivers::valves::hold_low;
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{link_uart, usable};
+use super::drivers::{link_uart, taken_once};
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
 #[cfg(feature = "hil")]
 pub use super::drivers::plant_line::PlantLine as SelectedPlant;
 
-/// What the control task breathes with: sensors and valves, or what takes their place.
-pub trait Plant {
-    /// What a device with this plant is.
+/// Sensors and valves of the control task, or a plant in their place.
+pub trait PlantInterface {
+    /// Kind of a device with this interface.
     const KIND: DeviceKind;
 
     /// Airway pressure, cmH2O; NaN if there is none to believe. Takes a bounded time.
-    fn read(&mut self, cue: &Cue) -> f32;
+    fn read(&mut self, change: &PlantChange) -> f32;
 
     /// Moves the valves; only the safety filter makes such a command.
     fn drive(&mut self, command: &ValveCommand);
 }
 
-/// What the drivers use of the chip, with the board's pins.
+/// Peripherals and pins for the drivers.
 struct Parts {
     sensors: SensorParts,
     valves: ValveParts,
@@ -118,7 +118,7 @@ pub struct Board {
 /// Starts clocks, valves (safe) and the link's line.
 pub fn start() -> Board {
     let Parts { sensors, valves, link, plant, watchdog, flash } = selected::start();
-    let core = usable(cortex_m::Peripherals::take());
+    let core = taken_once(cortex_m::Peripherals::take());
     link_uart::start(link);
     let plant = select(sensors, valves, plant);
     Board { plant, watchdog: Watchdog::new(watchdog), flash: WeightsFlash::new_blocking(flash), core }

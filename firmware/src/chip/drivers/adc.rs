@@ -11,7 +11,7 @@ use super::super::board::{CORE_CLOCK, SensorParts};
 use super::clock;
 
 /// Time for all three conversions, with as much again in reserve, cycles.
-const PATIENCE: u32 = CORE_CLOCK.0 / 1_000_000 * 30;
+const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000_000 * 30;
 /// Channels of the injected group.
 const CHANNELS: usize = 3;
 /// Long enough for a source of 10 kOhm.
@@ -44,7 +44,7 @@ impl Adc {
         self.registers.cr2().modify(|w| w.set_jswstart(true));
         let start = clock::now();
         while !self.registers.sr().read().jeoc() {
-            if clock::now().wrapping_sub(start) > PATIENCE {
+            if clock::now().wrapping_sub(start) > TIMEOUT {
                 return None;
             }
         }

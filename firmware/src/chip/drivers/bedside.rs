@@ -1,11 +1,11 @@
 //! The ventilator's own sensors and valves.
 
-use shared::device::control::Cue;
+use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 use shared::sensor::{Counts, Sensors};
 
-use super::super::board::Plant;
+use super::super::board::PlantInterface;
 use super::adc::Adc;
 use super::valves::Valves;
 
@@ -23,10 +23,10 @@ impl Bedside {
     }
 }
 
-impl Plant for Bedside {
+impl PlantInterface for Bedside {
     const KIND: DeviceKind = DeviceKind::Ventilator;
 
-    fn read(&mut self, _cue: &Cue) -> f32 {
+    fn read(&mut self, _cue: &PlantChange) -> f32 {
         match self.adc.convert() {
             Some([airway, outlet, flow]) => self.sensors.read(Counts { airway, outlet, flow }).pressure,
             None => f32::NAN,

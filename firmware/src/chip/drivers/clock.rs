@@ -60,7 +60,7 @@ pub async fn tick() -> u32 {
 fn SysTick() {
     let number = NUMBER.load(Ordering::Relaxed).wrapping_add(1);
     NUMBER.store(number, Ordering::Relaxed);
-    link_uart::hold();
+    link_uart::pause();
     TICK.signal(number);
 }
 
@@ -76,7 +76,7 @@ pub fn now() -> u32 {
     }
     let (number, value) = (NUMBER.load(Ordering::Relaxed), SYST::get_current());
     if SCB::is_pendst_pending() || NUMBER.load(Ordering::Relaxed) != number {
-        // The timer began anew in between: a value read now belongs to the next tick.
+        // The timer wrapped in between: a value read now belongs to the next tick.
         let number = number.wrapping_add(1);
         return number.wrapping_mul(TICK_CYCLES).wrapping_add(since_tick());
     }

@@ -13,7 +13,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::pipe::Pipe;
 
 use super::super::board::LinkParts;
-use super::usable;
+use super::taken_once;
 
 /// Speed of the link, baud.
 const BAUD: u32 = 1_000_000;
@@ -29,7 +29,7 @@ static LOST: AtomicU32 = AtomicU32::new(0);
 pub fn start(parts: LinkParts) {
     let mut config = Config::default();
     config.baudrate = BAUD;
-    let uart = usable(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
+    let uart = taken_once(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
     // The driver has set up pins, clock and speed; from here on the interrupt owns the registers.
     core::mem::forget(uart);
     interrupt::USART1.set_priority(Priority::P2);
@@ -58,12 +58,12 @@ fn USART1() {
 }
 
 /// Lets the line wait while a control tick begins, so that no burst of bytes delays it. A byte lasts longer than that.
-pub fn hold() {
+pub fn pause() {
     interrupt::USART1.disable();
 }
 
-/// Ends [`hold`].
-pub fn go_on() {
+/// Ends [`pause`].
+pub fn resume() {
     // SAFETY: the line was opened, with its handler in place, before the first tick.
     unsafe { interrupt::USART1.enable() };
 }

@@ -13,10 +13,10 @@ pub mod reset;
 pub mod valves;
 pub mod watchdog;
 
-/// A thing that the start of the program takes once, so that it is there.
-pub fn usable<T>(thing: Option<T>) -> T {
-    match thing {
-        Some(thing) => thing,
+/// Unwraps what the start of the program takes or builds once: it is there, and its configuration is valid.
+pub fn taken_once<T>(value: Option<T>) -> T {
+    match value {
+        Some(value) => value,
         None => unreachable!("taken once, at the start"),
     }
 }

@@ -6,20 +6,20 @@
 use embassy_stm32::pac::USART2;
 use embassy_stm32::usart::{Config, Uart};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::control::Cue;
+use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
-use shared::link::plant::{Decoder, Frame, Message};
+use shared::link::plant_link::{Decoder, Frame, Message};
 use shared::safety::filter::ValveCommand;
 
-use super::super::board::{CORE_CLOCK, Plant, PlantParts};
-use super::{clock, usable};
+use super::super::board::{CORE_CLOCK, PlantInterface, PlantParts};
+use super::{clock, taken_once};
 
 /// Speed of the plant line, baud.
 const BAUD: u32 = 1_000_000;
-/// How long to wait for an answer, cycles. The ticks that a slow plant costs are counted as missed, and a breath bears no more.
-const PATIENCE: u32 = CORE_CLOCK.0 / 1_000 * 3;
-/// How long to wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
-const DOUBT: u32 = CORE_CLOCK.0 / 2_000;
+/// Longest wait for an answer, cycles. The ticks that a slow plant costs count as missed, and a breath bears no more.
+const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000 * 3;
+/// Longest wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
+const RETRY_TIMEOUT: u32 = CORE_CLOCK.0 / 2_000;
 
 /// The plant line.
 pub struct PlantLine {
@@ -35,7 +35,7 @@ impl PlantLine {
     pub fn new(parts: PlantParts) -> Self {
         let mut config = Config::default();
         config.baudrate = BAUD;
-        let uart = usable(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
+        let uart = taken_once(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
         // The driver has set up pins, clock and speed; the registers are polled from here on.
         core::mem::forget(uart);
         Self { decoder: Decoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }
@@ -43,7 +43,7 @@ impl PlantLine {
 
     /// Sends a message and waits for its answer: the pressure in it, cmH2O.
     fn exchange(&mut self, message: Message) -> Option<f32> {
-        let patience = if self.unanswered.is_some() { DOUBT } else { PATIENCE };
+        let timeout = if self.unanswered.is_some() { RETRY_TIMEOUT } else { TIMEOUT };
         if self.unanswered.is_none() {
             self.tick = self.tick.wrapping_add(1);
         }
@@ -61,7 +61,7 @@ impl PlantLine {
                     self.unanswered = None;
                     return Some(pressure);
                 }
-            } else if clock::now().wrapping_sub(start) > patience {
+            } else if clock::now().wrapping_sub(start) > timeout {
                 return None;
             }
         }
@@ -83,14 +83,14 @@ fn answered(asked: &Frame, answer: &Frame) -> Option<f32> {
     }
 }
 
-impl Plant for PlantLine {
+impl PlantInterface for PlantLine {
     const KIND: DeviceKind = DeviceKind::HardwareInTheLoop;
 
-    fn read(&mut self, cue: &Cue) -> f32 {
+    fn read(&mut self, change: &PlantChange) -> f32 {
         let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
-        let turn = |line: &mut Self| cue.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
+        let turn = |line: &mut Self| change.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
         // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
-        let reading = if let Some(seed) = cue.reset {
+        let reading = if let Some(seed) = change.reset {
             turn(self);
             self.exchange(Message::Seed { seed });
             self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US })

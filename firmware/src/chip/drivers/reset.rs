@@ -1,9 +1,9 @@
-//! Why the chip started.
+//! The cause of the chip's start.
 
 use embassy_stm32::pac::RCC;
-use shared::link::messages::ResetCause;
+use shared::reset::ResetCause;
 
-/// Reads why the chip started, and clears the flags for the next time. The pin's flag is set by every cause, so it counts
+/// Reads the cause of the start, and clears the flags for the next one. The pin's flag is set by every cause, so it counts
 /// only alone.
 pub fn cause() -> ResetCause {
     let flags = RCC.csr().read();

@@ -6,15 +6,15 @@ use embassy_stm32::pac::iwdg::vals::{Key, Pr};
 use embassy_stm32::peripherals;
 use embassy_stm32::wdg::IndependentWatchdog;
 
-/// How long a tick may take before the chip starts anew, microseconds. The watchdog's oscillator is off by up to a factor
+/// Longest tick before the chip restarts, microseconds. The watchdog's oscillator is off by up to a factor
 /// of two, so that this is 25 to 100 ms.
-const PATIENCE_US: u32 = 50_000;
+const TIMEOUT_US: u32 = 50_000;
 /// Frequency of the watchdog's oscillator, Hz.
 const OSCILLATOR: u32 = 32_000;
-/// Prescaler of the long patience.
-const LONG_PRESCALER: Pr = Pr::DIVIDE_BY256;
-/// Reload value of the long patience: 16 s, for erasing a sector takes up to 4 s.
-const LONG_RELOAD: u16 = (16 * OSCILLATOR / 256 - 1) as u16;
+/// Prescaler of the long timeout.
+const LONG_TIMEOUT_PRESCALER: Pr = Pr::DIVIDE_BY256;
+/// Reload value of the long timeout: 16 s, for erasing a sector takes up to 4 s.
+const LONG_TIMEOUT_RELOAD: u16 = (16 * OSCILLATOR / 256 - 1) as u16;
 
 /// The watchdog.
 pub struct Watchdog {
@@ -24,7 +24,7 @@ pub struct Watchdog {
 impl Watchdog {
     /// A watchdog that does not run yet.
     pub fn new(peripheral: Peri<'static, peripherals::IWDG>) -> Self {
-        Self { driver: IndependentWatchdog::new(peripheral, PATIENCE_US) }
+        Self { driver: IndependentWatchdog::new(peripheral, TIMEOUT_US) }
     }
 
     /// Starts it; nothing but a reset stops it again.
@@ -38,10 +38,10 @@ impl Watchdog {
     }
 }
 
-/// Runs something that stalls the core for seconds, such as erasing flash, under a long patience. Only in standby.
-pub fn patiently<T>(work: impl FnOnce() -> T) -> T {
+/// Runs something that stalls the core for seconds, such as erasing flash, under a long timeout. Only in standby.
+pub fn with_long_timeout<T>(work: impl FnOnce() -> T) -> T {
     let (prescaler, reload) = (IWDG.pr().read().pr(), IWDG.rlr().read().rl());
-    set(LONG_PRESCALER, LONG_RELOAD);
+    set(LONG_TIMEOUT_PRESCALER, LONG_TIMEOUT_RELOAD);
     let result = work();
     set(prescaler, reload);
     result

@@ -1,5 +1,141 @@
-//! Third-party recordings: [`respiraworks`] reads one known format, [`foreign`] any table by a map of its columns.
+//! Import of tables measured elsewhere, in any layout: a stream of rows in, a recording in Parquet out, in bounded memory.
+//!
+//! A [`map::ColumnMap`] says which column is what, in which unit. Time may be uneven: breaths are put on an even grid.
+//! No row disappears without being counted in the [`account::ImportSummary`].
 
-pub mod foreign;
-pub mod respiraworks;
+pub mod account;
+mod breaths;
+pub mod map;
+mod measured;
+mod reader;
 mod rises;
+mod saturation;
+#[cfg(test)]
+mod tests;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use progress::{Progress, Stage};
+use serde_json::json;
+
+use self::account::{Account, ImportSummary};
+use self::breaths::Assembler;
+use self::map::{Quantity, TableLayout};
+pub use self::measured::{measured, measured_recording};
+use self::reader::TableReader;
+use crate::provenance::Provenance;
+use crate::recording::{DatasetError, Extra, RecordingWriter, Row};
+
+/// Rows from whose time steps the sample period is taken.
+const PERIOD_ROWS: usize = 20_000;
+/// Rows between two reports of progress.
+const PROGRESS_ROWS: usize = 1 << 16;
+
+/// Optional columns of a recording, and the quantities that they come from.
+const EXTRAS: [(Extra, Quantity); 5] = [
+    (Extra::FlowIn, Quantity::FlowIn),
+    (Extra::FlowOut, Quantity::FlowOut),
+    (Extra::Resistance, Quantity::Resistance),
+    (Extra::Compliance, Quantity::Compliance),
+    (Extra::UPsol, Quantity::UPsol),
+];
+/// Part of the first table's period by which another's may differ.
+const SAME_PERIOD: f64 = 0.05;
+
+/// Makes one recording of tables, in the order given; it cannot be stopped.
+///
+/// # Errors
+/// A table that cannot be read, lacks a column or has a cell that is no number (with line and column), no breath at
+/// all, or a recording that cannot be written.
+pub fn import(
+    paths: &[PathBuf],
+    layout: &TableLayout,
+    out: &Path,
+    progress: &Progress<'_>,
+) -> Result<ImportSummary, DatasetError> {
+    let period_us = match layout.period_s {
+        Some(seconds) => (seconds * 1e6).round() as u32,
+        None => common_period_us(paths, layout)?,
+    };
+    let provenance = provenance(paths, layout, period_us);
+    let mut writer = RecordingWriter::create(out, provenance, &extras(layout))?;
+    let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6);
+    let mut account = Account::new();
+    let mut groups = Vec::new();
+    let mut bytes = 0;
+    let length = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len() as usize);
+    let task = progress.task(Stage::Import, paths.iter().map(length).sum());
+    for path in paths {
+        let mut reader = TableReader::open(path, layout)?;
+        let mut sink = |rows: &[Row]| rows.iter().try_for_each(|row| writer.push(*row));
+        while let Some(sample) = reader.next(&mut groups)? {
+            assembler.push(sample, &mut account, &mut sink)?;
+            if account.rows.is_multiple_of(PROGRESS_ROWS) {
+                task.reach((bytes + reader.position()) as usize);
+            }
+        }
+        assembler.end_of_stretch(&mut account, &mut sink)?;
+        account.end_of_table();
+        bytes += reader.position();
+    }
+    let summary = account.finish(period_us, groups.len());
+    if summary.breaths == 0 {
+        return Err(DatasetError::NoBreath { tables: paths.len() });
+    }
+    writer.provenance().groups = groups;
+    writer.provenance().notes.push(summary.note());
+    writer.finish()?;
+    Ok(summary)
+}
+
+/// The optional columns that a layout fills.
+fn extras(layout: &TableLayout) -> Vec<Extra> {
+    let filled = EXTRAS.iter().filter(|(_, quantity)| layout.origins[*quantity as usize].is_some());
+    filled.map(|(extra, _)| *extra).chain([Extra::Group]).collect()
+}
+
+fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Provenance {
+    let files: Vec<_> =
+        paths.iter().filter_map(|path| path.file_name()).map(|name| name.to_string_lossy()).collect();
+    let measured = layout.origins[Quantity::Target as usize].is_none();
+    let note = "no set-point in the tables: target and PIP are the measured plateau, PEEP the first pressure";
+    Provenance {
+        plant: layout.plant.clone(),
+        settings: json!({ "files": files, "columns": format!("{:?}", layout.origins) }),
+        notes: layout.note.clone().into_iter().chain(measured.then(|| note.to_owned())).collect(),
+        ..Provenance::new(period_us, "import of tables")
+    }
+}
+
+/// The sample period of the first table, which the others must have too.
+fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, DatasetError> {
+    let (first, others) = paths.split_first().ok_or(DatasetError::NoBreath { tables: 0 })?;
+    let expected_us = period_us(first, layout)?;
+    for path in others {
+        let found_us = period_us(path, layout)?;
+        if f64::from(found_us.abs_diff(expected_us)) > SAME_PERIOD * f64::from(expected_us) {
+            return Err(DatasetError::Period { path: path.clone(), found_us, expected_us });
+        }
+    }
+    Ok(expected_us)
+}
+
+/// Median time step of the first rows of a table.
+fn period_us(path: &Path, layout: &TableLayout) -> Result<u32, DatasetError> {
+    let mut reader = TableReader::open(path, layout)?;
+    let (mut steps, mut last) = (Vec::new(), None);
+    while steps.len() < PERIOD_ROWS {
+        let Some(sample) = reader.next(&mut Vec::new())? else { break };
+        let time = sample.get(Quantity::Time);
+        if let Some(last) = last.replace(time)
+            && !sample.next_breath
+            && time > last
+        {
+            steps.push(time - last);
+        }
+    }
+    steps.sort_by(f64::total_cmp);
+    let median = steps.get(steps.len() / 2).map_or(0, |step| (step * 1e6).round() as u32);
+    if median == 0 { Err(DatasetError::NoPeriod { path: path.to_owned() }) } else { Ok(median) }
+}

@@ -21,20 +21,11 @@ pub(super) fn blank() -> String {
     format!("{MARK}{}", "0".repeat(DIGITS))
 }
 
-/// Fills in the checksum at the last [`blank`].
-pub(super) fn seal(mut bytes: Vec<u8>) -> Vec<u8> {
-    if let Some(place) = find(&bytes) {
-        let digits = digits(&bytes);
-        bytes[place].copy_from_slice(digits.as_bytes());
-    }
-    bytes
-}
-
 /// Bytes at the end of a file among which its last [`blank`] is looked for.
 const TAIL: u64 = 1 << 16;
 
-/// As [`seal`], of a file that may be larger than memory.
-pub(super) fn seal_file(path: &Path) -> io::Result<()> {
+/// Fills in the checksum at the last [`blank`] of a file, which may be larger than memory.
+pub(super) fn seal(path: &Path) -> io::Result<()> {
     let mut file = File::options().read(true).write(true).open(path)?;
     let length = file.seek(SeekFrom::End(0))?;
     let start = length.saturating_sub(TAIL);
@@ -78,9 +69,16 @@ fn digits(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
+    fn sealed(bytes: &[u8]) -> Vec<u8> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        seal(file.path()).unwrap();
+        std::fs::read(file.path()).unwrap()
+    }
+
     #[test]
     fn any_change_of_sealed_bytes_shows_or_hides_the_mark() {
-        let sealed = seal(format!("head {} tail", blank()).into_bytes());
+        let sealed = sealed(format!("head {} tail", blank()).as_bytes());
         assert!(matches(&mut sealed.clone()));
         assert_ne!(find(&sealed).map(|place| sealed[place].to_vec()), Some(b"00000000".to_vec()));
         for place in 0..sealed.len() {
@@ -92,7 +90,7 @@ mod tests {
 
     #[test]
     fn the_last_mark_counts() {
-        let mut sealed = seal(format!("{} and {}", blank(), blank()).into_bytes());
+        let mut sealed = sealed(format!("{} and {}", blank(), blank()).as_bytes());
         assert!(sealed.starts_with(blank().as_bytes()) && matches(&mut sealed));
     }
 
@@ -100,6 +98,6 @@ mod tests {
     fn bytes_without_a_mark_or_with_half_of_one_pass() {
         assert!(matches(&mut b"PAR1PAR1".to_vec()));
         assert!(matches(&mut format!("{MARK}123").into_bytes()));
-        assert_eq!(seal(b"PAR1".to_vec()), b"PAR1");
+        assert_eq!(sealed(b"PAR1"), b"PAR1");
     }
 }

@@ -159,31 +159,7 @@ pub enum DatasetError {
         /// Which property differs.
         what: &'static str,
     },
-    /// A measured table lacks a column.
-    #[error("{path} has no column `{column}`: expected the RespiraWorks layout with a header row")]
-    TableColumn {
-        /// The table.
-        path: PathBuf,
-        /// The absent column.
-        column: &'static str,
-    },
-    /// A cell of a measured table cannot be used.
-    #[error(
-        "{path}, line {line}, column `{column}`: `{value}` {reason}: correct the cell or remove the line"
-    )]
-    Cell {
-        /// The table.
-        path: PathBuf,
-        /// Line in the file, counted from 1.
-        line: u64,
-        /// Column of the table.
-        column: &'static str,
-        /// The text found.
-        value: String,
-        /// Why it cannot be used.
-        reason: &'static str,
-    },
-    /// A line of a measured table cannot be split into cells.
+    /// A line of a table cannot be split into cells.
     #[error("{path}: {source}: correct or remove that line")]
     TableLine {
         /// The table.
@@ -193,7 +169,7 @@ pub enum DatasetError {
     },
     /// A table lacks a column that its column map names.
     #[error("{path} has no column `{column}`: correct the column map, or the head of the table")]
-    MappedColumn {
+    TableColumn {
         /// The table.
         path: PathBuf,
         /// The absent column.
@@ -203,7 +179,7 @@ pub enum DatasetError {
     #[error(
         "{path}, line {line}, column `{column}`: `{value}` {reason}: correct the cell or remove the line"
     )]
-    MappedCell {
+    TableCell {
         /// The table.
         path: PathBuf,
         /// Line in the file, counted from 1.
@@ -223,18 +199,14 @@ pub enum DatasetError {
         /// The table.
         path: PathBuf,
     },
-    /// A test is sampled at another rate than the first.
-    #[error(
-        "{path}, test {test}: sample period {found_us} us, the tests before it {expected_us} us: import them apart"
-    )]
+    /// A table is sampled at another rate than the first.
+    #[error("{path}: sample period {found_us} us, the first table's {expected_us} us: import them apart")]
     Period {
         /// The table.
         path: PathBuf,
-        /// Run and test.
-        test: String,
-        /// Period of this test, microseconds.
+        /// Its period, microseconds.
         found_us: u32,
-        /// Period of the first test, microseconds.
+        /// Period of the first table, microseconds.
         expected_us: u32,
     },
     /// Nothing usable in the tables.

@@ -20,8 +20,7 @@ use parquet::schema::types::{ColumnDescriptor, Type};
 
 use super::checksum;
 use super::columns::{Extra, Number, Values, ValuesMut};
-use super::{DatasetError, Recording};
-use crate::files::write_atomically;
+use super::{DatasetError, Recording, RecordingWriter};
 use crate::provenance::{FORMAT, Provenance};
 
 /// Key of the provenance in the file's metadata.
@@ -38,12 +37,10 @@ impl Recording {
     /// # Errors
     /// If the recording is not valid, cannot be encoded or cannot be written.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), DatasetError> {
-        let path = path.as_ref();
         self.validate()?;
-        let encode = |detail: String| DatasetError::Encode { path: path.to_owned(), detail };
-        let provenance = serde_json::to_string(&self.provenance).map_err(|e| encode(e.to_string()))?;
-        let bytes = encode_columns(self, provenance).map_err(|e| encode(e.to_string()))?;
-        write_atomically(path, &bytes).map_err(|source| DatasetError::Write { path: path.to_owned(), source })
+        let names: Vec<_> = self.columns().iter().map(|column| column.0).collect();
+        let extras: Vec<_> = Extra::ALL.into_iter().filter(|extra| names.contains(&extra.name())).collect();
+        RecordingWriter::create(path.as_ref(), self.provenance.clone(), &extras)?.finish_with(self)
     }
 
     /// Reads a recording and checks it. Columns that this program does not know are left out.
@@ -134,15 +131,6 @@ pub(super) fn write_rows<W: Write + Send>(
         group.close()?;
     }
     Ok(())
-}
-
-fn encode_columns(recording: &Recording, provenance: String) -> Result<Vec<u8>, ParquetError> {
-    let mut writer = writer(Vec::new(), recording)?;
-    write_rows(&mut writer, recording)?;
-    for pair in metadata(provenance) {
-        writer.append_key_value_metadata(pair);
-    }
-    Ok(checksum::seal(writer.into_inner()?))
 }
 
 /// Opens the file, tells the common mistakes apart, which a Parquet decoder would report alike, and verifies the bytes.

@@ -3,15 +3,10 @@
 /// Smallest step between values: the most frequent distance of neighbours in size, refined over all distances. 0 if all
 /// are equal.
 pub fn quantum(values: &[f32]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f32::total_cmp);
-    quantum_of_sorted(&sorted)
-}
-
-/// As [`quantum`], of values in order of size.
-pub fn quantum_of_sorted(sorted: &[f32]) -> f64 {
     /// Distances below this are rounding of the text, which has four decimals.
     const TEXT_STEP: f64 = 2e-4;
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
     let mut steps: Vec<f64> = sorted
         .windows(2)
         .map(|pair| f64::from(pair[1]) - f64::from(pair[0]))
@@ -33,13 +28,8 @@ pub fn quantum_of_sorted(sorted: &[f32]) -> f64 {
 
 /// Standard deviation of the white noise in a series.
 pub fn noise(values: &[f32]) -> f64 {
-    let mut bends: Vec<f32> = second_differences(values).collect();
+    let mut bends: Vec<f32> = values.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
     noise_of_second_differences(&mut bends)
-}
-
-/// Absolute second differences of a series.
-pub fn second_differences(values: &[f32]) -> impl Iterator<Item = f32> {
-    values.windows(3).map(|w| (w[0] - 2.0 * w[1] + w[2]).abs())
 }
 
 /// Standard deviation of white noise whose second differences have these absolute values.

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::columns::{Extra, Values, ValuesMut};
 use super::error::DatasetError;
+use crate::identity::{LungParameters, TestRun};
 use crate::provenance::Provenance;
 
 /// Phase of the rows in which the controller follows the inspiratory waveform and is scored.
@@ -83,6 +84,13 @@ pub struct Row {
     pub compliance: Option<f32>,
     pub u_psol: Option<f32>,
     pub group: Option<u32>,
+}
+
+impl Row {
+    /// The lung, where the row names R and C.
+    pub fn lung(&self) -> Option<LungParameters> {
+        Some(LungParameters { resistance: self.resistance?, compliance: self.compliance? })
+    }
 }
 
 impl Recording {
@@ -215,10 +223,21 @@ impl Recording {
         mine.notes.extend_from_slice(&other.notes);
     }
 
-    /// Name of the group that a row belongs to.
-    pub fn group_name(&self, row: usize) -> Option<&str> {
+    /// The test run that a row belongs to.
+    pub fn test_run(&self, row: usize) -> Option<&TestRun> {
         let index = self.group.as_ref()?.get(row)?;
-        self.provenance.groups.get(*index as usize).map(String::as_str)
+        self.provenance.groups.get(*index as usize)
+    }
+
+    /// Whether the rows name R and C of their lungs.
+    pub fn names_lungs(&self) -> bool {
+        self.resistance.is_some() && self.compliance.is_some()
+    }
+
+    /// The lung that a row names.
+    pub fn lung(&self, row: usize) -> Option<LungParameters> {
+        let [resistance, compliance] = [&self.resistance, &self.compliance].map(Option::as_ref);
+        Some(LungParameters { resistance: *resistance?.get(row)?, compliance: *compliance?.get(row)? })
     }
 
     /// Rows of each breath.

@@ -6,11 +6,11 @@ use proptest::prelude::*;
 use tempfile::TempDir;
 
 use super::*;
+use crate::identity::TestRun;
 use crate::provenance::Provenance;
 
 fn provenance(extras: &[Extra]) -> Provenance {
-    let groups =
-        if extras.contains(&Extra::Group) { vec!["A:1".to_owned(), "A:2".to_owned()] } else { Vec::new() };
+    let groups = if extras.contains(&Extra::Group) { vec!["A:1".into(), "A:2".into()] } else { Vec::new() };
     Provenance { groups, plant: "bench".to_owned(), ..Provenance::new(1_000, "test") }
 }
 
@@ -228,7 +228,7 @@ fn joining_renumbers_breaths_and_groups_and_notes_the_origin() {
     assert_eq!(joined.breaths(), [0..60, 60..120, 120..180]);
     assert_eq!(joined.breath[120], 2);
     assert_eq!(joined.group.as_deref().unwrap()[120..122], [2, 3]);
-    assert_eq!(joined.provenance.groups, ["A:1", "A:2", "A:1", "A:2"]);
+    assert_eq!(joined.provenance.groups, ["A:1", "A:2", "A:1", "A:2"].map(TestRun::from));
     assert_eq!(joined.pressure[120..], other.pressure);
     assert!(
         joined.provenance.notes[0].starts_with("rows 120..180: test, plant bench, seed 99, weights none")

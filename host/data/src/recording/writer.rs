@@ -80,6 +80,14 @@ impl RecordingWriter {
         Ok(())
     }
 
+    /// Writes a valid recording as the whole of it.
+    pub(super) fn finish_with(mut self, recording: &Recording) -> Result<(), DatasetError> {
+        if let Some(writer) = &mut self.writer {
+            write_rows(writer, recording).map_err(|e| encode(&self.path, &e))?;
+        }
+        self.finish()
+    }
+
     fn invalid(&self, source: DatasetError) -> DatasetError {
         DatasetError::Invalid { path: self.path.clone(), source: Box::new(source) }
     }
@@ -100,7 +108,7 @@ impl RecordingWriter {
         let file = file.into_inner().map_err(|e| write(e.into_error()))?;
         file.sync_all().map_err(write)?;
         drop(file);
-        checksum::seal_file(&self.temporary).map_err(write)?;
+        checksum::seal(&self.temporary).map_err(write)?;
         fs::rename(&self.temporary, &self.path).map_err(write)
     }
 }

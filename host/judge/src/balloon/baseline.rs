@@ -38,14 +38,14 @@ pub fn pi(p: f64, i: f64) -> f64 {
         move |balloon: &mut Balloon| {
             let error = pip - balloon.pressure();
             integral += INTEGRAL_SHARE * (error - integral);
-            balloon.step((p * error + i * integral).clamp(0.0, f64::from(COMMAND_MAX)), false);
+            balloon.inspire((p * error + i * integral).clamp(0.0, f64::from(COMMAND_MAX)));
         }
     })
 }
 
 /// Score of full flow up to the target and an exact hold from then on, cmH2O: below it lies nothing.
 pub fn floor() -> f64 {
-    mean_over_pips(|pip| move |balloon: &mut Balloon| balloon.step_towards(pip))
+    mean_over_pips(|pip| move |balloon: &mut Balloon| balloon.inspire_towards(pip))
 }
 
 /// Mean score over the PIPs of what `controller` makes of each.

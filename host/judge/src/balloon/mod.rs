@@ -27,7 +27,7 @@ const GAINS: PidGains = PidGains { p: 1.0, i: 5.0, d: 0.0 };
 /// # Errors
 /// A fault of the ventilator.
 pub fn score(controller: &Controller) -> Result<f64, SourceError> {
-    let mut source = BalloonSource::new(controller.clone())?;
+    let mut source = BalloonSource::new(controller.clone());
     let mut sum = 0.0;
     for pip in PAPER_PIPS {
         let mut pressure = Vec::with_capacity(SAMPLES);

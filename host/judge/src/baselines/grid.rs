@@ -7,7 +7,7 @@ use shared::control::pid::{GAINS_MAX, PidGains};
 /// Which parts of a PID may work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum PidKind {
     /// Proportional part alone.
     POnly,
     /// Integral part alone.
@@ -18,7 +18,7 @@ pub enum Kind {
     Pid,
 }
 
-impl Kind {
+impl PidKind {
     /// All of them; each comes after those that it includes.
     pub const ALL: [Self; 4] = [Self::POnly, Self::IOnly, Self::Pi, Self::Pid];
 
@@ -130,7 +130,7 @@ fn spacing(axis: &[f32], value: f32) -> f32 {
 }
 
 /// The neighbours of `gains` at a distance of `step` in the parts of a kind, within what a PID accepts.
-pub(super) fn around(gains: &PidGains, step: [f32; 3], kind: Kind) -> Vec<PidGains> {
+pub(super) fn around(gains: &PidGains, step: [f32; 3], kind: PidKind) -> Vec<PidGains> {
     let values = |value: f32, step: f32, max: f32, may_move: bool| -> Vec<f32> {
         if !may_move || step == 0.0 {
             return vec![value];
@@ -172,7 +172,7 @@ mod tests {
     #[test]
     fn kinds_are_nested() {
         let gains = |p, i, d| PidGains { p, i, d };
-        let kinds = |gains| Kind::ALL.map(|kind| kind.includes(&gains));
+        let kinds = |gains| PidKind::ALL.map(|kind| kind.includes(&gains));
         assert_eq!(kinds(gains(0.0, 0.0, 0.0)), [true; 4]);
         assert_eq!(kinds(gains(1.0, 0.0, 0.0)), [true, false, true, true]);
         assert_eq!(kinds(gains(0.0, 1.0, 0.0)), [false, true, true, true]);
@@ -183,10 +183,10 @@ mod tests {
     #[test]
     fn neighbours_stay_acceptable_and_of_their_kind() {
         let near_zero = PidGains { p: 0.1, i: 1.0, d: 0.0 };
-        let neighbours = around(&near_zero, [0.5, 0.5, 0.5], Kind::Pi);
+        let neighbours = around(&near_zero, [0.5, 0.5, 0.5], PidKind::Pi);
         assert_eq!(neighbours.len(), 9);
-        assert!(neighbours.iter().all(|gains| gains.p >= 0.0 && Kind::Pi.includes(gains)));
-        let highest = around(&GAINS_MAX, [1.0; 3], Kind::Pid);
+        assert!(neighbours.iter().all(|gains| gains.p >= 0.0 && PidKind::Pi.includes(gains)));
+        let highest = around(&GAINS_MAX, [1.0; 3], PidKind::Pid);
         assert!(highest.iter().all(|gains| gains.p <= GAINS_MAX.p && gains.i <= GAINS_MAX.i));
     }
 

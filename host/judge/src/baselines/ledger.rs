@@ -9,7 +9,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::TuneError;
-use super::grid::Kind;
+use super::grid::PidKind;
 use crate::evaluate::{Ground, Plan};
 use ventilator::SourceError;
 
@@ -98,7 +98,7 @@ impl<'a, G: Ground> Ledger<'a, G> {
     }
 
     /// The best gains of a kind that are known for every lung of a group; of equals, the smallest.
-    pub fn best(&self, group: &[usize], kind: Kind) -> Option<(PidGains, f64)> {
+    pub fn best(&self, group: &[usize], kind: PidKind) -> Option<(PidGains, f64)> {
         let known = self.scores.iter().filter_map(|(key, lungs)| {
             let gains = gains(*key);
             let score = mean(group, lungs)?;

@@ -1,7 +1,7 @@
 //! The rival: the best PID there is for a lung, and the best one for all lungs.
 //!
 //! A learned controller that beats a badly tuned PID shows nothing. [`tune_pid`] therefore searches a wide
-//! [`Grid`], then goes on between its points around the best of each [`Kind`]. Unless told to be exhaustive, it
+//! [`Grid`], then goes on between its points around the best of each [`PidKind`]. Unless told to be exhaustive, it
 //! first screens all points with a breath of a few waveforms and looks only at the best twentieth of each kind in full.
 
 mod grid;
@@ -9,7 +9,7 @@ mod ledger;
 #[cfg(test)]
 mod tests;
 
-pub use grid::{Grid, Kind};
+pub use grid::{Grid, PidKind};
 pub use ledger::FAULT_SCORE;
 
 use progress::{Progress, Stage};
@@ -80,12 +80,12 @@ pub struct Best {
 
 impl Best {
     /// The best of a kind.
-    pub fn of(&self, kind: Kind) -> Candidate {
+    pub fn of(&self, kind: PidKind) -> Candidate {
         match kind {
-            Kind::POnly => self.p_only,
-            Kind::IOnly => self.i_only,
-            Kind::Pi => self.pi,
-            Kind::Pid => self.pid,
+            PidKind::POnly => self.p_only,
+            PidKind::IOnly => self.i_only,
+            PidKind::Pi => self.pi,
+            PidKind::Pid => self.pid,
         }
     }
 }
@@ -201,25 +201,25 @@ impl<G: Ground> Tuning<'_, G> {
             self.full.measure(group, &self.points, Patience::Stoppable)?;
         } else {
             self.screen.measure(group, &self.points, Patience::Stoppable)?;
-            let shortlists = Kind::ALL.map(|kind| self.shortlist(group, kind));
+            let shortlists = PidKind::ALL.map(|kind| self.shortlist(group, kind));
             // Stopped or not, the heads are scored in full: what has been found so far is not lost.
             let heads: Vec<PidGains> = shortlists.iter().filter_map(|list| list.first()).copied().collect();
             self.full.measure(group, &heads, Patience::Needed)?;
             self.full.measure(group, &shortlists.concat(), Patience::Stoppable)?;
         }
-        for kind in Kind::ALL {
+        for kind in PidKind::ALL {
             self.refine(group, kind)?;
         }
         Ok(Best {
-            p_only: self.known(group, Kind::POnly),
-            i_only: self.known(group, Kind::IOnly),
-            pi: self.known(group, Kind::Pi),
-            pid: self.known(group, Kind::Pid),
+            p_only: self.known(group, PidKind::POnly),
+            i_only: self.known(group, PidKind::IOnly),
+            pi: self.known(group, PidKind::Pi),
+            pid: self.known(group, PidKind::Pid),
         })
     }
 
     /// A kind's points that passed the screening, best first.
-    fn shortlist(&self, group: &[usize], kind: Kind) -> Vec<PidGains> {
+    fn shortlist(&self, group: &[usize], kind: PidKind) -> Vec<PidGains> {
         let of_kind = self.points.iter().filter(|gains| kind.includes(gains));
         let mut scored: Vec<(f64, PidGains)> =
             of_kind.filter_map(|gains| Some((self.screen.score(group, gains)?, *gains))).collect();
@@ -229,7 +229,7 @@ impl<G: Ground> Tuning<'_, G> {
     }
 
     /// Walks from the best of a kind to better neighbours, with steps of a half, a quarter .. of the grid's.
-    fn refine(&mut self, group: &[usize], kind: Kind) -> Result<(), TuneError> {
+    fn refine(&mut self, group: &[usize], kind: PidKind) -> Result<(), TuneError> {
         let mut best = self.known(group, kind);
         let mut step = self.grid.spacing(&best.gains);
         for _ in 0..self.search.refinements {
@@ -248,7 +248,7 @@ impl<G: Ground> Tuning<'_, G> {
     }
 
     /// The best known of a kind.
-    fn known(&self, group: &[usize], kind: Kind) -> Candidate {
+    fn known(&self, group: &[usize], kind: PidKind) -> Candidate {
         let nothing = (PidGains::default(), FAULT_SCORE);
         let (gains, score) = self.full.best(group, kind).unwrap_or(nothing);
         Candidate { gains, score }
@@ -290,8 +290,8 @@ fn planned(grid: &Grid, search: &Search, plan: &Plan, lungs: usize) -> usize {
     let breaths = if search.exhaustive {
         points.len() * full
     } else {
-        let of_kind = |kind: Kind| points.iter().filter(|gains| kind.includes(gains)).count();
-        let shortlisted: usize = Kind::ALL.iter().map(|kind| kept(of_kind(*kind))).sum();
+        let of_kind = |kind: PidKind| points.iter().filter(|gains| kind.includes(gains)).count();
+        let shortlisted: usize = PidKind::ALL.iter().map(|kind| kept(of_kind(*kind))).sum();
         points.len() * screening(plan).breaths_run() + shortlisted * full
     };
     breaths * lungs

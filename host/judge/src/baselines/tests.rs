@@ -72,7 +72,7 @@ fn a_kind_never_scores_worse_than_one_that_it_includes() {
     let best = tune(&[lung(20.0, 20.0)], &small()).lungs[0].best;
     assert!(best.pid.score <= best.pi.score);
     assert!(best.pi.score <= best.p_only.score && best.pi.score <= best.i_only.score);
-    for kind in Kind::ALL {
+    for kind in PidKind::ALL {
         assert!(kind.includes(&best.of(kind).gains), "{}", kind.name());
     }
 }

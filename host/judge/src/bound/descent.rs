@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use shared::control::COMMAND_MAX;
 
-use super::breathing::Breathing;
-use super::shape::Shape;
+use super::bench_breath::BenchBreath;
+use super::shape::CommandShape;
 use plant::bench::Bench;
 
 /// How far a node is moved to measure its response, percent.
@@ -32,10 +32,10 @@ const REACH_PERCENT: (f64, f64) = (0.05, 50.0);
 /// A sequence on its way down.
 #[derive(Clone, Debug)]
 pub(super) struct Descent<'a> {
-    breathing: &'a Breathing,
+    breath: &'a BenchBreath,
     start: Bench,
     /// The sequence.
-    pub(super) shape: Shape,
+    pub(super) shape: CommandShape,
     /// Its score from `start`, cmH2O.
     pub(super) score: f64,
     /// How far a step may move a node, percent.
@@ -45,22 +45,22 @@ pub(super) struct Descent<'a> {
 }
 
 /// What the pressure does when a node moves by a percent: from a tick on, cmH2O per tick.
-struct Response {
+struct StepResponse {
     first: usize,
     change: Vec<f64>,
 }
 
 impl<'a> Descent<'a> {
-    pub(super) fn new(breathing: &'a Breathing, start: Bench, shape: Shape) -> Self {
+    pub(super) fn new(breath: &'a BenchBreath, start: Bench, shape: CommandShape) -> Self {
         let mut descent =
-            Self { breathing, start, shape, score: 0.0, reach: FIRST_REACH_PERCENT, probe: PROBE_PERCENT };
+            Self { breath, start, shape, score: 0.0, reach: FIRST_REACH_PERCENT, probe: PROBE_PERCENT };
         descent.score = descent.score_of(&descent.shape);
         descent
     }
 
-    fn score_of(&self, shape: &Shape) -> f64 {
-        let pressure = self.breathing.inspire(&self.start, &shape.commands());
-        self.breathing.score(&pressure).score
+    fn score_of(&self, shape: &CommandShape) -> f64 {
+        let pressure = self.breath.inspire(&self.start, &shape.commands());
+        self.breath.score(&pressure).score
     }
 
     /// Goes on with more nodes where the sequence bends.
@@ -71,7 +71,7 @@ impl<'a> Descent<'a> {
 
     /// Goes on from the state that breathing with the present sequence leads to.
     pub(super) fn settle(&mut self) {
-        self.start = self.breathing.periodic(&self.shape.commands());
+        self.start = self.breath.periodic(&self.shape.commands());
         self.score = self.score_of(&self.shape);
     }
 
@@ -105,14 +105,14 @@ impl<'a> Descent<'a> {
         gain.max(0.0)
     }
 
-    fn moved(&self, step: &[f64], share: f64) -> Shape {
+    fn moved(&self, step: &[f64], share: f64) -> CommandShape {
         let limit = f64::from(COMMAND_MAX);
         let values = self.shape.values.iter().zip(step).map(|(v, d)| (v + share * d).clamp(0.0, limit));
-        Shape { nodes: self.shape.nodes.clone(), values: values.collect() }
+        CommandShape { nodes: self.shape.nodes.clone(), values: values.collect() }
     }
 
     /// Errors of the present sequence, and the response to every node.
-    fn measure(&self) -> (Vec<f64>, Vec<Response>) {
+    fn measure(&self) -> (Vec<f64>, Vec<StepResponse>) {
         let commands = self.shape.commands();
         let mut bench = self.start.clone();
         let mut pressure = Vec::with_capacity(commands.len());
@@ -125,13 +125,13 @@ impl<'a> Descent<'a> {
             while firsts.get(begins.len()) == Some(&tick) {
                 begins.push(bench.clone());
             }
-            pressure.push(self.breathing.tick(&mut bench, *u_in));
+            pressure.push(self.breath.tick(&mut bench, *u_in));
         }
         let responses = begins.into_iter().enumerate();
         let responses =
             responses.map(|(node, bench)| self.response(node, bench, firsts[node], &commands, &pressure));
         let errors = |(p, target): (&f64, &f64)| p - target;
-        (pressure.iter().zip(self.breathing.target()).map(errors).collect(), responses.collect())
+        (pressure.iter().zip(self.breath.target()).map(errors).collect(), responses.collect())
     }
 
     fn response(
@@ -141,7 +141,7 @@ impl<'a> Descent<'a> {
         first: usize,
         commands: &[f32],
         pressure: &[f64],
-    ) -> Response {
+    ) -> StepResponse {
         let value = self.shape.values[node];
         let inside = (0.0..=f64::from(COMMAND_MAX)).contains(&(value + self.probe));
         let probe = if inside { self.probe } else { -self.probe };
@@ -150,12 +150,12 @@ impl<'a> Descent<'a> {
             commands[tick - first] += (probe * share) as f32;
         }
         let moved = commands.iter().zip(&pressure[first..]);
-        let change = moved.map(|(u_in, p)| (self.breathing.tick(&mut bench, *u_in) - p) / probe).collect();
-        Response { first, change }
+        let change = moved.map(|(u_in, p)| (self.breath.tick(&mut bench, *u_in) - p) / probe).collect();
+        StepResponse { first, change }
     }
 
     /// The step that makes the mean absolute error least if responses add up.
-    fn solve(&self, errors: &[f64], responses: &[Response]) -> Vec<f64> {
+    fn solve(&self, errors: &[f64], responses: &[StepResponse]) -> Vec<f64> {
         let mut step = vec![0.0; responses.len()];
         let mut left = errors.to_vec();
         let ratio = SOFTNESS_CMH2O.1 / SOFTNESS_CMH2O.0;
@@ -174,7 +174,7 @@ impl<'a> Descent<'a> {
     }
 
     /// Weighted least squares within the valve's range and the reach, node by node.
-    fn least_squares(&self, errors: &[f64], weights: &[f64], responses: &[Response], step: &mut [f64]) {
+    fn least_squares(&self, errors: &[f64], weights: &[f64], responses: &[StepResponse], step: &mut [f64]) {
         let count = responses.len();
         let mut normal = vec![0.0; count * count];
         let mut slope = vec![0.0; count];

@@ -7,7 +7,7 @@
 //! shakes the best and goes down again. It finds no proof: [`WaveformBound::spread`] tells how far apart the starts
 //! ended, and a greater [`BoundConfig::effort`] shows what more searching would gain.
 
-mod breathing;
+mod bench_breath;
 mod descent;
 mod search;
 mod shape;
@@ -21,7 +21,7 @@ use shared::breath::period_s;
 use thiserror::Error;
 
 use crate::evaluate::{Plan, Score};
-use breathing::Breathing;
+use bench_breath::BenchBreath;
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::{Progress, Stage};
 use ventilator::SourceError;
@@ -131,15 +131,15 @@ pub fn bounds(
             return Err(BoundError::Patient(bench.name.clone()));
         }
         for (number, pip) in plan.pips.iter().enumerate() {
-            jobs.push((bench, number, *pip, Breathing::new(bench, &plan.waveform(*pip), plan.period_us)?));
+            jobs.push((bench, number, *pip, BenchBreath::new(bench, &plan.waveform(*pip), plan.period_us)?));
         }
     }
     let task = progress.task(Stage::Bound, jobs.len() * search::stages(search));
     let found: Vec<Option<WaveformBound>> = jobs
         .par_iter()
-        .map(|(bench, number, pip, breathing)| {
-            let found = search::search(breathing, &bench.valve, search, *number as u64, &task)?;
-            Some(waveform(breathing, *pip, &found, plan.period_us, search.trace))
+        .map(|(bench, number, pip, breath)| {
+            let found = search::search(breath, &bench.valve, search, *number as u64, &task)?;
+            Some(waveform(breath, *pip, &found, plan.period_us, search.trace))
         })
         .collect();
     let per_bench = plan.pips.len().max(1);
@@ -151,18 +151,18 @@ fn passive(patient: &PatientConfig) -> bool {
 }
 
 fn waveform(
-    breathing: &Breathing,
+    breath: &BenchBreath,
     pip: f32,
     found: &search::Found,
     period_us: u32,
     trace: bool,
 ) -> WaveformBound {
-    let pressure = breathing.inspire(&breathing.periodic(&found.commands), &found.commands);
-    let score = breathing.score(&pressure);
+    let pressure = breath.inspire(&breath.periodic(&found.commands), &found.commands);
+    let score = breath.score(&pressure);
     let period = f64::from(period_s(period_us));
     let trace = trace.then(|| BoundTrace {
         time_s: (0..pressure.len()).map(|tick| tick as f64 * period).collect(),
-        target: breathing.target().to_vec(),
+        target: breath.target().to_vec(),
         pressure,
         u_in: found.commands.clone(),
     });

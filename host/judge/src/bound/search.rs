@@ -5,9 +5,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use super::BoundConfig;
-use super::breathing::Breathing;
+use super::bench_breath::BenchBreath;
 use super::descent::Descent;
-use super::shape::Shape;
+use super::shape::CommandShape;
 use super::start::look_ahead;
 use plant::bench::ValveConfig;
 use progress::Task;
@@ -60,21 +60,21 @@ fn steps(config: &BoundConfig) -> usize {
 
 /// Searches the best sequence; none when it was stopped before its end. `number` keeps the waveforms' shakes apart.
 pub(super) fn search(
-    breathing: &Breathing,
+    breath: &BenchBreath,
     valve: &ValveConfig,
     config: &BoundConfig,
     number: u64,
     task: &Task<'_>,
 ) -> Option<Found> {
-    let ticks = |ms: f64| ((ms / breathing.tick_ms()).round() as usize).max(1);
+    let ticks = |ms: f64| ((ms / breath.tick_ms()).round() as usize).max(1);
     let reaction_ms = valve.dead_time_ms + valve.lag_ms;
     let mut ends = Vec::with_capacity(HORIZONS.len());
     for horizon in HORIZONS {
         let horizon = ticks((horizon * reaction_ms).max(LEAST_HORIZON_MS));
-        let start = breathing.periodic(&vec![BEFORE_PERCENT; breathing.ticks()]);
-        let commands = look_ahead(breathing, &start, ticks(BLOCK_MS), horizon);
-        let shape = Shape::through(&commands, ticks(SPACING_MS));
-        let mut descent = Descent::new(breathing, breathing.periodic(&commands), shape);
+        let start = breath.periodic(&vec![BEFORE_PERCENT; breath.ticks()]);
+        let commands = look_ahead(breath, &start, ticks(BLOCK_MS), horizon);
+        let shape = CommandShape::through(&commands, ticks(SPACING_MS));
+        let mut descent = Descent::new(breath, breath.periodic(&commands), shape);
         for level in 0..LEVELS {
             if level > 0 {
                 descent.refine(BEND_PERCENT);

@@ -2,14 +2,14 @@
 
 /// Commands in percent at nodes, with straight lines between them.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Shape {
+pub(super) struct CommandShape {
     /// Ticks of the nodes, rising; the first is 0, the last that of the inspiration's end.
     pub(super) nodes: Vec<usize>,
     /// Command at each node, percent.
     pub(super) values: Vec<f64>,
 }
 
-impl Shape {
+impl CommandShape {
     /// The shape with nodes every `spacing` ticks that goes through `commands` there.
     pub(super) fn through(commands: &[f32], spacing: usize) -> Self {
         let last = commands.len().saturating_sub(1);
@@ -83,15 +83,15 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn shape() -> impl Strategy<Value = Shape> {
+    fn shape() -> impl Strategy<Value = CommandShape> {
         (prop::collection::vec(0.0f32..100.0, 2..200), 1usize..30)
-            .prop_map(|(commands, spacing)| Shape::through(&commands, spacing))
+            .prop_map(|(commands, spacing)| CommandShape::through(&commands, spacing))
     }
 
     proptest! {
         #[test]
         fn a_node_in_every_tick_keeps_every_command(commands in prop::collection::vec(0.0f32..100.0, 1..100)) {
-            prop_assert_eq!(Shape::through(&commands, 1).commands(), commands);
+            prop_assert_eq!(CommandShape::through(&commands, 1).commands(), commands);
         }
 
         #[test]
@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn nodes_are_added_where_the_command_bends() {
         let commands: Vec<f32> = (0..65).map(|tick| if tick < 32 { 80.0 } else { 10.0 }).collect();
-        let refined = Shape::through(&commands, 8).refined(0.5);
+        let refined = CommandShape::through(&commands, 8).refined(0.5);
         assert_eq!(refined.nodes, [0, 8, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64]);
     }
 }

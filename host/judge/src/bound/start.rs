@@ -1,6 +1,6 @@
 //! Where a search begins: the command that looks best over a short horizon, chosen block after block.
 
-use super::breathing::Breathing;
+use super::bench_breath::BenchBreath;
 use plant::bench::Bench;
 
 /// Candidates on each level of the search for a block's command.
@@ -9,16 +9,16 @@ const CANDIDATES: usize = 7;
 const LEVELS: usize = 5;
 
 /// A sequence found by looking `horizon` ticks ahead with a command held, decided anew every `block` ticks.
-pub(super) fn look_ahead(breathing: &Breathing, start: &Bench, block: usize, horizon: usize) -> Vec<f32> {
-    let ticks = breathing.ticks();
+pub(super) fn look_ahead(breath: &BenchBreath, start: &Bench, block: usize, horizon: usize) -> Vec<f32> {
+    let ticks = breath.ticks();
     let mut bench = start.clone();
     let mut commands = Vec::with_capacity(ticks);
     while commands.len() < ticks {
         let from = commands.len();
-        let target = &breathing.target()[from..(from + horizon).min(ticks)];
-        let u_in = best_held(breathing, &bench, target);
+        let target = &breath.target()[from..(from + horizon).min(ticks)];
+        let u_in = best_held(breath, &bench, target);
         for _ in from..(from + block).min(ticks) {
-            breathing.tick(&mut bench, u_in);
+            breath.tick(&mut bench, u_in);
             commands.push(u_in);
         }
     }
@@ -26,13 +26,13 @@ pub(super) fn look_ahead(breathing: &Breathing, start: &Bench, block: usize, hor
 }
 
 /// The command that, held, keeps the pressure closest to `target`.
-fn best_held(breathing: &Breathing, bench: &Bench, target: &[f64]) -> f32 {
+fn best_held(breath: &BenchBreath, bench: &Bench, target: &[f64]) -> f32 {
     let (mut low, mut high, mut best) = (0.0_f32, 100.0_f32, 0.0_f32);
     for _ in 0..LEVELS {
         let width = (high - low) / (CANDIDATES - 1) as f32;
         let distance = |u_in: f32| {
             let mut bench = bench.clone();
-            target.iter().map(|target| (breathing.tick(&mut bench, u_in) - target).abs()).sum::<f64>()
+            target.iter().map(|target| (breath.tick(&mut bench, u_in) - target).abs()).sum::<f64>()
         };
         let candidates = (0..CANDIDATES).map(|n| low + n as f32 * width);
         let scored = candidates.map(|u_in| (distance(u_in), u_in));

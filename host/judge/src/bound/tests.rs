@@ -6,12 +6,12 @@ use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::breathing::Breathing;
+use super::bench_breath::BenchBreath;
 use super::descent::Descent;
-use super::shape::Shape;
+use super::shape::CommandShape;
 use super::*;
 use crate::evaluate::{evaluate, trace};
-use plant::bench::{PatientConfig, SensorConfig, ValveConfig};
+use plant::bench::{BenchError, PatientConfig, SensorConfig, ValveConfig};
 
 /// Gains near the best ones at R 20, C 20.
 const GOOD: PidGains = PidGains { p: 7.2, i: 253.0, d: 0.133 };
@@ -43,10 +43,10 @@ fn a_sequence_is_scored_as_an_evaluation_scores_it() {
     let breaths = trace(&bench, &pid(gains), &settings, DEFAULT_PERIOD_US, 1, 9).unwrap();
     let last = breaths.u_in.len() - 3000;
     let commands: Vec<f32> = breaths.u_in[last..last + 1000].iter().map(|u| *u as f32).collect();
-    let breathing = Breathing::new(&bench, &settings, DEFAULT_PERIOD_US).unwrap();
-    let scored = breathing.score(&breathing.inspire(&breathing.periodic(&commands), &commands));
+    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US).unwrap();
+    let scored = breath.score(&breath.inspire(&breath.periodic(&commands), &commands));
     assert!((scored.score - evaluated.score).abs() < 1e-3, "{scored:?} {evaluated:?}");
-    let from_rest = breathing.score(&breathing.inspire(&breathing.periodic(&[]), &commands));
+    let from_rest = breath.score(&breath.inspire(&breath.periodic(&[]), &commands));
     assert!((from_rest.score - evaluated.score).abs() > 5e-3, "{from_rest:?}");
 }
 
@@ -88,9 +88,9 @@ fn where_the_valve_is_too_small_full_flow_is_the_best() {
     let valve = ValveConfig { max_flow_l_per_s: 0.4, ..ValveConfig::default() };
     let bench = BenchConfig { valve, ..BenchConfig::paper(5.0, 50.0) };
     let settings = paper_settings(35.0);
-    let breathing = Breathing::new(&bench, &settings, DEFAULT_PERIOD_US).unwrap();
-    let full = vec![100.0; breathing.ticks()];
-    let full = breathing.score(&breathing.inspire(&breathing.periodic(&full), &full)).score;
+    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US).unwrap();
+    let full = vec![100.0; breath.ticks()];
+    let full = breath.score(&breath.inspire(&breath.periodic(&full), &full)).score;
     let bound = found(&bench, &[35.0], &BoundConfig::default()).mean.score;
     assert!((bound / full - 1.0).abs() < 1e-3, "{bound} {full}");
 }
@@ -146,16 +146,19 @@ fn a_patient_who_moves_is_refused() {
 fn a_period_that_the_bench_cannot_run_is_refused() {
     let plan = Plan { period_us: 1500, ..plan(&[20.0]) };
     let refused = bound(&BenchConfig::paper(20.0, 20.0), &plan, &BoundConfig::default(), &Progress::silent());
-    assert!(matches!(refused, Err(BoundError::Source(SourceError::Period { period_us: 1500 }))));
+    assert!(matches!(
+        refused,
+        Err(BoundError::Source(SourceError::Bench(BenchError::Period { period_us: 1500 })))
+    ));
 }
 
 #[test]
 fn a_step_never_climbs_and_stays_within_the_valves_range() {
     let bench = BenchConfig::paper(5.0, 10.0);
-    let breathing = Breathing::new(&bench, &paper_settings(30.0), DEFAULT_PERIOD_US).unwrap();
-    let commands = vec![20.0; breathing.ticks()];
-    let shape = Shape::through(&commands, 25);
-    let mut descent = Descent::new(&breathing, breathing.periodic(&commands), shape);
+    let breath = BenchBreath::new(&bench, &paper_settings(30.0), DEFAULT_PERIOD_US).unwrap();
+    let commands = vec![20.0; breath.ticks()];
+    let shape = CommandShape::through(&commands, 25);
+    let mut descent = Descent::new(&breath, breath.periodic(&commands), shape);
     let before = descent.score;
     for _ in 0..12 {
         let last = descent.score;

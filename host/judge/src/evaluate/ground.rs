@@ -8,7 +8,7 @@ use progress::Progress;
 use shared::control::Controller;
 use ventilator::{Reseed, SourceError};
 
-use super::{Evaluation, Plan, evaluate_bench, evaluate_source};
+use super::{Evaluation, Plan, evaluate_law, evaluate_source};
 
 /// What controllers can be evaluated on.
 pub trait Ground: Sync {
@@ -38,7 +38,7 @@ impl Ground for BenchConfig {
         plan: &Plan,
         progress: &Progress<'_>,
     ) -> Result<Evaluation, SourceError> {
-        evaluate_bench(self, controller, plan, progress)
+        evaluate_law(self, controller, plan, progress)
     }
 }
 
@@ -70,9 +70,7 @@ impl Ground for SourceGround {
         let mut source = self.source();
         let own = source.period_us();
         if own != plan.period_us {
-            return Err(
-                PlantError::Period { asked: plan.period_us, own: format!(", but at {own} us") }.into()
-            );
+            return Err(PlantError::other_period(plan.period_us, own).into());
         }
         evaluate_source(source.as_mut(), controller, plan, progress)
     }

@@ -14,18 +14,18 @@ mod trace;
 pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
 pub use ground::{Ground, SourceGround};
 pub use score::{Inspiration, Score, score_breath};
-pub use trace::{Trace, trace, trace_source};
+pub use trace::{BreathTrace, trace, trace_source};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, period_s};
-use shared::control::Controller;
+use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
 
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage};
 use ventilator::seeds;
-use ventilator::{BenchSource, Reseed, Source, SourceError};
+use ventilator::{BenchSource, Reseed, SourceError, Tick};
 
 /// What an evaluation runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -112,13 +112,16 @@ pub fn evaluate(
     controller: &Controller,
     plan: &Plan,
 ) -> Result<Evaluation, SourceError> {
-    evaluate_bench(bench, controller, plan, &Progress::silent())
+    evaluate_law(bench, controller, plan, &Progress::silent())
 }
 
-/// The same; it can be stopped.
-fn evaluate_bench(
+/// As [`evaluate`], with any other controller; it can be stopped.
+///
+/// # Errors
+/// See [`evaluate`]; [`SourceError::Stopped`].
+pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     bench: &BenchConfig,
-    controller: &Controller,
+    controller: &C,
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<Evaluation, SourceError> {
@@ -133,7 +136,7 @@ fn evaluate_bench(
             }
             let settings = plan.waveform(*pip);
             let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
-            let score = run(&mut source, plan, *pip)?;
+            let score = run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))?;
             task.advance(1);
             Ok(score)
         })
@@ -161,7 +164,9 @@ pub fn evaluate_source(
             }
             source.reseed(*seed);
             source.configure(controller.clone(), None)?;
-            scores.push(run(source, plan, *pip)?);
+            let breaths = breaths(plan, *pip);
+            source.upcoming(&breaths)?;
+            scores.push(run(plan, &breaths, &mut |breath, sink| source.breath(breath, sink))?);
             task.advance(1);
         }
     }
@@ -169,7 +174,7 @@ pub fn evaluate_source(
 }
 
 /// Scores of all runs, waveform by waveform, each under every seed.
-pub(crate) fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
+fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
     let seeds = plan.seeds.len();
     let waveforms: Vec<WaveformScore> = plan
         .pips
@@ -185,20 +190,27 @@ pub(crate) fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
     }
 }
 
-/// All breaths of one waveform.
-fn run(source: &mut dyn Source, plan: &Plan, pip: f32) -> Result<Score, SourceError> {
+/// Settings of all breaths of one waveform.
+fn breaths(plan: &Plan, pip: f32) -> Vec<Settings> {
     let settings = plan.waveform(pip);
     let mut breaths = vec![settings; plan.warm_up + plan.breaths];
     if let Some(last) = breaths.last_mut() {
         *last = cut_short(&settings);
     }
-    source.upcoming(&breaths)?;
+    breaths
+}
+
+/// Runs one breath with these settings and hands each tick to the sink.
+type Breathe<'a> = dyn FnMut(&Settings, &mut dyn FnMut(&Tick)) -> Result<(), SourceError> + 'a;
+
+/// Runs and scores all breaths of one waveform.
+fn run(plan: &Plan, breaths: &[Settings], breathe: &mut Breathe<'_>) -> Result<Score, SourceError> {
     let (mut pressure, mut target) = (Vec::new(), Vec::new());
     let mut scores = Vec::with_capacity(plan.breaths);
     for (number, breath) in breaths.iter().enumerate() {
         pressure.clear();
         target.clear();
-        source.breath(breath, &mut |tick| {
+        breathe(breath, &mut |tick| {
             if tick.sample.phase == Phase::Inspiration {
                 let believed = tick.truth.map_or(tick.sample.pressure, |truth| truth.airway_pressure);
                 pressure.push(f64::from(believed));
@@ -208,8 +220,8 @@ fn run(source: &mut dyn Source, plan: &Plan, pip: f32) -> Result<Score, SourceEr
         if number >= plan.warm_up {
             scores.push(score_breath(&Inspiration {
                 period_s: f64::from(period_s(plan.period_us)),
-                peep: f64::from(settings.peep),
-                pip: f64::from(settings.pip),
+                peep: f64::from(breath.peep),
+                pip: f64::from(breath.pip),
                 pressure: &pressure,
                 target: &target,
             }));

@@ -13,7 +13,7 @@ const WARM_UP: usize = 1;
 
 /// Columns of equal length, a row for every control tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Trace {
+pub struct BreathTrace {
     /// Time since the start of the first breath shown, s.
     pub time_s: Vec<f64>,
     /// Target, cmH2O.
@@ -39,7 +39,7 @@ pub fn trace(
     period_us: u32,
     seed: u64,
     breaths: usize,
-) -> Result<Trace, SourceError> {
+) -> Result<BreathTrace, SourceError> {
     let mut source = BenchSource::new(bench, controller.clone(), settings, period_us, seed)?;
     trace_source(&mut source, settings, breaths)
 }
@@ -52,9 +52,9 @@ pub fn trace_source(
     source: &mut dyn Source,
     settings: &Settings,
     breaths: usize,
-) -> Result<Trace, SourceError> {
+) -> Result<BreathTrace, SourceError> {
     let period = f64::from(period_s(source.period_us()));
-    let mut trace = Trace::default();
+    let mut trace = BreathTrace::default();
     source.upcoming(&vec![*settings; WARM_UP + breaths])?;
     for _ in 0..WARM_UP {
         source.breath(settings, &mut |_| ())?;

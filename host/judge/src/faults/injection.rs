@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use shared::link::messages::ResetCause;
+use shared::reset::ResetCause;
 
 use plant::bench::Failure;
 

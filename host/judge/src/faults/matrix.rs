@@ -13,7 +13,7 @@ use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 
 use super::injection::{Damage, Injection};
-use super::trial::{Outcome, Trial, run};
+use super::trial::{Trial, TrialOutcome, run};
 use plant::bench::{BenchConfig, Failure};
 use progress::{Progress, Stage};
 use ventilator::SourceError;
@@ -43,7 +43,7 @@ const WATCHED_MS: u32 = 21_000;
 
 /// Who is in command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Pilot {
+enum CaseController {
     /// The PID that is best for all the paper's lungs.
     Sound,
     /// A PID that rings on every lung.
@@ -63,7 +63,7 @@ pub struct FaultCase {
     pub injection: Injection,
     /// The alarms that must come; none where the pressure alone is judged.
     pub monitors: &'static [Fault],
-    pilot: Pilot,
+    controller: CaseController,
     onset_ms: u32,
     settings: fn() -> Settings,
     /// Highest true airway pressure after it, cmH2O.
@@ -74,7 +74,7 @@ pub struct FaultCase {
 
 /// A fault on a lung, and what came of it.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
+pub struct FaultRow {
     /// The fault.
     pub fault: &'static str,
     /// The lung.
@@ -118,7 +118,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         name,
         injection,
         monitors,
-        pilot: Pilot::Sound,
+        controller: CaseController::Sound,
         onset_ms: MID_INSPIRATION_MS,
         settings: usual,
         peak_allowed: PEAKS.0,
@@ -146,8 +146,8 @@ const fn within_a_breath(case: FaultCase) -> FaultCase {
     FaultCase { within_ms: BREATH_MS, ..case }
 }
 
-const fn flown_by(pilot: Pilot, case: FaultCase) -> FaultCase {
-    FaultCase { pilot, ..case }
+const fn run_by(controller: CaseController, case: FaultCase) -> FaultCase {
+    FaultCase { controller, ..case }
 }
 
 /// Faults of the sensor.
@@ -214,28 +214,28 @@ const CONTROL: [FaultCase; 10] = [
     case("supply dips in mid-inspiration", Injection::BrownOut, &[Fault::Restarted]),
     case("host falls silent while exploring", Injection::HostSilent, &[Fault::HostSilent]),
     case("another host sends settings and gains of its own", Injection::OtherHost, &[]),
-    flown_by(
-        Pilot::Greedy,
+    run_by(
+        CaseController::Greedy,
         case(
             "a bit of the stored weights flipped",
             Injection::Weights(Damage::FlippedBit),
             &[Fault::WeightsRefused],
         ),
     ),
-    flown_by(
-        Pilot::Greedy,
+    run_by(
+        CaseController::Greedy,
         case(
             "supply cut while weights are stored",
             Injection::Weights(Damage::TornStore),
             &[Fault::WeightsRefused],
         ),
     ),
-    flown_by(Pilot::Greedy, case("weights that ask for more", Injection::Controller, &[])),
-    flown_by(
-        Pilot::Alternating,
+    run_by(CaseController::Greedy, case("weights that ask for more", Injection::Controller, &[])),
+    run_by(
+        CaseController::Alternating,
         case("weights that ask for all and nothing in turn", Injection::Controller, &[]),
     ),
-    flown_by(Pilot::Ringing, case("PID that rings", Injection::Controller, &[])),
+    run_by(CaseController::Ringing, case("PID that rings", Injection::Controller, &[])),
 ];
 
 /// All faults.
@@ -250,7 +250,7 @@ const WITHOUT_INTEGRAL: PidGains = PidGains { i: 0.0, ..SOUND };
 /// Gains that ring on every lung.
 const RINGING: PidGains = PidGains { p: 60.0, i: 3000.0, d: 0.0 };
 
-impl Pilot {
+impl CaseController {
     fn controller(self) -> Result<Controller, SourceError> {
         let pid = |gains| Pid::new(gains, DEFAULT_PERIOD_US).map(Controller::Pid);
         let built = match self {
@@ -302,7 +302,7 @@ pub fn false_alarms(
     breaths: u32,
     progress: &Progress<'_>,
 ) -> Result<Vec<(String, Fault)>, SourceError> {
-    let controller = &Pilot::Sound.controller()?;
+    let controller = &CaseController::Sound.controller()?;
     let each = breaths.div_ceil(lungs.len().max(1) as u32);
     let runs: Vec<(u64, BenchConfig)> = (0..u64::from(each / NOMINAL_BREATHS))
         .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
@@ -372,7 +372,7 @@ pub fn matrix(
     seeds: &[u64],
     monitors: Monitors,
     progress: &Progress<'_>,
-) -> Result<Vec<Row>, SourceError> {
+) -> Result<Vec<FaultRow>, SourceError> {
     let cells: Vec<_> = cases().flat_map(|case| lungs.iter().map(move |lung| (case, lung))).collect();
     let task = progress.task(Stage::Faults, cells.len());
     cells
@@ -388,8 +388,13 @@ pub fn matrix(
         .collect()
 }
 
-fn cell(case: &FaultCase, lung: &BenchConfig, seeds: &[u64], monitors: Monitors) -> Result<Row, SourceError> {
-    let controller = case.pilot.controller()?;
+fn cell(
+    case: &FaultCase,
+    lung: &BenchConfig,
+    seeds: &[u64],
+    monitors: Monitors,
+) -> Result<FaultRow, SourceError> {
+    let controller = case.controller.controller()?;
     let trial = |seed: u64| Trial {
         bench: lung,
         settings: (case.settings)(),
@@ -404,22 +409,24 @@ fn cell(case: &FaultCase, lung: &BenchConfig, seeds: &[u64], monitors: Monitors)
     Ok(row(case, lung, &outcomes))
 }
 
-fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[Outcome]) -> Row {
-    let longest = |of: &dyn Fn(&Outcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
-    let detected = |outcome: &Outcome| case.monitors.first().and_then(|monitor| outcome.time_to(*monitor));
-    let fired = |outcome: &Outcome| case.monitors.iter().all(|monitor| outcome.time_to(*monitor).is_some());
+fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome]) -> FaultRow {
+    let longest = |of: &dyn Fn(&TrialOutcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
+    let detected =
+        |outcome: &TrialOutcome| case.monitors.first().and_then(|monitor| outcome.time_to(*monitor));
+    let fired =
+        |outcome: &TrialOutcome| case.monitors.iter().all(|monitor| outcome.time_to(*monitor).is_some());
     let always = outcomes.iter().all(fired);
     let peak_true = outcomes.iter().map(|outcome| outcome.peak_true).fold(0.0, f64::max);
     let limit_to_vent_ms = longest(&|outcome| outcome.limit_to_vent_ms);
     let back_at_peep_ms = longest(&|outcome| outcome.back_at_peep_ms);
     let detect_ms = if always { longest(&detected) } else { None };
     let obey = case.peak_allowed < PEAKS.1;
-    Row {
+    FaultRow {
         fault: case.name,
         lung: lung.name.clone(),
         monitor: case.monitors.iter().map(|monitor| monitor.alarm().id).collect(),
         detect_ms,
-        action: outcomes.last().and_then(Outcome::action),
+        action: outcomes.last().and_then(TrialOutcome::action),
         peak_true,
         peak_allowed: case.peak_allowed,
         back_at_peep_ms,

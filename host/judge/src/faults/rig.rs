@@ -6,13 +6,15 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::residual::Residual;
 use shared::device::control::Control;
-use shared::device::timing::TickTime;
-use shared::device::{Order, Start};
+use shared::device::{BootFindings, ControlRequest};
 use shared::explore::Exploration;
-use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, SlotState};
+use shared::link::messages::{ControllerChoice, DeviceKind};
+use shared::reset::ResetCause;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
+use shared::timing::TickTime;
 use shared::ventilator::{Mode, Output, VentilatorState};
+use shared::weights::slots::SlotState;
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use super::flash::Flash;
@@ -59,9 +61,9 @@ impl Rig {
             host_speaks: true,
             ticks: 0,
         };
-        rig.control.execute(&Order::Exploration(exploration));
+        rig.control.execute(&ControlRequest::Exploration(exploration));
         if let Controller::Pid(pid) = controller {
-            rig.control.execute(&Order::Controller(ControllerChoice::Pid(pid.gains())));
+            rig.control.execute(&ControlRequest::Controller(ControllerChoice::Pid(pid.gains())));
         }
         rig.start();
         Ok(rig)
@@ -69,8 +71,8 @@ impl Rig {
 
     /// The host starts it.
     pub fn start(&mut self) {
-        self.control.execute(&Order::Apply(self.settings));
-        self.control.execute(&Order::Start);
+        self.control.execute(&ControlRequest::Apply(self.settings));
+        self.control.execute(&ControlRequest::Start);
     }
 
     /// A tick.
@@ -79,7 +81,7 @@ impl Rig {
         let output = self.control.step(reading);
         self.ticks += 1;
         if self.host_speaks && self.ticks.is_multiple_of(HOST_ASKS_EVERY) {
-            self.control.execute(&Order::Status);
+            self.control.execute(&ControlRequest::Status);
         }
         output
     }
@@ -98,8 +100,12 @@ impl Rig {
     pub fn other_host(&mut self) {
         let gains = ControllerChoice::Pid(shared::device::KNOWN_GOOD);
         let impossible = Settings { pip: f32::NAN, ..self.settings };
-        for order in [Order::Apply(impossible), Order::Apply(Settings::default()), Order::Controller(gains)] {
-            self.control.execute(&order);
+        for request in [
+            ControlRequest::Apply(impossible),
+            ControlRequest::Apply(Settings::default()),
+            ControlRequest::Controller(gains),
+        ] {
+            self.control.execute(&request);
         }
     }
 
@@ -149,7 +155,7 @@ impl Rig {
     ) -> Result<(), SourceError> {
         let interrupted = self.state().mode() == Mode::Ventilating;
         self.control = device(learned, self.monitors)?;
-        self.control.started(&Start { cause, interrupted, slots });
+        self.control.report_boot(&BootFindings { cause, interrupted, slots });
         Ok(())
     }
 }

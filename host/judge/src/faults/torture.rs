@@ -4,6 +4,7 @@
 //! Runs of a few breaths each are drawn from one seed and are independent, so that the result depends neither on threads nor
 //! on where an earlier run was stopped.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use rand::RngExt;
@@ -23,7 +24,7 @@ use thiserror::Error;
 use super::injection::Injection;
 use super::matrix::full_authority;
 use super::trial::{Trial, run};
-use data::json::{self, JsonError};
+use data::files::{read_json, write_json_indented};
 use plant::bench::{BenchConfig, Failure};
 use progress::{Progress, Stage};
 use ventilator::SourceError;
@@ -34,7 +35,7 @@ pub const BREATHS_PER_RUN: u64 = 10;
 pub const LIMIT: f32 = 40.0;
 /// Highest true airway pressure, cmH2O.
 pub const BOUND: f64 = 60.0;
-/// No fault comes before the second opinion has seen two breaths, ms.
+/// No fault comes before the lung estimator has seen two breaths, ms.
 const WARM_UP_MS: u32 = 6000;
 /// Runs between two looks at the wish to stop.
 const BATCH: u64 = 500;
@@ -48,8 +49,13 @@ pub enum TortureError {
     #[error(transparent)]
     Source(#[from] SourceError),
     /// The file that keeps how far it is.
-    #[error(transparent)]
-    File(#[from] JsonError),
+    #[error("cannot use {}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
     /// The file is of another torture.
     #[error("{} belongs to seed {seed}; choose another file or that seed", path.display())]
     OtherSeed {
@@ -88,7 +94,7 @@ impl Torture {
     /// # Errors
     /// A file that cannot be read, or of another seed.
     pub fn resume(file: &Path, seed: u64) -> Result<Self, TortureError> {
-        let kept: Self = json::read(file)?.unwrap_or_else(|| Self::new(seed));
+        let kept: Self = read_json(file).map_err(failure(file))?.unwrap_or_else(|| Self::new(seed));
         if kept.seed == seed {
             Ok(kept)
         } else {
@@ -123,11 +129,16 @@ impl Torture {
             self.breaths = last * BREATHS_PER_RUN;
             task.reach(self.breaths as usize);
             if let Some(file) = keep {
-                json::write(file, self)?;
+                write_json_indented(file, self).map_err(failure(file))?;
             }
         }
         Ok(())
     }
+}
+
+fn failure(file: &Path) -> impl FnOnce(io::Error) -> TortureError {
+    let path = file.to_owned();
+    move |source| TortureError::File { path, source }
 }
 
 /// One run: its highest true pressure, and whether it ended in the safe state.

@@ -6,7 +6,7 @@ use serde::Serialize;
 use shared::breath::Phase;
 use shared::control::Controller;
 use shared::explore::Exploration;
-use shared::link::messages::ResetCause;
+use shared::reset::ResetCause;
 use shared::safety::alarms::{Action, Fault};
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
@@ -48,7 +48,7 @@ pub struct Trial<'a> {
 
 /// What came of it. Times count from the fault, in ms.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Outcome {
+pub struct TrialOutcome {
     /// Alarms in their order, and when.
     pub alarms: Vec<(Fault, u32)>,
     /// When the valves were first told to vent in an inspiration.
@@ -65,7 +65,7 @@ pub struct Outcome {
     pub back_at_peep_ms: Option<u32>,
 }
 
-impl Outcome {
+impl TrialOutcome {
     /// When this alarm came.
     pub fn time_to(&self, fault: Fault) -> Option<u32> {
         self.alarms.iter().find(|(found, _)| *found == fault).map(|(_, ms)| *ms)
@@ -94,14 +94,14 @@ struct Run<'a> {
     command: ValveCommand,
     missed: u32,
     above_limit: Option<u32>,
-    outcome: Outcome,
+    outcome: TrialOutcome,
 }
 
 /// Runs a trial.
 ///
 /// # Errors
 /// A bench or settings that are refused.
-pub fn run(trial: &Trial<'_>) -> Result<Outcome, SourceError> {
+pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     // Exploration is what must end without a host.
     let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
     let rng = ChaCha8Rng::seed_from_u64(trial.seed);
@@ -114,7 +114,7 @@ pub fn run(trial: &Trial<'_>) -> Result<Outcome, SourceError> {
         command: ValveCommand::SAFE,
         missed: 0,
         above_limit: None,
-        outcome: Outcome::default(),
+        outcome: TrialOutcome::default(),
         trial,
     };
     for ms in 0..trial.onset_ms + trial.watched_ms {
@@ -146,7 +146,7 @@ impl Run<'_> {
         };
         // An alarm before there was anything to find is one too.
         self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
-        self.reading = self.bench.step(self.command.u_in(), self.command.u_out()).pressure;
+        self.reading = self.bench.step(self.command.u_in(), self.command.u_out());
         if let Some(since) = since {
             self.watch(since);
         }

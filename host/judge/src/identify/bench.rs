@@ -22,7 +22,7 @@ const ROWS: usize = 200_000;
 /// A value that no bench can have.
 pub fn bench(lung: &Identified, recording: &Recording) -> Result<BenchConfig, BenchError> {
     let behind = &lung.behind_circuit;
-    let mut bench = BenchConfig { name: lung.lung.clone(), ..BenchConfig::default() };
+    let mut bench = BenchConfig { name: lung.id.to_string(), ..BenchConfig::default() };
     let (resistance, turbulence) = resistor(behind);
     bench.lung.first.resistance_cmh2o_per_l_s = resistance;
     bench.lung.first.turbulence_s_per_l = turbulence;
@@ -56,11 +56,11 @@ pub fn to_toml(bench: &BenchConfig, lung: &Identified) -> String {
     let behind = &lung.behind_circuit;
     let estimate = |e: &super::Estimate| format!("{:.2} ({:.2} to {:.2})", e.value, e.low, e.high);
     format!(
-        "# Lung {} as `trainer identify` found it in {} breaths; estimates with their 95 % intervals.\n\
+        "# LungCycles {} as `trainer identify` found it in {} breaths; estimates with their 95 % intervals.\n\
          # C {} mL/cmH2O, R {} cmH2O/(L/s), R2 {} cmH2O/(L/s)^2, residual {:.2} cmH2O.\n\
          # Measured: [lung.first] but for its inflection, the circuit's compliance, the sensor's noise and quantum.\n\
          # Everything else is the default of the virtual bench.\n\n{}",
-        lung.lung,
+        lung.id,
         lung.breaths,
         estimate(&behind.compliance),
         estimate(&behind.resistance),

@@ -17,17 +17,19 @@
 //! This is the honest rival of a learned simulator; it is told the measured flow, which a simulator is not.
 
 pub mod bench;
-pub mod breath;
+pub mod cycle;
 pub mod open_loop;
 #[cfg(test)]
 mod tests;
 
+use std::fmt;
 use std::ops::Range;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use thiserror::Error;
 
-use self::breath::{Breath, COEFFICIENTS, Drift, Span};
+use self::cycle::{COEFFICIENTS, Cycle, Drift, FitSpan};
+use data::identity::TestRun;
 use data::recording::Recording;
 use engine::least_squares::{Solution, student};
 
@@ -67,28 +69,61 @@ pub struct Estimate {
     pub high: f64,
 }
 
-/// Breaths of one lung that are whole cycles.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Lung {
-    /// Name of its group in the recording (a test run), or `all`.
-    pub name: String,
+/// Which lung of a recording it is.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LungId {
+    /// Its test run, if the recording has any. Printed as `all` if not.
+    #[serde(rename = "lung", serialize_with = "serialize_run")]
+    pub run: Option<TestRun>,
     /// Resistance that the recording claims, cmH2O/(L/s).
     pub nominal_resistance: Option<f64>,
     /// Compliance that the recording claims, mL/cmH2O.
     pub nominal_compliance: Option<f64>,
+}
+
+impl LungId {
+    /// The lung of a row. Two test runs with the same claims need not have had the same resistor, so they are two lungs;
+    /// without test runs the claims tell lungs apart.
+    fn of(recording: &Recording, row: usize) -> Self {
+        let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
+        Self {
+            run: recording.test_run(row).cloned(),
+            nominal_resistance: number(&recording.resistance),
+            nominal_compliance: number(&recording.compliance),
+        }
+    }
+}
+
+impl fmt::Display for LungId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&run_name(self.run.as_ref()))
+    }
+}
+
+fn run_name(run: Option<&TestRun>) -> String {
+    run.map_or_else(|| "all".to_owned(), TestRun::to_string)
+}
+
+#[expect(clippy::ref_option, reason = "serde hands the field over like this")]
+fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&run_name(run.as_ref()))
+}
+
+/// Breaths of one lung that are whole cycles.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LungCycles {
+    /// Which one.
+    pub id: LungId,
     /// Rows and fitted form of each cycle.
-    pub breaths: Vec<(Range<usize>, Breath)>,
+    pub breaths: Vec<(Range<usize>, Cycle)>,
 }
 
 /// What was found of one lung.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identified {
-    /// Name of its group in the recording (a test run), or `all`.
-    pub lung: String,
-    /// Resistance that the recording claims, cmH2O/(L/s).
-    pub nominal_resistance: Option<f64>,
-    /// Compliance that the recording claims, mL/cmH2O.
-    pub nominal_compliance: Option<f64>,
+    /// Which one.
+    #[serde(flatten)]
+    pub id: LungId,
     /// Cycles that were fitted.
     pub breaths: usize,
     /// Whole cycles that could not be fitted.
@@ -132,72 +167,53 @@ pub struct BehindCircuit {
 /// The recording has no flow, or no lung of it has a cycle that can be fitted.
 pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError> {
     let lungs = lungs(recording)?;
-    let found: Vec<_> = lungs.iter().filter_map(Lung::identify).collect();
+    let found: Vec<_> = lungs.iter().filter_map(LungCycles::identify).collect();
     if found.is_empty() {
         return Err(IdentifyError::NoBreath { cycles: lungs.iter().map(|lung| lung.breaths.len()).sum() });
     }
     Ok(found)
 }
 
-/// The lungs of a recording in its order: by group where it has groups, by its claims of R and C where they change.
+/// The lungs of a recording in its order.
 ///
 /// # Errors
 /// The recording has no flow.
-pub fn lungs(recording: &Recording) -> Result<Vec<Lung>, IdentifyError> {
+pub fn lungs(recording: &Recording) -> Result<Vec<LungCycles>, IdentifyError> {
     if recording.flow_in.is_none() || recording.flow_out.is_none() {
         return Err(IdentifyError::NoFlow);
     }
-    let mut lungs: Vec<Lung> = Vec::new();
+    let mut lungs: Vec<LungCycles> = Vec::new();
     let breaths = recording.breaths();
-    for part in breaths.chunk_by(|a, b| key(recording, a.start) == key(recording, b.start)) {
-        let row = part[0].start;
-        let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
-        lungs.push(Lung {
-            name: recording.group_name(row).unwrap_or("all").to_owned(),
-            nominal_resistance: number(&recording.resistance),
-            nominal_compliance: number(&recording.compliance),
-            breaths: cycles(recording, part),
-        });
+    for part in breaths.chunk_by(|a, b| LungId::of(recording, a.start) == LungId::of(recording, b.start)) {
+        lungs.push(LungCycles { id: LungId::of(recording, part[0].start), breaths: cycles(recording, part) });
     }
     Ok(lungs)
 }
 
-/// What tells lungs apart; bits, because no arithmetic is done with them.
-fn key(recording: &Recording, row: usize) -> (Option<u32>, Option<u32>, Option<u32>) {
-    let bits = |column: &Option<Vec<f32>>| column.as_ref().map(|values| values[row].to_bits());
-    (
-        recording.group.as_ref().map(|group| group[row]),
-        bits(&recording.resistance),
-        bits(&recording.compliance),
-    )
-}
-
 /// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath behind it.
-fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Breath)> {
+fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Cycle)> {
     let followed = &breaths[..breaths.len().saturating_sub(1)];
     let longest = followed.iter().map(ExactSizeIterator::len).max().unwrap_or(0) as f64;
     let cycle = |rows: &Range<usize>| {
         let inspiration = recording.inspiration(rows.clone())?.len();
         let whole = recording.tick[rows.end - 1] as usize + 1 == rows.len();
         let long = rows.len() as f64 >= LEAST_CYCLE * longest;
-        (whole && long).then(|| Breath::new(recording, rows, inspiration)).flatten()
+        (whole && long).then(|| Cycle::new(recording, rows, inspiration)).flatten()
     };
     followed.iter().filter_map(|rows| Some((rows.clone(), cycle(rows)?))).collect()
 }
 
-impl Lung {
+impl LungCycles {
     /// What the lung is; none if no cycle can be fitted.
     pub fn identify(&self) -> Option<Identified> {
-        let corrected = self.fits(Span::Cycle, Drift::Corrected, 0.0);
-        let raw = self.fits(Span::Inspiration, Drift::Kept, 0.0);
+        let corrected = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0);
+        let raw = self.fits(FitSpan::Inspiration, Drift::Kept, 0.0);
         let circuit = self.circuit();
-        let behind = self.fits(Span::Cycle, Drift::Corrected, circuit);
+        let behind = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
         let offsets: Vec<f64> = self.breaths.iter().map(|(_, breath)| breath.offset).collect();
         let flow: f64 = self.breaths.iter().map(|(_, breath)| breath.inspiratory_flow()).sum();
         Some(Identified {
-            lung: self.name.clone(),
-            nominal_resistance: self.nominal_resistance,
-            nominal_compliance: self.nominal_compliance,
+            id: self.id.clone(),
             breaths: corrected.len(),
             refused: self.breaths.len() - corrected.len(),
             compliance: compliance(&corrected)?,
@@ -218,7 +234,7 @@ impl Lung {
     }
 
     /// The fits of its cycles; those with a compliance below zero say nothing.
-    fn fits(&self, span: Span, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
+    fn fits(&self, span: FitSpan, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
         let fits = self.breaths.iter().filter_map(|(_, breath)| breath.fit(span, drift, circuit));
         fits.filter(|fit| fit.coefficients[1] > 0.0).collect()
     }
@@ -226,9 +242,9 @@ impl Lung {
     /// Compliance of the circuit with the least residual over all cycles, mL/cmH2O.
     fn circuit(&self) -> f64 {
         let (count, step) = CIRCUITS;
-        let fitted = self.fits(Span::Cycle, Drift::Corrected, 0.0).len();
+        let fitted = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0).len();
         let candidates = (0..count).map(|n| n as f64 * step).filter_map(|circuit| {
-            let fits = self.fits(Span::Cycle, Drift::Corrected, circuit);
+            let fits = self.fits(FitSpan::Cycle, Drift::Corrected, circuit);
             let sum: f64 = fits.iter().map(|fit| fit.residual.powi(2)).sum();
             (fits.len() == fitted).then_some((circuit, sum))
         });

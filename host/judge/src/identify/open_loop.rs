@@ -5,8 +5,8 @@
 
 use std::ops::Range;
 
-use super::breath::{Breath, Drift};
-use super::{Lung, lungs};
+use super::cycle::{Cycle, Drift};
+use super::{LungCycles, LungId, lungs};
 use data::recording::Recording;
 use engine::least_squares::solve;
 
@@ -23,20 +23,19 @@ struct Motion {
 }
 
 /// Mean absolute error of the equation of motion on the inspirations `judged`, its coefficients fitted to the
-/// inspirations `training` of the same lung, cmH2O. Lungs are told apart by group, since two test runs with the same labels
-/// need not have had the same resistor; without groups by nominal R and C.
+/// inspirations `training` of the same lung, cmH2O.
 ///
 /// None without flow, or where no judged inspiration has a lung that can be fitted.
 pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Range<usize>]) -> Option<f64> {
     let cycles = lungs(recording).ok()?;
     let (mut sum, mut count) = (0.0, 0);
     let mut done: Vec<_> = Vec::new();
-    for lung in judged.iter().map(|rows| key(recording, rows.start)) {
+    for lung in judged.iter().map(|rows| LungId::of(recording, rows.start)) {
         if done.contains(&lung) {
             continue;
         }
-        done.push(lung);
-        let of_lung = |rows: &&Range<usize>| key(recording, rows.start) == lung;
+        done.push(lung.clone());
+        let of_lung = |rows: &&Range<usize>| LungId::of(recording, rows.start) == lung;
         let training: Vec<_> = training.iter().filter(of_lung).cloned().collect();
         let Some(motion) = motion(recording, &cycles, &training) else { continue };
         for rows in judged.iter().filter(of_lung) {
@@ -49,50 +48,41 @@ pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Ran
     (count > 0).then(|| sum / count as f64)
 }
 
-/// What tells lungs apart.
-fn key(recording: &Recording, row: usize) -> (Option<u32>, Option<u32>) {
-    let bits = |column: &Option<Vec<f32>>| column.as_ref().map(|values| values[row].to_bits());
-    match &recording.group {
-        Some(group) => (Some(group[row]), None),
-        None => (bits(&recording.resistance), bits(&recording.compliance)),
-    }
-}
-
 /// Least squares over the inspirations of one lung; their cycles give the offset of the sensors.
-fn motion(recording: &Recording, lungs: &[Lung], inspirations: &[Range<usize>]) -> Option<Motion> {
+fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usize>]) -> Option<Motion> {
     let breaths = lungs.iter().flat_map(|lung| &lung.breaths);
     let own = breaths.filter(|(rows, _)| inspirations.iter().any(|i| i.start == rows.start));
     let offsets: Vec<f64> = own.map(|(_, breath)| breath.offset).collect();
     let offset = if offsets.is_empty() { 0.0 } else { offsets.iter().sum::<f64>() / offsets.len() as f64 };
     let (mut rows, mut values) = (Vec::new(), Vec::new());
     for inspiration in inspirations {
-        let breath = breath(recording, inspiration, offset)?;
-        let columns = breath.rows(Drift::Corrected, 0.0);
+        let cycle = cycle(recording, inspiration, offset)?;
+        let columns = cycle.rows(Drift::Corrected, 0.0);
         let count = columns.len() as f64;
         // P0 of each breath drops out with the means.
         let mean: [f64; SHARED] =
             std::array::from_fn(|n| columns.iter().map(|row| row[n + 1]).sum::<f64>() / count);
-        let level = breath.pressure().iter().sum::<f64>() / count;
+        let level = cycle.pressure().iter().sum::<f64>() / count;
         rows.extend(columns.iter().map(|row| std::array::from_fn::<_, SHARED, _>(|n| row[n + 1] - mean[n])));
-        values.extend(breath.pressure().iter().map(|p| p - level));
+        values.extend(cycle.pressure().iter().map(|p| p - level));
     }
     let solution = solve(&rows, &values)?;
     Some(Motion { coefficients: solution.coefficients, offset })
 }
 
-fn breath(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Breath> {
-    let mut breath = Breath::new(recording, rows, rows.len())?;
-    breath.offset = offset;
-    Some(breath)
+fn cycle(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Cycle> {
+    let mut cycle = Cycle::new(recording, rows, rows.len())?;
+    cycle.offset = offset;
+    Some(cycle)
 }
 
 impl Motion {
     /// Pressures of an inspiration; it starts from the mean pressure and flow just before.
     fn predict(&self, recording: &Recording, rows: &Range<usize>) -> Option<Vec<f64>> {
-        let columns = breath(recording, rows, self.offset)?.rows(Drift::Corrected, 0.0);
+        let columns = cycle(recording, rows, self.offset)?.rows(Drift::Corrected, 0.0);
         let average = ((AVERAGE_S / recording.provenance.period_s()).round() as usize).max(1);
         let before = rows.start.saturating_sub(average)..rows.start.max(1);
-        let before = breath(recording, &before, self.offset)?;
+        let before = cycle(recording, &before, self.offset)?;
         let (pressure, flows) = (before.pressure(), before.rows(Drift::Corrected, 0.0));
         let flow = flows.iter().map(|row| row[2]).sum::<f64>() / flows.len() as f64;
         let rise = |volume: f64, flow: f64| {

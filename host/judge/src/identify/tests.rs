@@ -3,8 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use data::import::respiraworks::import;
-use data::import::respiraworks::measured;
+use data::import::{measured, measured_recording};
 use data::provenance::Provenance;
 use data::recording::{EXPIRATION, Extra, INSPIRATION, Row};
 use plant::bench::{Bench, BenchConfig};
@@ -23,13 +22,13 @@ fn record(config: &BenchConfig, breaths: u32, command: f32, offset: f32) -> Reco
         // Falling commands: a constant flow would leave R and R2 without contrast.
         let u_in =
             if inspires { command * (1.0 - 0.7 * tick as f32 / INSPIRATION_TICKS as f32) } else { 0.0 };
-        let reading = bench.step(u_in, !inspires);
+        let pressure = bench.step(u_in, !inspires);
         let truth = bench.truth();
         recording.push(Row {
             breath,
             tick,
             phase: if inspires { INSPIRATION } else { EXPIRATION },
-            pressure: reading.pressure,
+            pressure,
             u_in,
             flow_in: Some(truth.flow_valve as f32 + offset),
             flow_out: Some((truth.flow_expiratory + truth.flow_leak + truth.flow_relief) as f32),
@@ -105,8 +104,8 @@ fn a_change_of_group_is_another_lung() {
     recording.group = Some((0..recording.len()).map(|row| u32::from(row >= 16_000)).collect());
     let found = identify(&recording).unwrap();
     assert_eq!(
-        found.iter().map(|lung| (lung.lung.as_str(), lung.breaths)).collect::<Vec<_>>(),
-        [("a", 1), ("b", 1)]
+        found.iter().map(|lung| (lung.id.to_string(), lung.breaths)).collect::<Vec<_>>(),
+        [("a".to_owned(), 1), ("b".to_owned(), 1)]
     );
     let one = &found[0].resistance;
     assert!(
@@ -144,14 +143,15 @@ fn a_bench_made_from_an_identified_bench_is_that_bench() {
 #[test]
 fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
     let Some(paths) = measured() else { return };
-    let (recording, _) = import(&[paths[0].clone(), paths[2].clone()]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
     let found = identify(&recording).unwrap();
     assert_eq!(found.len(), 16);
     for lung in &found {
-        let (_, row) = lung.lung.split_once(':').unwrap();
+        let row = lung.id.run.as_ref().and_then(|run| run.run.as_ref()).unwrap();
         let row: usize = row.parse().unwrap();
-        let nominal = lung.nominal_compliance.unwrap();
-        println!("{} nominal {nominal} {lung:?}", lung.lung);
+        let nominal = lung.id.nominal_compliance.unwrap();
+        println!("{} nominal {nominal} {lung:?}", lung.id);
         if row <= 7 {
             assert!((lung.compliance.value / nominal - 1.0).abs() < 0.1, "{lung:?}");
             assert!(
@@ -159,7 +159,7 @@ fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
             );
         }
         // Resistors of 50 cmH2O/(L/s) come out parabolic only behind the circuit.
-        if lung.nominal_resistance.is_some_and(|r| r > 40.0) {
+        if lung.id.nominal_resistance.is_some_and(|r| r > 40.0) {
             assert!(lung.turbulence.value < 0.0 && lung.behind_circuit.turbulence.value > 0.0, "{lung:?}");
             assert!(lung.behind_circuit.residual < 0.85 * lung.residual, "{lung:?}");
         }
@@ -167,7 +167,7 @@ fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
     }
     // What the data say where drift is left in.
     for (row, uncorrected) in [(1, 57.0), (2, 56.0), (4, 22.0), (5, 20.0), (7, 11.0)] {
-        let lung = found.iter().find(|lung| lung.lung == format!("CT_AIR:{row}")).unwrap();
+        let lung = found.iter().find(|lung| lung.id.to_string() == format!("CT_AIR:{row}")).unwrap();
         assert!((lung.uncorrected_compliance.unwrap() / uncorrected - 1.0).abs() < 0.03, "{lung:?}");
     }
 }

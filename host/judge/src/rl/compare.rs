@@ -13,7 +13,7 @@ use super::dqn::{Dqn, DqnConfig};
 use super::policy::Policy;
 use super::ppo::{Ppo, PpoConfig};
 use super::ventilation::{Inspirations, TaskConfig};
-use super::{Actions, End, Greedy, Shard};
+use super::{Actions, End, Greedy, TaskBatch};
 use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
 use progress::{Progress, Stage};
@@ -21,14 +21,14 @@ use progress::{Progress, Stage};
 /// Which algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum Algorithm {
     /// Proximal policy optimisation on continuous commands.
     Ppo,
     /// Deep Q-learning on levels of the command.
     Dqn,
 }
 
-impl Kind {
+impl Algorithm {
     /// Name as printed.
     pub fn name(self) -> &'static str {
         match self {
@@ -79,7 +79,7 @@ impl Default for RlConfig {
 
 /// Outcome of a training.
 #[derive(Clone, Debug)]
-pub struct Trained {
+pub struct TrainedPolicy {
     /// The best policy found.
     pub policy: Policy,
     /// Its score on the held-out simulator, cmH2O.
@@ -99,7 +99,7 @@ trait Learner {
     fn greedy(&self) -> Greedy;
 }
 
-impl<S: Shard> Learner for Ppo<S> {
+impl<S: TaskBatch> Learner for Ppo<S> {
     fn round(&mut self, progress: f32) {
         Self::round(self, progress);
     }
@@ -113,7 +113,7 @@ impl<S: Shard> Learner for Ppo<S> {
     }
 }
 
-impl<S: Shard> Learner for Dqn<S> {
+impl<S: TaskBatch> Learner for Dqn<S> {
     fn round(&mut self, progress: f32) {
         Self::round(self, progress);
     }
@@ -136,23 +136,23 @@ impl<S: Shard> Learner for Dqn<S> {
 /// # Panics
 /// As [`Inspirations::new`].
 pub fn train(
-    kind: Kind,
+    algorithm: Algorithm,
     simulators: &[Simulator],
     held_out: &Simulator,
     config: &RlConfig,
     progress: &Progress<'_>,
-) -> Result<Trained, ResidualError> {
-    let (task_config, actions, samples) = match kind {
-        Kind::Ppo => (&config.ppo_task, Actions::Continuous, config.ppo_samples),
-        Kind::Dqn => (&config.dqn_task, Actions::Discrete(config.dqn_task.levels), config.dqn_samples),
+) -> Result<TrainedPolicy, ResidualError> {
+    let (task_config, actions, samples) = match algorithm {
+        Algorithm::Ppo => (&config.ppo_task, Actions::Continuous, config.ppo_samples),
+        Algorithm::Dqn => (&config.dqn_task, Actions::Discrete(config.dqn_task.levels), config.dqn_samples),
     };
     let task = Inspirations::new(simulators, task_config, actions)?;
     let mut examiner = Inspirations::new(std::slice::from_ref(held_out), task_config, actions)?;
     let perception = task.perception().clone();
     let hold = u64::from(perception.senses().hold);
-    let mut learner: Box<dyn Learner> = match kind {
-        Kind::Ppo => Box::new(Ppo::new(config.ppo.clone(), task, config.seed)),
-        Kind::Dqn => Box::new(Dqn::new(config.dqn.clone(), task, config.seed)),
+    let mut learner: Box<dyn Learner> = match algorithm {
+        Algorithm::Ppo => Box::new(Ppo::new(config.ppo.clone(), task, config.seed)),
+        Algorithm::Dqn => Box::new(Dqn::new(config.dqn.clone(), task, config.seed)),
     };
     let mut best = (validate(&mut examiner, &learner.greedy(), task_config, config.seed), learner.greedy());
     let mut curve = vec![(0, best.0)];
@@ -176,7 +176,7 @@ pub fn train(
         }
     }
     let (validation, greedy) = best;
-    Ok(Trained { policy: Policy { greedy, perception }, validation, curve })
+    Ok(TrainedPolicy { policy: Policy { greedy, perception }, validation, curve })
 }
 
 /// Number of the validation's random stream.
@@ -209,6 +209,7 @@ fn validate(task: &mut Inspirations, greedy: &Greedy, config: &TaskConfig, seed:
 mod tests {
     use super::*;
     use learn::simulator::first_order;
+    use std::sync::LazyLock;
     use std::sync::atomic::AtomicBool;
 
     fn small() -> RlConfig {
@@ -224,44 +225,54 @@ mod tests {
         }
     }
 
-    fn run(kind: Kind, config: &RlConfig, progress: &Progress<'_>) -> Trained {
-        train(kind, &[first_order(1.0)], &first_order(1.0), config, progress).unwrap()
+    /// Trained once for all tests that look at it.
+    fn trained(algorithm: Algorithm) -> &'static TrainedPolicy {
+        static PPO: LazyLock<TrainedPolicy> =
+            LazyLock::new(|| run(Algorithm::Ppo, &small(), &Progress::silent()));
+        static DQN: LazyLock<TrainedPolicy> =
+            LazyLock::new(|| run(Algorithm::Dqn, &small(), &Progress::silent()));
+        if algorithm == Algorithm::Ppo { &PPO } else { &DQN }
+    }
+
+    fn run(algorithm: Algorithm, config: &RlConfig, progress: &Progress<'_>) -> TrainedPolicy {
+        train(algorithm, &[first_order(1.0)], &first_order(1.0), config, progress).unwrap()
     }
 
     #[test]
     fn both_learn_and_keep_their_best_policy() {
-        for kind in [Kind::Ppo, Kind::Dqn] {
-            let trained = run(kind, &small(), &Progress::silent());
+        for algorithm in [Algorithm::Ppo, Algorithm::Dqn] {
+            let trained = trained(algorithm);
             let best = trained.curve.iter().map(|(_, score)| *score).fold(f64::INFINITY, f64::min);
-            assert!((trained.validation - best).abs() < f64::EPSILON, "{kind:?}");
-            assert!(best < 0.5 * trained.curve[0].1, "{kind:?}: {:?}", trained.curve);
+            assert!((trained.validation - best).abs() < f64::EPSILON, "{algorithm:?}");
+            assert!(best < 0.5 * trained.curve[0].1, "{algorithm:?}: {:?}", trained.curve);
         }
     }
 
     #[test]
     fn samples_are_control_ticks_and_cover_the_budget() {
-        for (kind, per_round) in [(Kind::Ppo, 16_000), (Kind::Dqn, 160)] {
-            let curve = run(kind, &small(), &Progress::silent()).curve;
-            let budget = if kind == Kind::Ppo { small().ppo_samples } else { small().dqn_samples };
+        for (algorithm, per_round) in [(Algorithm::Ppo, 16_000), (Algorithm::Dqn, 160)] {
+            let curve = &trained(algorithm).curve;
+            let budget = if algorithm == Algorithm::Ppo { small().ppo_samples } else { small().dqn_samples };
             let (last, _) = curve[curve.len() - 1];
-            assert!((budget..budget + per_round).contains(&last), "{kind:?}: {last}");
+            assert!((budget..budget + per_round).contains(&last), "{algorithm:?}: {last}");
             assert!(curve.iter().all(|(samples, _)| samples % per_round == 0));
         }
     }
 
     #[test]
     fn the_same_seed_gives_the_same_curve() {
-        for kind in [Kind::Ppo, Kind::Dqn] {
-            let curve = |seed| run(kind, &RlConfig { seed, ..small() }, &Progress::silent()).curve;
-            assert_eq!(curve(1), curve(1));
-            assert_ne!(curve(1), curve(2));
+        for algorithm in [Algorithm::Ppo, Algorithm::Dqn] {
+            let curve = |seed| run(algorithm, &RlConfig { seed, ..small() }, &Progress::silent()).curve;
+            let first = &trained(algorithm).curve;
+            assert_eq!(curve(small().seed), *first);
+            assert_ne!(curve(small().seed + 1), *first);
         }
     }
 
     #[test]
     fn a_stopped_training_ends_at_once_with_what_it_has() {
         let stop = AtomicBool::new(true);
-        let trained = run(Kind::Ppo, &small(), &Progress::quiet(&stop));
+        let trained = run(Algorithm::Ppo, &small(), &Progress::quiet(&stop));
         assert_eq!(trained.curve.len(), 1);
     }
 

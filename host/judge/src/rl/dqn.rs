@@ -10,7 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
 use super::network::{Mlp, Tape};
-use super::{Actions, End, Greedy, Shard, Transition, best, highest};
+use super::{Actions, End, Greedy, TaskBatch, Transition, best, highest};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -97,7 +97,7 @@ struct Fact {
     goes_on: bool,
 }
 
-impl<S: Shard> Dqn<S> {
+impl<S: TaskBatch> Dqn<S> {
     /// Prepares a training on `shard`.
     ///
     /// # Panics
@@ -265,8 +265,8 @@ impl Replay {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::Copies;
-    use crate::rl::cart_pole::CartPole;
+    use crate::rl::tests::cart_pole::CartPole;
+    use crate::rl::tests::{Copies, mean_return};
 
     /// One hidden layer: with two the pole stands, but the cart drifts off its track. A discount that looks far
     /// enough ahead, and target copies often enough for its values to get there.
@@ -294,7 +294,7 @@ mod tests {
     fn cart_pole_is_solved() {
         let greedy = trained(5000, 5000, 1);
         let mut rng = ChaCha8Rng::seed_from_u64(999);
-        let mean = greedy.mean_return(&mut Copies::of(&CartPole::default()), 100, &mut rng);
+        let mean = mean_return(&greedy, &mut Copies::of(&CartPole::default()), 100, &mut rng);
         assert!(mean >= 475.0, "mean return {mean}");
     }
 

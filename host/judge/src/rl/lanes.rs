@@ -8,8 +8,8 @@ use engine::Lane;
 use learn::simulator::model::{Model, Simulator};
 use learn::simulator::{COMMAND_SCALE, CommandLog, Dynamics, Start};
 
-/// The plants of a shard, during an inspiration.
-pub trait Plant: Send {
+/// The lungs of a shard, during an inspiration.
+pub trait SimulatedLung: Send {
     /// Starts an inspiration from a command of `rest` percent; the tick is 0.
     fn begin(&mut self, start: &Start, rest: f32);
 
@@ -20,8 +20,8 @@ pub trait Plant: Send {
     fn advance(&mut self, command: &Lane);
 }
 
-/// A simulator's plants for inspirations of at most so many ticks.
-pub fn plant(simulator: &Simulator, ticks: usize) -> Box<dyn Plant> {
+/// A simulator's lungs for inspirations of at most so many ticks.
+pub fn simulated_lung(simulator: &Simulator, ticks: usize) -> Box<dyn SimulatedLung> {
     match simulator.model() {
         Model::StateSpace(model) => Box::new(Stepped::new(model, ticks)),
         Model::Hybrid(model) => Box::new(Stepped::new(model, ticks)),
@@ -57,7 +57,7 @@ impl<M: Dynamics> Stepped<M> {
     }
 }
 
-impl<M: Dynamics + Send> Plant for Stepped<M> {
+impl<M: Dynamics + Send> SimulatedLung for Stepped<M> {
     fn begin(&mut self, start: &Start, rest: f32) {
         let timing = *self.model.timing();
         self.log = CommandLog::new(self.blocks, vec![Lane::splat(rest / COMMAND_SCALE); timing.width()]);
@@ -165,13 +165,13 @@ mod tests {
             };
             assert!((0..LANES).any(|l| commands[0][l].to_bits() != commands[ticks - 1][l].to_bits()));
 
-            let mut plant = plant(&simulator, ticks);
+            let mut lung = simulated_lung(&simulator, ticks);
             // Twice, since nothing of an inspiration may be left in the next one.
             for _ in 0..2 {
-                plant.begin(&scenario.start, scenario.rest);
+                lung.begin(&scenario.start, scenario.rest);
                 for (tick, (pressure, command)) in pressures.iter().zip(&commands).enumerate() {
-                    assert_eq!(plant.pressure(), *pressure, "tick {tick}");
-                    plant.advance(command);
+                    assert_eq!(lung.pressure(), *pressure, "tick {tick}");
+                    lung.advance(command);
                 }
             }
         }

@@ -1,34 +1,30 @@
 //! A learned policy as a controller of the valve: its file, and its score on the true bench.
 //!
 //! A policy is no [`shared::control::Controller`]: its network is larger than the chip's, and it never leaves the
-//! host. The bench therefore has a loop of its own here, with the timing, the supervisor and the safety filter of
-//! [`shared::ventilator`]; a test holds it to the same scores as the ventilator's, bit for bit.
+//! host. It is a [`ControlLaw`] of its own, so the ventilator runs it with the timing and the safety of any other.
 
 use std::path::Path;
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::breath::{Breath, Phase, period_s};
 use shared::control::features::FEATURES;
 use shared::control::residual::ResidualError;
-use shared::control::{Observation, Wish};
-use shared::safety::alarms::Fault;
-use shared::safety::monitors::Monitors;
-use shared::safety::supervisor::Supervisor;
+use shared::control::{ControlLaw, ControlOutput, Observation};
 
 use super::network::{Mlp, Tape, Weights};
-use super::ventilation::{Memory, Perception, Senses, command};
+use super::ventilation::{Perception, PolicyMemory, Senses, command};
 use super::{Actions, Greedy, best};
-use crate::evaluate::{Evaluation, Inspiration, Plan, Score, score_breath, summarize};
+use crate::evaluate::{Evaluation, Plan, evaluate_law};
 use data::tensors::{self, TensorError};
 use engine::Lane;
-use plant::bench::{Bench, BenchConfig, STEP_US};
+use plant::bench::BenchConfig;
+use progress::Progress;
 use ventilator::SourceError;
 
 /// What the file says it is.
 const KIND: &str = "policy";
 /// Name of the parameter vector.
 const PARAMETERS: &str = "parameters";
+
 /// A policy without exploration, with the senses that it was trained with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policy {
@@ -87,161 +83,58 @@ impl Policy {
 /// The first waveform's, in the plan's order, that could not be run: refused settings or a fault.
 pub fn evaluate(bench: &BenchConfig, policy: &Policy, plan: &Plan) -> Result<Evaluation, SourceError> {
     let plan = Plan { period_us: policy.perception.senses().period_us, ..plan.clone() };
-    score_pilots(bench, &plan, || Flight::new(policy))
+    evaluate_law(bench, &PolicyLaw::new(policy), &plan, &Progress::silent())
 }
 
-/// Who commands the valve during an inspiration.
-trait Pilot {
-    /// Forgets the last breath; the valve stands at `command` percent.
-    fn start_breath(&mut self, command: f32);
-
-    /// The command wanted, percent.
-    fn step(&mut self, seen: &Observation) -> f32;
-
-    /// Takes in the command applied, percent.
-    fn applied(&mut self, command: f32);
-}
-
-/// A policy at work.
-struct Flight<'a> {
+/// A policy built to control.
+#[derive(Clone)]
+struct PolicyLaw<'a> {
     policy: &'a Policy,
     weights: Weights,
+}
+
+/// What a policy remembers of a breath, room for its network, and the command that it holds, percent.
+struct PolicyState {
+    memory: PolicyMemory,
     tape: Tape,
-    memory: Memory,
     held: f32,
 }
 
-impl<'a> Flight<'a> {
+impl<'a> PolicyLaw<'a> {
     fn new(policy: &'a Policy) -> Self {
         let Greedy { network, parameters, .. } = &policy.greedy;
-        let (weights, tape) = (network.load(parameters), Tape::new(network, 1));
-        Self { policy, weights, tape, memory: Memory::default(), held: 0.0 }
+        Self { policy, weights: network.load(parameters) }
     }
 }
 
-impl Pilot for Flight<'_> {
-    fn start_breath(&mut self, command: f32) {
-        self.policy.perception.start_breath(&mut self.memory, command);
+impl ControlLaw for PolicyLaw<'_> {
+    type State = PolicyState;
+
+    fn initial_state(&self) -> PolicyState {
+        let tape = Tape::new(&self.policy.greedy.network, 1);
+        PolicyState { memory: PolicyMemory::default(), tape, held: 0.0 }
     }
 
-    fn step(&mut self, seen: &Observation) -> f32 {
-        let features = self.policy.perception.see(&mut self.memory, seen);
+    fn start_breath(&self, state: &mut PolicyState, command: f32) {
+        self.policy.perception.start_breath(&mut state.memory, command);
+    }
+
+    /// All of the command is the base: there is no PID under it to go back to.
+    fn step(&self, state: &mut PolicyState, seen: &Observation) -> ControlOutput {
+        let features = self.policy.perception.see(&mut state.memory, seen);
         if seen.tick.is_multiple_of(self.policy.perception.senses().hold) {
-            for (lane, feature) in self.tape.inputs(0).iter_mut().zip(features) {
+            for (lane, feature) in state.tape.inputs(0).iter_mut().zip(features) {
                 *lane = Lane::splat(feature);
             }
-            self.weights.forward(&mut self.tape);
+            self.weights.forward(&mut state.tape);
             let actions = self.policy.greedy.actions;
-            self.held = command(actions, best(actions, self.tape.outputs(0))[0]);
+            state.held = command(actions, best(actions, state.tape.outputs(0))[0]);
         }
-        self.held
+        ControlOutput::plain(state.held)
     }
 
-    fn applied(&mut self, command: f32) {
-        self.policy.perception.applied(&mut self.memory, command);
-    }
-}
-
-fn score_pilots<P: Pilot>(
-    bench: &BenchConfig,
-    plan: &Plan,
-    pilot: impl Fn() -> P + Sync,
-) -> Result<Evaluation, SourceError> {
-    let jobs: Vec<(f32, u64)> =
-        plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
-    let outcomes: Vec<Result<Score, SourceError>> =
-        jobs.par_iter().map(|(pip, seed)| run(bench, &mut pilot(), plan, *pip, *seed)).collect();
-    Ok(summarize(plan, &outcomes.into_iter().collect::<Result<Vec<_>, _>>()?))
-}
-
-/// All breaths of one waveform under one seed.
-fn run(
-    config: &BenchConfig,
-    pilot: &mut impl Pilot,
-    plan: &Plan,
-    pip: f32,
-    seed: u64,
-) -> Result<Score, SourceError> {
-    let settings = plan.waveform(pip);
-    let breath = Breath::new(&settings, plan.period_us)?;
-    if !plan.period_us.is_multiple_of(STEP_US) {
-        return Err(SourceError::Period { period_us: plan.period_us });
-    }
-    let mut lung = Lung {
-        bench: Bench::new(config, settings.peep, seed)?,
-        breath,
-        supervisor: Supervisor::new(plan.period_us, Monitors::ALL),
-        reading: settings.peep,
-        last_command: 0.0,
-    };
-    let mut scores = Vec::with_capacity(plan.breaths);
-    for number in 0..plan.warm_up + plan.breaths {
-        let score = lung.breathe(pilot, number as u32)?;
-        if number >= plan.warm_up {
-            scores.push(score);
-        }
-    }
-    Ok(Score::mean(&scores))
-}
-
-/// A bench under a pilot.
-struct Lung {
-    bench: Bench,
-    breath: Breath,
-    supervisor: Supervisor,
-    reading: f32,
-    last_command: f32,
-}
-
-impl Lung {
-    /// One breath; the score of its inspiration, by the true pressure.
-    fn breathe(&mut self, pilot: &mut impl Pilot, number: u32) -> Result<Score, SourceError> {
-        let (mut pressure, mut target) = (Vec::new(), Vec::new());
-        pilot.start_breath(self.last_command);
-        for tick in 0..self.breath.total_ticks() {
-            if self.breath.phase(tick) == Phase::Inspiration {
-                pressure.push(f64::from(self.bench.pressures().airway_pressure));
-                target.push(f64::from(self.breath.target(tick)));
-            }
-            self.tick(pilot, number, tick)?;
-        }
-        let settings = self.breath.settings();
-        Ok(score_breath(&Inspiration {
-            period_s: f64::from(period_s(self.breath.period_us())),
-            peep: f64::from(settings.peep),
-            pip: f64::from(settings.pip),
-            pressure: &pressure,
-            target: &target,
-        }))
-    }
-
-    fn tick(&mut self, pilot: &mut impl Pilot, number: u32, tick: u32) -> Result<(), SourceError> {
-        let (phase, settings) = (self.breath.phase(tick), *self.breath.settings());
-        let believed = self.supervisor.check(self.reading, &self.breath, Some(tick));
-        let cut = self.supervisor.cut().then_some(Fault::HighPressure);
-        if let Some(fault) = self.supervisor.fault().or(cut) {
-            return Err(SourceError::Fault { fault, breath: number, tick });
-        }
-        let wish = match phase {
-            Phase::Inspiration => pilot.step(&Observation {
-                pressure: believed.unwrap_or(self.reading),
-                target: self.breath.target(tick),
-                pip: settings.pip,
-                peep: settings.peep,
-                tick,
-            }),
-            Phase::Fall => 0.0,
-            Phase::Expiration => settings.expiratory_bias,
-        };
-        let command = self.supervisor.command(Wish::plain(wish), phase != Phase::Inspiration);
-        if phase == Phase::Inspiration {
-            pilot.applied(command.u_in());
-        }
-        self.last_command = command.u_in();
-        for _ in 0..self.breath.period_us() / STEP_US {
-            self.reading = self.bench.step(command.u_in(), command.u_out()).pressure;
-        }
-        Ok(())
+    fn applied(&self, state: &mut PolicyState, command: f32) {
+        self.policy.perception.applied(&mut state.memory, command);
     }
 }
 
@@ -251,37 +144,9 @@ mod tests {
     use crate::rl::ventilation::TaskConfig;
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
-    use shared::control::pid::{Pid, PidGains};
-    use shared::control::{Controller, ControllerState};
-
-    struct Ventilated(Controller, ControllerState);
-
-    impl Pilot for Ventilated {
-        fn start_breath(&mut self, command: f32) {
-            self.0.start_breath(&mut self.1, command);
-        }
-
-        fn step(&mut self, seen: &Observation) -> f32 {
-            self.0.step(&mut self.1, seen).command
-        }
-
-        fn applied(&mut self, command: f32) {
-            self.0.applied(&mut self.1, command);
-        }
-    }
 
     fn plan() -> Plan {
         Plan { pips: vec![15.0, 35.0], breaths: 2, seeds: vec![4, 5], ..Plan::default() }
-    }
-
-    #[test]
-    fn the_loop_breathes_and_scores_as_the_ventilator_does() {
-        let bench = BenchConfig::paper(20.0, 20.0);
-        let pid = Pid::new(PidGains { p: 1.0, i: 15.0, d: 0.0 }, 1000).unwrap();
-        let controller = Controller::Pid(pid);
-        let expected = crate::evaluate::evaluate(&bench, &controller, &plan()).unwrap();
-        let pilot = || Ventilated(controller.clone(), ControllerState::new());
-        assert_eq!(score_pilots(&bench, &plan(), pilot).unwrap(), expected);
     }
 
     /// A policy that always chooses the same level of 21.
@@ -313,8 +178,9 @@ mod tests {
         let parameters = network.initialise(0.1, &mut ChaCha8Rng::seed_from_u64(2));
         let policy =
             Policy { greedy: Greedy { network, parameters, actions: Actions::Continuous }, ..stubborn(0) };
-        let mut flight = Flight::new(&policy);
-        flight.start_breath(5.0);
+        let law = PolicyLaw::new(&policy);
+        let mut state = law.initial_state();
+        law.start_breath(&mut state, 5.0);
         let commands: Vec<u32> = (0..30)
             .map(|tick| {
                 let seen = Observation {
@@ -324,8 +190,8 @@ mod tests {
                     peep: 5.0,
                     tick,
                 };
-                let command = flight.step(&seen);
-                flight.applied(command);
+                let command = law.step(&mut state, &seen).command;
+                law.applied(&mut state, command);
                 command.to_bits()
             })
             .collect();

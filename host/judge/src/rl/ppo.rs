@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::head::{Head, Slope};
 use super::network::{Mlp, Tape, Weights};
-use super::{Actions, End, Greedy, Shard, Transition};
+use super::{Actions, End, Greedy, TaskBatch, Transition};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -104,7 +104,7 @@ struct Rollout {
     returns: Vec<Lane>,
 }
 
-impl<S: Shard> Ppo<S> {
+impl<S: TaskBatch> Ppo<S> {
     /// Prepares a training on `shard`.
     pub fn new(config: PpoConfig, mut shard: S, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -356,8 +356,8 @@ impl Rollout {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rl::cart_pole::CartPole;
-    use crate::rl::{Copies, Environment};
+    use crate::rl::tests::cart_pole::CartPole;
+    use crate::rl::tests::{Copies, Environment, mean_return};
     use rand_distr::{Distribution, StandardNormal};
 
     /// For tasks that need fewer samples per round.
@@ -375,7 +375,7 @@ mod tests {
     fn cart_pole_is_solved() {
         let greedy = trained(100, 1);
         let mut rng = ChaCha8Rng::seed_from_u64(999);
-        let mean = greedy.mean_return(&mut Copies::of(&CartPole::default()), 100, &mut rng);
+        let mean = mean_return(&greedy, &mut Copies::of(&CartPole::default()), 100, &mut rng);
         assert!(mean >= 475.0, "mean return {mean}");
     }
 

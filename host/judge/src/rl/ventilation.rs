@@ -20,8 +20,8 @@ use shared::control::residual::ResidualError;
 use shared::control::{COMMAND_MAX, Observation};
 use shared::math;
 
-use super::lanes::{Plant, plant};
-use super::{Actions, End, Shard, Transition};
+use super::lanes::{SimulatedLung, simulated_lung};
+use super::{Actions, End, TaskBatch, Transition};
 use engine::{LANES, Lane};
 use learn::simulator::Start;
 use learn::simulator::model::Simulator;
@@ -90,7 +90,7 @@ pub struct Perception {
 
 /// What an agent's senses remember of a breath.
 #[derive(Clone, Debug, Default)]
-pub struct Memory {
+pub struct PolicyMemory {
     features: FeatureState,
     integral: PidState,
 }
@@ -124,13 +124,13 @@ impl Perception {
     }
 
     /// Forgets the last breath; the valve stands at `command` percent.
-    pub fn start_breath(&self, memory: &mut Memory, command: f32) {
+    pub fn start_breath(&self, memory: &mut PolicyMemory, command: f32) {
         memory.features.start_breath(command);
         memory.integral = PidState::new();
     }
 
     /// Takes in the observation of a tick: what the agent sees.
-    pub fn see(&self, memory: &mut Memory, seen: &Observation) -> [f32; FEATURES] {
+    pub fn see(&self, memory: &mut PolicyMemory, seen: &Observation) -> [f32; FEATURES] {
         let features = self.features.step(&mut memory.features, seen, memory.integral.integral);
         // A PID with nothing but an integral part; its command is not used, its integral is the feature.
         self.integral.step(&mut memory.integral, seen, 0.0);
@@ -138,7 +138,7 @@ impl Perception {
     }
 
     /// Takes in the command applied in the tick, percent.
-    pub fn applied(&self, memory: &mut Memory, command: f32) {
+    pub fn applied(&self, memory: &mut PolicyMemory, command: f32) {
         self.features.applied(&mut memory.features, command);
     }
 }
@@ -163,7 +163,7 @@ pub struct Inspirations {
     tick: usize,
     pip: Lane,
     noise: Vec<Lane>,
-    memories: [Memory; LANES],
+    memories: [PolicyMemory; LANES],
     seen: [Lane; FEATURES],
     /// Sum of the absolute errors since the start of the inspiration, cmH2O.
     strayed: Lane,
@@ -171,7 +171,7 @@ pub struct Inspirations {
 
 /// A simulator ready to be stepped.
 struct Learned {
-    plant: Box<dyn Plant>,
+    lung: Box<dyn SimulatedLung>,
     noise: f32,
     start_pressure: f32,
 }
@@ -195,7 +195,7 @@ impl Inspirations {
         assert!(alike, "simulators of one control period");
         let ticks = math::ticks(config.inspiratory_time, period_us) as usize;
         let learned = |simulator: &Simulator| Learned {
-            plant: plant(simulator, ticks),
+            lung: simulated_lung(simulator, ticks),
             noise: simulator.noise,
             start_pressure: simulator.start_pressure,
         };
@@ -209,7 +209,7 @@ impl Inspirations {
             tick: 0,
             pip: Lane::ZERO,
             noise: vec![Lane::ZERO; ticks],
-            memories: std::array::from_fn(|_| Memory::default()),
+            memories: std::array::from_fn(|_| PolicyMemory::default()),
             seen: [Lane::ZERO; FEATURES],
             strayed: Lane::ZERO,
         })
@@ -224,9 +224,9 @@ impl Inspirations {
     pub fn begin(&mut self, pip: Lane, rng: &mut ChaCha8Rng) {
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         self.running = (self.running + 1) % self.simulators.len();
-        let Learned { plant, noise, start_pressure } = &mut self.simulators[self.running];
+        let Learned { lung, noise, start_pressure } = &mut self.simulators[self.running];
         let pressure = Lane::from_fn(|_| *start_pressure + normal(self.config.start_spread));
-        plant.begin(&Start { pressure, plateau: pip, ..Start::default() }, self.config.rest);
+        lung.begin(&Start { pressure, plateau: pip, ..Start::default() }, self.config.rest);
         self.noise.fill_with(|| Lane::from_fn(|_| normal(*noise)));
         (self.pip, self.tick, self.strayed) = (pip, 0, Lane::ZERO);
         for memory in &mut self.memories {
@@ -242,7 +242,7 @@ impl Inspirations {
 
     /// Takes in the readings of the present tick.
     fn sense(&mut self) {
-        let pressure = self.simulators[self.running].plant.pressure();
+        let pressure = self.simulators[self.running].lung.pressure();
         for (l, memory) in self.memories.iter_mut().enumerate() {
             let seen = Observation {
                 pressure: pressure[l] + self.noise[self.tick][l],
@@ -259,9 +259,9 @@ impl Inspirations {
 
     /// One tick under a command: the absolute error, cmH2O.
     fn tick(&mut self, command: &Lane) -> Lane {
-        let plant = &mut self.simulators[self.running].plant;
-        let error = plant.pressure().zip(&self.pip, |p, target| (p - target).abs());
-        plant.advance(command);
+        let lung = &mut self.simulators[self.running].lung;
+        let error = lung.pressure().zip(&self.pip, |p, target| (p - target).abs());
+        lung.advance(command);
         for (l, memory) in self.memories.iter_mut().enumerate() {
             self.perception.applied(memory, command[l]);
         }
@@ -273,7 +273,7 @@ impl Inspirations {
     }
 }
 
-impl Shard for Inspirations {
+impl TaskBatch for Inspirations {
     fn observations(&self) -> usize {
         FEATURES
     }
@@ -354,12 +354,12 @@ mod tests {
     }
 
     #[test]
-    fn the_plant_of_the_tests_is_what_it_says() {
+    fn the_lung_of_the_tests_is_what_it_says() {
         let mut task = inspirations(1, &TaskConfig::default());
         for _ in 0..60 {
             task.step(&Lane::splat(20.0));
         }
-        let pressure = task.simulators[0].plant.pressure();
+        let pressure = task.simulators[0].lung.pressure();
         assert!(pressure.0.iter().all(|p| (p - 35.0).abs() < 0.01), "{pressure:?}");
     }
 
@@ -383,12 +383,12 @@ mod tests {
         let features = Features::new(FeatureSpec::default(), 1000).unwrap();
         let mut state = FeatureState::new();
         state.start_breath(5.0);
-        let mut plant = plant(&first_order(1.0), 1000);
+        let mut lung = simulated_lung(&first_order(1.0), 1000);
         let start =
-            Start { pressure: task.simulators[0].plant.pressure(), plateau: task.pip, ..Start::default() };
-        plant.begin(&start, 5.0);
+            Start { pressure: task.simulators[0].lung.pressure(), plateau: task.pip, ..Start::default() };
+        lung.begin(&start, 5.0);
         for tick in 0..=10 {
-            let (pressure, pip) = (plant.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
+            let (pressure, pip) = (lung.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
             let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick };
             let expected = features.step(&mut state, &seen, 0.0);
             if tick == 10 {
@@ -402,7 +402,7 @@ mod tests {
                 }
             }
             features.applied(&mut state, 40.0);
-            plant.advance(&Lane::splat(40.0));
+            lung.advance(&Lane::splat(40.0));
         }
         let integral: f32 = task.seen[18][2];
         assert!(integral > 0.0, "the pressure was below its target");

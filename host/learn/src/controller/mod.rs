@@ -115,7 +115,7 @@ impl Weighting {
 
 /// The learned simulators of one plant.
 #[derive(Clone, Copy, Debug)]
-pub struct Plant<'a> {
+pub struct PlantModels<'a> {
     /// Those to train on.
     pub trained_on: &'a [Simulator],
     /// The one that judges.
@@ -223,7 +223,7 @@ impl Training {
     /// Without a plant, with one that has no simulator to train on, or blind to a feature that does not exist.
     pub fn new(
         spec: ResidualSpec,
-        plants: &[Plant<'_>],
+        plants: &[PlantModels<'_>],
         config: TrainConfig,
         warm: Option<&[f32]>,
     ) -> Result<Self, ResidualError> {
@@ -531,7 +531,7 @@ mod tests {
         };
         let config = TrainConfig { iterations: 3, batch: 16, blind_to: vec![3, 9], ..TrainConfig::default() };
         let simulator = first_order(1.0);
-        let plant = Plant { trained_on: std::slice::from_ref(&simulator), held_out: &simulator };
+        let plant = PlantModels { trained_on: std::slice::from_ref(&simulator), held_out: &simulator };
         let mut training = Training::new(spec, &[plant], config, None).unwrap();
         let before = training.parameters().to_vec();
         for _ in 0..3 {

@@ -464,7 +464,7 @@ mod tests {
     use shared::control::network::Network;
     use shared::control::pid::PidGains;
     use shared::control::residual::ResidualSpec;
-    use shared::control::{Controller, ControllerState, Observation};
+    use shared::control::{ControlLaw, Controller, ControllerState, Observation};
 
     fn controller(period_us: u32, parameters: &[f32]) -> Residual {
         let spec = ResidualSpec {

@@ -9,13 +9,14 @@
 //! round-0/controller.safetensors, round-0/round.json
 //! ```
 
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 
-use data::json::{self, JsonError};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::PipelineError;
+use data::files::{claim, read_json, write_json};
 
 /// A run's folder.
 #[derive(Clone, Debug)]
@@ -42,7 +43,7 @@ impl Folder {
         &self,
         configuration: &T,
     ) -> Result<(), PipelineError> {
-        if json::claim(&self.path, configuration)? {
+        if claim(&self.path, configuration).map_err(failure(&self.path))? {
             Ok(())
         } else {
             Err(PipelineError::OtherRun(self.path.display().to_string()))
@@ -50,12 +51,23 @@ impl Folder {
     }
 
     /// What a stage left, if it did.
-    pub(super) fn load<T: DeserializeOwned>(&self, round: usize, name: &str) -> Result<Option<T>, JsonError> {
-        json::read(&self.file(round, name))
+    pub(super) fn load<T: DeserializeOwned>(
+        &self,
+        round: usize,
+        name: &str,
+    ) -> Result<Option<T>, PipelineError> {
+        let path = self.file(round, name);
+        read_json(&path).map_err(failure(&path))
     }
 
     /// Leaves something.
-    pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), JsonError> {
-        json::write(&self.file(round, name), value)
+    pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
+        let path = self.file(round, name);
+        write_json(&path, value).map_err(failure(&path))
     }
+}
+
+fn failure(path: &Path) -> impl FnOnce(io::Error) -> PipelineError {
+    let path = path.display().to_string();
+    move |reason| PipelineError::Folder { path, reason: reason.to_string() }
 }

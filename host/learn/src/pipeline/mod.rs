@@ -29,7 +29,6 @@ use crate::simulator::fit::{FitConfig, OpenLoop};
 use crate::simulator::model::{Architecture, Simulator};
 use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
-use data::json::JsonError;
 use data::recording::{DatasetError, Recording};
 use data::tensors::TensorError;
 use plant::bench::BenchConfig;
@@ -183,8 +182,13 @@ pub enum PipelineError {
     #[error("{0} holds a run with another seed or configuration; choose another folder or remove it")]
     OtherRun(String),
     /// The folder's bookkeeping cannot be read or written.
-    #[error(transparent)]
-    Folder(#[from] JsonError),
+    #[error("{path}: {reason}")]
+    Folder {
+        /// File.
+        path: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// Nothing to train on.
     #[error("name at least one simulator to train on")]
     NoSimulator,

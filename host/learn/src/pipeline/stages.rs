@@ -7,7 +7,7 @@ use shared::control::Controller;
 use super::training::learned;
 use super::{Folder, MakeSource, Outcome, PipelineConfig, PipelineError, Round, Studied};
 use crate::controller::learned::Learned;
-use crate::controller::{CurvePoint, Plant, TrainConfig, Trained, Training};
+use crate::controller::{CurvePoint, PlantModels, TrainConfig, Trained, Training};
 use crate::simulator::episode::{Episode, episodes};
 use crate::simulator::fit::{Fit, FitConfig, OpenLoop, open_loop, split};
 use crate::simulator::model::Simulator;
@@ -282,12 +282,12 @@ impl<'a> Run<'a> {
         if warm.is_some() {
             config.adam.rate *= 0.5;
         }
-        let plants: Option<Vec<Plant<'_>>> = self
+        let plants: Option<Vec<PlantModels<'_>>> = self
             .simulators
             .iter()
             .map(|simulators| {
                 let (held_out, trained_on) = simulators.split_last()?;
-                (!trained_on.is_empty()).then_some(Plant { trained_on, held_out })
+                (!trained_on.is_empty()).then_some(PlantModels { trained_on, held_out })
             })
             .collect();
         let plants = plants.ok_or(PipelineError::Stopped)?;

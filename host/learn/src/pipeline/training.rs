@@ -7,7 +7,7 @@ use shared::control::residual::ResidualSpec;
 
 use super::{Folder, PipelineConfig, PipelineError};
 use crate::controller::learned::{Learned, Origin};
-use crate::controller::{Checkpoint, CurvePoint, Plant, TrainConfig, Trained, Training};
+use crate::controller::{Checkpoint, CurvePoint, PlantModels, TrainConfig, Trained, Training};
 use crate::simulator::model::{Architecture, Simulator};
 use data::provenance::git_revision;
 use progress::{Progress, Stage};
@@ -101,7 +101,7 @@ pub fn train_on_simulators(
         train: train.clone(),
         simulators: simulators.iter().map(checksum).collect(),
     })?;
-    let plant = Plant { trained_on, held_out };
+    let plant = PlantModels { trained_on, held_out };
     let training = Training::new(config.residual(), &[plant], train, None)?;
     let (trained, curve) = self::train(training, config.train.iterations, Some((folder, 0)), progress)?;
     let complete = curve.last().map_or(0, |point| point.iteration) >= config.train.iterations;

@@ -57,6 +57,7 @@ fn without_r_and_c_there_is_no_hybrid() {
 
 #[test]
 fn a_lung_held_out_is_in_no_other_part() {
+    let lung = |resistance| LungParameters { resistance, compliance: 20.0 };
     let of = |lung, group| Episode {
         pressure: vec![5.0; 10],
         truth: None,
@@ -73,14 +74,14 @@ fn a_lung_held_out_is_in_no_other_part() {
         rows: 0..1,
     };
     let all: Vec<Episode> =
-        (0..30).map(|n| if n % 3 == 0 { of((5.0, 20.0), 1) } else { of((20.0, 20.0), 0) }).collect();
+        (0..30).map(|n| if n % 3 == 0 { of(lung(5.0), 1) } else { of(lung(20.0), 0) }).collect();
     let holding_out = |lung| Recipe { hold_out_lungs: vec![lung], ..Recipe::default() };
-    let recipe = holding_out((5.0, 20.0));
+    let recipe = holding_out(lung(5.0));
     let parts = recipe.parts(&all).unwrap();
-    let is_other = |episode: &&Episode| episode.lung == Some((5.0, 20.0));
+    let is_other = |episode: &&Episode| episode.lung == Some(lung(5.0));
     assert!(!parts.training.iter().chain(&parts.held_out).any(is_other));
     assert_eq!((parts.training.len(), parts.held_out.len(), parts.other_lungs.len()), (16, 4, 10));
-    let refused = holding_out((7.0, 7.0)).parts(&all).unwrap_err().to_string();
+    let refused = holding_out(lung(7.0)).parts(&all).unwrap_err().to_string();
     assert!(refused.contains("20:20, 5:20"), "{refused}");
     let few = Recipe::default().parts(&all[..3]).unwrap_err().to_string();
     assert!(few.contains("3 complete inspirations are too few"), "{few}");

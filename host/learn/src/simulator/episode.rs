@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::{COMMAND_SCALE, CommandLog, Start, Timing, USUAL_LUNG};
+use data::identity::{LungParameters, TestRun};
 use data::recording::Recording;
 use engine::least_squares::solve;
 use engine::{LANES, Lane};
@@ -41,8 +42,8 @@ pub struct Episode {
     pub ventilator: Option<u32>,
     /// Its rows in the recording.
     pub rows: Range<usize>,
-    /// Nominal R (cmH2O/(L/s)) and C (mL/cmH2O), where the recording has them.
-    pub lung: Option<(f32, f32)>,
+    /// Its lung, where the recording names it.
+    pub lung: Option<LungParameters>,
 }
 
 impl Episode {
@@ -105,7 +106,7 @@ fn cut(
             group,
             ventilator: group.and_then(|group| ventilators.get(group as usize).copied()),
             rows: rows.clone(),
-            lung: lung(recording, rows.start),
+            lung: recording.lung(rows.start),
         });
         let end = rows.end - average.min(rows.len())..rows.end;
         last_plateau = Some(mean(&recording.pressure[end.clone()]));
@@ -114,23 +115,16 @@ fn cut(
     episodes
 }
 
-/// Index of the ventilator of each group. Groups of one ventilator have names that begin alike, up to a colon, as in
-/// `CT_AIR:5`; a name without one stands for a ventilator that has this group alone.
+/// Index of the ventilator of each group.
 pub fn ventilators(recording: &Recording) -> Vec<u32> {
-    let mut names = Vec::new();
-    let ventilator = |group: &String| {
-        let name = group.split(':').next().unwrap_or_default().to_owned();
-        let index = names.iter().position(|known| *known == name).unwrap_or_else(|| {
-            names.push(name);
-            names.len() - 1
-        });
-        index as u32
+    let mut known = Vec::new();
+    let mut index = |run: &TestRun| {
+        known.iter().position(|ventilator| *ventilator == run.ventilator).unwrap_or_else(|| {
+            known.push(run.ventilator.clone());
+            known.len() - 1
+        }) as u32
     };
-    recording.provenance.groups.iter().map(ventilator).collect()
-}
-
-fn lung(recording: &Recording, row: usize) -> Option<(f32, f32)> {
-    Some((recording.resistance.as_ref()?[row], recording.compliance.as_ref()?[row]))
+    recording.provenance.groups.iter().map(&mut index).collect()
 }
 
 fn mean(values: &[f32]) -> f32 {
@@ -212,8 +206,13 @@ impl<'a> Shard<'a> {
         self.episodes.iter().map(|episode| episode.ticks()).max().unwrap_or(0)
     }
 
+    /// The episode in a lane.
+    fn episode(&self, l: usize) -> &'a Episode {
+        self.episodes[l.min(self.episodes.len() - 1)]
+    }
+
     fn lane(&self, mut value: impl FnMut(&Episode) -> f32) -> Lane {
-        Lane::from_fn(|l| value(self.episodes[l.min(self.episodes.len() - 1)]))
+        Lane::from_fn(|l| value(self.episode(l)))
     }
 
     /// How the breaths start.
@@ -222,11 +221,11 @@ impl<'a> Shard<'a> {
             pressure: self.lane(|episode| episode.start),
             plateau: self.lane(|episode| episode.plateau),
             rest: self.lane(|episode| episode.rest[0]),
-            group: self.lane(|episode| episode.group.map_or(-1.0, |group| group as f32)),
-            ventilator: self.lane(|episode| episode.ventilator.map_or(-1.0, |ventilator| ventilator as f32)),
+            group: std::array::from_fn(|l| self.episode(l).group),
+            ventilator: std::array::from_fn(|l| self.episode(l).ventilator),
             plateau_command: self.lane(|episode| episode.plateau_command),
-            resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).0),
-            compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).1),
+            resistance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).resistance),
+            compliance: self.lane(|episode| episode.lung.unwrap_or(USUAL_LUNG).compliance),
         }
     }
 

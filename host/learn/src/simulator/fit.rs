@@ -455,6 +455,7 @@ pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulator::USUAL_LUNG;
     use crate::simulator::hybrid::HybridConfig;
 
     #[test]
@@ -473,7 +474,7 @@ mod tests {
             group: Some(group),
             ventilator: Some(0),
             rows: 0..20,
-            lung: Some((20.0, 20.0)),
+            lung: Some(USUAL_LUNG),
         };
         let breaths = [breath(0), breath(1)];
         let config = FitConfig { epochs: 10, ..FitConfig::default() };

@@ -26,7 +26,8 @@ pub use first_order::first_order;
 
 use serde::{Deserialize, Serialize};
 
-use engine::Lane;
+use data::identity::LungParameters;
+use engine::{LANES, Lane};
 
 /// Pressure that counts as zero, and the distance that counts as one, inside of a simulator, cmH2O.
 pub const PRESSURE_SCALE: (f32, f32) = (20.0, 10.0);
@@ -157,8 +158,11 @@ impl CommandLog {
     }
 }
 
-/// R (cmH2O/(L/s)) and C (mL/cmH2O) of a lung of which nothing is known: the middle of the paper's.
-pub const USUAL_LUNG: (f32, f32) = (20.0, 20.0);
+/// The lung where nothing is known of it: the middle of the paper's.
+pub const USUAL_LUNG: LungParameters = LungParameters { resistance: 20.0, compliance: 20.0 };
+
+/// Which member of a family (test runs, ventilators) each lane is of; none for one that no simulator knows.
+pub type Members = [Option<u32>; LANES];
 
 /// What a simulator is told of the state in which a breath starts, and of the lung that it is for.
 #[derive(Clone, Copy, Debug)]
@@ -171,10 +175,10 @@ pub struct Start {
     pub rest: Lane,
     /// The same at the end of the last inspiration.
     pub plateau_command: Lane,
-    /// Group (test run) of the recording that a breath is of, below zero for one that no simulator knows.
-    pub group: Lane,
-    /// Ventilator of the recording that a breath is of, below zero for one that no simulator knows.
-    pub ventilator: Lane,
+    /// Group (test run) of the recording that a breath is of.
+    pub group: Members,
+    /// Ventilator of the recording that a breath is of.
+    pub ventilator: Members,
     /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
     pub resistance: Lane,
     /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
@@ -183,13 +187,13 @@ pub struct Start {
 
 impl Default for Start {
     fn default() -> Self {
-        let (resistance, compliance) = USUAL_LUNG;
+        let LungParameters { resistance, compliance } = USUAL_LUNG;
         Self {
             pressure: Lane::ZERO,
             plateau: Lane::ZERO,
             rest: Lane::ZERO,
-            group: Lane::splat(-1.0),
-            ventilator: Lane::splat(-1.0),
+            group: [None; LANES],
+            ventilator: [None; LANES],
             plateau_command: Lane::ZERO,
             resistance: Lane::splat(resistance),
             compliance: Lane::splat(compliance),

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::states::{Network, Shape, Tape};
 use super::{CommandLog, Dynamics, PRESSURE_SCALE, Start, Timing, USUAL_LUNG};
+use data::identity::LungParameters;
 use engine::Lane;
 
 /// Quantities known at the start of a breath: pressure and last plateau; of a model of many lungs, the commands there too.
@@ -109,7 +110,7 @@ impl Dynamics for StateSpace {
     }
 
     fn begin(&self, tape: &mut StateSpaceTape, start: &Start) {
-        let (resistance, compliance) = USUAL_LUNG;
+        let LungParameters { resistance, compliance } = USUAL_LUNG;
         let lung: [Lane; LUNG_INPUTS] = [
             start.resistance.map(|r| (r / resistance).ln()),
             start.compliance.map(|c| (c / compliance).ln()),

@@ -11,8 +11,8 @@ fn start() -> Start {
         plateau: Lane::from_fn(|l| 10.0 + l as f32),
         rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
         plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),
-        group: Lane::from_fn(|l| (l % 4) as f32 - 1.0),
-        ventilator: Lane::from_fn(|l| (l % 3) as f32 - 1.0),
+        group: std::array::from_fn(|l| (l as u32 % 4).checked_sub(1)),
+        ventilator: std::array::from_fn(|l| (l as u32 % 3).checked_sub(1)),
         resistance: Lane::from_fn(|l| 5.0 + 3.0 * l as f32),
         compliance: Lane::from_fn(|l| 50.0 - 2.5 * l as f32),
     }

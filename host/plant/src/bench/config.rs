@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::STEP_US;
+
 /// Allowed settings of the mechanical PEEP valve, cmH2O.
 pub const PEEP_RANGE_CMH2O: RangeInclusive<f64> = 0.0..=50.0;
 
@@ -22,6 +24,14 @@ pub enum BenchError {
         low: f64,
         /// Highest allowed value.
         high: f64,
+    },
+    /// It steps in milliseconds.
+    #[error(
+        "the bench runs in steps of {STEP_US} us: a control period of {period_us} us is no multiple of that"
+    )]
+    Period {
+        /// Control period asked for, microseconds.
+        period_us: u32,
     },
     /// No lung or preset of that name.
     #[error(

@@ -7,6 +7,7 @@
 //! It is made to be as hard to control as a real ventilator, not as any particular one: dead time, play,
 //! dead zone, a curved valve, sensor noise and units that differ are all there by default.
 
+mod bench_plant;
 mod branch;
 mod circuit;
 mod config;
@@ -22,6 +23,7 @@ mod tests;
 mod unit;
 mod valve;
 
+pub use bench_plant::BenchPlant;
 pub use failure::Failure;
 
 pub use config::{
@@ -49,11 +51,20 @@ pub const STEP_S: f64 = STEP_US as f64 * 1e-6;
 /// Fewest sub-steps of a step, and the default: the error of the implicit solution grows with their length.
 pub const LEAST_SUB_STEPS: u32 = 4;
 
-/// What the ventilator gets to see after a step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
-    /// Airway pressure as the sensor gives it, cmH2O.
-    pub pressure: f32,
+/// Steps of the bench in a control period of `period_us` microseconds.
+///
+/// # Errors
+/// [`BenchError::Period`] for a period that is no multiple of [`STEP_US`].
+pub fn steps_per_period(period_us: u32) -> Result<u32, BenchError> {
+    if period_us == 0 || !period_us.is_multiple_of(STEP_US) {
+        return Err(BenchError::Period { period_us });
+    }
+    Ok(period_us / STEP_US)
+}
+
+/// Where the end stops of the PEEP valve leave it, cmH2O.
+fn end_stops(peep: f32) -> f64 {
+    f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end())
 }
 
 /// What really goes on. Pressures, volume and positions are those at the end of the step, flows are means
@@ -146,8 +157,7 @@ impl Bench {
     /// is no number leaves it where it is.
     pub fn set_peep(&mut self, peep: f32) {
         if !peep.is_nan() {
-            self.expiratory
-                .set_peep(f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end()));
+            self.expiratory.set_peep(end_stops(peep));
         }
     }
 
@@ -158,9 +168,9 @@ impl Bench {
     }
 
     /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if
-    /// `u_out`; returns the sensor's sample at its end. A command outside 0 to 100 is limited, one that is
-    /// not finite closes the valve.
-    pub fn step(&mut self, u_in: f32, u_out: bool) -> Reading {
+    /// `u_out`; returns the pressure that the sensor gives at its end, cmH2O. A command outside 0 to 100 is
+    /// limited, one that is not finite closes the valve.
+    pub fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
         if let Some((resistance_factor, compliance_factor)) = self.patient.observe(u_out) {
             self.lung.change(resistance_factor, compliance_factor);
         }
@@ -174,7 +184,7 @@ impl Bench {
             self.sensor.advance(self.circuit.pressure());
         }
         self.steps += 1;
-        Reading { pressure: self.sensor.sample(self.unit.offset_after(self.steps)) }
+        self.sensor.sample(self.unit.offset_after(self.steps))
     }
 
     /// Moves the gas for one sub-step.

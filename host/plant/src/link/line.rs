@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use shared::link::plant::FRAME_BYTES;
+use shared::link::plant_link::FRAME_BYTES;
 
 use super::{PlantAddress, PlantError};
 

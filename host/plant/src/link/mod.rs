@@ -1,4 +1,4 @@
-//! A plant that somebody else wrote, in any language, behind the lockstep plant link (`docs/PLANT_LINK.md`): where it is,
+//! A third-party plant, in any language, behind the lockstep plant link (`docs/PLANT_LINK.md`): where it is,
 //! who it is, and one exchange at a time.
 //!
 //! Nothing that comes from a plant is believed unseen: a late, missing, torn or impossible answer ends the link with an error
@@ -9,9 +9,10 @@ mod line;
 
 use std::time::Duration;
 
-use shared::link::plant::{FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, Frame, Message, VERSION};
 use thiserror::Error;
 
+use crate::{Plant, Reading, TickTruth};
 pub use address::{AddressError, PlantAddress, is_host_and_port};
 use line::{Line, Trouble};
 
@@ -134,6 +135,13 @@ pub enum PlantError {
     Truth,
 }
 
+impl PlantError {
+    /// For a plant with a control period of its own, both in microseconds.
+    pub fn other_period(asked: u32, own: u32) -> Self {
+        Self::Period { asked, own: format!(", but at {own} us") }
+    }
+}
+
 /// What a plant says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Greeting {
@@ -141,15 +149,6 @@ pub struct Greeting {
     pub highest: u16,
     /// Control period that it is made for, microseconds; none if it runs any.
     pub period_us: Option<u32>,
-}
-
-/// A pressure as a plant tells it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
-    /// As its sensor gives it, cmH2O.
-    pub pressure: f32,
-    /// At the airway, cmH2O, from a plant that knows it.
-    pub truth: Option<f32>,
 }
 
 /// The ventilator's end of the link.
@@ -186,45 +185,6 @@ impl PlantLink {
     /// What it said of itself.
     pub fn greeting(&self) -> Greeting {
         self.greeting
-    }
-
-    /// Starts the plant anew, at rest, with this seed for its random numbers and its PEEP valve at `peep` cmH2O.
-    ///
-    /// # Errors
-    /// A plant that does not run at this period, or does not keep to the protocol.
-    pub fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, PlantError> {
-        if let Some(own) = self.greeting.period_us.filter(|own| *own != period_us) {
-            return Err(PlantError::Period { asked: period_us, own: format!(", but at {own} us") });
-        }
-        self.ask(Message::Seed { seed })?;
-        self.ask(Message::Peep { pressure: peep })?;
-        self.truthful = false;
-        let answer = self.ask(Message::Reset { period_us })?;
-        if let Message::Ready { pressure } = answer
-            && pressure.is_nan()
-        {
-            return Err(PlantError::Period { asked: period_us, own: String::new() });
-        }
-        self.truthful = matches!(answer, Message::Truth { .. });
-        self.reading(answer, "Reset")
-    }
-
-    /// Turns the PEEP valve to `peep` cmH2O.
-    ///
-    /// # Errors
-    /// A plant that does not keep to the protocol.
-    pub fn set_peep(&mut self, peep: f32) -> Result<(), PlantError> {
-        self.ask(Message::Peep { pressure: peep }).map(|_| ())
-    }
-
-    /// One control period with these valves: the pressure at its end.
-    ///
-    /// # Errors
-    /// A plant that does not keep to the protocol.
-    pub fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, PlantError> {
-        let message = Message::Step { u_in, u_out };
-        let answer = self.ask(message)?;
-        self.reading(answer, "Step")
     }
 
     fn greet(&mut self) -> Result<Greeting, PlantError> {
@@ -291,12 +251,13 @@ impl PlantLink {
     /// The pressures of an answer, if they can be.
     fn reading(&mut self, answer: Message, question: &'static str) -> Result<Reading, PlantError> {
         let reading = match answer {
-            Message::Truth { pressure, airway } => Reading { pressure, truth: Some(airway) },
+            Message::Truth { pressure, airway } => Reading { pressure, truth: Some(airway_alone(airway)) },
             Message::Ready { pressure } | Message::Pressure { pressure } => Reading { pressure, truth: None },
             other => unreachable!("{other:?} was refused as an answer"),
         };
         let highest = self.greeting.highest;
-        let told = [("a pressure", Some(reading.pressure)), ("a true pressure", reading.truth)];
+        let truth = reading.truth.map(|truth| truth.airway_pressure);
+        let told = [("a pressure", Some(reading.pressure)), ("a true pressure", truth)];
         // A NaN is not possible.
         let possible = |value: f32| value.abs() <= f32::from(highest);
         let wrong = told
@@ -304,12 +265,53 @@ impl PlantLink {
             .find_map(|(what, value)| value.filter(|value| !possible(*value)).map(|value| (what, value)));
         let error = match wrong {
             Some((what, value)) => PlantError::Pressure { what, value: value.to_string(), question, highest },
-            None if reading.truth.is_some() != self.truthful => PlantError::Truth,
+            None if truth.is_some() != self.truthful => PlantError::Truth,
             None => return Ok(reading),
         };
         self.broken = Some(error.clone());
         Err(error)
     }
+}
+
+/// A plant over the link is driven as any other. Beside what the link itself can meet, [`Plant::reset`] refuses a control
+/// period that the plant does not run.
+impl Plant for PlantLink {
+    type Error = PlantError;
+
+    fn name(&self) -> String {
+        format!("plant at {}", self.address)
+    }
+
+    fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, PlantError> {
+        if let Some(own) = self.greeting.period_us.filter(|own| *own != period_us) {
+            return Err(PlantError::other_period(period_us, own));
+        }
+        self.ask(Message::Seed { seed })?;
+        self.set_peep(peep)?;
+        self.truthful = false;
+        let answer = self.ask(Message::Reset { period_us })?;
+        if let Message::Ready { pressure } = answer
+            && pressure.is_nan()
+        {
+            return Err(PlantError::Period { asked: period_us, own: String::new() });
+        }
+        self.truthful = matches!(answer, Message::Truth { .. });
+        self.reading(answer, "Reset")
+    }
+
+    fn set_peep(&mut self, peep: f32) -> Result<(), PlantError> {
+        self.ask(Message::Peep { pressure: peep }).map(|_| ())
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, PlantError> {
+        let answer = self.ask(Message::Step { u_in, u_out })?;
+        self.reading(answer, "Step")
+    }
+}
+
+/// A plant tells the airway's pressure and nothing else.
+fn airway_alone(airway_pressure: f32) -> TickTruth {
+    TickTruth { airway_pressure, sensor_pressure: f32::NAN, lung_volume: f32::NAN }
 }
 
 /// A message as errors name it.

@@ -3,7 +3,7 @@
 use shared::breath::Phase;
 use shared::recorder::{Activity, TickEntry};
 
-use device::blackbox::{Blackbox, Trace};
+use device::blackbox::{Blackbox, RecordedTicks};
 
 /// Columns. The time is 0 at each part's newest entry.
 const HEAD: &str =
@@ -18,7 +18,7 @@ pub fn csv(blackbox: &Blackbox) -> String {
     text
 }
 
-fn lines<'a>(name: &'a str, trace: &'a Trace) -> impl Iterator<Item = String> + 'a {
+fn lines<'a>(name: &'a str, trace: &'a RecordedTicks) -> impl Iterator<Item = String> + 'a {
     trace.timed().map(move |(time, tick)| match tick {
         Some(tick) => format!("{name},{time:.3},{}\n", fields(tick)),
         None => format!("{name},,,,,,,,,\n"),

@@ -4,7 +4,7 @@ use shared::recorder::{Activity, TickEntry};
 
 use super::{events, story, summary};
 use crate::report::{Block, Plot, Report, Section, Series, Style};
-use device::blackbox::{Blackbox, Trace};
+use device::blackbox::{Blackbox, RecordedTicks};
 
 const PRESSURE: (u8, u8, u8) = (0, 114, 178);
 const TARGET: (u8, u8, u8) = (34, 34, 34);
@@ -34,7 +34,7 @@ pub fn report(blackbox: &Blackbox, device: &str) -> Report {
 }
 
 /// Both plots of a trace; none of an empty one.
-fn section(heading: &str, trace: &Trace) -> Option<Section> {
+fn section(heading: &str, trace: &RecordedTicks) -> Option<Section> {
     let pressure = curves(trace, "pressure", Style::Line, PRESSURE, |tick| Some(tick.pressure));
     let target = curves(trace, "target", Style::Dashed, TARGET, |tick| tick.target);
     let valve = curves(trace, "inspiratory valve", Style::Step, VALVE, |tick| Some(tick.u_in));
@@ -59,7 +59,7 @@ fn section(heading: &str, trace: &Trace) -> Option<Section> {
 
 /// A curve in as many pieces as gaps and missing numbers make of it; the first piece carries the name.
 fn curves(
-    trace: &Trace,
+    trace: &RecordedTicks,
     name: &str,
     style: Style,
     color: (u8, u8, u8),
@@ -83,7 +83,7 @@ fn curves(
 }
 
 /// A line where ventilation ended, as high as the other curves.
-fn end(trace: &Trace, others: &[Series]) -> Option<Series> {
+fn end(trace: &RecordedTicks, others: &[Series]) -> Option<Series> {
     let ticks: Vec<_> = trace.timed().filter_map(|(time, tick)| Some((time, tick?))).collect();
     let ended = ticks.windows(2).rev().find(|pair| {
         pair[0].1.activity == Activity::Ventilating && pair[1].1.activity != Activity::Ventilating

@@ -7,11 +7,11 @@ mod tests;
 
 pub use csv::csv;
 pub use figures::report;
-use shared::recorder::{Happening, LogEntry, Recording};
+use shared::recorder::{Happening, LogEntry, RecordingState};
 
 use crate::monitor::words;
 use crate::report::{Cell, Table};
-use device::blackbox::{Blackbox, Trace};
+use device::blackbox::{Blackbox, RecordedTicks};
 
 /// What the recording is about, in a sentence.
 pub fn story(blackbox: &Blackbox) -> String {
@@ -19,11 +19,11 @@ pub fn story(blackbox: &Blackbox) -> String {
     let moment = words::moment(status.tick.into(), blackbox.period_us);
     let when = format!("{moment} after start {}", status.tick_boot);
     match status.recording {
-        Recording::Nothing => "nothing: it was emptied, or the device has not ventilated yet".to_owned(),
-        Recording::Running => format!("goes on: the device ventilates, begun {when}"),
-        Recording::Stopped => format!("ended by a stop, {when}"),
-        Recording::Fault(fault) => format!("ended by a fault, {when}: {}", words::fault(fault)),
-        Recording::Reset => format!("ended by a reset while ventilating, {when}"),
+        RecordingState::Nothing => "nothing: it was emptied, or the device has not ventilated yet".to_owned(),
+        RecordingState::Running => format!("goes on: the device ventilates, begun {when}"),
+        RecordingState::Stopped => format!("ended by a stop, {when}"),
+        RecordingState::Fault(fault) => format!("ended by a fault, {when}: {}", words::fault(fault)),
+        RecordingState::Reset => format!("ended by a reset while ventilating, {when}"),
     }
 }
 
@@ -43,7 +43,7 @@ pub fn summary(blackbox: &Blackbox, device: &str) -> Table {
 }
 
 /// How long a trace is, and its pressures.
-fn extent(trace: &Trace) -> String {
+fn extent(trace: &RecordedTicks) -> String {
     let (count, seconds) = (trace.ticks().count(), trace.ticks().count() as f64 * trace.step_s);
     let numbers = || trace.ticks().map(|tick| tick.pressure).filter(|pressure| !pressure.is_nan());
     let (lowest, highest) = (numbers().reduce(f32::min), numbers().reduce(f32::max));

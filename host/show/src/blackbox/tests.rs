@@ -1,6 +1,6 @@
 use shared::breath::Phase;
-use shared::link::messages::ResetCause;
-use shared::recorder::{Activity, Held, SLOW_STRIDE, Status, TickEntry};
+use shared::recorder::{Activity, Held, RecorderStatus, SLOW_STRIDE, TickEntry};
+use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
 
 use super::*;
@@ -37,9 +37,9 @@ fn blackbox() -> Blackbox {
     let log = log.map(|(tick, happening)| LogEntry { tick, boot: 1, happening });
     let again = Happening::Boot { cause: ResetCause::Watchdog, failed: true };
     Blackbox {
-        status: Status {
+        status: RecorderStatus {
             boot: 2,
-            recording: Recording::Fault(Fault::HighPressure),
+            recording: RecordingState::Fault(Fault::HighPressure),
             tick: 2345,
             tick_boot: 1,
             fast: held,
@@ -47,8 +47,8 @@ fn blackbox() -> Blackbox {
             log: held,
         },
         period_us: 1000,
-        fast: Trace { step_s: 0.001, entries: fast },
-        slow: Trace { step_s: 0.001 * f64::from(SLOW_STRIDE), entries: Vec::new() },
+        fast: RecordedTicks { step_s: 0.001, entries: fast },
+        slow: RecordedTicks { step_s: 0.001 * f64::from(SLOW_STRIDE), entries: Vec::new() },
         log: log.into_iter().chain([LogEntry { tick: 0, boot: 2, happening: again }]).collect(),
         unread: 1,
     }
@@ -81,10 +81,10 @@ fn every_way_in_which_a_recording_ends_is_told() {
         blackbox.status.recording = recording;
         story(&blackbox)
     };
-    assert!(told(Recording::Nothing).contains("nothing"));
-    assert!(told(Recording::Running).contains("ventilates"));
-    assert!(told(Recording::Stopped).contains("by a stop, at 2.345 s after start 1"));
-    assert!(told(Recording::Reset).contains("by a reset while ventilating"));
+    assert!(told(RecordingState::Nothing).contains("nothing"));
+    assert!(told(RecordingState::Running).contains("ventilates"));
+    assert!(told(RecordingState::Stopped).contains("by a stop, at 2.345 s after start 1"));
+    assert!(told(RecordingState::Reset).contains("by a reset while ventilating"));
 }
 
 #[test]

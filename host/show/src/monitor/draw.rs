@@ -11,8 +11,8 @@ use ratatui::widgets::{Axis, Block, Borders, Chart, Dataset, GraphType, Paragrap
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
-use super::trace::Points;
-use super::view::{Message, View};
+use super::view::{Notice, View};
+use super::window::Points;
 use super::words;
 
 /// Dots of the charts' marker in a character's width.
@@ -64,9 +64,9 @@ fn state(view: &View) -> Span<'static> {
 
 fn message_line(view: &View) -> Paragraph<'static> {
     let text = match (&view.lost, &view.message) {
-        (_, Some(Message::Warning(text))) => Line::from(text.clone()).red().bold(),
+        (_, Some(Notice::Warning(text))) => Line::from(text.clone()).red().bold(),
         (Some(reason), _) => Line::from(reason.clone()).red(),
-        (None, Some(Message::Note(text))) => Line::from(text.clone()),
+        (None, Some(Notice::Note(text))) => Line::from(text.clone()),
         (None, None) => Line::default(),
     };
     Paragraph::new(text).wrap(Wrap { trim: true })
@@ -80,10 +80,10 @@ fn draw_charts(frame: &mut Frame, area: Rect, view: &View) {
 
 fn draw_pressure(frame: &mut Frame, area: Rect, view: &View) {
     let dots = usize::from(area.width) * DOTS;
-    let measured = view.trace.pieces(dots, |sample| sample.pressure);
-    let target = view.trace.pieces(dots, |sample| sample.target);
+    let measured = view.window.pieces(dots, |sample| sample.pressure);
+    let target = view.window.pieces(dots, |sample| sample.target);
     let bounds = bounds([&measured, &target].into_iter().flatten());
-    let title = match view.trace.last() {
+    let title = match view.window.last() {
         Some(last) => format!(" pressure {:.1}, target {:.1} cmH2O ", last.pressure, last.target),
         None => " pressure: no telemetry yet ".to_owned(),
     };
@@ -95,9 +95,9 @@ fn draw_pressure(frame: &mut Frame, area: Rect, view: &View) {
 
 fn draw_valves(frame: &mut Frame, area: Rect, view: &View) {
     let dots = usize::from(area.width) * DOTS;
-    let inspiratory = view.trace.pieces(dots, |sample| sample.u_in);
-    let expiratory = view.trace.pieces(dots, |sample| if sample.u_out { 100.0 } else { 0.0 });
-    let title = match view.trace.last() {
+    let inspiratory = view.window.pieces(dots, |sample| sample.u_in);
+    let expiratory = view.window.pieces(dots, |sample| if sample.u_out { 100.0 } else { 0.0 });
+    let title = match view.window.last() {
         Some(last) => {
             let expiratory = if last.u_out { "open" } else { "closed" };
             format!(" valves: inspiratory {:.0} %, expiratory {expiratory} ", last.u_in)
@@ -122,7 +122,7 @@ fn titled(title: String) -> Block<'static> {
 }
 
 fn chart<'a>(datasets: Vec<Dataset<'a>>, block: Block<'a>, bounds: [f64; 2], view: &View) -> Chart<'a> {
-    let seconds = view.trace.seconds();
+    let seconds = view.window.seconds();
     let axis = Axis::default().style(Style::new().dim());
     let label = |value: f64| format!("{value:.0}");
     let time = axis.clone().bounds([-seconds, 0.0]).labels([format!("-{seconds:.0} s"), "now".to_owned()]);
@@ -178,7 +178,7 @@ fn ticks(view: &View) -> Vec<Line<'static>> {
         return vec![Line::from("not told yet")];
     };
     let us = |cycles: f32| times.microseconds(cycles);
-    let span = |name: &str, span: &shared::device::timing::Span| {
+    let span = |name: &str, span: &shared::timing::CycleStats| {
         let [shortest, longest] = [span.shortest, span.longest].map(|cycles| us(cycles as f32));
         Line::from(format!("{name:<8}{shortest:>8.1}{:>8.1}{longest:>9.1} us", us(span.mean)))
     };
@@ -213,7 +213,7 @@ const ALARM_LINES: usize = 3;
 
 fn alarms(view: &View) -> Vec<Line<'static>> {
     let period_us = view.identity.as_ref().map_or(0, |identity| identity.period_us);
-    let line = |alarm: &super::view::Alarm| {
+    let line = |alarm: &super::view::AlarmEntry| {
         let text = format!("{}: {}", words::moment(alarm.tick, period_us), words::fault(alarm.fault));
         Line::from(text).red()
     };

@@ -3,7 +3,7 @@
 //! | file | holds |
 //! |---|---|
 //! | [`view`] | what is known of the device, from its events and answers; keys to requests |
-//! | [`trace`] | the last seconds of telemetry, for the charts |
+//! | [`window`] | the last seconds of telemetry, for the charts |
 //! | [`words`] | modes, faults and controllers as text |
 //! | [`draw`] | a view on a terminal of any size |
 //! | [`plain`] | what happens, as lines for a file or a pipe |
@@ -18,8 +18,8 @@ pub mod news;
 pub mod plain;
 pub mod session;
 pub mod terminal;
-pub mod trace;
 pub mod view;
+pub mod window;
 pub mod words;
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! at the device once a second.
 //!
 //! It only reads and switches telemetry on, again and again, since a device that was restarted has it off. When the line
-//! breaks it opens it again; wishes from the meantime are answered as not sent, so that nothing late reaches a device.
+//! breaks it opens it again; requests from the meantime are answered as not sent, so that nothing late reaches a device.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::thread;
@@ -14,17 +14,17 @@ use super::news::News;
 use device::{Device, DeviceError};
 
 /// How often the device is looked at.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const POLL_EVERY: Duration = Duration::from_secs(1);
 /// How often what came is passed on.
 const PASS_EVERY: Duration = Duration::from_millis(10);
 /// How often a broken line is tried again.
 const TRY_EVERY: Duration = Duration::from_millis(500);
 /// How long an operator who leaves waits for the telemetry to be switched off.
 const LEAVE_TIME: Duration = Duration::from_secs(1);
-/// Most events passed on between two looks at the wishes.
+/// Most events passed on between two looks at the requests.
 const EVENTS_AT_ONCE: usize = 1000;
 /// What a look at the device asks. Its answers tell of restarts too; the greeting comes first and names the cause.
-const LOOK: [Request; 4] = [
+const POLLED: [Request; 4] = [
     Request::Identify,
     Request::Telemetry { on: true },
     Request::GetSettings,
@@ -34,23 +34,23 @@ const LOOK: [Request; 4] = [
 /// The watching side's end.
 #[derive(Debug)]
 pub struct Session {
-    wishes: Sender<Request>,
+    requests: Sender<Request>,
     news: Receiver<News>,
 }
 
 impl Session {
     /// Watches a device from a thread of its own.
     pub fn start(device: Device) -> Self {
-        let (wishes, wished) = channel();
+        let (requests, requested) = channel();
         let (told, news) = channel();
-        thread::spawn(move || Watcher { device, wished, told }.run());
-        Self { wishes, news }
+        thread::spawn(move || Watcher { device, requested, told }.run());
+        Self { requests, news }
     }
 
     /// Has the device asked; the answer comes as news.
     pub fn ask(&self, request: Request) {
         // The thread lives as long as this end does.
-        let _ = self.wishes.send(request);
+        let _ = self.requests.send(request);
     }
 
     /// What came so far.
@@ -65,8 +65,8 @@ impl Session {
 
     /// Switches the telemetry off, if the device answers at once, and nothing else.
     pub fn leave(self) {
-        let Self { wishes, news } = self;
-        drop(wishes);
+        let Self { requests, news } = self;
+        drop(requests);
         let deadline = Instant::now() + LEAVE_TIME;
         // The thread ends by letting go of its end of the channel.
         while news.recv_timeout(deadline.saturating_duration_since(Instant::now())).is_ok() {}
@@ -78,7 +78,7 @@ struct Gone;
 
 struct Watcher {
     device: Device,
-    wished: Receiver<Request>,
+    requested: Receiver<Request>,
     told: Sender<News>,
 }
 
@@ -102,11 +102,11 @@ impl Watcher {
         }
     }
 
-    /// Refuses wishes for a moment.
+    /// Refuses requests for a moment.
     fn wait_without_line(&mut self) -> Result<(), Gone> {
         let deadline = Instant::now() + TRY_EVERY;
         loop {
-            match self.wished.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+            match self.requested.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(request) => self.refuse(request)?,
                 Err(RecvTimeoutError::Timeout) => return Ok(()),
                 Err(RecvTimeoutError::Disconnected) => return Err(Gone),
@@ -120,11 +120,11 @@ impl Watcher {
 
     /// Gives the reason why the line can be used no longer.
     fn watch_line(&mut self) -> Result<DeviceError, Gone> {
-        let mut look = Instant::now();
+        let mut next_poll = Instant::now();
         loop {
-            if Instant::now() >= look {
-                look = Instant::now() + LOOK_EVERY;
-                for request in LOOK {
+            if Instant::now() >= next_poll {
+                next_poll = Instant::now() + POLL_EVERY;
+                for request in POLLED {
                     if let Some(broken) = self.ask(request)? {
                         return self.give_up(broken);
                     }
@@ -132,7 +132,7 @@ impl Watcher {
                 self.tell(News::Traffic(self.device.counters()))?;
             }
             self.pass_events()?;
-            match self.wished.recv_timeout(PASS_EVERY) {
+            match self.requested.recv_timeout(PASS_EVERY) {
                 Ok(request) => {
                     if let Some(broken) = self.ask(request)? {
                         return self.give_up(broken);
@@ -144,10 +144,10 @@ impl Watcher {
         }
     }
 
-    /// Refuses the wishes that were waiting: whoever pressed a key again meant the state of then.
+    /// Refuses the requests that were waiting: whoever pressed a key again meant the state of then.
     fn give_up(&mut self, reason: DeviceError) -> Result<DeviceError, Gone> {
         loop {
-            match self.wished.try_recv() {
+            match self.requested.try_recv() {
                 Ok(request) => self.refuse(request)?,
                 Err(TryRecvError::Empty) => return Ok(reason),
                 Err(TryRecvError::Disconnected) => return Err(Gone),

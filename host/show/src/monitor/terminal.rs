@@ -73,7 +73,9 @@ fn show(
         while event::poll(picture.saturating_duration_since(Instant::now()))? {
             let Event::Key(key) = event::read()? else { continue };
             match meaning(&key) {
-                Some(Pressed::Key(key)) => view.press(key).into_iter().for_each(|wish| session.ask(wish)),
+                Some(Pressed::Key(key)) => {
+                    view.press(key).into_iter().for_each(|request| session.ask(request));
+                }
                 Some(Pressed::Leave) => return Ok(()),
                 Some(Pressed::Interrupt) => stop.store(true, Ordering::Relaxed),
                 None => {}

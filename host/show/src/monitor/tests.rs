@@ -8,23 +8,23 @@ use ratatui::style::Color;
 use shared::breath::Phase;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
-use shared::device::timing::{BINS, Span, TickTimes};
 use shared::link::PROTOCOL;
-use shared::link::messages::{
-    ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, ResetCause, Response, Slot, SlotState,
-};
+use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, Response};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
+use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
+use shared::timing::{BINS, CycleStats, TickTimes};
 use shared::ventilator::{Mode, Sample};
+use shared::weights::slots::{Slot, SlotState};
 
 use super::draw::draw;
 use super::news::News;
 use super::plain::Lines;
 use super::terminal::{Pressed, meaning};
-use super::trace::Trace;
-use super::view::{Key, Message, PIP_STEP, RATE_STEP, View};
+use super::view::{Key, Notice, PIP_STEP, RATE_STEP, View};
+use super::window::TelemetryWindow;
 use device::LineCounters;
 
 mod connected;
@@ -61,7 +61,7 @@ fn in_force(settings: Settings) -> News {
 }
 
 fn times(ticks: u32) -> TickTimes {
-    let span = |shortest, mean, longest| Span { shortest, mean, longest };
+    let span = |shortest, mean, longest| CycleStats { shortest, mean, longest };
     TickTimes {
         core_hz: 168_000_000,
         ticks,
@@ -139,7 +139,7 @@ fn applied(request: Option<Request>) -> Settings {
 
 fn warning(view: &View) -> &str {
     match &view.message {
-        Some(Message::Warning(text)) => text,
+        Some(Notice::Warning(text)) => text,
         other => panic!("{other:?} in place of a warning"),
     }
 }
@@ -282,7 +282,7 @@ mod state {
         view.take(&greeting(Mode::Standby));
         view.take(&timing(12));
         assert_eq!(warning(&view), "the device started anew: watchdog");
-        assert!(view.trace.last().is_none() && view.breaths.is_empty());
+        assert!(view.window.last().is_none() && view.breaths.is_empty());
     }
 
     #[test]
@@ -317,8 +317,8 @@ mod state {
 mod traces {
     use super::*;
 
-    fn traced(batches: &[TelemetryBatch]) -> Trace {
-        let mut trace = Trace::new(9.0, PERIOD_US);
+    fn traced(batches: &[TelemetryBatch]) -> TelemetryWindow {
+        let mut trace = TelemetryWindow::new(9.0, PERIOD_US);
         for batch in batches {
             trace.take(batch);
         }
@@ -370,7 +370,7 @@ mod traces {
         fn points_run_forward_in_time_and_stay_within_the_chart(
             steps in prop::collection::vec((0u64..5000, 1usize..16), 1..40), columns in 1usize..400,
         ) {
-            let mut trace = Trace::new(9.0, PERIOD_US);
+            let mut trace = TelemetryWindow::new(9.0, PERIOD_US);
             let mut tick = 0;
             for (gap, length) in steps {
                 trace.take(&batch(tick + gap, &[5.0; 16][..length]));

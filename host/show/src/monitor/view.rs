@@ -7,15 +7,15 @@
 use std::collections::VecDeque;
 
 use shared::control::pid::PidGains;
-use shared::device::timing::TickTimes;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::telemetry::BreathSummary;
 use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
+use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 
 use super::news::News;
-use super::trace::Trace;
+use super::window::TelemetryWindow;
 use super::words;
 use device::LineCounters;
 
@@ -49,7 +49,7 @@ pub enum Key {
 
 /// An alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Alarm {
+pub struct AlarmEntry {
     /// Which fault latched.
     pub fault: Fault,
     /// Control tick since power-up.
@@ -58,7 +58,7 @@ pub struct Alarm {
 
 /// The line below the charts.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Message {
+pub enum Notice {
     /// Something was done.
     Note(String),
     /// Something was not done.
@@ -77,12 +77,12 @@ pub struct View {
     pub(super) pending: Option<Settings>,
     pub(super) times: Option<TickTimes>,
     pub(super) traffic: LineCounters,
-    pub(super) trace: Trace,
+    pub(super) window: TelemetryWindow,
     /// The newest first.
     pub(super) breaths: VecDeque<BreathSummary>,
     /// The newest first.
-    pub(super) alarms: VecDeque<Alarm>,
-    pub(super) message: Option<Message>,
+    pub(super) alarms: VecDeque<AlarmEntry>,
+    pub(super) message: Option<Notice>,
     /// Gains for a device that runs learned weights and is to run a PID.
     gains: PidGains,
     /// Settings asked for that are not answered yet, and how many such requests are under way.
@@ -104,7 +104,7 @@ impl View {
             pending: None,
             times: None,
             traffic: LineCounters::default(),
-            trace: Trace::new(SECONDS, shared::breath::DEFAULT_PERIOD_US),
+            window: TelemetryWindow::new(SECONDS, shared::breath::DEFAULT_PERIOD_US),
             breaths: VecDeque::new(),
             alarms: VecDeque::new(),
             message: None,
@@ -129,7 +129,7 @@ impl View {
 
     fn happened(&mut self, event: &Event) {
         match event {
-            Event::Telemetry(batch) => self.trace.take(batch),
+            Event::Telemetry(batch) => self.window.take(batch),
             Event::Breath(breath) => {
                 if self.breaths.front().is_some_and(|last| last.breath >= breath.breath) {
                     // Ventilation was started again.
@@ -138,7 +138,7 @@ impl View {
                 remember(&mut self.breaths, *breath);
             }
             Event::Alarm { fault, tick } => {
-                remember(&mut self.alarms, Alarm { fault: *fault, tick: *tick });
+                remember(&mut self.alarms, AlarmEntry { fault: *fault, tick: *tick });
                 if fault.alarm().action == Action::Vent {
                     self.mode = Some(Mode::Fault(*fault));
                 }
@@ -154,7 +154,7 @@ impl View {
             }
         }
         match result {
-            Err(reason) => self.message = Some(Message::Warning(reason.clone())),
+            Err(reason) => self.message = Some(Notice::Warning(reason.clone())),
             Ok(response) => {
                 self.learn(response);
                 if !asked_by_itself(request) {
@@ -185,10 +185,10 @@ impl View {
 
     fn greeted(&mut self, identity: &DeviceIdentity) {
         if self.lost.take().is_some() {
-            self.message = Some(Message::Note("connected again; nothing was changed on the device".into()));
+            self.message = Some(Notice::Note("connected again; nothing was changed on the device".into()));
         }
         if self.identity.as_ref().map(|before| before.period_us) != Some(identity.period_us) {
-            self.trace = Trace::new(SECONDS, identity.period_us);
+            self.window = TelemetryWindow::new(SECONDS, identity.period_us);
         }
         self.mode = Some(identity.mode);
         self.chosen(identity.controller);
@@ -205,14 +205,15 @@ impl View {
     /// The tick counter went back: the device was restarted between two looks at it.
     fn started_anew(&mut self) {
         let cause = self.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
-        self.message = Some(Message::Warning(format!("the device started anew: {cause}")));
-        self.trace = Trace::new(SECONDS, self.identity.as_ref().map_or(0, |identity| identity.period_us));
+        self.message = Some(Notice::Warning(format!("the device started anew: {cause}")));
+        self.window =
+            TelemetryWindow::new(SECONDS, self.identity.as_ref().map_or(0, |identity| identity.period_us));
         self.breaths.clear();
     }
 
     /// What a key asks of the device; none, with a message, if it can ask nothing now.
     pub fn press(&mut self, key: Key) -> Option<Request> {
-        let request = match (&self.lost, self.wish(key)) {
+        let request = match (&self.lost, self.request(key)) {
             (None, Some(request)) => request,
             (Some(_), _) => return self.hold_back("no connection: nothing was sent"),
             (None, None) => return self.hold_back("the device has not told its state yet: nothing was sent"),
@@ -225,11 +226,11 @@ impl View {
     }
 
     fn hold_back(&mut self, why: &str) -> Option<Request> {
-        self.message = Some(Message::Warning(why.to_owned()));
+        self.message = Some(Notice::Warning(why.to_owned()));
         None
     }
 
-    fn wish(&self, key: Key) -> Option<Request> {
+    fn request(&self, key: Key) -> Option<Request> {
         match key {
             Key::StartStop => self.mode.map(|mode| match mode {
                 Mode::Ventilating => Request::Stop,
@@ -287,7 +288,7 @@ fn asked_by_itself(request: &Request) -> bool {
 }
 
 /// What to say about a request that was carried out; nothing where the change shows elsewhere.
-fn note(response: &Response) -> Option<Message> {
+fn note(response: &Response) -> Option<Notice> {
     let text = match response {
         Response::Settings { in_force, pending } => {
             let Settings { pip, rate, .. } = pending.unwrap_or(*in_force);
@@ -296,5 +297,5 @@ fn note(response: &Response) -> Option<Message> {
         Response::Controller(choice) => format!("from the next breath on: {}", words::controller(*choice)),
         _ => return None,
     };
-    Some(Message::Note(text))
+    Some(Notice::Note(text))
 }

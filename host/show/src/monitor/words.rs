@@ -1,6 +1,7 @@
 //! Modes, faults, controllers and reset causes as text.
 
-use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, ResetCause};
+use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind};
+use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
 use shared::settings::{FIELDS, Field, Settings};
 use shared::ventilator::Mode;

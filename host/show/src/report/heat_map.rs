@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use super::ReportError;
 use super::html::escape;
+use super::svg::Svg;
 
 /// A map. Colours go by the logarithm of the value, from the lowest to `SPAN` times as much, beyond which
 /// everything looks alike.
@@ -47,25 +48,28 @@ impl HeatMap {
     /// # Errors
     /// If there is no value, or one that is not a positive number.
     pub fn to_svg(&self) -> Result<String, ReportError> {
+        Ok(self.drawing()?.to_document())
+    }
+
+    pub(super) fn drawing(&self) -> Result<Svg, ReportError> {
         let lowest = self.lowest()?;
         let (columns, rows) = (self.x.len(), self.y.len());
         let cell = ((WIDTH - LEFT - RIGHT) / columns as f64, CELL_HEIGHT);
         let height = TOP + BOTTOM + CELL_HEIGHT * rows as f64;
-        let mut svg = format!(
-            "<svg width=\"{WIDTH}\" height=\"{height}\" viewBox=\"0 0 {WIDTH} {height}\" \
-             xmlns=\"http://www.w3.org/2000/svg\">\n<text x=\"{LEFT}\" y=\"20\" font-weight=\"bold\" {TEXT}>{}</text>\n",
+        let mut elements = format!(
+            "<text x=\"{LEFT}\" y=\"20\" font-weight=\"bold\" {TEXT}>{}</text>\n",
             escape(&self.title)
         );
         for (row, values) in self.values.iter().enumerate().take(rows) {
             for (column, value) in values.iter().enumerate().take(columns) {
                 if let Some(value) = value {
-                    svg += &self.cell((column, row), *value, lowest, cell);
+                    elements += &self.cell((column, row), *value, lowest, cell);
                 }
             }
         }
-        svg += &self.axes(cell, height);
-        svg += &legend(lowest, height - TOP - BOTTOM);
-        Ok(svg + "</svg>\n")
+        elements += &self.axes(cell, height);
+        elements += &legend(lowest, height - TOP - BOTTOM);
+        Ok(Svg { size: (WIDTH, height), canvas: (WIDTH, height), elements })
     }
 
     fn lowest(&self) -> Result<f64, ReportError> {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::svg::Svg;
 use super::{HeatMap, Plot, ReportError, Table};
 use data::files::write_atomically;
 use data::provenance::Provenance;
@@ -100,17 +101,12 @@ impl Block {
     fn to_html(&self) -> Result<String, ReportError> {
         Ok(match self {
             Self::Table(table) => table.to_html(),
-            Self::Plot(plot) => {
-                format!("<div class=\"plots\">\n{}</div>\n", figure(&plot.title, &plot.to_svg()?))
-            }
+            Self::Plot(plot) => figures("plots", &figure(&plot.title, &plot.drawing()?)),
             Self::PlotRow(plots) => {
-                let figures = plots.iter().map(|plot| Ok(figure(&plot.title, &smaller(plot).to_svg()?)));
-                let figures = figures.collect::<Result<String, ReportError>>()?;
-                format!("<div class=\"plots row\">\n{figures}</div>\n")
+                let row = plots.iter().map(|plot| Ok(figure(&plot.title, &smaller(plot).drawing()?)));
+                figures("plots row", &row.collect::<Result<String, ReportError>>()?)
             }
-            Self::HeatMap(map) => {
-                format!("<div class=\"plots\">\n{}</div>\n", figure(&map.title, &map.to_svg()?))
-            }
+            Self::HeatMap(map) => figures("plots", &figure(&map.title, &map.drawing()?)),
             Self::Text(text) => paragraphs(text),
         })
     }
@@ -121,11 +117,12 @@ fn smaller(plot: &Plot) -> Plot {
     Plot { size: (scale(plot.size.0, ROW_SHARE.0), scale(plot.size.1, ROW_SHARE.1)), ..plot.clone() }
 }
 
-/// A drawing as part of the page, where the name space of a stand-alone SVG is superfluous.
-fn figure(title: &str, svg: &str) -> String {
-    let svg = svg.replacen(" xmlns=\"http://www.w3.org/2000/svg\"", "", 1);
-    let label = format!("<svg role=\"img\" aria-label=\"{}\"", escape(title));
-    format!("<figure>\n{}</figure>\n", svg.replacen("<svg", &label, 1))
+fn figures(class: &str, figures: &str) -> String {
+    format!("<div class=\"{class}\">\n{figures}</div>\n")
+}
+
+fn figure(title: &str, svg: &Svg) -> String {
+    format!("<figure>\n{}</figure>\n", svg.to_html(title))
 }
 
 fn paragraphs(text: &str) -> String {

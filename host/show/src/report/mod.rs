@@ -5,6 +5,7 @@ mod heat_map;
 mod html;
 mod markdown;
 mod plot;
+mod svg;
 mod table;
 #[cfg(test)]
 mod tests;

@@ -2,10 +2,12 @@
 
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::curve::{self, Limits, Point};
+use super::svg::{self, Svg};
 use super::{ReportError, ticks};
 
 /// How a series is drawn.
@@ -111,6 +113,8 @@ const SAMPLE: u32 = 26;
 const CHARACTER: f64 = 0.52;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+/// A panel with its axes.
+type Chart<'a, 'b, Y> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, Y>>;
 /// Failure of the drawing library as text; the plot's title is added further out.
 type Drawn = Result<(), String>;
 /// Height in pixels, or why drawing failed.
@@ -122,14 +126,24 @@ impl Plot {
     /// # Errors
     /// If there is no point, a point is not finite, a value on a logarithmic axis is not positive, or a range is none.
     pub fn to_svg(&self) -> Result<String, ReportError> {
+        Ok(self.drawing()?.to_document())
+    }
+
+    pub(super) fn drawing(&self) -> Result<Svg, ReportError> {
         self.check()?;
         let x = self.limits(self.x_range, |point| point.0, 0.0, false)?;
         let y = self.limits(self.y_range, |point| point.1, 0.05, self.log_y)?;
-        let mut svg = String::new();
-        self.draw(&mut svg, x, y).map_err(|detail| ReportError::Draw { plot: self.title.clone(), detail })?;
-        let (width, height) = self.size;
-        let canvas = format!("<svg width=\"{}\" height=\"{}\"", width * FINE, height * FINE);
-        Ok(svg.replacen(&canvas, &format!("<svg width=\"{width}\" height=\"{height}\""), 1))
+        let mut document = String::new();
+        let failed = |detail: String| ReportError::Draw { plot: self.title.clone(), detail };
+        self.draw(&mut document, x, y).map_err(failed)?;
+        let elements = svg::elements(&document).ok_or_else(|| failed("no SVG document came".to_owned()))?;
+        let (width, height) = (f64::from(self.size.0), f64::from(self.size.1));
+        let fine = f64::from(FINE);
+        Ok(Svg {
+            size: (width, height),
+            canvas: (fine * width, fine * height),
+            elements: elements.to_owned(),
+        })
     }
 
     fn check(&self) -> Result<(), ReportError> {
@@ -294,31 +308,40 @@ impl Plot {
             .draw()
             .map_err(text)?;
         for (series, color) in self.series.iter().zip(self.colors()) {
-            if series.style == Style::Bars {
-                let bars = self.bars(series, y.0.max(0.0));
-                chart
-                    .draw_series(bars.map(|corners| Rectangle::new(corners, color.filled())))
-                    .map_err(text)?;
-                continue;
-            }
-            let thin = curve::decimate(&series.points, MAX_POINTS);
-            if series.style == Style::Points {
-                let shown = thin.into_iter().filter(|&point| curve::inside(point, x, y));
-                let dots = shown.map(|point| Circle::new(point, 3 * FINE, color.filled()));
-                chart.draw_series(dots).map_err(text)?;
-                continue;
-            }
-            let joined = if series.style == Style::Step { curve::steps(&thin) } else { thin };
-            for part in curve::clip(&joined, x, y) {
-                draw_line(&mut chart, part, series.style, color)?;
-            }
+            self.draw_series(&mut chart, series, color, (x, y))?;
         }
         Ok(())
+    }
+
+    fn draw_series<Y: Ranged<ValueType = f64>>(
+        &self,
+        chart: &mut Chart<'_, '_, Y>,
+        series: &Series,
+        color: RGBColor,
+        (x, y): (Limits, Limits),
+    ) -> Drawn {
+        if series.style == Style::Bars {
+            let bars = self.bars(series, y.0.max(0.0));
+            chart.draw_series(bars.map(|corners| Rectangle::new(corners, color.filled()))).map_err(text)?;
+            return Ok(());
+        }
+        let thin = curve::decimate(&series.points, MAX_POINTS);
+        if series.style == Style::Points {
+            let shown = thin.into_iter().filter(|&point| curve::inside(point, x, y));
+            chart
+                .draw_series(shown.map(|point| Circle::new(point, 3 * FINE, color.filled())))
+                .map_err(text)?;
+            return Ok(());
+        }
+        let joined = if series.style == Style::Step { curve::steps(&thin) } else { thin };
+        curve::clip(&joined, x, y)
+            .into_iter()
+            .try_for_each(|part| draw_line(chart, part, series.style, color))
     }
 }
 
 fn draw_line<Y: Ranged<ValueType = f64>>(
-    chart: &mut ChartContext<'_, SVGBackend<'_>, Cartesian2d<plotters::coord::types::RangedCoordf64, Y>>,
+    chart: &mut Chart<'_, '_, Y>,
     points: Vec<Point>,
     style: Style,
     color: RGBColor,

@@ -1,6 +1,7 @@
 //! The report of a fit: training curve, errors, and predictions beside what was measured.
 
 use super::{remarks, table};
+use data::identity::TestRun;
 use data::provenance::Provenance;
 use data::recording::Recording;
 use judge::simulator::FitSummary;
@@ -58,7 +59,7 @@ fn spread<'a>(episodes: &[&'a Episode], count: usize) -> Vec<&'a Episode> {
     (0..count).map(|n| episodes[n * episodes.len() / count]).collect()
 }
 
-fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[String]) -> Plot {
+fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[TestRun]) -> Plot {
     let points = |values: &[f32]| -> Vec<(f64, f64)> {
         values.iter().enumerate().map(|(tick, p)| (tick as f64 * period_s, f64::from(*p))).collect()
     };

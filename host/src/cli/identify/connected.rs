@@ -1,7 +1,8 @@
 //! `trainer identify --port`: who is at a port, and what it holds.
 
 use serde::Serialize;
-use shared::link::messages::{DeviceIdentity, SlotState};
+use shared::link::messages::DeviceIdentity;
+use shared::weights::slots::SlotState;
 
 use super::super::controller_args::image_id;
 use super::super::output::OutputArgs;
@@ -58,10 +59,12 @@ mod tests {
     use super::*;
     use shared::device::KNOWN_GOOD;
     use shared::link::PROTOCOL;
-    use shared::link::messages::{ControllerChoice, DeviceKind, ResetCause, Slot};
+    use shared::link::messages::{ControllerChoice, DeviceKind};
+    use shared::reset::ResetCause;
     use shared::safety::alarms::Fault;
     use shared::ventilator::Mode;
     use shared::weights::ImageProblem;
+    use shared::weights::slots::Slot;
 
     fn identity() -> DeviceIdentity {
         DeviceIdentity {

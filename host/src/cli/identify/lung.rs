@@ -9,8 +9,8 @@ use super::super::output::OutputArgs;
 use super::LungArgs;
 use data::files::write_atomically;
 use data::recording::Recording;
-use judge::identify::breath::{Breath, Drift, Span};
-use judge::identify::{Estimate, Identified, Lung, bench, identify, lungs};
+use judge::identify::cycle::{Cycle, Drift, FitSpan};
+use judge::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// What `--json` gives.
@@ -26,7 +26,7 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
     let mut found = identify(&recording).with_context(|| format!("cannot identify {}", data.display()))?;
     if let Some(group) = &args.group {
         let names = names(&found);
-        found.retain(|lung| lung.lung == *group);
+        found.retain(|lung| lung.id.to_string() == *group);
         if found.is_empty() {
             bail!("{} has no lung called {group} that can be identified; it has {names}", data.display());
         }
@@ -38,7 +38,7 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
             bail!("a bench has one lung, this recording {}: choose one with --group", names(&found));
         };
         let bench = bench::bench(lung, &recording)
-            .with_context(|| format!("no bench can have the lung {}", lung.lung))?;
+            .with_context(|| format!("no bench can have the lung {}", lung.id))?;
         write_atomically(path, bench::to_toml(&bench, lung).as_bytes())
             .with_context(|| format!("cannot write {}", path.display()))?;
         output.line(&format!("saved {}", path.display()));
@@ -51,7 +51,7 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
 }
 
 fn names(lungs: &[Identified]) -> String {
-    lungs.iter().map(|lung| lung.lung.as_str()).collect::<Vec<_>>().join(", ")
+    lungs.iter().map(|lung| lung.id.to_string()).collect::<Vec<_>>().join(", ")
 }
 
 fn table(found: &[Identified]) -> Table {
@@ -73,11 +73,11 @@ fn table(found: &[Identified]) -> Table {
     for lung in found {
         let offset = |per_s: f64| 1000.0 * per_s;
         table.row(vec![
-            Cell::text(&lung.lung),
-            nominal(lung.nominal_compliance),
+            Cell::text(lung.id.to_string()),
+            nominal(lung.id.nominal_compliance),
             estimate(&lung.compliance),
             lung.uncorrected_compliance.map_or_else(|| Cell::right("unknown"), |c| Cell::number(c, 1)),
-            nominal(lung.nominal_resistance),
+            nominal(lung.id.nominal_resistance),
             estimate(&lung.resistance),
             estimate(&lung.turbulence),
             Cell::number(offset(lung.offset.value), 1),
@@ -96,7 +96,7 @@ fn behind_circuit(found: &[Identified]) -> Table {
     for lung in found {
         let behind = &lung.behind_circuit;
         table.row(vec![
-            Cell::text(&lung.lung),
+            Cell::text(lung.id.to_string()),
             Cell::number(behind.circuit_compliance, 2),
             estimate(&behind.compliance),
             estimate(&behind.resistance),
@@ -121,7 +121,7 @@ fn estimate(estimate: &Estimate) -> Cell {
 fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report> {
     let plots = lungs(recording)?
         .iter()
-        .filter(|lung| found.iter().any(|f| f.lung == lung.name))
+        .filter(|lung| found.iter().any(|f| f.id == lung.id))
         .filter_map(plot)
         .collect();
     Ok(Report {
@@ -146,11 +146,11 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
 }
 
 /// The middle breath of a lung with its fit.
-fn plot(lung: &Lung) -> Option<Plot> {
+fn plot(lung: &LungCycles) -> Option<Plot> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
     let circuit = lung.identify()?.behind_circuit.circuit_compliance;
     Some(Plot {
-        title: lung.name.clone(),
+        title: lung.id.to_string(),
         x_label: "time, s".into(),
         y_label: "pressure, cmH2O".into(),
         series: vec![
@@ -162,12 +162,12 @@ fn plot(lung: &Lung) -> Option<Plot> {
     })
 }
 
-fn points(breath: &Breath, values: &[f64]) -> Vec<(f64, f64)> {
+fn points(breath: &Cycle, values: &[f64]) -> Vec<(f64, f64)> {
     values.iter().enumerate().map(|(row, value)| (row as f64 * breath.period_s(), *value)).collect()
 }
 
-fn fitted(breath: &Breath, circuit: f64) -> Option<Vec<f64>> {
-    let fit = breath.fit(Span::Cycle, Drift::Corrected, circuit)?;
+fn fitted(breath: &Cycle, circuit: f64) -> Option<Vec<f64>> {
+    let fit = breath.fit(FitSpan::Cycle, Drift::Corrected, circuit)?;
     let value = |row: [f64; 4]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
     Some(breath.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
 }

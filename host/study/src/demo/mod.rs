@@ -7,29 +7,23 @@ mod summary;
 mod tests;
 mod venue;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
-use shared::control::pid::{GainError, Pid, PidGains};
-use thiserror::Error;
+use shared::control::pid::{Pid, PidGains};
 
-use data::files::write_atomically;
-use data::json::{self, JsonError};
-use data::recording::DatasetError;
-use data::tensors::TensorError;
-use judge::baselines::{Best, Search, TuneError, tune_pid};
-use judge::evaluate::{Evaluation, Plan, Trace};
-use learn::controller::learned::LearnedError;
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};
+use crate::StudyError;
+use data::files::{read_json, write_atomically, write_json, write_json_indented};
+use judge::baselines::{Best, Search, tune_pid};
+use judge::evaluate::{BreathTrace, Evaluation, Plan};
+use learn::pipeline::{self, Folder, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
 use progress::{Progress, Stage};
-use show::report::ReportError;
-use ventilator::SourceError;
 
-pub use summary::{Compared, Means, Summary};
+pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
 
 /// What to run.
@@ -46,49 +40,6 @@ pub struct DemoConfig {
     pub venue: Venue,
 }
 
-/// Why the job cannot be finished.
-#[derive(Debug, Error)]
-pub enum DemoError {
-    /// Search.
-    #[error(transparent)]
-    Tune(#[from] TuneError),
-    /// Learning.
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    /// Evaluation.
-    #[error(transparent)]
-    Source(#[from] SourceError),
-    /// Gains.
-    #[error(transparent)]
-    Gain(#[from] GainError),
-    /// Recording.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// Simulator's file.
-    #[error(transparent)]
-    Tensors(#[from] TensorError),
-    /// Controller's file or image.
-    #[error(transparent)]
-    Learned(#[from] LearnedError),
-    /// Report.
-    #[error(transparent)]
-    Report(#[from] ReportError),
-    /// Settings or figures.
-    #[error(transparent)]
-    Json(#[from] JsonError),
-    /// Another file.
-    #[error("cannot write {path}: {reason}")]
-    File {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        reason: String,
-    },
-    /// Stopped before the search was done.
-    #[error("stopped during the search of the best PID; nothing was learned yet, start again")]
-    Stopped,
-}
-
 /// One controller's part of the comparison.
 #[derive(Clone, Debug)]
 pub struct Contestant {
@@ -99,7 +50,7 @@ pub struct Contestant {
     /// How it did on the true bench.
     pub evaluation: Evaluation,
     /// Two breaths at each PIP of [`TRACED_PIPS`].
-    pub traces: Vec<Trace>,
+    pub traces: Vec<BreathTrace>,
 }
 
 /// PIPs of the waveforms shown in the report, cmH2O.
@@ -111,7 +62,7 @@ const TRACED_BREATHS: usize = 3;
 #[derive(Clone, Debug)]
 pub struct Demo {
     /// Figures.
-    pub summary: Summary,
+    pub summary: DemoSummary,
     /// Best of each kind of PID.
     pub best: Best,
     /// What was learned.
@@ -135,13 +86,13 @@ struct Tuned {
 ///
 /// # Errors
 /// The first step that fails; what earlier steps wrote stays.
-pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo, DemoError> {
+pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo, StudyError> {
     let started = Instant::now();
     let best = tuned(config, out, progress)?;
     let outcome = learn(config, best.pid.gains, out, progress)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
     let contestants = compare(config, &best, &outcome, &plan, progress)?;
-    let mut summary = Summary::new(config, &best, &outcome, &contestants);
+    let mut summary = DemoSummary::new(config, &best, &outcome, &contestants);
     summary.wall_s = started.elapsed().as_secs_f64();
     let demo = Demo { summary, best, outcome, contestants, plan };
     demo.save(out)?;
@@ -149,22 +100,23 @@ pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<D
 }
 
 /// The best PID, searched or as an earlier run in this folder found it.
-fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best, DemoError> {
+fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best, StudyError> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
     let file = out.join("tuning.json");
-    // A file of another version is searched again, as one of another bench is.
-    if let Ok(Some(tuned)) = json::read::<Tuned>(&file)
+    // A file that cannot be read is as good as none: the search is done again.
+    let earlier = read_json::<Tuned>(&file).ok().flatten();
+    if let Some(tuned) = earlier
         && (&tuned.bench, &tuned.search, &tuned.plan) == (&config.bench, &config.search, &plan)
     {
         return Ok(tuned.best);
     }
     let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, progress)?;
     if !result.complete {
-        return Err(DemoError::Stopped);
+        return Err(StudyError::SearchStopped);
     }
     let (bench, search) = (config.bench.clone(), config.search.clone());
     let tuned = Tuned { bench, search, plan, best: result.over_all };
-    json::write(&file, &tuned)?;
+    write_json(&file, &tuned).map_err(StudyError::file(&file))?;
     Ok(tuned.best)
 }
 
@@ -173,7 +125,7 @@ fn learn(
     gains: PidGains,
     out: &Path,
     progress: &Progress<'_>,
-) -> Result<Outcome, DemoError> {
+) -> Result<Outcome, StudyError> {
     let pipeline = PipelineConfig { gains, ..config.pipeline.clone() };
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
@@ -188,7 +140,7 @@ fn compare(
     outcome: &Outcome,
     plan: &Plan,
     progress: &Progress<'_>,
-) -> Result<Vec<Contestant>, DemoError> {
+) -> Result<Vec<Contestant>, StudyError> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
     // A vector: on the stack, controllers with their weights would be large.
     let controllers = vec![
@@ -208,19 +160,15 @@ fn compare(
 }
 
 impl Demo {
-    fn save(&self, out: &Path) -> Result<(), DemoError> {
+    fn save(&self, out: &Path) -> Result<(), StudyError> {
         self.outcome.plants[0].recording.save(out.join("recording.parquet"))?;
         if let Some(simulator) = self.outcome.plants[0].simulators.first() {
             simulator.save(&out.join("simulator.safetensors"))?;
         }
         self.outcome.learned.save(&out.join("controller.safetensors"))?;
-        write(&out.join("weights.bin"), &self.outcome.learned.image()?)?;
-        json::write(&out.join("summary.json"), &self.summary)?;
+        let (image, summary) = (out.join("weights.bin"), out.join("summary.json"));
+        write_atomically(&image, &self.outcome.learned.image()?).map_err(StudyError::file(&image))?;
+        write_json_indented(&summary, &self.summary).map_err(StudyError::file(&summary))?;
         Ok(self.report().save(out.join("report.html"))?)
     }
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), DemoError> {
-    write_atomically(path, bytes)
-        .map_err(|e| DemoError::File { path: path.to_owned(), reason: e.to_string() })
 }

@@ -2,7 +2,7 @@
 
 use super::{Contestant, Demo, TRACED_PIPS};
 use data::provenance::Provenance;
-use judge::evaluate::Trace;
+use judge::evaluate::BreathTrace;
 use learn::simulator::episode::{Episode, episodes};
 use learn::simulator::fit::{predict, split};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
@@ -243,7 +243,7 @@ fn points(time: &[f64], values: &[f64], until: f64) -> Vec<(f64, f64)> {
     time.iter().copied().zip(values.iter().copied()).take_while(|(t, _)| *t < until).collect()
 }
 
-fn target(trace: &Trace, until: f64) -> Series {
+fn target(trace: &BreathTrace, until: f64) -> Series {
     Series::new("target", Style::Dashed, points(&trace.time_s, &trace.target, until))
 }
 

@@ -22,7 +22,7 @@ pub struct Compared {
 
 /// Mean scores over the waveforms, cmH2O.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Means {
+pub struct ContestantMeans {
     /// Best P-only controller.
     pub p_only: f64,
     /// Best I-only controller.
@@ -37,7 +37,7 @@ pub struct Means {
 
 /// Everything in `summary.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
+pub struct DemoSummary {
     /// Seed of the job.
     pub seed: u64,
     /// Lung.
@@ -47,7 +47,7 @@ pub struct Summary {
     /// By waveform.
     pub waveforms: Vec<Compared>,
     /// Over the waveforms.
-    pub mean: Means,
+    pub mean: ContestantMeans,
     /// Gains of the best PID: P %/cmH2O, I %/(cmH2O s), D % s/cmH2O.
     pub pid_gains: PidGains,
     /// Open-loop distance of the simulator to the true airway pressure on held-out breaths, cmH2O.
@@ -58,7 +58,7 @@ pub struct Summary {
     pub rounds: Vec<Round>,
 }
 
-impl Summary {
+impl DemoSummary {
     pub(super) fn new(
         config: &DemoConfig,
         best: &Best,
@@ -76,7 +76,7 @@ impl Summary {
             waveforms: waveforms
                 .map(|(pid, learned)| Compared { pip: pid.pip, pid: pid.score, learned: learned.score })
                 .collect(),
-            mean: Means {
+            mean: ContestantMeans {
                 p_only: mean(0),
                 i_only: mean(1),
                 pid: mean(2),
@@ -153,15 +153,21 @@ mod tests {
         }
     }
 
-    fn summary() -> Summary {
-        Summary {
+    fn summary() -> DemoSummary {
+        DemoSummary {
             seed: 1,
             lung: "R20C20".into(),
             wall_s: 100.0,
             waveforms: [10.0, 35.0]
                 .map(|pip| Compared { pip, pid: score(1.2), learned: score(0.9) })
                 .to_vec(),
-            mean: Means { p_only: 2.0, i_only: 3.0, pid: 1.2, learned: 0.9, learned_on_simulator: 0.88 },
+            mean: ContestantMeans {
+                p_only: 2.0,
+                i_only: 3.0,
+                pid: 1.2,
+                learned: 0.9,
+                learned_on_simulator: 0.88,
+            },
             pid_gains: PidGains { p: 2.0, i: 30.0, d: 0.0 },
             open_loop_distance: 0.12,
             improved: true,

@@ -35,7 +35,8 @@ fn every_file_is_written_and_can_be_read_back() {
     let learned = Learned::load(&file("controller.safetensors")).unwrap();
     let image = shared::weights::decode(&fs::read(file("weights.bin")).unwrap()).unwrap();
     assert_eq!(image.residual, learned.controller);
-    let summary: Summary = serde_json::from_str(&fs::read_to_string(file("summary.json")).unwrap()).unwrap();
+    let summary: DemoSummary =
+        serde_json::from_str(&fs::read_to_string(file("summary.json")).unwrap()).unwrap();
     assert_eq!(summary, demo.summary);
     assert_eq!(summary.waveforms.len(), 6);
     let html = fs::read_to_string(file("report.html")).unwrap();

@@ -8,7 +8,7 @@ use super::{TRACED_BREATHS, TRACED_PIPS};
 use emulator::EmulatorConfig;
 #[cfg(unix)]
 use judge::evaluate::evaluate_source;
-use judge::evaluate::{Evaluation, Ground, Plan, Trace, trace_source};
+use judge::evaluate::{BreathTrace, Evaluation, Ground, Plan, trace_source};
 use plant::bench::BenchConfig;
 use progress::Progress;
 #[cfg(unix)]
@@ -71,7 +71,7 @@ impl Venue {
         bench: &BenchConfig,
         controller: &Controller,
         plan: &Plan,
-    ) -> Result<Vec<Trace>, SourceError> {
+    ) -> Result<Vec<BreathTrace>, SourceError> {
         let one = |pip: &f32| {
             let settings = plan.waveform(*pip);
             let mut source =

@@ -5,7 +5,8 @@ use shared::control::Controller;
 use shared::control::pid::Pid;
 
 use super::study::Study;
-use super::{ReproduceError, Reproduction, lungs};
+use super::{Reproduction, lungs};
+use crate::StudyError;
 use judge::balloon::{self, baseline};
 use plant::balloon::PERIOD_US;
 use ventilator::{BalloonSource, Source, SourceError};
@@ -26,7 +27,7 @@ pub(super) struct OnBalloon {
 }
 
 /// Trains on recordings of the balloon and scores on it.
-pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, ReproduceError> {
+pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, StudyError> {
     study.keep("balloon", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let mut learned = Vec::new();
@@ -35,7 +36,7 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, ReproduceError> {
             let config = balloon::pipeline(seed + repeat);
             let base = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
             let source = |_| -> Result<Box<dyn Source>, SourceError> {
-                Ok(Box::new(BalloonSource::new(base.clone())?))
+                Ok(Box::new(BalloonSource::new(base.clone())))
             };
             let outcome = lungs::train_on(study, &[&source], &config, &format!("balloon-{repeat}"))?;
             learned.push(balloon::score(&Controller::Residual(outcome.learned.controller))?);
@@ -45,6 +46,6 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, ReproduceError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<OnBalloon>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<OnBalloon>, StudyError> {
     study.kept("balloon")
 }

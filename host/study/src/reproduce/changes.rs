@@ -5,7 +5,8 @@ use shared::breath::{Phase, period_s};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, generalist, lungs};
+use super::{generalist, lungs};
+use crate::StudyError;
 use judge::evaluate::{Inspiration, Plan, score_breath};
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::Stage;
@@ -42,7 +43,7 @@ impl Change {
 }
 
 /// Breathes through all changes.
-pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, ReproduceError> {
+pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, StudyError> {
     study.keep("changes", || {
         let learned = generalist::controller(study)?;
         let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
@@ -69,7 +70,7 @@ pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, ReproduceError> 
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Change>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Change>>, StudyError> {
     study.kept("changes")
 }
 
@@ -88,11 +89,7 @@ fn changing(resistance_factor: f64, compliance_factor: f64) -> BenchConfig {
 }
 
 /// Score of each breath, mean over the plan's noise.
-fn scores(
-    study: &Study<'_>,
-    bench: &BenchConfig,
-    controller: &Controller,
-) -> Result<Vec<f64>, ReproduceError> {
+fn scores(study: &Study<'_>, bench: &BenchConfig, controller: &Controller) -> Result<Vec<f64>, StudyError> {
     let plan = study.plan();
     let mut sums = vec![0.0; BREATHS.0 + BREATHS.1];
     for seed in &plan.seeds {
@@ -105,7 +102,7 @@ fn scores(
     Ok(sums)
 }
 
-fn breath(source: &mut BenchSource, plan: &Plan) -> Result<f64, ReproduceError> {
+fn breath(source: &mut BenchSource, plan: &Plan) -> Result<f64, StudyError> {
     let settings = plan.waveform(PIP);
     let (mut pressure, mut target) = (Vec::new(), Vec::new());
     source.breath(&settings, &mut |tick| {

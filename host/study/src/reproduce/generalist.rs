@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, Reproduction, lungs};
+use super::{Reproduction, lungs};
+use crate::StudyError;
 use judge::evaluate::Evaluation;
 use learn::controller::learned::Learned;
 use learn::pipeline::PipelineConfig;
@@ -22,7 +23,7 @@ pub(super) struct Generalist {
 }
 
 /// Trains and scores it.
-pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist, ReproduceError> {
+pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist, StudyError> {
     study.keep(FOLDER, || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let gains = lungs::tuned(study)?.over_all.pid.gains;
@@ -38,12 +39,12 @@ pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist, ReproduceError
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Generalist>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Generalist>, StudyError> {
     study.kept(FOLDER)
 }
 
 /// The controller itself, trained if it is not there.
-pub(super) fn controller(study: &Study<'_>) -> Result<Controller, ReproduceError> {
+pub(super) fn controller(study: &Study<'_>) -> Result<Controller, StudyError> {
     generalist(study)?;
     let file = study.path(FOLDER).join("controller.safetensors");
     Ok(Controller::Residual(Learned::load(&file)?.controller))

@@ -6,7 +6,8 @@ use shared::breath::{ISO_ROWS, IsoRow, Phase, period_s};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, generalist, lungs};
+use super::{generalist, lungs};
+use crate::StudyError;
 use judge::evaluate::{Inspiration, Score, score_breath};
 use plant::bench::BenchConfig;
 use progress::Stage;
@@ -19,7 +20,7 @@ const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 
 /// What one controller does on a row.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(super) struct Outcome {
+pub(super) struct IsoOutcome {
     /// Scores of the inspiration.
     pub(super) score: Score,
     /// Volume that entered the lung, mL.
@@ -30,7 +31,7 @@ pub(super) struct Outcome {
 
 /// A row.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Row {
+pub(super) struct IsoResult {
     /// Its number in the table.
     pub(super) number: u8,
     /// Resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
@@ -40,13 +41,13 @@ pub(super) struct Row {
     /// Tidal volume that the table expects, mL.
     pub(super) expected_volume: f64,
     /// The best single PID; none where the ventilator went to its safe state.
-    pub(super) single_pid: Option<Outcome>,
+    pub(super) single_pid: Option<IsoOutcome>,
     /// The controller for all lungs; none where the ventilator went to its safe state.
-    pub(super) generalist: Option<Outcome>,
+    pub(super) generalist: Option<IsoOutcome>,
 }
 
 /// Runs all rows.
-pub(super) fn iso(study: &Study<'_>) -> Result<Vec<Row>, ReproduceError> {
+pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>, StudyError> {
     study.keep("iso", || {
         let learned = generalist::controller(study)?;
         let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
@@ -57,7 +58,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<Row>, ReproduceError> {
             .zip(&benches)
             .map(|(row, bench)| {
                 task.advance(1);
-                Ok(Row {
+                Ok(IsoResult {
                     number: row.number,
                     lung: (row.resistance, row.compliance),
                     pressures: (row.pip, row.peep),
@@ -71,7 +72,7 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<Row>, ReproduceError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Row>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoResult>>, StudyError> {
     study.kept("iso")
 }
 
@@ -80,7 +81,7 @@ fn outcome(
     row: &IsoRow,
     bench: &BenchConfig,
     controller: &Controller,
-) -> Result<Option<Outcome>, ReproduceError> {
+) -> Result<Option<IsoOutcome>, StudyError> {
     match run(study, row, bench, controller) {
         Ok(outcome) => Ok(Some(outcome)),
         Err(SourceError::Fault { .. }) => Ok(None),
@@ -93,7 +94,7 @@ fn run(
     row: &IsoRow,
     bench: &BenchConfig,
     controller: &Controller,
-) -> Result<Outcome, SourceError> {
+) -> Result<IsoOutcome, SourceError> {
     let (plan, settings) = (study.plan(), row.settings());
     let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, plan.seeds[0])?;
     for _ in 0..WARM_UP {
@@ -113,5 +114,5 @@ fn run(
     let allowed = PLATEAU_TOLERANCE.0 + PLATEAU_TOLERANCE.1 * pip;
     let least = volume.iter().copied().fold(f64::INFINITY, f64::min);
     let most = volume.iter().copied().fold(0.0, f64::max);
-    Ok(Outcome { score, tidal_volume: most - least, pass: score.plateau_error <= allowed })
+    Ok(IsoOutcome { score, tidal_volume: most - least, pass: score.plateau_error <= allowed })
 }

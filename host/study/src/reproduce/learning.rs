@@ -5,11 +5,12 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, Reproduction, lungs};
+use super::{Reproduction, lungs};
+use crate::StudyError;
 use engine::LANES;
-use judge::rl::compare::{Kind, RlConfig, train};
+use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;
-use learn::controller::{Plant, TrainConfig, Training};
+use learn::controller::{PlantModels, TrainConfig, Training};
 use learn::pipeline::{self, PipelineConfig};
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
@@ -19,7 +20,7 @@ const OURS_VALIDATED_EVERY: usize = 10;
 
 /// One way to learn.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Learner {
+pub(super) struct LearnerResult {
     /// Score on the true bench, cmH2O.
     pub(super) score: f64,
     /// Simulated control ticks that it took.
@@ -28,7 +29,7 @@ pub(super) struct Learner {
     pub(super) curve: Vec<(u64, f64)>,
 }
 
-impl Learner {
+impl LearnerResult {
     /// Ticks taken until the score on the held-out simulator was at least as good as this.
     pub(super) fn samples_until(&self, score: f64) -> Option<u64> {
         self.curve.iter().find(|(_, reached)| *reached <= score).map(|(samples, _)| *samples)
@@ -44,15 +45,15 @@ impl Learner {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Learning {
     /// Proximal policy optimisation.
-    pub(super) ppo: Learner,
+    pub(super) ppo: LearnerResult,
     /// Deep Q-learning.
-    pub(super) dqn: Learner,
+    pub(super) dqn: LearnerResult,
     /// Back-propagation through the simulators.
-    pub(super) ours: Learner,
+    pub(super) ours: LearnerResult,
 }
 
 /// Trains all three on the simulators learned for the lung in the middle of the list.
-pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
+pub(super) fn learning(study: &Study<'_>) -> Result<Learning, StudyError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let index = study.middle();
     let bench = &study.lungs()[index];
@@ -60,20 +61,20 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning, ReproduceError> {
     lungs::lungs(study)?;
     let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
     // Its folder holds the whole run already.
-    let simulators = || -> Result<Vec<Simulator>, ReproduceError> {
+    let simulators = || -> Result<Vec<Simulator>, StudyError> {
         let folder = format!("lungs/{}-0", bench.name);
         let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
         Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
     };
     Ok(Learning {
-        ppo: study.keep("rl/ppo", || rival(study, bench, Kind::Ppo, &simulators()?))?,
-        dqn: study.keep("rl/dqn", || rival(study, bench, Kind::Dqn, &simulators()?))?,
+        ppo: study.keep("rl/ppo", || rival(study, bench, Algorithm::Ppo, &simulators()?))?,
+        dqn: study.keep("rl/dqn", || rival(study, bench, Algorithm::Dqn, &simulators()?))?,
         ours: study.keep("rl/ours", || ours(study, bench, &config, &simulators()?))?,
     })
 }
 
 /// What the folder holds, if it holds all three.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, StudyError> {
     let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
     Ok(match (ppo, dqn, ours) {
         (Some(ppo), Some(dqn), Some(ours)) => Some(Learning { ppo, dqn, ours }),
@@ -84,13 +85,13 @@ pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, ReproduceError
 fn rival(
     study: &Study<'_>,
     bench: &BenchConfig,
-    kind: Kind,
+    algorithm: Algorithm,
     simulators: &[Simulator],
-) -> Result<Learner, ReproduceError> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+) -> Result<LearnerResult, StudyError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
-    let trained = train(kind, trained_on, held_out, &config, &study.progress.of(kind.name()))?;
-    Ok(Learner {
+    let trained = train(algorithm, trained_on, held_out, &config, &study.progress.of(algorithm.name()))?;
+    Ok(LearnerResult {
         score: evaluate(bench, &trained.policy, &study.plan())?.mean.score,
         samples: trained.curve.last().map_or(0, |(samples, _)| *samples),
         curve: trained.curve,
@@ -103,8 +104,8 @@ fn ours(
     bench: &BenchConfig,
     config: &PipelineConfig,
     simulators: &[Simulator],
-) -> Result<Learner, ReproduceError> {
-    let (held_out, trained_on) = simulators.split_last().ok_or(ReproduceError::Stopped)?;
+) -> Result<LearnerResult, StudyError> {
+    let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let train = TrainConfig {
         batch: LANES,
         validate_every: OURS_VALIDATED_EVERY,
@@ -114,11 +115,15 @@ fn ours(
     let ticks = u64::from(shared::math::ticks(train.inspiratory_time, config.period_us));
     let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
     let iterations = train.iterations;
-    let training = Training::new(config.residual(), &[Plant { trained_on, held_out }], train, None)?;
+    let training = Training::new(config.residual(), &[PlantModels { trained_on, held_out }], train, None)?;
     let (trained, curve) = pipeline::train(training, iterations, None, &study.progress.of("ours"))?;
     let curve = curve.iter().map(|point| (samples(point.iteration), point.validation)).collect();
     let controller = Controller::Residual(trained.controller);
-    Ok(Learner { score: study.evaluate(bench, &controller)?.mean.score, samples: samples(iterations), curve })
+    Ok(LearnerResult {
+        score: study.evaluate(bench, &controller)?.mean.score,
+        samples: samples(iterations),
+        curve,
+    })
 }
 
 #[cfg(test)]
@@ -128,7 +133,7 @@ mod tests {
     #[test]
     fn the_first_samples_that_reach_a_score_count() {
         let curve = vec![(10, 3.0), (20, 1.5), (30, 1.8), (40, 1.2)];
-        let learner = Learner { score: 1.3, samples: 40, curve };
+        let learner = LearnerResult { score: 1.3, samples: 40, curve };
         assert_eq!(learner.samples_until(1.6), Some(20));
         assert_eq!(learner.samples_until(1.0), None);
         assert!((learner.best() - 1.2).abs() < 1e-12);

@@ -1,11 +1,11 @@
 //! What no controller can beat on the lungs: how much of the way there a controller has gone.
 
-use super::ReproduceError;
 use super::study::Study;
+use crate::StudyError;
 use judge::bound::{Bound, BoundConfig, bounds};
 
 /// Searches the bound of every lung.
-pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>, ReproduceError> {
+pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>, StudyError> {
     study.keep("bound", || {
         let search = BoundConfig { seed: study.reproduction.seed, ..BoundConfig::default() };
         Ok(bounds(study.lungs(), &study.plan(), &search, &study.progress)?)
@@ -13,6 +13,6 @@ pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>, ReproduceError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Bound>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Bound>>, StudyError> {
     study.kept("bound")
 }

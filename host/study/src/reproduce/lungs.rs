@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 
+use super::Reproduction;
 use super::study::Study;
-use super::{ReproduceError, Reproduction};
+use crate::StudyError;
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
 use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig};
@@ -14,7 +15,7 @@ use plant::bench::BenchConfig;
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Tuned {
+pub(super) struct TunedPids {
     /// By lung.
     pub(super) lungs: Vec<Best>,
     /// For all of them.
@@ -23,7 +24,7 @@ pub(super) struct Tuned {
 
 /// What became of a lung.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Lung {
+pub(super) struct LungScores {
     /// Its own best PID.
     pub(super) pid: Evaluation,
     /// The best PID for all lungs.
@@ -37,21 +38,21 @@ pub(super) struct Lung {
 }
 
 /// Searches the PIDs.
-pub(super) fn tuned(study: &Study<'_>) -> Result<Tuned, ReproduceError> {
+pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids, StudyError> {
     study.keep("tuning", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let plan = Plan::tuning(*seed);
         let result = tune_pid(study.lungs(), &budget.search, &plan, &study.progress)?;
         if !result.complete {
-            return Err(ReproduceError::Stopped);
+            return Err(StudyError::Stopped);
         }
         let lungs = result.lungs.into_iter().map(|lung| lung.best).collect();
-        Ok(Tuned { lungs, over_all: result.over_all })
+        Ok(TunedPids { lungs, over_all: result.over_all })
     })
 }
 
 /// Trains and scores a controller for each lung.
-pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<Lung>, ReproduceError> {
+pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>, StudyError> {
     let tuned = tuned(study)?;
     let lungs = study.lungs().iter().zip(&tuned.lungs);
     lungs
@@ -64,7 +65,7 @@ pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<Lung>, ReproduceError> {
 }
 
 /// All that the folder holds, if it holds every lung.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Lung>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>, StudyError> {
     study.lungs().iter().map(|bench| study.kept(&format!("lungs/{}", bench.name))).collect()
 }
 
@@ -73,7 +74,7 @@ fn lung(
     bench: &BenchConfig,
     own: PidGains,
     single: PidGains,
-) -> Result<Lung, ReproduceError> {
+) -> Result<LungScores, StudyError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let (mut learned, mut open_loop, mut ticks) = (Vec::new(), Vec::new(), Vec::new());
     for repeat in 0..budget.repeats {
@@ -86,7 +87,7 @@ fn lung(
         ticks.push(outcome.plants.iter().map(|plant| plant.recording.len()).sum());
     }
     let (pid, single_pid) = (study.pid(own)?, study.pid(single)?);
-    Ok(Lung {
+    Ok(LungScores {
         pid: study.evaluate(bench, &pid)?,
         single_pid: study.evaluate(bench, &single_pid)?,
         learned,
@@ -101,7 +102,7 @@ pub(super) fn train(
     benches: &[BenchConfig],
     config: &PipelineConfig,
     folder: &str,
-) -> Result<Outcome, ReproduceError> {
+) -> Result<Outcome, StudyError> {
     let run = Folder::new(study.path(folder));
     let progress = study.progress.of(folder);
     finished(study, pipeline::run_on_benches(config, benches, Some(&run), &progress)?, folder)
@@ -113,16 +114,16 @@ pub(super) fn train_on(
     sources: &[MakeSource<'_>],
     config: &PipelineConfig,
     folder: &str,
-) -> Result<Outcome, ReproduceError> {
+) -> Result<Outcome, StudyError> {
     let run = Folder::new(study.path(folder));
     let progress = study.progress.of(folder);
     finished(study, pipeline::run(config, sources, Some(&run), &progress)?, folder)
 }
 
 /// Saves the controller of a run that was not stopped.
-fn finished(study: &Study<'_>, outcome: Outcome, folder: &str) -> Result<Outcome, ReproduceError> {
+fn finished(study: &Study<'_>, outcome: Outcome, folder: &str) -> Result<Outcome, StudyError> {
     if !outcome.complete {
-        return Err(ReproduceError::Stopped);
+        return Err(StudyError::Stopped);
     }
     outcome.learned.save(&study.path(folder).join("controller.safetensors"))?;
     Ok(outcome)

@@ -39,24 +39,15 @@ mod unseen;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
-use shared::control::pid::GainError;
-use shared::control::residual::ResidualError;
-use thiserror::Error;
 
-use data::json::JsonError;
-use judge::baselines::TuneError;
-use judge::bound::BoundError;
-use learn::controller::learned::LearnedError;
-use learn::pipeline::PipelineError;
-use plant::bench::{BenchConfig, BenchError};
+use crate::StudyError;
+use plant::bench::BenchConfig;
 use progress::Progress;
-use show::report::ReportError;
-use ventilator::SourceError;
 
 pub use ablations::Ablation;
 pub use report::{headline, lungs_table};
 pub use results::{
-    BalloonFigures, IsoFigures, LungFigures, Means, Results, RlFigure, RlFigures, UnseenFigures,
+    BalloonFigures, IsoFigures, LungFigures, LungMeans, Results, RlFigure, RlFigures, UnseenFigures,
 };
 pub use study::Budget;
 use study::Study;
@@ -120,54 +111,11 @@ pub struct Reproduction {
     pub only: Vec<Experiment>,
 }
 
-/// Why an experiment cannot be finished.
-#[derive(Debug, Error)]
-pub enum ReproduceError {
-    /// Search of a PID.
-    #[error(transparent)]
-    Tune(#[from] TuneError),
-    /// Learning.
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    /// Evaluation.
-    #[error(transparent)]
-    Source(#[from] SourceError),
-    /// A bench.
-    #[error(transparent)]
-    Bench(#[from] BenchError),
-    /// What no controller can beat.
-    #[error(transparent)]
-    Bound(#[from] BoundError),
-    /// Gains.
-    #[error(transparent)]
-    Gain(#[from] GainError),
-    /// A policy.
-    #[error(transparent)]
-    Policy(#[from] ResidualError),
-    /// A controller's file.
-    #[error(transparent)]
-    Learned(#[from] LearnedError),
-    /// Report.
-    #[error(transparent)]
-    Report(#[from] ReportError),
-    /// The folder holds another run.
-    #[error(
-        "{0} holds a run with another seed, budget or choice of lungs; choose another folder or remove it"
-    )]
-    OtherRun(String),
-    /// A file.
-    #[error(transparent)]
-    File(#[from] JsonError),
-    /// Ctrl-C.
-    #[error("stopped; the same command goes on from here")]
-    Stopped,
-}
-
 /// Runs the experiments, then writes everything that the folder holds as `results.json`, `report.html` and `results.md`.
 ///
 /// # Errors
 /// The first experiment that fails; what earlier ones left stays.
-pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results, ReproduceError> {
+pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results, StudyError> {
     let study = Study::new(reproduction, progress)?;
     for experiment in Experiment::ALL.into_iter().filter(|e| reproduction.only.contains(e)) {
         match experiment {

@@ -2,19 +2,20 @@
 
 use super::balloon::AUTHORS;
 use super::changes::Change;
-use super::learning::{Learner, Learning};
-use super::results::{BalloonFigures, Means, Results};
+use super::learning::{LearnerResult, Learning};
+use super::results::{BalloonFigures, LungMeans, Results};
 use super::study::Study;
-use super::{Ablation, LungFigures, ReproduceError, changes, iso, learning, lungs, tracking};
+use super::{Ablation, LungFigures, changes, iso, learning, lungs, tracking};
+use crate::StudyError;
 use data::provenance::Provenance;
-use judge::evaluate::Trace;
+use judge::evaluate::BreathTrace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Length of the inspiration that is shown enlarged, s.
 const ZOOM_S: f64 = 1.0;
 
 /// Everything that the study's folder holds.
-pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, ReproduceError> {
+pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report, StudyError> {
     let mut sections = Vec::new();
     sections.extend(tracking::kept(study)?.map(|tracking| tracking_section(&tracking)));
     if !results.lungs.is_empty() {
@@ -103,7 +104,7 @@ pub fn lungs_table(results: &Results) -> Table {
             none(),
         ]);
     }
-    if let Some(Means { bound: Some(bound), pid, single_pid, learned, generalist }) = results.mean {
+    if let Some(LungMeans { bound: Some(bound), pid, single_pid, learned, generalist }) = results.mean {
         table.row(vec![
             Cell::text("mean / bound"),
             Cell::number(pid / bound, 3),
@@ -127,7 +128,7 @@ fn none() -> Cell {
     Cell::right("-")
 }
 
-fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, ReproduceError> {
+fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section, StudyError> {
     let at = |of: &dyn Fn(&LungFigures) -> Option<f64>| -> Vec<(f64, f64)> {
         (1..).zip(&results.lungs).filter_map(|(n, lung)| Some((f64::from(n), of(lung)?))).collect()
     };
@@ -230,7 +231,7 @@ fn tracking_section(tracking: &tracking::Tracking) -> Section {
     }
 }
 
-fn points(trace: &Trace, values: &[f64], until: f64) -> Vec<(f64, f64)> {
+fn points(trace: &BreathTrace, values: &[f64], until: f64) -> Vec<(f64, f64)> {
     let both = trace.time_s.iter().copied().zip(values.iter().copied());
     both.take_while(|(time, _)| *time < until).collect()
 }
@@ -288,20 +289,20 @@ fn changes_section(changes: &[Change]) -> Section {
     }
 }
 
-fn iso_section(rows: &[iso::Row]) -> Section {
+fn iso_section(rows: &[iso::IsoResult]) -> Section {
     let mut table = Table::new(
         "Plateau error and overshoot in cmH2O, rise in ms, tidal volume in mL; PID / learned for all",
         &["row", "R", "C", "PIP/PEEP", "plateau", "overshoot", "rise", "volume", "expected", "kept"],
     );
-    let pair = |row: &iso::Row, of: &dyn Fn(&iso::Outcome) -> f64, decimals: usize| {
-        let text = |outcome: &Option<iso::Outcome>| {
+    let pair = |row: &iso::IsoResult, of: &dyn Fn(&iso::IsoOutcome) -> f64, decimals: usize| {
+        let text = |outcome: &Option<iso::IsoOutcome>| {
             outcome
                 .as_ref()
                 .map_or_else(|| "fault".to_owned(), |outcome| format!("{:.decimals$}", of(outcome)))
         };
         Cell::right(format!("{} / {}", text(&row.single_pid), text(&row.generalist)))
     };
-    let kept = |outcome: &Option<iso::Outcome>| {
+    let kept = |outcome: &Option<iso::IsoOutcome>| {
         if outcome.is_some_and(|outcome| outcome.pass) { "yes" } else { "no" }
     };
     for row in rows {
@@ -351,7 +352,7 @@ fn learning_section(found: &Learning, results: &Results) -> Section {
             figure.samples_to_near_best.map_or_else(none, |ticks| Cell::number(ticks as f64 * 1e-6, 1)),
         ]);
     }
-    let curve = |(name, learner): (&str, &Learner)| {
+    let curve = |(name, learner): (&str, &LearnerResult)| {
         let points = learner.curve.iter().map(|(samples, score)| (*samples as f64 * 1e-6, *score));
         Series::new(name, Style::Line, points.collect())
     };

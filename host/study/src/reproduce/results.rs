@@ -3,9 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::changes::{self, Change};
-use super::learning::{Learner, Learning};
+use super::learning::{LearnerResult, Learning};
+use super::lungs::LungScores;
 use super::study::Study;
-use super::{Ablation, ReproduceError, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
+use super::{Ablation, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
+use crate::StudyError;
 use data::provenance::git_revision;
 use judge::evaluate::Evaluation;
 
@@ -41,7 +43,7 @@ impl LungFigures {
 
 /// Means over the lungs, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Means {
+pub struct LungMeans {
     /// Each lung's own best PID.
     pub pid: f64,
     /// The best PID for all lungs.
@@ -132,7 +134,7 @@ pub struct Results {
     /// By lung.
     pub lungs: Vec<LungFigures>,
     /// Over the lungs.
-    pub mean: Option<Means>,
+    pub mean: Option<LungMeans>,
     /// Highest ratio of the generalist's score to the single PID's over all pairs of lung and waveform.
     pub worst_cell_ratio: Option<f64>,
     /// Plants outside of the training.
@@ -151,46 +153,15 @@ pub struct Results {
 
 impl Results {
     /// Reads what the folder holds.
-    pub(super) fn gather(study: &Study<'_>) -> Result<Self, ReproduceError> {
+    pub(super) fn gather(study: &Study<'_>) -> Result<Self, StudyError> {
         let kept = lungs::kept(study)?.unwrap_or_default();
         let generalist = generalist::kept(study)?;
-        let everyone: Vec<Option<&Evaluation>> = match &generalist {
+        let generalists: Vec<Option<&Evaluation>> = match &generalist {
             Some(generalist) => generalist.lungs.iter().map(Some).collect(),
             None => vec![None; kept.len()],
         };
-        let bounds: Vec<Option<f64>> = match limits::kept(study)? {
-            Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
-            None => vec![None; kept.len()],
-        };
-        let lungs: Vec<LungFigures> = study
-            .lungs()
-            .iter()
-            .zip(&kept)
-            .zip(&everyone)
-            .zip(bounds)
-            .map(|(((bench, lung), generalist), bound)| {
-                let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
-                LungFigures {
-                    lung: bench.name.clone(),
-                    r: bench.lung.first.resistance_cmh2o_per_l_s,
-                    c: bench.lung.first.compliance_ml_per_cmh2o,
-                    pid: lung.pid.mean.score,
-                    single_pid: lung.single_pid.mean.score,
-                    learned: mean(learned.iter().copied()),
-                    learned_by_seed: learned,
-                    generalist: generalist.map(|e| e.mean.score),
-                    bound,
-                }
-            })
-            .collect();
-        let means = (!lungs.is_empty()).then(|| Means {
-            pid: mean(lungs.iter().map(|lung| lung.pid)),
-            single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
-            learned: mean(lungs.iter().map(|lung| lung.learned)),
-            generalist: mean_of_all(&lungs, |lung| lung.generalist),
-            bound: mean_of_all(&lungs, |lung| lung.bound),
-        });
-        let cells = kept.iter().zip(&everyone).filter_map(|(lung, generalist)| {
+        let lungs = lung_figures(study, &kept, &generalists)?;
+        let cells = kept.iter().zip(&generalists).filter_map(|(lung, generalist)| {
             let pairs = generalist.as_ref()?.waveforms.iter().zip(&lung.single_pid.waveforms);
             Some(pairs.map(|(learned, pid)| learned.score.score / pid.score.score).fold(0.0, f64::max))
         });
@@ -211,15 +182,55 @@ impl Results {
             breaths_to_reconverge: changes::kept(study)?.and_then(|changes| {
                 changes.iter().map(|change| Change::breaths_to_reconverge(&change.generalist)).max()
             }),
+            mean: means(&lungs),
             lungs,
-            mean: means,
         })
     }
 }
 
+/// What was found on each lung.
+fn lung_figures(
+    study: &Study<'_>,
+    kept: &[LungScores],
+    generalists: &[Option<&Evaluation>],
+) -> Result<Vec<LungFigures>, StudyError> {
+    let bounds: Vec<Option<f64>> = match limits::kept(study)? {
+        Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
+        None => vec![None; kept.len()],
+    };
+    let lungs = study.lungs().iter().zip(kept).zip(generalists).zip(bounds);
+    let figures = lungs.map(|(((bench, lung), generalist), bound)| {
+        let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
+        LungFigures {
+            lung: bench.name.clone(),
+            r: bench.lung.first.resistance_cmh2o_per_l_s,
+            c: bench.lung.first.compliance_ml_per_cmh2o,
+            pid: lung.pid.mean.score,
+            single_pid: lung.single_pid.mean.score,
+            learned: mean(learned.iter().copied()),
+            learned_by_seed: learned,
+            generalist: generalist.map(|e| e.mean.score),
+            bound,
+        }
+    });
+    Ok(figures.collect())
+}
+
+/// Means over the lungs, if there are any.
+fn means(lungs: &[LungFigures]) -> Option<LungMeans> {
+    (!lungs.is_empty()).then(|| LungMeans {
+        pid: mean(lungs.iter().map(|lung| lung.pid)),
+        single_pid: mean(lungs.iter().map(|lung| lung.single_pid)),
+        learned: mean(lungs.iter().map(|lung| lung.learned)),
+        generalist: mean_of_all(lungs, |lung| lung.generalist),
+        bound: mean_of_all(lungs, |lung| lung.bound),
+    })
+}
+
 fn rl_figures(found: &Learning) -> RlFigures {
-    let best = [&found.ppo, &found.dqn, &found.ours].map(Learner::best).into_iter().fold(f64::MAX, f64::min);
-    let figure = |learner: &Learner| RlFigure {
+    let best =
+        [&found.ppo, &found.dqn, &found.ours].map(LearnerResult::best).into_iter().fold(f64::MAX, f64::min);
+    let figure = |learner: &LearnerResult| RlFigure {
         score: learner.score,
         samples: learner.samples,
         samples_to_near_best: learner.samples_until((1.0 + NEAR) * best),
@@ -227,7 +238,7 @@ fn rl_figures(found: &Learning) -> RlFigures {
     RlFigures { ppo: figure(&found.ppo), dqn: figure(&found.dqn), ours: figure(&found.ours) }
 }
 
-fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceError> {
+fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, StudyError> {
     let figures = |plant: unseen::Unseen| UnseenFigures {
         plant: plant.plant,
         inside: plant.inside,
@@ -238,8 +249,8 @@ fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, ReproduceErro
     Ok(unseen::kept(study)?.unwrap_or_default().into_iter().map(figures).collect())
 }
 
-fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, ReproduceError> {
-    let figures = |row: iso::Row| IsoFigures {
+fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, StudyError> {
+    let figures = |row: iso::IsoResult| IsoFigures {
         row: row.number,
         single_pid: row.single_pid.is_some_and(|outcome| outcome.pass),
         generalist: row.generalist.is_some_and(|outcome| outcome.pass),
@@ -266,7 +277,7 @@ mod tests {
 
     #[test]
     fn near_the_best_is_judged_by_the_best_of_all_three() {
-        let learner = |curve: &[(u64, f64)]| Learner { score: 1.0, samples: 9, curve: curve.to_vec() };
+        let learner = |curve: &[(u64, f64)]| LearnerResult { score: 1.0, samples: 9, curve: curve.to_vec() };
         let figures = rl_figures(&Learning {
             ppo: learner(&[(1, 2.0), (5, 1.0)]),
             dqn: learner(&[(1, 1.5), (9, 1.03)]),

@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::{ReproduceError, Reproduction};
-use data::json::{self, JsonError};
+use super::Reproduction;
+use crate::StudyError;
+use data::files::{claim, read_json, write_json_indented};
 use judge::baselines::{Grid, Search};
 use judge::evaluate::{Evaluation, Plan, evaluate};
 use judge::rl::compare::RlConfig;
@@ -79,16 +80,13 @@ struct Claim {
 
 impl<'a> Study<'a> {
     /// Takes the folder, unless it belongs to another study.
-    pub(super) fn new(
-        reproduction: &'a Reproduction,
-        progress: &Progress<'a>,
-    ) -> Result<Self, ReproduceError> {
+    pub(super) fn new(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Result<Self, StudyError> {
         let Reproduction { seed, budget, lungs, out, .. } = reproduction;
-        let claim = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
-        if json::claim(out, &claim)? {
+        let own = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
+        if claim(out, &own).map_err(StudyError::file(out))? {
             Ok(Self { reproduction, progress: *progress })
         } else {
-            Err(ReproduceError::OtherRun(out.display().to_string()))
+            Err(StudyError::OtherRun(out.display().to_string()))
         }
     }
 
@@ -117,12 +115,12 @@ impl<'a> Study<'a> {
         &self,
         bench: &BenchConfig,
         controller: &Controller,
-    ) -> Result<Evaluation, ReproduceError> {
+    ) -> Result<Evaluation, StudyError> {
         Ok(evaluate(bench, controller, &self.plan())?)
     }
 
     /// A PID at the plan's control period.
-    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller, ReproduceError> {
+    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller, StudyError> {
         Ok(Controller::Pid(Pid::new(gains, self.plan().period_us)?))
     }
 
@@ -130,26 +128,28 @@ impl<'a> Study<'a> {
     pub(super) fn keep<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
-        work: impl FnOnce() -> Result<T, ReproduceError>,
-    ) -> Result<T, ReproduceError> {
+        work: impl FnOnce() -> Result<T, StudyError>,
+    ) -> Result<T, StudyError> {
         if let Some(kept) = self.kept(name)? {
             return Ok(kept);
         }
         let result = work()?;
         if self.progress.stopped() {
-            return Err(ReproduceError::Stopped);
+            return Err(StudyError::Stopped);
         }
         self.write(&format!("{name}.json"), &result)?;
         Ok(result)
     }
 
     /// What is kept under this name.
-    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, ReproduceError> {
-        Ok(json::read(&self.path(&format!("{name}.json")))?)
+    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, StudyError> {
+        let path = self.path(&format!("{name}.json"));
+        read_json(&path).map_err(StudyError::file(&path))
     }
 
     /// Writes a value as JSON.
-    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), JsonError> {
-        json::write(&self.path(name), value)
+    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), StudyError> {
+        let path = self.path(name);
+        write_json_indented(&path, value).map_err(StudyError::file(&path))
     }
 }

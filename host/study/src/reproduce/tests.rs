@@ -65,7 +65,7 @@ fn a_folder_of_another_study_is_refused() {
     run_small(out.path(), &[]);
     let other = Reproduction { seed: 2, ..small(out.path(), &[]) };
     let refused = run(&other, &Progress::silent());
-    assert!(matches!(refused, Err(ReproduceError::OtherRun(_))));
+    assert!(matches!(refused, Err(StudyError::OtherRun(_))));
 }
 
 #[test]

@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
 use super::study::Study;
-use super::{ReproduceError, generalist, lungs};
-use judge::evaluate::{Trace, trace};
+use super::{generalist, lungs};
+use crate::StudyError;
+use judge::evaluate::{BreathTrace, trace};
 use learn::controller::learned::Learned;
 
 /// The waveform shown, cmH2O.
@@ -19,11 +20,11 @@ pub(super) struct Tracking {
     /// Name of the lung.
     pub(super) lung: String,
     /// Name and curves of each controller.
-    pub(super) controllers: Vec<(String, Trace)>,
+    pub(super) controllers: Vec<(String, BreathTrace)>,
 }
 
 /// Draws the curves on the lung in the middle of the list.
-pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking, ReproduceError> {
+pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking, StudyError> {
     study.keep("tracking", || {
         let index = study.lungs().len() / 2;
         let bench = &study.lungs()[index];
@@ -43,12 +44,12 @@ pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking, ReproduceError> {
             let trace = trace(bench, &controller, &settings, plan.period_us, plan.seeds[0], BREATHS)?;
             Ok((name.to_owned(), trace))
         };
-        let controllers = controllers.into_iter().map(curves).collect::<Result<_, ReproduceError>>()?;
+        let controllers = controllers.into_iter().map(curves).collect::<Result<_, StudyError>>()?;
         Ok(Tracking { lung: bench.name.clone(), controllers })
     })
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Tracking>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Tracking>, StudyError> {
     study.kept("tracking")
 }

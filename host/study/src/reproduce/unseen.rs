@@ -6,7 +6,8 @@ use shared::control::Controller;
 use shared::control::pid::PidGains;
 
 use super::study::Study;
-use super::{ReproduceError, Reproduction, generalist, lungs};
+use super::{Reproduction, generalist, lungs};
+use crate::StudyError;
 use judge::baselines::tune_pid;
 use judge::evaluate::{Evaluation, Plan};
 use plant::bench::{BenchConfig, CompartmentConfig};
@@ -27,7 +28,7 @@ pub(super) struct Unseen {
 }
 
 /// Scores the generalist and the single PID everywhere.
-pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>, ReproduceError> {
+pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>, StudyError> {
     study.keep("unseen", || {
         let learned = generalist::controller(study)?;
         let single = lungs::tuned(study)?.over_all.pid.gains;
@@ -37,7 +38,7 @@ pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>, ReproduceError> {
 }
 
 /// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Unseen>>, ReproduceError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Unseen>>, StudyError> {
     study.kept("unseen")
 }
 
@@ -47,12 +48,12 @@ fn plant(
     inside: bool,
     learned: &Controller,
     single: PidGains,
-) -> Result<Unseen, ReproduceError> {
+) -> Result<Unseen, StudyError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let progress = study.progress.of(&bench.name);
     let own = tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress)?;
     if !own.complete {
-        return Err(ReproduceError::Stopped);
+        return Err(StudyError::Stopped);
     }
     Ok(Unseen {
         plant: bench.name.clone(),

@@ -13,8 +13,10 @@ use shared::control::network::Network;
 use shared::control::pid::Pid;
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::device::KNOWN_GOOD;
-use shared::link::messages::{DeviceKind, ResetCause, Slot};
-use shared::recorder::{FAST_ENTRIES, Happening, Recording};
+use shared::link::messages::DeviceKind;
+use shared::recorder::{FAST_ENTRIES, Happening, RecordingState};
+use shared::reset::ResetCause;
+use shared::weights::slots::Slot;
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use crate::collect::{CollectConfig, collect};
@@ -200,12 +202,12 @@ fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_re
     }
     let (running, steps) = observed(|progress| device.blackbox(progress).unwrap());
     assert!(steps.is_sorted_by_key(|(read, _)| *read) && steps.last().is_some_and(|(read, all)| read == all));
-    assert_eq!((running.status.recording, running.unread), (Recording::Running, 0));
+    assert_eq!((running.status.recording, running.unread), (RecordingState::Running, 0));
     assert!(running.slow.ticks().any(|tick| tick.pressure > 15.0), "a breath is in it");
     device.stop().unwrap();
     device.restart().unwrap();
     let after = device.blackbox(&Progress::silent()).unwrap();
-    assert_eq!((after.status.boot, after.status.recording), (2, Recording::Stopped));
+    assert_eq!((after.status.boot, after.status.recording), (2, RecordingState::Stopped));
     assert_eq!(after.fast.entries.len(), FAST_ENTRIES);
     let again = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!((after.fast, after.slow), (again.fast, again.slow), "it stands still");

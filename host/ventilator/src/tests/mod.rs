@@ -1,5 +1,4 @@
 //! Sources against what they stand for: devices, plants in other processes, the bench behind the plant line.
 
-mod bench_plant;
 mod device;
 mod plant_link;

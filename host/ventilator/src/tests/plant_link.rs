@@ -9,13 +9,14 @@ use std::time::{Duration, Instant};
 use shared::breath::paper_settings;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
-use shared::link::plant::{FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, Frame, Message, VERSION};
 use shared::settings::Settings;
 
 use crate::collect::{CollectConfig, CollectError, Collected, collect};
 use crate::{BenchSource, PlantSource, Source, SourceError};
-use emulator::{BenchPlant, LockstepPlant, PlantEnd};
-use plant::bench::BenchConfig;
+use emulator::{LockstepPlant, PlantEnd};
+use plant::Plant;
+use plant::bench::{BenchConfig, BenchPlant};
 use plant::link::{Greeting, PlantAddress, PlantError, PlantLink};
 use progress::Progress;
 

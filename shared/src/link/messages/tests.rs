@@ -6,13 +6,20 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::breath::Phase;
-use crate::device::timing::Span;
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
 use crate::link::refusal::SettingsRefusal;
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
-use crate::recorder::{Held, PAGE_BYTES, Recording};
+use crate::recorder::{Held, PAGE_BYTES, RecordingState};
+use crate::reset::ResetCause;
+use crate::timing::CycleStats;
 use crate::ventilator::Sample;
 use crate::weights::ImageProblem;
+use crate::weights::slots::{Slot, SlotState};
+
+#[test]
+fn no_response_is_longer_than_a_page_of_the_recorder_needs() {
+    assert!(size_of::<Response>() <= 272, "{} bytes: every answer takes as many", size_of::<Response>());
+}
 
 fn hex<M: Serialize>(message: &M) -> String {
     let mut buffer = [0; MESSAGE_BYTES];
@@ -132,9 +139,12 @@ fn response() -> impl Strategy<Value = Response> {
         any::<u8>().prop_map(|free| Response::Queued { free }),
         any::<u32>().prop_map(|ticks| Response::Timing(TickTimes { ticks, ..TickTimes::default() })),
         (any::<u16>(), any::<u32>(), mode()).prop_map(|(boot, first, mode)| {
-            let recording =
-                if let Mode::Fault(fault) = mode { Recording::Fault(fault) } else { Recording::Running };
-            Response::Recorder(Status { boot, recording, fast: Held { first, ..HELD }, ..STATUS })
+            let recording = if let Mode::Fault(fault) = mode {
+                RecordingState::Fault(fault)
+            } else {
+                RecordingState::Running
+            };
+            Response::Recorder(RecorderStatus { boot, recording, fast: Held { first, ..HELD }, ..STATUS })
         }),
         (any::<u32>(), prop::collection::vec(any::<u8>(), 0..=PAGE_BYTES)).prop_map(|(first, bytes)| {
             Response::Recorded(Page { part: Part::Log, first, bytes: Vec::from_slice(&bytes).unwrap() })
@@ -146,16 +156,16 @@ const TIMES: TickTimes = TickTimes {
     core_hz: 1024,
     ticks: 1,
     missed: 0,
-    latency: Span { shortest: 2, mean: 1.0, longest: 4 },
-    work: Span { shortest: 0, mean: 0.0, longest: 0 },
-    period: Span { shortest: 0, mean: 0.0, longest: 0 },
+    latency: CycleStats { shortest: 2, mean: 1.0, longest: 4 },
+    work: CycleStats { shortest: 0, mean: 0.0, longest: 0 },
+    period: CycleStats { shortest: 0, mean: 0.0, longest: 0 },
     histogram: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 12],
 };
 
 const HELD: Held = Held { first: 1, next: 300, origin: u32::MAX };
-const STATUS: Status = Status {
+const STATUS: RecorderStatus = RecorderStatus {
     boot: 2,
-    recording: Recording::Fault(Fault::HighPressure),
+    recording: RecordingState::Fault(Fault::HighPressure),
     tick: 128,
     tick_boot: 1,
     fast: HELD,

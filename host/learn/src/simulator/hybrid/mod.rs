@@ -28,8 +28,8 @@ use self::lung::{PHYSICS, Physics};
 use self::own::Own;
 use self::ventilator::{OPENINGS, Ventilator};
 use super::states::{self, Network};
-use super::{CommandLog, Dynamics, Start, Timing};
-use engine::Lane;
+use super::{CommandLog, Dynamics, Members, Start, Timing};
+use engine::{LANES, Lane};
 
 /// Deviations of a group from what all have in common, as logarithms: R, C, opening towards the supply, opening towards
 /// the room. A run whose resistor is not what its label says keeps that to itself; a lung that was never seen has none.
@@ -153,7 +153,7 @@ pub struct Hybrid {
 #[derive(Clone, Debug)]
 pub struct HybridTape {
     /// Group of each lane, below zero where it is unknown.
-    group: Lane,
+    group: Members,
     ventilator: ventilator::Tape,
     lung: lung::Tape,
     network: states::Tape,
@@ -199,7 +199,7 @@ impl Dynamics for Hybrid {
     fn tape(&self, blocks: usize) -> HybridTape {
         let steps = blocks * self.config.timing.points;
         HybridTape {
-            group: Lane::ZERO,
+            group: [None; LANES],
             ventilator: self.ventilator.tape(blocks),
             lung: Physics::tape(steps),
             network: self.network.tape(blocks),
@@ -374,8 +374,8 @@ mod tests {
         common[layout.mixing.clone()].fill(0.0);
         let mut wild = common.clone();
         wild[layout.mixing].fill(1e4);
-        let unknown = Start { ventilator: Lane::splat(1.0), ..Start::default() };
-        let known = Start { group: Lane::splat(1.0), ..unknown };
+        let unknown = Start { ventilator: [Some(1); LANES], ..Start::default() };
+        let known = Start { group: [Some(1); LANES], ..unknown };
         let physics = pressures(config, &common, &unknown);
         assert_eq!(pressures(config, &own, &unknown), physics);
         assert_ne!(pressures(config, &own, &known), physics);

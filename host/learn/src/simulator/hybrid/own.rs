@@ -1,5 +1,6 @@
 //! Parameters that each member of a family (test runs, ventilators) has of its own. A member that nobody knows has zeros.
 
+use super::super::Members;
 use engine::{LANES, Lane};
 
 /// The family's parameters, one member after the other.
@@ -15,21 +16,21 @@ impl Own {
         Self { width, values: values.to_vec() }
     }
 
-    /// Index of the `n`-th parameter of the member in lane `l`; none where `member` is below zero or beyond the family.
-    fn index(&self, member: &Lane, n: usize, l: usize) -> Option<usize> {
-        let index = (member[l] >= 0.0).then_some(member[l] as usize * self.width + n)?;
+    /// Index of the `n`-th parameter of a member; none where it is unknown or beyond the family.
+    fn index(&self, member: Option<u32>, n: usize) -> Option<usize> {
+        let index = member? as usize * self.width + n;
         (index < self.values.len()).then_some(index)
     }
 
     /// The `n`-th parameter of the member in each lane.
-    pub fn lane(&self, member: &Lane, n: usize) -> Lane {
-        Lane::from_fn(|l| self.index(member, n, l).map_or(0.0, |index| self.values[index]))
+    pub fn lane(&self, members: &Members, n: usize) -> Lane {
+        Lane::from_fn(|l| self.index(members[l], n).map_or(0.0, |index| self.values[index]))
     }
 
     /// Adds to the family's gradient what the `n`-th parameters have of it.
-    pub fn add_gradient(&self, member: &Lane, n: usize, d: &Lane, gradient: &mut [f32]) {
+    pub fn add_gradient(&self, members: &Members, n: usize, d: &Lane, gradient: &mut [f32]) {
         for l in 0..LANES {
-            if let Some(index) = self.index(member, n, l) {
+            if let Some(index) = self.index(members[l], n) {
                 gradient[index] += d[l];
             }
         }
@@ -43,14 +44,14 @@ mod tests {
     #[test]
     fn members_have_what_is_theirs_and_strangers_nothing() {
         let own = Own::new(2, &[1.0, 2.0, 3.0, 4.0]);
-        let member = Lane::from_fn(|l| l as f32 - 1.0);
-        let lane = own.lane(&member, 1);
+        let members = std::array::from_fn(|l| (l as u32).checked_sub(1));
+        let lane = own.lane(&members, 1);
         assert_eq!(
             [lane[0], lane[1], lane[2], lane[3]].map(f32::to_bits),
             [0.0, 2.0, 4.0, 0.0].map(f32::to_bits)
         );
         let mut gradient = [0.0; 4];
-        own.add_gradient(&member, 1, &Lane::splat(5.0), &mut gradient);
+        own.add_gradient(&members, 1, &Lane::splat(5.0), &mut gradient);
         assert_eq!(gradient.map(f32::to_bits), [0.0, 5.0, 0.0, 5.0].map(f32::to_bits));
     }
 }

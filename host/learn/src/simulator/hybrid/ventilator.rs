@@ -13,10 +13,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::own::Own;
 use crate::simulator::leaky::{Leaky, sigmoid};
-use crate::simulator::{CommandLog, Start, Timing, piece, piece_mut};
-use engine::Lane;
+use crate::simulator::{CommandLog, Members, Start, Timing, piece, piece_mut};
 use engine::activation::Activation;
 use engine::dense::{Dense, DenseWeights};
+use engine::{LANES, Lane};
 
 /// Openings: towards the supply and towards the room.
 pub(super) const OPENINGS: usize = 2;
@@ -111,7 +111,7 @@ pub(super) struct Tape {
     pub openings: Vec<Openings>,
     known: [Lane; Start::KNOWN],
     /// Which ventilator it is in each lane.
-    member: Lane,
+    members: Members,
     /// Its shifts.
     shifts: Vec<Lane>,
     /// What the openings are multiplied by.
@@ -160,7 +160,7 @@ impl Ventilator {
             drive: zeros(states),
             openings: vec![[Lane::ZERO; OPENINGS]; blocks],
             known: [Lane::ZERO; Start::KNOWN],
-            member: Lane::ZERO,
+            members: [None; LANES],
             shifts: vec![Lane::ZERO; hidden],
             stretch: [Lane::ZERO; OPENINGS],
             d_hidden: zeros(hidden),
@@ -176,13 +176,13 @@ impl Ventilator {
     /// Starts a breath; `stretch` holds logarithms of what the test run multiplies its openings by.
     pub fn begin(&self, tape: &mut Tape, start: &Start, stretch: &Openings) {
         tape.known = start.known();
-        tape.member = start.ventilator;
+        tape.members = start.ventilator;
         self.start.forward(&tape.known, &mut tape.state[..self.shape.states]);
         for (n, shift) in tape.shifts.iter_mut().enumerate() {
-            *shift = self.own.lane(&tape.member, n);
+            *shift = self.own.lane(&tape.members, n);
         }
         for (n, run) in stretch.iter().enumerate() {
-            let own = self.own.lane(&tape.member, self.shape.hidden + n);
+            let own = self.own.lane(&tape.members, self.shape.hidden + n);
             tape.stretch[n] = own.zip(run, |own, run| (own + run).exp());
         }
         tape.d_state.fill(Lane::ZERO);
@@ -267,7 +267,7 @@ impl Ventilator {
             }
         }
         for (n, d) in d_shifts.iter().chain(&tape.d_stretch).enumerate() {
-            self.own.add_gradient(&tape.member, n, d, own);
+            self.own.add_gradient(&tape.members, n, d, own);
         }
     }
 }

@@ -65,14 +65,14 @@ fn an_operator_starts_sets_and_stops_a_device() {
     let (_socket, _simulated, _cable, session, mut view) = watched();
     assert_eq!(view.mode, Some(Mode::Standby), "looking at a device does not start it");
     press(&session, &mut view, Key::StartStop);
-    watch(&session, &mut view, "breaths", |view| view.breaths.len() >= 2 && view.trace.last().is_some());
+    watch(&session, &mut view, "breaths", |view| view.breaths.len() >= 2 && view.window.last().is_some());
     assert_eq!(view.mode, Some(Mode::Ventilating));
     press(&session, &mut view, Key::PipUp);
     watch(&session, &mut view, "the new PIP", |view| {
         view.in_force.is_some_and(|settings| (settings.pip - 21.0).abs() < 1e-6) && view.pending.is_none()
     });
     press(&session, &mut view, Key::Controller);
-    watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Message::Warning(_))));
+    watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
     assert!(warning(&view).contains("no valid weights"), "{}", warning(&view));
     press(&session, &mut view, Key::StartStop);
     watch(&session, &mut view, "standby", |view| view.mode == Some(Mode::Standby));
@@ -92,7 +92,7 @@ fn a_broken_line_is_told_and_opened_again_and_nothing_is_pushed() {
         &session,
         &mut view,
         "what was not sent",
-        |view| matches!(&view.message, Some(Message::Warning(text)) if text.contains("nothing was sent")),
+        |view| matches!(&view.message, Some(Notice::Warning(text)) if text.contains("nothing was sent")),
     );
     let (_another, _cable) = socket.plug_in();
     watch(&session, &mut view, "the greeting", |view| view.lost.is_none() && view.pending.is_none());
@@ -116,7 +116,7 @@ fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
     let mut view = View::new(address.to_string(), KNOWN_GOOD);
     watch(&session, &mut view, "the first look", |view| view.times.is_some());
     press(&session, &mut view, Key::StartStop);
-    watch(&session, &mut view, "telemetry", |view| view.trace.last().is_some());
+    watch(&session, &mut view, "telemetry", |view| view.window.last().is_some());
     session.leave();
 
     let mut device = Device::connect(&address).unwrap();

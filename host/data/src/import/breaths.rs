@@ -1,0 +1,232 @@
+//! From a stream of samples to breaths on an even grid of time.
+
+use super::account::Account;
+use super::map::{EndBy, Quantity, StartBy, TableLayout};
+use super::reader::TableRow;
+use super::rises::{Rises, is_up};
+use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, Row};
+
+/// Opening of the expiratory valve from which it counts as open, percent.
+const OPEN: f64 = 50.0;
+/// A row follows the one before if it comes after at most so many periods.
+const MOST_PERIODS: f64 = 1.75;
+/// A breath stays as it is if none of its rows is further than this share of a period from the grid.
+const UNEVEN: f64 = 0.05;
+/// Time before the end of an inspiration over which its plateau is averaged where no set-point says it, seconds.
+const PLATEAU_S: f64 = 0.05;
+/// Rows after which a breath that does not end is no breath.
+const MOST_ROWS: usize = 200_000;
+
+/// Gathers samples into breaths and gives their rows away, one breath at a time.
+pub(super) struct Assembler<'a> {
+    layout: &'a TableLayout,
+    period_s: f64,
+    rises: Rises,
+    /// The samples of the running breath, and the set-point before it.
+    breath: Vec<TableRow>,
+    target_before: f64,
+    last: Option<TableRow>,
+    within: bool,
+    after_gap: bool,
+    number: u32,
+    rows: Vec<Row>,
+}
+
+impl<'a> Assembler<'a> {
+    pub(super) fn new(layout: &'a TableLayout, period_s: f64) -> Self {
+        Self {
+            layout,
+            period_s,
+            rises: Rises::new(period_s),
+            breath: Vec::new(),
+            target_before: 0.0,
+            last: None,
+            within: false,
+            after_gap: false,
+            number: 0,
+            rows: Vec::new(),
+        }
+    }
+
+    /// Takes the next sample; `sink` gets the rows of a breath that ends with it.
+    pub(super) fn push(
+        &mut self,
+        sample: TableRow,
+        account: &mut Account,
+        sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
+    ) -> Result<(), DatasetError> {
+        if self.last.is_some_and(|last| last.group != sample.group) {
+            self.end_of_stretch(account, sink)?;
+        }
+        let numbered = self.layout.start == StartBy::Number && sample.next_breath;
+        let follows = self.last.is_none_or(|last| self.follows(&last, &sample));
+        if !numbered && (!follows || self.breath.len() >= MOST_ROWS) {
+            self.end_of_stretch(account, sink)?;
+            self.after_gap = true;
+            account.gaps += 1;
+        }
+        let starts = match self.layout.start {
+            StartBy::Number => sample.next_breath,
+            StartBy::Target => self.rises.starts(sample.get(Quantity::Target) as f32),
+            StartBy::Valve => {
+                let open = |sample: &TableRow| sample.get(Quantity::UOut) >= OPEN;
+                self.last.is_some_and(|last| open(&last)) && !open(&sample)
+            }
+        };
+        if starts {
+            self.finish(account, sink)?;
+            (self.within, self.after_gap) = (true, false);
+            self.target_before = self.last.unwrap_or(sample).get(Quantity::Target);
+        }
+        account.sample(&sample, if numbered { None } else { self.last.as_ref() });
+        if self.within {
+            self.breath.push(sample);
+        } else if self.after_gap {
+            account.dropped_after_gap += 1;
+        } else {
+            account.dropped_before_first += 1;
+        }
+        self.last = Some(sample);
+        Ok(())
+    }
+
+    /// Ends the running breath: what comes next does not follow on.
+    pub(super) fn end_of_stretch(
+        &mut self,
+        account: &mut Account,
+        sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
+    ) -> Result<(), DatasetError> {
+        self.finish(account, sink)?;
+        (self.last, self.within, self.after_gap) = (None, false, false);
+        self.rises.reset();
+        Ok(())
+    }
+
+    fn follows(&self, last: &TableRow, next: &TableRow) -> bool {
+        let step = next.get(Quantity::Time) - last.get(Quantity::Time);
+        step > 0.0 && step <= MOST_PERIODS * self.period_s
+    }
+
+    fn finish(
+        &mut self,
+        account: &mut Account,
+        sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
+    ) -> Result<(), DatasetError> {
+        if self.breath.is_empty() {
+            return Ok(());
+        }
+        let samples = std::mem::take(&mut self.breath);
+        let even = evened(&samples, self.period_s, account);
+        self.fill_rows(even.as_deref().unwrap_or(&samples));
+        let complete =
+            self.rows[0].phase == INSPIRATION && self.rows.iter().any(|row| row.phase != INSPIRATION);
+        let lung = self.rows[0].lung();
+        account.breath(&samples, self.rows.len(), complete, lung);
+        sink(&self.rows)?;
+        self.number += 1;
+        // The memory is used again.
+        self.breath = samples;
+        self.breath.clear();
+        Ok(())
+    }
+
+    /// The rows of a breath whose samples are on the grid.
+    fn fill_rows(&mut self, samples: &[TableRow]) {
+        let has = |quantity: Quantity| self.layout.origins[quantity as usize].is_some();
+        let has_target = has(Quantity::Target);
+        let targets = || samples.iter().map(|sample| sample.get(Quantity::Target));
+        let lowest = targets().fold(self.target_before, f64::min);
+        let inspiration = self.inspiration(samples, lowest as f32);
+        let (pip, peep) = if has_target {
+            (setting(targets().fold(lowest, f64::max)), setting(lowest))
+        } else {
+            (self.plateau(&samples[..inspiration.max(1)]), samples[0].get(Quantity::Pressure) as f32)
+        };
+        self.rows.clear();
+        for (tick, sample) in samples.iter().enumerate() {
+            let value = |quantity: Quantity| sample.get(quantity) as f32;
+            let optional = |quantity: Quantity| has(quantity).then(|| value(quantity));
+            let inspires = tick < inspiration;
+            let phase = match value(Quantity::Target) {
+                _ if inspires => INSPIRATION,
+                target if has_target && is_up(target, peep) => FALL,
+                _ => EXPIRATION,
+            };
+            let closed = if inspires { 0.0 } else { 100.0 };
+            self.rows.push(Row {
+                breath: self.number,
+                tick: tick as u32,
+                phase,
+                target: optional(Quantity::Target).unwrap_or(if inspires { pip } else { peep }),
+                pressure: value(Quantity::Pressure),
+                u_in: value(Quantity::UIn),
+                u_out: optional(Quantity::UOut).unwrap_or(closed),
+                pip,
+                peep,
+                flow_in: optional(Quantity::FlowIn),
+                flow_out: optional(Quantity::FlowOut),
+                resistance: optional(Quantity::Resistance),
+                compliance: optional(Quantity::Compliance),
+                u_psol: optional(Quantity::UPsol),
+                group: Some(sample.group),
+                ..Row::default()
+            });
+        }
+    }
+
+    /// Rows of the inspiration.
+    fn inspiration(&self, samples: &[TableRow], peep: f32) -> usize {
+        let until = |ends: &dyn Fn(&TableRow) -> bool| samples.iter().position(ends).unwrap_or(samples.len());
+        match self.layout.end {
+            EndBy::Time(seconds) => ((seconds / self.period_s).round() as usize).min(samples.len()),
+            EndBy::Valve => until(&|sample| sample.get(Quantity::UOut) >= OPEN),
+            EndBy::Target => until(&|sample| !is_up(sample.get(Quantity::Target) as f32, peep)),
+        }
+    }
+
+    fn plateau(&self, inspiration: &[TableRow]) -> f32 {
+        let rows = ((PLATEAU_S / self.period_s).round() as usize).clamp(1, inspiration.len());
+        let last = &inspiration[inspiration.len() - rows..];
+        (last.iter().map(|sample| sample.get(Quantity::Pressure)).sum::<f64>() / rows as f64) as f32
+    }
+}
+
+/// A pressure setting, cmH2O, without the rounding noise of its transmission.
+fn setting(target: f64) -> f32 {
+    ((target * 100.0).round() / 100.0) as f32
+}
+
+/// The samples on the grid; none if they are on it already. Measured values are interpolated on straight lines, valve
+/// and set-points hold until the next row.
+fn evened(samples: &[TableRow], period_s: f64, account: &mut Account) -> Option<Vec<TableRow>> {
+    let time = |n: usize| samples[n].get(Quantity::Time) - samples[0].get(Quantity::Time);
+    let off = (0..samples.len()).map(|n| (time(n) - n as f64 * period_s).abs()).fold(0.0, f64::max);
+    account.furthest_from_grid = account.furthest_from_grid.max(off);
+    if off <= UNEVEN * period_s {
+        return None;
+    }
+    account.resampled += 1;
+    let ticks = (time(samples.len() - 1) / period_s + UNEVEN) as usize + 1;
+    let mut after = 1;
+    Some(
+        (0..ticks)
+            .map(|tick| {
+                let now = tick as f64 * period_s;
+                while after + 1 < samples.len() && time(after) <= now {
+                    after += 1;
+                }
+                let (Some(a), Some(b)) = (samples.get(after - 1), samples.get(after)) else {
+                    return samples[0];
+                };
+                let span = time(after) - time(after - 1);
+                let share = ((now - time(after - 1)) / span).clamp(0.0, 1.0);
+                let mut sample = if share < 1.0 { *a } else { *b };
+                for quantity in [Quantity::Pressure, Quantity::UIn, Quantity::FlowIn, Quantity::FlowOut] {
+                    let (a, b) = (a.get(quantity), b.get(quantity));
+                    sample.fields[quantity as usize] = a + share * (b - a);
+                }
+                sample
+            })
+            .collect(),
+    )
+}

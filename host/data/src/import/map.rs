@@ -1,0 +1,408 @@
+//! Which column of a table is what, in which unit: as typed in TOML, and as checked.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Quantities that a row may have, in the order of [`Fields`](super::reader::Fields).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// Seconds from any zero.
+    Time,
+    /// Airway pressure, cmH2O.
+    Pressure,
+    /// Command of the inspiratory valve, percent.
+    UIn,
+    /// Command of the expiratory valve, percent from closed to open.
+    UOut,
+    /// Pressure asked for, cmH2O.
+    Target,
+    /// Flow into the patient circuit, L/s.
+    FlowIn,
+    /// Flow out of the patient circuit, L/s.
+    FlowOut,
+    /// Airway resistance, cmH2O/(L/s).
+    Resistance,
+    /// Compliance, mL/cmH2O.
+    Compliance,
+    /// Command of a second inspiratory valve (oxygen), percent.
+    UPsol,
+}
+
+/// How many quantities there are.
+pub const QUANTITIES: usize = 10;
+
+/// The unit of a command from 0 to 1.
+const SHARE: &str = "share";
+
+/// Pressure units: name and factor to cmH2O.
+const PRESSURES: &[(&str, f64)] = &[
+    ("cmH2O", 1.0),
+    ("hPa", 1.019_716),
+    ("mbar", 1.019_716),
+    ("kPa", 10.197_16),
+    ("Pa", 0.010_197_16),
+    ("mmHg", 1.359_51),
+];
+
+impl Quantity {
+    /// All of them.
+    pub const ALL: [Self; QUANTITIES] = [
+        Self::Time,
+        Self::Pressure,
+        Self::UIn,
+        Self::UOut,
+        Self::Target,
+        Self::FlowIn,
+        Self::FlowOut,
+        Self::Resistance,
+        Self::Compliance,
+        Self::UPsol,
+    ];
+
+    /// Its table in the column map.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Time => "time",
+            Self::Pressure => "pressure",
+            Self::UIn => "u_in",
+            Self::UOut => "u_out",
+            Self::Target => "target",
+            Self::FlowIn => "flow_in",
+            Self::FlowOut => "flow_out",
+            Self::Resistance => "resistance",
+            Self::Compliance => "compliance",
+            Self::UPsol => "u_psol",
+        }
+    }
+
+    /// Units that it may come in, with their factors; the first is the default and our own.
+    pub const fn units(self) -> &'static [(&'static str, f64)] {
+        match self {
+            Self::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)],
+            Self::Pressure | Self::Target => PRESSURES,
+            Self::UIn | Self::UOut | Self::UPsol => &[("percent", 1.0), (SHARE, 100.0)],
+            Self::FlowIn | Self::FlowOut => {
+                &[("L/s", 1.0), ("L/min", 1.0 / 60.0), ("mL/s", 1e-3), ("mL/min", 1e-3 / 60.0)]
+            }
+            Self::Resistance => &[("cmH2O/(L/s)", 1.0), ("hPa/(L/s)", 1.019_716), ("kPa/(L/s)", 10.197_16)],
+            Self::Compliance => {
+                &[("mL/cmH2O", 1.0), ("L/cmH2O", 1000.0), ("mL/hPa", 0.980_665), ("mL/kPa", 0.098_066_5)]
+            }
+        }
+    }
+}
+
+/// Why a column map cannot be used.
+#[derive(Debug, Error)]
+pub enum MapError {
+    /// The file cannot be opened.
+    #[error("cannot read the column map {path}: {source}; check the path")]
+    Read {
+        /// The path tried.
+        path: String,
+        /// What the system answered.
+        source: std::io::Error,
+    },
+    /// Not TOML, or a name that nothing has.
+    #[error("the column map cannot be read: {0}")]
+    Syntax(#[from] toml::de::Error),
+    /// Neither column nor value, or both.
+    #[error("[{0}] of the column map needs a `column` or a `value`, one of the two")]
+    Source(&'static str),
+    /// A unit that is not known.
+    #[error("[{quantity}] of the column map: no unit `{unit}`; write one of {known}")]
+    Unit {
+        /// The quantity.
+        quantity: &'static str,
+        /// What was written.
+        unit: String,
+        /// What could be.
+        known: String,
+    },
+    /// A number that makes no sense.
+    #[error("{0} of the column map must be a number above 0")]
+    Number(&'static str),
+    /// A quantity that comes as a column only.
+    #[error("[{0}] of the column map must be a column, not a value: it changes from row to row")]
+    NotConstant(&'static str),
+    /// Nothing says where breaths start.
+    #[error(
+        "nothing in the column map says where a breath starts: give a [breath] column, a [target] that rises, or a \
+         [u_out] that closes"
+    )]
+    NoStart,
+    /// Nothing says where an inspiration ends.
+    #[error(
+        "nothing in the column map says where an inspiration ends: give a [u_out] that opens, a [target] that falls, \
+         or inspiration_s"
+    )]
+    NoEnd,
+}
+
+/// One quantity as typed.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    column: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    value: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unit: Option<String>,
+    #[serde(default = "one")]
+    scale: f64,
+    #[serde(default)]
+    offset: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// A column of names or numbers that are only compared.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Label {
+    column: String,
+}
+
+/// The columns of test runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Group {
+    /// The ventilator's name, or the name of the whole.
+    column: String,
+    /// The name of the run among the ventilator's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    run: Option<String>,
+}
+
+/// A column map as typed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ColumnMap {
+    #[serde(default = "no_name")]
+    plant: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    note: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    period_ms: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    inspiration_s: Option<f64>,
+    #[serde(default = "comma")]
+    separator: char,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    breath: Option<Label>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    group: Option<Group>,
+    time: Entry,
+    pressure: Entry,
+    u_in: Entry,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    u_out: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    target: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    flow_in: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    flow_out: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    resistance: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    compliance: Option<Entry>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    u_psol: Option<Entry>,
+}
+
+fn no_name() -> String {
+    "unknown".into()
+}
+
+fn comma() -> char {
+    ','
+}
+
+/// Where a quantity comes from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ColumnSource {
+    /// A column, times a factor, plus an offset: our unit.
+    Column {
+        /// Its head.
+        name: String,
+        /// Factor to our unit.
+        factor: f64,
+        /// What is added then, in our unit.
+        offset: f64,
+        /// Whether it is a command from 0 to 1, beyond which it makes no sense.
+        share: bool,
+    },
+    /// The same for all rows, in our unit.
+    Value(f64),
+}
+
+/// What starts a breath.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StartBy {
+    /// Another value in the column of breaths.
+    Number,
+    /// A rise of the set-point after a rest.
+    Target,
+    /// The expiratory valve closes.
+    Valve,
+}
+
+/// What ends an inspiration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum EndBy {
+    /// So many seconds.
+    Time(f64),
+    /// The expiratory valve opens.
+    Valve,
+    /// The set-point falls.
+    Target,
+}
+
+/// A column map that has been checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TableLayout {
+    /// What was recorded.
+    pub plant: String,
+    /// Remark for people.
+    pub note: Option<String>,
+    /// Sample period in seconds, where the map gives it.
+    pub period_s: Option<f64>,
+    /// Column separator.
+    pub separator: u8,
+    /// Head of the column of breaths.
+    pub breath: Option<String>,
+    /// Head of the column of groups.
+    pub group: Option<String>,
+    /// Head of the column of runs within a group.
+    pub run: Option<String>,
+    /// Quantities, in the order of [`Quantity::ALL`].
+    pub origins: [Option<ColumnSource>; QUANTITIES],
+    /// What starts a breath.
+    pub start: StartBy,
+    /// What ends an inspiration.
+    pub end: EndBy,
+}
+
+impl ColumnMap {
+    /// Reads a map.
+    ///
+    /// # Errors
+    /// The file cannot be read or is no column map.
+    pub fn load(path: &Path) -> Result<Self, MapError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| MapError::Read { path: path.display().to_string(), source })?;
+        Self::from_toml(&text)
+    }
+
+    /// Reads a map from text.
+    ///
+    /// # Errors
+    /// It is no column map.
+    pub fn from_toml(text: &str) -> Result<Self, MapError> {
+        Ok(toml::from_str(text)?)
+    }
+
+    /// The layout of the Kaggle competition "Ventilator Pressure Prediction" (Google Brain, 2021).
+    ///
+    /// # Errors
+    /// As [`Self::from_toml`], which a test rules out.
+    pub fn kaggle() -> Result<Self, MapError> {
+        Self::from_toml(include_str!("kaggle.toml"))
+    }
+
+    /// The layout of the measured tables of the `RespiraWorks` ventilator.
+    ///
+    /// # Errors
+    /// As [`Self::from_toml`], which a test rules out.
+    pub fn respiraworks() -> Result<Self, MapError> {
+        Self::from_toml(include_str!("respiraworks.toml"))
+    }
+
+    fn entry(&self, quantity: Quantity) -> Option<&Entry> {
+        match quantity {
+            Quantity::Time => Some(&self.time),
+            Quantity::Pressure => Some(&self.pressure),
+            Quantity::UIn => Some(&self.u_in),
+            Quantity::UOut => self.u_out.as_ref(),
+            Quantity::Target => self.target.as_ref(),
+            Quantity::FlowIn => self.flow_in.as_ref(),
+            Quantity::FlowOut => self.flow_out.as_ref(),
+            Quantity::Resistance => self.resistance.as_ref(),
+            Quantity::Compliance => self.compliance.as_ref(),
+            Quantity::UPsol => self.u_psol.as_ref(),
+        }
+    }
+
+    /// The map, checked.
+    ///
+    /// # Errors
+    /// The first thing in it that makes no sense.
+    pub fn layout(&self) -> Result<TableLayout, MapError> {
+        let positive = |value: Option<f64>, what| match value {
+            Some(value) if !(value > 0.0 && value.is_finite()) => Err(MapError::Number(what)),
+            value => Ok(value),
+        };
+        let period_s = positive(self.period_ms, "period_ms")?.map(|ms| ms * 1e-3);
+        let inspiration_s = positive(self.inspiration_s, "inspiration_s")?;
+        let mut origins: [Option<ColumnSource>; QUANTITIES] = Default::default();
+        for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
+            *origin = self.entry(quantity).map(|entry| entry.origin(quantity)).transpose()?;
+        }
+        let (valve, target) = (self.u_out.is_some(), self.target.is_some());
+        let start = match self.breath {
+            Some(_) => StartBy::Number,
+            None if target => StartBy::Target,
+            None if valve => StartBy::Valve,
+            None => return Err(MapError::NoStart),
+        };
+        let end = match inspiration_s {
+            Some(seconds) => EndBy::Time(seconds),
+            None if valve => EndBy::Valve,
+            None if target => EndBy::Target,
+            None => return Err(MapError::NoEnd),
+        };
+        Ok(TableLayout {
+            plant: self.plant.clone(),
+            note: self.note.clone(),
+            period_s,
+            separator: u8::try_from(self.separator).unwrap_or(b','),
+            breath: self.breath.as_ref().map(|label| label.column.clone()),
+            group: self.group.as_ref().map(|group| group.column.clone()),
+            run: self.group.as_ref().and_then(|group| group.run.clone()),
+            origins,
+            start,
+            end,
+        })
+    }
+}
+
+impl Entry {
+    fn origin(&self, quantity: Quantity) -> Result<ColumnSource, MapError> {
+        let name = quantity.name();
+        let units = quantity.units();
+        let unit = self.unit.as_deref().unwrap_or(units[0].0);
+        let Some((_, factor)) = units.iter().find(|(known, _)| *known == unit) else {
+            let known = units.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
+            return Err(MapError::Unit { quantity: name, unit: unit.to_owned(), known });
+        };
+        match (&self.column, self.value) {
+            (Some(column), None) => Ok(ColumnSource::Column {
+                name: column.clone(),
+                factor: factor * self.scale,
+                offset: factor * self.offset,
+                share: unit == SHARE,
+            }),
+            (None, Some(value)) if matches!(quantity, Quantity::Resistance | Quantity::Compliance) => {
+                Ok(ColumnSource::Value(factor * (value * self.scale + self.offset)))
+            }
+            (None, Some(_)) => Err(MapError::NotConstant(name)),
+            _ => Err(MapError::Source(name)),
+        }
+    }
+}

@@ -1,0 +1,29 @@
+//! What the tests of every crate share: where the measured tables are, and their recording.
+
+use std::path::{Path, PathBuf};
+
+use progress::Progress;
+
+use super::import;
+use super::map::ColumnMap;
+use crate::recording::Recording;
+
+/// The three measured tables, if they are at hand: in the folder that `EUPNEA_DATA` names, else beside the project.
+pub fn measured() -> Option<Vec<PathBuf>> {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let folder = std::env::var_os("EUPNEA_DATA").map_or_else(beside, PathBuf::from).join("respiraworks");
+    let paths = ["CT_AIR.csv", "CT_OXY.csv", "NPV_AIR.csv"].map(|name| folder.join(name)).to_vec();
+    if paths.iter().all(|path| path.exists()) {
+        return Some(paths);
+    }
+    eprintln!("skipped: no measured tables in {}", folder.display());
+    None
+}
+
+/// Imports measured tables into a file of `folder` and reads it; panics where that fails.
+pub fn measured_recording(tables: &[PathBuf], folder: &Path) -> Recording {
+    let layout = ColumnMap::respiraworks().and_then(|map| map.layout()).expect("the map is sound");
+    let out = folder.join("measured.parquet");
+    import(tables, &layout, &out, &Progress::silent()).expect("the tables are whole");
+    Recording::load(out).expect("it was just written")
+}

@@ -1,0 +1,104 @@
+//! The bench under a known command sequence: the state that breathing leads to, and the score of an inspiration.
+
+use shared::breath::{Breath, Phase};
+use shared::settings::Settings;
+
+use super::BoundError;
+use crate::evaluate::{Inspiration, Score, score_breath};
+use plant::bench::{Bench, BenchConfig, STEP_S, steps_per_period};
+use ventilator::SourceError;
+
+/// Largest change of the alveolar pressure from breath to breath that counts as none, cmH2O.
+const PERIODIC_CMH2O: f64 = 1e-4;
+/// Most breaths until the bench counts as periodic: a lung that empties by a tenth in a breath gets there.
+const MOST_BREATHS: usize = 100;
+
+/// One waveform on one bench.
+#[derive(Clone, Debug)]
+pub(super) struct BenchBreath {
+    breath: Breath,
+    steps_per_tick: u32,
+    rest: Bench,
+    target: Vec<f64>,
+}
+
+impl BenchBreath {
+    /// The waveform of `settings` at a control period on a bench at rest.
+    pub(super) fn new(config: &BenchConfig, settings: &Settings, period_us: u32) -> Result<Self, BoundError> {
+        let steps_per_tick = steps_per_period(period_us).map_err(SourceError::from)?;
+        let breath = Breath::new(settings, period_us).map_err(SourceError::from)?;
+        // The seed is that of the sensor's noise, and nobody looks at the sensor.
+        let rest = Bench::new(config, settings.peep, 0).map_err(SourceError::from)?;
+        let target = (0..breath.inspiration_ticks()).map(|tick| f64::from(breath.target(tick))).collect();
+        Ok(Self { breath, steps_per_tick, rest, target })
+    }
+
+    /// Control ticks of the inspiration.
+    pub(super) fn ticks(&self) -> usize {
+        self.target.len()
+    }
+
+    /// Control period, ms.
+    pub(super) fn tick_ms(&self) -> f64 {
+        f64::from(self.steps_per_tick) * STEP_S * 1e3
+    }
+
+    /// Target at every tick of the inspiration, cmH2O.
+    pub(super) fn target(&self) -> &[f64] {
+        &self.target
+    }
+
+    /// One control tick of the inspiration; the true airway pressure at its beginning, cmH2O.
+    pub(super) fn tick(&self, bench: &mut Bench, u_in: f32) -> f64 {
+        let pressure = bench.airway_pressure();
+        for _ in 0..self.steps_per_tick {
+            bench.step(u_in, false);
+        }
+        pressure
+    }
+
+    /// Pressure at every tick of the inspiration from `start` under `commands`, cmH2O.
+    pub(super) fn inspire(&self, start: &Bench, commands: &[f32]) -> Vec<f64> {
+        let mut bench = start.clone();
+        commands.iter().map(|u_in| self.tick(&mut bench, *u_in)).collect()
+    }
+
+    /// The bench at the beginning of an inspiration after so many breaths with `commands` that one more changes
+    /// nothing. Between inspirations the valves are as the ventilator has them.
+    pub(super) fn periodic(&self, commands: &[f32]) -> Bench {
+        let mut bench = self.rest.clone();
+        for _ in 0..MOST_BREATHS {
+            let before = bench.truth().alveolar_pressure;
+            self.run_breath(&mut bench, commands);
+            if (bench.truth().alveolar_pressure - before).abs() < PERIODIC_CMH2O {
+                break;
+            }
+        }
+        bench
+    }
+
+    fn run_breath(&self, bench: &mut Bench, commands: &[f32]) {
+        for u_in in commands {
+            self.tick(bench, *u_in);
+        }
+        let bias = self.breath.settings().expiratory_bias;
+        for tick in self.breath.inspiration_ticks()..self.breath.total_ticks() {
+            let u_in = if self.breath.phase(tick) == Phase::Expiration { bias } else { 0.0 };
+            for _ in 0..self.steps_per_tick {
+                bench.step(u_in, true);
+            }
+        }
+    }
+
+    /// The score that an evaluation gives this pressure.
+    pub(super) fn score(&self, pressure: &[f64]) -> Score {
+        let Settings { pip, peep, .. } = *self.breath.settings();
+        score_breath(&Inspiration {
+            period_s: f64::from(self.breath.period_s()),
+            peep: f64::from(peep),
+            pip: f64::from(pip),
+            pressure,
+            target: &self.target,
+        })
+    }
+}

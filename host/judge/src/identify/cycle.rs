@@ -1,0 +1,119 @@
+//! One respiratory cycle as the rows of a least-squares problem.
+
+use std::ops::Range;
+
+use data::recording::Recording;
+use engine::least_squares::{Solution, solve};
+
+/// Coefficients of the equation of motion: P0, 1/C, R, R2.
+pub const COEFFICIENTS: usize = 4;
+const ML_PER_L: f64 = 1000.0;
+/// Rows on either side of a row over which the slope of the pressure is taken span this time, seconds.
+const SLOPE_S: f64 = 0.02;
+
+/// A whole respiratory cycle: pressures, net flow less the drift of its sensors, and the pressure's slope.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cycle {
+    period_s: f64,
+    /// Rows of its inspiration.
+    inspiration: usize,
+    pressure: Vec<f64>,
+    /// Measured flow in less flow out, L/s.
+    flow: Vec<f64>,
+    /// Slope of the pressure, cmH2O/s.
+    slope: Vec<f64>,
+    /// What the flow sensors show in the mean over the cycle though nothing stays in the lung, L/s.
+    pub offset: f64,
+}
+
+/// Which rows of a cycle count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FitSpan {
+    /// Its inspiration.
+    Inspiration,
+    /// All of it.
+    Cycle,
+}
+
+/// Whether the drift of the flow sensors is taken out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Drift {
+    /// The flow as measured.
+    Kept,
+    /// Less its mean over the cycle.
+    Corrected,
+}
+
+impl Cycle {
+    /// The cycle in these rows of a recording with flows; the slope looks into the rows around it where it can.
+    pub fn new(recording: &Recording, rows: &Range<usize>, inspiration: usize) -> Option<Self> {
+        let (flow_in, flow_out) = (recording.flow_in.as_deref()?, recording.flow_out.as_deref()?);
+        let flow: Vec<f64> =
+            rows.clone().map(|row| f64::from(flow_in[row]) - f64::from(flow_out[row])).collect();
+        let pressure: Vec<f64> = recording.pressure[rows.clone()].iter().map(|p| f64::from(*p)).collect();
+        let period_s = recording.provenance.period_s();
+        let offset = flow.iter().sum::<f64>() / flow.len().max(1) as f64;
+        Some(Self { period_s, inspiration, slope: slopes(&pressure, period_s), pressure, flow, offset })
+    }
+
+    /// Measured pressures, cmH2O.
+    pub fn pressure(&self) -> &[f64] {
+        &self.pressure
+    }
+
+    /// Time between rows, s.
+    pub fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
+    /// The least-squares fit of `P = P0 + V/C + R q + R2 q|q|`, `q` being the net flow less what the circuit takes
+    /// (`circuit`, mL/cmH2O, times the slope of the pressure). Coefficients in that order, 1/C in cmH2O/mL.
+    pub fn fit(&self, span: FitSpan, drift: Drift, circuit: f64) -> Option<Solution<COEFFICIENTS>> {
+        let rows = self.rows(drift, circuit);
+        let count = match span {
+            FitSpan::Inspiration => self.inspiration.min(rows.len()),
+            FitSpan::Cycle => rows.len(),
+        };
+        solve(&rows[..count], &self.pressure[..count])
+    }
+
+    /// One row per sample: 1, volume since the cycle's start (mL), flow, flow times its magnitude.
+    pub fn rows(&self, drift: Drift, circuit: f64) -> Vec<[f64; COEFFICIENTS]> {
+        let offset = if drift == Drift::Corrected { self.offset } else { 0.0 };
+        let mut volume = 0.0;
+        let mut before = None;
+        let row = |(flow, slope): (&f64, &f64)| {
+            let flow = flow - offset - circuit / ML_PER_L * slope;
+            // Trapezoids; the first row has none before it.
+            volume +=
+                before.replace(flow).map_or(0.0, |last: f64| 0.5 * (last + flow)) * self.period_s * ML_PER_L;
+            [1.0, volume, flow, flow * flow.abs()]
+        };
+        self.flow.iter().zip(&self.slope).map(row).collect()
+    }
+
+    /// Root mean square of the corrected flow during the inspiration, L/s.
+    pub fn inspiratory_flow(&self) -> f64 {
+        let flows = &self.flow[..self.inspiration.min(self.flow.len())];
+        let square: f64 = flows.iter().map(|flow| (flow - self.offset).powi(2)).sum();
+        (square / flows.len().max(1) as f64).sqrt()
+    }
+}
+
+/// Slope of a least-squares line through the rows around each.
+fn slopes(values: &[f64], period_s: f64) -> Vec<f64> {
+    let reach = ((SLOPE_S / period_s).round() as usize).max(1);
+    (0..values.len())
+        .map(|row| {
+            let rows = row.saturating_sub(reach)..(row + reach + 1).min(values.len());
+            let middle = (rows.start + rows.end - 1) as f64 / 2.0;
+            let (mut product, mut square) = (0.0, 0.0);
+            for row in rows {
+                let time = (row as f64 - middle) * period_s;
+                product += time * values[row];
+                square += time * time;
+            }
+            if square > 0.0 { product / square } else { 0.0 }
+        })
+        .collect()
+}

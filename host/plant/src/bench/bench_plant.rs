@@ -1,0 +1,104 @@
+//! The bench as a plant, in control periods.
+
+use shared::settings::Settings;
+
+use super::{Bench, BenchConfig, BenchError, end_stops, steps_per_period};
+use crate::{Plant, Reading};
+
+/// A bench behind a sensor and two valves. It steps in whole milliseconds; for other periods it reads NaN.
+#[derive(Clone, Debug)]
+pub struct BenchPlant {
+    config: BenchConfig,
+    bench: Bench,
+    /// Steps of the bench in a control period; none if the last reset failed.
+    steps: u32,
+}
+
+impl BenchPlant {
+    /// A bench at rest at the default PEEP, with control periods of 1 ms until it is reset.
+    ///
+    /// # Errors
+    /// A bench that cannot be built.
+    pub fn new(config: &BenchConfig) -> Result<Self, BenchError> {
+        let bench = Bench::new(config, Settings::default().peep, 0)?;
+        Ok(Self { config: config.clone(), bench, steps: 1 })
+    }
+
+    fn reading(&self, pressure: f32) -> Reading {
+        Reading { pressure, truth: Some(self.bench.pressures()) }
+    }
+}
+
+impl Plant for BenchPlant {
+    type Error = BenchError;
+
+    fn name(&self) -> String {
+        self.config.name.clone()
+    }
+
+    fn parameters(&self) -> String {
+        self.config.to_toml()
+    }
+
+    fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, BenchError> {
+        self.steps = 0;
+        let (steps, peep) = (steps_per_period(period_us)?, end_stops(peep) as f32);
+        self.bench = Bench::new(&self.config, peep, seed)?;
+        self.steps = steps;
+        Ok(self.reading(peep))
+    }
+
+    fn set_peep(&mut self, peep: f32) -> Result<(), BenchError> {
+        self.bench.set_peep(peep);
+        Ok(())
+    }
+
+    #[inline]
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, BenchError> {
+        let mut pressure = f32::NAN;
+        for _ in 0..self.steps {
+            pressure = self.bench.step(u_in, u_out);
+        }
+        Ok(self.reading(pressure))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::PEEP_RANGE_CMH2O;
+    use super::*;
+
+    fn plant() -> BenchPlant {
+        BenchPlant::new(&BenchConfig::paper(20.0, 20.0)).unwrap()
+    }
+
+    #[test]
+    fn a_reset_starts_it_as_the_first_time() {
+        let mut plant = plant();
+        let run = |plant: &mut BenchPlant| {
+            let rest = plant.reset(1000, 1, 5.0).unwrap();
+            let steps: Vec<_> = (0..50).map(|_| plant.step(60.0, false).unwrap()).collect();
+            (rest, steps)
+        };
+        let first = run(&mut plant);
+        assert_eq!(run(&mut plant), first);
+        assert!(first.1[49].pressure > first.0.pressure + 1.0);
+    }
+
+    #[test]
+    fn a_period_that_it_cannot_run_gives_no_number() {
+        let mut plant = plant();
+        for period_us in [0, 1500] {
+            assert!(matches!(plant.reset(period_us, 1, 5.0), Err(BenchError::Period { .. })));
+            assert!(plant.step(10.0, false).unwrap().pressure.is_nan());
+        }
+        assert!(plant.reset(2000, 1, 5.0).is_ok());
+        assert!(!plant.step(10.0, false).unwrap().pressure.is_nan());
+    }
+
+    #[test]
+    fn the_peep_valve_has_end_stops() {
+        let reading = plant().reset(1000, 1, 1e9).unwrap();
+        assert!(f64::from(reading.pressure) <= *PEEP_RANGE_CMH2O.end());
+    }
+}

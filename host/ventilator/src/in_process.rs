@@ -1,0 +1,315 @@
+//! The ventilator core of `shared` in this process, on any plant: the one loop that reads, decides and moves the valves.
+
+use std::sync::{Arc, Mutex};
+
+use shared::control::{ControlLaw, Controller};
+use shared::explore::Exploration;
+use shared::safety::alarms::Fault;
+use shared::safety::filter::ValveCommand;
+use shared::safety::monitors::Monitors;
+use shared::settings::Settings;
+use shared::ventilator::{Mode, Output, Ventilator, VentilatorState};
+
+use super::{REST_TIME, Reseed, Source, SourceError, Tick};
+use plant::balloon::{self, Balloon};
+use plant::bench::{BenchConfig, BenchPlant};
+use plant::link::PlantLink;
+use plant::{Plant, Reading};
+
+/// A ventilator on a plant, with a [`Controller`] or any other control law.
+#[derive(Clone, Debug)]
+pub struct InProcess<P, C: ControlLaw = Controller> {
+    plant: P,
+    ventilator: Ventilator<C>,
+    /// Seed of the plant's random numbers.
+    seed: u64,
+    /// None until the first breath, which brings settings, and after a new seed.
+    run: Option<Run<C::State>>,
+}
+
+/// A plant that breathes.
+#[derive(Clone, Debug)]
+struct Run<S> {
+    state: VentilatorState<S>,
+    reading: Reading,
+    /// Setting of the plant's PEEP valve, cmH2O.
+    peep: f32,
+}
+
+/// A ventilator on the virtual bench.
+pub type BenchSource<C = Controller> = InProcess<BenchPlant, C>;
+/// A link that several sources use one after the other.
+pub type SharedLink = Arc<Mutex<PlantLink>>;
+/// A ventilator on a third-party plant.
+pub type PlantSource = InProcess<SharedLink>;
+/// A ventilator on the authors' balloon, at its control period of 30 ms.
+pub type BalloonSource = InProcess<Balloon>;
+
+impl<C: ControlLaw> InProcess<BenchPlant, C> {
+    /// A ventilator at rest on a bench; `seed` is that of the sensor's noise.
+    ///
+    /// # Errors
+    /// A bench that cannot be built, settings that are refused, a period that is no multiple of the bench's step.
+    pub fn new(
+        config: &BenchConfig,
+        controller: C,
+        settings: &Settings,
+        period_us: u32,
+        seed: u64,
+    ) -> Result<Self, SourceError> {
+        let ventilator = Ventilator::new(period_us, controller);
+        let mut source = Self { plant: BenchPlant::new(config)?, ventilator, seed, run: None };
+        source.run = Some(source.start(settings)?);
+        Ok(source)
+    }
+}
+
+impl InProcess<SharedLink> {
+    /// A ventilator on a plant, which starts again with `seed` before the first breath.
+    pub fn new(link: SharedLink, controller: Controller, period_us: u32, seed: u64) -> Self {
+        Self::on_any_plant(link, controller, period_us, seed)
+    }
+}
+
+impl InProcess<Balloon> {
+    /// A ventilator at rest.
+    pub fn new(controller: Controller) -> Self {
+        Self::on_any_plant(Balloon::default(), controller, balloon::PERIOD_US, 0)
+    }
+}
+
+impl<P> InProcess<P> {
+    /// With the monitors that ask nothing of a plant but a bearable pressure: its valve and sensor may be of any kind.
+    fn on_any_plant(plant: P, controller: Controller, period_us: u32, seed: u64) -> Self {
+        let ventilator = Ventilator::new(period_us, controller).with_monitors(Monitors::ANY_PLANT);
+        Self { plant, ventilator, seed, run: None }
+    }
+}
+
+impl<P: Plant, C: ControlLaw> InProcess<P, C>
+where
+    SourceError: From<P::Error>,
+{
+    /// Runs one whole breath, as [`Source::breath`] does.
+    ///
+    /// # Errors
+    /// Refused settings, a fault of the ventilator or of the plant.
+    pub fn breathe(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
+        let mut run = match self.run.take() {
+            Some(run) => run,
+            None => self.start(settings)?,
+        };
+        let outcome = self.run_breath(&mut run, settings, sink);
+        self.run = Some(run);
+        outcome
+    }
+
+    /// Brings the plant to rest, with these settings.
+    fn start(&mut self, settings: &Settings) -> Result<Run<C::State>, SourceError> {
+        let state = self.ventilator.standby(settings)?;
+        let reading = self.plant.reset(self.ventilator.period_us(), self.seed, settings.peep)?;
+        Ok(Run { state, reading, peep: settings.peep })
+    }
+
+    /// All ticks of a breath.
+    fn run_breath(
+        &mut self,
+        run: &mut Run<C::State>,
+        settings: &Settings,
+        sink: &mut dyn FnMut(&Tick),
+    ) -> Result<(), SourceError> {
+        self.ventilator.apply(&mut run.state, settings)?;
+        run.state.start();
+        if run.peep.to_bits() != settings.peep.to_bits() {
+            self.plant.set_peep(settings.peep)?;
+            run.peep = settings.peep;
+        }
+        loop {
+            if self.tick(run, sink)? && run.state.tick() == 0 {
+                return Ok(());
+            }
+        }
+    }
+
+    /// One control tick: the ventilator reads and decides, the plant runs one control period. The tick is known before the
+    /// plant answers, and is not lost with it. Gives whether the breath has moved on: without a reading to believe it waits.
+    #[inline]
+    fn tick(&mut self, run: &mut Run<C::State>, sink: &mut dyn FnMut(&Tick)) -> Result<bool, SourceError> {
+        let Reading { pressure, truth } = run.reading;
+        let output = self.ventilator.step(&mut run.state, pressure);
+        let fault = broken_off(&run.state, &output);
+        if let (Some(sample), None) = (output.sample, fault) {
+            sink(&Tick { sample, truth });
+        }
+        run.reading = self.plant.step(output.command.u_in(), output.command.u_out())?;
+        match fault {
+            Some(fault) => {
+                Err(SourceError::Fault { fault, breath: run.state.breath_number(), tick: run.state.tick() })
+            }
+            None => Ok(output.sample.is_some()),
+        }
+    }
+}
+
+/// Why a tick ends its breath before its time, if it does: a latched fault, or the pressure limit.
+fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<Fault> {
+    match output.mode {
+        Mode::Fault(fault) => Some(fault),
+        _ => state.cut().then_some(Fault::HighPressure),
+    }
+}
+
+impl<P: Plant> Source for InProcess<P>
+where
+    SourceError: From<P::Error>,
+{
+    fn period_us(&self) -> u32 {
+        self.ventilator.period_us()
+    }
+
+    fn plant(&self) -> String {
+        self.plant.name()
+    }
+
+    fn plant_parameters(&self) -> String {
+        self.plant.parameters()
+    }
+
+    fn configure(
+        &mut self,
+        controller: Controller,
+        exploration: Option<Exploration>,
+    ) -> Result<(), SourceError> {
+        self.ventilator.set_controller(controller);
+        self.ventilator.set_exploration(exploration);
+        Ok(())
+    }
+
+    fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
+        self.breathe(settings, sink)
+    }
+
+    fn acknowledge(&mut self) -> Result<(), SourceError> {
+        let Some(run) = &mut self.run else { return Ok(()) };
+        for _ in 0..shared::math::ticks(REST_TIME, self.ventilator.period_us()) {
+            run.reading = self.plant.step(ValveCommand::SAFE.u_in(), ValveCommand::SAFE.u_out())?;
+        }
+        run.state.stop();
+        run.state.acknowledge();
+        Ok(())
+    }
+}
+
+impl<P: Plant> Reseed for InProcess<P>
+where
+    SourceError: From<P::Error>,
+{
+    fn reseed(&mut self, seed: u64) {
+        (self.seed, self.run) = (seed, None);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plant::bench::BenchError;
+    use shared::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
+    use shared::control::pid::{Pid, PidGains};
+    use shared::ventilator::Sample;
+
+    fn on_bench(period_us: u32) -> BenchSource {
+        let pid = Pid::new(PidGains { p: 1.0, i: 20.0, d: 0.0 }, period_us).unwrap();
+        let lung = BenchConfig::paper(20.0, 20.0);
+        BenchSource::new(&lung, Controller::Pid(pid), &paper_settings(20.0), period_us, 1).unwrap()
+    }
+
+    fn on_balloon() -> BalloonSource {
+        let pid = Pid::new(PidGains { p: 3.0, i: 8.0, d: 0.0 }, balloon::PERIOD_US).unwrap();
+        BalloonSource::new(Controller::Pid(pid))
+    }
+
+    fn samples(source: &mut BenchSource, pip: f32) -> Vec<Sample> {
+        let mut samples = Vec::new();
+        source.breath(&paper_settings(pip), &mut |tick| samples.push(tick.sample)).unwrap();
+        samples
+    }
+
+    #[test]
+    fn a_breath_gives_every_tick_once() {
+        for (period_us, ticks) in [(DEFAULT_PERIOD_US, 3000), (30_000, 100)] {
+            let samples = samples(&mut on_bench(period_us), 20.0);
+            assert_eq!(samples.len(), ticks);
+            assert!(samples.iter().enumerate().all(|(n, s)| s.tick == n as u32));
+        }
+    }
+
+    #[test]
+    fn settings_hold_from_the_breath_they_are_given_with() {
+        let mut source = on_bench(DEFAULT_PERIOD_US);
+        for pip in [15.0, 30.0, 10.0] {
+            assert!((samples(&mut source, pip)[500].target - pip).abs() < f32::EPSILON);
+        }
+    }
+
+    #[test]
+    fn a_new_seed_starts_the_plant_again() {
+        let mut source = on_bench(DEFAULT_PERIOD_US);
+        let first = samples(&mut source, 20.0);
+        assert_ne!(samples(&mut source, 20.0), first);
+        source.reseed(1);
+        assert_eq!(samples(&mut source, 20.0), first);
+    }
+
+    #[test]
+    fn truth_and_reading_are_of_the_same_instant() {
+        let mut worst = 0.0_f32;
+        on_bench(DEFAULT_PERIOD_US)
+            .breath(&paper_settings(25.0), &mut |tick| {
+                worst = worst.max((tick.sample.pressure - tick.truth.unwrap().sensor_pressure).abs());
+            })
+            .unwrap();
+        assert!(worst < 0.6, "noise of 0.1 cmH2O and a quantum of 0.07 cmH2O, not {worst}");
+    }
+
+    #[test]
+    fn a_period_that_the_bench_cannot_run_is_refused() {
+        let pid = Pid::new(PidGains::default(), 1500).unwrap();
+        let lung = BenchConfig::paper(20.0, 20.0);
+        let refused = BenchSource::new(&lung, Controller::Pid(pid), &paper_settings(20.0), 1500, 1);
+        assert!(matches!(refused, Err(SourceError::Bench(BenchError::Period { period_us: 1500 }))));
+    }
+
+    #[test]
+    fn every_breath_on_the_balloon_starts_at_no_pressure_and_has_29_samples() {
+        let mut source = on_balloon();
+        for pip in [35.0, 10.0, 35.0] {
+            let mut pressure = Vec::new();
+            source
+                .breath(&balloon::settings(pip), &mut |tick| {
+                    if tick.sample.phase == Phase::Inspiration {
+                        pressure.push(tick.sample.pressure);
+                    }
+                })
+                .unwrap();
+            assert_eq!(pressure.len(), balloon::SAMPLES);
+            assert!(pressure[0].abs() < 1e-6 && pressure[balloon::SAMPLES - 1] > 0.9 * pip, "{pressure:?}");
+        }
+    }
+
+    #[test]
+    fn a_high_pressure_ends_the_breath_and_can_be_acknowledged() {
+        let mut source = on_balloon();
+        let limited = Settings { pressure_limit: 20.0, ..balloon::settings(15.0) };
+        let exploration = Exploration {
+            boundary_probability: 1.0,
+            boundary_height: (100.0, 100.0),
+            boundary_duration: (0.5, 0.5),
+            ..Exploration::default()
+        };
+        source.configure(source.ventilator.controller().clone(), Some(exploration)).unwrap();
+        assert!(matches!(source.breath(&limited, &mut |_| ()), Err(SourceError::Fault { .. })));
+        source.acknowledge().unwrap();
+        source.configure(source.ventilator.controller().clone(), None).unwrap();
+        source.breath(&balloon::settings(15.0), &mut |_| ()).unwrap();
+    }
+}

@@ -1,0 +1,262 @@
+//! The half of a device that serves the host: it answers requests, batches telemetry and takes uploads.
+//!
+//! It waits for nothing. [`Server::receive`] gives a [`NextStep`]; the caller carries it out and reports the result back until
+//! the step is an answer. The server works on one request at a time.
+//!
+//! A host that got no answer repeats its request under the same sequence number. The server remembers its last answer and
+//! sends it again, so that nothing is done twice.
+
+use heapless::{String, Vec};
+
+use super::upload::Upload;
+use super::{ControlReply, ControlReport, ControlRequest, Status};
+use crate::link::PROTOCOL;
+use crate::link::messages::{
+    DeviceIdentity, DeviceKind, Event, FAILURE_BYTES, Request, Response, ToDevice, ToHost,
+};
+use crate::link::refusal::Refusal;
+use crate::link::telemetry::{Batcher, Counters};
+use crate::recorder::RecorderMemory;
+use crate::reset::ResetCause;
+use crate::ventilator::Mode;
+use crate::weights::IMAGE_BYTES;
+use crate::weights::slots::{Slot, SlotState};
+
+/// The part of the greeting that stays until the device restarts; only a store changes the slots.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceFacts {
+    /// Version of the firmware: major, minor, patch.
+    pub firmware: [u16; 3],
+    /// Kind of the device.
+    pub device: DeviceKind,
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// Content of each weights slot.
+    pub slots: [SlotState; 2],
+    /// The slot that was loaded.
+    pub running: Option<Slot>,
+    /// Cause of the start.
+    pub reset: ResetCause,
+    /// Message of the failure before the start, if there was one.
+    pub failure: Option<String<FAILURE_BYTES>>,
+}
+
+/// The caller's next step.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NextStep {
+    /// Send this.
+    Send(ToHost),
+    /// Have the control half carry out this request, then call [`Server::control_replied`].
+    Control(ControlRequest),
+    /// Store [`Server::image`] in a slot that does not run, then call [`Server::stored`].
+    Store,
+    /// Send this, wait until it is out, and restart.
+    Restart(ToHost),
+}
+
+/// Use of the control half's reply.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Continuation {
+    /// Forward it to the host.
+    Forward,
+    /// Complete the greeting with it.
+    Greet,
+    /// Begin an upload, unless the device ventilates.
+    Begin { length: u32, id: u32 },
+    /// Validate and store the upload, unless the device ventilates.
+    Commit,
+    /// Restart, unless the device ventilates.
+    Restart,
+}
+
+/// The server.
+#[derive(Clone, Debug)]
+pub struct Server<'a> {
+    facts: DeviceFacts,
+    recorder: &'a RecorderMemory,
+    telemetry: bool,
+    batcher: Batcher,
+    counters: Counters,
+    upload: Upload,
+    /// Id of the image on its way into a slot.
+    committed: u32,
+    sequence: u16,
+    continuation: Continuation,
+    last: Option<(u16, Response)>,
+}
+
+impl<'a> Server<'a> {
+    /// A server before the first request; it reads the flight recorder's memory for the host.
+    pub const fn new(facts: DeviceFacts, recorder: &'a RecorderMemory) -> Self {
+        Self {
+            facts,
+            recorder,
+            telemetry: false,
+            batcher: Batcher::new(),
+            counters: Counters::ZERO,
+            upload: Upload::new(),
+            committed: 0,
+            sequence: 0,
+            continuation: Continuation::Forward,
+            last: None,
+        }
+    }
+
+    /// The validated image that [`NextStep::Store`] is about.
+    pub fn image(&self) -> &[u8; IMAGE_BYTES] {
+        self.upload.bytes()
+    }
+
+    /// Sets the number of refused frames from the host, for the telemetry.
+    pub fn corrupt_frames(&mut self, count: u32) {
+        self.counters.corrupt_frames = count;
+    }
+
+    /// Takes in a request.
+    pub fn receive(&mut self, message: &ToDevice) -> NextStep {
+        let ToDevice { sequence, request } = message;
+        if let Some((_, response)) = self.last.as_ref().filter(|last| last.0 == *sequence)
+            && *request != Request::Identify
+        {
+            return NextStep::Send(ToHost::Response { sequence: *sequence, response: response.clone() });
+        }
+        self.sequence = *sequence;
+        match request {
+            Request::Identify => self.ask(Continuation::Greet, ControlRequest::Status),
+            Request::GetSettings => self.ask(Continuation::Forward, ControlRequest::Settings),
+            Request::ApplySettings(settings) => {
+                self.ask(Continuation::Forward, ControlRequest::Apply(*settings))
+            }
+            Request::QueueSettings(settings) => {
+                self.ask(Continuation::Forward, ControlRequest::Queue(*settings))
+            }
+            Request::Start => self.ask(Continuation::Forward, ControlRequest::Start),
+            Request::Stop => self.ask(Continuation::Forward, ControlRequest::Stop),
+            Request::Acknowledge => self.ask(Continuation::Forward, ControlRequest::Acknowledge),
+            Request::SetController(choice) => {
+                self.ask(Continuation::Forward, ControlRequest::Controller(*choice))
+            }
+            Request::SetExploration(exploration) => {
+                self.ask(Continuation::Forward, ControlRequest::Exploration(*exploration))
+            }
+            Request::GetTiming { clear } => {
+                self.ask(Continuation::Forward, ControlRequest::Timing { clear: *clear })
+            }
+            Request::ResetPlant { seed } => {
+                self.ask(Continuation::Forward, ControlRequest::ResetPlant(*seed))
+            }
+            Request::BeginWeights { length, id } => {
+                self.ask(Continuation::Begin { length: *length, id: *id }, ControlRequest::Status)
+            }
+            Request::CommitWeights => self.ask(Continuation::Commit, ControlRequest::Status),
+            Request::Reset => self.ask(Continuation::Restart, ControlRequest::Status),
+            Request::GetRecorder => self.send(Ok(Response::Recorder(self.recorder.status()))),
+            Request::ReadRecorder { part, from } => {
+                self.send(Ok(Response::Recorded(self.recorder.page(*part, *from))))
+            }
+            Request::ClearRecorder => {
+                self.recorder.request_clear();
+                self.send(Ok(Response::Done))
+            }
+            Request::WeightsChunk { offset, bytes } => {
+                let progress = self.upload.chunk(*offset, bytes).map(|offset| Response::Progress { offset });
+                self.send(progress)
+            }
+            Request::Telemetry { on } => {
+                self.telemetry = *on;
+                self.send(Ok(Response::Telemetry { on: *on }))
+            }
+        }
+    }
+
+    fn ask(&mut self, continuation: Continuation, request: ControlRequest) -> NextStep {
+        self.continuation = continuation;
+        NextStep::Control(request)
+    }
+
+    /// Goes on after [`NextStep::Control`] with the control half's reply.
+    pub fn control_replied(&mut self, reply: ControlReply) -> NextStep {
+        let status = match reply {
+            ControlReply::Response(response) => return self.send(Ok(response)),
+            ControlReply::Status(status) => status,
+        };
+        let idle = if status.mode == Mode::Ventilating { Err(Refusal::Ventilating) } else { Ok(()) };
+        match self.continuation {
+            Continuation::Forward => self.send(Ok(Response::Mode(status.mode))),
+            Continuation::Greet => {
+                let identity = self.identity(&status);
+                self.send(Ok(Response::Identity(identity)))
+            }
+            Continuation::Begin { length, id } => {
+                let begun = idle.and_then(|()| self.upload.begin(length, id));
+                self.send(begun.map(|offset| Response::Progress { offset }))
+            }
+            Continuation::Commit => match idle.and_then(|()| self.upload.commit()) {
+                Ok(image) => {
+                    self.committed = image.id;
+                    NextStep::Store
+                }
+                Err(refusal) => self.send(Err(refusal)),
+            },
+            Continuation::Restart => match idle {
+                Ok(()) => NextStep::Restart(self.answer(Response::Done)),
+                Err(refusal) => self.send(Err(refusal)),
+            },
+        }
+    }
+
+    /// Goes on after [`NextStep::Store`]: the slot that took the image, if one did, and what both slots hold now.
+    pub fn stored(&mut self, slot: Option<Slot>, slots: [SlotState; 2]) -> NextStep {
+        self.facts.slots = slots;
+        let id = self.committed;
+        self.send(slot.map(|slot| Response::Weights { id, slot }).ok_or(Refusal::Storage))
+    }
+
+    fn send(&mut self, result: Result<Response, Refusal>) -> NextStep {
+        NextStep::Send(self.answer(result.unwrap_or_else(Response::Refused)))
+    }
+
+    fn answer(&mut self, response: Response) -> ToHost {
+        self.last = Some((self.sequence, response.clone()));
+        ToHost::Response { sequence: self.sequence, response }
+    }
+
+    fn identity(&self, status: &Status) -> DeviceIdentity {
+        let DeviceFacts { firmware, device, period_us, slots, running, reset, ref failure } = self.facts;
+        let Status { mode, controller, exploration } = *status;
+        DeviceIdentity {
+            protocol: PROTOCOL,
+            firmware,
+            device,
+            period_us,
+            mode,
+            controller,
+            exploration,
+            slots,
+            running,
+            reset,
+            failure: failure.clone(),
+        }
+    }
+
+    /// Takes in a report of the control half; gives the messages to send, in this order.
+    pub fn report(&mut self, report: &ControlReport) -> Vec<ToHost, 2> {
+        let mut events = Vec::new();
+        let (batch, event) = match *report {
+            ControlReport::Sample { tick, sample } if self.telemetry => {
+                (self.batcher.push(tick, &sample, &self.counters), None)
+            }
+            ControlReport::Sample { .. } => (None, None),
+            ControlReport::Counters(counters) => {
+                let corrupt_frames = self.counters.corrupt_frames;
+                self.counters = Counters { corrupt_frames, ..counters };
+                (None, None)
+            }
+            ControlReport::Breath(summary) => (None, Some(Event::Breath(summary))),
+            ControlReport::Stopped => (self.batcher.flush(&self.counters), None),
+            ControlReport::Alarm { fault, tick } => (None, Some(Event::Alarm { fault, tick })),
+        };
+        events.extend(batch.map(Event::Telemetry).into_iter().chain(event).map(ToHost::Event));
+        events
+    }
+}

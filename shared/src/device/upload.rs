@@ -1,0 +1,187 @@
+//! Puts an uploaded weights image together in memory and validates it, before anything touches the flash.
+//!
+//! A chunk whose answer was lost may be sent again. Whether an upload is allowed at all (not while ventilating)
+//! is the caller's to decide.
+
+use crate::link::refusal::Refusal;
+use crate::weights::{IMAGE_BYTES, Image, ImageProblem, decode};
+
+/// An upload in progress, or none.
+#[derive(Clone, Debug)]
+pub struct Upload {
+    bytes: [u8; IMAGE_BYTES],
+    received: usize,
+    announced: Option<u32>,
+}
+
+impl Upload {
+    /// No upload.
+    pub const fn new() -> Self {
+        Self { bytes: [0; IMAGE_BYTES], received: 0, announced: None }
+    }
+
+    /// Begins an upload of an image with this length and id; gives the offset to go on at, which is not the start if the
+    /// same upload was broken off. An unfinished one of another image is forgotten.
+    ///
+    /// # Errors
+    /// [`Refusal::WrongLength`].
+    pub fn begin(&mut self, length: u32, id: u32) -> Result<u32, Refusal> {
+        if length as usize != IMAGE_BYTES {
+            return Err(Refusal::WrongLength);
+        }
+        if self.announced != Some(id) {
+            (self.received, self.announced) = (0, Some(id));
+        }
+        Ok(self.received as u32)
+    }
+
+    /// Takes in a chunk; gives the offset to go on at.
+    ///
+    /// # Errors
+    /// [`Refusal::NoUpload`]; [`Refusal::WrongOffset`] unless the chunk follows the last one or repeats what is
+    /// already there.
+    pub fn chunk(&mut self, offset: u32, chunk: &[u8]) -> Result<u32, Refusal> {
+        if self.announced.is_none() {
+            return Err(Refusal::NoUpload);
+        }
+        let expected = self.received as u32;
+        let refusal = Refusal::WrongOffset { expected };
+        let (start, end) = (offset as usize, (offset as usize).saturating_add(chunk.len()));
+        let repeated = end <= self.received;
+        let place = self.bytes.get_mut(start..end).ok_or(refusal)?;
+        if repeated && *place == *chunk {
+            return Ok(expected);
+        }
+        if start != self.received {
+            return Err(refusal);
+        }
+        place.copy_from_slice(chunk);
+        self.received = end;
+        Ok(end as u32)
+    }
+
+    /// Validates the whole image; its bytes, for the flash, are [`Upload::bytes`].
+    ///
+    /// # Errors
+    /// [`Refusal::NoUpload`], [`Refusal::WrongOffset`] if bytes are missing, [`Refusal::BadImage`],
+    /// [`Refusal::OtherImage`] if its id is not the announced one.
+    pub fn commit(&mut self) -> Result<Image, Refusal> {
+        let announced = self.announced.ok_or(Refusal::NoUpload)?;
+        if self.received < IMAGE_BYTES {
+            let expected = self.received as u32;
+            return Err(Refusal::WrongOffset { expected });
+        }
+        self.announced = None;
+        let image = decode(&self.bytes).map_err(|e| Refusal::BadImage(ImageProblem::from(e)))?;
+        if image.id != announced {
+            return Err(Refusal::OtherImage);
+        }
+        Ok(image)
+    }
+
+    /// The bytes that [`Upload::commit`] validated.
+    pub fn bytes(&self) -> &[u8; IMAGE_BYTES] {
+        &self.bytes
+    }
+}
+
+impl Default for Upload {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::features::FeatureSpec;
+    use crate::control::network::Network;
+    use crate::control::pid::PidGains;
+    use crate::control::residual::{Residual, ResidualSpec};
+    use crate::link::messages::CHUNK_BYTES;
+    use crate::weights::{Identity, encode};
+    use proptest::prelude::*;
+
+    fn image() -> ([u8; IMAGE_BYTES], u32) {
+        let spec = ResidualSpec {
+            period_us: 1000,
+            gains: PidGains::default(),
+            lambda: 1.0,
+            authority: 50.0,
+            features: FeatureSpec::default(),
+        };
+        let mut bytes = [0; IMAGE_BYTES];
+        let residual = Residual::new(spec, Network::zero()).unwrap();
+        encode(&residual, &Identity::default(), &mut bytes).unwrap();
+        (bytes, decode(&bytes).unwrap().id)
+    }
+
+    fn send(upload: &mut Upload, bytes: &[u8]) {
+        for (index, chunk) in bytes.chunks(CHUNK_BYTES).enumerate() {
+            let offset = (index * CHUNK_BYTES) as u32;
+            assert_eq!(upload.chunk(offset, chunk), Ok(offset + chunk.len() as u32));
+            assert_eq!(upload.chunk(offset, chunk), Ok(offset + chunk.len() as u32), "repeated");
+        }
+    }
+
+    #[test]
+    fn an_image_arrives_in_chunks_some_of_them_twice() {
+        let ((bytes, id), mut upload) = (image(), Upload::new());
+        assert_eq!(upload.begin(IMAGE_BYTES as u32, id), Ok(0));
+        send(&mut upload, &bytes);
+        assert_eq!(upload.commit().unwrap(), decode(&bytes).unwrap());
+        assert_eq!(*upload.bytes(), bytes);
+        assert_eq!(upload.commit(), Err(Refusal::NoUpload));
+    }
+
+    #[test]
+    fn an_upload_that_was_broken_off_goes_on_where_it_was_and_another_image_starts_over() {
+        let ((bytes, id), mut upload) = (image(), Upload::new());
+        upload.begin(IMAGE_BYTES as u32, id).unwrap();
+        upload.chunk(0, &bytes[..300]).unwrap();
+        assert_eq!(upload.begin(IMAGE_BYTES as u32, id), Ok(300));
+        assert_eq!(upload.begin(IMAGE_BYTES as u32, id ^ 1), Ok(0));
+    }
+
+    #[test]
+    fn order_and_completeness_are_demanded() {
+        let ((bytes, id), mut upload) = (image(), Upload::new());
+        let expected = 0;
+        assert_eq!(upload.chunk(0, &bytes[..10]), Err(Refusal::NoUpload));
+        assert_eq!(upload.begin(IMAGE_BYTES as u32 - 1, id), Err(Refusal::WrongLength));
+        upload.begin(IMAGE_BYTES as u32, id).unwrap();
+        assert_eq!(upload.chunk(128, &bytes[..10]), Err(Refusal::WrongOffset { expected }));
+        assert_eq!(upload.commit(), Err(Refusal::WrongOffset { expected }));
+        upload.chunk(0, &bytes[..10]).unwrap();
+        let expected = 10;
+        assert_eq!(upload.chunk(0, &[9; 10]), Err(Refusal::WrongOffset { expected }));
+    }
+
+    #[test]
+    fn a_damaged_image_and_another_image_are_refused() {
+        let ((mut bytes, id), mut upload) = (image(), Upload::new());
+        upload.begin(IMAGE_BYTES as u32, id ^ 1).unwrap();
+        send(&mut upload, &bytes);
+        assert_eq!(upload.commit(), Err(Refusal::OtherImage));
+        bytes[1000] ^= 4;
+        upload.begin(IMAGE_BYTES as u32, id).unwrap();
+        send(&mut upload, &bytes);
+        assert_eq!(upload.commit(), Err(Refusal::BadImage(ImageProblem::Checksum)));
+    }
+
+    proptest! {
+        #[test]
+        fn no_order_of_chunks_panics_or_invents_bytes(chunks in prop::collection::vec((any::<u32>(), 0u32..300, 0usize..200), 0..50)) {
+            let mut upload = Upload::new();
+            upload.begin(IMAGE_BYTES as u32, 0).unwrap();
+            let mut received = 0;
+            for (far, near, length) in chunks {
+                let offset = if near < 200 { near } else { far };
+                if let Ok(next) = upload.chunk(offset, &[7; 200][..length]) {
+                    prop_assert!(next >= received && next <= received + length as u32);
+                    received = next;
+                }
+            }
+        }
+    }
+}

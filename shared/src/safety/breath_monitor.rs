@@ -1,0 +1,260 @@
+//! Does breath after breath go as it must? Judged once per phase, from the pressures at its end.
+
+use super::alarms::Fault;
+use super::monitors::{Monitors, in_a_row, ticks};
+use crate::breath::{Breath, Phase};
+
+/// Distance above PEEP at which the expiration has not ended, cmH2O.
+const ABOVE_PEEP: f32 = 3.0;
+/// Distance below PEEP at which PEEP is lost, cmH2O.
+const BELOW_PEEP: f32 = 2.0;
+/// Part of the way from PEEP to PIP that an inspiration must reach.
+const REACHED: f32 = 0.3;
+/// Mean command above which the valve counts as wide open, percent.
+const WIDE_OPEN: f32 = 60.0;
+/// Command above which an airway cannot stay empty, percent.
+const FILLING: f32 = 30.0;
+/// Part of the compliance before that is left when the tube is occluded.
+const OCCLUDED: f32 = 1.0 / 3.0;
+/// Rise that is needed to tell a compliance, cmH2O.
+const TELLING_RISE: f32 = 3.0;
+
+/// End of a phase over which pressure and command are averaged, s.
+const END_OF_PHASE: f32 = 0.05;
+/// How long the airway pressure may be gone, s.
+const DISCONNECTED: f32 = 0.15;
+
+/// Judges whole phases of breaths.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BreathMonitor {
+    /// [`END_OF_PHASE`] and [`DISCONNECTED`] in ticks.
+    end_of_phase: u32,
+    disconnected: u32,
+    /// Breaths in a row that make each complaint a fault.
+    high: u32,
+    low: u32,
+    weak: u32,
+    occluded: u32,
+}
+
+/// What breaths so far say.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BreathState {
+    pressure: Mean,
+    command: Mean,
+    gone: u32,
+    /// The running inspiration was cut short.
+    cut: bool,
+    /// Breaths in a row with each complaint.
+    high: u32,
+    low: u32,
+    weak: u32,
+    occluded: u32,
+    /// Volume per pressure of the last good breath, mL/cmH2O.
+    compliance: Option<f32>,
+}
+
+/// A tick as this monitor sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct BreathInput<'a> {
+    /// The running breath.
+    pub breath: &'a Breath,
+    /// Tick of that breath.
+    pub tick: u32,
+    /// Its inspiration was ended at the pressure limit.
+    pub cut: bool,
+    /// Believed pressure, cmH2O.
+    pub pressure: f32,
+    /// Last command, percent.
+    pub command: f32,
+    /// Volume delivered so far in this inspiration, mL.
+    pub volume: f32,
+}
+
+/// A mean over the end of a phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Mean {
+    sum: f32,
+    count: u32,
+}
+
+impl Mean {
+    fn add(&mut self, value: f32) {
+        self.sum += value;
+        self.count += 1;
+    }
+
+    /// The mean; what was added is forgotten.
+    fn take(&mut self) -> f32 {
+        let Self { sum, count } = core::mem::take(self);
+        sum / count.max(1) as f32
+    }
+}
+
+impl BreathMonitor {
+    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        Self {
+            end_of_phase: ticks(END_OF_PHASE, period_us),
+            disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
+            high: enabled.limit(Fault::BaselineHigh, 2),
+            low: enabled.limit(Fault::BaselineLow, 3),
+            weak: enabled.limit(Fault::LowPressure, 2),
+            occluded: enabled.limit(Fault::Occlusion, 2),
+        }
+    }
+
+    /// Takes in a tick. A breath that is cut short tells of the tube at that moment, and of nothing else.
+    #[inline]
+    pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
+        let BreathInput { breath, tick, cut, pressure, command, volume } = *input;
+        let peep = breath.settings().peep;
+        let inspires = breath.phase(tick) == Phase::Inspiration;
+        let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
+        let gone = inspires && !cut && command > FILLING && pressure < peep - BELOW_PEEP;
+        state.gone = in_a_row(state.gone, gone);
+        if state.gone >= self.disconnected {
+            return Some(Fault::Disconnection);
+        }
+        // Where the baseline stands high another part has failed.
+        let cut_now = inspires && cut && !state.cut && state.high == 0;
+        if cut_now && self.occluded(state, pressure - peep, volume) {
+            return Some(Fault::Occlusion);
+        }
+        state.cut = cut;
+        if tick + self.end_of_phase >= end {
+            state.pressure.add(pressure);
+            state.command.add(command);
+        }
+        if tick + 1 != end {
+            return None;
+        }
+        let (pressure, command) = (state.pressure.take(), state.command.take());
+        match (inspires, cut) {
+            (true, true) => None,
+            (true, false) => self.inspired(state, &BreathInput { pressure, command, ..*input }),
+            (false, cut) => self.expired(state, pressure - peep, cut),
+        }
+    }
+
+    /// Judges an inspiration by the means over its end.
+    fn inspired(&self, state: &mut BreathState, end: &BreathInput<'_>) -> Option<Fault> {
+        let settings = end.breath.settings();
+        let rise = end.pressure - settings.peep;
+        let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
+        state.weak = in_a_row(state.weak, weak);
+        let occluded = self.occluded(state, rise, end.volume);
+        if state.weak >= self.weak {
+            return Some(Fault::LowPressure);
+        }
+        occluded.then_some(Fault::Occlusion)
+    }
+
+    /// Compares volume and rise with those of the last good breath; whether the tube is occluded.
+    fn occluded(&self, state: &mut BreathState, rise: f32, volume: f32) -> bool {
+        if rise <= TELLING_RISE {
+            return false;
+        }
+        let compliance = volume / rise;
+        let occluded = state.compliance.is_some_and(|before| compliance < OCCLUDED * before);
+        state.occluded = in_a_row(state.occluded, occluded);
+        if !occluded {
+            state.compliance = Some(compliance);
+        }
+        state.occluded >= self.occluded
+    }
+
+    /// Judges an expiration by the mean pressure over its end.
+    fn expired(&self, state: &mut BreathState, above_peep: f32, cut: bool) -> Option<Fault> {
+        state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
+        // After a cough the lung holds less than at PEEP.
+        state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
+        if state.high >= self.high {
+            return Some(Fault::BaselineHigh);
+        }
+        (state.low >= self.low).then_some(Fault::BaselineLow)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+
+    /// A breath as the monitors see it: pressure and volume at the end of the inspiration, pressure at the end of the
+    /// expiration, command throughout.
+    #[derive(Clone, Copy)]
+    struct Seen {
+        plateau: f32,
+        volume: f32,
+        baseline: f32,
+        command: f32,
+    }
+
+    const GOOD: Seen = Seen { plateau: 25.0, volume: 400.0, baseline: 5.1, command: 10.0 };
+
+    /// The first complaint about breaths one after the other, and in which of them.
+    fn complaint(breaths: &[Seen]) -> Option<(usize, Fault)> {
+        let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
+        let monitor = BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+        let mut state = BreathState::default();
+        for (number, seen) in breaths.iter().enumerate() {
+            for tick in 0..breath.total_ticks() {
+                let inspires = breath.phase(tick) == Phase::Inspiration;
+                let pressure = if inspires { seen.plateau } else { seen.baseline };
+                let Seen { command, volume, .. } = *seen;
+                let input = BreathInput { breath: &breath, tick, cut: false, pressure, command, volume };
+                if let Some(fault) = monitor.check(&mut state, &input) {
+                    return Some((number, fault));
+                }
+            }
+        }
+        None
+    }
+
+    #[test]
+    fn good_breaths_give_no_complaint() {
+        assert_eq!(complaint(&[GOOD; 10]), None);
+        let soft = Seen { volume: 800.0, ..GOOD };
+        let stiff = Seen { volume: 300.0, ..GOOD };
+        assert_eq!(complaint(&[GOOD, soft, stiff, soft, GOOD]), None);
+    }
+
+    #[test]
+    fn an_expiration_that_stays_high_is_found_in_its_second_breath() {
+        let high = Seen { baseline: 8.5, ..GOOD };
+        assert_eq!(complaint(&[GOOD, high, high, GOOD]), Some((2, Fault::BaselineHigh)));
+        assert_eq!(complaint(&[high, GOOD, high, GOOD]), None, "never twice in a row");
+    }
+
+    #[test]
+    fn a_lost_peep_is_found_in_its_third_breath() {
+        let low = Seen { baseline: 2.5, ..GOOD };
+        assert_eq!(complaint(&[GOOD, low, low, low]), Some((3, Fault::BaselineLow)));
+        assert_eq!(complaint(&[low, low, GOOD, low, low]), None);
+    }
+
+    #[test]
+    fn a_weak_inspiration_is_found_only_with_the_valve_wide_open() {
+        let weak = Seen { plateau: 9.0, command: 100.0, ..GOOD };
+        assert_eq!(complaint(&[GOOD, weak, weak]), Some((2, Fault::LowPressure)));
+        assert_eq!(
+            complaint(&[Seen { command: 20.0, ..weak }; 4]),
+            None,
+            "a controller that asks for little"
+        );
+    }
+
+    #[test]
+    fn a_pressure_that_is_gone_is_found_within_the_inspiration() {
+        let gone = Seen { plateau: 1.0, command: 100.0, ..GOOD };
+        assert_eq!(complaint(&[GOOD, gone]), Some((1, Fault::Disconnection)));
+    }
+
+    #[test]
+    fn a_tube_that_takes_no_volume_is_found_in_its_second_breath() {
+        let occluded = Seen { volume: 40.0, ..GOOD };
+        assert_eq!(complaint(&[GOOD, GOOD, occluded, occluded]), Some((3, Fault::Occlusion)));
+        assert_eq!(complaint(&[GOOD, occluded, GOOD, occluded]), None);
+    }
+}

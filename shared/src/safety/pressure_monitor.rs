@@ -1,0 +1,167 @@
+//! Is the airway pressure within its limits?
+//!
+//! Above the limit a breath ends at once: inspiratory valve closed, expiratory valve open. That is all for a cough; what
+//! comes back breath after breath is the ladder's concern, and what does not fall is latched.
+
+use super::alarms::Fault;
+use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
+
+/// So far above its limit no pressure is waited for, cmH2O.
+pub const FAR_ABOVE: f32 = 15.0;
+/// So close to PEEP the pressure counts as back, cmH2O.
+const BACK_AT_PEEP: f32 = 3.0;
+/// How far ahead the pressure is looked for, ticks of 1 ms: the valve's dead time, in which no command helps.
+const AHEAD: f32 = 12.0;
+/// How far above the limit it must then be, cmH2O: more than noise and the rise of an open airway make of it.
+const AHEAD_ABOVE: f32 = 5.0;
+/// Share of a new change in the mean slope.
+const SLOPE_SHARE: f32 = 0.2;
+
+/// How long the pressure may exceed its limit, a spike of noise, s.
+const SPIKE: f32 = 0.003;
+/// How long it may do so with the expiratory valve open, s.
+const VENTING: f32 = 0.15;
+/// How long it may stay away from PEEP, s.
+const SUSTAINED: f32 = 15.0;
+
+/// Compares the pressure with its limit and with PEEP.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressureMonitor {
+    /// Whether the slope from one reading to the next tells where the pressure goes.
+    quick: bool,
+    /// Ticks above the limit and far above it, [`SPIKE`].
+    above: u32,
+    far_above: u32,
+    /// [`VENTING`] and [`SUSTAINED`] in ticks.
+    venting: u32,
+    sustained: u32,
+}
+
+/// What the pressures so far say.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PressureState {
+    last: Option<f32>,
+    /// Mean change in a tick, cmH2O.
+    slope: f32,
+    above: u32,
+    ahead_above: u32,
+    far_above: u32,
+    away: u32,
+}
+
+/// A tick as this monitor sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressureInput {
+    /// Believed pressure, cmH2O.
+    pub pressure: f32,
+    /// Its limit, cmH2O.
+    pub limit: f32,
+    /// PEEP, cmH2O.
+    pub peep: f32,
+    /// The expiratory valve stands open.
+    pub venting: bool,
+}
+
+/// What a pressure calls for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PressureFinding {
+    /// Nothing.
+    Normal,
+    /// The inspiration ends.
+    EndInspiration,
+    /// An alarm.
+    Alarm(Fault),
+}
+
+impl PressureMonitor {
+    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        let limit = |fault, seconds| enabled.limit(fault, ticks(seconds, period_us));
+        Self {
+            quick: reads_quickly(period_us),
+            above: limit(Fault::HighPressure, SPIKE),
+            far_above: limit(Fault::HardLimit, SPIKE),
+            venting: limit(Fault::HardLimit, VENTING),
+            sustained: limit(Fault::SustainedPressure, SUSTAINED),
+        }
+    }
+
+    /// Takes in a tick.
+    #[inline]
+    pub fn check(&self, state: &mut PressureState, input: &PressureInput) -> PressureFinding {
+        let PressureInput { pressure, limit, peep, venting } = *input;
+        let last = state.last.replace(pressure).unwrap_or(pressure);
+        state.slope += SLOPE_SHARE * (pressure - last - state.slope);
+        state.above = in_a_row(state.above, pressure > limit);
+        state.far_above = in_a_row(state.far_above, pressure > limit + FAR_ABOVE);
+        let ahead = pressure + AHEAD * state.slope;
+        state.ahead_above = in_a_row(state.ahead_above, self.quick && ahead > limit + AHEAD_ABOVE);
+        state.away = in_a_row(state.away, pressure > peep + BACK_AT_PEEP);
+        if state.far_above >= self.far_above || (venting && state.above >= self.venting) {
+            return PressureFinding::Alarm(Fault::HardLimit);
+        }
+        if state.away >= self.sustained {
+            return PressureFinding::Alarm(Fault::SustainedPressure);
+        }
+        let ends = state.above >= self.above || state.ahead_above >= self.above;
+        if ends { PressureFinding::EndInspiration } else { PressureFinding::Normal }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: f32 = 40.0;
+
+    /// What there is to do about pressures one after the other.
+    fn findings(
+        pressures: impl IntoIterator<Item = f32>,
+        venting: bool,
+    ) -> impl Iterator<Item = PressureFinding> {
+        let (monitor, mut state) = (PressureMonitor::new(1000, Monitors::ALL), PressureState::default());
+        let tick = move |pressure| PressureInput { pressure, limit: LIMIT, peep: 5.0, venting };
+        pressures.into_iter().map(move |pressure| monitor.check(&mut state, &tick(pressure)))
+    }
+
+    /// The first thing to do, and at which of the pressures.
+    fn first(pressures: impl IntoIterator<Item = f32>, venting: bool) -> Option<(usize, PressureFinding)> {
+        findings(pressures, venting).enumerate().find(|(_, finding)| *finding != PressureFinding::Normal)
+    }
+
+    #[test]
+    fn three_milliseconds_above_the_limit_end_the_breath_and_a_spike_does_not() {
+        let slow = |n: usize| 30.0 + 0.1 * n as f32;
+        assert_eq!(first((0..400).map(slow), false), Some((103, PressureFinding::EndInspiration)));
+        let spikes = (0..400).map(|n| if u32::is_multiple_of(n, 10) { 40.5 } else { 39.5 });
+        assert_eq!(first((0..200).map(|n| 39.5_f32.min(slow(n))).chain(spikes), false), None);
+    }
+
+    #[test]
+    fn a_pressure_that_rises_fast_ends_the_breath_before_it_has_crossed_the_limit() {
+        let (at, finding) = first((0..60).map(|n| 5.0 + 1.2 * n as f32), false).unwrap();
+        assert_eq!(finding, PressureFinding::EndInspiration);
+        assert!(5.0 + 1.2 * (at as f32) < 36.0, "tick {at}");
+    }
+
+    #[test]
+    fn far_above_the_limit_or_above_it_with_an_open_valve_is_not_waited_for() {
+        let far = (0..100).map(|n| (10.0 + n as f32).min(56.0));
+        assert_eq!(findings(far, false).last(), Some(PressureFinding::Alarm(Fault::HardLimit)));
+        let stays = (0..600).map(|n| if n < 400 { 30.0 + 0.05 * n as f32 } else { 45.0 });
+        let found = findings(stays, true).position(|finding| matches!(finding, PressureFinding::Alarm(_)));
+        assert!((340..360).contains(&found.unwrap()), "{found:?}");
+    }
+
+    #[test]
+    fn a_pressure_that_never_comes_down_is_found_after_a_quarter_of_a_minute() {
+        let mut slow = 5.0;
+        let breathing = (0..60_000).map(|n| {
+            slow += 0.01 * (if n % 3000 < 1000 { 25.0 } else { 5.2 } - slow);
+            slow
+        });
+        assert_eq!(first(breathing, false), None);
+        let stuck = first((0..16_000).map(|_| 12.0), false);
+        assert_eq!(stuck, Some((14_999, PressureFinding::Alarm(Fault::SustainedPressure))));
+    }
+}

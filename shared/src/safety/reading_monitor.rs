@@ -1,0 +1,256 @@
+//! Can the pressure reading be believed?
+//!
+//! A reading that cannot is replaced by the last good one, for a few milliseconds. A sound sensor is never quite still and
+//! never jumps: its noise proves that it lives.
+
+use super::alarms::Fault;
+use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
+
+/// Readings outside of this range are not from a working sensor, cmH2O.
+pub const SENSOR_RANGE: (f32, f32) = (-30.0, 110.0);
+/// Highest change from one reading to the next that a pressure behind the sensor's lag can make, cmH2O.
+pub const JUMP_MAX: f32 = 15.0;
+/// Highest standard deviation of a sound sensor's noise, cmH2O.
+pub const NOISE_MAX: f32 = 0.4;
+/// Mean of the absolute second difference of white noise per standard deviation: `sqrt(6) sqrt(2 / pi)`.
+const SECOND_DIFFERENCE: f32 = 1.954;
+/// Share of a new second difference in their mean.
+const NOISE_SHARE: f32 = 0.02;
+/// Good readings that make up for a missing one.
+const MAKE_UP: u32 = 9;
+/// How long readings may be missing, s.
+const MISSING: f32 = 0.005;
+/// How long a reading may stay the same to the last bit, s.
+const FROZEN: f32 = 0.04;
+
+/// Judges the sensor by its readings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReadingMonitor {
+    /// Whether jumps and noise from one reading to the next tell of the sensor.
+    quick: bool,
+    /// Lowest and highest reading, highest jump, cmH2O.
+    range: (f32, f32),
+    jump: f32,
+    /// Highest mean of the absolute second difference, cmH2O.
+    noise: f32,
+    /// [`MISSING`] and [`FROZEN`] in ticks.
+    missing: u32,
+    frozen: u32,
+}
+
+/// What the readings so far say of the sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ReadingState {
+    last_good: Option<f32>,
+    before: f32,
+    /// Missing readings, each counted [`MAKE_UP`] times, less the good ones since.
+    debt: u32,
+    /// How often each problem has come since there was none: no number, out of range, jumps.
+    problems: [u32; 3],
+    /// Consecutive ticks without a good reading.
+    gap: u32,
+    same: u32,
+    second_difference: f32,
+}
+
+/// What became of a reading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Believed {
+    /// The pressure to go on with, cmH2O; none while there was never a good reading.
+    pub pressure: Option<f32>,
+    /// Whether it is the reading itself and not what replaces it.
+    pub fresh: bool,
+    /// What is wrong with the sensor.
+    pub fault: Option<Fault>,
+}
+
+impl ReadingState {
+    /// The problem that came most often.
+    fn main_problem(&self) -> Fault {
+        let [no_number, out_of_range, jumps] = self.problems;
+        if jumps >= no_number.max(out_of_range) {
+            Fault::ReadingJumps
+        } else if out_of_range >= no_number {
+            Fault::ReadingOutOfRange
+        } else {
+            Fault::ReadingNotANumber
+        }
+    }
+}
+
+impl ReadingMonitor {
+    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        let quick = reads_quickly(period_us);
+        let (lowest, highest) = SENSOR_RANGE;
+        let out_of_range = |bound| enabled.highest(Fault::ReadingOutOfRange, bound);
+        Self {
+            quick,
+            range: (-out_of_range(-lowest), out_of_range(highest)),
+            jump: if quick { enabled.highest(Fault::ReadingJumps, JUMP_MAX) } else { f32::INFINITY },
+            noise: enabled.highest(Fault::ReadingNoisy, NOISE_MAX * SECOND_DIFFERENCE),
+            missing: ticks(MISSING, period_us),
+            frozen: enabled.limit(Fault::ReadingFrozen, ticks(FROZEN, period_us)),
+        }
+    }
+
+    /// Takes in one reading; `moving` says that a breath runs, so that a sound sensor cannot stand still.
+    #[inline]
+    pub fn check(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Believed {
+        if let Some(problem) = self.problem(state, reading) {
+            return self.bridge(state, problem);
+        }
+        state.debt = state.debt.saturating_sub(1);
+        if state.debt == 0 {
+            state.problems = [0; 3];
+        }
+        let fault = self.good(state, reading, moving);
+        Believed { pressure: Some(reading), fresh: true, fault }
+    }
+
+    /// Why a reading counts as missing.
+    fn problem(&self, state: &ReadingState, reading: f32) -> Option<Fault> {
+        if reading.is_nan() {
+            return Some(Fault::ReadingNotANumber);
+        }
+        let in_range = reading >= self.range.0 && reading <= self.range.1;
+        if !in_range {
+            return Some(Fault::ReadingOutOfRange);
+        }
+        let jump = state.last_good.map_or(0.0, |last| (reading - last).abs());
+        // The longer the gap, the further the pressure may have come.
+        let possible = self.jump * (state.gap + 1) as f32;
+        (jump > possible).then_some(Fault::ReadingJumps)
+    }
+
+    fn bridge(&self, state: &mut ReadingState, problem: Fault) -> Believed {
+        state.gap = state.gap.saturating_add(1);
+        state.debt = state.debt.saturating_add(MAKE_UP);
+        let [no_number, out_of_range, jumps] = &mut state.problems;
+        let count = match problem {
+            Fault::ReadingNotANumber => no_number,
+            Fault::ReadingOutOfRange => out_of_range,
+            _ => jumps,
+        };
+        *count = count.saturating_add(1);
+        let fault = (state.debt >= self.missing * MAKE_UP).then(|| state.main_problem());
+        Believed { pressure: state.last_good, fresh: false, fault }
+    }
+
+    fn good(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Option<Fault> {
+        let (last, before) = (state.last_good.replace(reading), state.before);
+        state.before = last.unwrap_or(reading);
+        let (Some(last), 0, true, true) = (last, state.gap, moving, self.quick) else {
+            (state.gap, state.same, state.before) = (0, 0, reading);
+            return None;
+        };
+        state.same = in_a_row(state.same, reading.to_bits() == last.to_bits());
+        let second_difference = (reading - 2.0 * last + before).abs();
+        state.second_difference += NOISE_SHARE * (second_difference - state.second_difference);
+        if state.same >= self.frozen {
+            return Some(Fault::ReadingFrozen);
+        }
+        (state.second_difference > self.noise).then_some(Fault::ReadingNoisy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const PERIOD_US: u32 = 1000;
+
+    /// The monitor and its state before the first reading.
+    fn monitor(enabled: Monitors) -> (ReadingMonitor, ReadingState) {
+        (ReadingMonitor::new(PERIOD_US, enabled), ReadingState::default())
+    }
+
+    /// What is found in readings one after the other.
+    fn feed(enabled: Monitors, readings: impl IntoIterator<Item = f32>) -> Option<Fault> {
+        let (monitor, mut state) = monitor(enabled);
+        readings
+            .into_iter()
+            .map(|reading| monitor.check(&mut state, reading, true).fault)
+            .fold(None, Option::or)
+    }
+
+    fn found(readings: impl IntoIterator<Item = f32>) -> Option<Fault> {
+        feed(Monitors::ALL, readings)
+    }
+
+    /// A living sensor about a pressure: noise of 0.1 cmH2O on a grid of 0.07.
+    fn alive(pressure: f32) -> impl Iterator<Item = f32> {
+        (0..).map(move |n: u32| pressure + 0.07 * ((n * 7 % 5) as f32 - 2.0))
+    }
+
+    #[test]
+    fn a_missing_reading_is_bridged_by_the_last_good_one() {
+        let (monitor, mut state) = monitor(Monitors::ALL);
+        assert_eq!(monitor.check(&mut state, f32::NAN, true).pressure, None);
+        monitor.check(&mut state, 12.0, true);
+        let bridged = monitor.check(&mut state, f32::NAN, true);
+        assert_eq!(bridged, Believed { pressure: Some(12.0), fresh: false, fault: None });
+    }
+
+    #[test]
+    fn missing_readings_are_a_fault_after_five_milliseconds_or_when_a_tenth_is_missing() {
+        let nan = Some(Fault::ReadingNotANumber);
+        assert_eq!((found([f32::NAN; 4]), found([f32::NAN; 5])), (None, nan));
+        assert_eq!(found([f32::INFINITY; 5]), Some(Fault::ReadingOutOfRange));
+        assert_eq!(found([-31.0; 5]), Some(Fault::ReadingOutOfRange));
+        let every = |nth: usize| {
+            let with_gaps = move |(n, p): (usize, f32)| if n.is_multiple_of(nth) { f32::NAN } else { p };
+            found(alive(15.0).enumerate().map(with_gaps).take(3000))
+        };
+        assert_eq!((every(20), every(5)), (None, nan));
+    }
+
+    #[test]
+    fn a_reading_that_stands_still_is_frozen_and_a_living_one_is_not() {
+        assert_eq!(found(alive(5.0).take(3000)), None);
+        assert_eq!(found([5.0; 40]), None);
+        assert_eq!(found([5.0; 41]), Some(Fault::ReadingFrozen));
+        assert_eq!(feed(Monitors::ALL.without(Fault::ReadingFrozen), [5.0; 3000]), None);
+    }
+
+    #[test]
+    fn a_resting_ventilator_may_have_a_sensor_that_stands_still() {
+        let (monitor, mut state) = monitor(Monitors::ALL);
+        for _ in 0..1000 {
+            assert_eq!(monitor.check(&mut state, 0.0, false).fault, None);
+        }
+    }
+
+    #[test]
+    fn jumps_are_not_believed() {
+        let jumping = |n: usize, p: f32| if n.is_multiple_of(3) { p + 40.0 } else { p };
+        let readings = || alive(5.0).enumerate().map(move |(n, p)| jumping(n, p)).take(200);
+        assert_eq!(found(readings()), Some(Fault::ReadingJumps));
+        let steep = (0..8).map(|n| 5.0 + 11.0 * n as f32);
+        assert_eq!(found(steep), None, "as steep as a pressure can be");
+    }
+
+    #[test]
+    fn noise_is_told_from_a_steep_pressure() {
+        let noisy = (0..).map(|n: u32| 15.0 + 1.2 * ((n * 7 % 5) as f32 - 2.0)).take(200);
+        assert_eq!(found(noisy), Some(Fault::ReadingNoisy));
+        let swinging = alive(0.0).enumerate().map(|(n, p)| p + if n % 200 < 100 { 5.0 } else { 14.0 });
+        assert_eq!(found(swinging.take(3000)), None);
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_is_read_what_is_believed_is_a_number_in_range(
+            readings in prop::collection::vec(prop::num::f32::ANY, 1..200),
+        ) {
+            let (monitor, mut state) = monitor(Monitors::ALL);
+            for reading in readings {
+                let believed = monitor.check(&mut state, reading, true);
+                if let Some(pressure) = believed.pressure {
+                    prop_assert!((SENSOR_RANGE.0..=SENSOR_RANGE.1).contains(&pressure));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Punctuality and duration of the control ticks, in cycles of the core's clock.
+
+use serde::{Deserialize, Serialize};
+
+/// Bins of the histogram: below 1 us, below 2 us, below 4 us, ..., the last one open.
+pub const BINS: usize = 12;
+
+/// Shortest, mean and longest of a number of times, in cycles of the core's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CycleStats {
+    /// Shortest.
+    pub shortest: u32,
+    /// Mean.
+    pub mean: f32,
+    /// Longest.
+    pub longest: u32,
+}
+
+/// Statistics of the control ticks since they were last cleared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TickTimes {
+    /// Frequency of the core's clock, Hz: the unit of all spans.
+    pub core_hz: u32,
+    /// Ticks counted.
+    pub ticks: u32,
+    /// Ticks that did not run at all.
+    pub missed: u32,
+    /// From the moment that the tick was due to its first instruction.
+    pub latency: CycleStats,
+    /// From the pressure reading to the end of the tick; the time in which a plant makes its answer is not in it.
+    pub work: CycleStats,
+    /// From the start of one tick to the start of the next.
+    pub period: CycleStats,
+    /// Ticks by their work, see [`BINS`].
+    pub histogram: [u32; BINS],
+}
+
+impl TickTimes {
+    /// A number of cycles in microseconds.
+    pub fn microseconds(&self, cycles: f32) -> f32 {
+        cycles * 1.0e6 / (self.core_hz.max(1) as f32)
+    }
+}
+
+/// Times of one tick, in cycles of the core's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TickTime {
+    /// See [`TickTimes::latency`].
+    pub latency: u32,
+    /// See [`TickTimes::work`].
+    pub work: u32,
+    /// See [`TickTimes::period`]; none if ticks were missed in between, or at the first one.
+    pub period: Option<u32>,
+    /// Ticks that did not run since the last one that did.
+    pub missed: u32,
+}
+
+/// Sums up ticks.
+#[derive(Clone, Debug)]
+pub struct TickTimer {
+    core_hz: u32,
+    ticks: u32,
+    missed: u32,
+    latency: Sum,
+    work: Sum,
+    period: Sum,
+    histogram: [u32; BINS],
+}
+
+impl TickTimer {
+    /// Nothing counted; `core_hz` is the frequency of the core's clock.
+    pub const fn new(core_hz: u32) -> Self {
+        let (latency, work, period) = (Sum::NONE, Sum::NONE, Sum::NONE);
+        Self { core_hz, ticks: 0, missed: 0, latency, work, period, histogram: [0; BINS] }
+    }
+
+    /// Takes in one tick.
+    pub fn record(&mut self, tick: &TickTime) {
+        self.ticks = self.ticks.saturating_add(1);
+        self.missed = self.missed.saturating_add(tick.missed);
+        self.latency.add(tick.latency);
+        self.work.add(tick.work);
+        if let Some(period) = tick.period {
+            self.period.add(period);
+        }
+        let bin = &mut self.histogram[bin(tick.work / (self.core_hz / 1_000_000).max(1))];
+        *bin = bin.saturating_add(1);
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        *self = Self::new(self.core_hz);
+    }
+
+    /// Ticks that did not run.
+    pub fn missed(&self) -> u32 {
+        self.missed
+    }
+
+    /// Longest and mean work, microseconds.
+    pub fn work_us(&self) -> (u32, f32) {
+        let times = self.times();
+        (times.microseconds(times.work.longest as f32) as u32, times.microseconds(times.work.mean))
+    }
+
+    /// The statistics.
+    pub fn times(&self) -> TickTimes {
+        let Self { core_hz, ticks, missed, histogram, .. } = *self;
+        let [latency, work, period] = [self.latency, self.work, self.period].map(Sum::span);
+        TickTimes { core_hz, ticks, missed, latency, work, period, histogram }
+    }
+}
+
+/// Bin of a time in microseconds: the number of its binary digits.
+fn bin(microseconds: u32) -> usize {
+    ((u32::BITS - microseconds.leading_zeros()) as usize).min(BINS - 1)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sum {
+    count: u32,
+    total: u64,
+    shortest: u32,
+    longest: u32,
+}
+
+impl Sum {
+    const NONE: Self = Self { count: 0, total: 0, shortest: u32::MAX, longest: 0 };
+
+    fn add(&mut self, cycles: u32) {
+        self.count = self.count.saturating_add(1);
+        self.total += u64::from(cycles);
+        self.shortest = self.shortest.min(cycles);
+        self.longest = self.longest.max(cycles);
+    }
+
+    fn span(self) -> CycleStats {
+        if self.count == 0 {
+            return CycleStats::default();
+        }
+        let mean = self.total as f32 / self.count as f32;
+        CycleStats { shortest: self.shortest, mean, longest: self.longest }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CORE_HZ: u32 = 168_000_000;
+
+    fn tick(work: u32) -> TickTime {
+        TickTime { latency: 20, work, period: Some(168_000), missed: 0 }
+    }
+
+    #[test]
+    fn spans_hold_shortest_mean_and_longest() {
+        let mut timer = TickTimer::new(CORE_HZ);
+        for work in [1680, 3360, 8400] {
+            timer.record(&tick(work));
+        }
+        let times = timer.times();
+        assert_eq!((times.ticks, times.work.shortest, times.work.longest), (3, 1680, 8400));
+        assert!((times.microseconds(times.work.mean) - 26.667).abs() < 0.01);
+        assert_eq!(timer.work_us().0, 50);
+        assert_eq!((times.period.shortest, times.period.longest), (168_000, 168_000));
+    }
+
+    #[test]
+    fn a_tick_falls_into_the_bin_of_its_microseconds() {
+        for (microseconds, expected) in [(0, 0), (1, 1), (2, 2), (3, 2), (4, 3), (1023, 10), (u32::MAX, 11)] {
+            assert_eq!(bin(microseconds), expected, "{microseconds} us");
+        }
+        let mut timer = TickTimer::new(CORE_HZ);
+        timer.record(&tick(168 * 5));
+        assert_eq!(timer.times().histogram[3], 1);
+    }
+
+    #[test]
+    fn missed_ticks_are_counted_and_give_no_period() {
+        let mut timer = TickTimer::new(CORE_HZ);
+        timer.record(&TickTime { period: None, missed: 7, ..tick(100) });
+        assert_eq!((timer.missed(), timer.times().period), (7, CycleStats::default()));
+        timer.clear();
+        assert_eq!(timer.times(), TickTimer::new(CORE_HZ).times());
+    }
+}

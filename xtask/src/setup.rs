@@ -1,0 +1,70 @@
+//! `cargo xtask setup`: makes the toolchain able to build for the chip, and installs QEMU for the virtual board.
+//!
+//! The scripts in `.ci/setup` do it, since what they change is the machine's, not the project's.
+
+use anyhow::Result;
+use xshell::{Shell, cmd};
+
+use crate::CHIP_TARGET;
+
+/// Arguments of `cargo xtask setup`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Leave QEMU out: enough to build the firmware
+    #[arg(long)]
+    target_only: bool,
+}
+
+/// Prepares whatever is missing.
+pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
+    cmd!(shell, "bash .ci/setup/chip-target {CHIP_TARGET}").quiet().run()?;
+    if !arguments.target_only {
+        cmd!(shell, "bash .ci/setup/qemu").quiet().run()?;
+    }
+    Ok(())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    /// What a function of the scripts makes of its input.
+    fn filtered(function: &str, input: &str) -> String {
+        let shell = Shell::new().unwrap();
+        shell.change_dir("..");
+        let script = format!(". .ci/setup/debian.sh; {function}");
+        cmd!(shell, "bash -euc {script}").stdin(input).quiet().read().unwrap()
+    }
+
+    #[test]
+    fn the_mirror_is_taken_from_either_form_of_apts_files() {
+        let modern =
+            "Types: deb\n# http://old.example/debian\nURIs: http://mirror.example/debian\nSuites: stable\n";
+        assert_eq!(filtered("mirror", modern), "http://mirror.example/debian");
+        let classic = "deb [arch=amd64] https://mirror.example/debian/ stable main\n";
+        assert_eq!(filtered("mirror", classic), "https://mirror.example/debian/");
+    }
+
+    #[test]
+    fn archives_of_security_fixes_and_third_parties_are_no_mirror() {
+        let others =
+            "URIs: http://mirror.example/debian-security\ndeb https://tool.example/apt stable main\n";
+        assert_eq!(filtered("mirror", others), "");
+    }
+
+    #[test]
+    fn the_source_package_must_hold_the_toolchains_own_release() {
+        let versions = "  rust-src | 1.96.0+dfsg1-1 | mirror sid/main\n  rust-src | 1.95.0+dfsg1-2 | mirror forky/main\n";
+        assert_eq!(filtered("version_of_release 1.95.0", versions), "1.95.0+dfsg1-2");
+        assert_eq!(filtered("version_of_release 1.9", versions), "");
+    }
+
+    #[test]
+    fn the_suite_of_a_recent_version_is_taken_and_an_epoch_is_no_version() {
+        let old =
+            "qemu-system-arm | 1:7.2+dfsg-7 | http://mirror.example/debian bookworm/main amd64 Packages\n";
+        let new = "qemu-system-arm | 1:10.0.2+ds-2~bpo12+1 | http://mirror.example/debian bookworm-backports/main amd64 Packages\n";
+        assert_eq!(filtered("suite_from_version 10", &[old, new].concat()), "bookworm-backports");
+        assert_eq!(filtered("suite_from_version 10", old), "");
+    }
+}
