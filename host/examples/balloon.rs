@@ -3,11 +3,10 @@
 //! Run with `cargo run --release --example balloon -p host`. It records breaths with a cautious PI, learns a simulator
 //! and through it a controller, and scores that on the balloon itself.
 
-use std::sync::atomic::AtomicBool;
-
 use judge::balloon::{self, baseline};
 use learn::pipeline;
 use plant::balloon::PERIOD_US;
+use progress::Progress;
 use shared::control::Controller;
 use shared::control::pid::Pid;
 use ventilator::{BalloonSource, Source};
@@ -16,8 +15,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seed = std::env::args().nth(1).map_or(Ok(1), |seed| seed.parse())?;
     let config = balloon::pipeline(seed);
     let pid = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
-    let source = |_| Ok(Box::new(BalloonSource::new(pid.clone())) as Box<dyn Source>);
-    let outcome = pipeline::run(&config, &[&source], None, &|_, _, _, _| (), &AtomicBool::new(false))?;
+    let source = |_| Ok(Box::new(BalloonSource::new(pid.clone())?) as Box<dyn Source>);
+    let outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
     for (number, round) in outcome.rounds.iter().enumerate() {
         let open_loop = round.open_loop.last().map_or(0.0, |errors| errors.measured);
         println!(

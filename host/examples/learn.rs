@@ -4,12 +4,12 @@
 //! controller in two rounds, compares both on the true bench and writes `out/learn/weights.bin`.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use data::files::write_atomically;
 use judge::evaluate::{Plan, evaluate};
 use learn::pipeline::{self, PipelineConfig};
 use plant::bench::BenchConfig;
+use progress::Progress;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use ventilator::{BenchSource, Source};
@@ -30,8 +30,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Ok(Box::new(source) as Box<dyn Source>)
     };
 
-    // No folder: nothing to go on from; no observer; never stopped.
-    let outcome = pipeline::run(&config, &[&source], None, &|_, _, _, _| (), &AtomicBool::new(false))?;
+    // No folder: nothing to go on from; nothing observes it; never stopped.
+    let outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
 
     let plan = Plan::evaluation(config.seed);
     let learned = Controller::Residual(outcome.learned.controller.clone());

@@ -8,8 +8,9 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::time::Instant;
 
-use data::import::import;
-use data::import::map::ColumnMap;
+use data::import::foreign::import;
+use data::import::foreign::map::ColumnMap;
+use progress::Progress;
 
 const BREATHS: usize = 75_000;
 const ROWS: usize = 80;
@@ -49,7 +50,7 @@ fn six_million_rows_stream_through_little_memory() {
     write_table(&table);
     let layout = ColumnMap::kaggle().unwrap().layout().unwrap();
     let start = Instant::now();
-    let summary = import(&[table], &layout, &out, &mut |_| ()).unwrap();
+    let summary = import(&[table], &layout, &out, &Progress::silent()).unwrap();
     println!("{:.1} s, {:.0} MiB at most", start.elapsed().as_secs_f64(), peak_mib());
     assert_eq!((summary.rows, summary.breaths), (BREATHS * ROWS, BREATHS));
     assert!(peak_mib() < MOST_MIB, "{} MiB", peak_mib());

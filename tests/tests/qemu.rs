@@ -19,7 +19,7 @@ use device::port::Address;
 use emulator::{Emulator, EmulatorConfig, LockstepPlant, PlantEnd};
 use plant::bench::{BenchConfig, BenchPlant};
 use plant::{Plant, Reading};
-use progress::Watch;
+use progress::Progress;
 use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
@@ -99,7 +99,7 @@ fn renamed(training: u8) -> ([u8; IMAGE_BYTES], u32) {
 }
 
 fn upload(device: &mut Device, training: u8) -> (u32, Slot) {
-    let uploaded = device.upload(&renamed(training).0, &mut |_| ()).unwrap();
+    let uploaded = device.upload(&renamed(training).0, &Progress::silent()).unwrap();
     assert_eq!(uploaded.id, renamed(training).1);
     (uploaded.id, uploaded.slot)
 }
@@ -236,9 +236,9 @@ fn a_recording_over_the_link_is_that_of_the_bench_in_process_bit_for_bit() {
     let controller = pid(KNOWN_GOOD);
     let mut bench =
         BenchSource::new(&lung(), controller.clone(), &config.settings, 1000, config.seed).unwrap();
-    let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap().recording;
+    let here = collect(&mut bench, &controller, &config, &Progress::silent()).unwrap().recording;
     let mut port = PortSource::new(device, config.seed).unwrap();
-    let there = collect(&mut port, &controller, &config, &Watch::silent()).unwrap().recording;
+    let there = collect(&mut port, &controller, &config, &Progress::silent()).unwrap().recording;
     let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&here.u_in), bits(&there.u_in));
     assert_eq!(bits(&here.pressure), bits(&there.pressure));
@@ -314,7 +314,7 @@ fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
         let (mut board, mut device) = breathing(config(), &lung());
         debugger(&board).cut_power_at(cut).unwrap();
         let (image, new) = renamed(training);
-        assert!(device.upload(&image, &mut |_| ()).is_err(), "the line ends with the power");
+        assert!(device.upload(&image, &Progress::silent()).is_err(), "the line ends with the power");
         board.wait().unwrap();
         assert!(board.log().ends_with("power cut"), "{}", board.log());
         drop((device, board));
@@ -564,7 +564,7 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     while !ended(&device.recorder().unwrap()) {
         assert!(Instant::now() < deadline, "the recording goes on and on");
     }
-    let before = device.blackbox(&mut |_| ()).unwrap();
+    let before = device.blackbox(&Progress::silent()).unwrap();
     let fault = Fault::ReadingNotANumber;
     assert_eq!(before.status.recording, RecordingState::Fault(fault));
     assert_eq!(before.fast.entries.len(), FAST_ENTRIES);

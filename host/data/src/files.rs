@@ -70,6 +70,25 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
     }
 }
 
+/// Marks a folder as that of one configuration, in its `run.json`; false if it belongs to another.
+///
+/// # Errors
+/// A file that cannot be read or written.
+pub fn claim<T: PartialEq + Serialize + DeserializeOwned>(
+    folder: &Path,
+    configuration: &T,
+) -> io::Result<bool> {
+    let path = folder.join("run.json");
+    match fs::read_to_string(&path) {
+        // A configuration of another shape is another one.
+        Ok(text) => Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            write_json_indented(&path, configuration).map(|()| true)
+        }
+        Err(error) => Err(error),
+    }
+}
+
 fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = File::create(path)?;
     file.write_all(bytes)?;
@@ -97,6 +116,24 @@ mod tests {
         write_atomically(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(entries(path.parent().unwrap()), ["file.txt"]);
+    }
+
+    #[test]
+    fn a_folder_belongs_to_its_first_configuration() {
+        let folder = tempfile::tempdir().unwrap();
+        for (configuration, own) in [(1, true), (1, true), (2, false)] {
+            assert_eq!(claim(folder.path(), &configuration).unwrap(), own);
+        }
+        assert!(!claim(folder.path(), &"of another shape".to_owned()).unwrap());
+    }
+
+    #[test]
+    fn a_value_that_json_cannot_hold_writes_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.json");
+        let keyed_by_lists = std::collections::BTreeMap::from([(vec![1], 2)]);
+        assert!(write_json(&path, &keyed_by_lists).is_err());
+        assert!(!path.exists());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Reading a device's flight recorder, while it ventilates or after it was reset.
 
+use progress::{Progress, Stage, Task};
 use serde::Serialize;
 use shared::link::messages::{Request, Response};
 use shared::recorder::entry::{EVENT_BYTES, TICK_BYTES};
@@ -68,18 +69,20 @@ impl Device {
         }
     }
 
-    /// Reads all that the flight recorder holds; `progress` gets the share that is there, from 0 to 1. A device that
-    /// ventilates goes on; what it records meanwhile is left for the next time.
+    /// Reads all that the flight recorder holds. A device that ventilates goes on; what it records meanwhile is left for the next time.
     ///
     /// # Errors
     /// [`DeviceError`].
-    pub fn blackbox(&mut self, progress: &mut dyn FnMut(f64)) -> Result<Blackbox, DeviceError> {
+    pub fn blackbox(&mut self, progress: &Progress<'_>) -> Result<Blackbox, DeviceError> {
         let period_us = self.identify()?.period_us;
         let status = self.recorder()?;
         // The ring that turns fastest first.
-        let fast = self.part(Part::Fast, status.fast, &mut |share| progress(share / 3.0))?;
-        let slow = self.part(Part::Slow, status.slow, &mut |share| progress((1.0 + share) / 3.0))?;
-        let log = self.part(Part::Log, status.log, &mut |share| progress((2.0 + share) / 3.0))?;
+        let held = [status.fast, status.slow, status.log].map(|held| (held.next - held.first) as usize);
+        let task = progress.task(Stage::ReadRecorder, held.iter().sum());
+        let fast = self.part(Part::Fast, status.fast, &task)?;
+        let slow = self.part(Part::Slow, status.slow, &task)?;
+        let log = self.part(Part::Log, status.log, &task)?;
+        task.finish();
         let events: Vec<_> =
             log.as_chunks::<EVENT_BYTES>().0.iter().map(|entry| LogEntry::read(*entry)).collect();
         let unread = events.iter().filter(|event| event.is_none()).count();
@@ -94,13 +97,8 @@ impl Device {
         })
     }
 
-    /// Bytes of the entries that a part held, as far as they are still there; `progress` gets the share that has come.
-    fn part(
-        &mut self,
-        part: Part,
-        held: Held,
-        progress: &mut dyn FnMut(f64),
-    ) -> Result<Vec<u8>, DeviceError> {
+    /// Bytes of the entries that a part held, as far as they are still there.
+    fn part(&mut self, part: Part, held: Held, task: &Task<'_>) -> Result<Vec<u8>, DeviceError> {
         let length = if part == Part::Log { EVENT_BYTES } else { TICK_BYTES };
         let (mut from, mut bytes) = (held.first, Vec::new());
         while from < held.next {
@@ -118,8 +116,8 @@ impl Device {
                 break;
             }
             bytes.extend_from_slice(&page.bytes[..wanted as usize * length]);
+            task.advance((page.first + wanted - from) as usize);
             from = page.first + wanted;
-            progress(f64::from(from - held.first) / f64::from(held.next - held.first));
         }
         Ok(bytes)
     }

@@ -1,5 +1,6 @@
 //! Uploading a weights image.
 
+use progress::{Progress, Stage};
 use shared::link::messages::{CHUNK_BYTES, Request, Response};
 use shared::link::refusal::Refusal;
 use shared::weights::slots::Slot;
@@ -30,16 +31,17 @@ pub struct Uploaded {
 
 impl Device {
     /// Uploads an image and has it stored; it runs after the next restart. An upload that was broken off goes on where
-    /// it was. `progress` gets the bytes that have arrived, of [`IMAGE_BYTES`].
+    /// it was; it cannot be stopped, since it takes seconds.
     ///
     /// # Errors
     /// [`UploadError`]; the weights that run stay.
-    pub fn upload(&mut self, image: &[u8], progress: &mut dyn FnMut(usize)) -> Result<Uploaded, UploadError> {
+    pub fn upload(&mut self, image: &[u8], progress: &Progress<'_>) -> Result<Uploaded, UploadError> {
         let id = decode(image)?.id;
         let image = &image[..IMAGE_BYTES];
         let mut offset = self.progress_of(&Request::BeginWeights { length: IMAGE_BYTES as u32, id })?;
+        let task = progress.task(Stage::Upload, image.len());
         while offset < image.len() {
-            progress(offset);
+            task.reach(offset);
             let end = image.len().min(offset + CHUNK_BYTES);
             let bytes = image[offset..end].iter().copied().collect();
             let chunk = Request::WeightsChunk { offset: offset as u32, bytes };
@@ -49,7 +51,7 @@ impl Device {
                 other => other?,
             };
         }
-        progress(offset);
+        task.reach(offset);
         match self.request(&Request::CommitWeights)? {
             Response::Weights { id: stored, slot } if stored == id => Ok(Uploaded { id, slot }),
             _ => Err(DeviceError::Unexpected.into()),

@@ -8,3 +8,4 @@ pub mod evaluate;
 pub mod faults;
 pub mod identify;
 pub mod rl;
+pub mod simulator;

@@ -3,6 +3,7 @@
 
 pub mod controller;
 pub mod pipeline;
+pub mod recipe;
 pub mod simulator;
 #[cfg(test)]
 mod tests_support;

@@ -1,30 +1,86 @@
-//! How long work reports progress and learns that it should stop.
+//! How long work reports its progress and learns that it should stop.
+//!
+//! Work takes a [`Progress`] and opens a [`Task`] in it for each of its stages. What observes it gets an [`Event`] whenever
+//! a task has advanced. Work that is made of other work hands down [`Task::part`]: steps of the parts, which may run side
+//! by side, count in the whole.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Receives progress (done, total) and carries the wish to stop.
+/// A sort of work, with what its steps are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Stage {
+    /// Searching gains of a PID: simulated breaths.
+    TunePid,
+    /// Recording: complete breaths.
+    Collect,
+    /// Fitting simulators: epochs.
+    Fit,
+    /// Training a controller: gradient steps.
+    Train,
+    /// Reinforcement learning: rounds.
+    Reinforce,
+    /// Scoring controllers: waveforms.
+    Evaluate,
+    /// Searching the reference bound: stages of the search.
+    Bound,
+    /// Trying faults: cells of the matrix.
+    Faults,
+    /// Hostile controllers: breaths.
+    Torture,
+    /// Sending weights: bytes.
+    Upload,
+    /// Reading a flight recorder: entries.
+    ReadRecorder,
+    /// Importing tables: bytes.
+    Import,
+}
+
+/// How far a task is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Event<'a> {
+    /// What the work is for, as a lung's name; empty if there is only one.
+    pub subject: &'a str,
+    /// Round of a run, from 0.
+    pub round: Option<usize>,
+    /// What is under way.
+    pub stage: Stage,
+    /// Steps done. Events of tasks whose parts run in parallel may come out of order.
+    pub done: usize,
+    /// Steps in all, as far as is known; it may grow.
+    pub total: usize,
+}
+
+/// Receives progress and carries the request to stop.
 #[derive(Clone, Copy)]
-pub struct Watch<'a> {
-    progress: &'a (dyn Fn(u64, u64) + Sync),
+pub struct Progress<'a> {
+    receiver: Receiver<'a>,
     stop: &'a AtomicBool,
+    subject: &'a str,
+    round: Option<usize>,
+}
+
+#[derive(Clone, Copy)]
+enum Receiver<'a> {
+    Observer(&'a (dyn Fn(&Event<'_>) + Sync)),
+    Whole(&'a Task<'a>),
 }
 
 static NEVER: AtomicBool = AtomicBool::new(false);
 
-impl<'a> Watch<'a> {
-    /// Reports to `progress`; stops at the next good moment once `stop` is set.
-    pub fn new(progress: &'a (dyn Fn(u64, u64) + Sync), stop: &'a AtomicBool) -> Self {
-        Self { progress, stop }
+impl<'a> Progress<'a> {
+    /// Reports to `observer`; work stops at the next good moment once `stop` is set.
+    pub fn new(observer: &'a (dyn Fn(&Event<'_>) + Sync), stop: &'a AtomicBool) -> Self {
+        Self { receiver: Receiver::Observer(observer), stop, subject: "", round: None }
     }
 
-    /// Reports to nobody and never stops.
-    pub fn silent() -> Watch<'static> {
-        Watch { progress: &|_, _| (), stop: &NEVER }
+    /// Reports nothing; stops as [`Self::new`].
+    pub fn quiet(stop: &'a AtomicBool) -> Self {
+        Self::new(&|_| (), stop)
     }
 
-    /// Reports that `done` of `total` steps are done.
-    pub fn progress(&self, done: usize, total: usize) {
-        (self.progress)(done as u64, total as u64);
+    /// Reports nothing and never stops.
+    pub fn silent() -> Progress<'static> {
+        Progress::quiet(&NEVER)
     }
 
     /// Whether to stop.
@@ -32,8 +88,133 @@ impl<'a> Watch<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The flag itself.
-    pub fn stop(&self) -> &AtomicBool {
-        self.stop
+    /// The same, for work on `subject`.
+    #[must_use]
+    pub fn of(&self, subject: &'a str) -> Self {
+        Self { subject, ..*self }
+    }
+
+    /// The same, for a round (from 0).
+    #[must_use]
+    pub fn round(&self, round: usize) -> Self {
+        Self { round: Some(round), ..*self }
+    }
+
+    /// Begins a stage of so many steps.
+    pub fn task(&self, stage: Stage, total: usize) -> Task<'a> {
+        let task = Task { progress: *self, stage, done: AtomicUsize::new(0), total: AtomicUsize::new(total) };
+        task.report(0);
+        task
+    }
+}
+
+/// A stage under way; shared by all threads that work on it.
+pub struct Task<'a> {
+    progress: Progress<'a>,
+    stage: Stage,
+    done: AtomicUsize,
+    total: AtomicUsize,
+}
+
+impl Task<'_> {
+    /// More steps are done.
+    pub fn advance(&self, steps: usize) {
+        let done = self.done.fetch_add(steps, Ordering::Relaxed) + steps;
+        match self.progress.receiver {
+            Receiver::Whole(whole) => whole.advance(steps),
+            Receiver::Observer(_) => self.report(done),
+        }
+    }
+
+    /// So many steps are done in all; fewer than before change nothing.
+    pub fn reach(&self, done: usize) {
+        self.advance(done.saturating_sub(self.done.load(Ordering::Relaxed)));
+    }
+
+    /// There turn out to be at least so many steps in all.
+    pub fn expect(&self, total: usize) {
+        self.total.fetch_max(total, Ordering::Relaxed);
+    }
+
+    /// All is done, in fewer steps than were expected.
+    pub fn finish(&self) {
+        let done = self.done.load(Ordering::Relaxed);
+        self.total.store(done, Ordering::Relaxed);
+        self.report(done);
+    }
+
+    /// Whether to stop.
+    pub fn stopped(&self) -> bool {
+        self.progress.stopped()
+    }
+
+    /// For work that is a part of this: its steps count here, in the same units.
+    pub fn part(&self) -> Progress<'_> {
+        Progress { receiver: Receiver::Whole(self), ..self.progress }
+    }
+
+    fn report(&self, done: usize) {
+        if let Receiver::Observer(observer) = self.progress.receiver {
+            let Progress { subject, round, .. } = self.progress;
+            let total = self.total.load(Ordering::Relaxed);
+            observer(&Event { subject, round, stage: self.stage, done, total });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Mutex;
+
+    /// Subject, round, stage, done and total of every event of some work.
+    type Seen = Vec<(String, Option<usize>, Stage, usize, usize)>;
+
+    fn seen(work: impl Fn(&Progress<'_>)) -> Seen {
+        let seen = Mutex::new(Vec::new());
+        let note = |e: &Event<'_>| {
+            seen.lock().unwrap().push((e.subject.to_owned(), e.round, e.stage, e.done, e.total));
+        };
+        work(&Progress::new(&note, &AtomicBool::new(false)));
+        seen.into_inner().unwrap()
+    }
+
+    #[test]
+    fn events_tell_what_is_under_way_and_how_far_it_is() {
+        let events = seen(|progress| {
+            let task = progress.of("R20C20").round(1).task(Stage::Fit, 3);
+            task.advance(2);
+            task.reach(1);
+            task.expect(5);
+            task.reach(5);
+        });
+        let at = |done, total| ("R20C20".to_owned(), Some(1), Stage::Fit, done, total);
+        assert_eq!(events, [at(0, 3), at(2, 3), at(2, 3), at(5, 5)]);
+    }
+
+    #[test]
+    fn steps_of_parts_count_in_the_whole_and_only_there() {
+        let events = seen(|progress| {
+            let whole = progress.task(Stage::Evaluate, 4);
+            std::thread::scope(|scope| {
+                for _ in 0..2 {
+                    scope.spawn(|| whole.part().task(Stage::Collect, 100).advance(2));
+                }
+            });
+            whole.finish();
+        });
+        assert!(events.iter().all(|event| event.2 == Stage::Evaluate && event.4 == 4), "{events:?}");
+        assert_eq!(events.len(), 4);
+        assert_eq!(events[3].3, 4);
+    }
+
+    #[test]
+    fn a_request_to_stop_reaches_every_part() {
+        let stop = AtomicBool::new(false);
+        let progress = Progress::quiet(&stop);
+        let task = progress.task(Stage::Train, 1);
+        assert!(!task.part().stopped());
+        stop.store(true, Ordering::Relaxed);
+        assert!(task.part().stopped() && task.stopped() && !Progress::silent().stopped());
     }
 }

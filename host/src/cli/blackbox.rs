@@ -6,7 +6,8 @@ use anyhow::{Context, bail};
 use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
 
-use super::common::{bar, write_json};
+use super::bars::with_bars;
+use super::common::write_json;
 use super::output::OutputArgs;
 use data::files::write_atomically;
 use device::Device;
@@ -73,11 +74,7 @@ fn kind(path: &Path) -> Option<&str> {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut device = Device::connect(&args.port)?;
     let identity = device.identify()?;
-    let steps = 1000;
-    let bar = bar("reading the recorder", steps);
-    let blackbox = device.blackbox(&mut |share| bar.set_position((share * steps as f64) as u64));
-    bar.finish_and_clear();
-    let blackbox = blackbox?;
+    let blackbox = with_bars(|progress| device.blackbox(progress))?;
     let port = args.port.to_string();
     let name = format!("{port}: {}", words::identity(&identity));
     args.output.table(&summary(&blackbox, &name));

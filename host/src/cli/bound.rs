@@ -6,12 +6,12 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 
-use super::common::{bar, benches, stop, stopped};
+use super::bars::with_bars;
+use super::common::{benches, stopped};
 use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
 use judge::bound::{Bound, BoundConfig, bounds};
 use judge::evaluate::Plan;
-use progress::Watch;
 use show::report::{Cell, Table};
 
 /// Search the best commands for a bench that is known in every detail: what no controller can beat
@@ -73,15 +73,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         settings: args.settings.checked(&args.pips)?,
         ..Plan::default()
     };
-    let bar = bar("searching, stages", 0);
-    let progress = |done: u64, total: u64| {
-        tracing::debug!(done, total, "stages searched");
-        bar.set_length(total);
-        bar.set_position(done);
-    };
-    let found = bounds(&benches, &plan, &search, &Watch::new(&progress, stop()));
-    bar.finish_and_clear();
-    let lungs = found?;
+    let lungs = with_bars(|progress| bounds(&benches, &plan, &search, progress))?;
     if lungs.iter().all(|lung| lung.waveforms.is_empty()) {
         bail!("stopped before the first waveform was complete");
     }

@@ -7,14 +7,14 @@ use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, Range};
 
-use super::common::{BenchArgs, bar, stop, stopped};
+use super::bars::with_bars;
+use super::common::{BenchArgs, stopped};
 use super::controller_args::{Chosen, ControllerArgs};
 use super::output::OutputArgs;
 use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
-use data::recording::{INSPIRATION, Recording};
-use progress::Watch;
+use data::recording;
 use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
@@ -197,20 +197,11 @@ fn record(
         let (bench, period_us) = (args.bench.one()?, chosen.period_us);
         Box::new(BenchSource::new(&bench, controller.clone(), &config.settings, period_us, config.seed)?)
     };
-    let bar = bar("collecting", config.breaths);
-    let progress = |done: u64, total: u64| {
-        tracing::debug!(done, total, "breath recorded");
-        bar.set_position(done);
-    };
-    let collected = collect(source.as_mut(), controller, config, &Watch::new(&progress, stop()));
-    bar.finish_and_clear();
-    Ok(collected)
+    Ok(with_bars(|progress| collect(source.as_mut(), controller, config, progress)))
 }
 
 fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Collected) -> Summary {
     let Collected { recording, breaths, aborts } = collected;
-    let lowest = recording.pressure.iter().copied().reduce(f32::min);
-    let highest = recording.pressure.iter().copied().reduce(f32::max);
     Summary {
         seed: args.seed,
         plant: recording.provenance.plant.clone(),
@@ -220,19 +211,10 @@ fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Col
         aborted: *aborts,
         ticks: recording.len(),
         period_us: chosen.period_us,
-        pressure: (lowest.unwrap_or(0.0), highest.unwrap_or(0.0)),
-        explored: explored(recording),
+        pressure: recording::range(&recording.pressure).unwrap_or((0.0, 0.0)),
+        explored: recording.explored(),
         complete: *breaths == config.breaths,
     }
-}
-
-/// Share of the inspiratory ticks that were perturbed, 0 to 1.
-fn explored(recording: &Recording) -> f64 {
-    let inspiratory =
-        recording.phase.iter().zip(&recording.explore).filter(|(phase, _)| **phase == INSPIRATION);
-    let (all, perturbed) =
-        inspiratory.fold((0, 0), |(all, some), (_, explore)| (all + 1, some + usize::from(*explore != 0.0)));
-    f64::from(perturbed as u32) / f64::from((all as u32).max(1))
 }
 
 fn table(summary: &Summary) -> Table {

@@ -1,17 +1,15 @@
-//! What commands share: arguments for lungs and gains, progress bars, Ctrl-C, JSON output.
+//! What commands share: arguments for lungs and gains, Ctrl-C, JSON output.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 use anyhow::{Context, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use data::files::write_atomically;
+use data::files::write_json_indented;
 use learn::controller::learned::Learned;
 use plant::bench::BenchConfig;
 
@@ -109,22 +107,12 @@ pub fn learned(path: &Path) -> anyhow::Result<Learned> {
     Ok(Learned::load(path)?)
 }
 
-/// A progress bar on standard error; invisible where that is no terminal.
-pub fn bar(what: &str, total: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{msg:<28} {bar:40} {pos:>6}/{len} {elapsed:>4} left {eta}");
-    let bar = ProgressBar::new(total as u64).with_message(what.to_owned());
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    bar.enable_steady_tick(Duration::from_millis(250));
-    bar
-}
-
 /// Writes JSON to a file, or to standard output for `-`.
 pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
-    let mut text = serde_json::to_string_pretty(value)?;
-    text.push('\n');
     if path == Path::new("-") {
+        let text = serde_json::to_string_pretty(value)? + "\n";
         std::io::stdout().write_all(text.as_bytes())?;
         return Ok(());
     }
-    write_atomically(path, text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
+    write_json_indented(path, value).with_context(|| format!("cannot write {}", path.display()))
 }

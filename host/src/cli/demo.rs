@@ -6,15 +6,14 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use shared::breath::DEFAULT_PERIOD_US;
 
-use super::common::{BenchArgs, stop};
+use super::bars::with_bars;
+use super::common::BenchArgs;
 use super::output::OutputArgs;
 #[cfg(unix)]
 use super::qemu::ImageArgs;
-use super::stage_bars::StageBars;
-use super::train::stage_name;
 use judge::baselines::Search;
 use learn::pipeline::PipelineConfig;
-use study::demo::{DemoConfig, DemoStep, Venue, run as run_demo};
+use study::demo::{DemoConfig, Venue, run as run_demo};
 
 /// Run the whole pipeline on one lung: search the best PID, record, fit, train, compare, report
 #[derive(Debug, clap::Args)]
@@ -78,10 +77,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         },
         venue: args.venue()?,
     };
-    let bars = StageBars::default();
-    let observer = |step, done, total| bars.show(&name(step), done, total);
-    let demo = run_demo(&config, &args.out, &observer, stop())?;
-    bars.finish();
+    let demo = with_bars(|progress| run_demo(&config, &args.out, progress))?;
 
     let summary = &demo.summary;
     args.output.table(&summary.table());
@@ -128,13 +124,5 @@ impl Args {
     #[cfg(not(unix))]
     fn venue(&self) -> anyhow::Result<Venue> {
         Ok(Venue::InProcess)
-    }
-}
-
-fn name(step: DemoStep) -> String {
-    match step {
-        DemoStep::Tune => "search PID".into(),
-        DemoStep::Round(round, stage) => stage_name(round, stage),
-        DemoStep::Evaluate => "compare".into(),
     }
 }

@@ -1,27 +1,26 @@
 //! `trainer evaluate`: scores of a controller on a bench, a learned one beside its PID.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
 use shared::control::pid::PidGains;
 
-use super::common::{self, BenchArgs, bar, stop, stopped};
-use super::comparison::{Comparison, Pair, WaveformPair};
+use super::bars::with_bars;
+use super::common::{self, BenchArgs, stopped};
+use super::comparison::table;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::OutputArgs;
 use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use data::provenance::Provenance;
-use judge::evaluate::{BreathTrace, Plan, Score, evaluate, evaluate_source, trace};
+use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace};
 use plant::bench::BenchConfig;
-use progress::Watch;
 use show::report::{Block, Plot, Report, Section, Series, Style};
-use ventilator::{PlantSource, Reseed};
+use ventilator::PlantSource;
 
 /// Score a controller on the bench, a learned one beside its PID under the same noise
 #[derive(Debug, clap::Args)]
@@ -88,16 +87,11 @@ struct Summary {
     comparison: Comparison,
 }
 
-/// Where breaths are run.
-enum Ventilator {
-    Bench(Box<BenchConfig>),
-    /// A device at a port, or somebody else's plant.
-    Source(Box<Mutex<dyn Reseed + Send>>),
-}
-
 /// What runs: the ventilator, the PID and the learned controller.
 struct Setup {
-    ventilator: Ventilator,
+    ground: Box<dyn Ground>,
+    /// The bench, if it is one.
+    bench: Option<BenchConfig>,
     /// Which pressure is scored.
     pressure: &'static str,
     pid: Controller,
@@ -122,71 +116,38 @@ impl Setup {
             (None, Some(_)) => "airway pressure, the true one if the plant tells it",
             (None, None) => "true airway pressure, which only the bench knows",
         };
-        let ventilator = match (&args.port.port, plant) {
+        let mut bench = None;
+        let ground: Box<dyn Ground> = match (&args.port.port, plant) {
             (Some(address), _) => {
-                let source = port_args::source(address, &chosen, plan.seeds[0])?;
-                Ventilator::Source(Box::new(Mutex::new(source)))
+                Box::new(SourceGround::new(port_args::source(address, &chosen, plan.seeds[0])?))
             }
             (None, Some(link)) => {
                 let controller = chosen.controller.clone();
                 let source = PlantSource::new(link, controller, chosen.period_us, plan.seeds[0]);
-                Ventilator::Source(Box::new(Mutex::new(source)))
+                Box::new(SourceGround::new(source))
             }
-            (None, None) => Ventilator::Bench(Box::new(args.bench.one()?)),
+            (None, None) => Box::new(bench.insert(args.bench.one()?).clone()),
         };
-        Ok(Self { ventilator, pressure, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
-    }
-
-    /// Name of what breathes.
-    fn plant(&self) -> String {
-        match &self.ventilator {
-            Ventilator::Bench(bench) => bench.name.clone(),
-            Ventilator::Source(source) => source.lock().unwrap_or_else(PoisonError::into_inner).plant(),
-        }
+        Ok(Self { ground, bench, pressure, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
     }
 
     /// The learned controller, if there is one.
     fn learned(&self) -> Option<&Controller> {
         self.chosen.weights_id.as_ref().map(|_| &self.chosen.controller)
     }
-
-    /// Scores waveform by waveform, so that Ctrl-C leaves those that are done.
-    fn compare(&self) -> anyhow::Result<Comparison> {
-        let bar = bar("evaluating, waveforms", self.plan.pips.len());
-        let mut waveforms = Vec::with_capacity(self.plan.pips.len());
-        for pip in self.plan.pips.iter().copied().take_while(|_| !stopped()) {
-            let pid = self.score("PID", &self.pid, pip)?;
-            let learned = self.learned().map(|controller| self.score("learned controller", controller, pip));
-            waveforms.push(WaveformPair { pip, pair: Pair { pid, learned: learned.transpose()? } });
-            bar.inc(1);
-        }
-        bar.finish_and_clear();
-        Ok(Comparison::new(waveforms))
-    }
-
-    fn score(&self, name: &str, controller: &Controller, pip: f32) -> anyhow::Result<Score> {
-        let plan = Plan { pips: vec![pip], ..self.plan.clone() };
-        let evaluation = match &self.ventilator {
-            Ventilator::Bench(bench) => evaluate(bench, controller, &plan),
-            Ventilator::Source(source) => {
-                let mut source = source.lock().unwrap_or_else(PoisonError::into_inner);
-                evaluate_source(&mut *source, controller, &plan, &Watch::new(&|_, _| (), stop()))
-            }
-        };
-        Ok(evaluation.with_context(|| format!("{name}, PIP {pip} cmH2O"))?.mean)
-    }
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let setup = Setup::new(args)?;
-    let comparison = setup.compare()?;
+    let Setup { ground, pid, plan, .. } = &setup;
+    let comparison = with_bars(|progress| compare(ground.as_ref(), pid, setup.learned(), plan, progress))?;
     if comparison.waveforms.is_empty() {
         bail!("stopped before the first waveform was complete");
     }
     let title =
-        format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.plant(), setup.pressure);
-    args.output.table(&comparison.table(&title));
+        format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.ground.name(), setup.pressure);
+    args.output.table(&table(&comparison, &title));
     if stopped() {
         args.output.line("stopped: the waveforms run so far");
     }
@@ -196,10 +157,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     args.output.finish(&Summary {
         seed: args.seed,
-        lung: match (&setup.ventilator, &args.bench.bench) {
-            (Ventilator::Bench(bench), None) => Some(bench.name.clone()),
-            _ => None,
-        },
+        lung: setup.bench.filter(|_| args.bench.bench.is_none()).map(|bench| bench.name),
         plant: args.plant.plant.as_ref().map(ToString::to_string),
         port: args.port.port.as_ref().map(ToString::to_string),
         bench: args.bench.bench.clone(),
@@ -222,24 +180,21 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
             format_gains(&setup.pid.pid().gains()),
             setup.pressure
         ),
-        blocks: vec![Block::Table(comparison.table(""))],
+        blocks: vec![Block::Table(table(comparison, ""))],
     }];
-    if let Ventilator::Bench(bench) = &setup.ventilator {
+    if let Some(bench) = &setup.bench {
         for waveform in &comparison.waveforms {
             sections.push(curves(setup, bench, waveform.pip)?);
         }
     }
     Ok(Report {
         title: "Evaluation".into(),
-        subtitle: format!("{} on {}", setup.chosen.name, setup.plant()),
+        subtitle: format!("{} on {}", setup.chosen.name, setup.ground.name()),
         sections,
         provenance: Some(Provenance {
             seed: args.seed,
-            plant: setup.plant(),
-            plant_parameters: match &setup.ventilator {
-                Ventilator::Bench(bench) => bench.to_toml(),
-                Ventilator::Source(_) => String::new(),
-            },
+            plant: setup.ground.name(),
+            plant_parameters: setup.bench.as_ref().map_or_else(String::new, BenchConfig::to_toml),
             settings: serde_json::to_value(&setup.plan)?,
             weights_id: setup.chosen.weights_id.clone().unwrap_or_default(),
             ..Provenance::new(setup.plan.period_us, "trainer evaluate")
@@ -249,8 +204,8 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
 
 /// One breath of a waveform: pressures and valves.
 fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Section> {
-    let seed = setup.plan.seeds.first().copied().unwrap_or_default();
-    let run = |controller| trace(bench, controller, &setup.plan.waveform(pip), setup.plan.period_us, seed, 1);
+    let Plan { period_us, seeds, .. } = &setup.plan;
+    let run = |controller| trace(bench, controller, &setup.plan.waveform(pip), *period_us, seeds[0], 1);
     let mut traces = vec![("PID", run(&setup.pid)?)];
     if let Some(learned) = setup.learned() {
         traces.push(("learned", run(learned)?));

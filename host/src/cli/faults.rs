@@ -6,12 +6,12 @@ use shared::safety::alarms::{ALARMS, Action, Fault};
 use shared::safety::monitors::Monitors;
 use std::path::PathBuf;
 
-use super::common::{bar, benches, stop};
+use super::bars::with_bars;
+use super::common::benches;
 use super::output::OutputArgs;
 use data::provenance::Provenance;
-use judge::faults::matrix::{FaultRow, false_alarms, matrix, sound_pid};
+use judge::faults::matrix::{FaultRow, false_alarms, matrix, without_each_monitor};
 use plant::bench::BenchConfig;
-use progress::Watch;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
 
@@ -67,28 +67,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
 }
 
-fn tried(
-    what: &str,
-    args: &Args,
-    lungs: &[BenchConfig],
-    monitors: Monitors,
-) -> anyhow::Result<Vec<FaultRow>> {
-    let bar = bar(what, 0);
-    let progress = |done: u64, total: u64| {
-        bar.set_length(total);
-        bar.set_position(bar.position().max(done));
-    };
-    let rows = matrix(lungs, &args.seeds, monitors, &Watch::new(&progress, stop()));
-    bar.finish_and_clear();
-    Ok(rows?)
-}
-
 fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
     let monitors = match &args.without {
         Some(id) => Monitors::ALL.without(named(id)?),
         None => Monitors::ALL,
     };
-    let rows = tried("faults", args, lungs, monitors)?;
+    let rows = with_bars(|progress| matrix(lungs, &args.seeds, monitors, progress))?;
     let table = table(&rows);
     args.output.table(&table);
     if let Some(path) = &args.html {
@@ -104,18 +88,13 @@ fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
 }
 
 fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
+    let found = with_bars(|progress| without_each_monitor(lungs, &args.seeds, progress))?;
     let mut table = Table::new("What fails without a monitor", &["without", "rows that fail"]);
-    let mut unnoticed = Vec::new();
-    for fault in Fault::all() {
-        let id = fault.alarm().id;
-        let rows = tried(id, args, lungs, Monitors::ALL.without(fault))?;
-        let mut failed: Vec<&str> = rows.iter().filter(|row| !row.pass).map(|row| row.fault).collect();
-        failed.dedup();
-        if failed.is_empty() {
-            unnoticed.push(id);
-        }
-        table.row(vec![Cell::text(id), Cell::text(failed.join("; "))]);
+    for (monitor, failed) in &found {
+        table.row(vec![Cell::text(monitor.alarm().id), Cell::text(failed.join("; "))]);
     }
+    let unnoticed: Vec<_> =
+        found.iter().filter(|(_, failed)| failed.is_empty()).map(|(monitor, _)| monitor.alarm().id).collect();
     args.output.table(&table);
     if !unnoticed.is_empty() {
         bail!("nothing fails without {}: a monitor that nobody misses proves nothing", unnoticed.join(", "));
@@ -124,8 +103,7 @@ fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
 }
 
 fn nominal(args: &Args, lungs: &[BenchConfig], breaths: u32) -> anyhow::Result<()> {
-    let each = breaths.div_ceil(lungs.len() as u32);
-    let alarms = false_alarms(lungs, each, &sound_pid()?, &Watch::new(&|_, _| (), stop()))?;
+    let alarms = with_bars(|progress| false_alarms(lungs, breaths, progress))?;
     for (lung, fault) in &alarms {
         args.output.line(&format!("{lung}: {}", fault.alarm().text));
     }

@@ -6,26 +6,19 @@ mod tests;
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::ValueEnum;
-use serde::Serialize;
 
-use super::common::{bar, stopped};
+use super::bars::with_bars;
 use super::output::OutputArgs;
 use super::preset::Preset;
-use data::identity::{LungParameters, TestRun};
+use data::identity::LungParameters;
 use data::recording::Recording;
-use judge::identify;
-use learn::pipeline::PAPER_PERIOD_US;
-use learn::simulator::episode::{Episode, channels, episodes, split, ventilators, whole_breaths};
-use learn::simulator::fit::{Fit, FitConfig};
-use learn::simulator::hybrid::HybridConfig;
-use learn::simulator::model::{Architecture, Simulator};
-use learn::simulator::open_loop::{ByWaveform, OpenLoop, by_waveform, open_loop, response};
-use learn::simulator::state_space::StateSpaceConfig;
-use learn::simulator::stitched::StitchedConfig;
+use judge::simulator::{FitSummary, RESPONSE_S};
+use learn::recipe::{self, Recipe};
+use learn::simulator::episode::episodes;
+use learn::simulator::open_loop::OpenLoop;
 use show::report::{Cell, Table};
-use ventilator::seeds;
 
 /// Learn a differentiable simulator from recordings
 #[derive(Debug, clap::Args)]
@@ -97,156 +90,59 @@ enum Kind {
     Stitched,
 }
 
-/// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 in place of 64 bring the
-/// open-loop distance from 0.26 to 0.18 cmH2O in the same number of epochs.
-const BATCH: usize = 16;
-/// Decay of the hybrid's weights: of 0.005, 0.02 and 0.05 it did best on lungs left out one by one.
-const HYBRID_DECAY: f32 = 0.005;
-/// Gradient steps by which that distance has stopped falling fast.
-const STEPS: usize = 10_000;
-/// The same for the hybrid: a fifth of them for the physics, the others for what test runs have of their own.
-const HYBRID_STEPS: usize = 15_000;
-/// Least passes over a recording, however large.
-const LEAST_EPOCHS: usize = 300;
-/// Most passes over a recording, however small.
-const MOST_EPOCHS: usize = 3_000;
-/// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its
-/// history of five has to reach beyond the valve's dead time.
-const STITCHED_LEAST_US: u32 = 5_000;
-
-/// What `--json` gives.
-#[derive(Debug, Serialize)]
-struct Summary {
-    seed: u64,
-    plant: String,
-    #[serde(flatten)]
-    architecture: Architecture,
-    parameters: usize,
-    training_breaths: usize,
-    held_out_breaths: usize,
-    held_out_lung_breaths: usize,
-    epochs: usize,
-    stopped: bool,
-    training_loss: f64,
-    noise: f32,
-    /// Mean absolute errors on the held-out breaths, cmH2O: of the change over one step, and open loop.
-    one_step: f64,
-    open_loop: f64,
-    /// Open loop, to the true airway pressure, where a bench knows it.
-    open_loop_true: Option<f64>,
-    /// Open loop, on the lungs held out altogether.
-    open_loop_held_out_lung: Option<f64>,
-    /// Classical identification on the same held-out breaths, from measured flows.
-    classical_open_loop: Option<f64>,
-    /// Rise of the predicted pressure where every command is five percent higher, cmH2O: see [`RESPONSE_S`].
-    response: Vec<f64>,
-    waveforms: Vec<ByWaveform>,
-    groups: Vec<ByGroup>,
-    held_out_lungs: Vec<ByGroup>,
-}
-
-/// Times after the start of the inspiration at which the response to a higher command is told, s.
-const RESPONSE_S: [f32; 3] = [0.1, 0.3, 0.8];
-
-/// Errors on the held-out breaths of one lung or test run.
-#[derive(Clone, Debug, Serialize)]
-struct ByGroup {
-    group: String,
-    episodes: usize,
-    #[serde(flatten)]
-    open_loop: OpenLoop,
-}
-
-/// Breaths by what they are for.
-struct Parts<'a> {
-    training: Vec<&'a Episode>,
-    held_out: Vec<&'a Episode>,
-    /// Of lungs that are held out altogether.
-    other_lungs: Vec<&'a Episode>,
-}
-
-impl<'a> Parts<'a> {
-    fn new(args: &Args, all: &'a [Episode]) -> anyhow::Result<Self> {
-        for lung in &args.hold_out_lung {
-            if !all.iter().any(|episode| episode.lung == Some(*lung)) {
-                bail!("no breath of the lung {lung} (R:C): the recording has {}", lungs(all));
-            }
+impl From<Kind> for recipe::Kind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::StateSpace => Self::StateSpace,
+            Kind::Hybrid => Self::Hybrid,
+            Kind::Stitched => Self::Stitched,
         }
-        let held_out_lung = |e: &&Episode| e.lung.is_some_and(|lung| args.hold_out_lung.contains(&lung));
-        // Every breath's place in its group is counted, whether or not its lung is held out.
-        let (training, held_out) = split(all, usize::from(args.hold_out));
-        let keep = |episodes: Vec<&'a Episode>| -> Vec<&'a Episode> {
-            episodes.into_iter().filter(|episode| !held_out_lung(episode)).collect()
-        };
-        let parts = Self {
-            training: keep(training),
-            held_out: keep(held_out),
-            other_lungs: all.iter().filter(held_out_lung).collect(),
-        };
-        if parts.training.is_empty() || parts.held_out.is_empty() {
-            bail!(
-                "{} complete inspirations are too few to fit and to hold out every {}th: record more, or lower \
-                 --hold-out",
-                all.len() - parts.other_lungs.len(),
-                args.hold_out
-            );
-        }
-        Ok(parts)
     }
-}
-
-/// What the model is trained on. The hybrid gets whole breaths, since in expiration, too, lung and ventilator show what
-/// they are; and each of them twice, once without its group, so that what a group has of its own stays a deviation from
-/// a model that is right without it.
-fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Episode]) -> Vec<Episode> {
-    if !matches!(architecture, Architecture::Hybrid(_)) {
-        return training.iter().map(|episode| (*episode).clone()).collect();
-    }
-    let mut lessons = whole_breaths(recording, architecture.timing());
-    lessons.retain(|breath| training.iter().any(|episode| episode.rows == breath.rows));
-    let nameless: Vec<_> = lessons.iter().map(|breath| Episode { group: None, ..breath.clone() }).collect();
-    lessons.extend(nameless);
-    lessons
-}
-
-/// The lungs that a recording names.
-fn lungs(episodes: &[Episode]) -> String {
-    let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|lung| lung.to_string()).collect();
-    names.dedup();
-    names.sort();
-    names.dedup();
-    if names.is_empty() { "no R and C at all".to_owned() } else { names.join(", ") }
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let recording = load(&args.data)?;
     args.preset.map_or(Ok(()), |preset| preset.check(&recording))?;
-    let architecture = architecture(args, &recording)?;
+    let recipe = recipe(args);
+    let architecture = recipe.architecture(&recording)?;
     let all = episodes(&recording, architecture.timing());
-    let parts = Parts::new(args, &all)?;
-    let lessons = lessons(&architecture, &recording, &parts.training);
-    let lessons: Vec<&Episode> = lessons.iter().collect();
-    let (simulator, curve) = fit(args, architecture, &lessons, &recording.provenance.plant)?;
+    let parts = recipe.parts(&all)?;
+    let fitted = with_bars(|progress| recipe.fit(architecture, &recording, &parts.training, progress))?;
     if let Some(path) = &args.out {
-        simulator.save(path)?;
+        fitted.simulator.save(path)?;
     }
-    let summary = summary(args, &simulator, &curve, &parts, &recording);
+    let summary = FitSummary::new(args.seed, &fitted, &parts, &recording);
     args.output.table(&table(&summary));
     for line in remarks(&summary) {
         args.output.line(&line);
     }
-    if stopped() {
-        args.output.line(&format!("stopped after {} epochs", curve.len()));
+    if summary.stopped {
+        args.output.line(&format!("stopped after {} epochs", summary.epochs));
     }
     if let Some(path) = &args.out {
         args.output.line(&format!("saved {}", path.display()));
     }
     if let Some(path) = &args.report {
-        report::report(&summary, &simulator, &curve, &parts, &recording).save(path)?;
+        report::report(&summary, &fitted, &parts, &recording).save(path)?;
         args.output.line(&format!("saved {}", path.display()));
     }
     args.output.finish(&summary)
+}
+
+fn recipe(args: &Args) -> Recipe {
+    let of_preset = args.preset.map(|Preset::Paper30Ms| Kind::Stitched);
+    Recipe {
+        kind: args.architecture.or(of_preset).map(Into::into),
+        epochs: args.epochs,
+        batch: args.batch.map(Into::into),
+        states: args.states.map(Into::into),
+        hidden: args.hidden.map(Into::into),
+        history: args.history.map(Into::into),
+        hold_out: args.hold_out.into(),
+        hold_out_lungs: args.hold_out_lung.clone(),
+        seed: args.seed,
+    }
 }
 
 fn load(files: &[PathBuf]) -> anyhow::Result<Recording> {
@@ -261,144 +157,8 @@ fn load(files: &[PathBuf]) -> anyhow::Result<Recording> {
     Ok(recording)
 }
 
-/// The architecture asked for, or the one that makes the most of what the recording says.
-fn kind(args: &Args, recording: &Recording) -> Kind {
-    let usual = match args.preset {
-        Some(Preset::Paper30Ms) => Kind::Stitched,
-        None if recording.names_lungs() => Kind::Hybrid,
-        None => Kind::StateSpace,
-    };
-    args.architecture.unwrap_or(usual)
-}
-
-/// Whether a recording names more than one lung.
-fn many_lungs(recording: &Recording) -> bool {
-    (1..recording.len()).any(|row| recording.lung(row) != recording.lung(0))
-}
-
-fn architecture(args: &Args, recording: &Recording) -> anyhow::Result<Architecture> {
-    let period_us = recording.provenance.period_us;
-    let or = |asked: Option<u16>, default: usize| asked.map_or(default, usize::from);
-    match kind(args, recording) {
-        Kind::Stitched if period_us < STITCHED_LEAST_US => bail!(
-            "the stitched architecture steps one control tick at a time, and this recording's are {period_us} us: \
-             collect one with --period-us {PAPER_PERIOD_US}, or fit state-space"
-        ),
-        Kind::Stitched => Ok(Architecture::Stitched(StitchedConfig::for_period(period_us))),
-        Kind::StateSpace => {
-            let shape = StateSpaceConfig::for_period(period_us, channels(recording));
-            Ok(Architecture::StateSpace(StateSpaceConfig {
-                lungs: many_lungs(recording),
-                states: or(args.states, shape.states),
-                hidden: or(args.hidden, shape.hidden),
-                history: or(args.history, shape.history),
-                ..shape
-            }))
-        }
-        Kind::Hybrid => {
-            if !recording.names_lungs() {
-                bail!(
-                    "the hybrid needs R and C of every lung, which this recording does not name: fit state-space"
-                );
-            }
-            let shape = HybridConfig::for_period(period_us, channels(recording));
-            Ok(Architecture::Hybrid(HybridConfig {
-                states: or(args.states, shape.states),
-                hidden: or(args.hidden, shape.hidden),
-                history: or(args.history, shape.history),
-                ventilators: ventilators(recording).into_iter().max().map_or(0, |last| last as usize + 1),
-                groups: recording.provenance.groups.len(),
-                ..shape
-            }))
-        }
-    }
-}
-
-/// How to fit so many breaths: a small recording takes more passes, since it is gradient steps that count.
-fn config(args: &Args, architecture: &Architecture, breaths: usize) -> FitConfig {
-    let stitched = matches!(architecture, Architecture::Stitched(_));
-    let mut base =
-        if stitched { FitConfig::authors() } else { FitConfig { batch: BATCH, ..FitConfig::default() } };
-    let hybrid = matches!(architecture, Architecture::Hybrid(_));
-    if hybrid {
-        base.adam.weight_decay = HYBRID_DECAY;
-    }
-    let batch = args.batch.map_or(base.batch, usize::from);
-    let steps = if hybrid { HYBRID_STEPS } else { STEPS };
-    let enough = (steps * batch / breaths.max(1)).clamp(LEAST_EPOCHS, MOST_EPOCHS);
-    let epochs = if stitched { base.epochs } else { enough };
-    FitConfig { epochs: args.epochs.unwrap_or(epochs), batch, seed: seeds::training(args.seed, 0), ..base }
-}
-
-/// The simulator, and the loss of every epoch.
-fn fit(
-    args: &Args,
-    architecture: Architecture,
-    training: &[&Episode],
-    plant: &str,
-) -> anyhow::Result<(Simulator, Vec<f64>)> {
-    let config = config(args, &architecture, training.len());
-    let mut fit = Fit::new(architecture, training, config, None);
-    let bar = bar("fitting", config.epochs);
-    let mut curve = Vec::with_capacity(config.epochs);
-    while !stopped() {
-        let Some(loss) = fit.epoch() else { break };
-        if !loss.is_finite() {
-            bail!(
-                "the fit diverged in epoch {}: check the recording for jumps, or try another --seed",
-                curve.len()
-            );
-        }
-        curve.push(loss);
-        tracing::debug!(epoch = curve.len(), loss, "epoch done");
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    Ok((fit.simulator(plant), curve))
-}
-
-fn summary(
-    args: &Args,
-    simulator: &Simulator,
-    curve: &[f64],
-    parts: &Parts<'_>,
-    recording: &Recording,
-) -> Summary {
-    let names = &recording.provenance.groups;
-    let errors = open_loop(simulator, &parts.held_out);
-    let rows =
-        |episodes: &[&Episode]| -> Vec<_> { episodes.iter().map(|episode| episode.rows.clone()).collect() };
-    Summary {
-        seed: args.seed,
-        plant: simulator.plant.clone(),
-        architecture: simulator.architecture,
-        parameters: simulator.parameters.len(),
-        training_breaths: parts.training.len(),
-        held_out_breaths: parts.held_out.len(),
-        held_out_lung_breaths: parts.other_lungs.len(),
-        epochs: curve.len(),
-        stopped: stopped(),
-        training_loss: curve.last().copied().unwrap_or_default(),
-        noise: simulator.noise,
-        one_step: errors.one_step,
-        open_loop: errors.measured,
-        open_loop_true: errors.truth,
-        open_loop_held_out_lung: (!parts.other_lungs.is_empty())
-            .then(|| open_loop(simulator, &parts.other_lungs).measured),
-        classical_open_loop: identify::open_loop::open_loop(
-            recording,
-            &rows(&parts.training),
-            &rows(&parts.held_out),
-        ),
-        response: response(simulator, &parts.held_out, &RESPONSE_S),
-        waveforms: by_waveform(simulator, &repeated(&parts.held_out)),
-        groups: by_group(simulator, &parts.held_out, names),
-        held_out_lungs: by_group(simulator, &parts.other_lungs, names),
-    }
-}
-
 /// What the table does not say.
-fn remarks(summary: &Summary) -> Vec<String> {
+fn remarks(summary: &FitSummary) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(classical) = summary.classical_open_loop {
         lines.push(format!(
@@ -422,24 +182,7 @@ fn remarks(summary: &Summary) -> Vec<String> {
     lines
 }
 
-/// Breaths whose PIP occurs more than once: waveforms, not the random PIPs between them.
-fn repeated<'a>(episodes: &[&'a Episode]) -> Vec<&'a Episode> {
-    let count = |pip: f32| episodes.iter().filter(|e| e.pip.total_cmp(&pip).is_eq()).count();
-    episodes.iter().copied().filter(|episode| count(episode.pip) > 1).collect()
-}
-
-fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[TestRun]) -> Vec<ByGroup> {
-    let of_group = |index: usize| -> Vec<&Episode> {
-        episodes.iter().copied().filter(|e| e.group == Some(index as u32)).collect()
-    };
-    let judged = names.iter().enumerate().map(|(index, name)| {
-        let own = of_group(index);
-        ByGroup { group: name.to_string(), episodes: own.len(), open_loop: open_loop(simulator, &own) }
-    });
-    judged.filter(|group| group.episodes > 0).collect()
-}
-
-fn table(summary: &Summary) -> Table {
+fn table(summary: &FitSummary) -> Table {
     let title = format!(
         "Held-out breaths ({} of {}), mean absolute errors in cmH2O",
         summary.held_out_breaths,

@@ -4,13 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, bail};
-use indicatif::ProgressBar;
 use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
+use shared::weights::decode;
 use shared::weights::slots::Slot;
-use shared::weights::{IMAGE_BYTES, decode};
 
-use super::common::bar;
+use super::bars::with_bars;
 use super::controller_args::{image_id, read};
 use super::output::OutputArgs;
 use device::Device;
@@ -72,10 +71,7 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
     decode(&image).with_context(|| file.display().to_string())?;
     let mut device = Device::connect(port)?;
     device.identify()?;
-    let bar: ProgressBar = bar("sending weights, bytes", IMAGE_BYTES);
-    let uploaded = device.upload(&image, &mut |arrived| bar.set_position(arrived as u64));
-    bar.finish_and_clear();
-    let uploaded = uploaded?;
+    let uploaded = with_bars(|progress| device.upload(&image, progress))?;
     let id = image_id(uploaded.id);
     args.output.line(&format!("weights {id} are stored and verified in slot {:?}", uploaded.slot));
     let mut summary = Summary { weights_id: id.clone(), slot: uploaded.slot, running: None };

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Subcommand;
 
-use super::common::bar;
+use super::bars::with_bars;
 use super::output::OutputArgs;
 use data::import::map::ColumnMap;
 
@@ -120,11 +120,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn import(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
     let layout = map.layout()?;
-    let length = |path: &PathBuf| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
-    let bar = bar("reading, bytes", args.files.iter().map(length).sum::<u64>() as usize);
-    let summary = data::import::import(&args.files, &layout, &args.out, &mut |bytes| bar.set_position(bytes));
-    bar.finish_and_clear();
-    let summary = summary?;
+    let summary = with_bars(|progress| data::import::import(&args.files, &layout, &args.out, progress))?;
     args.output.line(&summary.to_string());
     args.output.line(&format!("saved {}", args.out.display()));
     args.output.finish(&summary)

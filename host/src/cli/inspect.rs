@@ -128,10 +128,6 @@ fn simulator(simulator: &Simulator) -> anyhow::Result<Facts> {
 
 fn recording(recording: &Recording) -> Facts {
     let provenance = &recording.provenance;
-    let ends = |values: &[f32]| {
-        let lowest = values.iter().copied().reduce(f32::min);
-        json!([lowest, values.iter().copied().reduce(f32::max)])
-    };
     let ids = if provenance.weights_id.is_empty() { "none" } else { &provenance.weights_id };
     vec![
         ("kind", json!("recording")),
@@ -144,8 +140,8 @@ fn recording(recording: &Recording) -> Facts {
         ("ticks", json!(recording.len())),
         ("breaths", json!(recording.breaths().len())),
         ("complete inspirations", json!(recording.inspirations().len())),
-        ("pressure, cmH2O", ends(&recording.pressure)),
-        ("inspiratory valve, percent", ends(&recording.u_in)),
+        ("pressure, cmH2O", json!(data::recording::range(&recording.pressure))),
+        ("inspiratory valve, percent", json!(data::recording::range(&recording.u_in))),
         ("groups", json!(provenance.groups)),
         ("notes", json!(provenance.notes)),
         ("settings", provenance.settings.clone()),

@@ -3,6 +3,7 @@
 //! Each command reads its arguments, calls the library, prints a table and writes what was asked for. Whatever a
 //! command computes is the library's; nothing is computed here.
 
+mod bars;
 mod blackbox;
 mod bound;
 mod collect;
@@ -27,7 +28,6 @@ mod preset;
 mod qemu;
 mod reproduce;
 mod settings_args;
-mod stage_bars;
 mod torture;
 mod train;
 mod tune_pid;

@@ -2,9 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::common::stop;
+use super::bars::with_bars;
 use super::output::OutputArgs;
-use super::stage_bars::StageBars;
 use plant::bench::BenchConfig;
 use study::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
 
@@ -45,10 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         out: args.out.clone(),
         only: if args.only.is_empty() { Experiment::ALL.to_vec() } else { args.only.clone() },
     };
-    let bars = StageBars::default();
-    let observer = |what: &str, done, total| bars.show(what, done, total);
-    let results = reproduce(&reproduction, &observer, stop())?;
-    bars.finish();
+    let results = with_bars(|progress| reproduce(&reproduction, progress))?;
     if !results.lungs.is_empty() {
         args.output.table(&lungs_table(&results));
     }

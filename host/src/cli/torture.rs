@@ -1,13 +1,13 @@
 //! `trainer torture`: random breaths with hostile weights.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 
-use super::common::{bar, stop, stopped, write_json};
+use super::bars::with_bars;
+use super::common::stopped;
 use super::output::OutputArgs;
 use judge::faults::torture::{BOUND, Torture};
-use progress::Watch;
 
 /// Breathe with random weights, random lungs and random faults: how high does the true pressure get?
 #[derive(Debug, clap::Args)]
@@ -35,16 +35,10 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut torture = match &args.keep {
-        Some(file) if file.exists() => read(file, args.seed)?,
-        _ => Torture::new(args.seed),
+        Some(file) => Torture::resume(file, args.seed)?,
+        None => Torture::new(args.seed),
     };
-    let bar = bar("breaths", args.breaths as usize);
-    let progress = |done: u64, _| bar.set_position(done);
-    torture.advance(args.breaths, &Watch::new(&progress, stop()), &mut |so_far| match &args.keep {
-        Some(file) => write_json(file, so_far),
-        None => Ok(()),
-    })?;
-    bar.finish_and_clear();
+    with_bars(|progress| torture.advance(args.breaths, args.keep.as_deref(), progress))?;
     let Torture { breaths, peak_true, worst_run, above_limit, latched, .. } = torture;
     args.output.line(&format!(
         "{breaths} breaths: highest true airway pressure {peak_true:.1} cmH2O (run {worst_run}); \
@@ -58,14 +52,4 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("{above_limit} runs went above {BOUND} cmH2O");
     }
     Ok(())
-}
-
-fn read(file: &Path, seed: u64) -> anyhow::Result<Torture> {
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    let torture: Torture = serde_json::from_str(&text)
-        .with_context(|| format!("{} is no torture; remove it", file.display()))?;
-    if torture.seed != seed {
-        bail!("{} belongs to seed {}; choose another file or that seed", file.display(), torture.seed);
-    }
-    Ok(torture)
 }

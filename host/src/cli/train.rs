@@ -1,27 +1,28 @@
 //! `trainer train`: rounds of collect, fit and train on one or several benches, or one training on simulators already
 //! fitted.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::{anyhow, bail};
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 
-use super::common::{BenchArgs, bar, gains, pid, stop, stopped};
+use super::bars::with_bars;
+use super::common::{BenchArgs, gains};
 use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
 use super::preset::Preset;
 use super::settings_args::SettingsArgs;
-use super::stage_bars::StageBars;
-use data::provenance::git_revision;
-use learn::controller::learned::{Learned, Origin};
-use learn::controller::{CurvePoint, PlantModels, TrainConfig, Training, Weighting};
-use learn::pipeline::{self, Folder, MakeSource, PAPER_PERIOD_US, PipelineConfig, Round, Stage};
-use learn::simulator::model::{Architecture, Simulator};
+use learn::controller::learned::Learned;
+use learn::controller::{CurvePoint, TrainConfig, Weighting};
+use learn::pipeline::{
+    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, run_on_benches, run_on_plant,
+    train_on_simulators,
+};
+use learn::simulator::model::Simulator;
 use show::report::{Cell, Table};
-use ventilator::seeds;
-use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
+use ventilator::SharedLink;
 
 /// Train a controller by back-propagation through learned simulators
 #[derive(Debug, clap::Args)]
@@ -131,10 +132,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let simulators: Vec<Simulator> =
         args.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
     let config = args.config(args.period_us(plant.as_ref(), &simulators)?)?;
-    let summary = match plant {
-        Some(link) => args.rounds_on_plant(&config, &link)?,
-        None if simulators.is_empty() => args.rounds_on_bench(&config)?,
-        None => args.once_on_simulators(&config, &simulators)?,
+    let summary = if simulators.is_empty() {
+        args.rounds(&config, plant.as_ref())?
+    } else {
+        args.once(&config, &simulators)?
     };
     args.output.line(&format!(
         "held-out simulator: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
@@ -156,16 +157,6 @@ fn temperature(text: &str) -> Result<f64, String> {
         Ok(temperature) if temperature > 0.0 && temperature.is_finite() => Ok(temperature),
         _ => Err("a temperature is a number above zero, for instance 0.5".into()),
     }
-}
-
-/// A stage of a round (from 0) as people read it.
-pub fn stage_name(round: usize, stage: Stage) -> String {
-    let stage = match stage {
-        Stage::Collect => "collect",
-        Stage::Fit => "fit simulators",
-        Stage::Train => "train controller",
-    };
-    format!("round {}: {stage}", round + 1)
 }
 
 impl Args {
@@ -219,129 +210,50 @@ impl Args {
         Ok(config)
     }
 
-    fn rounds_on_bench(&self, config: &PipelineConfig) -> anyhow::Result<Summary> {
-        let benches = self.bench.benches()?;
-        let base = pid(config.gains, config.period_us)?;
-        let (settings, period_us) = (config.collect.settings, config.period_us);
-        let plants: Vec<_> = benches
-            .iter()
-            .map(|bench| {
-                |seed| -> Result<Box<dyn Source>, SourceError> {
-                    Ok(Box::new(BenchSource::new(bench, base.clone(), &settings, period_us, seed)?))
-                }
-            })
-            .collect();
-        let sources: Vec<MakeSource<'_>> = plants.iter().map(|plant| plant as MakeSource<'_>).collect();
-        self.rounds(config, &sources)
-    }
-
-    /// All rounds use one link: a plant need not know that there are several.
-    fn rounds_on_plant(&self, config: &PipelineConfig, link: &SharedLink) -> anyhow::Result<Summary> {
-        let base = pid(config.gains, config.period_us)?;
-        let plant = |seed| -> Result<Box<dyn Source>, SourceError> {
-            Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
-        };
-        self.rounds(config, &[&plant])
-    }
-
-    fn rounds(&self, config: &PipelineConfig, sources: &[MakeSource<'_>]) -> anyhow::Result<Summary> {
-        let bars = StageBars::default();
-        let observer = |round, stage, done, total| bars.show(&stage_name(round, stage), done, total);
+    fn rounds(&self, config: &PipelineConfig, plant: Option<&SharedLink>) -> anyhow::Result<Summary> {
         let folder = Folder::new(&self.out);
-        let outcome = pipeline::run(config, sources, Some(&folder), &observer, stop())?;
-        bars.finish();
+        let outcome = match plant {
+            Some(link) => with_bars(|progress| run_on_plant(config, link, Some(&folder), progress)),
+            None => {
+                let benches = self.bench.benches()?;
+                with_bars(|progress| run_on_benches(config, &benches, Some(&folder), progress))
+            }
+        }?;
         self.output.table(&rounds_table(&outcome.rounds));
+        let improved = outcome.rounds.last().is_some_and(|round| round.improved);
+        Ok(Summary { rounds: outcome.rounds, ..self.saved(&outcome.learned, improved, outcome.complete)? })
+    }
+
+    fn once(&self, config: &PipelineConfig, simulators: &[Simulator]) -> anyhow::Result<Summary> {
+        let folder = Folder::new(&self.out);
+        let trained = with_bars(|progress| train_on_simulators(config, simulators, &folder, progress))
+            .map_err(|error| match error {
+                PipelineError::Simulator { number, reason } => {
+                    anyhow!("{} {reason}", self.simulator[number - 1].display())
+                }
+                other => other.into(),
+            })?;
+        Ok(Summary {
+            train_curve: trained.curve,
+            ..self.saved(&trained.learned, trained.improved, trained.complete)?
+        })
+    }
+
+    /// Saves a controller; gives its figures.
+    fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
         let controller = self.out.join(CONTROLLER);
-        outcome.learned.save(&controller)?;
+        learned.save(&controller)?;
         Ok(Summary {
             seed: self.seed,
             controller,
-            validation: outcome.learned.origin.validation,
-            base: outcome.learned.origin.base,
-            improved: outcome.rounds.last().is_some_and(|round| round.improved),
-            complete: outcome.complete,
-            rounds: outcome.rounds,
+            validation: learned.origin.validation,
+            base: learned.origin.base,
+            improved,
+            complete,
+            rounds: Vec::new(),
             train_curve: Vec::new(),
         })
     }
-
-    fn once_on_simulators(
-        &self,
-        config: &PipelineConfig,
-        simulators: &[Simulator],
-    ) -> anyhow::Result<Summary> {
-        for (path, simulator) in self.simulator.iter().zip(simulators) {
-            check(path, simulator, config.period_us)?;
-        }
-        let (held_out, rest) = simulators.split_last().context("name at least one simulator")?;
-        // A single simulator judges too, under noise that training does not see.
-        let trained_on = if rest.is_empty() { simulators } else { rest };
-        let train = TrainConfig { seed: seeds::training(self.seed, 0), ..config.train.clone() };
-        let plant = PlantModels { trained_on, held_out };
-        let mut training = Training::new(config.residual(), &[plant], train, None)?;
-        let checkpoint = self.out.join("training.json");
-        if let Ok(text) = std::fs::read_to_string(&checkpoint) {
-            let earlier = serde_json::from_str(&text)
-                .with_context(|| format!("{} is damaged; remove it", checkpoint.display()))?;
-            training.resume(earlier);
-        }
-        let bar = bar("train controller", config.train.iterations);
-        let mut train_curve = Vec::new();
-        while !stopped() {
-            let Some(progress) = training.advance() else { break };
-            bar.set_position(progress.iteration as u64);
-            train_curve.push(progress);
-            super::common::write_json(&checkpoint, &training.checkpoint())?;
-        }
-        bar.finish();
-        let trained = training.finish()?;
-        let origin = Origin {
-            plant: held_out.plant.clone(),
-            seed: self.seed,
-            git_revision: git_revision(),
-            validation: trained.validation,
-            base: trained.base,
-        };
-        let controller = self.out.join(CONTROLLER);
-        Learned { controller: trained.controller, origin }.save(&controller)?;
-        Ok(Summary {
-            seed: self.seed,
-            controller,
-            validation: trained.validation,
-            base: trained.base,
-            improved: trained.improved,
-            complete: !stopped(),
-            rounds: Vec::new(),
-            train_curve,
-        })
-    }
-}
-
-/// A simulator that a controller of this period can be trained on.
-fn check(path: &Path, simulator: &Simulator, period_us: u32) -> anyhow::Result<()> {
-    let timing = simulator.architecture.timing();
-    if timing.period_us != period_us {
-        let (path, own) = (path.display(), timing.period_us);
-        bail!(
-            "{path} was fitted at a control period of {own} us, not {period_us}: a controller takes simulators of one"
-        );
-    }
-    let many_lungs = match simulator.architecture {
-        Architecture::Hybrid(_) => true,
-        Architecture::StateSpace(shape) => shape.lungs,
-        Architecture::Stitched(_) => false,
-    };
-    if many_lungs {
-        bail!(
-            "{} is a simulator of many lungs, a controller is trained on one: fit a recording of one lung with \
-             --architecture state-space",
-            path.display()
-        );
-    }
-    if timing.channels != 1 {
-        bail!("{} has {} valves to command; a controller commands one", path.display(), timing.channels);
-    }
-    Ok(())
 }
 
 fn rounds_table(rounds: &[Round]) -> Table {
@@ -350,12 +262,12 @@ fn rounds_table(rounds: &[Round]) -> Table {
         &["round", "breaths", "aborted", "open loop", "PID on simulator", "learned on simulator"],
     );
     for (n, round) in rounds.iter().enumerate() {
-        let open_loop = round.open_loop.first().copied().unwrap_or_default();
+        let open_loop = round.open_loop.first().map(|errors| errors.truth.unwrap_or(errors.measured));
         table.row(vec![
             Cell::count(n + 1),
             Cell::count(round.breaths),
             Cell::count(round.aborts),
-            Cell::number(open_loop.truth.unwrap_or(open_loop.measured), 3),
+            open_loop.map_or_else(|| Cell::right("unknown"), |distance| Cell::number(distance, 3)),
             Cell::number(round.base, 3),
             Cell::number(round.validation, 3),
         ]);

@@ -6,7 +6,8 @@ use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 
-use super::common::{self, bar, benches, stop};
+use super::bars::with_bars;
+use super::common::{self, benches};
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
@@ -15,8 +16,7 @@ use data::provenance::Provenance;
 use judge::baselines::{
     Best, Candidate, FAULT_SCORE, Grid, LungResult, PidKind, Search, TuneResult, tune_pid,
 };
-use judge::evaluate::PlantGround;
-use judge::evaluate::{Ground, Plan};
+use judge::evaluate::{Ground, Plan, SourceGround};
 use plant::bench::BenchConfig;
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 use ventilator::PlantSource;
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         // Every evaluation brings its own gains.
         let idle = common::pid(PidGains::default(), plan.period_us)?;
         let source = PlantSource::new(link, idle, plan.period_us, args.seed);
-        return tune(args, &[PlantGround::new(source)], "", &search, &plan);
+        return tune(args, &[SourceGround::new(source)], "", &search, &plan);
     }
     let benches = benches(&args.lung, &args.bench)?;
     let parameters = benches.iter().map(BenchConfig::to_toml).collect::<Vec<_>>().join("\n");
@@ -110,15 +110,7 @@ fn tune<G: Ground>(
     search: &Search,
     plan: &Plan,
 ) -> anyhow::Result<()> {
-    let bar = bar("tuning, simulated breaths", 0);
-    let progress = |done: u64, total: u64| {
-        tracing::debug!(done, total, "breaths simulated");
-        bar.set_length(total);
-        bar.set_position(done);
-    };
-    let result = tune_pid(lungs, search, plan, &progress, stop());
-    bar.finish_and_clear();
-    let result = result?;
+    let result = with_bars(|progress| tune_pid(lungs, search, plan, progress))?;
     args.output.table(&table(&result));
     if !result.complete {
         args.output.line("stopped: the best found so far");

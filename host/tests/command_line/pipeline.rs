@@ -142,4 +142,9 @@ fn a_controller_is_trained_on_simulators_already_fitted() {
     let summary = place.json(line);
     assert!(summary["train_curve"].as_array().is_some_and(|curve| !curve.is_empty()));
     Learned::load(&place.path("once/controller.safetensors")).unwrap();
+    assert_eq!(place.json(line), summary, "a second call finds it done");
+    for other in ["--seed 2", "--lambda 0.5"] {
+        let refused = place.refused(&format!("{line} {other}"));
+        assert!(refused.contains("another seed or configuration; choose another folder"), "{refused}");
+    }
 }

@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::{Source, SourceError, Tick};
 use data::provenance::Provenance;
 use data::recording::{EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
-use progress::Watch;
+use progress::{Progress, Stage};
 
 /// What only a bench knows; what a source does not know is left out at the end.
 const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
@@ -67,6 +67,9 @@ pub enum CollectError {
         "random PIPs from {0} to {1} cmH2O: the range must rise from PEEP and stay {LIMIT_MARGIN} cmH2O below the pressure limit"
     )]
     PipRange(f32, f32),
+    /// The settings cannot be written down beside the recording.
+    #[error("cannot write down the settings of the collection: {0}")]
+    Provenance(serde_json::Error),
     /// The source failed before anything was recorded.
     #[error(transparent)]
     Source(#[from] SourceError),
@@ -103,12 +106,12 @@ pub fn collect(
     source: &mut dyn Source,
     controller: &Controller,
     config: &CollectConfig,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Collected, CollectError> {
     check(config)?;
-    let recording = Recording::with_extras(provenance(source, config), &TRUTH);
+    let recording = Recording::with_extras(provenance(source, config)?, &TRUTH);
     let mut collected = Collected { recording, breaths: 0, aborts: 0 };
-    let outcome = record(source, controller, config, watch, &mut collected);
+    let outcome = record(source, controller, config, progress, &mut collected);
     collected.recording.leave_out_unknown();
     match outcome {
         Ok(()) => Ok(collected),
@@ -127,19 +130,23 @@ fn record(
     source: &mut dyn Source,
     controller: &Controller,
     config: &CollectConfig,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
     collected: &mut Collected,
 ) -> Result<(), SourceError> {
     let Collected { recording, breaths, aborts } = collected;
     let plan = plan(config);
     source.configure(controller.clone(), exploration(config, 0))?;
     source.upcoming(&plan)?;
-    while *breaths < config.breaths && *aborts <= config.aborts && !watch.stopped() {
+    let task = progress.task(Stage::Collect, config.breaths);
+    while *breaths < config.breaths && *aborts <= config.aborts && !task.stopped() {
         let number = (*breaths + *aborts) as u32;
         let settings = plan[*breaths];
         let result = source.breath(&settings, &mut |tick| recording.push(row(tick, number, &settings)));
         match result {
-            Ok(()) => *breaths += 1,
+            Ok(()) => {
+                *breaths += 1;
+                task.advance(1);
+            }
             Err(SourceError::Fault { fault, .. }) => {
                 *aborts += 1;
                 recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
@@ -149,7 +156,6 @@ fn record(
             }
             Err(error) => return Err(error),
         }
-        watch.progress(*breaths, config.breaths);
     }
     Ok(())
 }
@@ -193,14 +199,14 @@ fn exploration(config: &CollectConfig, restart: u64) -> Option<Exploration> {
     })
 }
 
-fn provenance(source: &dyn Source, config: &CollectConfig) -> Provenance {
-    Provenance {
+fn provenance(source: &dyn Source, config: &CollectConfig) -> Result<Provenance, CollectError> {
+    Ok(Provenance {
         seed: config.seed,
         plant: source.plant(),
         plant_parameters: source.plant_parameters(),
-        settings: serde_json::to_value(config).unwrap_or_default(),
+        settings: serde_json::to_value(config).map_err(CollectError::Provenance)?,
         ..Provenance::new(source.period_us(), "collect")
-    }
+    })
 }
 
 fn row(tick: &Tick, breath: u32, settings: &Settings) -> Row {
@@ -247,7 +253,7 @@ mod tests {
         let mut source =
             BenchSource::new(lung, controller(p), &paper_settings(20.0), DEFAULT_PERIOD_US, config.seed)
                 .unwrap();
-        collect(&mut source, &controller(p), config, &Watch::silent())
+        collect(&mut source, &controller(p), config, &Progress::silent())
     }
 
     #[test]
@@ -299,8 +305,8 @@ mod tests {
         let lung = BenchConfig::paper(20.0, 20.0);
         let mut source =
             BenchSource::new(&lung, controller(1.0), &paper_settings(20.0), DEFAULT_PERIOD_US, 0).unwrap();
-        let watch = Watch::new(&|_, _| (), &stop);
-        let collected = collect(&mut source, &controller(1.0), &CollectConfig::default(), &watch).unwrap();
+        let config = CollectConfig::default();
+        let collected = collect(&mut source, &controller(1.0), &config, &Progress::quiet(&stop)).unwrap();
         assert_eq!(collected.breaths, 0);
     }
 

@@ -22,6 +22,7 @@ use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 use super::{REST_TIME, Reseed, Source, SourceError, Tick, TickTruth};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
+use progress::Progress;
 
 /// Samples between two signs of life for the device.
 const HEARD_EVERY: usize = 2000;
@@ -198,7 +199,7 @@ impl PortSource {
         };
         let id = decode(&image).map_err(UploadError::from)?.id;
         if self.identity.running_id() != Some(id) {
-            self.device.upload(&image, &mut |_| ())?;
+            self.device.upload(&image, &Progress::silent())?;
             self.identity = self.device.restart()?;
             self.device.telemetry(true)?;
         }

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use progress::Progress;
+
 use super::import;
 use super::map::ColumnMap;
 use crate::recording::Recording;
@@ -22,6 +24,6 @@ pub fn measured() -> Option<Vec<PathBuf>> {
 pub fn measured_recording(tables: &[PathBuf], folder: &Path) -> Recording {
     let layout = ColumnMap::respiraworks().and_then(|map| map.layout()).expect("the map is sound");
     let out = folder.join("measured.parquet");
-    import(tables, &layout, &out, &mut |_| ()).expect("the tables are whole");
+    import(tables, &layout, &out, &Progress::silent()).expect("the tables are whole");
     Recording::load(out).expect("it was just written")
 }

@@ -13,8 +13,10 @@ mod saturation;
 #[cfg(test)]
 mod tests;
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
+use progress::{Progress, Stage};
 use serde_json::json;
 
 use self::account::{Account, ImportSummary};
@@ -41,7 +43,7 @@ const EXTRAS: [(Extra, Quantity); 5] = [
 /// Part of the first table's period by which another's may differ.
 const SAME_PERIOD: f64 = 0.05;
 
-/// Makes one recording of tables, in the order given; `progress` is told the bytes read of all tables.
+/// Makes one recording of tables, in the order given; it cannot be stopped.
 ///
 /// # Errors
 /// A table that cannot be read, lacks a column or has a cell that is no number (with line and column), no breath at
@@ -50,7 +52,7 @@ pub fn import(
     paths: &[PathBuf],
     layout: &TableLayout,
     out: &Path,
-    progress: &mut dyn FnMut(u64),
+    progress: &Progress<'_>,
 ) -> Result<ImportSummary, DatasetError> {
     let period_us = match layout.period_s {
         Some(seconds) => (seconds * 1e6).round() as u32,
@@ -62,13 +64,15 @@ pub fn import(
     let mut account = Account::new();
     let mut groups = Vec::new();
     let mut bytes = 0;
+    let length = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len() as usize);
+    let task = progress.task(Stage::Import, paths.iter().map(length).sum());
     for path in paths {
         let mut reader = TableReader::open(path, layout)?;
         let mut sink = |rows: &[Row]| rows.iter().try_for_each(|row| writer.push(*row));
         while let Some(sample) = reader.next(&mut groups)? {
             assembler.push(sample, &mut account, &mut sink)?;
             if account.rows.is_multiple_of(PROGRESS_ROWS) {
-                progress(bytes + reader.position());
+                task.reach((bytes + reader.position()) as usize);
             }
         }
         assembler.end_of_stretch(&mut account, &mut sink)?;

@@ -46,8 +46,8 @@ fn kaggle(breaths: usize) -> String {
 fn imported(text: &str, map: &ColumnMap) -> Result<(Recording, ImportSummary), DatasetError> {
     let folder = tempfile::tempdir().unwrap();
     let (table, out) = (folder.path().join("table.csv"), folder.path().join("out.parquet"));
-    std::fs::write(&table, text).unwrap();
-    let summary = import(&[table], &map.layout().unwrap(), &out, &mut |_| ())?;
+    fs::write(&table, text).unwrap();
+    let summary = import(&[table], &map.layout().unwrap(), &out, &Progress::silent())?;
     Ok((Recording::load(&out).unwrap(), summary))
 }
 
@@ -224,6 +224,6 @@ fn bad_cells_columns_and_tables_are_named() {
     assert!(matches!(imported(&kaggle(0), &kaggle_map), Err(DatasetError::NoPeriod { .. })));
     assert!(matches!(from_rows(&mapped(15)), Err(DatasetError::NoBreath { tables: 1 })));
     let layout = kaggle_map.layout().unwrap();
-    let absent = import(&["none.csv".into()], &layout, Path::new("x.parquet"), &mut |_| ());
+    let absent = import(&["none.csv".into()], &layout, Path::new("x.parquet"), &Progress::silent());
     assert!(matches!(absent, Err(DatasetError::Missing { .. })));
 }

@@ -14,6 +14,11 @@ pub const FALL: u8 = 1;
 /// Phase of the rows at PEEP.
 pub const EXPIRATION: u8 = 2;
 
+/// The lowest and the highest value of a column; none if it is empty.
+pub fn range(values: &[f32]) -> Option<(f32, f32)> {
+    values.iter().copied().reduce(f32::min).zip(values.iter().copied().reduce(f32::max))
+}
+
 /// One recording. All columns have the same length; [`Self::validate`] says what else holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
@@ -244,6 +249,14 @@ impl Recording {
             start += chunk.len();
         }
         ranges
+    }
+
+    /// Share of the inspiratory ticks that were perturbed, 0 to 1.
+    pub fn explored(&self) -> f64 {
+        let inspiratory = self.phase.iter().zip(&self.explore).filter(|(phase, _)| **phase == INSPIRATION);
+        let (all, perturbed) = inspiratory
+            .fold((0_usize, 0), |(all, some), (_, explore)| (all + 1, some + usize::from(*explore != 0.0)));
+        perturbed as f64 / all.max(1) as f64
     }
 
     /// Rows of the inspiratory phase of each breath whose inspiration is complete: recorded from tick 0, without a

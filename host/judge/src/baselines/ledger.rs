@@ -1,8 +1,9 @@
 //! What is known so far: the scores of gains on lungs under one plan, each measured once.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+use progress::{Progress, Task};
 use rayon::prelude::*;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
@@ -15,38 +16,19 @@ use ventilator::SourceError;
 /// Score of gains with which the ventilator goes to its safe state, cmH2O: worse than any pressure, yet finite.
 pub const FAULT_SCORE: f64 = 1000.0;
 
-/// Progress out, wish to stop in. Work is counted in simulated breaths.
-pub(super) struct Watch<'a> {
-    report: &'a (dyn Fn(u64, u64) + Sync),
-    stop: &'a AtomicBool,
-    planned: u64,
-    announced: AtomicU64,
-    done: AtomicU64,
+/// The search under way, in simulated breaths; refining may turn out to take more than was planned.
+pub(super) struct Work<'a> {
+    pub(super) task: Task<'a>,
+    announced: AtomicUsize,
 }
 
-impl<'a> Watch<'a> {
-    /// Nothing done of what is planned; the total grows if there is more to do than that.
-    pub fn new(report: &'a (dyn Fn(u64, u64) + Sync), stop: &'a AtomicBool, planned: u64) -> Self {
-        Self { report, stop, planned, announced: AtomicU64::new(0), done: AtomicU64::new(0) }
+impl<'a> Work<'a> {
+    pub(super) fn new(task: Task<'a>) -> Self {
+        Self { task, announced: AtomicUsize::new(0) }
     }
 
-    pub fn stopped(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
-    }
-
-    /// Reports that everything is done.
-    pub fn finish(&self) {
-        let done = self.done.load(Ordering::Relaxed);
-        (self.report)(done, done);
-    }
-
-    fn announce(&self, breaths: u64) {
-        self.announced.fetch_add(breaths, Ordering::Relaxed);
-    }
-
-    fn advance(&self, breaths: u64) {
-        let done = self.done.fetch_add(breaths, Ordering::Relaxed) + breaths;
-        (self.report)(done, self.planned.max(self.announced.load(Ordering::Relaxed)));
+    fn announce(&self, breaths: usize) {
+        self.task.expect(self.announced.fetch_add(breaths, Ordering::Relaxed) + breaths);
     }
 }
 
@@ -66,13 +48,13 @@ type Key = [u32; 3];
 pub(super) struct Ledger<'a, G> {
     grounds: &'a [G],
     plan: Plan,
-    watch: &'a Watch<'a>,
+    work: &'a Work<'a>,
     scores: BTreeMap<Key, Vec<Option<f64>>>,
 }
 
 impl<'a, G: Ground> Ledger<'a, G> {
-    pub fn new(grounds: &'a [G], plan: Plan, watch: &'a Watch<'a>) -> Self {
-        Self { grounds, plan, watch, scores: BTreeMap::new() }
+    pub fn new(grounds: &'a [G], plan: Plan, work: &'a Work<'a>) -> Self {
+        Self { grounds, plan, work, scores: BTreeMap::new() }
     }
 
     /// Measures what is not yet known of the candidates on the lungs of a group.
@@ -88,16 +70,16 @@ impl<'a, G: Ground> Ledger<'a, G> {
             .filter(|(key, lung)| self.scores.get(key).is_none_or(|lungs| lungs[*lung].is_none()))
             .collect();
         let missing: Vec<(Key, usize)> = missing.into_iter().collect();
-        let cost = self.plan.breaths_run() as u64;
-        self.watch.announce(cost * missing.len() as u64);
+        let cost = self.plan.breaths_run();
+        self.work.announce(cost * missing.len());
         let outcomes: Vec<Result<Option<f64>, TuneError>> = missing
             .par_iter()
             .map(|(key, lung)| {
-                if patience == Patience::Stoppable && self.watch.stopped() {
+                if patience == Patience::Stoppable && self.work.task.stopped() {
                     return Ok(None);
                 }
                 let score = score(&self.grounds[*lung], gains(*key), &self.plan)?;
-                self.watch.advance(cost);
+                self.work.task.advance(cost);
                 Ok(Some(score))
             })
             .collect();
@@ -145,7 +127,7 @@ fn gains(key: Key) -> PidGains {
 /// Mean score of gains on a lung, cmH2O; [`FAULT_SCORE`] if the ventilator goes to its safe state.
 fn score(ground: &impl Ground, gains: PidGains, plan: &Plan) -> Result<f64, TuneError> {
     let controller = Controller::Pid(Pid::new(gains, plan.period_us)?);
-    match ground.evaluate(&controller, plan) {
+    match ground.evaluate(&controller, plan, &Progress::silent()) {
         Ok(evaluation) => Ok(evaluation.mean.score),
         Err(SourceError::Fault { .. }) => Ok(FAULT_SCORE),
         Err(other) => Err(other.into()),

@@ -12,14 +12,13 @@ mod tests;
 pub use grid::{Grid, PidKind};
 pub use ledger::FAULT_SCORE;
 
-use std::sync::atomic::AtomicBool;
-
+use progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use shared::control::pid::{GainError, PidGains};
 use thiserror::Error;
 
 use crate::evaluate::{Ground, Plan};
-use ledger::{Ledger, Patience, Watch};
+use ledger::{Ledger, Patience, Work};
 use ventilator::SourceError;
 
 /// Part of each kind's points that passes the screening.
@@ -144,8 +143,7 @@ pub enum TuneError {
 /// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads; the result
 /// does not depend on their number.
 ///
-/// `progress` gets simulated breaths, done and in total (an estimate that may grow). Once `stop` is set, the
-/// best found so far comes back, marked incomplete.
+/// A search that is stopped gives the best found so far, marked incomplete.
 ///
 /// # Errors
 /// No lung, a gain in the grid that is out of range, or a plan whose breaths cannot be run. Gains that make the
@@ -154,17 +152,16 @@ pub fn tune_pid<G: Ground>(
     lungs: &[G],
     search: &Search,
     plan: &Plan,
-    progress: &(dyn Fn(u64, u64) + Sync),
-    stop: &AtomicBool,
+    progress: &Progress<'_>,
 ) -> Result<TuneResult, TuneError> {
     if lungs.is_empty() {
         return Err(TuneError::NoLung);
     }
     let grid = search.grid.completed();
-    let watch = Watch::new(progress, stop, planned(&grid, search, plan, lungs.len()));
+    let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
     let mut tuning = Tuning {
-        screen: Ledger::new(lungs, screening(plan), &watch),
-        full: Ledger::new(lungs, plan.clone(), &watch),
+        screen: Ledger::new(lungs, screening(plan), &work),
+        full: Ledger::new(lungs, plan.clone(), &work),
         points: grid.points(),
         grid,
         search,
@@ -179,12 +176,12 @@ pub fn tune_pid<G: Ground>(
             lung: lung.name(),
             best,
             map: tuning.map(&[index]),
-            complete: !watch.stopped(),
+            complete: !progress.stopped(),
         });
     }
     let over_all = tuning.best(&all)?;
-    watch.finish();
-    let complete = !watch.stopped();
+    work.task.finish();
+    let complete = !progress.stopped();
     Ok(TuneResult { lungs: results, over_all, complete })
 }
 
@@ -287,7 +284,7 @@ fn screening(plan: &Plan) -> Plan {
 }
 
 /// Breaths that a search will run, without its refinement.
-fn planned(grid: &Grid, search: &Search, plan: &Plan, lungs: usize) -> u64 {
+fn planned(grid: &Grid, search: &Search, plan: &Plan, lungs: usize) -> usize {
     let points = grid.points();
     let full = plan.breaths_run();
     let breaths = if search.exhaustive {
@@ -297,5 +294,5 @@ fn planned(grid: &Grid, search: &Search, plan: &Plan, lungs: usize) -> u64 {
         let shortlisted: usize = PidKind::ALL.iter().map(|kind| kept(of_kind(*kind))).sum();
         points.len() * screening(plan).breaths_run() + shortlisted * full
     };
-    (breaths * lungs) as u64
+    breaths * lungs
 }

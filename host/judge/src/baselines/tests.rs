@@ -1,7 +1,7 @@
 //! Searches on small grids with short plans.
 
 use std::sync::Mutex;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::ThreadPoolBuilder;
 use shared::control::Controller;
@@ -11,6 +11,7 @@ use shared::settings::Settings;
 use super::*;
 use crate::evaluate::evaluate;
 use plant::bench::BenchConfig;
+use progress::Event;
 
 fn lung(resistance: f64, compliance: f64) -> BenchConfig {
     BenchConfig::paper(resistance, compliance)
@@ -35,7 +36,7 @@ fn small() -> Search {
 }
 
 fn tune(benches: &[BenchConfig], search: &Search) -> TuneResult {
-    tune_pid(benches, search, &short(), &|_, _| (), &AtomicBool::new(false)).unwrap()
+    tune_pid(benches, search, &short(), &Progress::silent()).unwrap()
 }
 
 fn score(bench: &BenchConfig, gains: PidGains) -> f64 {
@@ -138,8 +139,7 @@ fn gains_that_lead_to_a_fault_score_worst_and_do_not_end_the_search() {
     // A late valve and a stiff lung: the pressure is far above the limit before the valve has closed.
     let mut stiff = lung(5.0, 3.0);
     stiff.valve.dead_time_ms = 60.0;
-    let stop = AtomicBool::new(false);
-    let result = tune_pid(&[stiff], &search, &plan, &|_, _| (), &stop).unwrap();
+    let result = tune_pid(&[stiff], &search, &plan, &Progress::silent()).unwrap();
     let LungResult { best, map, .. } = &result.lungs[0];
     assert_eq!(map.score[2][1], Some(FAULT_SCORE), "P 80, I 10000");
     assert!(best.pid.score < 20.0);
@@ -148,7 +148,7 @@ fn gains_that_lead_to_a_fault_score_worst_and_do_not_end_the_search() {
 #[test]
 fn stopped_at_once_there_is_still_a_result() {
     let stop = AtomicBool::new(true);
-    let result = tune_pid(&[lung(20.0, 20.0)], &small(), &short(), &|_, _| (), &stop).unwrap();
+    let result = tune_pid(&[lung(20.0, 20.0)], &small(), &short(), &Progress::quiet(&stop)).unwrap();
     assert!(!result.complete && !result.lungs[0].complete);
     assert_eq!(result.over_all.pid.gains, PidGains::default());
     assert!(result.lungs[0].map.score.iter().flatten().all(Option::is_none));
@@ -157,13 +157,13 @@ fn stopped_at_once_there_is_still_a_result() {
 #[test]
 fn stopped_on_the_way_the_best_so_far_comes_back() {
     let stop = AtomicBool::new(false);
-    let after_half = |done: u64, _: u64| {
-        if done > 200 {
+    let after_half = |event: &Event<'_>| {
+        if event.done > 200 {
             stop.store(true, Ordering::Relaxed);
         }
     };
     let benches = [lung(20.0, 20.0)];
-    let result = tune_pid(&benches, &small(), &short(), &after_half, &stop).unwrap();
+    let result = tune_pid(&benches, &small(), &short(), &Progress::new(&after_half, &stop)).unwrap();
     assert!(!result.complete);
     let found = result.lungs[0].best.pid;
     assert!(found.score < score(&benches[0], PidGains::default()));
@@ -173,9 +173,10 @@ fn stopped_on_the_way_the_best_so_far_comes_back() {
 #[test]
 fn a_whole_search_is_complete_and_reports_all_of_its_work() {
     let seen = Mutex::new(Vec::new());
-    let note = |done, total| seen.lock().unwrap().push((done, total));
+    let note = |event: &Event<'_>| seen.lock().unwrap().push((event.done, event.total));
     let stop = AtomicBool::new(false);
-    let result = tune_pid(&[lung(20.0, 20.0)], &small(), &short(), &note, &stop).unwrap();
+    let progress = Progress::new(&note, &stop);
+    let result = tune_pid(&[lung(20.0, 20.0)], &small(), &short(), &progress).unwrap();
     assert!(result.complete && result.lungs[0].complete);
     let seen = seen.into_inner().unwrap();
     assert!(seen.iter().all(|(done, total)| done <= total));
@@ -185,13 +186,13 @@ fn a_whole_search_is_complete_and_reports_all_of_its_work() {
 
 #[test]
 fn what_cannot_be_searched_is_refused() {
-    let stop = AtomicBool::new(false);
-    let none = tune_pid::<BenchConfig>(&[], &small(), &short(), &|_, _| (), &stop);
+    let silent = Progress::silent();
+    let none = tune_pid::<BenchConfig>(&[], &small(), &short(), &silent);
     assert!(matches!(none, Err(TuneError::NoLung)));
     let negative = Search { grid: Grid { p: vec![-1.0], i: vec![], d: vec![] }, ..small() };
-    let refused = tune_pid(&[lung(20.0, 20.0)], &negative, &short(), &|_, _| (), &stop);
+    let refused = tune_pid(&[lung(20.0, 20.0)], &negative, &short(), &silent);
     assert!(matches!(refused, Err(TuneError::Gain(GainError { name: "p", .. }))));
     let impossible = Plan { pips: vec![500.0], ..short() };
-    let refused = tune_pid(&[lung(20.0, 20.0)], &small(), &impossible, &|_, _| (), &stop);
+    let refused = tune_pid(&[lung(20.0, 20.0)], &small(), &impossible, &silent);
     assert!(matches!(refused, Err(TuneError::Source(SourceError::Settings(_)))));
 }

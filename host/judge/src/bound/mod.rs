@@ -15,8 +15,6 @@ mod start;
 #[cfg(test)]
 mod tests;
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
@@ -25,7 +23,7 @@ use thiserror::Error;
 use crate::evaluate::{Plan, Score};
 use bench_breath::BenchBreath;
 use plant::bench::{BenchConfig, PatientConfig};
-use progress::Watch;
+use progress::{Progress, Stage};
 use ventilator::SourceError;
 
 /// How to search.
@@ -111,14 +109,13 @@ pub fn bound(
     config: &BenchConfig,
     plan: &Plan,
     search: &BoundConfig,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Bound, BoundError> {
-    let mut bounds = bounds(std::slice::from_ref(config), plan, search, watch)?;
+    let mut bounds = bounds(std::slice::from_ref(config), plan, search, progress)?;
     Ok(bounds.remove(0))
 }
 
-/// [`bound`] for several benches, in parallel over benches and waveforms; `watch` gets steps of the search, of which
-/// some may be left out.
+/// [`bound`] for several benches, in parallel over benches and waveforms.
 ///
 /// # Errors
 /// As [`bound`], before any search.
@@ -126,7 +123,7 @@ pub fn bounds(
     benches: &[BenchConfig],
     plan: &Plan,
     search: &BoundConfig,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Vec<Bound>, BoundError> {
     let mut jobs = Vec::with_capacity(benches.len() * plan.pips.len());
     for bench in benches {
@@ -137,12 +134,11 @@ pub fn bounds(
             jobs.push((bench, number, *pip, BenchBreath::new(bench, &plan.waveform(*pip), plan.period_us)?));
         }
     }
-    let (done, total) = (AtomicUsize::new(0), jobs.len() * search::stages(search));
-    let progress = || watch.progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+    let task = progress.task(Stage::Bound, jobs.len() * search::stages(search));
     let found: Vec<Option<WaveformBound>> = jobs
         .par_iter()
         .map(|(bench, number, pip, breath)| {
-            let found = search::search(breath, &bench.valve, search, *number as u64, &progress, watch)?;
+            let found = search::search(breath, &bench.valve, search, *number as u64, &task)?;
             Some(waveform(breath, *pip, &found, plan.period_us, search.trace))
         })
         .collect();

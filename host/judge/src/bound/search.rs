@@ -10,7 +10,7 @@ use super::descent::Descent;
 use super::shape::CommandShape;
 use super::start::look_ahead;
 use plant::bench::ValveConfig;
-use progress::Watch;
+use progress::Task;
 
 /// Horizons of the starts, relative to what the valve needs to act.
 const HORIZONS: [f64; 3] = [0.8, 1.2, 1.6];
@@ -64,8 +64,7 @@ pub(super) fn search(
     valve: &ValveConfig,
     config: &BoundConfig,
     number: u64,
-    progress: &(dyn Fn() + Sync),
-    watch: &Watch<'_>,
+    task: &Task<'_>,
 ) -> Option<Found> {
     let ticks = |ms: f64| ((ms / breath.tick_ms()).round() as usize).max(1);
     let reaction_ms = valve.dead_time_ms + valve.lag_ms;
@@ -80,8 +79,8 @@ pub(super) fn search(
             if level > 0 {
                 descent.refine(BEND_PERCENT);
             }
-            go_down(&mut descent, steps(config), watch)?;
-            progress();
+            go_down(&mut descent, steps(config), task)?;
+            task.advance(1);
         }
         ends.push(descent);
     }
@@ -89,18 +88,18 @@ pub(super) fn search(
     let spread = ends[1].score - ends[0].score;
     let mut best = ends.swap_remove(0);
     best.refine(BEND_PERCENT);
-    go_down(&mut best, steps(config), watch)?;
-    progress();
-    let best = shake(best, config, number, progress, watch)?;
+    go_down(&mut best, steps(config), task)?;
+    task.advance(1);
+    let best = shake(best, config, number, task)?;
     Some(Found { commands: best.shape.commands(), spread })
 }
 
 /// Steps until they gain nothing more; the breaths before follow the sequence once in between.
-fn go_down(descent: &mut Descent<'_>, steps: usize, watch: &Watch<'_>) -> Option<()> {
+fn go_down(descent: &mut Descent<'_>, steps: usize, task: &Task<'_>) -> Option<()> {
     descent.settle();
     let mut idle = 0;
     for _ in 0..steps {
-        if watch.stopped() {
+        if task.stopped() {
             return None;
         }
         let gain = descent.step();
@@ -118,8 +117,7 @@ fn shake<'a>(
     mut best: Descent<'a>,
     config: &BoundConfig,
     number: u64,
-    progress: &(dyn Fn() + Sync),
-    watch: &Watch<'_>,
+    task: &Task<'_>,
 ) -> Option<Descent<'a>> {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     rng.set_stream(number);
@@ -129,11 +127,11 @@ fn shake<'a>(
         let first = rng.random_range(0..shaken.shape.nodes.len());
         let moved = first..first + rng.random_range(1..=SHAKEN_NODES);
         shaken.displace(moved, SHAKE_PERCENT * rng.random_range(-1.0..1.0));
-        go_down(&mut shaken, steps(config), watch)?;
+        go_down(&mut shaken, steps(config), task)?;
         if shaken.score < best.score {
             best = shaken;
         }
-        progress();
+        task.advance(1);
     }
     Some(best)
 }

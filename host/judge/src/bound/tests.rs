@@ -30,7 +30,7 @@ fn plan(pips: &[f32]) -> Plan {
 }
 
 fn found(bench: &BenchConfig, pips: &[f32], search: &BoundConfig) -> Bound {
-    bound(bench, &plan(pips), search, &Watch::silent()).unwrap()
+    bound(bench, &plan(pips), search, &Progress::silent()).unwrap()
 }
 
 #[test]
@@ -101,7 +101,7 @@ fn a_command_that_may_change_less_often_bounds_higher() {
     let of = |period_us| {
         let plan = Plan { period_us, ..plan(&[20.0]) };
         let search = BoundConfig { trace: true, ..BoundConfig::default() };
-        bound(&bench, &plan, &search, &Watch::silent()).unwrap().waveforms.remove(0)
+        bound(&bench, &plan, &search, &Progress::silent()).unwrap().waveforms.remove(0)
     };
     let (fine, coarse) = (of(1000), of(20_000));
     assert_eq!(coarse.trace.map(|trace| trace.u_in.len()), Some(50));
@@ -115,7 +115,7 @@ fn the_number_of_threads_changes_nothing() {
     let search = BoundConfig { trace: true, ..BoundConfig::default() };
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| bound(&bench, &plan, &search, &Watch::silent()).unwrap())
+        pool.install(|| bound(&bench, &plan, &search, &Progress::silent()).unwrap())
     };
     assert!(on(1) == on(3), "one thread and three find different sequences");
 }
@@ -123,9 +123,9 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn a_search_that_is_stopped_claims_nothing() {
     let stop = AtomicBool::new(true);
-    let watch = Watch::new(&|_, _| (), &stop);
     let bench = BenchConfig::paper(20.0, 20.0);
-    let bound = bound(&bench, &plan(&[10.0, 20.0]), &BoundConfig::default(), &watch).unwrap();
+    let (plan, search) = (plan(&[10.0, 20.0]), BoundConfig::default());
+    let bound = bound(&bench, &plan, &search, &Progress::quiet(&stop)).unwrap();
     assert!(!bound.complete && bound.waveforms.is_empty(), "{bound:?}");
 }
 
@@ -137,7 +137,7 @@ fn a_patient_who_moves_is_refused() {
         PatientConfig { change_at_breath: 3, ..PatientConfig::default() },
     ] {
         let bench = BenchConfig { patient, ..BenchConfig::paper(20.0, 20.0) };
-        let refused = bound(&bench, &plan(&[20.0]), &BoundConfig::default(), &Watch::silent());
+        let refused = bound(&bench, &plan(&[20.0]), &BoundConfig::default(), &Progress::silent());
         assert!(matches!(refused, Err(BoundError::Patient(_))));
     }
 }
@@ -145,7 +145,7 @@ fn a_patient_who_moves_is_refused() {
 #[test]
 fn a_period_that_the_bench_cannot_run_is_refused() {
     let plan = Plan { period_us: 1500, ..plan(&[20.0]) };
-    let refused = bound(&BenchConfig::paper(20.0, 20.0), &plan, &BoundConfig::default(), &Watch::silent());
+    let refused = bound(&BenchConfig::paper(20.0, 20.0), &plan, &BoundConfig::default(), &Progress::silent());
     assert!(matches!(
         refused,
         Err(BoundError::Source(SourceError::Bench(BenchError::Period { period_us: 1500 })))

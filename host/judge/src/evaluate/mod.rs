@@ -4,13 +4,15 @@
 //! the same ventilator core as the chip and scores the *true* airway pressure, which only a bench knows.
 //! [`trace()`] gives the curves of a few breaths, [`seeds`] keeps the noise of tuning, training and judging apart.
 
-mod plant_ground;
+mod comparison;
+mod ground;
 mod score;
 #[cfg(test)]
 mod tests;
 mod trace;
 
-pub use plant_ground::PlantGround;
+pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
+pub use ground::{Ground, SourceGround};
 pub use score::{Inspiration, Score, score_breath};
 pub use trace::{BreathTrace, trace, trace_source};
 
@@ -21,7 +23,7 @@ use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
 
 use plant::bench::BenchConfig;
-use progress::Watch;
+use progress::{Progress, Stage};
 use ventilator::seeds;
 use ventilator::{BenchSource, Reseed, SourceError, Tick};
 
@@ -110,55 +112,40 @@ pub fn evaluate(
     controller: &Controller,
     plan: &Plan,
 ) -> Result<Evaluation, SourceError> {
-    evaluate_law(bench, controller, plan)
+    evaluate_law(bench, controller, plan, &Progress::silent())
 }
 
-/// As [`evaluate`], with any other controller.
+/// As [`evaluate`], with any other controller; it can be stopped.
 ///
 /// # Errors
-/// See [`evaluate`].
+/// See [`evaluate`]; [`SourceError::Stopped`].
 pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     bench: &BenchConfig,
     controller: &C,
     plan: &Plan,
+    progress: &Progress<'_>,
 ) -> Result<Evaluation, SourceError> {
     let jobs: Vec<(f32, u64)> =
         plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
+    let task = progress.task(Stage::Evaluate, jobs.len());
     let outcomes: Vec<Result<Score, SourceError>> = jobs
         .par_iter()
         .map(|(pip, seed)| {
+            if task.stopped() {
+                return Err(SourceError::Stopped);
+            }
             let settings = plan.waveform(*pip);
             let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
-            run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))
+            let score = run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))?;
+            task.advance(1);
+            Ok(score)
         })
         .collect();
     Ok(summarize(plan, &outcomes.into_iter().collect::<Result<Vec<_>, _>>()?))
 }
 
-/// What controllers can be evaluated on.
-pub trait Ground: Sync {
-    /// Name of the plant.
-    fn name(&self) -> String;
-
-    /// Runs a controller as planned.
-    ///
-    /// # Errors
-    /// The first waveform's that could not be run.
-    fn evaluate(&self, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError>;
-}
-
-impl Ground for BenchConfig {
-    fn name(&self) -> String {
-        self.name.clone()
-    }
-
-    fn evaluate(&self, controller: &Controller, plan: &Plan) -> Result<Evaluation, SourceError> {
-        evaluate(self, controller, plan)
-    }
-}
-
 /// Runs a controller on any other source as planned, one waveform after the other. Where nobody knows the true pressure, the
-/// measured one is scored. `progress` gets the waveforms done and how many there are.
+/// measured one is scored.
 ///
 /// # Errors
 /// The first waveform's that could not be run.
@@ -166,12 +153,13 @@ pub fn evaluate_source(
     source: &mut dyn Reseed,
     controller: &Controller,
     plan: &Plan,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Evaluation, SourceError> {
+    let task = progress.task(Stage::Evaluate, plan.pips.len() * plan.seeds.len());
     let mut scores = Vec::new();
     for pip in &plan.pips {
         for seed in &plan.seeds {
-            if watch.stopped() {
+            if task.stopped() {
                 return Err(SourceError::Stopped);
             }
             source.reseed(*seed);
@@ -179,7 +167,7 @@ pub fn evaluate_source(
             let breaths = breaths(plan, *pip);
             source.upcoming(&breaths)?;
             scores.push(run(plan, &breaths, &mut |breath, sink| source.breath(breath, sink))?);
-            watch.progress(scores.len(), plan.pips.len() * plan.seeds.len());
+            task.advance(1);
         }
     }
     Ok(summarize(plan, &scores))

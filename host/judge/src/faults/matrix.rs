@@ -15,7 +15,7 @@ use shared::settings::Settings;
 use super::injection::{Damage, Injection};
 use super::trial::{Trial, TrialOutcome, run};
 use plant::bench::{BenchConfig, Failure};
-use progress::Watch;
+use progress::{Progress, Stage};
 use ventilator::SourceError;
 
 /// Pressure limit of all trials, cmH2O.
@@ -292,23 +292,26 @@ fn alternating() -> Network {
     network
 }
 
-/// Breathes so many breaths on every lung with effort and coughs and nothing wrong; the alarms that came.
+/// Breathes so many breaths, shared by the lungs, with effort and coughs and nothing wrong, under the PID that is best for
+/// all the paper's lungs; the alarms that came.
 ///
 /// # Errors
 /// A bench that is refused; the wish to stop.
 pub fn false_alarms(
     lungs: &[BenchConfig],
     breaths: u32,
-    controller: &Controller,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Vec<(String, Fault)>, SourceError> {
-    let runs: Vec<(u64, BenchConfig)> = (0..u64::from(breaths / NOMINAL_BREATHS))
+    let controller = &CaseController::Sound.controller()?;
+    let each = breaths.div_ceil(lungs.len().max(1) as u32);
+    let runs: Vec<(u64, BenchConfig)> = (0..u64::from(each / NOMINAL_BREATHS))
         .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
         .collect();
+    let task = progress.task(Stage::Faults, runs.len());
     let found: Result<Vec<_>, _> = runs
         .par_iter()
         .map(|(seed, bench)| {
-            if watch.stopped() {
+            if task.stopped() {
                 return Err(SourceError::Stopped);
             }
             let pip = PAPER_PIPS[*seed as usize % PAPER_PIPS.len()];
@@ -322,6 +325,7 @@ pub fn false_alarms(
                 watched_ms: NOMINAL_BREATHS * BREATH_MS,
                 seed: *seed,
             })?;
+            task.advance(1);
             let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
             Ok(alarms.collect::<Vec<_>>())
         })
@@ -340,12 +344,23 @@ fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
     bench
 }
 
-/// The PID that is best for all the paper's lungs.
+/// Leaves out each monitor in turn: the faults whose rows then fail. A monitor without such a fault proves nothing.
 ///
 /// # Errors
-/// Never; its gains are in range.
-pub fn sound_pid() -> Result<Controller, SourceError> {
-    CaseController::Sound.controller()
+/// As [`matrix`].
+pub fn without_each_monitor(
+    lungs: &[BenchConfig],
+    seeds: &[u64],
+    progress: &Progress<'_>,
+) -> Result<Vec<(Fault, Vec<&'static str>)>, SourceError> {
+    let missed = |monitor: Fault| {
+        let progress = progress.of(monitor.alarm().id);
+        let rows = matrix(lungs, seeds, Monitors::ALL.without(monitor), &progress)?;
+        let mut failed: Vec<_> = rows.iter().filter(|row| !row.pass).map(|row| row.fault).collect();
+        failed.dedup();
+        Ok((monitor, failed))
+    };
+    Fault::all().map(missed).collect()
 }
 
 /// Tries every case on every lung under every seed.
@@ -356,18 +371,18 @@ pub fn matrix(
     lungs: &[BenchConfig],
     seeds: &[u64],
     monitors: Monitors,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<Vec<FaultRow>, SourceError> {
-    let done = std::sync::atomic::AtomicUsize::new(0);
     let cells: Vec<_> = cases().flat_map(|case| lungs.iter().map(move |lung| (case, lung))).collect();
+    let task = progress.task(Stage::Faults, cells.len());
     cells
         .par_iter()
         .map(|(case, lung)| {
-            if watch.stopped() {
+            if task.stopped() {
                 return Err(SourceError::Stopped);
             }
             let row = cell(case, lung, seeds, monitors)?;
-            watch.progress(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, cells.len());
+            task.advance(1);
             Ok(row)
         })
         .collect()

@@ -4,6 +4,9 @@
 //! Runs of a few breaths each are drawn from one seed and are independent, so that the result depends neither on threads nor
 //! on where an earlier run was stopped.
 
+use std::io;
+use std::path::{Path, PathBuf};
+
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -16,12 +19,14 @@ use shared::control::network::Network;
 use shared::control::pid::{Pid, PidGains};
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
+use thiserror::Error;
 
 use super::injection::Injection;
 use super::matrix::full_authority;
 use super::trial::{Trial, run};
+use data::files::{read_json, write_json_indented};
 use plant::bench::{BenchConfig, Failure};
-use progress::Watch;
+use progress::{Progress, Stage};
 use ventilator::SourceError;
 
 /// Breaths of a run.
@@ -36,6 +41,30 @@ const WARM_UP_MS: u32 = 6000;
 const BATCH: u64 = 500;
 /// Ranges of resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
 const LUNGS: [(f64, f64); 2] = [(5.0, 50.0), (10.0, 50.0)];
+
+/// Why a torture cannot go on.
+#[derive(Debug, Error)]
+pub enum TortureError {
+    /// A run could not be breathed.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// The file that keeps how far it is.
+    #[error("cannot use {}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file is of another torture.
+    #[error("{} belongs to seed {seed}; choose another file or that seed", path.display())]
+    OtherSeed {
+        /// The file.
+        path: PathBuf,
+        /// Its seed.
+        seed: u64,
+    },
+}
 
 /// How far a torture has come, and what it has found; written down, it can go on later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,17 +89,32 @@ impl Torture {
         Self { seed, breaths: 0, peak_true: 0.0, worst_run: 0, above_limit: 0, latched: 0 }
     }
 
-    /// Goes on until so many breaths are done or somebody wishes to stop; calls `keep` now and then.
+    /// What an earlier torture of this seed has kept in a file, or a new one.
     ///
     /// # Errors
-    /// What `keep` says.
-    pub fn advance<E: From<SourceError>>(
+    /// A file that cannot be read, or of another seed.
+    pub fn resume(file: &Path, seed: u64) -> Result<Self, TortureError> {
+        let kept: Self = read_json(file).map_err(failure(file))?.unwrap_or_else(|| Self::new(seed));
+        if kept.seed == seed {
+            Ok(kept)
+        } else {
+            Err(TortureError::OtherSeed { path: file.to_owned(), seed: kept.seed })
+        }
+    }
+
+    /// Goes on until so many breaths are done or it is stopped, and keeps in a file, if one is given, how far it is.
+    ///
+    /// # Errors
+    /// A run that fails, or a file that cannot be written.
+    pub fn advance(
         &mut self,
         breaths: u64,
-        watch: &Watch<'_>,
-        keep: &mut dyn FnMut(&Self) -> Result<(), E>,
-    ) -> Result<(), E> {
-        while self.breaths < breaths && !watch.stopped() {
+        keep: Option<&Path>,
+        progress: &Progress<'_>,
+    ) -> Result<(), TortureError> {
+        let task = progress.task(Stage::Torture, breaths as usize);
+        task.reach(self.breaths as usize);
+        while self.breaths < breaths && !task.stopped() {
             let first = self.breaths / BREATHS_PER_RUN;
             let last = (first + BATCH).min(breaths.div_ceil(BREATHS_PER_RUN));
             let found: Result<Vec<_>, SourceError> =
@@ -83,11 +127,18 @@ impl Torture {
                 self.latched += u64::from(latched);
             }
             self.breaths = last * BREATHS_PER_RUN;
-            watch.progress(self.breaths as usize, breaths as usize);
-            keep(self)?;
+            task.reach(self.breaths as usize);
+            if let Some(file) = keep {
+                write_json_indented(file, self).map_err(failure(file))?;
+            }
         }
         Ok(())
     }
+}
+
+fn failure(file: &Path) -> impl FnOnce(io::Error) -> TortureError {
+    let path = file.to_owned();
+    move |source| TortureError::File { path, source }
 }
 
 /// One run: its highest true pressure, and whether it ended in the safe state.
@@ -158,7 +209,7 @@ mod tests {
 
     fn tortured(breaths: u64) -> Torture {
         let mut torture = Torture::new(3);
-        torture.advance::<SourceError>(breaths, &Watch::silent(), &mut |_| Ok(())).unwrap();
+        torture.advance(breaths, None, &Progress::silent()).unwrap();
         torture
     }
 
@@ -171,8 +222,14 @@ mod tests {
 
     #[test]
     fn a_torture_in_two_parts_finds_what_one_in_a_single_part_finds() {
-        let mut parts = tortured(200);
-        parts.advance::<SourceError>(500, &Watch::silent(), &mut |_| Ok(())).unwrap();
-        assert_eq!(parts, tortured(500));
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("torture.json");
+        for breaths in [200, 500] {
+            let mut part = Torture::resume(&file, 3).unwrap();
+            part.advance(breaths, Some(&file), &Progress::silent()).unwrap();
+        }
+        assert_eq!(Torture::resume(&file, 3).unwrap(), tortured(500));
+        let refused = Torture::resume(&file, 4).unwrap_err().to_string();
+        assert!(refused.contains("belongs to seed 3"), "{refused}");
     }
 }

@@ -16,7 +16,7 @@ use super::ventilation::{Inspirations, TaskConfig};
 use super::{Actions, End, Greedy, TaskBatch};
 use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
-use progress::Watch;
+use progress::{Progress, Stage};
 
 /// Which algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -140,7 +140,7 @@ pub fn train(
     simulators: &[Simulator],
     held_out: &Simulator,
     config: &RlConfig,
-    watch: &Watch<'_>,
+    progress: &Progress<'_>,
 ) -> Result<TrainedPolicy, ResidualError> {
     let (task_config, actions, samples) = match algorithm {
         Algorithm::Ppo => (&config.ppo_task, Actions::Continuous, config.ppo_samples),
@@ -159,8 +159,9 @@ pub fn train(
     let per_round = learner.steps() as u64 * hold;
     let rounds = samples.div_ceil(per_round);
     let every = (rounds / config.validations.max(1)).max(1);
+    let task = progress.task(Stage::Reinforce, rounds as usize);
     for round in 0..rounds {
-        if watch.stopped() {
+        if task.stopped() {
             break;
         }
         learner.round(round as f32 / rounds as f32);
@@ -171,7 +172,7 @@ pub fn train(
             if score < best.0 {
                 best = (score, greedy);
             }
-            watch.progress((round + 1) as usize, rounds as usize);
+            task.reach((round + 1) as usize);
         }
     }
     let (validation, greedy) = best;
@@ -227,14 +228,14 @@ mod tests {
     /// Trained once for all tests that look at it.
     fn trained(algorithm: Algorithm) -> &'static TrainedPolicy {
         static PPO: LazyLock<TrainedPolicy> =
-            LazyLock::new(|| run(Algorithm::Ppo, &small(), &Watch::silent()));
+            LazyLock::new(|| run(Algorithm::Ppo, &small(), &Progress::silent()));
         static DQN: LazyLock<TrainedPolicy> =
-            LazyLock::new(|| run(Algorithm::Dqn, &small(), &Watch::silent()));
+            LazyLock::new(|| run(Algorithm::Dqn, &small(), &Progress::silent()));
         if algorithm == Algorithm::Ppo { &PPO } else { &DQN }
     }
 
-    fn run(algorithm: Algorithm, config: &RlConfig, watch: &Watch<'_>) -> TrainedPolicy {
-        train(algorithm, &[first_order(1.0)], &first_order(1.0), config, watch).unwrap()
+    fn run(algorithm: Algorithm, config: &RlConfig, progress: &Progress<'_>) -> TrainedPolicy {
+        train(algorithm, &[first_order(1.0)], &first_order(1.0), config, progress).unwrap()
     }
 
     #[test]
@@ -261,7 +262,7 @@ mod tests {
     #[test]
     fn the_same_seed_gives_the_same_curve() {
         for algorithm in [Algorithm::Ppo, Algorithm::Dqn] {
-            let curve = |seed| run(algorithm, &RlConfig { seed, ..small() }, &Watch::silent()).curve;
+            let curve = |seed| run(algorithm, &RlConfig { seed, ..small() }, &Progress::silent()).curve;
             let first = &trained(algorithm).curve;
             assert_eq!(curve(small().seed), *first);
             assert_ne!(curve(small().seed + 1), *first);
@@ -271,7 +272,7 @@ mod tests {
     #[test]
     fn a_stopped_training_ends_at_once_with_what_it_has() {
         let stop = AtomicBool::new(true);
-        let trained = run(Algorithm::Ppo, &small(), &Watch::new(&|_, _| (), &stop));
+        let trained = run(Algorithm::Ppo, &small(), &Progress::quiet(&stop));
         assert_eq!(trained.curve.len(), 1);
     }
 

@@ -17,6 +17,7 @@ use crate::evaluate::{Evaluation, Plan, evaluate_law};
 use data::tensors::{self, TensorError};
 use engine::Lane;
 use plant::bench::BenchConfig;
+use progress::Progress;
 use ventilator::SourceError;
 
 /// What the file says it is.
@@ -82,7 +83,7 @@ impl Policy {
 /// The first waveform's, in the plan's order, that could not be run: refused settings or a fault.
 pub fn evaluate(bench: &BenchConfig, policy: &Policy, plan: &Plan) -> Result<Evaluation, SourceError> {
     let plan = Plan { period_us: policy.perception.senses().period_us, ..plan.clone() };
-    evaluate_law(bench, &PolicyLaw::new(policy), &plan)
+    evaluate_law(bench, &PolicyLaw::new(policy), &plan, &Progress::silent())
 }
 
 /// A policy built to control.

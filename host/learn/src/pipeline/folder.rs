@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{PipelineConfig, PipelineError};
-use data::files::{read_json, write_json};
+use super::PipelineError;
+use data::files::{claim, read_json, write_json};
 
 /// A run's folder.
 #[derive(Clone, Debug)]
@@ -39,14 +39,14 @@ impl Folder {
     ///
     /// # Errors
     /// The folder holds a run with another one.
-    pub(super) fn claim(&self, config: &PipelineConfig) -> Result<(), PipelineError> {
-        let path = self.path.join("run.json");
-        match read_json::<PipelineConfig>(&path).map_err(failure(&path))? {
-            Some(earlier) if earlier != *config => {
-                Err(PipelineError::OtherRun(self.path.display().to_string()))
-            }
-            Some(_) => Ok(()),
-            None => write_json(&path, config).map_err(failure(&path)),
+    pub(super) fn claim<T: PartialEq + Serialize + DeserializeOwned>(
+        &self,
+        configuration: &T,
+    ) -> Result<(), PipelineError> {
+        if claim(&self.path, configuration).map_err(failure(&self.path))? {
+            Ok(())
+        } else {
+            Err(PipelineError::OtherRun(self.path.display().to_string()))
         }
     }
 

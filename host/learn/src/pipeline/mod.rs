@@ -9,6 +9,7 @@
 
 mod folder;
 mod stages;
+mod training;
 
 use serde::{Deserialize, Serialize};
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
@@ -31,10 +32,13 @@ use crate::simulator::state_space::StateSpaceConfig;
 use crate::simulator::stitched::StitchedConfig;
 use data::recording::{DatasetError, Recording};
 use data::tensors::TensorError;
+use plant::bench::BenchConfig;
+use progress::Progress;
 use ventilator::collect::{CollectConfig, CollectError};
-use ventilator::{Source, SourceError};
+use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
 
 pub use folder::Folder;
+pub use training::{TrainedOnce, train, train_on_simulators};
 
 /// Control period of the paper's authors, microseconds.
 pub const PAPER_PERIOD_US: u32 = 30_000;
@@ -146,6 +150,11 @@ impl PipelineConfig {
         }
     }
 
+    /// The PID under the residual.
+    fn base(&self) -> Result<Controller, ResidualError> {
+        Ok(Controller::Pid(Pid::new(self.gains, self.period_us)?))
+    }
+
     /// The PID that collects first.
     fn collector(&self) -> Result<Controller, PipelineError> {
         let gains = self.collector.unwrap_or(self.gains);
@@ -171,7 +180,7 @@ pub enum PipelineError {
         needed: usize,
     },
     /// The folder belongs to another run.
-    #[error("{0} holds a run with another configuration; choose another folder or remove it")]
+    #[error("{0} holds a run with another seed or configuration; choose another folder or remove it")]
     OtherRun(String),
     /// The folder's bookkeeping cannot be read or written.
     #[error("{path}: {reason}")]
@@ -179,6 +188,17 @@ pub enum PipelineError {
         /// File.
         path: String,
         /// What is wrong.
+        reason: String,
+    },
+    /// Nothing to train on.
+    #[error("name at least one simulator to train on")]
+    NoSimulator,
+    /// A simulator that no such controller can be trained on.
+    #[error("simulator {number} {reason}")]
+    Simulator {
+        /// Which, from 1.
+        number: usize,
+        /// Why not.
         reason: String,
     },
     /// Stopped before there was a controller.
@@ -215,20 +235,6 @@ pub enum PipelineError {
     #[error(transparent)]
     Learned(#[from] LearnedError),
 }
-
-/// Which part of a round is under way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Recording breaths.
-    Collect,
-    /// Fitting simulators.
-    Fit,
-    /// Training the controller.
-    Train,
-}
-
-/// Progress of a run: round (from 0), stage, steps done and in all.
-pub type Observer<'a> = &'a (dyn Fn(usize, Stage, usize, usize) + Sync);
 
 /// What a round found out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -287,19 +293,58 @@ pub fn run(
     config: &PipelineConfig,
     sources: &[MakeSource<'_>],
     folder: Option<&Folder>,
-    observer: Observer<'_>,
-    stop: &std::sync::atomic::AtomicBool,
+    progress: &Progress<'_>,
 ) -> Result<Outcome, PipelineError> {
     if let Some(folder) = folder {
         folder.claim(config)?;
     }
-    let mut run = stages::Run::new(config, sources, folder, observer, stop);
+    let mut run = stages::Run::new(config, sources, folder, progress);
     for round in 0..config.rounds.max(1) {
         if !run.round(round)? {
             break;
         }
     }
     run.outcome()
+}
+
+/// [`run`] on benches: a ventilator in this process on each.
+///
+/// # Errors
+/// As [`run`], or a bench that is refused.
+pub fn run_on_benches(
+    config: &PipelineConfig,
+    benches: &[BenchConfig],
+    folder: Option<&Folder>,
+    progress: &Progress<'_>,
+) -> Result<Outcome, PipelineError> {
+    let base = config.base()?;
+    let (settings, period_us) = (&config.collect.settings, config.period_us);
+    let make = |bench| {
+        let base = base.clone();
+        move |seed| -> Result<Box<dyn Source>, SourceError> {
+            Ok(Box::new(BenchSource::new(bench, base.clone(), settings, period_us, seed)?))
+        }
+    };
+    let sources: Vec<_> = benches.iter().map(make).collect();
+    let sources: Vec<MakeSource<'_>> = sources.iter().map(|source| source as MakeSource<'_>).collect();
+    run(config, &sources, folder, progress)
+}
+
+/// [`run`] on a plant behind the plant link. All rounds use one link: a plant need not know that there are several.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_on_plant(
+    config: &PipelineConfig,
+    link: &SharedLink,
+    folder: Option<&Folder>,
+    progress: &Progress<'_>,
+) -> Result<Outcome, PipelineError> {
+    let base = config.base()?;
+    let source = |seed| -> Result<Box<dyn Source>, SourceError> {
+        Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
+    };
+    run(config, &[&source], folder, progress)
 }
 
 #[cfg(test)]

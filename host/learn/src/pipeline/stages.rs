@@ -1,21 +1,19 @@
 //! The three stages of a round, each of which first looks for what an earlier, stopped run has left.
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::{Folder, MakeSource, Observer, Outcome, PipelineConfig, PipelineError, Round, Stage, Studied};
-use crate::controller::learned::{Learned, Origin};
-use crate::controller::{Checkpoint, CurvePoint, PlantModels, TrainConfig, Trained, Training};
+use super::training::learned;
+use super::{Folder, MakeSource, Outcome, PipelineConfig, PipelineError, Round, Studied};
+use crate::controller::learned::Learned;
+use crate::controller::{CurvePoint, PlantModels, TrainConfig, Trained, Training};
 use crate::simulator::episode::{Episode, episodes, split};
 use crate::simulator::fit::{Fit, FitConfig};
 use crate::simulator::model::Simulator;
 use crate::simulator::open_loop::{OpenLoop, open_loop};
-use data::provenance::git_revision;
 use data::recording::Recording;
-use progress::Watch;
+use progress::{Progress, Stage, Task};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
 
@@ -27,8 +25,7 @@ pub(super) struct Run<'a> {
     config: &'a PipelineConfig,
     sources: &'a [MakeSource<'a>],
     folder: Option<&'a Folder>,
-    observer: Observer<'a>,
-    stop: &'a AtomicBool,
+    progress: Progress<'a>,
     recordings: Vec<Recording>,
     /// Of each plant, the held-out one last.
     simulators: Vec<Vec<Simulator>>,
@@ -44,27 +41,18 @@ struct Fitted {
     open_loop: Vec<OpenLoop>,
 }
 
-/// A training's checkpoint with its curve.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Pause {
-    checkpoint: Checkpoint,
-    curve: Vec<CurvePoint>,
-}
-
 impl<'a> Run<'a> {
     pub(super) fn new(
         config: &'a PipelineConfig,
         sources: &'a [MakeSource<'a>],
         folder: Option<&'a Folder>,
-        observer: Observer<'a>,
-        stop: &'a AtomicBool,
+        progress: &Progress<'a>,
     ) -> Self {
         Self {
             config,
             sources,
             folder,
-            observer,
-            stop,
+            progress: *progress,
             recordings: Vec::new(),
             simulators: Vec::new(),
             learned: None,
@@ -95,7 +83,7 @@ impl<'a> Run<'a> {
     }
 
     fn stopped(&mut self) -> bool {
-        let stopped = self.stop.load(Ordering::Relaxed);
+        let stopped = self.progress.stopped();
         self.complete &= !stopped;
         stopped
     }
@@ -115,10 +103,11 @@ impl<'a> Run<'a> {
 
     /// Records the round's breaths on every plant, or takes those already recorded; complete and aborted breaths.
     fn collect(&mut self, round: usize) -> Result<(usize, usize), PipelineError> {
-        let done = AtomicUsize::new(0);
+        let breaths = self.config.collect.breaths;
+        let task = self.progress.round(round).task(Stage::Collect, breaths * self.sources.len());
         let recordings: Vec<Recording> = (0..self.sources.len())
             .into_par_iter()
-            .map(|plant| self.recorded(round, plant, &done))
+            .map(|plant| self.recorded(round, plant, &task))
             .collect::<Result<_, _>>()?;
         let breaths = recordings.iter().map(|recording| recording.inspirations().len()).sum();
         let all: usize = recordings.iter().map(|recording| recording.breaths().len()).sum();
@@ -133,12 +122,13 @@ impl<'a> Run<'a> {
     }
 
     /// A plant's recording of the round.
-    fn recorded(&self, round: usize, plant: usize, done: &AtomicUsize) -> Result<Recording, PipelineError> {
+    fn recorded(&self, round: usize, plant: usize, task: &Task<'_>) -> Result<Recording, PipelineError> {
         let file = self.folder.map(|folder| folder.file(round, &format!("recording-{plant}.parquet")));
         if let Some(file) = file.as_ref().filter(|file| file.exists()) {
+            task.advance(self.config.collect.breaths);
             return Ok(Recording::load(file)?);
         }
-        let collected = match (self.record(round, plant, done), self.folder) {
+        let collected = match (self.record(round, plant, task), self.folder) {
             (Err(PipelineError::Collect(CollectError::Interrupted { reason, collected })), Some(folder)) => {
                 let file = folder.file(round, &format!("recording-{plant}.partial.parquet"));
                 collected.recording.save(&file)?;
@@ -147,13 +137,13 @@ impl<'a> Run<'a> {
             }
             (outcome, _) => outcome?,
         };
-        if let (Some(file), false) = (&file, self.stop.load(Ordering::Relaxed)) {
+        if let (Some(file), false) = (&file, task.stopped()) {
             collected.recording.save(file)?;
         }
         Ok(collected.recording)
     }
 
-    fn record(&self, round: usize, plant: usize, done: &AtomicUsize) -> Result<Collected, PipelineError> {
+    fn record(&self, round: usize, plant: usize, task: &Task<'_>) -> Result<Collected, PipelineError> {
         let seed = seeds::collection(self.config.seed, of_plant(round as u64, plant));
         let mut source = (self.sources[plant])(seed)?;
         let controller = match &self.learned {
@@ -161,11 +151,7 @@ impl<'a> Run<'a> {
             None => self.config.collector()?,
         };
         let config = CollectConfig { seed, ..self.config.collect.clone() };
-        let total = config.breaths * self.sources.len();
-        let progress = |_, _| {
-            (self.observer)(round, Stage::Collect, done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        };
-        Ok(collect(source.as_mut(), &controller, &config, &Watch::new(&progress, self.stop))?)
+        Ok(collect(source.as_mut(), &controller, &config, &task.part())?)
     }
 
     /// Fits each plant's ensemble to everything recorded from it; none when stopped.
@@ -180,12 +166,13 @@ impl<'a> Run<'a> {
         }
         let parts: Vec<_> = episodes.iter().map(|episodes| split(episodes, self.config.hold_out)).collect();
         let members = self.config.ensemble.max(1) + 1;
-        let done = AtomicUsize::new(0);
+        let epochs = self.fit_config(round, 0, 0, !self.simulators.is_empty()).epochs;
+        let task = self.progress.round(round).task(Stage::Fit, epochs * parts.len() * members);
         let fits: Vec<Option<(Simulator, Vec<f64>)>> = (0..parts.len() * members)
             .into_par_iter()
             .map(|job| {
                 let (plant, member) = (job / members, job % members);
-                self.fit_member(round, plant, member, &parts[plant].0, &done)
+                self.fit_member(round, plant, member, &parts[plant].0, &task)
             })
             .collect();
         let Some(fits) = fits.into_iter().collect::<Option<Vec<_>>>() else {
@@ -234,17 +221,16 @@ impl<'a> Run<'a> {
         plant: usize,
         member: usize,
         train: &[&Episode],
-        done: &AtomicUsize,
+        task: &Task<'_>,
     ) -> Option<(Simulator, Vec<f64>)> {
         let warm = self.simulators.get(plant).and_then(|members| members.get(member));
         let config = self.fit_config(round, plant, member, warm.is_some());
-        let total = config.epochs * (self.config.ensemble.max(1) + 1) * self.sources.len();
         let mut fit = Fit::new(self.config.architecture, train, config, warm);
         let mut curve = Vec::new();
         while let Some(loss) = fit.epoch() {
             curve.push(loss);
-            (self.observer)(round, Stage::Fit, done.fetch_add(1, Ordering::Relaxed) + 1, total);
-            if self.stop.load(Ordering::Relaxed) {
+            task.advance(1);
+            if task.stopped() {
                 return None;
             }
         }
@@ -270,24 +256,13 @@ impl<'a> Run<'a> {
 
     /// Trains the controller on all members but the last.
     fn train(&mut self, round: usize) -> Result<(Trained, Vec<CurvePoint>), PipelineError> {
-        let mut training = self.training(round)?;
-        let mut curve = Vec::new();
-        let pause = self.folder.map(|folder| folder.load::<Pause>(round, "training.json")).transpose()?;
-        if let Some(pause) = pause.flatten() {
-            training.resume(pause.checkpoint);
-            curve = pause.curve;
-        }
-        while !self.stopped() {
-            let Some(progress) = training.advance() else { break };
-            curve.push(progress);
-            (self.observer)(round, Stage::Train, progress.iteration, self.config.train.iterations);
-            if let Some(folder) = self.folder {
-                let pause = Pause { checkpoint: training.checkpoint(), curve: curve.clone() };
-                folder.save(round, "training.json", &pause)?;
-            }
-        }
-        let trained = training.finish()?;
-        let learned = self.learned(&trained);
+        let training = self.training(round)?;
+        let folder = self.folder.map(|folder| (folder, round));
+        let progress = self.progress.round(round);
+        let (trained, curve) = super::train(training, self.config.train.iterations, folder, &progress)?;
+        self.stopped();
+        let plants: Vec<&str> = self.recordings.iter().map(|r| r.provenance.plant.as_str()).collect();
+        let learned = learned(trained.clone(), plants.join(" "), self.config.seed);
         if let Some(folder) = self.folder {
             learned.save(&folder.file(round, "controller.safetensors"))?;
         }
@@ -318,21 +293,6 @@ impl<'a> Run<'a> {
             .collect();
         let plants = plants.ok_or(PipelineError::Stopped)?;
         Ok(Training::new(self.config.residual(), &plants, config, warm.as_deref())?)
-    }
-
-    fn learned(&self, trained: &Trained) -> Learned {
-        let plants: Vec<&str> = self.recordings.iter().map(|r| r.provenance.plant.as_str()).collect();
-        let plant = plants.join(" ");
-        Learned {
-            controller: trained.controller.clone(),
-            origin: Origin {
-                plant,
-                seed: self.config.seed,
-                git_revision: git_revision(),
-                validation: trained.validation,
-                base: trained.base,
-            },
-        }
     }
 }
 

@@ -4,6 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use progress::{Event, Stage};
+
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 
@@ -31,13 +33,9 @@ fn source(config: &PipelineConfig) -> impl Fn(u64) -> Result<Box<dyn Source>, So
     }
 }
 
-fn run_small(
-    folder: Option<&Path>,
-    stop: &AtomicBool,
-    observer: Observer<'_>,
-) -> Result<Outcome, PipelineError> {
+fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, PipelineError> {
     let (config, folder) = (small(), folder.map(Folder::new));
-    run(&config, &[&source(&config)], folder.as_ref(), observer, stop)
+    run(&config, &[&source(&config)], folder.as_ref(), progress)
 }
 
 /// Mean of |p - target| over the inspirations of the paper's waveforms, true pressure, under noise that learning never saw.
@@ -61,7 +59,7 @@ fn score(lung: &BenchConfig, controller: &Controller) -> f32 {
 }
 
 fn whole(folder: Option<&Path>) -> Outcome {
-    run_small(folder, &AtomicBool::new(false), &|_, _, _, _| ()).unwrap()
+    run_small(folder, &Progress::silent()).unwrap()
 }
 
 #[test]
@@ -98,12 +96,12 @@ fn a_stopped_run_goes_on_as_if_it_had_not_been_stopped() {
         (1, Stage::Train, 10),
     ] {
         let stop = AtomicBool::new(false);
-        let observer = |round, stage, done, _| {
-            if (round, stage) == (stop_round, stop_stage) && done >= stop_at {
+        let observer = |event: &Event<'_>| {
+            if (event.round, event.stage) == (Some(stop_round), stop_stage) && event.done >= stop_at {
                 stop.store(true, Ordering::Relaxed);
             }
         };
-        match run_small(Some(&stopped), &stop, &observer) {
+        match run_small(Some(&stopped), &Progress::new(&observer, &stop)) {
             Ok(outcome) => assert!(!outcome.complete),
             Err(error) => assert!(matches!(error, PipelineError::Stopped), "{error}"),
         }
@@ -127,10 +125,8 @@ fn one_controller_learns_from_several_plants() {
         Ok(Box::new(BenchSource::new(&lungs[lung], base.clone(), &settings, period_us, seed)?))
     };
     let (first, second) = (|seed| make(0, seed), |seed| make(1, seed));
-    let never = AtomicBool::new(false);
-    let silent: Observer<'_> = &|_, _, _, _| ();
-    let both = run(&config, &[&first, &second], None, silent, &never).unwrap();
-    let alone = run(&config, &[&first], None, silent, &never).unwrap();
+    let both = run(&config, &[&first, &second], None, &Progress::silent()).unwrap();
+    let alone = run(&config, &[&first], None, &Progress::silent()).unwrap();
     assert_eq!(both.plants.len(), 2);
     assert_eq!(both.plants[0].recording, alone.plants[0].recording, "a plant does not depend on the others");
     assert_ne!(both.plants[0].recording.u_in, both.plants[1].recording.u_in);
@@ -147,13 +143,8 @@ fn a_folder_of_another_run_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     whole(Some(folder.path()));
     let other = PipelineConfig { seed: 2, ..small() };
-    let result = run(
-        &other,
-        &[&source(&other)],
-        Some(&Folder::new(folder.path())),
-        &|_, _, _, _| (),
-        &AtomicBool::new(false),
-    );
+    let folder = Folder::new(folder.path());
+    let result = run(&other, &[&source(&other)], Some(&folder), &Progress::silent());
     assert!(matches!(result, Err(PipelineError::OtherRun(_))));
 }
 
@@ -164,7 +155,7 @@ fn a_training_that_does_not_help_ends_with_the_pid() {
     config.train.adam.rate = 1.0e2;
     config.train.iterations = 4;
     config.train.validate_every = 4;
-    let outcome = run(&config, &[&source(&config)], None, &|_, _, _, _| (), &AtomicBool::new(false)).unwrap();
+    let outcome = run(&config, &[&source(&config)], None, &Progress::silent()).unwrap();
     assert!(!outcome.rounds[0].improved);
     assert!(outcome.learned.controller.network().parameters().all(|weight| weight.to_bits() == 0));
 }

@@ -1,11 +1,12 @@
 //! The report of a fit: training curve, errors, and predictions beside what was measured.
 
-use super::{Parts, Summary, remarks, table};
+use super::{remarks, table};
 use data::identity::TestRun;
 use data::provenance::Provenance;
 use data::recording::Recording;
+use judge::simulator::FitSummary;
+use learn::recipe::{Fitted, Parts};
 use learn::simulator::episode::Episode;
-use learn::simulator::model::Simulator;
 use learn::simulator::open_loop::predict;
 use show::report::{Block, Plot, Report, Section, Series, Style};
 
@@ -13,13 +14,8 @@ use show::report::{Block, Plot, Report, Section, Series, Style};
 const SHOWN: usize = 8;
 
 /// Everything about a fit on one page.
-pub fn report(
-    summary: &Summary,
-    simulator: &Simulator,
-    curve: &[f64],
-    parts: &Parts<'_>,
-    recording: &Recording,
-) -> Report {
+pub fn report(summary: &FitSummary, fitted: &Fitted, parts: &Parts<'_>, recording: &Recording) -> Report {
+    let Fitted { simulator, curve, .. } = fitted;
     let period_s = f64::from(simulator.architecture.timing().period_us) * 1e-6;
     let shown = [spread(&parts.held_out, SHOWN), spread(&parts.other_lungs, SHOWN / 2)].concat();
     let predictions = predict(simulator, &shown);

@@ -8,7 +8,6 @@ mod tests;
 mod venue;
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -20,8 +19,9 @@ use crate::StudyError;
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
 use judge::baselines::{Best, Search, tune_pid};
 use judge::evaluate::{BreathTrace, Evaluation, Plan};
-use learn::pipeline::{self, Folder, Outcome, PipelineConfig, Stage};
+use learn::pipeline::{self, Folder, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
+use progress::{Progress, Stage};
 
 pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
@@ -39,20 +39,6 @@ pub struct DemoConfig {
     /// Where breaths are recorded and compared; the search is always in this process.
     pub venue: Venue,
 }
-
-/// Which part is under way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DemoStep {
-    /// Searching the best PID.
-    Tune,
-    /// A stage of a round (from 0).
-    Round(usize, Stage),
-    /// Comparing the controllers on the true bench.
-    Evaluate,
-}
-
-/// Progress: step, done, in all.
-pub type Observer<'a> = &'a (dyn Fn(DemoStep, usize, usize) + Sync);
 
 /// One controller's part of the comparison.
 #[derive(Clone, Debug)]
@@ -100,17 +86,12 @@ struct Tuned {
 ///
 /// # Errors
 /// The first step that fails; what earlier steps wrote stays.
-pub fn run(
-    config: &DemoConfig,
-    out: &Path,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
-) -> Result<Demo, StudyError> {
+pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo, StudyError> {
     let started = Instant::now();
-    let best = tuned(config, out, observer, stop)?;
-    let outcome = learn(config, best.pid.gains, out, observer, stop)?;
+    let best = tuned(config, out, progress)?;
+    let outcome = learn(config, best.pid.gains, out, progress)?;
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::evaluation(config.pipeline.seed) };
-    let contestants = compare(config, &best, &outcome, &plan, observer, stop)?;
+    let contestants = compare(config, &best, &outcome, &plan, progress)?;
     let mut summary = DemoSummary::new(config, &best, &outcome, &contestants);
     summary.wall_s = started.elapsed().as_secs_f64();
     let demo = Demo { summary, best, outcome, contestants, plan };
@@ -119,12 +100,7 @@ pub fn run(
 }
 
 /// The best PID, searched or as an earlier run in this folder found it.
-fn tuned(
-    config: &DemoConfig,
-    out: &Path,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
-) -> Result<Best, StudyError> {
+fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best, StudyError> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
     let file = out.join("tuning.json");
     // A file that cannot be read is as good as none: the search is done again.
@@ -134,8 +110,7 @@ fn tuned(
     {
         return Ok(tuned.best);
     }
-    let progress = |done, total| observer(DemoStep::Tune, done as usize, total as usize);
-    let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, &progress, stop)?;
+    let result = tune_pid(std::slice::from_ref(&config.bench), &config.search, &plan, progress)?;
     if !result.complete {
         return Err(StudyError::SearchStopped);
     }
@@ -149,16 +124,14 @@ fn learn(
     config: &DemoConfig,
     gains: PidGains,
     out: &Path,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
+    progress: &Progress<'_>,
 ) -> Result<Outcome, StudyError> {
     let pipeline = PipelineConfig { gains, ..config.pipeline.clone() };
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
     let source = |seed| config.venue.source(&config.bench, base.clone(), &settings, period_us, seed);
     let folder = Folder::new(out.join("run"));
-    let progress = |round, stage, done, total| observer(DemoStep::Round(round, stage), done, total);
-    Ok(pipeline::run(&pipeline, &[&source], Some(&folder), &progress, stop)?)
+    Ok(pipeline::run(&pipeline, &[&source], Some(&folder), progress)?)
 }
 
 fn compare(
@@ -166,8 +139,7 @@ fn compare(
     best: &Best,
     outcome: &Outcome,
     plan: &Plan,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
+    progress: &Progress<'_>,
 ) -> Result<Vec<Contestant>, StudyError> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
     // A vector: on the stack, controllers with their weights would be large.
@@ -177,13 +149,10 @@ fn compare(
         ("PID", pid(best.pid.gains)?),
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
-    let total = controllers.len() * plan.pips.len() * plan.seeds.len();
-    let done = AtomicUsize::new(0);
-    observer(DemoStep::Evaluate, 0, total);
+    let task = progress.task(Stage::Evaluate, controllers.len() * plan.pips.len() * plan.seeds.len());
     // Side by side: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
-        let one_more = || observer(DemoStep::Evaluate, done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &one_more, stop)?;
+        let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &task.part())?;
         let traces = config.venue.traces(&config.bench, &controller, plan)?;
         Ok(Contestant { name, controller, evaluation, traces })
     };

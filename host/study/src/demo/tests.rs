@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use super::*;
 use data::recording::Recording;
@@ -23,7 +22,7 @@ fn small(seed: u64) -> DemoConfig {
 }
 
 fn run_small(out: &Path, seed: u64) -> Demo {
-    run(&small(seed), out, &|_, _, _| (), &AtomicBool::new(false)).unwrap()
+    run(&small(seed), out, &Progress::silent()).unwrap()
 }
 
 #[test]

@@ -1,7 +1,5 @@
 //! Where the job breathes: on the bench in this process, or on the virtual board with that bench as its lung.
 
-use std::sync::atomic::AtomicBool;
-
 use shared::control::Controller;
 use shared::settings::Settings;
 
@@ -10,9 +8,9 @@ use super::{TRACED_BREATHS, TRACED_PIPS};
 use emulator::EmulatorConfig;
 #[cfg(unix)]
 use judge::evaluate::evaluate_source;
-use judge::evaluate::{BreathTrace, Evaluation, Plan, evaluate, trace_source};
+use judge::evaluate::{BreathTrace, Evaluation, Ground, Plan, trace_source};
 use plant::bench::BenchConfig;
-use progress::Watch;
+use progress::Progress;
 #[cfg(unix)]
 use ventilator::VirtualBoard;
 use ventilator::{BenchSource, Source, SourceError};
@@ -49,26 +47,20 @@ impl Venue {
         })
     }
 
-    /// Scores a controller; tells of every waveform that is done.
+    /// Scores a controller.
     pub(super) fn evaluate(
         &self,
         bench: &BenchConfig,
         controller: &Controller,
         plan: &Plan,
-        done: &(dyn Fn() + Sync),
-        stop: &AtomicBool,
+        progress: &Progress<'_>,
     ) -> Result<Evaluation, SourceError> {
         match self {
-            Self::InProcess => {
-                let evaluation = evaluate(bench, controller, plan)?;
-                (0..plan.pips.len() * plan.seeds.len()).for_each(|_| done());
-                Ok(evaluation)
-            }
+            Self::InProcess => bench.evaluate(controller, plan, progress),
             #[cfg(unix)]
             Self::Board(config) => {
                 let mut board = VirtualBoard::start(config.clone(), bench, 0)?;
-                let progress = |_, _| done();
-                evaluate_source(board.port(), controller, plan, &Watch::new(&progress, stop))
+                evaluate_source(board.port(), controller, plan, progress)
             }
         }
     }

@@ -9,6 +9,7 @@ use super::{generalist, lungs};
 use crate::StudyError;
 use judge::evaluate::{Inspiration, Plan, score_breath};
 use plant::bench::{BenchConfig, PatientConfig};
+use progress::Stage;
 use ventilator::{BenchSource, Source};
 
 /// Breaths before the change and from it on.
@@ -52,11 +53,11 @@ pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, StudyError> {
             ("C 20 to 10", 1.0, 0.5),
             ("C 20 to 50", 1.0, 2.5),
         ];
+        let task = study.progress.of("changes").task(Stage::Evaluate, cases.len());
         cases
             .iter()
-            .enumerate()
-            .map(|(done, &(what, resistance, compliance))| {
-                (study.observer)("changes", done, cases.len());
+            .map(|&(what, resistance, compliance)| {
+                task.advance(1);
                 let bench = changing(resistance, compliance);
                 Ok(Change {
                     what: what.to_owned(),

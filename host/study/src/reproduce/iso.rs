@@ -10,6 +10,7 @@ use super::{generalist, lungs};
 use crate::StudyError;
 use judge::evaluate::{Inspiration, Score, score_breath};
 use plant::bench::BenchConfig;
+use progress::Stage;
 use ventilator::{BenchSource, Source, SourceError};
 
 /// Breaths before the measured one: low rates and long time constants need some.
@@ -51,12 +52,12 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>, StudyError> {
         let learned = generalist::controller(study)?;
         let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
         let benches = BenchConfig::iso_lungs();
+        let task = study.progress.of("test table").task(Stage::Evaluate, ISO_ROWS.len());
         ISO_ROWS
             .iter()
             .zip(&benches)
-            .enumerate()
-            .map(|(done, (row, bench))| {
-                (study.observer)("test table", done, ISO_ROWS.len());
+            .map(|(row, bench)| {
+                task.advance(1);
                 Ok(IsoResult {
                     number: row.number,
                     lung: (row.resistance, row.compliance),

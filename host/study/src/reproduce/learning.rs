@@ -1,8 +1,6 @@
 //! Reinforcement learning as the rival: PPO and DQN on the same learned simulators with the same observations, their score
 //! against the samples that they took, next to ours.
 
-use std::sync::atomic::Ordering;
-
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
@@ -13,10 +11,9 @@ use engine::LANES;
 use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;
 use learn::controller::{PlantModels, TrainConfig, Training};
-use learn::pipeline::PipelineConfig;
+use learn::pipeline::{self, PipelineConfig};
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
-use progress::Watch;
 
 /// Gradient steps between two validations of ours.
 const OURS_VALIDATED_EVERY: usize = 10;
@@ -93,9 +90,7 @@ fn rival(
 ) -> Result<LearnerResult, StudyError> {
     let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
-    let progress = |done, total| (study.observer)(algorithm.name(), done as usize, total as usize);
-    let watch = Watch::new(&progress, study.stop);
-    let trained = train(algorithm, trained_on, held_out, &config, &watch)?;
+    let trained = train(algorithm, trained_on, held_out, &config, &study.progress.of(algorithm.name()))?;
     Ok(LearnerResult {
         score: evaluate(bench, &trained.policy, &study.plan())?.mean.score,
         samples: trained.curve.last().map_or(0, |(samples, _)| *samples),
@@ -120,17 +115,10 @@ fn ours(
     let ticks = u64::from(shared::math::ticks(train.inspiratory_time, config.period_us));
     let samples = |iteration: usize| (LANES * iteration) as u64 * ticks;
     let iterations = train.iterations;
-    let mut training =
-        Training::new(config.residual(), &[PlantModels { trained_on, held_out }], train, None)?;
-    let mut curve = Vec::new();
-    while let Some(progress) = training.advance() {
-        if study.stop.load(Ordering::Relaxed) {
-            return Err(StudyError::Stopped);
-        }
-        (study.observer)("ours", progress.iteration, iterations);
-        curve.push((samples(progress.iteration), progress.validation));
-    }
-    let controller = Controller::Residual(training.finish()?.controller);
+    let training = Training::new(config.residual(), &[PlantModels { trained_on, held_out }], train, None)?;
+    let (trained, curve) = pipeline::train(training, iterations, None, &study.progress.of("ours"))?;
+    let curve = curve.iter().map(|point| (samples(point.iteration), point.validation)).collect();
+    let controller = Controller::Residual(trained.controller);
     Ok(LearnerResult {
         score: study.evaluate(bench, &controller)?.mean.score,
         samples: samples(iterations),

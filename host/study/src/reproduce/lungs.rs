@@ -10,9 +10,8 @@ use super::study::Study;
 use crate::StudyError;
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
-use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig, Stage};
+use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig};
 use plant::bench::BenchConfig;
-use ventilator::{BenchSource, Source, SourceError};
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -42,9 +41,8 @@ pub(super) struct LungScores {
 pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids, StudyError> {
     study.keep("tuning", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
-        let progress = |done, total| (study.observer)("search PIDs", done as usize, total as usize);
         let plan = Plan::tuning(*seed);
-        let result = tune_pid(study.lungs(), &budget.search, &plan, &progress, study.stop)?;
+        let result = tune_pid(study.lungs(), &budget.search, &plan, &study.progress)?;
         if !result.complete {
             return Err(StudyError::Stopped);
         }
@@ -105,18 +103,9 @@ pub(super) fn train(
     config: &PipelineConfig,
     folder: &str,
 ) -> Result<Outcome, StudyError> {
-    let base = study.pid(config.gains)?;
-    let make: Vec<_> = benches
-        .iter()
-        .map(|bench| {
-            |seed| -> Result<Box<dyn Source>, SourceError> {
-                let settings = &config.collect.settings;
-                Ok(Box::new(BenchSource::new(bench, base.clone(), settings, config.period_us, seed)?))
-            }
-        })
-        .collect();
-    let sources: Vec<MakeSource<'_>> = make.iter().map(|make| make as MakeSource<'_>).collect();
-    train_on(study, &sources, config, folder)
+    let run = Folder::new(study.path(folder));
+    let progress = study.progress.of(folder);
+    finished(study, pipeline::run_on_benches(config, benches, Some(&run), &progress)?, folder)
 }
 
 /// The same on any plants.
@@ -126,16 +115,13 @@ pub(super) fn train_on(
     config: &PipelineConfig,
     folder: &str,
 ) -> Result<Outcome, StudyError> {
-    let observer = |round: usize, stage: Stage, done, total| {
-        let stage = match stage {
-            Stage::Collect => "collect",
-            Stage::Fit => "fit",
-            Stage::Train => "train",
-        };
-        (study.observer)(&format!("{folder} {}: {stage}", round + 1), done, total);
-    };
     let run = Folder::new(study.path(folder));
-    let outcome = pipeline::run(config, sources, Some(&run), &observer, study.stop)?;
+    let progress = study.progress.of(folder);
+    finished(study, pipeline::run(config, sources, Some(&run), &progress)?, folder)
+}
+
+/// Saves the controller of a run that was not stopped.
+fn finished(study: &Study<'_>, outcome: Outcome, folder: &str) -> Result<Outcome, StudyError> {
     if !outcome.complete {
         return Err(StudyError::Stopped);
     }

@@ -37,12 +37,12 @@ mod tracking;
 mod unseen;
 
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 
 use serde::{Deserialize, Serialize};
 
 use crate::StudyError;
 use plant::bench::BenchConfig;
+use progress::Progress;
 
 pub use ablations::Ablation;
 pub use report::{headline, lungs_table};
@@ -111,19 +111,12 @@ pub struct Reproduction {
     pub only: Vec<Experiment>,
 }
 
-/// Progress: what is under way, steps done, and in all.
-pub type Observer<'a> = &'a (dyn Fn(&str, usize, usize) + Sync);
-
 /// Runs the experiments, then writes everything that the folder holds as `results.json`, `report.html` and `results.md`.
 ///
 /// # Errors
 /// The first experiment that fails; what earlier ones left stays.
-pub fn run(
-    reproduction: &Reproduction,
-    observer: Observer<'_>,
-    stop: &AtomicBool,
-) -> Result<Results, StudyError> {
-    let study = Study::new(reproduction, observer, stop)?;
+pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results, StudyError> {
+    let study = Study::new(reproduction, progress)?;
     for experiment in Experiment::ALL.into_iter().filter(|e| reproduction.only.contains(e)) {
         match experiment {
             Experiment::Tuning => drop(lungs::tuned(&study)?),

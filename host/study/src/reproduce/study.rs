@@ -1,21 +1,21 @@
 //! What experiments share: the folder where each keeps its result, how much they may spend, whom they tell of progress.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::{Observer, Reproduction};
+use super::Reproduction;
 use crate::StudyError;
-use data::files::{read_json, write_json_indented};
+use data::files::{claim, read_json, write_json_indented};
 use judge::baselines::{Grid, Search};
 use judge::evaluate::{Evaluation, Plan, evaluate};
 use judge::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;
 use plant::bench::BenchConfig;
+use progress::Progress;
 
 /// How much to spend.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,8 +67,7 @@ impl Budget {
 /// The lungs, budgets and folder of a reproduction.
 pub(super) struct Study<'a> {
     pub(super) reproduction: &'a Reproduction,
-    pub(super) observer: Observer<'a>,
-    pub(super) stop: &'a AtomicBool,
+    pub(super) progress: Progress<'a>,
 }
 
 /// What makes results comparable.
@@ -81,20 +80,13 @@ struct Claim {
 
 impl<'a> Study<'a> {
     /// Takes the folder, unless it belongs to another study.
-    pub(super) fn new(
-        reproduction: &'a Reproduction,
-        observer: Observer<'a>,
-        stop: &'a AtomicBool,
-    ) -> Result<Self, StudyError> {
-        let study = Self { reproduction, observer, stop };
-        let Reproduction { seed, budget, lungs, .. } = reproduction;
-        let claim = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
-        match study.read::<Claim>("run.json")? {
-            Some(earlier) if earlier != claim => {
-                Err(StudyError::OtherRun(reproduction.out.display().to_string()))
-            }
-            Some(_) => Ok(study),
-            None => study.write("run.json", &claim).map(|()| study),
+    pub(super) fn new(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Result<Self, StudyError> {
+        let Reproduction { seed, budget, lungs, out, .. } = reproduction;
+        let own = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
+        if claim(out, &own).map_err(StudyError::file(out))? {
+            Ok(Self { reproduction, progress: *progress })
+        } else {
+            Err(StudyError::OtherRun(out.display().to_string()))
         }
     }
 
@@ -138,25 +130,20 @@ impl<'a> Study<'a> {
         name: &str,
         work: impl FnOnce() -> Result<T, StudyError>,
     ) -> Result<T, StudyError> {
-        let file = format!("{name}.json");
-        if let Some(kept) = self.read(&file)? {
+        if let Some(kept) = self.kept(name)? {
             return Ok(kept);
         }
         let result = work()?;
-        if self.stop.load(Ordering::Relaxed) {
+        if self.progress.stopped() {
             return Err(StudyError::Stopped);
         }
-        self.write(&file, &result)?;
+        self.write(&format!("{name}.json"), &result)?;
         Ok(result)
     }
 
     /// What is kept under this name.
     pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, StudyError> {
-        self.read(&format!("{name}.json"))
-    }
-
-    fn read<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, StudyError> {
-        let path = self.path(name);
+        let path = self.path(&format!("{name}.json"));
         read_json(&path).map_err(StudyError::file(&path))
     }
 

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 use super::*;
 use judge::baselines::{Grid, Search};
@@ -34,7 +35,7 @@ fn small(out: &Path, only: &[Experiment]) -> Reproduction {
 }
 
 fn run_small(out: &Path, only: &[Experiment]) -> Results {
-    run(&small(out, only), &|_, _, _| (), &AtomicBool::new(false)).unwrap()
+    run(&small(out, only), &Progress::silent()).unwrap()
 }
 
 #[test]
@@ -63,7 +64,7 @@ fn a_folder_of_another_study_is_refused() {
     let out = tempfile::tempdir().unwrap();
     run_small(out.path(), &[]);
     let other = Reproduction { seed: 2, ..small(out.path(), &[]) };
-    let refused = run(&other, &|_, _, _| (), &AtomicBool::new(false));
+    let refused = run(&other, &Progress::silent());
     assert!(matches!(refused, Err(StudyError::OtherRun(_))));
 }
 
@@ -71,7 +72,8 @@ fn a_folder_of_another_study_is_refused() {
 fn a_wish_to_stop_is_told_and_the_study_goes_on_later() {
     let out = tempfile::tempdir().unwrap();
     let only = [Experiment::Generalist];
-    let stopped = run(&small(out.path(), &only), &|_, _, _| (), &AtomicBool::new(true));
+    let stop = AtomicBool::new(true);
+    let stopped = run(&small(out.path(), &only), &Progress::quiet(&stop));
     let error = stopped.unwrap_err().to_string();
     assert!(error.contains("the same command goes on"), "{error}");
     run_small(out.path(), &only);

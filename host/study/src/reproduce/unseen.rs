@@ -50,10 +50,8 @@ fn plant(
     single: PidGains,
 ) -> Result<Unseen, StudyError> {
     let Reproduction { seed, budget, .. } = study.reproduction;
-    let progress =
-        |done, total| (study.observer)(&format!("best PID of {}", bench.name), done as usize, total as usize);
-    let own =
-        tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress, study.stop)?;
+    let progress = study.progress.of(&bench.name);
+    let own = tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress)?;
     if !own.complete {
         return Err(StudyError::Stopped);
     }

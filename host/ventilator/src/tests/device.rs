@@ -1,6 +1,8 @@
 //! A device at a real pseudo-terminal: what the line does to requests, uploads and recordings.
 
 use std::io::{self, Read, Write};
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use serialport::{SerialPort, TTYPort};
@@ -24,7 +26,7 @@ use device::simulated::Simulated;
 use device::upload::UploadError;
 use device::{Device, DeviceError};
 use plant::bench::BenchConfig;
-use progress::Watch;
+use progress::{Event, Progress};
 use shared::link::messages::Request;
 use shared::link::refusal::Refusal;
 use shared::settings::Settings;
@@ -66,6 +68,14 @@ fn residual(p: f32) -> Residual {
     Residual::new(spec, network).unwrap()
 }
 
+/// Some work's outcome with its progress: steps done and in all.
+fn observed<T>(work: impl FnOnce(&Progress<'_>) -> T) -> (T, Vec<(usize, usize)>) {
+    let steps = Mutex::new(Vec::new());
+    let note = |event: &Event<'_>| steps.lock().unwrap().push((event.done, event.total));
+    let outcome = work(&Progress::new(&note, &AtomicBool::new(false)));
+    (outcome, steps.into_inner().unwrap())
+}
+
 #[test]
 fn a_device_greets() {
     let (mut device, _simulated, _terminal) = connected();
@@ -76,12 +86,11 @@ fn a_device_greets() {
 #[test]
 fn weights_arrive_run_after_a_restart_and_are_named() {
     let (mut device, _simulated, _terminal) = connected();
-    let mut arrived = Vec::new();
-    let uploaded = device.upload(&image(2.0), &mut |bytes| arrived.push(bytes)).unwrap();
-    assert_eq!((uploaded.slot, arrived.last()), (Slot::A, Some(&IMAGE_BYTES)));
+    let (uploaded, steps) = observed(|progress| device.upload(&image(2.0), progress).unwrap());
+    assert_eq!((uploaded.slot, steps.last()), (Slot::A, Some(&(IMAGE_BYTES, IMAGE_BYTES))));
     let identity = device.restart().unwrap();
     assert_eq!((identity.running, identity.reset), (Some(Slot::A), ResetCause::Software));
-    assert_eq!(device.upload(&image(3.0), &mut |_| ()).unwrap().slot, Slot::B);
+    assert_eq!(device.upload(&image(3.0), &Progress::silent()).unwrap().slot, Slot::B);
 }
 
 #[test]
@@ -93,22 +102,21 @@ fn a_broken_off_upload_goes_on_and_a_damaged_image_is_not_even_sent() {
     let bytes = heapless::Vec::from_slice(&image[..100]).unwrap();
     device.request(&Request::WeightsChunk { offset: 0, bytes }).unwrap();
     device.reconnect().unwrap();
-    let mut first = None;
-    device.upload(&image, &mut |bytes| _ = first.get_or_insert(bytes)).unwrap();
-    assert_eq!(first, Some(100));
+    let (_, steps) = observed(|progress| device.upload(&image, progress).unwrap());
+    assert_eq!(steps.iter().find(|(arrived, _)| *arrived > 0), Some(&(100, IMAGE_BYTES)));
     let mut damaged = image;
     damaged[200] ^= 1;
-    assert!(matches!(device.upload(&damaged, &mut |_| ()), Err(UploadError::Image(_))));
+    assert!(matches!(device.upload(&damaged, &Progress::silent()), Err(UploadError::Image(_))));
 }
 
 #[test]
 fn weights_are_refused_while_ventilating() {
     let (mut device, _simulated, _terminal) = connected();
     device.start().unwrap();
-    let refused = device.upload(&image(2.0), &mut |_| ()).unwrap_err();
+    let refused = device.upload(&image(2.0), &Progress::silent()).unwrap_err();
     assert!(matches!(refused, UploadError::Device(DeviceError::Refused(Refusal::Ventilating))), "{refused}");
     device.stop().unwrap();
-    device.upload(&image(2.0), &mut |_| ()).unwrap();
+    device.upload(&image(2.0), &Progress::silent()).unwrap();
 }
 
 #[test]
@@ -127,9 +135,9 @@ fn a_recording_over_the_line_is_that_of_the_bench_bit_for_bit() {
     let config = CollectConfig { breaths: 20, seed: (1 << 50) + 77, ..CollectConfig::default() };
     let controller = Controller::Residual(residual(3.0));
     let mut bench = BenchSource::new(&lung, controller.clone(), &config.settings, 1000, config.seed).unwrap();
-    let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap();
+    let here = collect(&mut bench, &controller, &config, &Progress::silent()).unwrap();
     let mut port = PortSource::new(device, config.seed).unwrap();
-    let there = collect(&mut port, &controller, &config, &Watch::silent()).unwrap();
+    let there = collect(&mut port, &controller, &config, &Progress::silent()).unwrap();
     assert_eq!((here.breaths, there.breaths), (20, 20));
     let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     let (here, there) = (&here.recording, &there.recording);
@@ -192,17 +200,16 @@ fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_re
     while device.recorder().unwrap().fast.next < 4000 {
         assert!(Instant::now() < deadline, "no breath comes");
     }
-    let mut shares = Vec::new();
-    let running = device.blackbox(&mut |share| shares.push(share)).unwrap();
-    assert!(shares.is_sorted() && shares.last().is_some_and(|share| (share - 1.0).abs() < 1e-9));
+    let (running, steps) = observed(|progress| device.blackbox(progress).unwrap());
+    assert!(steps.is_sorted_by_key(|(read, _)| *read) && steps.last().is_some_and(|(read, all)| read == all));
     assert_eq!((running.status.recording, running.unread), (RecordingState::Running, 0));
     assert!(running.slow.ticks().any(|tick| tick.pressure > 15.0), "a breath is in it");
     device.stop().unwrap();
     device.restart().unwrap();
-    let after = device.blackbox(&mut |_| ()).unwrap();
+    let after = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!((after.status.boot, after.status.recording), (2, RecordingState::Stopped));
     assert_eq!(after.fast.entries.len(), FAST_ENTRIES);
-    let again = device.blackbox(&mut |_| ()).unwrap();
+    let again = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!((after.fast, after.slow), (again.fast, again.slow), "it stands still");
     assert!(after.log.starts_with(&running.log));
     let boot = Happening::Boot { cause: ResetCause::Software, failed: false };

@@ -18,7 +18,7 @@ use emulator::{LockstepPlant, PlantEnd};
 use plant::Plant;
 use plant::bench::{BenchConfig, BenchPlant};
 use plant::link::{Greeting, PlantAddress, PlantError, PlantLink};
-use progress::Watch;
+use progress::Progress;
 
 /// For plants that answer, however busy the machine is.
 const LONG: Duration = Duration::from_mins(2);
@@ -138,10 +138,10 @@ fn a_bench_behind_the_link_gives_the_recording_of_the_bench_bit_for_bit() {
         let (controller, config) = (controller_for(period_us), config(8));
         let mut bench =
             BenchSource::new(&lung, controller.clone(), &config.settings, period_us, config.seed).unwrap();
-        let here = collect(&mut bench, &controller, &config, &Watch::silent()).unwrap().recording;
+        let here = collect(&mut bench, &controller, &config, &Progress::silent()).unwrap().recording;
         let link = Arc::new(Mutex::new(open(&bench_plant()).unwrap()));
         let mut plant = PlantSource::new(link, controller.clone(), period_us, config.seed);
-        let there = collect(&mut plant, &controller, &config, &Watch::silent()).unwrap().recording;
+        let there = collect(&mut plant, &controller, &config, &Progress::silent()).unwrap().recording;
         let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&here.pressure), bits(&there.pressure));
         assert_eq!(bits(&here.u_in), bits(&there.u_in));
@@ -179,7 +179,7 @@ fn the_true_pressure_is_recorded_where_a_plant_tells_it() {
         _ => None,
     });
     let recording =
-        collect(&mut source(&address), &controller(), &config(2), &Watch::silent()).unwrap().recording;
+        collect(&mut source(&address), &controller(), &config(2), &Progress::silent()).unwrap().recording;
     assert!(recording.pressure.iter().all(|p| p.to_bits() == 5.5_f32.to_bits()));
     assert!(recording.pressure_true.as_ref().unwrap().iter().all(|p| p.to_bits() == 5.25_f32.to_bits()));
     assert!(recording.pressure_sensor_true.is_none());
@@ -301,7 +301,7 @@ fn a_period_that_the_plant_does_not_run_is_refused() {
 fn what_was_recorded_before_a_plant_vanished_is_kept() {
     // Hello, Seed, Peep, Reset, two whole breaths of 100 steps and 40 of the third.
     let address = scripted(|number, _| (number == 4 + 240).then_some(Act::HangUp));
-    let outcome = collect(&mut source(&address), &controller(), &config(10), &Watch::silent());
+    let outcome = collect(&mut source(&address), &controller(), &config(10), &Progress::silent());
     let Err(CollectError::Interrupted { reason, collected }) = outcome else { panic!("{outcome:?}") };
     assert!(matches!(reason, SourceError::Plant(PlantError::Gone { .. })), "{reason}");
     let Collected { recording, breaths, .. } = *collected;
@@ -314,7 +314,7 @@ fn what_was_recorded_before_a_plant_vanished_is_kept() {
 #[test]
 fn a_plant_that_fails_before_the_first_tick_leaves_no_recording() {
     let address = scripted(|number, _| (number == 3).then_some(Act::HangUp));
-    let outcome = collect(&mut source(&address), &controller(), &config(10), &Watch::silent());
+    let outcome = collect(&mut source(&address), &controller(), &config(10), &Progress::silent());
     assert!(matches!(outcome, Err(CollectError::Source(SourceError::Plant(PlantError::Gone { .. })))));
 }
 

@@ -1,0 +1,140 @@
+//! A learned controller beside its PID, waveform by waveform, under the same noise.
+
+use serde::Serialize;
+use thiserror::Error;
+
+use super::{Ground, Plan, Score};
+use progress::{Progress, Stage};
+use shared::control::Controller;
+use ventilator::SourceError;
+
+/// Figures under the same noise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Pair {
+    /// The PID alone.
+    pub pid: Score,
+    /// The learned controller, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learned: Option<Score>,
+}
+
+/// One waveform's figures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WaveformPair {
+    /// PIP, cmH2O.
+    pub pip: f32,
+    /// Its figures.
+    #[serde(flatten)]
+    pub pair: Pair,
+}
+
+/// A comparison over all waveforms.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// By waveform, as in the plan; those that are done, if it was stopped.
+    pub waveforms: Vec<WaveformPair>,
+    /// Mean over the waveforms.
+    pub mean: Pair,
+}
+
+impl Comparison {
+    /// Adds the mean to figures by waveform; it has a learned controller if all waveforms have.
+    pub fn new(waveforms: Vec<WaveformPair>) -> Self {
+        let pid: Vec<Score> = waveforms.iter().map(|w| w.pair.pid).collect();
+        let learned: Option<Vec<Score>> = waveforms.iter().map(|w| w.pair.learned).collect();
+        let learned = learned.filter(|scores| !scores.is_empty()).map(|scores| Score::mean(&scores));
+        Self { waveforms, mean: Pair { pid: Score::mean(&pid), learned } }
+    }
+}
+
+/// A waveform that could not be run.
+#[derive(Debug, Error)]
+#[error("{controller}, PIP {pip} cmH2O: {source}")]
+pub struct CompareError {
+    controller: &'static str,
+    pip: f32,
+    source: SourceError,
+}
+
+/// Scores a PID and, if there is one, a learned controller waveform by waveform. A comparison that is stopped keeps the
+/// waveforms that are done.
+///
+/// # Errors
+/// The first waveform that could not be run.
+pub fn compare(
+    ground: &dyn Ground,
+    pid: &Controller,
+    learned: Option<&Controller>,
+    plan: &Plan,
+    progress: &Progress<'_>,
+) -> Result<Comparison, CompareError> {
+    let controllers = 1 + usize::from(learned.is_some());
+    let task = progress.task(Stage::Evaluate, controllers * plan.pips.len() * plan.seeds.len());
+    let one = |pip: f32| -> Result<Pair, CompareError> {
+        let plan = Plan { pips: vec![pip], ..plan.clone() };
+        let score = |name, controller| match ground.evaluate(controller, &plan, &task.part()) {
+            Ok(evaluation) => Ok(evaluation.mean),
+            Err(source) => Err(CompareError { controller: name, pip, source }),
+        };
+        let pid = score("PID", pid)?;
+        let learned = learned.map(|controller| score("learned controller", controller)).transpose()?;
+        Ok(Pair { pid, learned })
+    };
+    let mut waveforms = Vec::with_capacity(plan.pips.len());
+    for pip in plan.pips.iter().copied() {
+        match one(pip) {
+            Ok(pair) => waveforms.push(WaveformPair { pip, pair }),
+            Err(CompareError { source: SourceError::Stopped, .. }) => break,
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(Comparison::new(waveforms))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use plant::bench::BenchConfig;
+    use progress::Event;
+    use shared::control::pid::Pid;
+    use shared::device::KNOWN_GOOD;
+
+    fn comparison(pid: f64, learned: Option<f64>) -> Comparison {
+        let score = |score| Score { score, rise_ms: 90.0, ..Score::default() };
+        let pair = Pair { pid: score(pid), learned: learned.map(score) };
+        Comparison::new(vec![WaveformPair { pip: 15.0, pair }, WaveformPair { pip: 20.0, pair }])
+    }
+
+    #[test]
+    fn an_entry_holds_pid_and_learned_side_by_side() {
+        let json = serde_json::to_value(comparison(2.0, Some(1.5))).unwrap();
+        let entry = &json["waveforms"][0];
+        assert_eq!((&entry["pip"], &entry["pid"]["score"]), (&15.0.into(), &2.0.into()));
+        assert_eq!(entry["learned"]["score"], 1.5);
+        assert_eq!(json["mean"]["learned"]["rise_ms"], 90.0);
+    }
+
+    #[test]
+    fn a_pid_alone_has_no_learned_figures() {
+        let alone = serde_json::to_value(comparison(2.0, None)).unwrap();
+        assert!(alone["waveforms"][0].get("learned").is_none());
+    }
+
+    #[test]
+    fn a_comparison_that_is_stopped_keeps_the_waveforms_that_are_done() {
+        let plan = Plan { pips: vec![15.0, 30.0], breaths: 1, ..Plan::evaluation(0) };
+        let bench = BenchConfig::paper(20.0, 20.0);
+        let pid = Controller::Pid(Pid::new(KNOWN_GOOD, plan.period_us).unwrap());
+        let whole = compare(&bench, &pid, None, &plan, &Progress::silent()).unwrap();
+        assert_eq!(whole.waveforms.len(), 2);
+        let stop = AtomicBool::new(false);
+        let after_the_first = |event: &Event<'_>| {
+            assert_eq!(event.total, 2 * plan.seeds.len());
+            stop.fetch_or(event.done >= plan.seeds.len(), Ordering::Relaxed);
+        };
+        let half = compare(&bench, &pid, None, &plan, &Progress::new(&after_the_first, &stop)).unwrap();
+        assert_eq!(half.waveforms, whole.waveforms[..1]);
+    }
+}

@@ -1,0 +1,77 @@
+//! What controllers can be evaluated on: a bench, or any ventilator whose plant can start again from a seed.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use plant::bench::BenchConfig;
+use plant::link::PlantError;
+use progress::Progress;
+use shared::control::Controller;
+use ventilator::{Reseed, SourceError};
+
+use super::{Evaluation, Plan, evaluate_law, evaluate_source};
+
+/// What controllers can be evaluated on.
+pub trait Ground: Sync {
+    /// Name of the plant.
+    fn name(&self) -> String;
+
+    /// Runs a controller as planned.
+    ///
+    /// # Errors
+    /// The first waveform's that could not be run; [`SourceError::Stopped`] if it was stopped.
+    fn evaluate(
+        &self,
+        controller: &Controller,
+        plan: &Plan,
+        progress: &Progress<'_>,
+    ) -> Result<Evaluation, SourceError>;
+}
+
+impl Ground for BenchConfig {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn evaluate(
+        &self,
+        controller: &Controller,
+        plan: &Plan,
+        progress: &Progress<'_>,
+    ) -> Result<Evaluation, SourceError> {
+        evaluate_law(self, controller, plan, progress)
+    }
+}
+
+/// A ventilator to evaluate on, one evaluation after the other, each from rest.
+pub struct SourceGround(Mutex<Box<dyn Reseed + Send>>);
+
+impl SourceGround {
+    /// All evaluations run at the source's control period.
+    pub fn new(source: impl Reseed + Send + 'static) -> Self {
+        Self(Mutex::new(Box::new(source)))
+    }
+
+    fn source(&self) -> MutexGuard<'_, Box<dyn Reseed + Send>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Ground for SourceGround {
+    fn name(&self) -> String {
+        self.source().plant()
+    }
+
+    fn evaluate(
+        &self,
+        controller: &Controller,
+        plan: &Plan,
+        progress: &Progress<'_>,
+    ) -> Result<Evaluation, SourceError> {
+        let mut source = self.source();
+        let own = source.period_us();
+        if own != plan.period_us {
+            return Err(PlantError::other_period(plan.period_us, own).into());
+        }
+        evaluate_source(source.as_mut(), controller, plan, progress)
+    }
+}

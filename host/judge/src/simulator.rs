@@ -1,0 +1,196 @@
+//! How good a fitted simulator is: errors on breaths that it has not seen, beside classical identification.
+
+use serde::Serialize;
+
+use crate::identify;
+use data::identity::TestRun;
+use data::recording::Recording;
+use learn::recipe::{Fitted, Parts};
+use learn::simulator::episode::Episode;
+use learn::simulator::model::{Architecture, Simulator};
+use learn::simulator::open_loop::{ByWaveform, OpenLoop, by_waveform, open_loop, response};
+
+/// Times after the start of the inspiration at which the response to a higher command is told, s.
+pub const RESPONSE_S: [f32; 3] = [0.1, 0.3, 0.8];
+
+/// What a fit is worth.
+#[derive(Debug, Serialize)]
+pub struct FitSummary {
+    /// Seed of the fit.
+    pub seed: u64,
+    /// Plant of the recording.
+    pub plant: String,
+    /// Architecture with its shape.
+    #[serde(flatten)]
+    pub architecture: Architecture,
+    /// Number of parameters.
+    pub parameters: usize,
+    /// Breaths fitted.
+    pub training_breaths: usize,
+    /// Breaths held out.
+    pub held_out_breaths: usize,
+    /// Breaths of lungs held out altogether.
+    pub held_out_lung_breaths: usize,
+    /// Passes over the training breaths.
+    pub epochs: usize,
+    /// Whether it was stopped before its end.
+    pub stopped: bool,
+    /// Loss of the last epoch, cmH2O; none if it was stopped before that.
+    pub training_loss: Option<f64>,
+    /// Noise of the sensor, cmH2O.
+    pub noise: f32,
+    /// Mean absolute error of the change over one step on the held-out breaths, cmH2O.
+    pub one_step: f64,
+    /// The same open loop.
+    pub open_loop: f64,
+    /// Open loop, to the true airway pressure, where a bench knows it.
+    pub open_loop_true: Option<f64>,
+    /// Open loop, on the lungs held out altogether.
+    pub open_loop_held_out_lung: Option<f64>,
+    /// Classical identification on the same held-out breaths, from measured flows.
+    pub classical_open_loop: Option<f64>,
+    /// Rise of the predicted pressure where every command is five percent higher, cmH2O: see [`RESPONSE_S`].
+    pub response: Vec<f64>,
+    /// By waveform.
+    pub waveforms: Vec<ByWaveform>,
+    /// By lung or test run.
+    pub groups: Vec<ByGroup>,
+    /// Lungs held out altogether.
+    pub held_out_lungs: Vec<ByGroup>,
+}
+
+/// Errors on the held-out breaths of one lung or test run.
+#[derive(Clone, Debug, Serialize)]
+pub struct ByGroup {
+    /// Its name.
+    pub group: String,
+    /// Breaths.
+    pub episodes: usize,
+    /// Errors.
+    #[serde(flatten)]
+    pub open_loop: OpenLoop,
+}
+
+impl FitSummary {
+    /// Judges a simulator on the parts of a recording.
+    pub fn new(seed: u64, fitted: &Fitted, parts: &Parts<'_>, recording: &Recording) -> Self {
+        let Fitted { simulator, curve, stopped } = fitted;
+        let names = &recording.provenance.groups;
+        let errors = open_loop(simulator, &parts.held_out);
+        let rows = |episodes: &[&Episode]| -> Vec<_> { episodes.iter().map(|e| e.rows.clone()).collect() };
+        Self {
+            seed,
+            plant: simulator.plant.clone(),
+            architecture: simulator.architecture,
+            parameters: simulator.parameters.len(),
+            training_breaths: parts.training.len(),
+            held_out_breaths: parts.held_out.len(),
+            held_out_lung_breaths: parts.other_lungs.len(),
+            epochs: curve.len(),
+            stopped: *stopped,
+            training_loss: curve.last().copied(),
+            noise: simulator.noise,
+            one_step: errors.one_step,
+            open_loop: errors.measured,
+            open_loop_true: errors.truth,
+            open_loop_held_out_lung: (!parts.other_lungs.is_empty())
+                .then(|| open_loop(simulator, &parts.other_lungs).measured),
+            classical_open_loop: identify::open_loop::open_loop(
+                recording,
+                &rows(&parts.training),
+                &rows(&parts.held_out),
+            ),
+            response: response(simulator, &parts.held_out, &RESPONSE_S),
+            waveforms: by_waveform(simulator, &repeated(&parts.held_out)),
+            groups: by_group(simulator, &parts.held_out, names),
+            held_out_lungs: by_group(simulator, &parts.other_lungs, names),
+        }
+    }
+}
+
+/// Breaths whose PIP occurs more than once: waveforms, not the random PIPs between them.
+fn repeated<'a>(episodes: &[&'a Episode]) -> Vec<&'a Episode> {
+    let count = |pip: f32| episodes.iter().filter(|e| e.pip.total_cmp(&pip).is_eq()).count();
+    episodes.iter().copied().filter(|episode| count(episode.pip) > 1).collect()
+}
+
+fn by_group(simulator: &Simulator, episodes: &[&Episode], names: &[TestRun]) -> Vec<ByGroup> {
+    let of_group = |index: usize| -> Vec<&Episode> {
+        episodes.iter().copied().filter(|e| e.group == Some(index as u32)).collect()
+    };
+    let judged = names.iter().enumerate().map(|(index, name)| {
+        let own = of_group(index);
+        ByGroup { group: name.to_string(), episodes: own.len(), open_loop: open_loop(simulator, &own) }
+    });
+    judged.filter(|group| group.episodes > 0).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use data::identity::LungParameters;
+    use data::import::{measured, measured_recording};
+    use learn::recipe::Recipe;
+    use learn::simulator::episode::episodes;
+    use progress::Progress;
+
+    fn episode(pip: f32) -> Episode {
+        Episode {
+            pressure: vec![5.0; 10],
+            truth: None,
+            commands: vec![0.1; 2],
+            rest: vec![0.1; 2],
+            start: 5.0,
+            plateau: 5.0,
+            plateau_command: 0.1,
+            pip,
+            peep: 5.0,
+            group: None,
+            ventilator: None,
+            lung: None,
+            rows: 0..10,
+        }
+    }
+
+    #[test]
+    fn random_pips_are_no_waveforms() {
+        let all = [episode(10.0), episode(13.7), episode(10.0)];
+        let found = repeated(&all.iter().collect::<Vec<_>>());
+        assert_eq!(found.len(), 2);
+        assert!(found.iter().all(|e| e.pip.total_cmp(&10.0).is_eq()));
+    }
+
+    /// A quarter of the default's training has to do; `docs/RECORDINGS.md` has the command for all of it.
+    #[test]
+    fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_lungs_it_never_saw() {
+        let Some(paths) = measured() else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let recording = measured_recording(&[paths[0].clone(), paths[2].clone()], folder.path());
+        let lung = |resistance| LungParameters { resistance, compliance: 20.0 };
+        let hold_out_lungs = vec![lung(5.0), lung(50.0)];
+        let recipe = Recipe { epochs: Some(400), hold_out_lungs, ..Recipe::default() };
+        let architecture = recipe.architecture(&recording).unwrap();
+        assert_eq!(architecture.timing().channels, 1, "the exhale valve follows the inhale valve");
+        let all = episodes(&recording, architecture.timing());
+        let parts = recipe.parts(&all).unwrap();
+        let fitted = recipe.fit(architecture, &recording, &parts.training, &Progress::silent()).unwrap();
+        let summary = FitSummary::new(recipe.seed, &fitted, &parts, &recording);
+        let lung = summary.open_loop_held_out_lung.unwrap();
+        let classical = summary.classical_open_loop.unwrap();
+        println!(
+            "held out {} lung {lung} classical {classical} rise {:?}",
+            summary.open_loop, summary.response
+        );
+        assert!(
+            summary.open_loop < 0.33 && summary.open_loop < 0.5 * classical,
+            "{} {classical}",
+            summary.open_loop
+        );
+        assert!(lung < 0.8, "{lung}");
+        assert!(
+            summary.response.iter().all(|rise| *rise > 0.3),
+            "a plant, no controller: {:?}",
+            summary.response
+        );
+    }
+}
