@@ -16,8 +16,9 @@ use std::{env, fs};
 use device::Device;
 use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
-use emulator::{BenchPlant, Debugger, Emulator, EmulatorConfig, LockstepPlant, Plant, PlantEnd, symbol};
-use plant::bench::BenchConfig;
+use emulator::{Emulator, EmulatorConfig, LockstepPlant, PlantEnd};
+use plant::bench::{BenchConfig, BenchPlant};
+use plant::{Plant, Reading};
 use progress::Progress;
 use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
@@ -313,14 +314,10 @@ fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
         let (mut board, mut device) = breathing(config(), &lung());
         debugger(&board).cut_power_at(cut).unwrap();
         let (image, new) = renamed(training);
-        // The line is cut with the power, whenever that is: before, during or after the store.
-        let cutter = std::thread::spawn(move || {
-            std::thread::sleep(Duration::from_millis(400 + delay_ms));
-            board.kill();
-        });
-        let stored = device.upload(&image, &Progress::silent()).is_ok();
-        cutter.join().unwrap();
-        drop(device);
+        assert!(device.upload(&image, &Progress::silent()).is_err(), "the line ends with the power");
+        board.wait().unwrap();
+        assert!(board.log().ends_with("power cut"), "{}", board.log());
+        drop((device, board));
         let (_board, mut device) = breathing(config(), &lung());
         let expected = if cut < commit { old } else { new };
         assert_eq!(running(&mut device), Some(expected), "after a cut at {cut} of {operations}");
@@ -606,7 +603,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     debugger.detach().unwrap();
     restarted_by(&mut device, ResetCause::Watchdog);
     let blackbox = device.blackbox(&Progress::silent()).unwrap();
-    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, Recording::Reset));
+    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
     assert_eq!(blackbox.status.tick_boot, 1);
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
     // The newest ticks that came over the link before it hung are the recorder's, to its resolution.

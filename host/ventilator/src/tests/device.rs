@@ -159,7 +159,7 @@ fn a_fault_ends_the_breath_and_can_be_acknowledged() {
     assert!(matches!(error, SourceError::Fault { tick, .. } if tick == ticks), "{error}");
     port.acknowledge().unwrap();
     port.configure(Controller::Pid(Pid::new(KNOWN_GOOD, 1000).unwrap()), None).unwrap();
-    port.breath(&paper_settings(15.0), &Progress::silent()).unwrap();
+    port.breath(&paper_settings(15.0), &mut |_| ()).unwrap();
 }
 
 /// Passes bytes on, but for every so-manieth which it damages.

@@ -27,7 +27,7 @@ fn lines(run: &str, test: u32, rows: usize, noise: f64) -> Vec<String> {
 
 fn write(folder: &Path, name: &str, lines: &[String]) -> PathBuf {
     let path = folder.join(name);
-    std::fs::write(&path, format!("{HEADER}{}", lines.concat())).unwrap();
+    fs::write(&path, format!("{HEADER}{}", lines.concat())).unwrap();
     path
 }
 
@@ -158,7 +158,7 @@ fn a_short_line_a_missing_column_and_a_missing_file_are_told_apart() {
 
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.csv");
-    std::fs::write(&path, "run,test\nA,1\n").unwrap();
+    fs::write(&path, "run,test\nA,1\n").unwrap();
     assert!(
         matches!(import_tables(&[path]), Err(DatasetError::TableColumn { column, .. }) if column == "t_s")
     );
