@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let seed = std::env::args().nth(1).map_or(Ok(1), |seed| seed.parse())?;
     let config = balloon::pipeline(seed);
     let pid = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
-    let source = |_| Ok(Box::new(BalloonSource::new(pid.clone())?) as Box<dyn Source>);
+    let source = |_| Ok(Box::new(BalloonSource::new(pid.clone())) as Box<dyn Source>);
     let outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
     for (number, round) in outcome.rounds.iter().enumerate() {
         let open_loop = round.open_loop.last().map_or(0.0, |errors| errors.measured);

@@ -8,8 +8,8 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::time::Instant;
 
-use data::import::foreign::import;
-use data::import::foreign::map::ColumnMap;
+use data::import::import;
+use data::import::map::ColumnMap;
 use progress::Progress;
 
 const BREATHS: usize = 75_000;

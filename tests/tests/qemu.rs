@@ -575,7 +575,7 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     );
     assert!(before.slow.ticks().any(|tick| tick.pressure > 20.0), "the breaths before are in it");
     device.restart().unwrap();
-    let after = device.blackbox(&mut |_| ()).unwrap();
+    let after = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!(
         (after.status.boot, after.status.recording),
         (before.status.boot + 1, before.status.recording)
@@ -602,7 +602,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     debugger.write(step, &[0xFE, 0xE7]).unwrap();
     debugger.detach().unwrap();
     restarted_by(&mut device, ResetCause::Watchdog);
-    let blackbox = device.blackbox(&mut |_| ()).unwrap();
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
     assert_eq!(blackbox.status.tick_boot, 1);
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
@@ -632,7 +632,7 @@ fn reading_the_recorder_disturbs_no_tick() {
     let mut samples = Samples::default();
     samples.until(&device, |sample| sample.breath == 1);
     device.timing(true).unwrap();
-    let blackbox = device.blackbox(&mut |_| ()).unwrap();
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
     samples.until(&device, |sample| sample.breath == 3);
     let times = device.timing(false).unwrap();
     assert_eq!((blackbox.status.recording, blackbox.unread), (RecordingState::Running, 0));

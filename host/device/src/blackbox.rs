@@ -69,7 +69,8 @@ impl Device {
         }
     }
 
-    /// Reads all that the flight recorder holds. A device that ventilates goes on; what it records meanwhile is left for the next time.
+    /// Reads all that the flight recorder holds. A device that ventilates goes on; what it records meanwhile is left for
+    /// the next time. It cannot be stopped, since it takes seconds.
     ///
     /// # Errors
     /// [`DeviceError`].

@@ -212,12 +212,11 @@ impl Args {
 
     fn rounds(&self, config: &PipelineConfig, plant: Option<&SharedLink>) -> anyhow::Result<Summary> {
         let folder = Folder::new(&self.out);
-        let outcome = match plant {
-            Some(link) => with_bars(|progress| run_on_plant(config, link, Some(&folder), progress)),
-            None => {
-                let benches = self.bench.benches()?;
-                with_bars(|progress| run_on_benches(config, &benches, Some(&folder), progress))
-            }
+        let outcome = if let Some(link) = plant {
+            with_bars(|progress| run_on_plant(config, link, Some(&folder), progress))
+        } else {
+            let benches = self.bench.benches()?;
+            with_bars(|progress| run_on_benches(config, &benches, Some(&folder), progress))
         }?;
         self.output.table(&rounds_table(&outcome.rounds));
         let improved = outcome.rounds.last().is_some_and(|round| round.improved);
