@@ -1,6 +1,6 @@
 //! What stands in for the ventilator's hardware and the lung.
 //!
-//! A [`Plant`] is a lung with valves, circuit and sensor. [`bench`] is the virtual bench, [`balloon`] the plant of the
+//! A [`Plant`] is a lung with valves, circuit and sensor. [`mod@bench`] is the virtual bench, [`balloon`] the plant of the
 //! paper's authors, [`link`] a plant in another process.
 #![forbid(unsafe_code)]
 

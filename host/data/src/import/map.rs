@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Quantities that a row may have, in the order of [`Fields`](super::reader::Fields).
+/// Quantities that a row may have, in the order of `Fields` of the reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// Seconds from any zero.

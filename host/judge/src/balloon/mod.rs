@@ -3,7 +3,7 @@
 //! It is here to compare with their figures, on their terms: a control period of 30 ms, 29 samples of an inspiration,
 //! each read before the command that follows it, and a breath that starts at 0 cmH2O. There is no dead time, no noise
 //! and no expiration; what remains is a valve that is all but shut below 15 % and fully open at 29 %, and a rise that
-//! takes a few periods at full flow. [`Balloon`] is the plant, [`score`] its score for any [`Controller`],
+//! takes a few periods at full flow. [`Balloon`](plant::balloon::Balloon) is the plant, [`score`] its score for any [`Controller`],
 //! [`baseline`] what there is to beat and what nobody can; [`ventilator::BalloonSource`] breathes on it.
 
 pub mod baseline;

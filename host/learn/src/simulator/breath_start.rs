@@ -20,7 +20,7 @@ pub struct BreathStart {
     pub pressure: Lane,
     /// Pressure at the end of the last inspiration, cmH2O: what may still be in the lung.
     pub plateau: Lane,
-    /// Scaled command of the inspiratory valve just before the breath; only [`hybrid`] looks at it.
+    /// Scaled command of the inspiratory valve just before the breath; only [`hybrid`](super::hybrid) looks at it.
     pub rest: Lane,
     /// The same at the end of the last inspiration.
     pub plateau_command: Lane,
@@ -28,9 +28,9 @@ pub struct BreathStart {
     pub group: Members,
     /// Ventilator of the recording that a breath is of.
     pub ventilator: Members,
-    /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`] looks at it.
+    /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`](super::hybrid) looks at it.
     pub resistance: Lane,
-    /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`] looks at it.
+    /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`](super::hybrid) looks at it.
     pub compliance: Lane,
 }
 

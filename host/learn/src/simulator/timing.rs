@@ -35,7 +35,7 @@ impl Timing {
         self.block_ticks as f32 * self.period_us as f32 * 1e-6
     }
 
-    /// Values per block in a [`CommandLog`].
+    /// Values per block in a [`CommandLog`](super::CommandLog).
     pub fn width(&self) -> usize {
         self.parts * self.channels
     }

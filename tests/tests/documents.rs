@@ -1,0 +1,50 @@
+//! The documents name files that exist.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Folders at the top level; what starts with one of them in a document is a path.
+const FOLDERS: [&str; 9] =
+    [".ci/", "docs/", "examples/", "firmware/", "fuzz/", "host/", "shared/", "tests/", "xtask/"];
+
+fn top() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// All documents: those at the top level and those in `docs`.
+fn documents() -> Vec<PathBuf> {
+    let entries =
+        [top(), top().join("docs")].into_iter().flat_map(|folder| fs::read_dir(folder).expect("it is there"));
+    let paths = entries.map(|entry| entry.expect("it can be read").path());
+    paths.filter(|path| path.extension().is_some_and(|extension| extension == "md")).collect()
+}
+
+/// Paths of the repository in a text: words in backquotes that start with a top-level folder. What users make (`out/`) and
+/// patterns in angle brackets are none.
+fn named_paths(text: &str) -> Vec<&str> {
+    let quoted = text.split('`').skip(1).step_by(2);
+    quoted
+        .filter(|word| FOLDERS.iter().any(|folder| word.starts_with(folder)))
+        .filter(|word| !word.contains([' ', '<', '*', '\n']))
+        .map(|word| word.split("::").next().unwrap_or(word))
+        .collect()
+}
+
+#[test]
+fn every_path_in_the_documents_exists() {
+    let mut count = 0;
+    for document in documents() {
+        let text = fs::read_to_string(&document).expect("a document can be read");
+        for path in named_paths(&text) {
+            count += 1;
+            assert!(top().join(path).exists(), "{} names {path}, which does not exist", document.display());
+        }
+    }
+    assert!(count > 50, "the documents were not read: {count} paths");
+}
+
+#[test]
+fn paths_are_told_from_commands_and_patterns() {
+    let text = "See `host/src/lib.rs` and `docs/LINK.md::x`, not `cargo xtask ci`, `out/demo` or `fuzz/seeds/<target>`.";
+    assert_eq!(named_paths(text), ["host/src/lib.rs", "docs/LINK.md"]);
+}
