@@ -430,6 +430,9 @@ impl Ticks {
     }
 }
 
+/// The function of the image that runs in every tick of a breath.
+const CONTROL_STEP: &str = "shared::ventilator::Ventilator<C>::breathe";
+
 /// A plant whose exchanges are counted.
 struct Counted<P>(P, Arc<Ticks>);
 
@@ -468,7 +471,7 @@ fn a_host_that_falls_silent_and_comes_back_finds_the_device_ventilating() {
 fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     let mut debugger = debugger(&board);
-    let step = symbol(&image("hil"), "shared::ventilator::Ventilator::breathe").unwrap();
+    let step = symbol(&image("hil"), CONTROL_STEP).unwrap();
     let whole = debugger.read(step, 2).unwrap();
     // A branch to itself in the place of the step's first instruction.
     debugger.write(step, &[0xFE, 0xE7]).unwrap();
@@ -489,7 +492,7 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
 fn a_program_that_fails_tells_the_reason_after_its_restart() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     let mut debugger = debugger(&board);
-    let step = symbol(&image("hil"), "shared::ventilator::Ventilator::breathe").unwrap();
+    let step = symbol(&image("hil"), CONTROL_STEP).unwrap();
     // An instruction that is defined to be undefined.
     debugger.write(step, &[0x00, 0xDE]).unwrap();
     debugger.detach().unwrap();
@@ -598,7 +601,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     let mut samples = Samples::default();
     samples.until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
     let mut debugger = debugger(&board);
-    let step = symbol(&image("hil"), "shared::ventilator::Ventilator::breathe").unwrap();
+    let step = symbol(&image("hil"), CONTROL_STEP).unwrap();
     debugger.write(step, &[0xFE, 0xE7]).unwrap();
     debugger.detach().unwrap();
     restarted_by(&mut device, ResetCause::Watchdog);
