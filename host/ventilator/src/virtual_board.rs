@@ -51,7 +51,7 @@ impl VirtualBoard {
 /// then. It is there before the board has the reading.
 type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
 
-/// What is logged; whoever panicked with it in hand has not harmed it.
+/// Locks the log. A thread that panicked while holding it has left it intact.
 fn log(truths: &TruthLog) -> MutexGuard<'_, Vec<TickTruth>> {
     truths.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -144,7 +144,7 @@ impl Watcher {
         }
     }
 
-    /// Refuses the requests that were waiting: whoever pressed a key again meant the state of then.
+    /// Refuses the requests that were waiting: a key pressed before the reconnection referred to the state at that time.
     fn give_up(&mut self, reason: DeviceError) -> Result<DeviceError, Gone> {
         loop {
             match self.requested.try_recv() {

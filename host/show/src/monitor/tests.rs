@@ -281,7 +281,7 @@ mod state {
         assert_eq!(view.message, None);
         view.take(&greeting(Mode::Standby));
         view.take(&timing(12));
-        assert_eq!(warning(&view), "the device started anew: watchdog");
+        assert_eq!(warning(&view), "the device restarted: watchdog");
         assert!(view.window.last().is_none() && view.breaths.is_empty());
     }
 

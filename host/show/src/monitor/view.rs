@@ -205,7 +205,7 @@ impl View {
     /// The tick counter went back: the device was restarted between two looks at it.
     fn started_anew(&mut self) {
         let cause = self.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
-        self.message = Some(Notice::Warning(format!("the device started anew: {cause}")));
+        self.message = Some(Notice::Warning(format!("the device restarted: {cause}")));
         self.window =
             TelemetryWindow::new(SECONDS, self.identity.as_ref().map_or(0, |identity| identity.period_us));
         self.breaths.clear();
