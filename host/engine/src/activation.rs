@@ -1,5 +1,6 @@
 //! Hidden layers' activations on lanes: softsign as on the chip, and the two of the authors' networks.
 
+use pulp::{Arch, Simd, WithSimd};
 use serde::{Deserialize, Serialize};
 use shared::math;
 
@@ -47,17 +48,42 @@ impl Activation {
 }
 
 fn apply(values: &mut [Lane], f: impl Fn(f32) -> f32) {
-    for lane in values {
-        for value in &mut lane.0 {
-            *value = f(*value);
+    Arch::new().dispatch(Apply { values, f });
+}
+
+fn scale(outputs: &[Lane], gradients: &mut [Lane], slope: impl Fn(f32) -> f32) {
+    Arch::new().dispatch(Scale { outputs, gradients, slope });
+}
+
+struct Apply<'a, F> {
+    values: &'a mut [Lane],
+    f: F,
+}
+
+impl<F: Fn(f32) -> f32> WithSimd for Apply<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for lane in self.values {
+            *lane = lane.map(&self.f);
         }
     }
 }
 
-fn scale(outputs: &[Lane], gradients: &mut [Lane], slope: impl Fn(f32) -> f32) {
-    for (output, gradient) in outputs.iter().zip(gradients) {
-        for (output, gradient) in output.0.iter().zip(&mut gradient.0) {
-            *gradient *= slope(*output);
+struct Scale<'a, F> {
+    outputs: &'a [Lane],
+    gradients: &'a mut [Lane],
+    slope: F,
+}
+
+impl<F: Fn(f32) -> f32> WithSimd for Scale<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (output, gradient) in self.outputs.iter().zip(self.gradients) {
+            *gradient = gradient.zip(output, |gradient, output| gradient * (self.slope)(output));
         }
     }
 }

@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Uniform};
 
 use super::Lane;
-use super::lane::{multiply_add, outer_add};
+use super::lane::{Start, multiply, outer_add};
 
 /// Steps of which a gradient is summed in one go: few enough to stay in the first cache.
 const CHUNK: usize = 16;
@@ -98,15 +98,17 @@ impl DenseLayer {
 impl DenseWeights {
     /// `y = W x + b`.
     pub fn forward(&self, x: &[Lane], y: &mut [Lane]) {
-        for (y, bias) in y.iter_mut().zip(&self.bias) {
-            *y = Lane::splat(*bias);
-        }
-        multiply_add(&self.by_input, x, y);
+        multiply(Start::Bias(&self.bias), &self.by_input, x, y);
+    }
+
+    /// `dx = W^T dy`.
+    pub fn backward(&self, dy: &[Lane], dx: &mut [Lane]) {
+        multiply(Start::Zero, &self.by_output, dy, dx);
     }
 
     /// `dx += W^T dy`.
-    pub fn backward(&self, dy: &[Lane], dx: &mut [Lane]) {
-        multiply_add(&self.by_output, dy, dx);
+    pub fn backward_add(&self, dy: &[Lane], dx: &mut [Lane]) {
+        multiply(Start::Outputs, &self.by_output, dy, dx);
     }
 
     /// Shape of the layer.

@@ -24,11 +24,13 @@ impl Lane {
     pub const ZERO: Self = Self([0.0; LANES]);
 
     /// The same value for all rollouts.
+    #[inline]
     pub const fn splat(value: f32) -> Self {
         Self([value; LANES])
     }
 
     /// Values by rollout.
+    #[inline]
     pub fn from_fn(f: impl FnMut(usize) -> f32) -> Self {
         Self(std::array::from_fn(f))
     }
@@ -56,6 +58,7 @@ impl Lane {
     }
 
     /// Sum over the rollouts.
+    #[inline]
     pub fn sum(&self) -> f32 {
         self.0.iter().sum()
     }
@@ -70,12 +73,14 @@ impl Default for Lane {
 impl Index<usize> for Lane {
     type Output = f32;
 
+    #[inline]
     fn index(&self, rollout: usize) -> &f32 {
         &self.0[rollout]
     }
 }
 
 impl IndexMut<usize> for Lane {
+    #[inline]
     fn index_mut(&mut self, rollout: usize) -> &mut f32 {
         &mut self.0[rollout]
     }
@@ -84,33 +89,48 @@ impl IndexMut<usize> for Lane {
 /// Outputs that one pass over the inputs keeps in registers.
 const TILE: usize = 8;
 
-/// `y += w^T x` for every rollout, with `w` stored input by input: `w[i][o]` at `i * y.len() + o`.
-///
-/// Shapes: `x` inputs, `y` outputs, `w` inputs times outputs.
-pub fn multiply_add(w: &[f32], x: &[Lane], y: &mut [Lane]) {
-    assert_eq!(w.len(), x.len() * y.len(), "weights must have inputs x outputs entries");
-    Arch::new().dispatch(MultiplyAdd { w, x, y });
+/// What a matrix product is added to.
+#[derive(Clone, Copy, Debug)]
+pub enum Start<'a> {
+    /// Nothing: the outputs are overwritten.
+    Zero,
+    /// A constant for each output; the outputs are overwritten.
+    Bias(&'a [f32]),
+    /// The outputs as they are.
+    Outputs,
 }
 
-struct MultiplyAdd<'a> {
+/// `y = start + w^T x` for every rollout, with `w` stored input by input: `w[i][o]` at `i * y.len() + o`.
+///
+/// Shapes: `x` inputs, `y` outputs, `w` inputs times outputs.
+pub fn multiply(start: Start<'_>, w: &[f32], x: &[Lane], y: &mut [Lane]) {
+    assert_eq!(w.len(), x.len() * y.len(), "weights must have inputs x outputs entries");
+    if let Start::Bias(bias) = start {
+        assert_eq!(bias.len(), y.len(), "every output needs a bias");
+    }
+    Arch::new().dispatch(Multiply { start, w, x, y });
+}
+
+struct Multiply<'a> {
+    start: Start<'a>,
     w: &'a [f32],
     x: &'a [Lane],
     y: &'a mut [Lane],
 }
 
-impl WithSimd for MultiplyAdd<'_> {
+impl WithSimd for Multiply<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(mut self, simd: S) {
         let outputs = self.y.len();
         let tiled = outputs - outputs % TILE;
         for v in 0..LANES / S::F32_LANES {
             for first in (0..tiled).step_by(TILE) {
-                multiply_tile::<S, TILE>(simd, self.w, self.x, self.y, first, v);
+                multiply_tile::<S, TILE>(simd, &mut self, first, v);
             }
             for first in tiled..outputs {
-                multiply_tile::<S, 1>(simd, self.w, self.x, self.y, first, v);
+                multiply_tile::<S, 1>(simd, &mut self, first, v);
             }
         }
     }
@@ -118,23 +138,21 @@ impl WithSimd for MultiplyAdd<'_> {
 
 /// Vector `v` of outputs `first..first + N`.
 #[inline(always)]
-fn multiply_tile<S: Simd, const N: usize>(
-    simd: S,
-    w: &[f32],
-    x: &[Lane],
-    y: &mut [Lane],
-    first: usize,
-    v: usize,
-) {
-    let outputs = y.len();
-    let mut sums: [S::f32s; N] = std::array::from_fn(|o| vector::<S>(&y[first + o], v));
-    for (x, row) in x.iter().zip(w.chunks_exact(outputs)) {
+fn multiply_tile<S: Simd, const N: usize>(simd: S, work: &mut Multiply<'_>, first: usize, v: usize) {
+    let outputs = work.y.len();
+    let tile = first..first + N;
+    let mut sums: [S::f32s; N] = match work.start {
+        Start::Zero => [simd.splat_f32s(0.0); N],
+        Start::Bias(bias) => std::array::from_fn(|o| simd.splat_f32s(bias[first + o])),
+        Start::Outputs => std::array::from_fn(|o| vector::<S>(&work.y[first + o], v)),
+    };
+    for (x, row) in work.x.iter().zip(work.w.chunks_exact(outputs)) {
         let x = vector::<S>(x, v);
-        for (sum, w) in sums.iter_mut().zip(&row[first..first + N]) {
+        for (sum, w) in sums.iter_mut().zip(&row[tile.clone()]) {
             *sum = simd.mul_add_e_f32s(simd.splat_f32s(*w), x, *sum);
         }
     }
-    for (y, sum) in y[first..first + N].iter_mut().zip(sums) {
+    for (y, sum) in work.y[tile].iter_mut().zip(sums) {
         S::as_mut_simd_f32s(&mut y.0).0[v] = sum;
     }
 }
@@ -229,16 +247,21 @@ mod tests {
     }
 
     #[test]
-    fn multiply_add_is_a_matrix_product_for_every_shape() {
+    fn multiply_is_a_matrix_product_for_every_shape_and_start() {
         for (inputs, outputs) in [(1, 1), (3, 8), (24, 32), (7, 13), (16, 1), (5, 2)] {
             let w: Vec<f32> = (0..inputs * outputs).map(number).collect();
             let x = lanes(inputs, 5);
             let start = lanes(outputs, 99);
-            let mut y = start.clone();
-            multiply_add(&w, &x, &mut y);
+            let bias: Vec<f32> = (0..outputs).map(|o| number(o + 3)).collect();
+            let [mut overwritten, mut biased, mut added] = [start.clone(), start.clone(), start.clone()];
+            multiply(Start::Zero, &w, &x, &mut overwritten);
+            multiply(Start::Bias(&bias), &w, &x, &mut biased);
+            multiply(Start::Outputs, &w, &x, &mut added);
             for (o, l) in (0..outputs).flat_map(|o| (0..LANES).map(move |l| (o, l))) {
-                let expected = start[o][l] + (0..inputs).map(|i| w[i * outputs + o] * x[i][l]).sum::<f32>();
-                assert!((y[o][l] - expected).abs() < 1e-4, "{inputs}x{outputs} at {o},{l}");
+                let product: f32 = (0..inputs).map(|i| w[i * outputs + o] * x[i][l]).sum();
+                for (y, start) in [(&overwritten, 0.0), (&biased, bias[o]), (&added, start[o][l])] {
+                    assert!((y[o][l] - start - product).abs() < 1e-4, "{inputs}x{outputs} at {o},{l}");
+                }
             }
         }
     }

@@ -210,16 +210,19 @@ impl Features {
     }
 
     /// What was built.
+    #[inline]
     pub fn spec(&self) -> &FeatureSpec {
         &self.spec
     }
 
     /// Smoothing factors per tick of the error's leaky averages.
+    #[inline]
     pub fn error_factors(&self) -> &[f32; AVERAGES] {
         &self.error_factors
     }
 
     /// Smoothing factors per tick of the command's leaky averages.
+    #[inline]
     pub fn command_factors(&self) -> &[f32; AVERAGES] {
         &self.command_factors
     }

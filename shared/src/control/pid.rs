@@ -93,21 +93,25 @@ impl Pid {
     }
 
     /// Gains as given.
+    #[inline]
     pub fn gains(&self) -> PidGains {
         self.gains
     }
 
     /// Integral gain per tick, percent per cmH2O.
+    #[inline]
     pub fn integral_step(&self) -> f32 {
         self.integral_step
     }
 
     /// Derivative part per cmH2O of change in one tick, before the filter, percent per cmH2O.
+    #[inline]
     pub fn derivative_scale(&self) -> f32 {
         self.derivative_scale
     }
 
     /// Smoothing factor of the derivative's filter per tick.
+    #[inline]
     pub fn derivative_factor(&self) -> f32 {
         self.derivative_factor
     }

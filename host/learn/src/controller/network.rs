@@ -74,11 +74,9 @@ impl LaneNetwork {
         let [first, second, output] = &self.layers;
         tape.d_output[tick] = d_output;
         let d_hidden_2 = &mut tape.d_hidden_2[tick * HIDDEN_2..(tick + 1) * HIDDEN_2];
-        d_hidden_2.fill(Lane::ZERO);
         output.backward(&[d_output], d_hidden_2);
         Activation::Softsign.backward(&tape.hidden_2[tick * HIDDEN_2..(tick + 1) * HIDDEN_2], d_hidden_2);
         let d_hidden_1 = &mut tape.d_hidden_1[tick * HIDDEN_1..(tick + 1) * HIDDEN_1];
-        d_hidden_1.fill(Lane::ZERO);
         second.backward(d_hidden_2, d_hidden_1);
         Activation::Softsign.backward(&tape.hidden_1[tick * HIDDEN_1..(tick + 1) * HIDDEN_1], d_hidden_1);
         let mut d_features = [Lane::ZERO; FEATURES];

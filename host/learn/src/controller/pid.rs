@@ -45,12 +45,13 @@ pub(super) fn forward(
     let change = if tick == 0 { Lane::ZERO } else { errors[tick - 1].zip(&error, |a, b| a - b) };
     let (factor, scale) = (pid.derivative_factor(), pid.derivative_scale());
     state.derivative = state.derivative.zip(&change, |d, c| d + factor * (-scale * c - d));
+    let (gain, step) = (pid.gains().p, pid.integral_step());
     let mut command = Lane::ZERO;
     for l in 0..LANES {
         let e = error[l];
-        let wanted = pid.gains().p * e + state.integral[l] + state.derivative[l] + residual[l];
+        let wanted = gain * e + state.integral[l] + state.derivative[l] + residual[l];
         let winds_up = (wanted >= COMMAND_MAX && e > 0.0) || (wanted <= 0.0 && e < 0.0);
-        let integral = state.integral[l] + pid.integral_step() * e;
+        let integral = state.integral[l] + step * e;
         let integrates = !winds_up && integral.abs() <= COMMAND_MAX;
         if !winds_up {
             state.integral[l] = math::limit(integral, -COMMAND_MAX, COMMAND_MAX);

@@ -210,7 +210,6 @@ impl RecurrentNetwork {
         }
         let (first, second) = tape.scratch.split_at_mut(hidden + inputs);
         let d_after = &mut first[..states + hidden];
-        d_after.fill(Lane::ZERO);
         self.readout.backward(d_y, d_after);
 
         for (d_state, d) in tape.d_state.iter_mut().zip(&*d_after) {
@@ -222,7 +221,6 @@ impl RecurrentNetwork {
         self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
 
         let d_zv = &mut second[..hidden + commands];
-        d_zv.fill(Lane::ZERO);
         self.drive.backward(d_drive, d_zv);
         let d_z = piece_mut(&mut tape.d_hidden, block, hidden);
         for ((d_z, from_drive), from_readout) in d_z.iter_mut().zip(&*d_zv).zip(&d_after[states..]) {
@@ -234,7 +232,7 @@ impl RecurrentNetwork {
         d_cv[..states].copy_from_slice(&tape.d_state);
         d_cv[states..states + commands].copy_from_slice(&d_zv[hidden..]);
         d_cv[states + commands..].fill(Lane::ZERO);
-        self.hidden.backward(d_z, d_cv);
+        self.hidden.backward_add(d_z, d_cv);
         tape.d_state.copy_from_slice(&d_cv[..states]);
         d_log.scatter(self.newest(block), &d_cv[states..states + commands]);
     }

@@ -187,7 +187,6 @@ impl Dynamics for Stitched {
         gradients[layers.len()][0] = d_points[0].zip(&carried, |d, c| PRESSURE_SCALE.1 * d + c);
         for (n, layer) in layers.iter().enumerate().rev() {
             let (before, after) = gradients.split_at_mut(n + 1);
-            before[n].fill(Lane::ZERO);
             layer.backward(&after[0], &mut before[n]);
             if n > 0 {
                 activation.backward(&values[n], &mut before[n]);

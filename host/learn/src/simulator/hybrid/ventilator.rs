@@ -233,13 +233,12 @@ impl VentilatorModel {
             d_y[n] = by_logarithm.zip(&left, |d, left| d * left);
         }
         let (d_after, d_commands) = tape.scratch.split_at_mut(states + hidden);
-        d_after.fill(Lane::ZERO);
         self.source.backward(d_y, d_after);
         let (d_c, from_source) = d_after.split_at_mut(states);
         let d_z = piece_mut(&mut tape.d_hidden, block, hidden);
         d_z.copy_from_slice(from_source);
         Activation::Softsign.backward(&piece(&tape.after, block, states + hidden)[states..], d_z);
-        self.curves.backward(d_z, d_c);
+        self.curves.backward_add(d_z, d_c);
 
         for (d_state, d) in tape.d_state.iter_mut().zip(&*d_c) {
             d_state.add_scaled(1.0, d);
@@ -248,7 +247,6 @@ impl VentilatorModel {
         let drive = piece(&tape.drive, block, states);
         let d_drive = piece_mut(&mut tape.d_drive, block, states);
         self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
-        d_commands.fill(Lane::ZERO);
         self.filters.backward(d_drive, d_commands);
         d_log.scatter(self.newest(block), d_commands);
     }
