@@ -70,10 +70,10 @@ impl Device {
     }
 
     /// Reads all that the flight recorder holds. A device that ventilates goes on; what it records meanwhile is left for
-    /// the next time. It cannot be stopped, since it takes seconds.
+    /// the next time.
     ///
     /// # Errors
-    /// [`DeviceError`].
+    /// [`DeviceError`]; a request to stop is [`DeviceError::Stopped`].
     pub fn blackbox(&mut self, progress: &Progress<'_>) -> Result<Blackbox, DeviceError> {
         let period_us = self.identify()?.period_us;
         let status = self.recorder()?;
@@ -103,6 +103,9 @@ impl Device {
         let length = if part == Part::Log { EVENT_BYTES } else { TICK_BYTES };
         let (mut from, mut bytes) = (held.first, Vec::new());
         while from < held.next {
+            if task.stopped() {
+                return Err(DeviceError::Stopped);
+            }
             let page = match self.request(&Request::ReadRecorder { part, from })? {
                 Response::Recorded(page) if page.part == part => page,
                 _ => return Err(DeviceError::Unexpected),
@@ -128,9 +131,6 @@ impl Device {
     /// # Errors
     /// [`DeviceError`].
     pub fn clear_recorder(&mut self) -> Result<(), DeviceError> {
-        match self.request(&Request::ClearRecorder)? {
-            Response::Done => Ok(()),
-            _ => Err(DeviceError::Unexpected),
-        }
+        self.expect(&Request::ClearRecorder, |answer| matches!(answer, Response::Done))
     }
 }

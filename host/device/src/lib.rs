@@ -48,14 +48,14 @@ pub enum DeviceError {
     #[error("the connection to {0} is lost; plug it in again and repeat the command")]
     Gone(Address),
     /// Another version.
-    #[error("the device speaks protocol {device}, this program {PROTOCOL}; update the older side")]
-    Protocol {
-        /// The device's version.
-        device: u16,
-    },
+    #[error("the device speaks protocol {0}, this program {PROTOCOL}; update the older side")]
+    Protocol(u16),
     /// It says no.
     #[error("the device refused: {0}")]
     Refused(#[from] Refusal),
+    /// The caller's progress asked to stop.
+    #[error("stopped; nothing on the device has changed: repeat the command")]
+    Stopped,
     /// It answered something else.
     #[error("the device gave an answer that does not belong to the request; update the older side")]
     Unexpected,
@@ -141,37 +141,32 @@ impl Device {
                 }
                 // An answer that was given up on.
                 Ok(Answer::Response { .. }) => {}
-                Ok(Answer::OtherProtocol(device)) => return Err(DeviceError::Protocol { device }),
+                Ok(Answer::OtherProtocol(device)) => return Err(DeviceError::Protocol(device)),
                 Err(RecvTimeoutError::Timeout) => return Ok(None),
                 Err(RecvTimeoutError::Disconnected) => return Err(DeviceError::Gone(self.address.clone())),
             }
         }
     }
+}
 
+/// What a device can be asked. Each of these fails as [`Device::request`] does, or with [`DeviceError::Unexpected`].
+#[expect(clippy::missing_errors_doc, reason = "said once for all of them")]
+impl Device {
     /// Who are you?
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn identify(&mut self) -> Result<DeviceIdentity, DeviceError> {
         match self.request(&Request::Identify)? {
             Response::Identity(identity) if identity.protocol == PROTOCOL => Ok(identity),
-            Response::Identity(identity) => Err(DeviceError::Protocol { device: identity.protocol }),
+            Response::Identity(identity) => Err(DeviceError::Protocol(identity.protocol)),
             _ => Err(DeviceError::Unexpected),
         }
     }
 
     /// Settings in force, and those that wait.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn settings(&mut self) -> Result<(Settings, Option<Settings>), DeviceError> {
         self.expect_settings(&Request::GetSettings)
     }
 
     /// Settings for the next breath.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn apply(&mut self, settings: Settings) -> Result<(Settings, Option<Settings>), DeviceError> {
         self.expect_settings(&Request::ApplySettings(settings))
     }
@@ -184,9 +179,6 @@ impl Device {
     }
 
     /// Settings for one of the next breaths; gives how many more find room.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn queue(&mut self, settings: Settings) -> Result<usize, DeviceError> {
         match self.request(&Request::QueueSettings(settings))? {
             Response::Queued { free } => Ok(free.into()),
@@ -195,25 +187,16 @@ impl Device {
     }
 
     /// Starts ventilation.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn start(&mut self) -> Result<Mode, DeviceError> {
         self.expect_mode(&Request::Start)
     }
 
     /// Stops ventilation.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn stop(&mut self) -> Result<Mode, DeviceError> {
         self.expect_mode(&Request::Stop)
     }
 
     /// Leaves the latched safe state.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn acknowledge(&mut self) -> Result<Mode, DeviceError> {
         self.expect_mode(&Request::Acknowledge)
     }
@@ -225,43 +208,29 @@ impl Device {
         }
     }
 
+    /// For requests whose answer says no more than that it was done.
+    fn expect(&mut self, request: &Request, done: impl Fn(&Response) -> bool) -> Result<(), DeviceError> {
+        if done(&self.request(request)?) { Ok(()) } else { Err(DeviceError::Unexpected) }
+    }
+
     /// Another controller from the next breath on.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn choose(&mut self, choice: ControllerChoice) -> Result<(), DeviceError> {
-        match self.request(&Request::SetController(choice))? {
-            Response::Controller(_) => Ok(()),
-            _ => Err(DeviceError::Unexpected),
-        }
+        self.expect(&Request::SetController(choice), |answer| matches!(answer, Response::Controller(_)))
     }
 
     /// Other exploration from the next breath on.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn explore(&mut self, exploration: Option<Exploration>) -> Result<(), DeviceError> {
-        match self.request(&Request::SetExploration(exploration))? {
-            Response::Exploration(_) => Ok(()),
-            _ => Err(DeviceError::Unexpected),
-        }
+        self.expect(&Request::SetExploration(exploration), |answer| {
+            matches!(answer, Response::Exploration(_))
+        })
     }
 
     /// Switches telemetry.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn telemetry(&mut self, on: bool) -> Result<(), DeviceError> {
-        match self.request(&Request::Telemetry { on })? {
-            Response::Telemetry { .. } => Ok(()),
-            _ => Err(DeviceError::Unexpected),
-        }
+        self.expect(&Request::Telemetry { on }, |answer| matches!(answer, Response::Telemetry { .. }))
     }
 
     /// Statistics of the control ticks; counts anew if asked to.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn timing(&mut self, clear: bool) -> Result<TickTimes, DeviceError> {
         match self.request(&Request::GetTiming { clear })? {
             Response::Timing(times) => Ok(times),
@@ -270,25 +239,13 @@ impl Device {
     }
 
     /// At the next start the plant starts anew with this seed.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn reset_plant(&mut self, seed: u64) -> Result<(), DeviceError> {
-        match self.request(&Request::ResetPlant { seed })? {
-            Response::Done => Ok(()),
-            _ => Err(DeviceError::Unexpected),
-        }
+        self.expect(&Request::ResetPlant { seed }, |answer| matches!(answer, Response::Done))
     }
 
     /// Restarts the device and waits until it greets again.
-    ///
-    /// # Errors
-    /// [`DeviceError`].
     pub fn restart(&mut self) -> Result<DeviceIdentity, DeviceError> {
-        match self.request(&Request::Reset)? {
-            Response::Done => {}
-            _ => return Err(DeviceError::Unexpected),
-        }
+        self.expect(&Request::Reset, |answer| matches!(answer, Response::Done))?;
         let deadline = Instant::now() + RESTART_TIME;
         loop {
             // The line may break with the device, as that of a USB port does.

@@ -87,9 +87,7 @@ impl Line {
     pub(super) fn counters(&self) -> LineCounters {
         *self.counters.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
 
-impl Line {
     /// Stops reading and closes the port.
     pub(super) fn end(&mut self) {
         self.closing.store(true, Ordering::Relaxed);

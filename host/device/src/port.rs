@@ -63,15 +63,11 @@ impl fmt::Display for Address {
 
 /// A port that cannot be opened.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the message names every field")]
 pub enum PortError {
     /// No such port.
     #[error("there is no port {name}; {found}")]
-    Missing {
-        /// The port asked for.
-        name: String,
-        /// Which ports there are.
-        found: String,
-    },
+    Missing { name: String, found: String },
     /// Another program has it.
     #[error("{0} is in use by another program; end that one first")]
     Busy(String),
@@ -82,20 +78,10 @@ pub enum PortError {
     Permission(String),
     /// Nobody listens there.
     #[error("cannot connect to {address}: {reason}; is the device or `trainer qemu` running?")]
-    Connect {
-        /// The address.
-        address: String,
-        /// Why not.
-        reason: io::Error,
-    },
+    Connect { address: String, reason: io::Error },
     /// Anything else.
     #[error("cannot open {name}: {reason}")]
-    Open {
-        /// The port.
-        name: String,
-        /// Why not.
-        reason: String,
-    },
+    Open { name: String, reason: String },
 }
 
 /// An open line. Reads end with [`io::ErrorKind::TimedOut`] or [`io::ErrorKind::WouldBlock`] after a moment of silence.

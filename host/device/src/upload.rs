@@ -30,11 +30,11 @@ pub struct Uploaded {
 }
 
 impl Device {
-    /// Uploads an image and has it stored; it runs after the next restart. An upload that was broken off goes on where
-    /// it was; it cannot be stopped, since it takes seconds.
+    /// Uploads an image and has it stored; it runs after the next restart. An upload that was broken off or stopped goes
+    /// on where it was: the device collects the bytes in memory and writes a slot once it has all of them.
     ///
     /// # Errors
-    /// [`UploadError`]; the weights that run stay.
+    /// [`UploadError`]; the weights that run stay. A request to stop is [`DeviceError::Stopped`].
     pub fn upload(&mut self, image: &[u8], progress: &Progress<'_>) -> Result<Uploaded, UploadError> {
         let id = decode(image)?.id;
         let image = &image[..IMAGE_BYTES];
@@ -42,6 +42,9 @@ impl Device {
         let task = progress.task(Stage::Upload, image.len());
         while offset < image.len() {
             task.reach(offset);
+            if task.stopped() {
+                return Err(DeviceError::Stopped.into());
+            }
             let end = image.len().min(offset + CHUNK_BYTES);
             let bytes = image[offset..end].iter().copied().collect();
             let chunk = Request::WeightsChunk { offset: offset as u32, bytes };

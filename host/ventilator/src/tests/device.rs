@@ -2,7 +2,7 @@
 
 use std::io::{self, Read, Write};
 use std::sync::Mutex;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serialport::{SerialPort, TTYPort};
@@ -16,7 +16,7 @@ use shared::device::KNOWN_GOOD;
 use shared::link::messages::DeviceKind;
 use shared::recorder::{FAST_ENTRIES, Happening, RecordingState};
 use shared::reset::ResetCause;
-use shared::weights::slots::Slot;
+use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use crate::collect::{CollectConfig, collect};
@@ -107,6 +107,25 @@ fn a_broken_off_upload_goes_on_and_a_damaged_image_is_not_even_sent() {
     let mut damaged = image;
     damaged[200] ^= 1;
     assert!(matches!(device.upload(&damaged, &Progress::silent()), Err(UploadError::Image(_))));
+}
+
+#[test]
+fn a_stopped_upload_leaves_both_slots_alone_and_goes_on_later() {
+    let (mut device, _simulated, _terminal) = connected();
+    let stop = AtomicBool::new(false);
+    let stop_on_the_way = |event: &Event<'_>| stop.store(event.done > 0, Ordering::Relaxed);
+    let stopped = device.upload(&image(2.0), &Progress::new(&stop_on_the_way, &stop)).unwrap_err();
+    assert!(matches!(stopped, UploadError::Device(DeviceError::Stopped)), "{stopped}");
+    assert_eq!(device.restart().unwrap().slots, [SlotState::Empty; 2]);
+    assert_eq!(device.upload(&image(2.0), &Progress::silent()).unwrap().slot, Slot::A);
+}
+
+#[test]
+fn reading_the_recorder_stops_when_asked_and_takes_nothing_from_it() {
+    let (mut device, _simulated, _terminal) = connected();
+    let stopped = device.blackbox(&Progress::quiet(&AtomicBool::new(true))).unwrap_err();
+    assert!(matches!(stopped, DeviceError::Stopped), "{stopped}");
+    assert_eq!(device.blackbox(&Progress::silent()).unwrap().log.len(), 1);
 }
 
 #[test]
@@ -242,5 +261,5 @@ fn another_protocol_is_told_with_both_versions() {
     let frame = shared::link::frame::encode_frame(&answer, &mut buffer).unwrap();
     port.writer.write_all(frame).unwrap();
     let error = device.identify().unwrap_err();
-    assert!(matches!(error, DeviceError::Protocol { device: 77 }), "{error}");
+    assert!(matches!(error, DeviceError::Protocol(77)), "{error}");
 }
