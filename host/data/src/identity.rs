@@ -1,6 +1,5 @@
 //! Which ventilator, test run and lung a row of a recording is of: the one parser and printer of each.
 
-use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
@@ -10,22 +9,12 @@ use thiserror::Error;
 /// What stands between the two parts of a test run, and between R and C of a lung.
 const SEPARATOR: char = ':';
 
-/// A ventilator, by its name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct VentilatorId(String);
-
-impl fmt::Display for VentilatorId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
 /// A test run of a ventilator, written `CT_AIR:5`. Files hold it as text.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub struct TestRun {
-    /// The ventilator.
-    pub ventilator: VentilatorId,
+    /// Name of the ventilator.
+    pub ventilator: String,
     /// Name of the run among those of its ventilator; none if the ventilator has this one alone.
     pub run: Option<String>,
 }
@@ -33,7 +22,7 @@ pub struct TestRun {
 impl TestRun {
     /// A named run of a ventilator.
     pub fn new(ventilator: &str, run: &str) -> Self {
-        Self { ventilator: VentilatorId(ventilator.to_owned()), run: Some(run.to_owned()) }
+        Self { ventilator: ventilator.to_owned(), run: Some(run.to_owned()) }
     }
 }
 
@@ -41,7 +30,7 @@ impl From<&str> for TestRun {
     fn from(text: &str) -> Self {
         match text.split_once(SEPARATOR) {
             Some((ventilator, run)) => Self::new(ventilator, run),
-            None => Self { ventilator: VentilatorId(text.to_owned()), run: None },
+            None => Self { ventilator: text.to_owned(), run: None },
         }
     }
 }
@@ -58,19 +47,11 @@ impl From<TestRun> for String {
     }
 }
 
-impl FromStr for TestRun {
-    type Err = Infallible;
-
-    fn from_str(text: &str) -> Result<Self, Infallible> {
-        Ok(text.into())
-    }
-}
-
 impl fmt::Display for TestRun {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.run {
             Some(run) => write!(f, "{}{SEPARATOR}{run}", self.ventilator),
-            None => self.ventilator.fmt(f),
+            None => f.write_str(&self.ventilator),
         }
     }
 }

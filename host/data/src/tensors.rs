@@ -14,25 +14,14 @@ use crate::files::write_atomically;
 
 /// Why a file of vectors cannot be used.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the message names every field")]
 pub enum TensorError {
     /// The file system refuses.
     #[error("cannot access {path}: {source}")]
-    File {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
     /// The file is torn, or something else.
     #[error("{path} is no {kind}: {reason}")]
-    Format {
-        /// File.
-        path: PathBuf,
-        /// What it should have been.
-        kind: &'static str,
-        /// What is wrong.
-        reason: String,
-    },
+    Format { path: PathBuf, kind: &'static str, reason: String },
 }
 
 impl TensorError {

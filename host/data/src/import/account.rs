@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::map::Quantity;
 use super::reader::TableRow;
 use super::saturation::Saturation;
-use crate::identity::LungParameters;
 use crate::recording::quality::{noise_of_second_differences, quantum};
+use crate::recording::{INSPIRATION, Row};
 
 /// Rows from which quantum and noise are estimated: the first of them, so that memory has a bound.
 const JUDGED: usize = 500_000;
@@ -28,9 +28,14 @@ pub struct Extremes {
     pub high: f64,
 }
 
-impl Extremes {
-    const NONE: Self = Self { low: f64::INFINITY, high: f64::NEG_INFINITY };
+impl Default for Extremes {
+    /// Of no values.
+    fn default() -> Self {
+        Self { low: f64::INFINITY, high: f64::NEG_INFINITY }
+    }
+}
 
+impl Extremes {
     fn add(&mut self, value: f64) {
         self.low = self.low.min(value);
         self.high = self.high.max(value);
@@ -38,24 +43,13 @@ impl Extremes {
 }
 
 /// Gathers the account while samples stream by.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Account {
-    pub(super) rows: usize,
-    pub(super) gaps: usize,
-    pub(super) dropped_before_first: usize,
-    pub(super) dropped_after_gap: usize,
-    pub(super) resampled: usize,
-    pub(super) furthest_from_grid: f64,
-    kept: usize,
-    breaths: usize,
-    complete: usize,
-    steps: Extremes,
-    pressure: Extremes,
-    u_in: Extremes,
+    /// What is counted; the rest of it follows with [`Self::finish`].
+    pub(super) counts: ImportSummary,
     /// Rows at an end of the inspiratory valve's range while the expiratory valve is not open, and all such rows.
     saturated: (usize, usize),
     valves: [Saturation; 3],
-    lungs: BTreeMap<String, usize>,
     pressures: Vec<f32>,
     second_differences: Vec<f32>,
     /// Pressures of the two rows before that follow on.
@@ -63,41 +57,18 @@ pub(super) struct Account {
 }
 
 impl Account {
-    pub(super) fn new() -> Self {
-        Self {
-            rows: 0,
-            gaps: 0,
-            dropped_before_first: 0,
-            dropped_after_gap: 0,
-            resampled: 0,
-            furthest_from_grid: 0.0,
-            kept: 0,
-            breaths: 0,
-            complete: 0,
-            steps: Extremes::NONE,
-            pressure: Extremes::NONE,
-            u_in: Extremes::NONE,
-            saturated: (0, 0),
-            valves: Default::default(),
-            lungs: BTreeMap::new(),
-            pressures: Vec::new(),
-            second_differences: Vec::new(),
-            before: [None; 2],
-        }
-    }
-
     /// Notes a row, and the one before if it follows on.
     pub(super) fn sample(&mut self, sample: &TableRow, last: Option<&TableRow>) {
-        self.rows += 1;
+        self.counts.rows += 1;
         let pressure = sample.get(Quantity::Pressure);
-        self.pressure.add(pressure);
-        self.u_in.add(sample.get(Quantity::UIn));
+        self.counts.pressure.add(pressure);
+        self.counts.u_in.add(sample.get(Quantity::UIn));
         for (valve, quantity) in self.valves.iter_mut().zip(VALVES) {
             valve.add(sample.get(quantity));
         }
         let pressure = pressure as f32;
         if let Some(last) = last {
-            self.steps.add(sample.get(Quantity::Time) - last.get(Quantity::Time));
+            self.counts.step_ms.add(1e3 * (sample.get(Quantity::Time) - last.get(Quantity::Time)));
         } else {
             self.before = [None; 2];
         }
@@ -110,19 +81,14 @@ impl Account {
         }
     }
 
-    /// Notes a breath: its samples, how many rows it became, and its lung where the table has R and C.
-    pub(super) fn breath(
-        &mut self,
-        samples: &[TableRow],
-        rows: usize,
-        complete: bool,
-        lung: Option<LungParameters>,
-    ) {
-        self.breaths += 1;
-        self.complete += usize::from(complete);
-        self.kept += rows;
-        if let Some(lung) = lung {
-            *self.lungs.entry(lung.to_string()).or_default() += 1;
+    /// Notes a breath: its samples, and the rows that it became.
+    pub(super) fn breath(&mut self, samples: &[TableRow], rows: &[Row]) {
+        let inspires = |row: &Row| row.phase == INSPIRATION;
+        self.counts.breaths += 1;
+        self.counts.complete_breaths += usize::from(inspires(&rows[0]) && !rows.iter().all(inspires));
+        self.counts.kept += rows.len();
+        if let Some(lung) = rows[0].lung() {
+            *self.counts.lungs.entry(lung.to_string()).or_default() += 1;
         }
         for command in
             samples.iter().take_while(|s| s.get(Quantity::UOut) < 50.0).map(|s| s.get(Quantity::UIn))
@@ -141,33 +107,21 @@ impl Account {
         let [saturated_inhale, saturated_exhale, saturated_psol] =
             self.valves.each_ref().map(Saturation::share);
         ImportSummary {
-            rows: self.rows,
-            kept: self.kept,
-            dropped_before_first_breath: self.dropped_before_first,
-            dropped_after_gap: self.dropped_after_gap,
             tests,
-            breaths: self.breaths,
-            complete_breaths: self.complete,
-            resampled_breaths: self.resampled,
-            furthest_from_grid_ms: 1e3 * self.furthest_from_grid,
-            gaps: self.gaps,
             period_us,
-            step_ms: Extremes { low: 1e3 * self.steps.low, high: 1e3 * self.steps.high },
-            pressure: self.pressure,
-            u_in: self.u_in,
             quantum: quantum(&self.pressures),
             noise: noise_of_second_differences(&mut self.second_differences),
             saturated: self.saturated.0 as f64 / self.saturated.1.max(1) as f64,
             saturated_inhale,
             saturated_exhale,
             saturated_psol,
-            lungs: self.lungs,
+            ..self.counts
         }
     }
 }
 
 /// Account of an import.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ImportSummary {
     /// Rows read.
     pub rows: usize,

@@ -1,10 +1,10 @@
 //! From a stream of samples to breaths on an even grid of time.
 
-use super::account::Account;
+use super::account::{Account, ImportSummary};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
 use super::reader::TableRow;
 use super::rises::{Rises, is_up};
-use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, Row};
+use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, RecordingWriter, Row};
 
 /// Opening of the expiratory valve from which it counts as open, percent.
 const OPEN: f64 = 50.0;
@@ -17,8 +17,10 @@ const PLATEAU_S: f64 = 0.05;
 /// Rows after which a breath that does not end is no breath.
 const MOST_ROWS: usize = 200_000;
 
-/// Gathers samples into breaths and gives their rows away, one breath at a time.
+/// Gathers samples into breaths and writes their rows, one breath at a time.
 pub(super) struct Assembler<'a> {
+    pub(super) account: Account,
+    pub(super) writer: RecordingWriter,
     layout: &'a TableLayout,
     period_s: f64,
     rises: Rises,
@@ -33,8 +35,10 @@ pub(super) struct Assembler<'a> {
 }
 
 impl<'a> Assembler<'a> {
-    pub(super) fn new(layout: &'a TableLayout, period_s: f64) -> Self {
+    pub(super) fn new(layout: &'a TableLayout, period_s: f64, writer: RecordingWriter) -> Self {
         Self {
+            account: Account::default(),
+            writer,
             layout,
             period_s,
             rises: Rises::new(period_s),
@@ -48,22 +52,17 @@ impl<'a> Assembler<'a> {
         }
     }
 
-    /// Takes the next sample; `sink` gets the rows of a breath that ends with it.
-    pub(super) fn push(
-        &mut self,
-        sample: TableRow,
-        account: &mut Account,
-        sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
-    ) -> Result<(), DatasetError> {
+    /// Takes the next sample; a breath that ends with it is written.
+    pub(super) fn push(&mut self, sample: TableRow) -> Result<(), DatasetError> {
         if self.last.is_some_and(|last| last.group != sample.group) {
-            self.end_of_stretch(account, sink)?;
+            self.end_of_stretch()?;
         }
         let numbered = self.layout.start == StartBy::Number && sample.next_breath;
         let follows = self.last.is_none_or(|last| self.follows(&last, &sample));
         if !numbered && (!follows || self.breath.len() >= MOST_ROWS) {
-            self.end_of_stretch(account, sink)?;
+            self.end_of_stretch()?;
             self.after_gap = true;
-            account.gaps += 1;
+            self.account.counts.gaps += 1;
         }
         let starts = match self.layout.start {
             StartBy::Number => sample.next_breath,
@@ -74,29 +73,25 @@ impl<'a> Assembler<'a> {
             }
         };
         if starts {
-            self.finish(account, sink)?;
+            self.finish()?;
             (self.within, self.after_gap) = (true, false);
             self.target_before = self.last.unwrap_or(sample).get(Quantity::Target);
         }
-        account.sample(&sample, if numbered { None } else { self.last.as_ref() });
+        self.account.sample(&sample, if numbered { None } else { self.last.as_ref() });
         if self.within {
             self.breath.push(sample);
         } else if self.after_gap {
-            account.dropped_after_gap += 1;
+            self.account.counts.dropped_after_gap += 1;
         } else {
-            account.dropped_before_first += 1;
+            self.account.counts.dropped_before_first_breath += 1;
         }
         self.last = Some(sample);
         Ok(())
     }
 
     /// Ends the running breath: what comes next does not follow on.
-    pub(super) fn end_of_stretch(
-        &mut self,
-        account: &mut Account,
-        sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
-    ) -> Result<(), DatasetError> {
-        self.finish(account, sink)?;
+    pub(super) fn end_of_stretch(&mut self) -> Result<(), DatasetError> {
+        self.finish()?;
         (self.last, self.within, self.after_gap) = (None, false, false);
         self.rises.reset();
         Ok(())
@@ -107,22 +102,15 @@ impl<'a> Assembler<'a> {
         step > 0.0 && step <= MOST_PERIODS * self.period_s
     }
 
-    fn finish(
-        &mut self,
-        account: &mut Account,
-        sink: &mut dyn FnMut(&[Row]) -> Result<(), DatasetError>,
-    ) -> Result<(), DatasetError> {
+    fn finish(&mut self) -> Result<(), DatasetError> {
         if self.breath.is_empty() {
             return Ok(());
         }
         let samples = std::mem::take(&mut self.breath);
-        let even = evened(&samples, self.period_s, account);
+        let even = evened(&samples, self.period_s, &mut self.account.counts);
         self.fill_rows(even.as_deref().unwrap_or(&samples));
-        let complete =
-            self.rows[0].phase == INSPIRATION && self.rows.iter().any(|row| row.phase != INSPIRATION);
-        let lung = self.rows[0].lung();
-        account.breath(&samples, self.rows.len(), complete, lung);
-        sink(&self.rows)?;
+        self.account.breath(&samples, &self.rows);
+        self.rows.iter().try_for_each(|row| self.writer.push(*row))?;
         self.number += 1;
         // The memory is used again.
         self.breath = samples;
@@ -198,14 +186,14 @@ fn setting(target: f64) -> f32 {
 
 /// The samples on the grid; none if they are on it already. Measured values are interpolated on straight lines, valve
 /// and set-points hold until the next row.
-fn evened(samples: &[TableRow], period_s: f64, account: &mut Account) -> Option<Vec<TableRow>> {
+fn evened(samples: &[TableRow], period_s: f64, counts: &mut ImportSummary) -> Option<Vec<TableRow>> {
     let time = |n: usize| samples[n].get(Quantity::Time) - samples[0].get(Quantity::Time);
     let off = (0..samples.len()).map(|n| (time(n) - n as f64 * period_s).abs()).fold(0.0, f64::max);
-    account.furthest_from_grid = account.furthest_from_grid.max(off);
+    counts.furthest_from_grid_ms = counts.furthest_from_grid_ms.max(1e3 * off);
     if off <= UNEVEN * period_s {
         return None;
     }
-    account.resampled += 1;
+    counts.resampled_breaths += 1;
     let ticks = (time(samples.len() - 1) / period_s + UNEVEN) as usize + 1;
     let mut after = 1;
     Some(

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use thiserror::Error;
 
 /// Quantities that a row may have, in the order of `Fields` of the reader.
@@ -96,15 +96,11 @@ impl Quantity {
 
 /// Why a column map cannot be used.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the message names every field")]
 pub enum MapError {
     /// The file cannot be opened.
     #[error("cannot read the column map {path}: {source}; check the path")]
-    Read {
-        /// The path tried.
-        path: String,
-        /// What the system answered.
-        source: std::io::Error,
-    },
+    Read { path: String, source: std::io::Error },
     /// Not TOML, or a name that nothing has.
     #[error("the column map cannot be read: {0}")]
     Syntax(#[from] toml::de::Error),
@@ -113,14 +109,7 @@ pub enum MapError {
     Source(&'static str),
     /// A unit that is not known.
     #[error("[{quantity}] of the column map: no unit `{unit}`; write one of {known}")]
-    Unit {
-        /// The quantity.
-        quantity: &'static str,
-        /// What was written.
-        unit: String,
-        /// What could be.
-        known: String,
-    },
+    Unit { quantity: &'static str, unit: String, known: String },
     /// A number that makes no sense.
     #[error("{0} of the column map must be a number above 0")]
     Number(&'static str),
@@ -142,86 +131,55 @@ pub enum MapError {
 }
 
 /// One quantity as typed.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
-    #[serde(skip_serializing_if = "Option::is_none")]
     column: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     value: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     unit: Option<String>,
-    #[serde(default = "one")]
-    scale: f64,
+    scale: Option<f64>,
     #[serde(default)]
     offset: f64,
 }
 
-fn one() -> f64 {
-    1.0
-}
-
 /// A column of names or numbers that are only compared.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Label {
     column: String,
 }
 
 /// The columns of test runs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Group {
     /// The ventilator's name, or the name of the whole.
     column: String,
     /// The name of the run among the ventilator's.
-    #[serde(skip_serializing_if = "Option::is_none")]
     run: Option<String>,
 }
 
 /// A column map as typed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ColumnMap {
-    #[serde(default = "no_name")]
-    plant: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    plant: Option<String>,
     note: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     period_ms: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     inspiration_s: Option<f64>,
-    #[serde(default = "comma")]
-    separator: char,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    separator: Option<char>,
     breath: Option<Label>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     group: Option<Group>,
     time: Entry,
     pressure: Entry,
     u_in: Entry,
-    #[serde(skip_serializing_if = "Option::is_none")]
     u_out: Option<Entry>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     target: Option<Entry>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     flow_in: Option<Entry>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     flow_out: Option<Entry>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     resistance: Option<Entry>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     compliance: Option<Entry>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     u_psol: Option<Entry>,
-}
-
-fn no_name() -> String {
-    "unknown".into()
-}
-
-fn comma() -> char {
-    ','
 }
 
 /// Where a quantity comes from.
@@ -368,10 +326,10 @@ impl ColumnMap {
             None => return Err(MapError::NoEnd),
         };
         Ok(TableLayout {
-            plant: self.plant.clone(),
+            plant: self.plant.clone().unwrap_or_else(|| "unknown".into()),
             note: self.note.clone(),
             period_s,
-            separator: u8::try_from(self.separator).unwrap_or(b','),
+            separator: self.separator.and_then(|c| u8::try_from(c).ok()).unwrap_or(b','),
             breath: self.breath.as_ref().map(|label| label.column.clone()),
             group: self.group.as_ref().map(|group| group.column.clone()),
             run: self.group.as_ref().and_then(|group| group.run.clone()),
@@ -391,15 +349,16 @@ impl Entry {
             let known = units.iter().map(|(known, _)| *known).collect::<Vec<_>>().join(", ");
             return Err(MapError::Unit { quantity: name, unit: unit.to_owned(), known });
         };
+        let scale = self.scale.unwrap_or(1.0);
         match (&self.column, self.value) {
             (Some(column), None) => Ok(ColumnSource::Column {
                 name: column.clone(),
-                factor: factor * self.scale,
+                factor: factor * scale,
                 offset: factor * self.offset,
                 share: unit == SHARE,
             }),
             (None, Some(value)) if matches!(quantity, Quantity::Resistance | Quantity::Compliance) => {
-                Ok(ColumnSource::Value(factor * (value * self.scale + self.offset)))
+                Ok(ColumnSource::Value(factor * (value * scale + self.offset)))
             }
             (None, Some(_)) => Err(MapError::NotConstant(name)),
             _ => Err(MapError::Source(name)),

@@ -16,16 +16,16 @@ mod tests;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use progress::{Progress, Stage};
+use progress::{Progress, Stage, Task};
 use serde_json::json;
 
-use self::account::{Account, ImportSummary};
+use self::account::ImportSummary;
 use self::breaths::Assembler;
 use self::map::{Quantity, TableLayout};
 pub use self::measured::{measured, measured_recording};
 use self::reader::TableReader;
 use crate::provenance::Provenance;
-use crate::recording::{DatasetError, Extra, RecordingWriter, Row};
+use crate::recording::{DatasetError, Extra, RecordingWriter};
 
 /// Rows from whose time steps the sample period is taken.
 const PERIOD_ROWS: usize = 20_000;
@@ -43,11 +43,11 @@ const EXTRAS: [(Extra, Quantity); 5] = [
 /// Part of the first table's period by which another's may differ.
 const SAME_PERIOD: f64 = 0.05;
 
-/// Makes one recording of tables, in the order given; it cannot be stopped.
+/// Makes one recording of tables, in the order given.
 ///
 /// # Errors
 /// A table that cannot be read, lacks a column or has a cell that is no number (with line and column), no breath at
-/// all, or a recording that cannot be written.
+/// all, a recording that cannot be written, or a request to stop. The recording is written whole or not at all.
 pub fn import(
     paths: &[PathBuf],
     layout: &TableLayout,
@@ -59,34 +59,40 @@ pub fn import(
         None => common_period_us(paths, layout)?,
     };
     let provenance = provenance(paths, layout, period_us);
-    let mut writer = RecordingWriter::create(out, provenance, &extras(layout))?;
-    let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6);
-    let mut account = Account::new();
+    let writer = RecordingWriter::create(out, provenance, &extras(layout))?;
+    let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6, writer);
     let mut groups = Vec::new();
     let mut bytes = 0;
     let length = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len() as usize);
     let task = progress.task(Stage::Import, paths.iter().map(length).sum());
     for path in paths {
         let mut reader = TableReader::open(path, layout)?;
-        let mut sink = |rows: &[Row]| rows.iter().try_for_each(|row| writer.push(*row));
         while let Some(sample) = reader.next(&mut groups)? {
-            assembler.push(sample, &mut account, &mut sink)?;
-            if account.rows.is_multiple_of(PROGRESS_ROWS) {
+            assembler.push(sample)?;
+            if assembler.account.counts.rows.is_multiple_of(PROGRESS_ROWS) {
                 task.reach((bytes + reader.position()) as usize);
+                goes_on(&task)?;
             }
         }
-        assembler.end_of_stretch(&mut account, &mut sink)?;
-        account.end_of_table();
+        assembler.end_of_stretch()?;
+        assembler.account.end_of_table();
         bytes += reader.position();
+        goes_on(&task)?;
     }
+    let Assembler { account, mut writer, .. } = assembler;
     let summary = account.finish(period_us, groups.len());
     if summary.breaths == 0 {
-        return Err(DatasetError::NoBreath { tables: paths.len() });
+        return Err(DatasetError::NoBreath(paths.len()));
     }
     writer.provenance().groups = groups;
     writer.provenance().notes.push(summary.note());
     writer.finish()?;
     Ok(summary)
+}
+
+/// Whether nobody asked to stop. A writer that is dropped leaves no file behind.
+fn goes_on(task: &Task<'_>) -> Result<(), DatasetError> {
+    if task.stopped() { Err(DatasetError::Stopped) } else { Ok(()) }
 }
 
 /// The optional columns that a layout fills.
@@ -110,7 +116,7 @@ fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Proven
 
 /// The sample period of the first table, which the others must have too.
 fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, DatasetError> {
-    let (first, others) = paths.split_first().ok_or(DatasetError::NoBreath { tables: 0 })?;
+    let (first, others) = paths.split_first().ok_or(DatasetError::NoBreath(0))?;
     let expected_us = period_us(first, layout)?;
     for path in others {
         let found_us = period_us(path, layout)?;
@@ -137,5 +143,5 @@ fn period_us(path: &Path, layout: &TableLayout) -> Result<u32, DatasetError> {
     }
     steps.sort_by(f64::total_cmp);
     let median = steps.get(steps.len() / 2).map_or(0, |step| (step * 1e6).round() as u32);
-    if median == 0 { Err(DatasetError::NoPeriod { path: path.to_owned() }) } else { Ok(median) }
+    if median == 0 { Err(DatasetError::NoPeriod(path.to_owned())) } else { Ok(median) }
 }

@@ -1,7 +1,7 @@
 //! Rows of a foreign table as numbers in our units.
 
 use std::fs::File;
-use std::io::{BufReader, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use csv::ByteRecord;
@@ -36,30 +36,23 @@ impl TableRow {
     }
 }
 
-/// Where a quantity stands in a line.
-#[derive(Debug, Clone, Copy)]
-enum Place {
-    Absent,
-    Value(f64),
-    Cell { index: usize, factor: f64, offset: f64, share: bool },
-}
-
 /// An open table.
 #[derive(Debug)]
 pub struct TableReader<'a> {
     path: PathBuf,
     layout: &'a TableLayout,
-    table: csv::Reader<BufReader<File>>,
+    table: csv::Reader<File>,
     line: ByteRecord,
-    places: [Place; QUANTITIES],
+    /// Where each quantity stands in a line.
+    places: [Option<usize>; QUANTITIES],
     breath: Option<usize>,
     group: Option<usize>,
     run: Option<usize>,
-    last_breath: Vec<u8>,
+    /// The cell of the breath in the row before.
+    last_breath: Option<Vec<u8>>,
     /// Cells of the group and its run in the row before.
-    last_group: [Vec<u8>; 2],
+    last_group: Option<[Vec<u8>; 2]>,
     current_group: u32,
-    started: bool,
 }
 
 impl<'a> TableReader<'a> {
@@ -69,12 +62,11 @@ impl<'a> TableReader<'a> {
     /// The file cannot be read, or lacks a column of the layout.
     pub fn open(path: &Path, layout: &'a TableLayout) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(|source| match source.kind() {
-            ErrorKind::NotFound => DatasetError::Missing { path: path.to_owned() },
+            ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
             _ => DatasetError::Read { path: path.to_owned(), source },
         })?;
-        let mut table = csv::ReaderBuilder::new()
-            .delimiter(layout.separator)
-            .from_reader(BufReader::with_capacity(BUFFER, file));
+        let mut table =
+            csv::ReaderBuilder::new().delimiter(layout.separator).buffer_capacity(BUFFER).from_reader(file);
         let header = table
             .headers()
             .map_err(|source| DatasetError::TableLine { path: path.to_owned(), source })?
@@ -83,15 +75,11 @@ impl<'a> TableReader<'a> {
             let found = header.iter().position(|head| head.trim() == name);
             found.ok_or_else(|| DatasetError::TableColumn { path: path.to_owned(), column: name.to_owned() })
         };
-        let mut places = [Place::Absent; QUANTITIES];
+        let mut places = [None; QUANTITIES];
         for (place, origin) in places.iter_mut().zip(&layout.origins) {
-            *place = match origin {
-                None => Place::Absent,
-                Some(ColumnSource::Value(value)) => Place::Value(*value),
-                Some(ColumnSource::Column { name, factor, offset, share }) => {
-                    Place::Cell { index: find(name)?, factor: *factor, offset: *offset, share: *share }
-                }
-            };
+            if let Some(ColumnSource::Column { name, .. }) = origin {
+                *place = Some(find(name)?);
+            }
         }
         let breath = layout.breath.as_deref().map(find).transpose()?;
         let group = layout.group.as_deref().map(find).transpose()?;
@@ -105,10 +93,9 @@ impl<'a> TableReader<'a> {
             breath,
             group,
             run,
-            last_breath: Vec::new(),
-            last_group: Default::default(),
+            last_breath: None,
+            last_group: None,
             current_group: 0,
-            started: false,
         })
     }
 
@@ -130,27 +117,25 @@ impl<'a> TableReader<'a> {
             return Ok(None);
         }
         let mut fields = [0.0; QUANTITIES];
-        for (n, (field, place)) in fields.iter_mut().zip(&self.places).enumerate() {
-            *field = match *place {
-                Place::Absent => 0.0,
-                Place::Value(value) => value,
-                Place::Cell { index, factor, offset, share } => {
-                    let value = factor * self.number(n, index)? + offset;
-                    if share { self.percent(n, index, value)? } else { value }
+        for (quantity, (field, origin)) in fields.iter_mut().zip(&self.layout.origins).enumerate() {
+            *field = match origin {
+                None => 0.0,
+                Some(ColumnSource::Value(value)) => *value,
+                Some(ColumnSource::Column { factor, offset, share, .. }) => {
+                    let value = factor * self.number(quantity)? + offset;
+                    if *share { self.percent(quantity, value)? } else { value }
                 }
             };
         }
         let group = self.group(groups);
         let next_breath = self.breath.is_some_and(|index| {
             let cell = self.line.get(index).unwrap_or_default();
-            let other = !self.started || cell != self.last_breath;
+            let other = self.last_breath.as_deref() != Some(cell);
             if other {
-                self.last_breath.clear();
-                self.last_breath.extend_from_slice(cell);
+                self.last_breath = Some(cell.to_vec());
             }
             other
         });
-        self.started = true;
         Ok(Some(TableRow { fields, next_breath, group }))
     }
 
@@ -158,7 +143,7 @@ impl<'a> TableReader<'a> {
     fn group(&mut self, groups: &mut Vec<TestRun>) -> u32 {
         let cell = |index: Option<usize>| index.and_then(|index| self.line.get(index)).unwrap_or_default();
         let cells = [cell(self.group), cell(self.run)];
-        if self.started && cells == self.last_group.each_ref().map(Vec::as_slice) {
+        if self.last_group.as_ref().is_some_and(|last| cells == *last) {
             return self.current_group;
         }
         let text = |cell: &[u8]| String::from_utf8_lossy(cell).trim().to_owned();
@@ -167,7 +152,7 @@ impl<'a> TableReader<'a> {
             (Some(_), None) => text(cells[0]).into(),
             (None, _) => self.path.file_stem().unwrap_or_default().to_string_lossy().as_ref().into(),
         };
-        self.last_group = cells.map(<[u8]>::to_vec);
+        self.last_group = Some(cells.map(<[u8]>::to_vec));
         let known = groups.iter().position(|group| *group == run);
         self.current_group = known.unwrap_or_else(|| {
             groups.push(run);
@@ -176,26 +161,30 @@ impl<'a> TableReader<'a> {
         self.current_group
     }
 
-    fn number(&self, quantity: usize, index: usize) -> Result<f64, DatasetError> {
-        let cell = self.line.get(index).unwrap_or_default().trim_ascii();
-        let number = std::str::from_utf8(cell).ok().and_then(|text| text.parse::<f64>().ok());
-        match number {
+    /// The cell of a quantity that comes from a column.
+    fn cell(&self, quantity: usize) -> &[u8] {
+        let cell = self.places[quantity].and_then(|place| self.line.get(place));
+        cell.unwrap_or_default().trim_ascii()
+    }
+
+    fn number(&self, quantity: usize) -> Result<f64, DatasetError> {
+        let text = std::str::from_utf8(self.cell(quantity)).ok();
+        match text.and_then(|text| text.parse::<f64>().ok()) {
             Some(number) if number.is_finite() => Ok(number),
-            Some(_) => Err(self.bad_cell(quantity, cell, "is not finite")),
-            None => Err(self.bad_cell(quantity, cell, "is not a number")),
+            Some(_) => Err(self.bad_cell(quantity, "is not finite")),
+            None => Err(self.bad_cell(quantity, "is not a number")),
         }
     }
 
     /// A command within its range, give or take rounding.
-    fn percent(&self, quantity: usize, index: usize, value: f64) -> Result<f64, DatasetError> {
+    fn percent(&self, quantity: usize, value: f64) -> Result<f64, DatasetError> {
         if (-PERCENT_SLACK..=100.0 + PERCENT_SLACK).contains(&value) {
             return Ok(value.clamp(0.0, 100.0));
         }
-        let cell = self.line.get(index).unwrap_or_default().trim_ascii();
-        Err(self.bad_cell(quantity, cell, "is not a command from 0 to 1"))
+        Err(self.bad_cell(quantity, "is not a command from 0 to 1"))
     }
 
-    fn bad_cell(&self, quantity: usize, cell: &[u8], reason: &'static str) -> DatasetError {
+    fn bad_cell(&self, quantity: usize, reason: &'static str) -> DatasetError {
         let column = match &self.layout.origins[quantity] {
             Some(ColumnSource::Column { name, .. }) => name.clone(),
             _ => Quantity::ALL[quantity].name().to_owned(),
@@ -204,7 +193,7 @@ impl<'a> TableReader<'a> {
             path: self.path.clone(),
             line: self.line.position().map_or(0, csv::Position::line),
             column,
-            value: String::from_utf8_lossy(cell).into_owned(),
+            value: String::from_utf8_lossy(self.cell(quantity)).into_owned(),
             reason,
         }
     }

@@ -4,6 +4,7 @@ mod respiraworks;
 
 use std::fmt::Write as _;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 use rand::RngExt;
 use rand::SeedableRng;
@@ -213,6 +214,19 @@ fn maps_that_make_no_sense_are_refused_with_what_to_write() {
 }
 
 #[test]
+fn a_stopped_import_leaves_the_older_file_and_nothing_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (table, out) = (folder.path().join("table.csv"), folder.path().join("out.parquet"));
+    fs::write(&table, kaggle(9)).unwrap();
+    fs::write(&out, "older").unwrap();
+    let layout = ColumnMap::kaggle().unwrap().layout().unwrap();
+    let stopped = import(&[table], &layout, &out, &Progress::quiet(&AtomicBool::new(true)));
+    assert!(matches!(stopped, Err(DatasetError::Stopped)));
+    assert_eq!(fs::read_to_string(&out).unwrap(), "older");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+#[test]
 fn bad_cells_columns_and_tables_are_named() {
     let mut rows = mapped(420);
     rows[50] = rows[50].replace(";30;", ";NaN;");
@@ -222,7 +236,7 @@ fn bad_cells_columns_and_tables_are_named() {
     let error = imported("id,breath_id,R,C\n1,1,1,1\n", &kaggle_map).unwrap_err().to_string();
     assert!(error.contains("no column `time_step`"), "{error}");
     assert!(matches!(imported(&kaggle(0), &kaggle_map), Err(DatasetError::NoPeriod { .. })));
-    assert!(matches!(from_rows(&mapped(15)), Err(DatasetError::NoBreath { tables: 1 })));
+    assert!(matches!(from_rows(&mapped(15)), Err(DatasetError::NoBreath(1))));
     let layout = kaggle_map.layout().unwrap();
     let absent = import(&["none.csv".into()], &layout, Path::new("x.parquet"), &Progress::silent());
     assert!(matches!(absent, Err(DatasetError::Missing { .. })));

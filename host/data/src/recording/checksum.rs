@@ -53,16 +53,12 @@ pub(super) fn matches(bytes: &mut [u8]) -> bool {
     let Some(place) = find(bytes) else { return true };
     let stored = bytes[place.clone()].to_vec();
     bytes[place].fill(b'0');
-    digits(bytes).as_bytes() == stored
+    format!("{:08x}", CRC.checksum(bytes)).as_bytes() == stored
 }
 
 fn find(bytes: &[u8]) -> Option<Range<usize>> {
     let start = bytes.windows(MARK.len()).rposition(|window| window == MARK.as_bytes())? + MARK.len();
     (start + DIGITS <= bytes.len()).then_some(start..start + DIGITS)
-}
-
-fn digits(bytes: &[u8]) -> String {
-    format!("{:08x}", CRC.checksum(bytes))
 }
 
 #[cfg(test)]

@@ -82,13 +82,18 @@ impl fmt::Display for Number {
     }
 }
 
-/// Values of one column.
+/// One column, by the type of its numbers.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Values<'a> {
-    U8(&'a [u8]),
-    U32(&'a [u32]),
-    F32(&'a [f32]),
+pub(super) enum Column<A, B, C> {
+    U8(A),
+    U32(B),
+    F32(C),
 }
+
+/// Values of one column.
+pub(super) type Values<'a> = Column<&'a [u8], &'a [u32], &'a [f32]>;
+/// Values of one column, to be filled.
+pub(super) type ValuesMut<'a> = Column<&'a mut Vec<u8>, &'a mut Vec<u32>, &'a mut Vec<f32>>;
 
 impl Values<'_> {
     pub(super) fn len(&self) -> usize {
@@ -98,25 +103,9 @@ impl Values<'_> {
             Self::F32(values) => values.len(),
         }
     }
-
-    pub(super) fn number(&self) -> Number {
-        match self {
-            Self::U8(_) => Number::U8,
-            Self::U32(_) => Number::U32,
-            Self::F32(_) => Number::F32,
-        }
-    }
 }
 
-/// Values of one column, to be filled.
-#[derive(Debug)]
-pub(super) enum ValuesMut<'a> {
-    U8(&'a mut Vec<u8>),
-    U32(&'a mut Vec<u32>),
-    F32(&'a mut Vec<f32>),
-}
-
-impl ValuesMut<'_> {
+impl<A, B, C> Column<A, B, C> {
     pub(super) fn number(&self) -> Number {
         match self {
             Self::U8(_) => Number::U8,

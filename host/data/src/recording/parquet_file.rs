@@ -55,8 +55,8 @@ impl Recording {
         let reader = SerializedFileReader::new(file).map_err(|e| torn(e.to_string()))?;
         let about = reader.metadata().file_metadata();
         let metadata = about.key_value_metadata().map_or(&[][..], Vec::as_slice);
-        let text = value(metadata, PROVENANCE_KEY)
-            .ok_or_else(|| DatasetError::NoProvenance { path: path.to_owned() })?;
+        let text =
+            value(metadata, PROVENANCE_KEY).ok_or_else(|| DatasetError::NoProvenance(path.to_owned()))?;
         let provenance = read_provenance(path, text)?;
         let found = about.schema_descr().columns();
         let index = |name: &str| found.iter().position(|column| column.name() == name);
@@ -136,7 +136,7 @@ pub(super) fn write_rows<W: Write + Send>(
 /// Opens the file, tells the common mistakes apart, which a Parquet decoder would report alike, and verifies the bytes.
 fn open(path: &Path) -> Result<File, DatasetError> {
     let read = |source: std::io::Error| match source.kind() {
-        ErrorKind::NotFound => DatasetError::Missing { path: path.to_owned() },
+        ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
         _ => DatasetError::Read { path: path.to_owned(), source },
     };
     let torn = |detail: String| DatasetError::Torn { path: path.to_owned(), detail };
@@ -144,7 +144,7 @@ fn open(path: &Path) -> Result<File, DatasetError> {
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes).map_err(read)?;
     if bytes.len() >= MAGIC.len() && !bytes.starts_with(MAGIC) {
-        return Err(DatasetError::NotParquet { path: path.to_owned() });
+        return Err(DatasetError::NotParquet(path.to_owned()));
     }
     // Twelve bytes are the two magics and the footer's length.
     if bytes.len() < 12 || !bytes.ends_with(MAGIC) {

@@ -177,17 +177,17 @@ impl Recording {
     /// [`DatasetError::Different`] if period or columns differ or the breath numbers run out; `self` is unchanged then.
     pub fn append(&mut self, other: &Self) -> Result<(), DatasetError> {
         if self.provenance.period_us != other.provenance.period_us {
-            return Err(DatasetError::Different { what: "the control period" });
+            return Err(DatasetError::Different("the control period"));
         }
         if !self.columns().iter().map(|c| c.0).eq(other.columns().iter().map(|c| c.0)) {
-            return Err(DatasetError::Different { what: "their columns" });
+            return Err(DatasetError::Different("their columns"));
         }
         let (Some(&first), Some(&last)) = (other.breath.first(), other.breath.last()) else {
             return Ok(());
         };
         let next = self.breath.last().map_or(Some(0), |last| last.checked_add(1));
         let renumber = |breath: u32| breath.checked_sub(first)?.checked_add(next?);
-        let numbers = DatasetError::Different { what: "breath numbers that can follow on" };
+        let numbers = DatasetError::Different("breath numbers that can follow on");
         renumber(last).ok_or(numbers)?;
 
         let rows = self.len();
@@ -304,7 +304,7 @@ impl Recording {
         }
         below("phase", self.phase.iter().map(|&phase| u32::from(phase)), usize::from(EXPIRATION) + 1)?;
         match (1..self.len()).find(|&row| self.key(row) <= self.key(row - 1)) {
-            Some(row) => Err(DatasetError::Order { row }),
+            Some(row) => Err(DatasetError::Order(row)),
             None => Ok(()),
         }
     }

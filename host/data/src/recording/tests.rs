@@ -240,9 +240,9 @@ fn recordings_that_differ_in_period_or_columns_do_not_join() {
     let mut base = recording(&[], 1);
     let mut slow = recording(&[], 1);
     slow.provenance.period_us = 10_000;
-    assert!(matches!(base.append(&slow), Err(DatasetError::Different { what: "the control period" })));
+    assert!(matches!(base.append(&slow), Err(DatasetError::Different("the control period"))));
     let rich = recording(&Extra::TRUTH, 1);
-    assert!(matches!(base.append(&rich), Err(DatasetError::Different { what: "their columns" })));
+    assert!(matches!(base.append(&rich), Err(DatasetError::Different("their columns"))));
     assert_eq!(base, recording(&[], 1));
 }
 

@@ -68,7 +68,7 @@ impl RecordingWriter {
         // Groups are complete only at the end.
         self.chunk.validate_rows().map_err(|source| self.invalid(source))?;
         if self.last.is_some_and(|last| first <= last) {
-            return Err(self.invalid(DatasetError::Order { row: self.rows }));
+            return Err(self.invalid(DatasetError::Order(self.rows)));
         }
         self.last = self.chunk.key(last);
         self.rows += self.chunk.len();
