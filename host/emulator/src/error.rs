@@ -15,16 +15,14 @@ pub(crate) const LEAST_VERSION: u32 = 10;
 
 /// Why a virtual board does not run.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the message names every field")]
 pub enum EmulatorError {
     /// QEMU is not there.
     #[error("{program} is missing; run: cargo xtask setup", program = PROGRAM)]
     QemuMissing,
     /// QEMU is too old.
-    #[error("{program} is {found}, it must be {least} or newer; run: cargo xtask setup", program = PROGRAM, least = LEAST_VERSION)]
-    QemuTooOld {
-        /// What it says of itself.
-        found: String,
-    },
+    #[error("{program} is {0}, it must be {least} or newer; run: cargo xtask setup", program = PROGRAM, least = LEAST_VERSION)]
+    QemuTooOld(String),
     /// An image is not there, or is none.
     #[error("{} is no ELF image; run: cargo xtask firmware", .0.display())]
     ImageMissing(PathBuf),
@@ -36,38 +34,16 @@ pub enum EmulatorError {
     FolderInUse(PathBuf),
     /// The link's port is taken.
     #[error("port {port} cannot be opened for the link ({error}); choose another, or 0 for any")]
-    Port {
-        /// The port.
-        port: u16,
-        /// Why.
-        error: io::Error,
-    },
+    Port { port: u16, error: io::Error },
     /// QEMU ended before the firmware was started.
     #[error("QEMU ended at its start, {status}:\n{log}")]
-    Ended {
-        /// How.
-        status: ExitStatus,
-        /// What it said.
-        log: String,
-    },
+    Ended { status: ExitStatus, log: String },
     /// The shim did not report.
     #[error("the shim did not start; are {} and {} made for each other? QEMU said:\n{log}", firmware.display(), shim.display())]
-    Silent {
-        /// The firmware's image.
-        firmware: PathBuf,
-        /// The shim's image.
-        shim: PathBuf,
-        /// What QEMU said.
-        log: String,
-    },
+    Silent { firmware: PathBuf, shim: PathBuf, log: String },
     /// Files, pipes or processes.
     #[error("{what}: {error}")]
-    Io {
-        /// What was tried.
-        what: &'static str,
-        /// Why it failed.
-        error: io::Error,
-    },
+    Io { what: &'static str, error: io::Error },
 }
 
 /// Names what was tried when it failed.

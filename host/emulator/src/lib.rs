@@ -3,14 +3,6 @@
 //! QEMU models the core and some of the chip; the package `shim` stands in for the rest. Time on the board is virtual: it
 //! passes with the instructions executed and stands still while the plant computes an answer, so that a run does not
 //! depend on how fast the machine is.
-//!
-//! | file | subject |
-//! |---|---|
-//! | `qemu` | the program and its command line |
-//! | `guardian` | QEMU never outlives the process that started it |
-//! | `pipes` | the plant line, between shim and host |
-//! | `lockstep` | the plant's end of the line |
-//! | `error` | why a board does not run |
 
 #![forbid(unsafe_code)]
 #![cfg(unix)]
@@ -29,7 +21,6 @@ use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
-use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -100,10 +91,10 @@ impl Emulator {
         let (address, link) = port(config.link)?;
         let (debugger, debug_port) = if config.debugger { Some(port(0)?).unzip() } else { (None, None) };
         let plant =
-            PlantThread::start(folder.path(), plant).map_err(tried("cannot open the plant's pipes"))?;
+            PlantThread::start(&folder.path, plant).map_err(tried("cannot open the plant's pipes"))?;
         let command = qemu::command(&images[0], &images[1], config.debugger);
         let log = Path::new(LOG_FILE);
-        let surroundings = Surroundings { folder: folder.path(), log, input: Some(link), output: debug_port };
+        let surroundings = Surroundings { folder: &folder.path, log, input: Some(link), output: debug_port };
         let qemu = Guarded::start(&command, surroundings).map_err(tried("cannot start QEMU"))?;
         let mut emulator = Self { qemu, plant, address, debugger, folder };
         emulator.await_shim(&images)?;
@@ -114,12 +105,9 @@ impl Emulator {
     fn await_shim(&mut self, [firmware, shim]: &[PathBuf; 2]) -> Result<(), EmulatorError> {
         let begun = Instant::now();
         loop {
-            match self.plant.started(LOOK) {
-                Ok(()) => {
-                    self.plant.release();
-                    return Ok(());
-                }
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            if self.plant.started(LOOK) {
+                self.plant.release();
+                return Ok(());
             }
             let ended = self.qemu.exit_status().map_err(tried("cannot look after QEMU"))?;
             if let Some(status) = ended {
@@ -152,7 +140,7 @@ impl Emulator {
 
     /// What QEMU and the shim have said.
     pub fn log(&self) -> String {
-        let log = fs::read(self.folder.path().join(LOG_FILE)).unwrap_or_default();
+        let log = fs::read(self.folder.path.join(LOG_FILE)).unwrap_or_default();
         String::from_utf8_lossy(&log).trim_end().to_owned()
     }
 
@@ -225,10 +213,6 @@ impl Folder {
         Ok(folder)
     }
 
-    fn path(&self) -> &Path {
-        &self.path
-    }
-
     fn flash(&self) -> PathBuf {
         self.path.join(name(shim::FLASH_FILE))
     }
@@ -259,7 +243,7 @@ mod tests {
     #[test]
     fn a_temporary_folder_goes_with_its_board() {
         let folder = Folder::open(None, None).unwrap();
-        let path = folder.path().to_owned();
+        let path = folder.path.clone();
         assert!(path.is_dir());
         drop(folder);
         assert!(!path.exists());

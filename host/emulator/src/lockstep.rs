@@ -68,9 +68,7 @@ impl<P: Plant> LockstepPlant<P> {
             Message::Ready { .. }
             | Message::Pressure { .. }
             | Message::Greeting { .. }
-            | Message::Truth { .. } => {
-                return None;
-            }
+            | Message::Truth { .. } => return None,
         }
         let pressure = self.pressure;
         let message = match frame.message {

@@ -6,7 +6,7 @@
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -38,9 +38,9 @@ impl PlantThread {
         Ok(Self { started, thread: Some(thread), held })
     }
 
-    /// Waits until the shim has started.
-    pub(super) fn started(&self, patience: Duration) -> Result<(), RecvTimeoutError> {
-        self.started.recv_timeout(patience)
+    /// Waits for the shim to start; false if it has not by then.
+    pub(super) fn started(&self, patience: Duration) -> bool {
+        self.started.recv_timeout(patience).is_ok()
     }
 
     /// From here on the line ends when either side does.

@@ -18,10 +18,7 @@ pub(super) fn check() -> Result<(), EmulatorError> {
     let text = String::from_utf8_lossy(&output.stdout);
     match major(&text) {
         Some(major) if major >= LEAST_VERSION => Ok(()),
-        _ => {
-            let found = text.lines().next().unwrap_or_default().to_owned();
-            Err(EmulatorError::QemuTooOld { found })
-        }
+        _ => Err(EmulatorError::QemuTooOld(text.lines().next().unwrap_or_default().to_owned())),
     }
 }
 
