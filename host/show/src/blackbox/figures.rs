@@ -49,7 +49,7 @@ fn section(heading: &str, trace: &RecordedTicks) -> Option<Section> {
                     x_label: "s before the end of the recording".to_owned(),
                     y_label: unit.to_owned(),
                     series,
-                    size: (900, 300),
+                    size: Some((900, 300)),
                     ..Plot::default()
                 })
             })

@@ -7,7 +7,7 @@ use shared::safety::alarms::Action;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
-use super::news::News;
+use super::News;
 use super::words;
 use device::LineCounters;
 

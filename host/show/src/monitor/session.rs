@@ -4,13 +4,14 @@
 //! It only reads and switches telemetry on, again and again, since a device that was restarted has it off. When the line
 //! breaks it opens it again; requests from the meantime are answered as not sent, so that nothing late reaches a device.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
+use std::convert::Infallible;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use shared::link::messages::Request;
 
-use super::news::News;
+use super::News;
 use device::{Device, DeviceError};
 
 /// How often the device is looked at.
@@ -73,8 +74,13 @@ impl Session {
     }
 }
 
-/// The monitor has gone.
-struct Gone;
+/// Why a line is watched no longer.
+enum End {
+    /// The monitor has gone.
+    Gone,
+    /// The line must be opened again.
+    Broken(DeviceError),
+}
 
 struct Watcher {
     device: Device,
@@ -84,14 +90,23 @@ struct Watcher {
 
 impl Watcher {
     fn run(mut self) {
-        while self.watch().is_ok() {}
+        loop {
+            let Err(end) = self.watch_line();
+            match end {
+                End::Broken(reason) if self.reopen(&reason).is_ok() => {}
+                _ => break,
+            }
+        }
         // If it does not answer, it goes on sending to nobody, which does it no harm.
         let _ = self.device.telemetry(false);
     }
 
-    /// Watches until the line breaks, and opens it again.
-    fn watch(&mut self) -> Result<(), Gone> {
-        let reason = self.watch_line()?;
+    /// Refuses the requests that were waiting, since a key pressed before the reconnection referred to the state at that
+    /// time, and tries until the line is open again.
+    fn reopen(&mut self, reason: &DeviceError) -> Result<(), End> {
+        while let Ok(request) = self.requested.try_recv() {
+            self.refuse(request)?;
+        }
         self.tell(News::Lost(reason.to_string()))?;
         loop {
             self.wait_without_line()?;
@@ -103,74 +118,52 @@ impl Watcher {
     }
 
     /// Refuses requests for a moment.
-    fn wait_without_line(&mut self) -> Result<(), Gone> {
+    fn wait_without_line(&mut self) -> Result<(), End> {
         let deadline = Instant::now() + TRY_EVERY;
         loop {
             match self.requested.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(request) => self.refuse(request)?,
                 Err(RecvTimeoutError::Timeout) => return Ok(()),
-                Err(RecvTimeoutError::Disconnected) => return Err(Gone),
+                Err(RecvTimeoutError::Disconnected) => return Err(End::Gone),
             }
         }
     }
 
-    fn refuse(&self, request: Request) -> Result<(), Gone> {
+    fn refuse(&self, request: Request) -> Result<(), End> {
         self.tell(News::Answer { request, result: Err("no connection: nothing was sent".to_owned()) })
     }
 
-    /// Gives the reason why the line can be used no longer.
-    fn watch_line(&mut self) -> Result<DeviceError, Gone> {
+    fn watch_line(&mut self) -> Result<Infallible, End> {
         let mut next_poll = Instant::now();
         loop {
             if Instant::now() >= next_poll {
                 next_poll = Instant::now() + POLL_EVERY;
-                for request in POLLED {
-                    if let Some(broken) = self.ask(request)? {
-                        return self.give_up(broken);
-                    }
-                }
+                POLLED.into_iter().try_for_each(|request| self.ask(request))?;
                 self.tell(News::Traffic(self.device.counters()))?;
             }
             self.pass_events()?;
             match self.requested.recv_timeout(PASS_EVERY) {
-                Ok(request) => {
-                    if let Some(broken) = self.ask(request)? {
-                        return self.give_up(broken);
-                    }
-                }
+                Ok(request) => self.ask(request)?,
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return Err(Gone),
+                Err(RecvTimeoutError::Disconnected) => return Err(End::Gone),
             }
         }
     }
 
-    /// Refuses the requests that were waiting: a key pressed before the reconnection referred to the state at that time.
-    fn give_up(&mut self, reason: DeviceError) -> Result<DeviceError, Gone> {
-        loop {
-            match self.requested.try_recv() {
-                Ok(request) => self.refuse(request)?,
-                Err(TryRecvError::Empty) => return Ok(reason),
-                Err(TryRecvError::Disconnected) => return Err(Gone),
-            }
-        }
-    }
-
-    /// Asks and tells the answer; gives the error after which the line must be opened anew.
-    fn ask(&mut self, request: Request) -> Result<Option<DeviceError>, Gone> {
-        let (result, broken) = match self.device.request(&request) {
-            Ok(response) => (Ok(response), None),
-            Err(error @ (DeviceError::Refused(_) | DeviceError::Unexpected)) => {
-                (Err(error.to_string()), None)
-            }
-            Err(error) => (Err(error.to_string()), Some(error)),
-        };
+    /// Asks and tells the answer.
+    fn ask(&mut self, request: Request) -> Result<(), End> {
+        let answer = self.device.request(&request);
+        let result = answer.as_ref().cloned().map_err(ToString::to_string);
         self.tell(News::Answer { request, result })?;
         // After the answer, which may be older than an alarm that came meanwhile.
         self.pass_events()?;
-        Ok(broken)
+        match answer {
+            Ok(_) | Err(DeviceError::Refused(_) | DeviceError::Unexpected) => Ok(()),
+            Err(broken) => Err(End::Broken(broken)),
+        }
     }
 
-    fn pass_events(&self) -> Result<(), Gone> {
+    fn pass_events(&self) -> Result<(), End> {
         self.device
             .events()
             .try_iter()
@@ -178,7 +171,7 @@ impl Watcher {
             .try_for_each(|event| self.tell(News::Event(event)))
     }
 
-    fn tell(&self, news: News) -> Result<(), Gone> {
-        self.told.send(news).map_err(|_| Gone)
+    fn tell(&self, news: News) -> Result<(), End> {
+        self.told.send(news).map_err(|_| End::Gone)
     }
 }

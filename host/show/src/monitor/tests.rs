@@ -19,8 +19,8 @@ use shared::timing::{BINS, CycleStats, TickTimes};
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState};
 
+use super::News;
 use super::draw::draw;
-use super::news::News;
 use super::plain::Lines;
 use super::terminal::{Pressed, meaning};
 use super::view::{Key, Notice, PIP_STEP, RATE_STEP, View};

@@ -14,7 +14,7 @@ use shared::settings::Settings;
 use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 
-use super::news::News;
+use super::News;
 use super::window::TelemetryWindow;
 use super::words;
 use device::LineCounters;
@@ -66,7 +66,7 @@ pub enum Notice {
 }
 
 /// What is known of a device.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct View {
     pub(super) address: String,
     pub(super) lost: Option<String>,
@@ -96,21 +96,9 @@ impl View {
     pub fn new(address: impl Into<String>, gains: PidGains) -> Self {
         Self {
             address: address.into(),
-            lost: None,
-            identity: None,
-            mode: None,
-            controller: None,
-            in_force: None,
-            pending: None,
-            times: None,
-            traffic: LineCounters::default(),
-            window: TelemetryWindow::new(SECONDS, shared::breath::DEFAULT_PERIOD_US),
-            breaths: VecDeque::new(),
-            alarms: VecDeque::new(),
-            message: None,
             gains,
-            asked: None,
-            under_way: 0,
+            window: TelemetryWindow::new(SECONDS, shared::breath::DEFAULT_PERIOD_US),
+            ..Self::default()
         }
     }
 

@@ -13,8 +13,8 @@ type Taken = (u64, Sample);
 /// What a chart draws: seconds before now (negative), value.
 pub type Points = Vec<(f64, f64)>;
 
-/// Samples of the last seconds.
-#[derive(Clone, Debug)]
+/// Samples of the last seconds; by default of none.
+#[derive(Clone, Debug, Default)]
 pub struct TelemetryWindow {
     samples: VecDeque<Taken>,
     ticks: u64,

@@ -56,10 +56,22 @@ pub fn identity(identity: &DeviceIdentity) -> String {
     format!("{}, firmware {major}.{minor}.{patch}, tick {period} us", device(identity.device))
 }
 
+/// A setting's name.
+pub fn name(field: &Field) -> String {
+    field.name.replace('_', " ")
+}
+
+/// A setting in force with its unit, and its next value where that is another.
+pub fn setting(field: &Field, in_force: &Settings, pending: Option<&Settings>) -> String {
+    let now = field.value(in_force);
+    let next = pending.map(|pending| field.value(pending)).filter(|next| next.total_cmp(&now).is_ne());
+    let next = next.map_or_else(String::new, |next| format!(", {next} from the next breath on"));
+    format!("{now} {}{next}", field.unit)
+}
+
 /// Every setting with its unit.
 pub fn settings(settings: &Settings) -> String {
-    let one =
-        |field: &Field| format!("{} {} {}", field.name.replace('_', " "), field.value(settings), field.unit);
+    let one = |field: &Field| format!("{} {}", name(field), setting(field, settings, None));
     FIELDS.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 

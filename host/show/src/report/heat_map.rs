@@ -77,7 +77,7 @@ impl HeatMap {
         if let Some(value) = values().find(|value| !(*value > 0.0 && value.is_finite())) {
             return Err(ReportError::NotPositive { plot: self.title.clone(), value });
         }
-        values().reduce(f64::min).ok_or_else(|| ReportError::Empty { plot: self.title.clone() })
+        values().reduce(f64::min).ok_or_else(|| ReportError::Empty(self.title.clone()))
     }
 
     /// Left upper corner of a cell.

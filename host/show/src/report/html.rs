@@ -114,7 +114,8 @@ impl Block {
 
 fn smaller(plot: &Plot) -> Plot {
     let scale = |pixels: u32, share: f64| (f64::from(pixels) * share).round() as u32;
-    Plot { size: (scale(plot.size.0, ROW_SHARE.0), scale(plot.size.1, ROW_SHARE.1)), ..plot.clone() }
+    let (width, height) = plot.size();
+    Plot { size: Some((scale(width, ROW_SHARE.0), scale(height, ROW_SHARE.1))), ..plot.clone() }
 }
 
 fn figures(class: &str, figures: &str) -> String {
@@ -166,16 +167,6 @@ fn details(summary: &str, text: &str) -> String {
 
 /// Text that HTML takes as text.
 pub(super) fn escape(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => safe += "&amp;",
-            '<' => safe += "&lt;",
-            '>' => safe += "&gt;",
-            '"' => safe += "&quot;",
-            '\'' => safe += "&#39;",
-            other => safe.push(other),
-        }
-    }
-    safe
+    let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    text.replace('"', "&quot;").replace('\'', "&#39;")
 }

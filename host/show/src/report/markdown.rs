@@ -75,15 +75,9 @@ fn image(plot: &Plot) -> String {
 
 /// The plot's file, named after its title.
 fn figure(plot: &Plot) -> String {
-    let name: String =
-        plot.title.to_lowercase().split(|c: char| !c.is_alphanumeric()).fold(String::new(), |name, word| {
-            match (name.is_empty(), word.is_empty()) {
-                (_, true) => name,
-                (true, false) => word.to_owned(),
-                (false, false) => format!("{name}-{word}"),
-            }
-        });
-    format!("figures/{name}.svg")
+    let title = plot.title.to_lowercase();
+    let words = title.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());
+    format!("figures/{}.svg", words.collect::<Vec<_>>().join("-"))
 }
 
 #[cfg(test)]
@@ -94,7 +88,7 @@ mod tests {
     #[test]
     fn tables_and_figures_become_markdown_and_files() {
         let mut table = Table::new("Errors, cmH2O", &["lung", "error"]);
-        table.row(vec![Cell::text("R20C20"), Cell::number(0.912, 3).best()]);
+        table.row(vec![Cell::text("R20C20"), Cell::number(0.912, 3).best_if(true)]);
         let plot = Plot {
             title: "Score, by lung".into(),
             series: vec![Series::new("s", Style::Line, vec![(0.0, 1.0), (1.0, 2.0)])],

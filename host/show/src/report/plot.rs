@@ -47,7 +47,7 @@ impl Series {
 }
 
 /// A plot with two axes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Plot {
     /// Line above the plot.
     pub title: String,
@@ -65,24 +65,8 @@ pub struct Plot {
     pub x_range: Option<(f64, f64)>,
     /// Logarithmic vertical axis.
     pub log_y: bool,
-    /// Width and height in pixels.
-    pub size: (u32, u32),
-}
-
-impl Default for Plot {
-    fn default() -> Self {
-        Self {
-            title: String::new(),
-            x_label: String::new(),
-            y_label: String::new(),
-            series: Vec::new(),
-            y_range: None,
-            x_names: Vec::new(),
-            x_range: None,
-            log_y: false,
-            size: (800, 400),
-        }
-    }
+    /// Width and height in pixels; `None` is 800 x 400.
+    pub size: Option<(u32, u32)>,
 }
 
 /// Okabe and Ito's colours, which stay apart for colour-blind readers; yellow is left out, being too pale on white.
@@ -94,6 +78,8 @@ const PALETTE: [RGBColor; 6] = [
     RGBColor(86, 180, 233),
     RGBColor(230, 159, 0),
 ];
+/// Width and height of most plots, pixels.
+const SIZE: (u32, u32) = (800, 400);
 const INK: RGBColor = RGBColor(34, 34, 34);
 const FAINT: RGBColor = RGBColor(228, 228, 228);
 
@@ -121,12 +107,22 @@ type Drawn = Result<(), String>;
 type Height = Result<u32, String>;
 
 impl Plot {
+    /// Curves over seconds.
+    pub fn over_time(title: impl Into<String>, y_label: &str, series: Vec<Series>) -> Self {
+        let (x_label, y_label) = ("time, s".to_owned(), y_label.to_owned());
+        Self { title: title.into(), x_label, y_label, series, ..Self::default() }
+    }
+
     /// The plot as an SVG document.
     ///
     /// # Errors
     /// If there is no point, a point is not finite, a value on a logarithmic axis is not positive, or a range is none.
     pub fn to_svg(&self) -> Result<String, ReportError> {
         Ok(self.drawing()?.to_document())
+    }
+
+    pub(super) fn size(&self) -> (u32, u32) {
+        self.size.unwrap_or(SIZE)
     }
 
     pub(super) fn drawing(&self) -> Result<Svg, ReportError> {
@@ -137,7 +133,7 @@ impl Plot {
         let failed = |detail: String| ReportError::Draw { plot: self.title.clone(), detail };
         self.draw(&mut document, x, y).map_err(failed)?;
         let elements = svg::elements(&document).ok_or_else(|| failed("no SVG document came".to_owned()))?;
-        let (width, height) = (f64::from(self.size.0), f64::from(self.size.1));
+        let (width, height) = (f64::from(self.size().0), f64::from(self.size().1));
         let fine = f64::from(FINE);
         Ok(Svg {
             size: (width, height),
@@ -155,7 +151,7 @@ impl Plot {
             }
         }
         if self.series.iter().all(|series| series.points.is_empty()) {
-            return Err(ReportError::Empty { plot: self.title.clone() });
+            return Err(ReportError::Empty(self.title.clone()));
         }
         let mut values = self.series.iter().flat_map(|series| &series.points).map(|point| point.1);
         match values.find(|&value| self.log_y && value <= 0.0) {
@@ -196,7 +192,7 @@ impl Plot {
     }
 
     fn draw(&self, svg: &mut String, x: Limits, y: Limits) -> Drawn {
-        let canvas = (self.size.0 * FINE, self.size.1 * FINE);
+        let canvas = (self.size().0 * FINE, self.size().1 * FINE);
         let root = SVGBackend::with_string(svg, canvas).into_drawing_area();
         root.fill(&WHITE).map_err(text)?;
         let header = self.draw_header(&root)?;
@@ -223,7 +219,7 @@ impl Plot {
             self.series.iter().zip(self.colors()).filter(|(series, _)| !series.name.is_empty())
         {
             let width = SAMPLE + 6 + text_width(&series.name) + 16;
-            if any && left + width > self.size.0 {
+            if any && left + width > self.size().0 {
                 (left, top) = (MARGIN, top + LINE_HEIGHT);
             }
             let middle = top + LINE_HEIGHT / 2;
@@ -251,13 +247,13 @@ impl Plot {
 
     /// How many marks the vertical axis has room for.
     fn y_marks(&self) -> usize {
-        (self.size.1 / 45).max(3) as usize
+        (self.size().1 / 45).max(3) as usize
     }
 
     /// How many marks the horizontal axis has room for.
     fn x_marks(&self) -> usize {
         match self.x_names.len() {
-            0 => (self.size.0 / 75).max(3) as usize,
+            0 => (self.size().0 / 75).max(3) as usize,
             names => names + 1,
         }
     }
@@ -369,10 +365,9 @@ fn draw_sample(root: &Area, style: Style, color: RGBColor, left: u32, middle: u3
         root.draw(&PathElement::new(ends, color.stroke_width(2 * FINE))).map_err(text)?;
     }
     if style == Style::Bars {
-        let corners = [at(left + SAMPLE / 2 - 5), at(left + SAMPLE / 2 + 5)];
-        let [(x0, y), (x1, _)] = corners;
-        let half = (5 * FINE) as i32;
-        root.draw(&Rectangle::new([(x0, y - half), (x1, y + half)], color.filled())).map_err(text)?;
+        let (x, y, half) = ((left + SAMPLE / 2) * FINE, middle * FINE, 5 * FINE);
+        let corners = [(x - half, y - half), (x + half, y + half)].map(|(x, y)| (x as i32, y as i32));
+        root.draw(&Rectangle::new(corners, color.filled())).map_err(text)?;
     }
     if style == Style::Points {
         root.draw(&Circle::new(at(left + SAMPLE / 2), 3 * FINE, color.filled())).map_err(text)?;

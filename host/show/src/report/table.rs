@@ -44,13 +44,7 @@ impl Cell {
         Self { text: text.into(), numeric: true, best: false }
     }
 
-    /// Marks the best of its kind: a star, bold where there is bold.
-    #[must_use]
-    pub fn best(self) -> Self {
-        self.best_if(true)
-    }
-
-    /// [`Self::best`] on a condition.
+    /// Marks the best of its kind, if it is that: a star, bold where there is bold.
     #[must_use]
     pub fn best_if(self, best: bool) -> Self {
         Self { best, ..self }

@@ -6,7 +6,11 @@ use data::provenance::Provenance;
 fn table() -> Table {
     let mut table = Table::new("Error over the inspiration", &["controller", "error, cmH2O", "overshoot, %"]);
     table.row(vec![Cell::text("PID"), Cell::number(1.374, 2), Cell::number(12.0, 1)]);
-    table.row(vec![Cell::text("residual <32>"), Cell::number(1.118, 2).best(), Cell::number(3.2, 1).best()]);
+    table.row(vec![
+        Cell::text("residual <32>"),
+        Cell::number(1.118, 2).best_if(true),
+        Cell::number(3.2, 1).best_if(true),
+    ]);
     table.row(vec![Cell::text("none"), Cell::number(f64::NAN, 2)]);
     table
 }
