@@ -79,6 +79,9 @@ fields! {
     pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0, "Pressure above which a breath is ended";
 }
 
+/// Every setting but PIP, which stands first: what the waveforms of a run have in common.
+pub const TEMPLATE_FIELDS: &[Field] = FIELDS.split_at(1).1;
+
 /// Reason for refusing settings.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SettingsError {

@@ -6,7 +6,7 @@ mod tests;
 
 use thiserror::Error;
 
-use crate::pipeline::PAPER_PERIOD_US;
+use crate::pipeline::{PAPER_PEEP, PAPER_PERIOD_US};
 use crate::simulator::episode::{Episode, channels, split, ventilators, whole_breaths};
 use crate::simulator::fit::{Fit, FitConfig};
 use crate::simulator::hybrid::HybridConfig;
@@ -116,9 +116,33 @@ pub enum RecipeError {
     /// A hybrid of unknown lungs.
     #[error("the hybrid needs R and C of every lung, which this recording does not name: fit state-space")]
     UnknownLungs,
+    /// Another control period than that of the paper's authors, microseconds.
+    #[error(
+        "the recording's control period is {0} us, that of paper-30ms {PAPER_PERIOD_US}: collect one with --period-us \
+         {PAPER_PERIOD_US}, or leave --preset out"
+    )]
+    NotPaperPeriod(u32),
+    /// A PEEP that the paper's authors do not have, cmH2O.
+    #[error("the recording has breaths at PEEP {0} cmH2O, paper-30ms has {PAPER_PEEP}")]
+    NotPaperPeep(f32),
     /// A loss that is no number.
     #[error("the fit diverged in epoch {0}: check the recording for jumps, or try another --seed")]
     Diverged(usize),
+}
+
+/// Whether a recording was made in the setting of the paper's authors, as far as it tells.
+///
+/// # Errors
+/// What differs.
+pub fn check_paper_setting(recording: &Recording) -> Result<(), RecipeError> {
+    let period_us = recording.provenance.period_us;
+    if period_us != PAPER_PERIOD_US {
+        return Err(RecipeError::NotPaperPeriod(period_us));
+    }
+    match recording.peep.iter().find(|peep| (**peep - PAPER_PEEP).abs() > f32::EPSILON) {
+        Some(peep) => Err(RecipeError::NotPaperPeep(*peep)),
+        None => Ok(()),
+    }
 }
 
 /// Breaths by what they are for.

@@ -2,14 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
 use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
 
 use super::bars::with_bars;
-use super::common::write_json;
-use super::output::OutputArgs;
-use data::files::write_atomically;
+use super::output::{OutputArgs, write, write_json};
 use device::Device;
 use device::blackbox::Blackbox;
 use device::port::Address;
@@ -70,7 +67,6 @@ fn kind(path: &Path) -> Option<&str> {
     path.extension().and_then(|extension| extension.to_str())
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut device = Device::connect(&args.port)?;
     let identity = device.identify()?;
@@ -81,13 +77,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.output.table(&events(&blackbox, args.events));
     let found = Found { port, identity: &identity, blackbox: &blackbox };
     if let Some(path) = &args.out {
-        save(path, &found)?;
-        args.output.line(&format!("saved {}", path.display()));
+        match kind(path) {
+            Some("csv") => write(path, csv(&blackbox).as_bytes())?,
+            _ => write_json(path, &found)?,
+        }
+        args.output.saved(path);
     }
-    if let Some(path) = &args.html {
-        report(&blackbox, &name).save(path)?;
-        args.output.line(&format!("saved {}", path.display()));
-    }
+    args.output.report(args.html.as_ref(), || Ok(report(&blackbox, &name)))?;
     args.output.finish(&found)?;
     // Only what is saved is given up.
     if args.clear {
@@ -95,13 +91,4 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line("the recording is emptied; the log stays");
     }
     Ok(())
-}
-
-fn save(path: &Path, found: &Found) -> anyhow::Result<()> {
-    match kind(path) {
-        Some("csv") => write_atomically(path, csv(found.blackbox).as_bytes())
-            .with_context(|| format!("cannot write {}", path.display())),
-        Some("json") => write_json(path, found),
-        _ => bail!("{} is neither CSV nor JSON", path.display()),
-    }
 }

@@ -63,7 +63,6 @@ struct Summary<'a> {
     complete: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let benches = benches(&args.lung, &args.bench)?;
     let search = BoundConfig { seed: args.seed, effort: args.effort, trace: args.trace };

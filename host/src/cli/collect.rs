@@ -18,7 +18,7 @@ use data::recording;
 use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
-use ventilator::{BenchSource, PlantSource, SharedLink, Source, SourceError};
+use ventilator::{BenchSource, PlantSource, SharedLink, Source};
 
 /// Record breaths with random perturbations of a known-good controller, as in the paper
 #[derive(Debug, clap::Args)]
@@ -125,12 +125,13 @@ struct Summary {
     complete: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plant = args.plant.connect()?;
     let chosen = args.controller.chosen(plant.as_ref())?;
     let config = config(args)?;
-    let (mut collected, failure) = match record(args, plant, &chosen, &config)? {
+    let mut source = source(args, plant, &chosen, &config)?;
+    let recorded = with_bars(|progress| collect(source.as_mut(), &chosen.controller, &config, progress));
+    let (mut collected, failure) = match recorded {
         Ok(collected) => (collected, None),
         Err(CollectError::Interrupted { reason, collected }) => (*collected, Some(reason)),
         Err(error) => return Err(error.into()),
@@ -144,10 +145,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     collected.recording.save(&args.out)?;
     let summary = summary(args, &chosen, &config, &collected);
     args.output.table(&table(&summary));
-    args.output.line(&format!("saved {}", args.out.display()));
+    args.output.saved(&args.out);
     args.output.finish(&summary)?;
     if let Some(reason) = failure {
-        return Err(interrupted(args, &summary, reason));
+        let (breaths, plant, file) = (summary.breaths, &summary.plant, args.out.display());
+        return Err(anyhow::Error::new(reason).context(format!(
+            "cannot collect any further from {plant}: {breaths} whole breaths are saved in {file}"
+        )));
     }
     if !summary.complete && !stopped() {
         bail!(
@@ -172,32 +176,22 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
     })
 }
 
-/// What to say when the source failed on the way.
-fn interrupted(args: &Args, summary: &Summary, reason: SourceError) -> anyhow::Error {
-    let (breaths, file) = (summary.breaths, args.out.display());
-    anyhow::Error::new(reason).context(format!(
-        "cannot collect any further from {}: {breaths} whole breaths are saved in {file}",
-        summary.plant
-    ))
-}
-
-/// What was collected, or why nothing was; the outer error is that of a source which cannot be made.
-fn record(
+/// What breathes: a device, a plant of the user's own, or the bench.
+fn source(
     args: &Args,
     plant: Option<SharedLink>,
     chosen: &Chosen,
     config: &CollectConfig,
-) -> anyhow::Result<Result<Collected, CollectError>> {
-    let controller = &chosen.controller;
-    let mut source: Box<dyn Source> = if let Some(address) = &args.port.port {
+) -> anyhow::Result<Box<dyn Source>> {
+    let (controller, period_us) = (chosen.controller.clone(), chosen.period_us);
+    Ok(if let Some(address) = &args.port.port {
         Box::new(port_args::source(address, chosen, config.seed)?)
     } else if let Some(link) = plant {
-        Box::new(PlantSource::new(link, controller.clone(), chosen.period_us, config.seed))
+        Box::new(PlantSource::new(link, controller, period_us, config.seed))
     } else {
-        let (bench, period_us) = (args.bench.one()?, chosen.period_us);
-        Box::new(BenchSource::new(&bench, controller.clone(), &config.settings, period_us, config.seed)?)
-    };
-    Ok(with_bars(|progress| collect(source.as_mut(), controller, config, progress)))
+        let bench = args.bench.one()?;
+        Box::new(BenchSource::new(&bench, controller, &config.settings, period_us, config.seed)?)
+    })
 }
 
 fn summary(args: &Args, chosen: &Chosen, config: &CollectConfig, collected: &Collected) -> Summary {

@@ -1,16 +1,11 @@
-//! What commands share: arguments for lungs and gains, Ctrl-C, JSON output.
+//! What commands share: arguments for lungs, gains and presets, Ctrl-C.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, bail};
-use serde::Serialize;
-use shared::control::Controller;
-use shared::control::pid::{Pid, PidGains};
+use anyhow::bail;
+use shared::control::pid::PidGains;
 
-use data::files::write_json_indented;
-use learn::controller::learned::Learned;
 use plant::bench::BenchConfig;
 
 static STOP: AtomicBool = AtomicBool::new(false);
@@ -36,6 +31,14 @@ pub fn stop() -> &'static AtomicBool {
 /// Whether Ctrl-C was pressed.
 pub fn stopped() -> bool {
     STOP.load(Ordering::Relaxed)
+}
+
+/// Settings of others under one name; what is typed beside it has precedence.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Preset {
+    /// The paper's authors: 30 ms, PEEP 5 cmH2O, their exploration, PID and simulator
+    #[value(name = "paper-30ms")]
+    Paper30Ms,
 }
 
 /// Which bench.
@@ -95,24 +98,4 @@ pub fn gains(text: &str) -> Result<PidGains, String> {
         [p, i, d] => Ok(PidGains { p, i, d }),
         _ => Err("write two or three gains, P,I,D as in 2,30,0.01".into()),
     }
-}
-
-/// A PID at a control period.
-pub fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<Controller> {
-    Ok(Controller::Pid(Pid::new(gains, period_us)?))
-}
-
-/// A controller from its file.
-pub fn learned(path: &Path) -> anyhow::Result<Learned> {
-    Ok(Learned::load(path)?)
-}
-
-/// Writes JSON to a file, or to standard output for `-`.
-pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
-    if path == Path::new("-") {
-        let text = serde_json::to_string_pretty(value)? + "\n";
-        std::io::stdout().write_all(text.as_bytes())?;
-        return Ok(());
-    }
-    write_json_indented(path, value).with_context(|| format!("cannot write {}", path.display()))
 }

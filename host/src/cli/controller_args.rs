@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use shared::control::Controller;
-use shared::control::pid::PidGains;
-use shared::control::residual::Residual;
+use shared::control::pid::{Pid, PidGains};
 use shared::device::KNOWN_GOOD;
 use shared::weights::decode;
 
 use super::{common, plant_args};
+use learn::controller::learned::Learned;
 use ventilator::SharedLink;
 
 /// Which controller.
@@ -53,9 +53,6 @@ impl Chosen {
 
 impl ControllerArgs {
     /// The controller meant, for a plant if it is one.
-    ///
-    /// # Errors
-    /// A file that holds no sound controller, one that is trained for another control period, or impossible gains.
     pub fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
         let chosen = self.built(plant)?;
         match plant_args::own_period_us(plant) {
@@ -71,14 +68,14 @@ impl ControllerArgs {
     fn built(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
         match (&self.controller, &self.weights) {
             (Some(file), _) => {
-                let image = common::learned(file)?.image()?;
+                let image = Learned::load(file)?.image()?;
                 self.learned(file, image)
             }
             (None, Some(file)) => self.learned(file, read(file)?),
             (None, None) => {
                 let gains = self.gains.unwrap_or(KNOWN_GOOD);
                 let period_us = plant_args::period_us(self.period_us, plant)?;
-                let (controller, name) = (common::pid(gains, period_us)?, format_gains(&gains));
+                let (controller, name) = (Controller::Pid(Pid::new(gains, period_us)?), format_gains(&gains));
                 Ok(Chosen { controller, period_us, weights_id: None, image: None, name })
             }
         }
@@ -86,8 +83,7 @@ impl ControllerArgs {
 
     fn learned(&self, file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
         let image = decode(&bytes).with_context(|| file.display().to_string())?;
-        let residual: Residual = image.residual;
-        let period_us = residual.spec().period_us;
+        let period_us = image.residual.spec().period_us;
         if let Some(asked) = self.period_us.filter(|asked| *asked != period_us) {
             bail!(
                 "{} is trained for a control period of {period_us} us, not {asked}: leave --period-us out",
@@ -95,7 +91,7 @@ impl ControllerArgs {
             );
         }
         Ok(Chosen {
-            controller: Controller::Residual(residual),
+            controller: Controller::Residual(image.residual),
             period_us,
             weights_id: Some(image_id(image.id)),
             image: Some(bytes),
@@ -105,9 +101,6 @@ impl ControllerArgs {
 }
 
 /// The bytes of a file.
-///
-/// # Errors
-/// A file that cannot be read.
 pub fn read(file: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))
 }

@@ -65,7 +65,6 @@ enum Board {
     Qemu,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let config = DemoConfig {
         bench: args.bench.one()?,

@@ -6,7 +6,7 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
-use shared::control::pid::PidGains;
+use shared::control::pid::{Pid, PidGains};
 
 use super::bars::with_bars;
 use super::common::{self, BenchArgs, stopped};
@@ -128,7 +128,8 @@ impl Setup {
             }
             (None, None) => Box::new(bench.insert(args.bench.one()?).clone()),
         };
-        Ok(Self { ground, bench, pressure, pid: common::pid(gains, chosen.period_us)?, plan, chosen })
+        let pid = Controller::Pid(Pid::new(gains, chosen.period_us)?);
+        Ok(Self { ground, bench, pressure, pid, chosen, plan })
     }
 
     /// The learned controller, if there is one.
@@ -137,7 +138,6 @@ impl Setup {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let setup = Setup::new(args)?;
     let Setup { ground, pid, plan, .. } = &setup;
@@ -151,10 +151,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if stopped() {
         args.output.line("stopped: the waveforms run so far");
     }
-    if let Some(path) = &args.report {
-        report(args, &setup, &comparison)?.save(path)?;
-        args.output.line(&format!("saved {}", path.display()));
-    }
+    args.output.report(args.report.as_ref(), || report(args, &setup, &comparison))?;
     args.output.finish(&Summary {
         seed: args.seed,
         lung: setup.bench.filter(|_| args.bench.bench.is_none()).map(|bench| bench.name),
@@ -217,19 +214,12 @@ fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Sectio
         pressure.push(Series::new(*name, Style::Line, points(trace, &trace.pressure)));
         valve.push(Series::new(*name, Style::Line, points(trace, &trace.u_in)));
     }
-    let plot = |title: &str, y_label: &str, series| Plot {
-        title: title.to_owned(),
-        x_label: "time, s".into(),
-        y_label: y_label.to_owned(),
-        series,
-        ..Plot::default()
-    };
     Ok(Section {
         heading: format!("PIP {pip} cmH2O"),
         text: String::new(),
         blocks: vec![Block::PlotRow(vec![
-            plot("True airway pressure", "pressure, cmH2O", pressure),
-            plot("Inspiratory valve", "command, percent", valve),
+            Plot::over_time("True airway pressure", "pressure, cmH2O", pressure),
+            Plot::over_time("Inspiratory valve", "command, percent", valve),
         ])],
     })
 }

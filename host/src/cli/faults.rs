@@ -57,7 +57,6 @@ struct Summary {
     rows: Vec<FaultRow>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let lungs = benches(&args.lung, &[])?;
     match (args.nominal, args.mutate) {
@@ -75,9 +74,7 @@ fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
     let rows = with_bars(|progress| matrix(lungs, &args.seeds, monitors, progress))?;
     let table = table(&rows);
     args.output.table(&table);
-    if let Some(path) = &args.html {
-        report(table).save(path.clone())?;
-    }
+    args.output.report(args.html.as_ref(), || Ok(report(table)))?;
     let (failed, all) = (rows.iter().filter(|row| !row.pass).count(), rows.len());
     args.output.finish(&Summary { rows })?;
     if failed > 0 {

@@ -10,8 +10,8 @@ use anyhow::Context;
 use clap::ValueEnum;
 
 use super::bars::with_bars;
+use super::common::Preset;
 use super::output::OutputArgs;
-use super::preset::Preset;
 use data::identity::LungParameters;
 use data::recording::Recording;
 use judge::simulator::{FitSummary, RESPONSE_S};
@@ -100,10 +100,11 @@ impl From<Kind> for recipe::Kind {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let recording = load(&args.data)?;
-    args.preset.map_or(Ok(()), |preset| preset.check(&recording))?;
+    if args.preset == Some(Preset::Paper30Ms) {
+        recipe::check_paper_setting(&recording)?;
+    }
     let recipe = recipe(args);
     let architecture = recipe.architecture(&recording)?;
     let all = episodes(&recording, architecture.timing());
@@ -121,12 +122,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line(&format!("stopped after {} epochs", summary.epochs));
     }
     if let Some(path) = &args.out {
-        args.output.line(&format!("saved {}", path.display()));
+        args.output.saved(path);
     }
-    if let Some(path) = &args.report {
-        report::report(&summary, &fitted, &parts, &recording).save(path)?;
-        args.output.line(&format!("saved {}", path.display()));
-    }
+    args.output.report(args.report.as_ref(), || Ok(report::report(&summary, &fitted, &parts, &recording)))?;
     args.output.finish(&summary)
 }
 

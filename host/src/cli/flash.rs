@@ -5,7 +5,6 @@ use std::process::Command;
 
 use anyhow::{Context, bail};
 use serde::Serialize;
-use shared::link::messages::DeviceIdentity;
 use shared::weights::decode;
 use shared::weights::slots::Slot;
 
@@ -57,7 +56,6 @@ struct Summary {
     running: Option<String>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match (&args.weights, &args.port, &args.firmware) {
         (Some(weights), Some(port), _) => flash_weights(args, weights, port),
@@ -78,21 +76,16 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
     if args.no_reset {
         args.output.line("they run after the next restart");
     } else {
-        summary.running = running(&device.restart()?);
-        match summary.running.as_ref() {
-            Some(running) if *running == id => args.output.line("restarted: they run now"),
-            other => bail!(
-                "after the restart the device runs {}; look at it with: trainer identify --port {port}",
-                other.map_or("no weights", String::as_str)
-            ),
+        summary.running = device.restart()?.running_id().map(image_id);
+        let running = summary.running.as_deref().unwrap_or("no weights");
+        if running != id {
+            bail!(
+                "after the restart the device runs {running}; look at it with: trainer identify --port {port}"
+            );
         }
+        args.output.line("restarted: they run now");
     }
     args.output.finish(&summary)
-}
-
-/// Name of the weights that were loaded at the start.
-fn running(identity: &DeviceIdentity) -> Option<String> {
-    identity.running_id().map(image_id)
 }
 
 fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {

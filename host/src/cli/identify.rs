@@ -54,7 +54,6 @@ struct LungArgs {
     report: Option<PathBuf>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match (&args.port, &args.data) {
         (Some(port), _) => connected::run(port, &args.output),

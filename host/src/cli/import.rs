@@ -27,44 +27,29 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum From {
-    Respiraworks(RespiraworksArgs),
-    Kaggle(KaggleArgs),
-    Csv(CsvArgs),
-}
-
-#[derive(Debug, clap::Args)]
-#[command(
-    about = "The RespiraWorks ventilator's test runs: 100 Hz, blower, test lung",
-    after_help = "\
+    #[command(
+        about = "The RespiraWorks ventilator's test runs: 100 Hz, blower, test lung",
+        after_help = "\
 Examples:
   trainer import respiraworks CT_AIR.csv --out ct-air.parquet
   trainer import respiraworks CT_AIR.csv NPV_AIR.csv --out air.parquet --json -"
-)]
-struct RespiraworksArgs {
-    #[command(flatten)]
-    files: FileArgs,
-}
-
-#[derive(Debug, clap::Args)]
-#[command(
-    about = "The layout of the Kaggle competition 'Ventilator Pressure Prediction'",
-    after_help = "\
+    )]
+    Respiraworks(FileArgs),
+    /// The layout of the Kaggle competition 'Ventilator Pressure Prediction'
+    #[command(after_help = "\
 Examples:
   trainer import kaggle train.csv --out kaggle.parquet
   trainer import kaggle train.csv --out kaggle.parquet --json summary.json
 
 Columns breath_id, R, C, time_step, u_in, u_out and pressure. The uneven time steps of every breath
-are put on an even grid of their median. The file is streamed: six million rows need less than 1 GiB."
-)]
-struct KaggleArgs {
-    #[command(flatten)]
-    files: FileArgs,
+are put on an even grid of their median. The file is streamed: six million rows need less than 1 GiB.")]
+    Kaggle(FileArgs),
+    Csv(CsvArgs),
 }
 
+/// Any table, with a column map that says which column is what, in which unit
 #[derive(Debug, clap::Args)]
-#[command(
-    about = "Any table, with a column map that says which column is what, in which unit",
-    after_help = "\
+#[command(after_help = "\
 Examples:
   trainer import csv measured.csv --map columns.toml --out measured.parquet
 
@@ -83,8 +68,7 @@ The least column map, for a table with time in ms, pressure in hPa and valve com
   column = \"exhale\"
   unit = \"share\"
 
-docs/RECORDINGS.md has every name and unit."
-)]
+docs/RECORDINGS.md has every name and unit.")]
 struct CsvArgs {
     /// Which column is what
     #[arg(long, value_name = "COLUMNS.toml")]
@@ -106,11 +90,10 @@ struct FileArgs {
     output: OutputArgs,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.from {
-        From::Respiraworks(args) => import(&args.files, &ColumnMap::respiraworks()?),
-        From::Kaggle(args) => import(&args.files, &ColumnMap::kaggle()?),
+        From::Respiraworks(files) => import(files, &ColumnMap::respiraworks()?),
+        From::Kaggle(files) => import(files, &ColumnMap::kaggle()?),
         From::Csv(args) => {
             let map = ColumnMap::load(&args.map).with_context(|| args.map.display().to_string())?;
             import(&args.files, &map)
@@ -122,6 +105,6 @@ fn import(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
     let layout = map.layout()?;
     let summary = with_bars(|progress| data::import::import(&args.files, &layout, &args.out, progress))?;
     args.output.line(&summary.to_string());
-    args.output.line(&format!("saved {}", args.out.display()));
+    args.output.saved(&args.out);
     args.output.finish(&summary)
 }

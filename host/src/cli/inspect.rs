@@ -38,7 +38,6 @@ pub struct Args {
 /// Name and value of everything worth knowing, in order.
 type Facts = Vec<(&'static str, Value)>;
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(name) = &args.bench {
         let bench = BenchConfig::from_name(name)?;
@@ -84,9 +83,6 @@ fn image(image: &Image) -> anyhow::Result<Facts> {
 }
 
 fn controller(spec: &ResidualSpec) -> anyhow::Result<Facts> {
-    let Value::Object(features) = serde_json::to_value(spec.features)? else {
-        bail!("the features have no names");
-    };
     let ResidualSpec { period_us, gains, lambda, authority, .. } = spec;
     Ok(vec![
         ("network", json!(Network::SHAPE)),
@@ -95,7 +91,7 @@ fn controller(spec: &ResidualSpec) -> anyhow::Result<Facts> {
         ("gains P, I, D", json!([gains.p, gains.i, gains.d])),
         ("lambda", json!(lambda)),
         ("authority, percent", json!(authority)),
-        ("features", Value::Object(features)),
+        ("features", serde_json::to_value(spec.features)?),
     ])
 }
 

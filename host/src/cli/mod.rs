@@ -23,7 +23,6 @@ mod output;
 mod pack;
 mod plant_args;
 mod port_args;
-mod preset;
 #[cfg(unix)]
 mod qemu;
 mod reproduce;

@@ -8,7 +8,7 @@ use serde::Serialize;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
 use shared::link::messages::DeviceIdentity;
-use shared::settings::{FIELDS, Field, Settings};
+use shared::settings::{FIELDS, Settings};
 use shared::timing::TickTimes;
 
 use super::common::{gains, stop, stopped};
@@ -54,7 +54,6 @@ pub struct Args {
 /// How long the line output waits for news before it looks whether to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.output.json.is_some() && !args.once {
         bail!("--json tells the state once: give --once as well, or leave --json out");
@@ -121,25 +120,13 @@ fn table(state: &State) -> Table {
     row("mode", words::mode(identity.mode));
     row("controller", words::controller(identity.controller));
     for field in FIELDS {
-        row(&field.name.replace('_', " "), setting(field, state));
+        row(&words::name(field), words::setting(field, &state.settings, state.next_settings.as_ref()));
     }
     row("ticks", format!("{}, {} missed", ticks.ticks, ticks.missed));
     row("mean tick", us(ticks.work.mean));
     row("longest tick", us(ticks.work.longest as f32));
     row("longest latency", us(ticks.latency.longest as f32));
     table
-}
-
-/// A setting in force, and what the next breath makes of it.
-fn setting(field: &Field, state: &State) -> String {
-    let now = field.value(&state.settings);
-    let next = state
-        .next_settings
-        .as_ref()
-        .map(|next| field.value(next))
-        .filter(|next| next.total_cmp(&now).is_ne());
-    let next = next.map(|next| format!(", {next} from the next breath on")).unwrap_or_default();
-    format!("{now} {}{next}", field.unit)
 }
 
 #[cfg(test)]

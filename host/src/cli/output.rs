@@ -3,10 +3,11 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use serde::Serialize;
 
-use super::common::write_json;
-use show::report::Table;
+use data::files::write_atomically;
+use show::report::{Report, Table};
 
 /// How results are given out.
 #[derive(Debug, clap::Args)]
@@ -25,8 +26,26 @@ impl OutputArgs {
     /// Prints a line, unless standard output belongs to the JSON.
     pub fn line(&self, text: &str) {
         if self.json.as_deref() != Some(Path::new("-")) {
-            print(text);
+            // A reader that has gone (`| head`) is no reason to stop: files are still to be written.
+            let _ = writeln!(std::io::stdout(), "{text}");
         }
+    }
+
+    /// Says that a file is written.
+    pub fn saved(&self, path: &Path) {
+        self.line(&format!("saved {}", path.display()));
+    }
+
+    /// Writes a report, if it was asked for.
+    pub fn report(
+        &self,
+        path: Option<&PathBuf>,
+        report: impl FnOnce() -> anyhow::Result<Report>,
+    ) -> anyhow::Result<()> {
+        let Some(path) = path else { return Ok(()) };
+        report()?.save(path)?;
+        self.saved(path);
+        Ok(())
     }
 
     /// Writes the JSON, if it was asked for.
@@ -38,7 +57,16 @@ impl OutputArgs {
     }
 }
 
-/// Prints a line. A reader that has gone (`| head`) is no reason to stop: files are still to be written.
-fn print(text: &str) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+/// Writes JSON to a file, or to standard output for `-`.
+pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    if path == Path::new("-") {
+        return Ok(std::io::stdout().write_all(text.as_bytes())?);
+    }
+    write(path, text.as_bytes())
+}
+
+/// Writes a file, all or nothing.
+pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    write_atomically(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -2,14 +2,12 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
 use serde::Serialize;
 use shared::weights::decode;
 
-use super::common;
 use super::controller_args::image_id;
-use super::output::OutputArgs;
-use data::files::write_atomically;
+use super::output::{OutputArgs, write};
+use learn::controller::learned::Learned;
 
 /// Pack a learned controller as the weights image that the chip takes
 #[derive(Debug, clap::Args)]
@@ -38,11 +36,10 @@ struct Summary {
     period_us: u32,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = common::learned(&args.controller)?.image()?;
+    let bytes = Learned::load(&args.controller)?.image()?;
     let image = decode(&bytes)?;
-    write_atomically(&args.out, &bytes).with_context(|| format!("cannot write {}", args.out.display()))?;
+    write(&args.out, &bytes)?;
     let id = image_id(image.id);
     args.output.line(&format!("saved {}: {} bytes, id {id}", args.out.display(), bytes.len()));
     args.output.finish(&Summary { id, bytes: bytes.len(), period_us: image.residual.spec().period_us })

@@ -22,9 +22,6 @@ pub struct PlantArgs {
 
 impl PlantArgs {
     /// The plant, connected and greeted, if one is meant.
-    ///
-    /// # Errors
-    /// A plant that is not there, does not keep to the protocol, or has a control period that no ventilator can run.
     pub fn connect(&self) -> anyhow::Result<Option<SharedLink>> {
         let Some(address) = &self.plant else { return Ok(None) };
         let patience = Duration::from_secs_f64(self.plant_timeout);
@@ -46,9 +43,6 @@ pub fn own_period_us(link: Option<&SharedLink>) -> Option<u32> {
 }
 
 /// The control period to run at, microseconds: the one asked for, if the plant can run it, or the plant's own.
-///
-/// # Errors
-/// A plant of another period.
 pub fn period_us(asked: Option<u32>, link: Option<&SharedLink>) -> anyhow::Result<u32> {
     match (asked, own_period_us(link)) {
         (Some(asked), Some(own)) if asked != own => {

@@ -16,9 +16,6 @@ pub struct PortArgs {
 }
 
 /// The device at an address as a source for a controller; with hardware in the loop its plant starts with `seed`.
-///
-/// # Errors
-/// A device that cannot be reached, or has another control period than the controller.
 pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<PortSource> {
     let device = Device::connect(address)?;
     let mut source = PortSource::new(device, seed).with_context(|| format!("cannot use {address}"))?;

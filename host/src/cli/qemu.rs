@@ -57,7 +57,6 @@ impl ImageArgs {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let bench = args.bench.one()?;
     let config = EmulatorConfig { folder: args.folder.clone(), link: args.listen, ..args.images.board() };

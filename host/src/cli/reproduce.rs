@@ -35,7 +35,6 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let reproduction = Reproduction {
         seed: args.seed,

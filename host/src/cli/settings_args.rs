@@ -1,10 +1,10 @@
 //! The ventilator's settings as flags: one per field of the schema, with its unit, bounds and default.
 //!
-//! Flags are built from [`FIELDS`], so that a new setting appears here by itself. PIP is none of them: commands run
-//! several waveforms and take a list.
+//! Flags are built from [`TEMPLATE_FIELDS`], so that a new setting appears here by itself. PIP is none of them: commands
+//! run several waveforms and take a list.
 
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
-use shared::settings::{FIELDS, Field, Settings, SettingsError};
+use shared::settings::{Field, Settings, SettingsError, TEMPLATE_FIELDS};
 
 /// All settings but PIP, as typed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,21 +13,11 @@ pub struct SettingsArgs {
 }
 
 impl SettingsArgs {
-    /// The settings with each of these PIPs, checked; gives the template.
-    ///
-    /// # Errors
-    /// The first PIP that cannot be breathed, and why.
+    /// The settings, checked with each of these PIPs.
     pub fn checked(&self, pips: &[f32]) -> Result<Settings, SettingsError> {
         pips.iter().try_for_each(|pip| Settings { pip: *pip, ..self.settings }.validate())?;
         Ok(self.settings)
     }
-}
-
-/// The setting that has a list of its own.
-const PIP: &str = "pip";
-
-fn flags() -> impl Iterator<Item = &'static Field> {
-    FIELDS.iter().filter(|field| field.name != PIP)
 }
 
 fn flag(field: &Field) -> Arg {
@@ -45,7 +35,7 @@ fn flag(field: &Field) -> Arg {
 
 impl Args for SettingsArgs {
     fn augment_args(command: Command) -> Command {
-        command.args(flags().map(flag))
+        command.args(TEMPLATE_FIELDS.iter().map(flag))
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -58,7 +48,7 @@ impl FromArgMatches for SettingsArgs {
         let typed =
             |field: &Field| Some((field.name.to_owned(), (*matches.get_one::<f32>(field.name)?).into()));
         // A number that JSON cannot hold becomes null, which is refused as no number.
-        let values: serde_json::Map<_, _> = flags().filter_map(typed).collect();
+        let values: serde_json::Map<_, _> = TEMPLATE_FIELDS.iter().filter_map(typed).collect();
         let settings = serde_json::from_value(values.into());
         let refused =
             |e| clap::Error::raw(clap::error::ErrorKind::ValueValidation, format!("settings: {e}\n"));
@@ -94,14 +84,15 @@ mod tests {
 
     #[test]
     fn every_setting_but_pip_has_a_flag_that_sets_it() {
-        for field in flags() {
+        for field in TEMPLATE_FIELDS {
             let flag = format!("--{}", field.name.replace('_', "-"));
             let settings = parse(&[&flag, "17.3"]);
             assert!((field.value(&settings) - 17.3).abs() < f32::EPSILON, "{flag}");
-            let others = flags().filter(|other| other.name != field.name);
+            let others = TEMPLATE_FIELDS.iter().filter(|other| other.name != field.name);
             others.for_each(|other| assert!(other.value(&settings).total_cmp(&other.default).is_eq()));
         }
-        assert_eq!(flags().count(), FIELDS.len() - 1);
+        assert!(TEMPLATE_FIELDS.iter().all(|field| field.name != "pip"));
+        assert_eq!(TEMPLATE_FIELDS.len(), shared::settings::FIELDS.len() - 1);
     }
 
     #[test]

@@ -32,7 +32,6 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let mut torture = match &args.keep {
         Some(file) => Torture::resume(file, args.seed)?,

@@ -9,10 +9,9 @@ use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
 
 use super::bars::with_bars;
-use super::common::{BenchArgs, gains};
+use super::common::{BenchArgs, Preset, gains};
 use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
-use super::preset::Preset;
 use super::settings_args::SettingsArgs;
 use learn::controller::learned::Learned;
 use learn::controller::{CurvePoint, TrainConfig, Weighting};
@@ -126,7 +125,6 @@ struct Summary {
 /// Name of the controller's file in the folder.
 const CONTROLLER: &str = "controller.safetensors";
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plant = args.plant.connect()?;
     let simulators: Vec<Simulator> =

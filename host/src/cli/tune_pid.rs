@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
-use shared::control::pid::PidGains;
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
 
 use super::bars::with_bars;
-use super::common::{self, benches};
+use super::common::benches;
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
@@ -80,7 +81,6 @@ struct Summary<'a> {
     result: &'a TuneResult,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plant = args.plant.connect()?;
     let search = search(args);
@@ -93,7 +93,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     if let Some(link) = plant {
         // Every evaluation brings its own gains.
-        let idle = common::pid(PidGains::default(), plan.period_us)?;
+        let idle = Controller::Pid(Pid::new(PidGains::default(), plan.period_us)?);
         let source = PlantSource::new(link, idle, plan.period_us, args.seed);
         return tune(args, &[SourceGround::new(source)], "", &search, &plan);
     }
@@ -115,10 +115,7 @@ fn tune<G: Ground>(
     if !result.complete {
         args.output.line("stopped: the best found so far");
     }
-    if let Some(path) = &args.report {
-        report(args, plan, parameters, search, &result).save(path)?;
-        args.output.line(&format!("saved {}", path.display()));
-    }
+    args.output.report(args.report.as_ref(), || Ok(report(args, plan, parameters, search, &result)))?;
     args.output.finish(&Summary { seed: args.seed, plan, result: &result })
 }
 

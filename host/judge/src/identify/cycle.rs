@@ -77,6 +77,14 @@ impl Cycle {
         solve(&rows[..count], &self.pressure[..count])
     }
 
+    /// Pressures that the fit over the whole cycle predicts from the corrected flow behind a circuit of this compliance
+    /// (mL/cmH2O), cmH2O.
+    pub fn fitted(&self, circuit: f64) -> Option<Vec<f64>> {
+        let fit = self.fit(FitSpan::Cycle, Drift::Corrected, circuit)?;
+        let value = |row: [f64; COEFFICIENTS]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
+        Some(self.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
+    }
+
     /// One row per sample: 1, volume since the cycle's start (mL), flow, flow times its magnitude.
     pub fn rows(&self, drift: Drift, circuit: f64) -> Vec<[f64; COEFFICIENTS]> {
         let offset = if drift == Drift::Corrected { self.offset } else { 0.0 };

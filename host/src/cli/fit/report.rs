@@ -68,13 +68,7 @@ fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[TestRu
     series.push(Series::new("open loop", Style::Dashed, points(prediction)));
     let group = episode.group.and_then(|index| groups.get(index as usize));
     let of = group.map_or_else(String::new, |name| format!("{name}, "));
-    Plot {
-        title: format!("{of}PIP {:.1} cmH2O", episode.pip),
-        x_label: "time, s".into(),
-        y_label: "pressure, cmH2O".into(),
-        series,
-        ..Plot::default()
-    }
+    Plot::over_time(format!("{of}PIP {:.1} cmH2O", episode.pip), "pressure, cmH2O", series)
 }
 
 /// The loss by epoch; nothing to show for a fit that was stopped before its first.

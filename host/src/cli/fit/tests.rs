@@ -23,7 +23,7 @@ fn the_papers_preset_takes_its_simulator_and_refuses_other_recordings() {
     assert_eq!(recipe(&preset).kind, Some(recipe::Kind::Stitched));
     let ours = args(&["--preset", "paper-30ms", "--architecture", "state-space"]);
     assert_eq!(recipe(&ours).kind, Some(recipe::Kind::StateSpace));
-    let check = |recording: &Recording| preset.preset.unwrap().check(recording);
+    let check = recipe::check_paper_setting;
     assert!(check(&recording(30_000)).is_ok());
     assert!(check(&recording(1_000)).unwrap_err().to_string().contains("--period-us 30000"));
     let mut high = recording(30_000);

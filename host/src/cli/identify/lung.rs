@@ -5,11 +5,10 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use serde::Serialize;
 
-use super::super::output::OutputArgs;
+use super::super::output::{OutputArgs, write};
 use super::LungArgs;
-use data::files::write_atomically;
 use data::recording::Recording;
-use judge::identify::cycle::{Cycle, Drift, FitSpan};
+use judge::identify::cycle::Cycle;
 use judge::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
@@ -39,14 +38,10 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
         };
         let bench = bench::bench(lung, &recording)
             .with_context(|| format!("no bench can have the lung {}", lung.id))?;
-        write_atomically(path, bench::to_toml(&bench, lung).as_bytes())
-            .with_context(|| format!("cannot write {}", path.display()))?;
-        output.line(&format!("saved {}", path.display()));
+        write(path, bench::to_toml(&bench, lung).as_bytes())?;
+        output.saved(path);
     }
-    if let Some(path) = &args.report {
-        report(&recording, &found)?.save(path)?;
-        output.line(&format!("saved {}", path.display()));
-    }
+    output.report(args.report.as_ref(), || report(&recording, &found))?;
     output.finish(&Found { plant: recording.provenance.plant, lungs: found })
 }
 
@@ -149,25 +144,14 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
 fn plot(lung: &LungCycles) -> Option<Plot> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
     let circuit = lung.identify()?.behind_circuit.circuit_compliance;
-    Some(Plot {
-        title: lung.id.to_string(),
-        x_label: "time, s".into(),
-        y_label: "pressure, cmH2O".into(),
-        series: vec![
-            Series::new("measured", Style::Line, points(breath, breath.pressure())),
-            Series::new("equation of motion", Style::Dashed, points(breath, &fitted(breath, 0.0)?)),
-            Series::new("behind the circuit", Style::Line, points(breath, &fitted(breath, circuit)?)),
-        ],
-        ..Plot::default()
-    })
+    let series = vec![
+        Series::new("measured", Style::Line, points(breath, breath.pressure())),
+        Series::new("equation of motion", Style::Dashed, points(breath, &breath.fitted(0.0)?)),
+        Series::new("behind the circuit", Style::Line, points(breath, &breath.fitted(circuit)?)),
+    ];
+    Some(Plot::over_time(lung.id.to_string(), "pressure, cmH2O", series))
 }
 
 fn points(breath: &Cycle, values: &[f64]) -> Vec<(f64, f64)> {
     values.iter().enumerate().map(|(row, value)| (row as f64 * breath.period_s(), *value)).collect()
-}
-
-fn fitted(breath: &Cycle, circuit: f64) -> Option<Vec<f64>> {
-    let fit = breath.fit(FitSpan::Cycle, Drift::Corrected, circuit)?;
-    let value = |row: [f64; 4]| row.iter().zip(fit.coefficients).map(|(x, c)| x * c).sum();
-    Some(breath.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
 }
