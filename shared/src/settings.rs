@@ -52,6 +52,20 @@ impl Field {
     }
 }
 
+/// Index of a setting in [`FIELDS`]. A device of another version may know settings that are not there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FieldIndex(pub u8);
+
+impl FieldIndex {
+    fn name(self) -> &'static str {
+        FIELDS.get(usize::from(self.0)).map_or("a setting of another version", |field| field.name)
+    }
+
+    fn unit(self) -> &'static str {
+        FIELDS.get(usize::from(self.0)).map_or("", |field| field.unit)
+    }
+}
+
 macro_rules! fields {
     ($($name:ident, $unit:literal, $min:literal ..= $max:literal, $default:literal, $description:literal;)*) => {
         /// Every setting with unit, bounds and default.
@@ -82,22 +96,20 @@ fields! {
 /// Every setting but PIP, which stands first: what the waveforms of a run have in common.
 pub const TEMPLATE_FIELDS: &[Field] = FIELDS.split_at(1).1;
 
-/// Reason for refusing settings.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+/// Reason for refusing settings. The order of variants and fields is part of the link's protocol: append only.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Error)]
 pub enum SettingsError {
     /// A value lies outside its bounds (or is no number).
-    #[error("{name} is {value} {unit}, allowed are {min} to {max} {unit}")]
+    #[error("{} is {value} {1}, allowed are {min} to {max} {1}", .field.name(), .field.unit())]
     OutOfBounds {
-        /// Setting's name.
-        name: &'static str,
+        /// The setting.
+        field: FieldIndex,
         /// Value that was asked for.
         value: f32,
         /// Lowest accepted value.
         min: f32,
         /// Highest accepted value.
         max: f32,
-        /// Unit of all three.
-        unit: &'static str,
     },
     /// PIP lies below PEEP.
     #[error("PIP ({pip} cmH2O) lies below PEEP ({peep} cmH2O); raise pip or lower peep")]
@@ -144,11 +156,10 @@ impl Settings {
     /// # Errors
     /// The first violated rule, with what would be allowed.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        for field in FIELDS {
-            let value = field.value(self);
-            if !(value >= field.min && value <= field.max) {
-                let Field { name, unit, min, max, .. } = *field;
-                return Err(SettingsError::OutOfBounds { name, value, min, max, unit });
+        for (index, field) in (0..).zip(FIELDS) {
+            let (value, min, max) = (field.value(self), field.min, field.max);
+            if !(value >= min && value <= max) {
+                return Err(SettingsError::OutOfBounds { field: FieldIndex(index), value, min, max });
             }
         }
         if self.pip < self.peep {
@@ -171,6 +182,7 @@ impl Settings {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::string::ToString;
 
     #[test]
     fn the_defaults_are_valid() {
@@ -187,7 +199,7 @@ mod tests {
     #[test]
     fn a_nan_is_refused_by_name() {
         let settings = Settings { peep: f32::NAN, ..Settings::default() };
-        assert!(matches!(settings.validate(), Err(SettingsError::OutOfBounds { name: "peep", .. })));
+        assert!(settings.validate().unwrap_err().to_string().starts_with("peep is NaN cmH2O"));
     }
 
     #[test]

@@ -3,15 +3,15 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::settings::{FIELDS, SettingsError};
+use crate::settings::SettingsError;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
 
 /// A refused request. The order of the variants is part of the protocol: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Error)]
 pub enum Refusal {
     /// Settings out of bounds or at odds with each other; those in force stay.
-    #[error("settings refused: {}", SettingsError::from(*.0))]
-    Settings(SettingsRefusal),
+    #[error("settings refused: {0}")]
+    Settings(#[from] SettingsError),
     /// A PID gain is out of range.
     #[error("a PID gain is out of range; build the PID on the host to see which")]
     Gains,
@@ -62,77 +62,11 @@ pub enum Refusal {
     NoPlant,
 }
 
-/// A [`SettingsError`] as it goes over the link: names are indices of [`FIELDS`].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum SettingsRefusal {
-    /// [`SettingsError::OutOfBounds`].
-    OutOfBounds {
-        /// Index in [`FIELDS`].
-        field: u8,
-        /// Value that was asked for.
-        value: f32,
-        /// Lowest value that the device accepts.
-        min: f32,
-        /// Highest value that the device accepts.
-        max: f32,
-    },
-    /// [`SettingsError::PipBelowPeep`]: PIP, PEEP, cmH2O.
-    PipBelowPeep(f32, f32),
-    /// [`SettingsError::LimitTooLow`]: limit, PIP, margin, cmH2O.
-    LimitTooLow(f32, f32, f32),
-    /// [`SettingsError::BreathTooShort`]: inspiration and fall, breath, s.
-    BreathTooShort(f32, f32),
-    /// [`SettingsError::Period`]: microseconds.
-    Period(u32),
-}
-
-impl From<SettingsError> for SettingsRefusal {
-    fn from(error: SettingsError) -> Self {
-        match error {
-            SettingsError::OutOfBounds { name, value, min, max, .. } => {
-                let index = FIELDS.iter().position(|field| field.name == name);
-                let field = index.map_or(u8::MAX, |index| index as u8);
-                Self::OutOfBounds { field, value, min, max }
-            }
-            SettingsError::PipBelowPeep { pip, peep } => Self::PipBelowPeep(pip, peep),
-            SettingsError::LimitTooLow { limit, pip, margin } => Self::LimitTooLow(limit, pip, margin),
-            SettingsError::BreathTooShort { inspiration, breath } => {
-                Self::BreathTooShort(inspiration, breath)
-            }
-            SettingsError::Period { period_us } => Self::Period(period_us),
-        }
-    }
-}
-
-impl From<SettingsRefusal> for SettingsError {
-    fn from(refusal: SettingsRefusal) -> Self {
-        match refusal {
-            SettingsRefusal::OutOfBounds { field, value, min, max } => {
-                let field = FIELDS.get(usize::from(field));
-                let (name, unit) = field.map_or(("a setting of another version", ""), |f| (f.name, f.unit));
-                Self::OutOfBounds { name, value, min, max, unit }
-            }
-            SettingsRefusal::PipBelowPeep(pip, peep) => Self::PipBelowPeep { pip, peep },
-            SettingsRefusal::LimitTooLow(limit, pip, margin) => Self::LimitTooLow { limit, pip, margin },
-            SettingsRefusal::BreathTooShort(inspiration, breath) => {
-                Self::BreathTooShort { inspiration, breath }
-            }
-            SettingsRefusal::Period(period_us) => Self::Period { period_us },
-        }
-    }
-}
-
-impl From<SettingsError> for Refusal {
-    fn from(error: SettingsError) -> Self {
-        Self::Settings(error.into())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::breath::Breath;
-    use crate::settings::Settings;
+    use crate::settings::{FieldIndex, Settings};
     use proptest::prelude::*;
     use std::string::ToString;
 
@@ -145,7 +79,7 @@ mod tests {
 
     #[test]
     fn a_field_of_a_newer_device_is_no_panic() {
-        let newer = SettingsRefusal::OutOfBounds { field: 200, value: 1.0, min: 2.0, max: 3.0 };
+        let newer = SettingsError::OutOfBounds { field: FieldIndex(200), value: 1.0, min: 2.0, max: 3.0 };
         assert!(Refusal::Settings(newer).to_string().contains("another version"));
     }
 
@@ -156,7 +90,9 @@ mod tests {
         ) {
             let settings = Settings { pip, peep, rate, pressure_limit: limit, ..Settings::default() };
             if let Err(error) = Breath::new(&settings, period) {
-                prop_assert_eq!(SettingsError::from(SettingsRefusal::from(error)), error);
+                let mut buffer = [0; 16];
+                let bytes = postcard::to_slice(&error, &mut buffer).unwrap();
+                prop_assert_eq!(postcard::from_bytes(bytes), Ok(error));
             }
         }
     }

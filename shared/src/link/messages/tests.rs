@@ -7,10 +7,10 @@ use proptest::prelude::*;
 use super::*;
 use crate::breath::Phase;
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
-use crate::link::refusal::SettingsRefusal;
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
 use crate::recorder::{Held, PAGE_BYTES, RecordingState};
 use crate::reset::ResetCause;
+use crate::settings::{FieldIndex, SettingsError};
 use crate::timing::CycleStats;
 use crate::ventilator::Sample;
 use crate::weights::ImageProblem;
@@ -83,13 +83,16 @@ fn request() -> impl Strategy<Value = Request> {
         any::<bool>().prop_map(|clear| Request::GetTiming { clear }),
         any::<u64>().prop_map(|seed| Request::ResetPlant { seed }),
         Just(Request::GetRecorder),
-        any::<u32>().prop_map(|from| Request::ReadRecorder { part: Part::Slow, from }),
+        any::<u32>().prop_map(|from| Request::ReadRecorder { part: RecorderPart::Slow, from }),
         Just(Request::ClearRecorder),
     ]
 }
 
 fn refusal() -> impl Strategy<Value = Refusal> {
-    let out_of_bounds = |(field, value)| SettingsRefusal::OutOfBounds { field, value, min: 4.0, max: 80.0 };
+    let out_of_bounds = |(field, value)| {
+        let field = FieldIndex(field);
+        SettingsError::OutOfBounds { field, value, min: 4.0, max: 80.0 }
+    };
     prop_oneof![
         (0u8..8, -1.0e3f32..1.0e3).prop_map(move |seen| Refusal::Settings(out_of_bounds(seen))),
         any::<u32>().prop_map(|expected| Refusal::WrongOffset { expected }),
@@ -147,7 +150,11 @@ fn response() -> impl Strategy<Value = Response> {
             Response::Recorder(RecorderStatus { boot, recording, fast: Held { first, ..HELD }, ..STATUS })
         }),
         (any::<u32>(), prop::collection::vec(any::<u8>(), 0..=PAGE_BYTES)).prop_map(|(first, bytes)| {
-            Response::Recorded(Page { part: Part::Log, first, bytes: Vec::from_slice(&bytes).unwrap() })
+            Response::Recorded(Page {
+                part: RecorderPart::Log,
+                first,
+                bytes: Vec::from_slice(&bytes).unwrap(),
+            })
         }),
     ]
 }
@@ -273,7 +280,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::GetTiming { clear: true }, "ac020e01"),
         (Request::ResetPlant { seed: 128 }, "ac020f8001"),
         (Request::GetRecorder, "ac0210"),
-        (Request::ReadRecorder { part: Part::Log, from: 300 }, "ac021102ac02"),
+        (Request::ReadRecorder { part: RecorderPart::Log, from: 300 }, "ac021102ac02"),
         (Request::ClearRecorder, "ac0212"),
     ];
     for (request, expected) in requests {
@@ -319,7 +326,7 @@ fn the_bytes_of_every_response_are_pinned() {
         (Response::Recorder(STATUS), "00050c02030280010101ac02ffffffff0f000f13000400"),
         (
             Response::Recorded(Page {
-                part: Part::Slow,
+                part: RecorderPart::Slow,
                 first: 128,
                 bytes: Vec::from_slice(&[7, 8]).unwrap(),
             }),
@@ -334,13 +341,19 @@ fn the_bytes_of_every_response_are_pinned() {
 
 #[test]
 fn the_bytes_of_every_refusal_are_pinned() {
-    let bounds = SettingsRefusal::OutOfBounds { field: 2, value: 200.0, min: 4.0, max: 80.0 };
+    let bounds = SettingsError::OutOfBounds { field: FieldIndex(2), value: 200.0, min: 4.0, max: 80.0 };
     let refusals = [
         (Refusal::Settings(bounds), "0900000200004843000080400000a042"),
-        (Refusal::Settings(SettingsRefusal::PipBelowPeep(5.0, 8.0)), "0900010000a04000000041"),
-        (Refusal::Settings(SettingsRefusal::LimitTooLow(40.0, 38.0, 5.0)), "09000200002042000018420000a040"),
-        (Refusal::Settings(SettingsRefusal::BreathTooShort(1.5, 1.0)), "0900030000c03f0000803f"),
-        (Refusal::Settings(SettingsRefusal::Period(1)), "09000401"),
+        (Refusal::Settings(SettingsError::PipBelowPeep { pip: 5.0, peep: 8.0 }), "0900010000a04000000041"),
+        (
+            Refusal::Settings(SettingsError::LimitTooLow { limit: 40.0, pip: 38.0, margin: 5.0 }),
+            "09000200002042000018420000a040",
+        ),
+        (
+            Refusal::Settings(SettingsError::BreathTooShort { inspiration: 1.5, breath: 1.0 }),
+            "0900030000c03f0000803f",
+        ),
+        (Refusal::Settings(SettingsError::Period { period_us: 1 }), "09000401"),
         (Refusal::Gains, "0901"),
         (Refusal::Exploration, "0902"),
         (Refusal::Ventilating, "0903"),
@@ -400,7 +413,8 @@ fn the_longest_messages_fit_into_a_frame() {
     assert_eq!(read_reply(&through(&event)), Ok(event));
     let chunk =
         Request::WeightsChunk { offset: u32::MAX, bytes: Vec::from_slice(&[0xFF; CHUNK_BYTES]).unwrap() };
-    let page = Page { part: Part::Fast, first: u32::MAX, bytes: Vec::from_slice(&[1; PAGE_BYTES]).unwrap() };
+    let page =
+        Page { part: RecorderPart::Fast, first: u32::MAX, bytes: Vec::from_slice(&[1; PAGE_BYTES]).unwrap() };
     let answer = ToHost::Response { sequence: u16::MAX, response: Response::Recorded(page) };
     assert_eq!(read_reply(&through(&answer)), Ok(answer));
     let message = ToDevice { sequence: u16::MAX, request: chunk };
