@@ -5,6 +5,8 @@
 //! [`TICKS`] the target is 25 cmH2O, PIP 25 and PEEP 8, and the pressure lies `((7 k) mod 16) / 2 - 2` cmH2O
 //! below the target; every command is applied as it is. All of this is exact in single precision.
 
+use serde::{Deserialize, Serialize};
+
 use crate::checksum::CRC_32;
 use crate::control::residual::Residual;
 use crate::control::{ControlLaw, Controller, ControllerState, Observation};
@@ -13,11 +15,13 @@ use crate::control::{ControlLaw, Controller, ControllerState, Observation};
 pub const TICKS: u32 = 160;
 
 /// Commands of a controller in the exercise.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Golden {
     /// Bits of the last command (f32, percent).
+    #[serde(with = "postcard::fixint::le")]
     pub last: u32,
     /// CRC-32 over the bits of all commands, little endian, one after the other.
+    #[serde(with = "postcard::fixint::le")]
     pub all: u32,
 }
 

@@ -2,55 +2,71 @@
 //! thing that is wrong: length, magic, version, checksum, architecture, sizes, parameters, specification,
 //! golden values.
 
-use super::bytes::{Reader, Writer};
+use serde::{Deserialize, Serialize};
+
 use super::exercise::{Golden, golden};
 use super::{
     ARCHITECTURE, FORMAT_VERSION, HEADER_BYTES, IMAGE_BYTES, Identity, Image, MAGIC, PARAMETER_BYTES,
     WeightsError,
 };
-use crate::checksum::{CHECKSUM_BYTES, crc32, verified};
+use crate::checksum::{CHECKSUM_BYTES, crc32};
 use crate::control::features::FeatureSpec;
 use crate::control::network::{Network, WEIGHT_MAX};
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
+
+/// What comes before the parameters. Postcard writes reals and bytes at their full length, one after the other.
+#[derive(Serialize, Deserialize)]
+struct Header {
+    magic: [u8; 4],
+    #[serde(with = "postcard::fixint::le")]
+    version: u16,
+    #[serde(with = "postcard::fixint::le")]
+    architecture: u16,
+    /// Little endian.
+    shape: [[u8; 2]; 4],
+    #[serde(with = "postcard::fixint::le")]
+    period_us: u32,
+    gains: PidGains,
+    lambda: f32,
+    authority: f32,
+    features: FeatureSpec,
+    identity: Identity,
+    golden: Golden,
+    #[serde(with = "postcard::fixint::le")]
+    parameter_bytes: u32,
+}
 
 /// Packs a learned controller; gives the bytes written, [`IMAGE_BYTES`].
 ///
 /// # Errors
 /// [`WeightsError::Length`] if `out` is too short.
 pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Result<usize, WeightsError> {
-    if out.len() < IMAGE_BYTES {
-        return Err(WeightsError::Length { have: out.len(), need: IMAGE_BYTES });
+    let too_short = WeightsError::Length { have: out.len(), need: IMAGE_BYTES };
+    let image = out.get_mut(..IMAGE_BYTES).ok_or(too_short)?;
+    let ResidualSpec { period_us, gains, lambda, authority, features } = *residual.spec();
+    let header = Header {
+        magic: MAGIC,
+        version: FORMAT_VERSION,
+        architecture: ARCHITECTURE,
+        shape: Network::SHAPE.map(|size| (size as u16).to_le_bytes()),
+        period_us,
+        gains,
+        lambda,
+        authority,
+        features,
+        identity: *identity,
+        golden: golden(residual),
+        parameter_bytes: PARAMETER_BYTES as u32,
+    };
+    postcard::to_slice(&header, image).map_err(|_| too_short)?;
+    let (places, _) = image[HEADER_BYTES..].as_chunks_mut();
+    for (place, parameter) in places.iter_mut().zip(residual.network().parameters()) {
+        *place = parameter.to_le_bytes();
     }
-    let mut writer = Writer::new(out);
-    writer.bytes(&MAGIC)?;
-    writer.u16(FORMAT_VERSION)?;
-    writer.u16(ARCHITECTURE)?;
-    for size in Network::SHAPE {
-        writer.u16(size as u16)?;
-    }
-    write_spec(&mut writer, residual.spec())?;
-    writer.bytes(&identity.training)?;
-    writer.bytes(&identity.plant)?;
-    let golden = golden(residual);
-    writer.u32(golden.last)?;
-    writer.u32(golden.all)?;
-    writer.u32(PARAMETER_BYTES as u32)?;
-    writer.reals(residual.network().parameters())?;
-    let checksum = crc32(writer.written());
-    writer.u32(checksum)?;
+    let checksum = crc32(&image[..IMAGE_BYTES - CHECKSUM_BYTES]);
+    image[IMAGE_BYTES - CHECKSUM_BYTES..].copy_from_slice(&checksum.to_le_bytes());
     Ok(IMAGE_BYTES)
-}
-
-fn write_spec(writer: &mut Writer, spec: &ResidualSpec) -> Result<(), WeightsError> {
-    let ResidualSpec { period_us, gains, lambda, authority, features } = spec;
-    writer.u32(*period_us)?;
-    writer.reals(&[gains.p, gains.i, gains.d, *lambda, *authority])?;
-    writer.bytes(&features.error_taps)?;
-    writer.bytes(&features.command_taps)?;
-    writer.reals(&features.error_averages)?;
-    writer.reals(&features.command_averages)?;
-    writer.reals(&features.times)
 }
 
 /// Validates an image and builds its controller. Bytes after the image are ignored.
@@ -58,73 +74,48 @@ fn write_spec(writer: &mut Writer, spec: &ResidualSpec) -> Result<(), WeightsErr
 /// # Errors
 /// The first thing that is wrong, in the order of [`WeightsError`]'s variants.
 pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
-    let mut reader = Reader::new(enclosed(bytes)?);
-    reader.array::<6>()?;
-    let architecture = reader.u16()?;
+    let (header, parameters, id) = enclosed(bytes)?;
+    let Header { architecture, period_us, gains, lambda, authority, features, .. } = header;
     if architecture != ARCHITECTURE {
         return Err(WeightsError::Architecture(architecture));
     }
-    let shape = [reader.u16()?, reader.u16()?, reader.u16()?, reader.u16()?];
-    if shape.map(usize::from) != Network::SHAPE {
+    let shape = header.shape.map(u16::from_le_bytes);
+    if shape.map(usize::from) != Network::SHAPE || parameters.len() != PARAMETER_BYTES {
         return Err(WeightsError::Shape(shape));
     }
-    let spec = read_spec(&mut reader)?;
-    let identity = Identity { training: reader.array()?, plant: reader.array()? };
-    let promised = Golden { last: reader.u32()?, all: reader.u32()? };
-    if reader.u32()? as usize != PARAMETER_BYTES {
-        return Err(WeightsError::Shape(shape));
-    }
-    let network = read_network(&mut reader)?;
-    let id = reader.u32()?;
-    let residual = Residual::new(spec, network)?;
-    if golden(&residual) != promised {
+    let network = read_network(parameters)?;
+    let residual = Residual::new(ResidualSpec { period_us, gains, lambda, authority, features }, network)?;
+    if golden(&residual) != header.golden {
         return Err(WeightsError::Golden);
     }
-    Ok(Image { residual, identity, golden: promised, id })
+    Ok(Image { residual, identity: header.identity, golden: header.golden, id })
 }
 
-/// The image without what follows it: long enough, of this format, undamaged. Its length is its own, so that a
+/// Header, parameters and id of an image of this format, long enough and undamaged. Its length is its own, so that a
 /// sound image of another architecture is told from a damaged one.
-fn enclosed(bytes: &[u8]) -> Result<&[u8], WeightsError> {
+fn enclosed(bytes: &[u8]) -> Result<(Header, &[u8], u32), WeightsError> {
     let short = |need| WeightsError::Length { have: bytes.len(), need };
-    if bytes.len() < HEADER_BYTES {
-        return Err(short(IMAGE_BYTES));
-    }
-    let mut reader = Reader::new(bytes);
-    if reader.array()? != MAGIC {
+    let (header, _): (Header, _) = postcard::take_from_bytes(bytes).map_err(|_| short(IMAGE_BYTES))?;
+    if header.magic != MAGIC {
         return Err(WeightsError::Magic);
     }
-    let version = reader.u16()?;
-    if version != FORMAT_VERSION {
-        return Err(WeightsError::Version(version));
+    if header.version != FORMAT_VERSION {
+        return Err(WeightsError::Version(header.version));
     }
-    reader.array::<{ HEADER_BYTES - 4 - MAGIC.len() - 2 }>()?;
-    let need = (HEADER_BYTES + CHECKSUM_BYTES).saturating_add(reader.u32()? as usize);
+    let need = (HEADER_BYTES + CHECKSUM_BYTES).saturating_add(header.parameter_bytes as usize);
     let image = bytes.get(..need).ok_or(short(need))?;
-    verified(image).ok_or(WeightsError::Checksum)?;
-    Ok(image)
+    let (covered, checksum) = image.split_last_chunk().ok_or(short(need))?;
+    let id = u32::from_le_bytes(*checksum);
+    if crc32(covered) != id {
+        return Err(WeightsError::Checksum);
+    }
+    Ok((header, &covered[HEADER_BYTES..], id))
 }
 
-fn read_spec(reader: &mut Reader) -> Result<ResidualSpec, WeightsError> {
-    Ok(ResidualSpec {
-        period_us: reader.u32()?,
-        gains: PidGains { p: reader.real()?, i: reader.real()?, d: reader.real()? },
-        lambda: reader.real()?,
-        authority: reader.real()?,
-        features: FeatureSpec {
-            error_taps: reader.array()?,
-            command_taps: reader.array()?,
-            error_averages: reader.reals()?,
-            command_averages: reader.reals()?,
-            times: reader.reals()?,
-        },
-    })
-}
-
-fn read_network(reader: &mut Reader) -> Result<Network, WeightsError> {
+fn read_network(bytes: &[u8]) -> Result<Network, WeightsError> {
     let mut network = Network::zero();
-    for (index, parameter) in network.parameters_mut().enumerate() {
-        *parameter = reader.real()?;
+    for (index, (parameter, bytes)) in network.parameters_mut().zip(bytes.as_chunks().0).enumerate() {
+        *parameter = f32::from_le_bytes(*bytes);
         let bounded = parameter.abs() <= WEIGHT_MAX;
         if !bounded {
             return Err(WeightsError::Weight(index));

@@ -31,7 +31,6 @@
 //! other bits from the same script computes features, network or PID differently from the trainer, and must
 //! not run these weights.
 
-mod bytes;
 pub mod exercise;
 mod image;
 pub mod slots;
@@ -58,7 +57,7 @@ pub const PARAMETER_BYTES: usize = 4 * Network::PARAMETERS;
 pub const IMAGE_BYTES: usize = HEADER_BYTES + PARAMETER_BYTES + crate::checksum::CHECKSUM_BYTES;
 
 /// Origin of weights.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Which training made them.
     pub training: [u8; 16],
