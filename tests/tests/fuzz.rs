@@ -16,7 +16,7 @@ use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode
 use shared::link::messages::{CHUNK_BYTES, ControllerChoice, Event, Request, ToDevice, ToHost, read_request};
 use shared::link::plant_link;
 use shared::link::telemetry::BreathSummary;
-use shared::recorder::Part;
+use shared::recorder::RecorderPart;
 use shared::safety::alarms::Fault;
 use shared::weights::IMAGE_BYTES;
 use tests::trace::LEARNED;
@@ -144,7 +144,7 @@ fn requests() -> Vec<Request> {
         Request::GetTiming { clear: true },
         Request::ResetPlant { seed: 1 << 40 },
         Request::GetRecorder,
-        Request::ReadRecorder { part: Part::Log, from: 0 },
+        Request::ReadRecorder { part: RecorderPart::Log, from: 0 },
         Request::ClearRecorder,
         Request::Reset,
     ]

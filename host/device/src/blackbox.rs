@@ -4,7 +4,7 @@ use progress::{Progress, Stage, Task};
 use serde::Serialize;
 use shared::link::messages::{Request, Response};
 use shared::recorder::entry::{EVENT_BYTES, TICK_BYTES};
-use shared::recorder::{Held, LogEntry, Part, RecorderStatus, SLOW_STRIDE, TickEntry};
+use shared::recorder::{Held, LogEntry, RecorderPart, RecorderStatus, SLOW_STRIDE, TickEntry};
 
 use super::{Device, DeviceError};
 
@@ -80,9 +80,9 @@ impl Device {
         // The ring that turns fastest first.
         let held = [status.fast, status.slow, status.log].map(|held| (held.next - held.first) as usize);
         let task = progress.task(Stage::ReadRecorder, held.iter().sum());
-        let fast = self.part(Part::Fast, status.fast, &task)?;
-        let slow = self.part(Part::Slow, status.slow, &task)?;
-        let log = self.part(Part::Log, status.log, &task)?;
+        let fast = self.part(RecorderPart::Fast, status.fast, &task)?;
+        let slow = self.part(RecorderPart::Slow, status.slow, &task)?;
+        let log = self.part(RecorderPart::Log, status.log, &task)?;
         task.finish();
         let events: Vec<_> =
             log.as_chunks::<EVENT_BYTES>().0.iter().map(|entry| LogEntry::read(*entry)).collect();
@@ -99,8 +99,8 @@ impl Device {
     }
 
     /// Bytes of the entries that a part held, as far as they are still there.
-    fn part(&mut self, part: Part, held: Held, task: &Task<'_>) -> Result<Vec<u8>, DeviceError> {
-        let length = if part == Part::Log { EVENT_BYTES } else { TICK_BYTES };
+    fn part(&mut self, part: RecorderPart, held: Held, task: &Task<'_>) -> Result<Vec<u8>, DeviceError> {
+        let length = if part == RecorderPart::Log { EVENT_BYTES } else { TICK_BYTES };
         let (mut from, mut bytes) = (held.first, Vec::new());
         while from < held.next {
             if task.stopped() {

@@ -13,7 +13,7 @@ use crate::control::residual::{Residual, ResidualSpec};
 use crate::link::messages::{CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
-use crate::recorder::{Boot, Part, Recorder, RecorderMemory, RecorderStatus, RecordingState};
+use crate::recorder::{Boot, Recorder, RecorderMemory, RecorderPart, RecorderStatus, RecordingState};
 use crate::reset::ResetCause;
 use crate::safety::monitors::Monitors;
 use crate::weights::slots::{Slot, SlotState};
@@ -289,7 +289,7 @@ fn the_flight_recorder_is_read_while_ventilating_and_emptied_on_request() {
     rig.run(100);
     let status = recorded(&mut rig);
     assert_eq!((status.recording, status.fast.next - status.fast.first), (RecordingState::Running, 101));
-    let page = rig.ask(Request::ReadRecorder { part: Part::Fast, from: status.fast.next - 2 });
+    let page = rig.ask(Request::ReadRecorder { part: RecorderPart::Fast, from: status.fast.next - 2 });
     assert!(matches!(page, Response::Recorded(page) if page.first == 99 && page.bytes.len() == 12));
     rig.run_at(20, f32::NAN);
     assert_eq!(recorded(&mut rig).recording, RecordingState::Fault(Fault::ReadingNotANumber));
@@ -380,7 +380,7 @@ proptest! {
                 10 => Request::BeginWeights { length: IMAGE_BYTES as u32, id: 3 },
                 11 => Request::CommitWeights,
                 12 => Request::Reset,
-                13 => Request::ReadRecorder { part: Part::Log, from: value as u32 },
+                13 => Request::ReadRecorder { part: RecorderPart::Log, from: value as u32 },
                 14 => Request::ClearRecorder,
                 _ => Request::GetTiming { clear: true },
             };

@@ -16,7 +16,7 @@ use super::refusal::Refusal;
 use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
 use crate::explore::Exploration;
-use crate::recorder::{Page, Part, RecorderStatus};
+use crate::recorder::{Page, RecorderPart, RecorderStatus};
 use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
@@ -100,7 +100,7 @@ pub enum Request {
     /// Entries of the flight recorder; answered by [`Response::Recorded`].
     ReadRecorder {
         /// The part.
-        part: Part,
+        part: RecorderPart,
         /// Number of the first entry.
         from: u32,
     },

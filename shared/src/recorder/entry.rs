@@ -29,10 +29,12 @@ const PRESSURE_CODE: u32 = 32_767;
 const TARGET_CODE: u32 = 8_191;
 /// Highest code of a valve command, 10 bits.
 const COMMAND_CODE: u32 = 1_023;
+/// Code of no phase, 2 bits; the others are the numbers of [`Phase`]'s variants.
+const NO_PHASE: u16 = 3;
 /// Steps of a setting in an event's argument.
 const SETTING_STEPS: f32 = 10.0;
 
-/// Activity of the ventilator in a tick.
+/// Activity of the ventilator in a tick. The order of the variants is part of the recording: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activity {
     /// Standing by.
@@ -85,40 +87,20 @@ impl TickEntry {
         let pressure = (self.pressure - PRESSURE_OFFSET) * PRESSURE_STEPS;
         let pressure = if self.pressure.is_nan() { 0 } else { code(pressure, 1, PRESSURE_CODE) };
         let target = self.target.map_or(0, |target| code(target * PRESSURE_STEPS + 1.0, 1, TARGET_CODE));
-        let phase = match self.phase {
-            Some(Phase::Inspiration) => 0,
-            Some(Phase::Fall) => 1,
-            Some(Phase::Expiration) => 2,
-            None => 3,
-        };
-        let activity = match self.activity {
-            Activity::Standby => 0,
-            Activity::Ventilating => 1,
-            Activity::Fault => 2,
-        };
+        let phase = self.phase.map_or(NO_PHASE, |phase| phase as u16);
         let u_in = code(self.u_in * COMMAND_STEPS, 0, COMMAND_CODE);
         [
             pressure << 1 | u16::from(self.u_out),
             target << 3 | phase << 1 | u16::from(self.explored),
-            u_in << 6 | activity << 4 | u16::from(self.breath & 15),
+            u_in << 6 | (self.activity as u16) << 4 | u16::from(self.breath & 15),
         ]
     }
 
     /// Reads an entry's bytes; none if it marks a gap: what follows it did not follow what is before it.
     pub fn read(bytes: [u8; TICK_BYTES]) -> Option<Self> {
         let [first, second, third] = halves(bytes);
-        let activity = match third >> 4 & 3 {
-            0 => Activity::Standby,
-            1 => Activity::Ventilating,
-            2 => Activity::Fault,
-            _ => return None,
-        };
-        let phase = match second >> 1 & 3 {
-            0 => Some(Phase::Inspiration),
-            1 => Some(Phase::Fall),
-            2 => Some(Phase::Expiration),
-            _ => None,
-        };
+        // Three stands for a gap.
+        let activity = variant((third >> 4 & 3) as u8)?;
         let pressure = match first >> 1 {
             0 => f32::NAN,
             code => f32::from(code) / PRESSURE_STEPS + PRESSURE_OFFSET,
@@ -132,7 +114,7 @@ impl TickEntry {
             target,
             u_in: f32::from(third >> 6) / COMMAND_STEPS,
             u_out: first & 1 != 0,
-            phase,
+            phase: variant((second >> 1 & 3) as u8),
             explored: second & 1 != 0,
             activity,
             breath: (third & 15) as u8,

@@ -2,9 +2,9 @@
 //!
 //! | part | holds | entry |
 //! |---|---|---|
-//! | [`Part::Fast`] | the last 2,000 control ticks of a ventilation: 2 s | [`TickEntry`], 6 bytes |
-//! | [`Part::Slow`] | every 20th tick of the last 60 s, with the highest pressure of the 20 | [`TickEntry`], 6 bytes |
-//! | [`Part::Log`] | the last 1,024 events | [`LogEntry`], 12 bytes |
+//! | [`RecorderPart::Fast`] | the last 2,000 control ticks of a ventilation: 2 s | [`TickEntry`], 6 bytes |
+//! | [`RecorderPart::Slow`] | every 20th tick of the last 60 s, with the highest pressure of the 20 | [`TickEntry`], 6 bytes |
+//! | [`RecorderPart::Log`] | the last 1,024 events | [`LogEntry`], 12 bytes |
 //!
 //! # When it records
 //! Ticks are recorded while the ventilator ventilates and for a short time after that ([`FAST_TAIL`], [`SLOW_TAIL`]): what
@@ -39,17 +39,17 @@ use entry::{EVENT_HALVES, TICK_HALVES, variant};
 use ring::Ring;
 pub use writer::{Boot, Moment, Recorder};
 
-/// Ticks that [`Part::Fast`] holds.
+/// Ticks that [`RecorderPart::Fast`] holds.
 pub const FAST_ENTRIES: usize = 2000;
-/// Entries that [`Part::Slow`] holds.
+/// Entries that [`RecorderPart::Slow`] holds.
 pub const SLOW_ENTRIES: usize = 3000;
-/// Events that [`Part::Log`] holds.
+/// Events that [`RecorderPart::Log`] holds.
 pub const LOG_ENTRIES: usize = 1024;
-/// Ticks from one entry of [`Part::Slow`] to the next.
+/// Ticks from one entry of [`RecorderPart::Slow`] to the next.
 pub const SLOW_STRIDE: u32 = 20;
-/// Ticks for which [`Part::Fast`] goes on after ventilation has ended.
+/// Ticks for which [`RecorderPart::Fast`] goes on after ventilation has ended.
 pub const FAST_TAIL: u32 = 500;
-/// Ticks for which [`Part::Slow`] goes on after ventilation has ended.
+/// Ticks for which [`RecorderPart::Slow`] goes on after ventilation has ended.
 pub const SLOW_TAIL: u32 = 15_000;
 /// Most bytes of a page: whole entries of either length.
 pub const PAGE_BYTES: usize = 216;
@@ -76,7 +76,7 @@ const _: () = assert!(size_of::<RecorderMemory>() <= BYTES);
 
 /// A part of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Part {
+pub enum RecorderPart {
     /// Every control tick.
     Fast,
     /// Every 20th.
@@ -166,7 +166,7 @@ pub struct RecorderStatus {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Page {
     /// The part.
-    pub part: Part,
+    pub part: RecorderPart,
     /// Number of the first entry: the one that was asked for, or the oldest that is left.
     pub first: u32,
     /// The entries, see [`TickEntry::read`] and [`LogEntry::read`]; none if there are no more.
@@ -275,11 +275,11 @@ impl RecorderMemory {
     }
 
     /// Entries of a part from this number on, or from the oldest that is left.
-    pub fn page(&self, part: Part, from: u32) -> Page {
+    pub fn page(&self, part: RecorderPart, from: u32) -> Page {
         let (first, bytes) = match part {
-            Part::Fast => self.fast.read(from),
-            Part::Slow => self.slow.read(from),
-            Part::Log => self.log.read(from),
+            RecorderPart::Fast => self.fast.read(from),
+            RecorderPart::Slow => self.slow.read(from),
+            RecorderPart::Log => self.log.read(from),
         };
         Page { part, first, bytes }
     }

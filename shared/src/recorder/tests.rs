@@ -46,12 +46,12 @@ fn control() -> Control {
 }
 
 /// Bytes of all entries of a part, page by page.
-fn bytes(memory: &RecorderMemory, part: Part) -> StdVec<u8> {
+fn bytes(memory: &RecorderMemory, part: RecorderPart) -> StdVec<u8> {
     let status = memory.status();
     let held = match part {
-        Part::Fast => status.fast,
-        Part::Slow => status.slow,
-        Part::Log => status.log,
+        RecorderPart::Fast => status.fast,
+        RecorderPart::Slow => status.slow,
+        RecorderPart::Log => status.log,
     };
     let (mut from, mut all) = (held.first, StdVec::new());
     loop {
@@ -60,24 +60,29 @@ fn bytes(memory: &RecorderMemory, part: Part) -> StdVec<u8> {
         if page.bytes.is_empty() {
             return all;
         }
-        let length = if part == Part::Log { EVENT_BYTES } else { TICK_BYTES };
+        let length = if part == RecorderPart::Log { EVENT_BYTES } else { TICK_BYTES };
         assert_eq!(page.bytes.len() % length, 0, "whole entries");
         from += (page.bytes.len() / length) as u32;
         all.extend_from_slice(&page.bytes);
     }
 }
 
-fn ticks(memory: &RecorderMemory, part: Part) -> StdVec<Option<TickEntry>> {
+fn ticks(memory: &RecorderMemory, part: RecorderPart) -> StdVec<Option<TickEntry>> {
     bytes(memory, part).as_chunks().0.iter().map(|entry| TickEntry::read(*entry)).collect()
 }
 
 /// Pressures of a part as whole numbers, gaps as -1.
-fn pressures(memory: &RecorderMemory, part: Part) -> StdVec<i32> {
+fn pressures(memory: &RecorderMemory, part: RecorderPart) -> StdVec<i32> {
     ticks(memory, part).iter().map(|entry| entry.map_or(-1, |entry| (entry.pressure + 0.5) as i32)).collect()
 }
 
 fn log(memory: &RecorderMemory) -> StdVec<LogEntry> {
-    bytes(memory, Part::Log).as_chunks().0.iter().map(|entry| LogEntry::read(*entry).unwrap()).collect()
+    bytes(memory, RecorderPart::Log)
+        .as_chunks()
+        .0
+        .iter()
+        .map(|entry| LogEntry::read(*entry).unwrap())
+        .collect()
 }
 
 fn happenings(memory: &RecorderMemory) -> StdVec<Happening> {
@@ -105,9 +110,9 @@ fn the_last_two_seconds_are_there_in_order_and_tell_their_ticks() {
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Standby, counting(0, 77));
     run(&mut recorder, Mode::Ventilating, counting(0, 10));
-    assert_eq!(pressures(&memory, Part::Fast), [vec![-1], counted(0, 10)].concat());
+    assert_eq!(pressures(&memory, RecorderPart::Fast), [vec![-1], counted(0, 10)].concat());
     run(&mut recorder, Mode::Ventilating, counting(10, 4000));
-    assert_eq!(pressures(&memory, Part::Fast), counted(2010, 2000));
+    assert_eq!(pressures(&memory, RecorderPart::Fast), counted(2010, 2000));
     let RecorderStatus { fast, recording, tick, tick_boot, .. } = memory.status();
     assert_eq!(fast.tick(fast.next - 1, 1), 77 + 4009);
     assert_eq!((recording, tick, tick_boot), (RecordingState::Running, 77, 1));
@@ -118,7 +123,7 @@ fn the_last_minute_keeps_every_peak() {
     let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, (0..60_040).map(|tick| if tick == 60_003 { 61.0 } else { 8.0 }));
-    let slow = pressures(&memory, Part::Slow);
+    let slow = pressures(&memory, RecorderPart::Slow);
     assert_eq!(slow.len(), SLOW_ENTRIES);
     let held = memory.status().slow;
     let peak = slow.iter().position(|pressure| *pressure == 61).unwrap() as u32;
@@ -132,7 +137,7 @@ fn readings_that_are_no_number_do_not_hide_the_others() {
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, (0..20).map(|tick| if tick == 7 { 9.0 } else { f32::NAN }));
     run(&mut recorder, Mode::Ventilating, [f32::NAN; 20]);
-    let slow = ticks(&memory, Part::Slow);
+    let slow = ticks(&memory, RecorderPart::Slow);
     assert!((slow[1].unwrap().pressure - 9.0).abs() < 0.01 && slow[2].unwrap().pressure.is_nan());
 }
 
@@ -143,21 +148,29 @@ fn a_fault_ends_the_recording_after_its_tail_and_nothing_but_a_new_start_goes_on
     run(&mut recorder, Mode::Ventilating, counting(0, 3000));
     let fault = Mode::Fault(Fault::HighPressure);
     run(&mut recorder, fault, counting(3000, FAST_TAIL + 100));
-    let kept = bytes(&memory, Part::Fast);
-    assert_eq!(pressures(&memory, Part::Fast), counted(1500, 2000), "half a second after the fault is in it");
-    assert_eq!(ticks(&memory, Part::Fast)[1500].unwrap().activity, Activity::Fault);
+    let kept = bytes(&memory, RecorderPart::Fast);
+    assert_eq!(
+        pressures(&memory, RecorderPart::Fast),
+        counted(1500, 2000),
+        "half a second after the fault is in it"
+    );
+    assert_eq!(ticks(&memory, RecorderPart::Fast)[1500].unwrap().activity, Activity::Fault);
     assert_eq!(
         (memory.status().recording, memory.status().tick),
         (RecordingState::Fault(Fault::HighPressure), 3000)
     );
     run(&mut recorder, fault, counting(0, SLOW_TAIL));
-    let slow = bytes(&memory, Part::Slow);
+    let slow = bytes(&memory, RecorderPart::Slow);
     assert_eq!(slow.len() / TICK_BYTES, 1 + (3000 + SLOW_TAIL as usize) / 20);
     run(&mut recorder, fault, [50.0; 1000]);
     run(&mut recorder, Mode::Standby, [50.0; 1000]);
-    assert_eq!((bytes(&memory, Part::Fast), bytes(&memory, Part::Slow)), (kept, slow), "it stands still");
+    assert_eq!(
+        (bytes(&memory, RecorderPart::Fast), bytes(&memory, RecorderPart::Slow)),
+        (kept, slow),
+        "it stands still"
+    );
     run(&mut recorder, Mode::Ventilating, [1.0, 2.0]);
-    assert_eq!(pressures(&memory, Part::Fast)[1997..], [-1, 1, 2], "a gap, then the new run");
+    assert_eq!(pressures(&memory, RecorderPart::Fast)[1997..], [-1, 1, 2], "a gap, then the new run");
     assert_eq!(memory.status().recording, RecordingState::Running);
 }
 
@@ -179,7 +192,7 @@ fn a_reset_while_ventilating_leaves_the_recording_and_names_it() {
     run(&mut recorder, Mode::Standby, [0.0; 100]);
     let RecorderStatus { boot, recording, tick, tick_boot, .. } = memory.status();
     assert_eq!((boot, recording, tick, tick_boot), (2, RecordingState::Reset, 699, 1));
-    assert_eq!(pressures(&memory, Part::Fast), [vec![-1], counted(0, 700)].concat());
+    assert_eq!(pressures(&memory, RecorderPart::Fast), [vec![-1], counted(0, 700)].concat());
     let boots: StdVec<_> = log(&memory).iter().map(|entry| (entry.boot, entry.tick)).collect();
     assert_eq!(boots.first(), Some(&(1, 0)));
     assert_eq!(boots.last(), Some(&(2, 0)));
@@ -194,7 +207,7 @@ fn power_up_empties_everything_and_a_dip_of_the_supply_keeps_the_log_alone() {
         let mut recorder = Recorder::attach(&memory, POWER_ON);
         run(&mut recorder, Mode::Ventilating, counting(0, 10));
         Recorder::attach(&memory, Boot { cause, ..POWER_ON });
-        assert_eq!(pressures(&memory, Part::Fast).len(), ticks, "{cause:?}");
+        assert_eq!(pressures(&memory, RecorderPart::Fast).len(), ticks, "{cause:?}");
         assert_eq!(log(&memory).len(), events, "{cause:?}");
     }
 }
@@ -233,7 +246,7 @@ fn a_host_empties_the_recording_and_the_log_tells_it() {
     run(&mut recorder, Mode::Ventilating, [6.0]);
     memory.request_clear();
     run(&mut recorder, Mode::Ventilating, [7.0, 8.0]);
-    assert_eq!(pressures(&memory, Part::Fast), [7, 8], "one that runs goes on");
+    assert_eq!(pressures(&memory, RecorderPart::Fast), [7, 8], "one that runs goes on");
     assert_eq!(memory.status().recording, RecordingState::Running);
 }
 
@@ -305,7 +318,7 @@ fn what_the_ventilator_did_is_what_is_recorded() {
         recorder.record(&control.moment(reading, &output, 0));
         expected.push((reading, output.command, output.sample.unwrap()));
     }
-    let found = ticks(&memory, Part::Fast);
+    let found = ticks(&memory, RecorderPart::Fast);
     assert_eq!(found.len(), 1801);
     for (entry, (reading, command, sample)) in found[1..].iter().zip(&expected) {
         let entry = entry.unwrap();
@@ -325,11 +338,11 @@ fn numbers_begin_again_without_a_gap() {
     run(&mut recorder, Mode::Ventilating, counting(0, 999));
     let before = memory.status().fast;
     assert_eq!((before.next, before.tick(slots - 1, 1)), (slots, 998), "the last one before it has its tick");
-    assert_eq!(pressures(&memory, Part::Fast), [vec![-1], counted(0, 999)].concat());
+    assert_eq!(pressures(&memory, RecorderPart::Fast), [vec![-1], counted(0, 999)].concat());
     run(&mut recorder, Mode::Ventilating, counting(999, 3000));
     let after = memory.status().fast;
     assert_eq!(after.tick(after.next - 1, 1), 3998);
-    assert_eq!(pressures(&memory, Part::Fast), counted(1999, 2000));
+    assert_eq!(pressures(&memory, RecorderPart::Fast), counted(1999, 2000));
 }
 
 #[test]
@@ -338,7 +351,7 @@ fn a_page_from_anywhere_begins_with_the_oldest_that_is_left_or_is_empty() {
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, counting(0, 5000));
     let page = |from| {
-        let page = memory.page(Part::Fast, from);
+        let page = memory.page(RecorderPart::Fast, from);
         (page.first, page.bytes.len() / TICK_BYTES)
     };
     assert_eq!(page(0), (3001, PAGE_BYTES / TICK_BYTES));
@@ -380,7 +393,7 @@ fn a_reset_at_any_store_leaves_no_wrong_entry() {
         life(&memory);
         fuse::set(usize::MAX);
         let mut recorder = Recorder::attach(&memory, RESET);
-        let found = pressures(&memory, Part::Fast);
+        let found = pressures(&memory, RecorderPart::Fast);
         assert!(followed(&found), "cut after {cut} stores: {found:?}");
         let events: StdVec<_> = log(&memory);
         let (last, before) = events.split_last().unwrap();
@@ -388,7 +401,7 @@ fn a_reset_at_any_store_leaves_no_wrong_entry() {
         assert!(before.iter().zip(&all).all(|(found, expected)| found.happening == expected.happening));
         assert!(before.len() <= all.len() && before.len() >= 2, "{cut}: {before:?}");
         run(&mut recorder, Mode::Ventilating, [1.0, 2.0, 3.0]);
-        let found = pressures(&memory, Part::Fast);
+        let found = pressures(&memory, RecorderPart::Fast);
         assert_eq!(found[found.len() - 4..], [-1, 1, 2, 3], "cut after {cut} stores");
     }
 }
@@ -403,7 +416,7 @@ fn a_reset_at_any_store_of_the_first_start_is_harmless() {
         fuse::set(usize::MAX);
         let mut recorder = Recorder::attach(&memory, RESET);
         run(&mut recorder, Mode::Ventilating, [4.0]);
-        assert_eq!(pressures(&memory, Part::Fast), [-1, 4]);
+        assert_eq!(pressures(&memory, RecorderPart::Fast), [-1, 4]);
         assert!(log(&memory).iter().all(|entry| entry.boot <= 2 && entry.tick == 0));
     }
 }
@@ -430,8 +443,8 @@ proptest! {
         let RecorderStatus { boot, recording, fast, slow, .. } = memory.status();
         prop_assert_eq!((boot, recording, fast.next - fast.first, slow.next - slow.first), (1, RecordingState::Nothing, 0, 0));
         run(&mut recorder, Mode::Ventilating, counting(0, 50));
-        prop_assert_eq!(pressures(&memory, Part::Fast).len(), 51);
-        memory.page(Part::Slow, from);
+        prop_assert_eq!(pressures(&memory, RecorderPart::Fast).len(), 51);
+        memory.page(RecorderPart::Slow, from);
     }
 
     /// Whatever the modes, the rings hold the newest ticks in their order, parted by gaps.
@@ -452,7 +465,7 @@ proptest! {
                 recorder = Recorder::attach(&memory, RESET);
             }
         }
-        let found = pressures(&memory, Part::Fast);
+        let found = pressures(&memory, RecorderPart::Fast);
         prop_assert!(found.len() <= FAST_ENTRIES);
         for pair in found.windows(2) {
             prop_assert!(pair[0] < 0 || pair[1] < 0 || pair[1] == (pair[0] + 1) % 200, "{:?}", pair);

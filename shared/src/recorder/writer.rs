@@ -47,7 +47,7 @@ pub struct Recorder<'a> {
     /// Ticks to record after ventilation has ended.
     fast_left: u32,
     slow_left: u32,
-    /// Ticks until the next entry of [`super::Part::Slow`].
+    /// Ticks until the next entry of [`super::RecorderPart::Slow`].
     until_slow: u32,
     /// Highest pressure since the last one, cmH2O; NaN if there was no number.
     highest: f32,
