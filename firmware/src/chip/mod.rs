@@ -22,12 +22,11 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::BootFindings;
 use shared::device::server::DeviceFacts;
+use shared::weights::slots::Slots;
 
 use board::PlantInterface;
-use drivers::{clock, reset, taken_once};
-use link_task::Storage;
+use drivers::{clock, flash, reset, taken_once};
 
 static CONTROL: InterruptExecutor = InterruptExecutor::new();
 static LINK: InterruptExecutor = InterruptExecutor::new();
@@ -46,13 +45,14 @@ fn start() {
     let failure = failure::of_last_run();
     let mut board = board::start();
     let reset = reset::cause();
-    let mut storage = Storage::new(board.flash);
-    let (learned, slots, running) = storage.load();
+    let mut storage = Slots::new(board.flash, flash::slots());
+    let (running, learned) = storage.load().map(|(slot, image)| (slot, image.residual)).unzip();
+    let slots = storage.states();
     let kind = board::SelectedPlant::KIND;
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let control = control_task::prepare(kind, learned);
     let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
-    control.report_boot(&BootFindings { cause: reset, interrupted: recorder.interrupted(), slots });
+    control.report_boot(reset, recorder.interrupted(), &slots);
     let facts = DeviceFacts {
         firmware: link_task::VERSION,
         device: kind,
@@ -64,7 +64,7 @@ fn start() {
     };
     interrupt::CAN2_SCE.set_priority(Priority::P4);
     let spawner = CONTROL.start(interrupt::CAN2_SCE);
-    board.watchdog.start();
+    board.watchdog.unleash();
     spawner.spawn(taken_once(control_task::run(control, recorder, board.plant, board.watchdog).ok()));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0)

@@ -189,12 +189,12 @@ fn monitors(counting: &Cost) {
 /// Packing a sample, and encoding a full batch, which is the link's work and not the tick's.
 fn telemetry(counting: &Cost) {
     let (mut pack, mut encoding) = (Cost::NONE, Cost::NONE);
-    let mut batcher = Batcher::new();
+    let mut batcher = Batcher::default();
     let mut control = control();
     control.execute(&ControlRequest::Start);
     for tick in 0..u64::from(RUNS) {
         let Some(sample) = control.step(5.0).sample else { continue };
-        let batch = pack.of(|| batcher.push(tick, black_box(&sample), &Counters::ZERO));
+        let batch = pack.of(|| batcher.push(tick, black_box(&sample), &Counters::default()));
         if let Some(batch) = batch {
             let event = ToHost::Event(Event::Telemetry(batch));
             let mut buffer = [0; FRAME_BYTES];

@@ -9,7 +9,6 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::device::BootFindings;
 use shared::device::control::Control;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
@@ -267,6 +266,6 @@ fn boot<'a>(
     };
     let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
     let mut control = control.expect("the default control period is in bounds");
-    control.report_boot(&BootFindings { cause: reset, interrupted: recorder.interrupted(), slots });
+    control.report_boot(reset, recorder.interrupted(), &slots);
     (control, Server::new(facts, memory), recorder)
 }

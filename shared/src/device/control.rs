@@ -7,7 +7,7 @@
 
 use heapless::Deque;
 
-use super::{BootFindings, ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
+use super::{ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
 use crate::breath::Breath;
 use crate::control::Controller;
 use crate::control::pid::Pid;
@@ -17,12 +17,14 @@ use crate::link::messages::{ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters};
 use crate::recorder::Moment;
+use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::safety::host::HostWatch;
 use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
 use crate::timing::{TickTime, TickTimer};
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
+use crate::weights::slots::SlotState;
 
 /// Breaths that can wait for their turn.
 pub const QUEUE_LENGTH: usize = 16;
@@ -116,12 +118,13 @@ impl Control {
         self
     }
 
-    /// Reports with the first ticks what the start has found.
-    pub fn report_boot(&mut self, findings: &BootFindings) {
-        if findings.unrequested() {
+    /// Raises with the first ticks the alarms for a start that nobody requested, after a fault of supply or program or in
+    /// the middle of ventilation (`interrupted`), and for a slot that holds something other than valid weights.
+    pub fn report_boot(&mut self, cause: ResetCause, interrupted: bool, slots: &[SlotState; 2]) {
+        if interrupted || matches!(cause, ResetCause::BrownOut | ResetCause::Watchdog) {
             self.raise(Fault::Restarted);
         }
-        if findings.refused_weights() {
+        if slots.iter().any(|slot| matches!(slot, SlotState::Torn | SlotState::Invalid(_))) {
             self.raise(Fault::WeightsRefused);
         }
     }

@@ -13,7 +13,7 @@
 
 pub mod control;
 pub mod server;
-pub mod upload;
+mod upload;
 
 #[cfg(test)]
 mod tests;
@@ -22,38 +22,13 @@ use crate::control::pid::PidGains;
 use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, Response};
 use crate::link::telemetry::{BreathSummary, Counters};
-use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
-use crate::weights::slots::SlotState;
 
 /// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O, and safe
 /// to explore around; on a stiff lung of low resistance they ring.
 pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
-
-/// State that a device finds at its start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BootFindings {
-    /// Cause of the start.
-    pub cause: ResetCause,
-    /// Whether it ventilated when the last run ended.
-    pub interrupted: bool,
-    /// Content of each weights slot.
-    pub slots: [SlotState; 2],
-}
-
-impl BootFindings {
-    /// Whether the start was unrequested: after a fault of supply or program, or in the middle of ventilation.
-    pub fn unrequested(&self) -> bool {
-        self.interrupted || matches!(self.cause, ResetCause::BrownOut | ResetCause::Watchdog)
-    }
-
-    /// Whether a slot holds something other than valid weights.
-    pub fn refused_weights(&self) -> bool {
-        self.slots.iter().any(|slot| matches!(slot, SlotState::Torn | SlotState::Invalid(_)))
-    }
-}
 
 /// A request of the server to the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]

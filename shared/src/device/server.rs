@@ -87,13 +87,13 @@ pub struct Server<'a> {
 
 impl<'a> Server<'a> {
     /// A server before the first request; it reads the flight recorder's memory for the host.
-    pub const fn new(facts: DeviceFacts, recorder: &'a RecorderMemory) -> Self {
+    pub fn new(facts: DeviceFacts, recorder: &'a RecorderMemory) -> Self {
         Self {
             facts,
             recorder,
             telemetry: false,
-            batcher: Batcher::new(),
-            counters: Counters::ZERO,
+            batcher: Batcher::default(),
+            counters: Counters::default(),
             upload: Upload::new(),
             committed: 0,
             sequence: 0,
@@ -121,59 +121,43 @@ impl<'a> Server<'a> {
             return NextStep::Send(ToHost::Response { sequence: *sequence, response: response.clone() });
         }
         self.sequence = *sequence;
-        match request {
-            Request::Identify => self.ask(Continuation::Greet, ControlRequest::Status),
-            Request::GetSettings => self.ask(Continuation::Forward, ControlRequest::Settings),
-            Request::ApplySettings(settings) => {
-                self.ask(Continuation::Forward, ControlRequest::Apply(*settings))
-            }
-            Request::QueueSettings(settings) => {
-                self.ask(Continuation::Forward, ControlRequest::Queue(*settings))
-            }
-            Request::Start => self.ask(Continuation::Forward, ControlRequest::Start),
-            Request::Stop => self.ask(Continuation::Forward, ControlRequest::Stop),
-            Request::Acknowledge => self.ask(Continuation::Forward, ControlRequest::Acknowledge),
-            Request::SetController(choice) => {
-                self.ask(Continuation::Forward, ControlRequest::Controller(*choice))
-            }
-            Request::SetExploration(exploration) => {
-                self.ask(Continuation::Forward, ControlRequest::Exploration(*exploration))
-            }
-            Request::GetTiming { clear } => {
-                self.ask(Continuation::Forward, ControlRequest::Timing { clear: *clear })
-            }
-            Request::ResetPlant { seed } => {
-                self.ask(Continuation::Forward, ControlRequest::ResetPlant(*seed))
-            }
+        let (continuation, control_request) = match request {
+            Request::Identify => (Continuation::Greet, ControlRequest::Status),
+            Request::GetSettings => (Continuation::Forward, ControlRequest::Settings),
+            Request::ApplySettings(settings) => (Continuation::Forward, ControlRequest::Apply(*settings)),
+            Request::QueueSettings(settings) => (Continuation::Forward, ControlRequest::Queue(*settings)),
+            Request::Start => (Continuation::Forward, ControlRequest::Start),
+            Request::Stop => (Continuation::Forward, ControlRequest::Stop),
+            Request::Acknowledge => (Continuation::Forward, ControlRequest::Acknowledge),
+            Request::SetController(choice) => (Continuation::Forward, ControlRequest::Controller(*choice)),
+            Request::SetExploration(choice) => (Continuation::Forward, ControlRequest::Exploration(*choice)),
+            Request::GetTiming { clear } => (Continuation::Forward, ControlRequest::Timing { clear: *clear }),
+            Request::ResetPlant { seed } => (Continuation::Forward, ControlRequest::ResetPlant(*seed)),
             Request::BeginWeights { length, id } => {
-                self.ask(Continuation::Begin { length: *length, id: *id }, ControlRequest::Status)
+                (Continuation::Begin { length: *length, id: *id }, ControlRequest::Status)
             }
-            Request::CommitWeights => self.ask(Continuation::Commit, ControlRequest::Status),
-            Request::Reset => self.ask(Continuation::Restart, ControlRequest::Status),
-            Request::GetRecorder => self.send(Ok(Response::Recorder(self.recorder.status()))),
+            Request::CommitWeights => (Continuation::Commit, ControlRequest::Status),
+            Request::Reset => (Continuation::Restart, ControlRequest::Status),
+            Request::GetRecorder => return self.send(Ok(Response::Recorder(self.recorder.status()))),
             Request::ReadRecorder { part, from } => {
-                self.send(Ok(Response::Recorded(self.recorder.page(*part, *from))))
+                return self.send(Ok(Response::Recorded(self.recorder.page(*part, *from))));
             }
             Request::ClearRecorder => {
                 self.recorder.request_clear();
-                self.send(Ok(Response::Done))
+                return self.send(Ok(Response::Done));
             }
             Request::WeightsChunk { offset, bytes } => {
                 let progress = self.upload.chunk(*offset, bytes).map(|offset| Response::Progress { offset });
-                self.send(progress)
+                return self.send(progress);
             }
             Request::Telemetry { on } => {
                 self.telemetry = *on;
-                self.send(Ok(Response::Telemetry { on: *on }))
+                return self.send(Ok(Response::Telemetry { on: *on }));
             }
-        }
-    }
-
-    fn ask(&mut self, continuation: Continuation, request: ControlRequest) -> NextStep {
+        };
         self.continuation = continuation;
-        NextStep::Control(request)
+        NextStep::Control(control_request)
     }
-
     /// Goes on after [`NextStep::Control`] with the control half's reply.
     pub fn control_replied(&mut self, reply: ControlReply) -> NextStep {
         let status = match reply {
@@ -198,10 +182,8 @@ impl<'a> Server<'a> {
                 }
                 Err(refusal) => self.send(Err(refusal)),
             },
-            Continuation::Restart => match idle {
-                Ok(()) => NextStep::Restart(self.answer(Response::Done)),
-                Err(refusal) => self.send(Err(refusal)),
-            },
+            Continuation::Restart if idle.is_ok() => NextStep::Restart(self.answer(Response::Done)),
+            Continuation::Restart => self.send(Err(Refusal::Ventilating)),
         }
     }
 

@@ -85,12 +85,6 @@ impl Upload {
     }
 }
 
-impl Default for Upload {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -30,30 +30,15 @@ pub struct PackedSample {
 impl PackedSample {
     /// Packs a sample.
     pub fn pack(sample: &Sample) -> Self {
-        Self {
-            breath: sample.breath,
-            tick: sample.tick,
-            phase: sample.phase,
-            u_out: sample.u_out,
-            target: sample.target,
-            pressure: sample.pressure,
-            u_in: sample.u_in,
-            explore: (sample.explore.to_bits() != 0).then_some(sample.explore),
-        }
+        let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore } = *sample;
+        let explore = (explore.to_bits() != 0).then_some(explore);
+        Self { breath, tick, phase, u_out, target, pressure, u_in, explore }
     }
 
     /// The sample that was packed.
     pub fn unpack(&self) -> Sample {
-        Sample {
-            breath: self.breath,
-            tick: self.tick,
-            phase: self.phase,
-            target: self.target,
-            pressure: self.pressure,
-            u_in: self.u_in,
-            u_out: self.u_out,
-            explore: self.explore.unwrap_or(0.0),
-        }
+        let Self { breath, tick, phase, u_out, target, pressure, u_in, explore } = *self;
+        Sample { breath, tick, phase, target, pressure, u_in, u_out, explore: explore.unwrap_or(0.0) }
     }
 }
 
@@ -70,12 +55,6 @@ pub struct Counters {
     pub worst_tick_us: u32,
     /// Mean length of a control tick, microseconds.
     pub mean_tick_us: f32,
-}
-
-impl Counters {
-    /// Nothing counted.
-    pub const ZERO: Self =
-        Self { dropped: 0, corrupt_frames: 0, missed_ticks: 0, worst_tick_us: 0, mean_tick_us: 0.0 };
 }
 
 /// Samples of consecutive ticks.
@@ -100,11 +79,6 @@ pub struct Batcher {
 }
 
 impl Batcher {
-    /// Nothing collected.
-    pub const fn new() -> Self {
-        Self { sequence: 0, first_tick: 0, samples: Vec::new() }
-    }
-
     /// Takes in a tick's sample; gives a batch when it is full, or when the new sample does not follow the last.
     pub fn push(&mut self, tick: u64, sample: &Sample, counters: &Counters) -> Option<TelemetryBatch> {
         let follows = self.first_tick.wrapping_add(self.samples.len() as u64) == tick;
@@ -251,7 +225,7 @@ mod tests {
 
     #[test]
     fn a_batch_is_closed_when_full_when_ticks_are_missing_and_on_demand() {
-        let (mut batcher, counters) = (Batcher::new(), Counters::default());
+        let (mut batcher, counters) = (Batcher::default(), Counters::default());
         let push = |batcher: &mut Batcher, tick: u64| batcher.push(tick, &quiet(tick as u32), &counters);
         for tick in 100..115 {
             assert_eq!(push(&mut batcher, tick), None);

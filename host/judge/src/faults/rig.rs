@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::residual::Residual;
+use shared::device::ControlRequest;
 use shared::device::control::Control;
-use shared::device::{BootFindings, ControlRequest};
 use shared::explore::Exploration;
 use shared::link::messages::{ControllerChoice, DeviceKind};
 use shared::reset::ResetCause;
@@ -155,7 +155,7 @@ impl Rig {
     ) -> Result<(), SourceError> {
         let interrupted = self.state().mode() == Mode::Ventilating;
         self.control = device(learned, self.monitors)?;
-        self.control.report_boot(&BootFindings { cause, interrupted, slots });
+        self.control.report_boot(cause, interrupted, &slots);
         Ok(())
     }
 }

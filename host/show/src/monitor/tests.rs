@@ -99,7 +99,7 @@ fn batch(first_tick: u64, pressures: &[f32]) -> TelemetryBatch {
         })
     };
     let samples = (first_tick..).zip(pressures).map(sample).collect();
-    TelemetryBatch { sequence: 0, first_tick, counters: Counters::ZERO, samples }
+    TelemetryBatch { sequence: 0, first_tick, counters: Counters::default(), samples }
 }
 
 fn telemetry(first_tick: u64, pressures: &[f32]) -> News {
@@ -424,7 +424,7 @@ mod pictures {
     fn a_fault_with_losses_and_a_refusal() {
         let mut view = breathing();
         view.take(&alarm(Fault::HighPressure));
-        let device = Counters { dropped: 4, corrupt_frames: 1, ..Counters::ZERO };
+        let device = Counters { dropped: 4, corrupt_frames: 1, ..Counters::default() };
         view.take(&News::Traffic(LineCounters { frames: 900, corrupt: 2, lost_batches: 3, device }));
         let refused = Err(Refusal::FaultLatched.to_string());
         view.take(&News::Answer { request: Request::Start, result: refused });
@@ -478,7 +478,7 @@ mod lines {
 
     #[test]
     fn a_night_in_lines() {
-        let device = Counters { missed_ticks: 1, ..Counters::ZERO };
+        let device = Counters { missed_ticks: 1, ..Counters::default() };
         let losses = LineCounters { frames: 900, corrupt: 2, lost_batches: 3, device };
         let text = written([
             greeting(Mode::Standby),
