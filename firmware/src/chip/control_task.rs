@@ -63,7 +63,7 @@ pub async fn run(
         let work = clock::now().wrapping_sub(read);
         control.record(&TickTime { latency, work, period, missed });
         before = Some((number, begun));
-        watchdog.feed();
+        watchdog.pet();
     }
 }
 

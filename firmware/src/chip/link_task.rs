@@ -1,19 +1,16 @@
 //! The link task: moves bytes, requests and reports between the line, the server and the control task; owns the flash.
 
 use embassy_futures::select::{Either, select};
-use shared::control::residual::Residual;
 use shared::device::ControlReport;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{ToDevice, ToHost, read_request};
-use shared::weights::IMAGE_BYTES;
 use shared::weights::slots::Slots;
-use shared::weights::slots::{Slot, SlotState};
 
 use static_cell::StaticCell;
 
 use super::control_task::{REPLY, REPORTS, REQUEST};
-use super::drivers::flash::{WeightsFlash, slots};
+use super::drivers::flash::WeightsFlash;
 use super::drivers::{link_uart, watchdog};
 use super::recorder;
 
@@ -33,35 +30,6 @@ const fn number(digits: &str) -> u16 {
     }
 }
 
-/// The weights slots.
-pub struct Storage {
-    slots: Slots<WeightsFlash>,
-}
-
-impl Storage {
-    /// The slots of a flash.
-    pub fn new(flash: WeightsFlash) -> Self {
-        Self { slots: Slots::new(flash, slots().map(|slot| slot.start)) }
-    }
-
-    /// The newest weights that this chip can reproduce bit for bit, what both slots hold, and which one was taken.
-    pub fn load(&mut self) -> (Option<Residual>, [SlotState; 2], Option<Slot>) {
-        let loaded = self.slots.load();
-        let states = self.slots.states();
-        match loaded {
-            Some((slot, image)) => (Some(image.residual), states, Some(slot)),
-            None => (None, states, None),
-        }
-    }
-
-    /// Stores a validated image; the core stands still while a sector is erased. Gives the slot that took it, if one
-    /// did, and what both hold now.
-    fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> (Option<Slot>, [SlotState; 2]) {
-        let stored = watchdog::with_long_timeout(|| self.slots.store(image));
-        (stored.ok().map(|(slot, _)| slot), self.slots.states())
-    }
-}
-
 /// The device's server. Kept here and built in place: as part of the task it would be moved over the stack.
 static SERVER: StaticCell<Server<'static>> = StaticCell::new();
 
@@ -73,7 +41,7 @@ pub fn prepare(facts: DeviceFacts) -> &'static mut Server<'static> {
 
 /// Never returns.
 #[embassy_executor::task]
-pub async fn run(server: &'static mut Server<'static>, mut storage: Storage) {
+pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsFlash>) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
     let mut chunk = [0; CHUNK];
     loop {
@@ -82,7 +50,7 @@ pub async fn run(server: &'static mut Server<'static>, mut storage: Storage) {
                 for byte in &chunk[..count] {
                     if let Poll::Frame(content) = decoder.push(*byte) {
                         match read_request(content) {
-                            Ok(request) => serve(server, &mut storage, &request).await,
+                            Ok(request) => serve(server, &mut slots, &request).await,
                             Err(unreadable) => {
                                 if let Some(refusal) = unreadable.refusal() {
                                     send(&refusal).await;
@@ -99,7 +67,7 @@ pub async fn run(server: &'static mut Server<'static>, mut storage: Storage) {
 }
 
 /// Takes a request to its answer.
-async fn serve(server: &mut Server<'_>, storage: &mut Storage, request: &ToDevice) {
+async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request: &ToDevice) {
     let mut step = server.receive(request);
     loop {
         step = match step {
@@ -109,8 +77,9 @@ async fn serve(server: &mut Server<'_>, storage: &mut Storage, request: &ToDevic
                 server.control_replied(REPLY.wait().await)
             }
             NextStep::Store => {
-                let (slot, states) = storage.store(server.image());
-                server.stored(slot, states)
+                // The core stands still while a sector is erased.
+                let stored = watchdog::with_long_timeout(|| slots.store(server.image()));
+                server.stored(stored.ok().map(|(slot, _)| slot), slots.states())
             }
             NextStep::Restart(answer) => {
                 send(&answer).await;

@@ -8,7 +8,8 @@ mod selected;
 #[path = "stm32f446.rs"]
 mod selected;
 
-use embassy_stm32::peripherals::{ADC1, FLASH, IWDG, TIM3, USART1, USART2};
+use embassy_stm32::gpio::{AnyPin, Level, Output, Speed};
+use embassy_stm32::peripherals::{FLASH, IWDG};
 use embassy_stm32::rcc::{
     AHBPrescaler, APBPrescaler, Hse, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
 };
@@ -17,19 +18,11 @@ use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
 
-pub use selected::CORE_CLOCK;
-use selected::{
-    Airway, Expiratory, Flow, Inspiratory, LinkReceive, LinkTransmit, Outlet, PlantReceive, PlantTransmit,
-};
+pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
 
-#[cfg(not(feature = "hil"))]
-use super::drivers::adc::Adc;
 use super::drivers::flash::WeightsFlash;
-#[cfg(not(feature = "hil"))]
-use super::drivers::valves::Valves;
-use super::drivers::valves::hold_low;
-use super::drivers::watchdog::Watchdog;
-use super::drivers::{link_uart, taken_once};
+use super::drivers::taken_once;
+use super::drivers::watchdog::{TIMEOUT_US, Watchdog};
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
@@ -48,61 +41,6 @@ pub trait PlantInterface {
     fn drive(&mut self, command: &ValveCommand);
 }
 
-/// Peripherals and pins for the drivers.
-struct Parts {
-    sensors: SensorParts,
-    valves: ValveParts,
-    link: LinkParts,
-    plant: PlantParts,
-    watchdog: Peri<'static, IWDG>,
-    flash: Peri<'static, FLASH>,
-}
-
-/// The converter and its inputs.
-#[cfg_attr(feature = "hil", expect(dead_code, reason = "no sensors are read"))]
-pub struct SensorParts {
-    /// Converter.
-    pub adc: Peri<'static, ADC1>,
-    /// Airway pressure.
-    pub airway: Peri<'static, Airway>,
-    /// Pressure at the outlet.
-    pub outlet: Peri<'static, Outlet>,
-    /// Pressure across the flow meter.
-    pub flow: Peri<'static, Flow>,
-}
-
-/// The valves' outputs.
-#[cfg_attr(feature = "hil", expect(dead_code, reason = "no valves are moved"))]
-pub struct ValveParts {
-    /// Makes the pulse width.
-    pub pwm: Peri<'static, TIM3>,
-    /// Inspiratory valve.
-    pub inspiratory: Peri<'static, Inspiratory>,
-    /// Expiratory valve.
-    pub expiratory: Peri<'static, Expiratory>,
-}
-
-/// The link's line.
-pub struct LinkParts {
-    /// Port.
-    pub port: Peri<'static, USART1>,
-    /// From the host.
-    pub receive: Peri<'static, LinkReceive>,
-    /// To the host.
-    pub transmit: Peri<'static, LinkTransmit>,
-}
-
-/// The plant line.
-#[cfg_attr(not(feature = "hil"), expect(dead_code, reason = "only with hardware in the loop"))]
-pub struct PlantParts {
-    /// Port.
-    pub port: Peri<'static, USART2>,
-    /// From the plant.
-    pub receive: Peri<'static, PlantReceive>,
-    /// To the plant.
-    pub transmit: Peri<'static, PlantTransmit>,
-}
-
 /// A started board: clocks run, the valves are safe, the link's line is open.
 pub struct Board {
     /// Sensors and valves.
@@ -115,25 +53,25 @@ pub struct Board {
     pub core: cortex_m::Peripherals,
 }
 
+impl Board {
+    fn new(plant: SelectedPlant, watchdog: Peri<'static, IWDG>, flash: Peri<'static, FLASH>) -> Self {
+        Self {
+            plant,
+            watchdog: Watchdog::new(watchdog, TIMEOUT_US),
+            flash: WeightsFlash::new_blocking(flash),
+            core: taken_once(cortex_m::Peripherals::take()),
+        }
+    }
+}
+
 /// Starts clocks, valves (safe) and the link's line.
 pub fn start() -> Board {
-    let Parts { sensors, valves, link, plant, watchdog, flash } = selected::start();
-    let core = taken_once(cortex_m::Peripherals::take());
-    link_uart::start(link);
-    let plant = select(sensors, valves, plant);
-    Board { plant, watchdog: Watchdog::new(watchdog), flash: WeightsFlash::new_blocking(flash), core }
-}
-
-#[cfg(not(feature = "hil"))]
-fn select(sensors: SensorParts, valves: ValveParts, _line: PlantParts) -> SelectedPlant {
-    SelectedPlant::new(Adc::new(sensors), Valves::new(valves))
-}
-
-#[cfg(feature = "hil")]
-fn select(_sensors: SensorParts, _valves: ValveParts, line: PlantParts) -> SelectedPlant {
-    // No valve should hang on this board, but one that does stays safe.
-    force_valves_safe();
-    SelectedPlant::new(line)
+    let board = selected::start();
+    if cfg!(feature = "hil") {
+        // No valve should hang on this board, but one that does stays safe.
+        force_valves_safe();
+    }
+    board
 }
 
 /// 168 MHz from a crystal of 8 MHz, on any chip of the F4 family; both serial lines' clocks divide to 1 Mbaud.
@@ -159,6 +97,9 @@ fn clocks(crystal: Hse) -> Config {
 pub fn force_valves_safe() {
     // SAFETY: called before a driver of these pins exists, or with interrupts off by a program that will not go on.
     let (inspiratory, expiratory) = unsafe { (Inspiratory::steal(), Expiratory::steal()) };
-    hold_low(inspiratory);
-    hold_low(expiratory);
+    let valves: [Peri<'static, AnyPin>; 2] = [inspiratory.into(), expiratory.into()];
+    for pin in valves {
+        // Dropping an output would let its pin float.
+        core::mem::forget(Output::new(pin, Level::Low, Speed::Low));
+    }
 }

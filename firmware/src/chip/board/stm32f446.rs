@@ -10,45 +10,43 @@
 //! | PA9, PA10 | D8, D2 | USART1, the link | idle high by pull-up |
 //! | PA2, PA3 | USB of the debugger | USART2, the plant line (hardware in the loop only) | idle high by pull-up |
 
-use embassy_stm32::peripherals::{PA0, PA1, PA2, PA3, PA4, PA9, PA10, PB4, PB10};
+#[cfg(not(feature = "hil"))]
+use embassy_stm32::adc::AdcChannel;
+use embassy_stm32::peripherals::{PB4, PB10};
 use embassy_stm32::rcc::{Hse, HseMode};
 use embassy_stm32::time::Hertz;
 
-use super::{LinkParts, Parts, PlantParts, SensorParts, ValveParts, clocks};
+#[cfg(not(feature = "hil"))]
+use super::super::drivers::{adc::Adc, valves::Valves};
+use super::super::drivers::{link_uart, open_serial};
+use super::{Board, SelectedPlant, clocks};
 
 /// Clock of the core, and of `SysTick`.
 pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
 /// The debugger's crystal, which the board feeds in.
 const CRYSTAL: Hertz = Hertz(8_000_000);
 
-/// Airway pressure.
-pub type Airway = PA0;
-/// Pressure at the outlet.
-pub type Outlet = PA1;
-/// Pressure across the flow meter.
-pub type Flow = PA4;
 /// Inspiratory valve.
 pub type Inspiratory = PB4;
 /// Expiratory valve.
 pub type Expiratory = PB10;
-/// Link, from the host.
-pub type LinkReceive = PA10;
-/// Link, to the host.
-pub type LinkTransmit = PA9;
-/// Plant line, from the plant.
-pub type PlantReceive = PA3;
-/// Plant line, to the plant.
-pub type PlantTransmit = PA2;
 
-/// Starts the clocks and hands out pins and peripherals.
-pub(super) fn start() -> Parts {
+/// Starts the clocks and hands pins and peripherals to their drivers.
+pub(super) fn start() -> Board {
     let chip = embassy_stm32::init(clocks(Hse { freq: CRYSTAL, mode: HseMode::Bypass }));
-    Parts {
-        sensors: SensorParts { adc: chip.ADC1, airway: chip.PA0, outlet: chip.PA1, flow: chip.PA4 },
-        valves: ValveParts { pwm: chip.TIM3, inspiratory: chip.PB4, expiratory: chip.PB10 },
-        link: LinkParts { port: chip.USART1, receive: chip.PA10, transmit: chip.PA9 },
-        plant: PlantParts { port: chip.USART2, receive: chip.PA3, transmit: chip.PA2 },
-        watchdog: chip.IWDG,
-        flash: chip.FLASH,
-    }
+    open_serial(chip.USART1, chip.PA10, chip.PA9);
+    link_uart::start();
+    #[cfg(not(feature = "hil"))]
+    let plant = {
+        // Airway, outlet, flow.
+        let channels = [chip.PA0.degrade_adc(), chip.PA1.degrade_adc(), chip.PA4.degrade_adc()];
+        let valves = Valves::new(chip.TIM3, chip.PB4, chip.PB10);
+        SelectedPlant::new(Adc::new(chip.ADC1, channels), valves)
+    };
+    #[cfg(feature = "hil")]
+    let plant = {
+        open_serial(chip.USART2, chip.PA3, chip.PA2);
+        SelectedPlant::new()
+    };
+    Board::new(plant, chip.IWDG, chip.FLASH)
 }

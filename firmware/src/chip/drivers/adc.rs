@@ -3,11 +3,11 @@
 //! The injected group of ADC1 does it in 14 us. A converter that does not answer costs a bounded time and gives no
 //! counts: what was not measured is no number.
 
-use embassy_stm32::adc::{self, AdcChannel, AnyAdcChannel, SampleTime};
-use embassy_stm32::pac;
-use embassy_stm32::peripherals;
+use embassy_stm32::adc::{self, AnyAdcChannel, SampleTime};
+use embassy_stm32::peripherals::ADC1;
+use embassy_stm32::{Peri, pac};
 
-use super::super::board::{CORE_CLOCK, SensorParts};
+use super::super::board::CORE_CLOCK;
 use super::clock;
 
 /// Time for all three conversions, with as much again in reserve, cycles.
@@ -19,22 +19,18 @@ const SAMPLE_TIME: SampleTime = SampleTime::CYCLES84;
 
 /// The converter.
 pub struct Adc {
-    _driver: adc::Adc<'static, peripherals::ADC1>,
+    _driver: adc::Adc<'static, ADC1>,
     registers: pac::adc::Adc,
 }
 
 /// A channel of the converter, for good.
-type Channel = AnyAdcChannel<'static, peripherals::ADC1>;
+pub type Channel = AnyAdcChannel<'static, ADC1>;
 
 impl Adc {
-    /// Starts the converter; the counts come in the order of the parts.
-    pub fn new(parts: SensorParts) -> Self {
-        let SensorParts { adc, airway, outlet, flow } = parts;
-        let driver = adc::Adc::new(adc);
-        configure(
-            [airway.degrade_adc(), outlet.degrade_adc(), flow.degrade_adc()]
-                .map(|c: Channel| c.get_hw_channel()),
-        );
+    /// Starts the converter; the counts come in the order of the channels.
+    pub fn new(converter: Peri<'static, ADC1>, channels: [Channel; CHANNELS]) -> Self {
+        let driver = adc::Adc::new(converter);
+        configure(channels.map(|channel| channel.get_hw_channel()));
         Self { _driver: driver, registers: pac::ADC1 }
     }
 
@@ -55,9 +51,8 @@ impl Adc {
 /// Puts the channels into the injected group.
 fn configure(channels: [u8; CHANNELS]) {
     for channel in channels {
-        let sample = u8::from(channel >= 10);
         let index = usize::from(channel) % 10;
-        if sample == 1 {
+        if channel >= 10 {
             pac::ADC1.smpr1().modify(|w| w.set_smp(index, SAMPLE_TIME));
         } else {
             pac::ADC1.smpr2().modify(|w| w.set_smp(index, SAMPLE_TIME));

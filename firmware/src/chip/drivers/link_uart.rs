@@ -8,15 +8,9 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::pac::USART1;
-use embassy_stm32::usart::{Config, Uart};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::pipe::Pipe;
 
-use super::super::board::LinkParts;
-use super::taken_once;
-
-/// Speed of the link, baud.
-const BAUD: u32 = 1_000_000;
 /// Bytes that wait on each way: 10 ms of the line.
 const BUFFER: usize = 1024;
 
@@ -25,13 +19,8 @@ static TO_SEND: Pipe<CriticalSectionRawMutex, BUFFER> = Pipe::new();
 /// Bytes that came faster than they were taken.
 static LOST: AtomicU32 = AtomicU32::new(0);
 
-/// Opens the line.
-pub fn start(parts: LinkParts) {
-    let mut config = Config::default();
-    config.baudrate = BAUD;
-    let uart = taken_once(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
-    // The driver has set up pins, clock and speed; from here on the interrupt owns the registers.
-    core::mem::forget(uart);
+/// Starts the line, which [`super::open_serial`] has opened: from here on the interrupt owns the registers.
+pub fn start() {
     interrupt::USART1.set_priority(Priority::P2);
     USART1.cr1().modify(|w| w.set_rxneie(true));
     // SAFETY: the handler below is there, and what it uses is static.

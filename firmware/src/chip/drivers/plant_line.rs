@@ -4,18 +4,15 @@
 //! reading, and the same frame is sent again at the next tick.
 
 use embassy_stm32::pac::USART2;
-use embassy_stm32::usart::{Config, Uart};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::link::plant_link::{Decoder, Frame, Message};
 use shared::safety::filter::ValveCommand;
 
-use super::super::board::{CORE_CLOCK, PlantInterface, PlantParts};
-use super::{clock, taken_once};
+use super::super::board::{CORE_CLOCK, PlantInterface};
+use super::clock;
 
-/// Speed of the plant line, baud.
-const BAUD: u32 = 1_000_000;
 /// Longest wait for an answer, cycles. The ticks that a slow plant costs count as missed, and a breath bears no more.
 const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000 * 3;
 /// Longest wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
@@ -31,13 +28,8 @@ pub struct PlantLine {
 }
 
 impl PlantLine {
-    /// Opens the line.
-    pub fn new(parts: PlantParts) -> Self {
-        let mut config = Config::default();
-        config.baudrate = BAUD;
-        let uart = taken_once(Uart::new_blocking(parts.port, parts.receive, parts.transmit, config).ok());
-        // The driver has set up pins, clock and speed; the registers are polled from here on.
-        core::mem::forget(uart);
+    /// The line, which [`super::open_serial`] has opened: from here on its registers are polled.
+    pub fn new() -> Self {
         Self { decoder: Decoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }
     }
 

@@ -4,59 +4,48 @@
 //! their power stages are pulled low, so that they are safe as well while the chip is in reset and its pins float.
 
 use embassy_stm32::Peri;
-use embassy_stm32::gpio::{Level, Output, Pin, Speed};
+use embassy_stm32::gpio::{Level, Output, OutputType, Speed};
+use embassy_stm32::peripherals::TIM3;
+use embassy_stm32::time::Hertz;
+use embassy_stm32::timer::low_level::CountingMode;
+use embassy_stm32::timer::simple_pwm::{PwmPin, SimplePwm};
+use shared::control::COMMAND_MAX;
+use shared::safety::filter::ValveCommand;
 
-/// Makes a pin a plain output at low level, for good.
-pub fn hold_low(pin: Peri<'static, impl Pin>) {
-    // Dropping an output would let its pin float.
-    core::mem::forget(Output::new(pin, Level::Low, Speed::Low));
+use super::super::board::{Expiratory, Inspiratory};
+
+/// Above hearing, and far above what a solenoid follows.
+const PWM_FREQUENCY: Hertz = Hertz(20_000);
+
+/// Both valves.
+pub struct Valves {
+    inspiratory: SimplePwm<'static, TIM3>,
+    expiratory: Output<'static>,
 }
 
-#[cfg(not(feature = "hil"))]
-mod driver {
-    use embassy_stm32::gpio::OutputType;
-    use embassy_stm32::peripherals::TIM3;
-    use embassy_stm32::time::Hertz;
-    use embassy_stm32::timer::low_level::CountingMode;
-    use embassy_stm32::timer::simple_pwm::{PwmPin, SimplePwm};
-    use shared::control::COMMAND_MAX;
-    use shared::safety::filter::ValveCommand;
-
-    use super::super::super::board::ValveParts;
-    use super::{Level, Output, Speed};
-
-    /// Above hearing, and far above what a solenoid follows.
-    const PWM_FREQUENCY: Hertz = Hertz(20_000);
-
-    /// Both valves.
-    pub struct Valves {
-        inspiratory: SimplePwm<'static, TIM3>,
-        expiratory: Output<'static>,
+impl Valves {
+    /// Both valves in their safe state.
+    pub fn new(
+        pwm: Peri<'static, TIM3>,
+        inspiratory: Peri<'static, Inspiratory>,
+        expiratory: Peri<'static, Expiratory>,
+    ) -> Self {
+        let expiratory = Output::new(expiratory, Level::Low, Speed::Low);
+        let pin = PwmPin::new(inspiratory, OutputType::PushPull);
+        let up = CountingMode::EdgeAlignedUp;
+        let mut inspiratory = SimplePwm::new(pwm, Some(pin), None, None, None, PWM_FREQUENCY, up);
+        inspiratory.ch1().set_duty_cycle_fully_off();
+        inspiratory.ch1().enable();
+        Self { inspiratory, expiratory }
     }
 
-    impl Valves {
-        /// Both valves in their safe state.
-        pub fn new(parts: ValveParts) -> Self {
-            let expiratory = Output::new(parts.expiratory, Level::Low, Speed::Low);
-            let pin = PwmPin::new(parts.inspiratory, OutputType::PushPull);
-            let up = CountingMode::EdgeAlignedUp;
-            let mut inspiratory = SimplePwm::new(parts.pwm, Some(pin), None, None, None, PWM_FREQUENCY, up);
-            inspiratory.ch1().set_duty_cycle_fully_off();
-            inspiratory.ch1().enable();
-            Self { inspiratory, expiratory }
-        }
-
-        /// Drives the valves; only the safety filter makes such a command.
-        pub fn apply(&mut self, command: &ValveCommand) {
-            let mut inspiratory = self.inspiratory.ch1();
-            // The command lies within 0 to COMMAND_MAX, and the conversion rounds down.
-            let duty = command.u_in() / COMMAND_MAX * inspiratory.max_duty_cycle() as f32;
-            inspiratory.set_duty_cycle(duty as u32);
-            let closed = !command.u_out();
-            self.expiratory.set_level(closed.into());
-        }
+    /// Drives the valves; only the safety filter makes such a command.
+    pub fn apply(&mut self, command: &ValveCommand) {
+        let mut inspiratory = self.inspiratory.ch1();
+        // The command lies within 0 to COMMAND_MAX, and the conversion rounds down.
+        let duty = command.u_in() / COMMAND_MAX * inspiratory.max_duty_cycle() as f32;
+        inspiratory.set_duty_cycle(duty as u32);
+        let closed = !command.u_out();
+        self.expiratory.set_level(closed.into());
     }
 }
-
-#[cfg(not(feature = "hil"))]
-pub use driver::Valves;

@@ -1,6 +1,5 @@
 //! The independent watchdog: it restarts a chip whose control tick does not end.
 
-use embassy_stm32::Peri;
 use embassy_stm32::pac::IWDG;
 use embassy_stm32::pac::iwdg::vals::{Key, Pr};
 use embassy_stm32::peripherals;
@@ -8,7 +7,7 @@ use embassy_stm32::wdg::IndependentWatchdog;
 
 /// Longest tick before the chip restarts, microseconds. The watchdog's oscillator is off by up to a factor
 /// of two, so that this is 25 to 100 ms.
-const TIMEOUT_US: u32 = 50_000;
+pub const TIMEOUT_US: u32 = 50_000;
 /// Frequency of the watchdog's oscillator, Hz.
 const OSCILLATOR: u32 = 32_000;
 /// Prescaler of the long timeout.
@@ -16,27 +15,8 @@ const LONG_TIMEOUT_PRESCALER: Pr = Pr::DIVIDE_BY256;
 /// Reload value of the long timeout: 16 s, for erasing a sector takes up to 4 s.
 const LONG_TIMEOUT_RELOAD: u16 = (16 * OSCILLATOR / 256 - 1) as u16;
 
-/// The watchdog.
-pub struct Watchdog {
-    driver: IndependentWatchdog<'static, peripherals::IWDG>,
-}
-
-impl Watchdog {
-    /// A watchdog that does not run yet.
-    pub fn new(peripheral: Peri<'static, peripherals::IWDG>) -> Self {
-        Self { driver: IndependentWatchdog::new(peripheral, TIMEOUT_US) }
-    }
-
-    /// Starts it; nothing but a reset stops it again.
-    pub fn start(&mut self) {
-        self.driver.unleash();
-    }
-
-    /// Gives the next tick its time. Called once per tick, last.
-    pub fn feed(&mut self) {
-        self.driver.pet();
-    }
-}
+/// The watchdog. Once unleashed nothing but a reset stops it; it is fed once per tick, last.
+pub type Watchdog = IndependentWatchdog<'static, peripherals::IWDG>;
 
 /// Runs something that stalls the core for seconds, such as erasing flash, under a long timeout. Only in standby.
 pub fn with_long_timeout<T>(work: impl FnOnce() -> T) -> T {
