@@ -114,7 +114,11 @@ impl Chip {
         let (offset, store) = ((address % PART_BYTES) & !3, Store::new(address, width, value));
         match address - address % PART_BYTES {
             USART2 => self.plant_port.write(offset, store, outside),
-            IWDG => record.note(self.iwdg.write(offset, store, outside.now())),
+            IWDG => {
+                if let Some(gap_ns) = self.iwdg.write(offset, store, outside.now()) {
+                    record.fed(gap_ns);
+                }
+            }
             PWR => self.pwr.write(offset, store),
             GPIOA => record.ports[0].write(offset, store),
             GPIOB => record.ports[1].write(offset, store),
@@ -207,7 +211,7 @@ mod tests {
 
     #[test]
     fn each_part_answers_at_its_address() {
-        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::at_power_on(), Recorder::default());
         for (address, value) in [
             (RCC, 0x83),
             (FLASH + 0x10, 1 << 31),
@@ -226,7 +230,7 @@ mod tests {
     #[test]
     fn narrow_loads_take_their_bytes() {
         let (mut chip, record, mut outside) =
-            (Chip::new(0x1234_5678 & !0x01FF_FFFF), Record::new(), Recorder::default());
+            (Chip::new(0x1234_5678 & !0x01FF_FFFF), Record::at_power_on(), Recorder::default());
         assert_eq!(chip.load(RCC + 0x77, Width::Byte, &record, &mut outside), 0x12);
         assert_eq!(chip.load(RCC + 0x76, Width::Half, &record, &mut outside), 0x1200);
     }
@@ -235,7 +239,7 @@ mod tests {
     fn removed_reset_flags_are_removed_for_the_next_start_too() {
         let flags = ResetCause::PowerOn.flags();
         let (mut chip, mut outside) = (Chip::new(flags), Recorder::default());
-        let mut record = Record::new();
+        let mut record = Record::at_power_on();
         record.reset_flags = flags;
         chip.store(RCC + 0x74, Width::Word, 1 << 24, &mut record, &mut outside);
         assert_eq!(record.reset_flags, 0);
@@ -250,7 +254,7 @@ mod tests {
 
     #[test]
     fn the_slots_are_programmed_by_stores_to_them() {
-        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::at_power_on(), Recorder::default());
         unlock(&mut chip, &mut record, &mut outside);
         chip.store(0x080F_FFFC, Width::Word, 7, &mut record, &mut outside);
         assert_eq!(
@@ -262,7 +266,7 @@ mod tests {
 
     #[test]
     fn the_power_is_cut_after_the_chosen_operation_and_no_other() {
-        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::new(), Recorder::default());
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::at_power_on(), Recorder::default());
         unlock(&mut chip, &mut record, &mut outside);
         record.power_cut = 2;
         for (operations, cuts) in [(1, 0), (2, 1), (3, 1)] {

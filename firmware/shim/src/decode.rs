@@ -53,7 +53,7 @@ pub struct Access {
 impl Access {
     /// Where it goes, with these values of the registers.
     #[inline]
-    pub fn address(&self, value: impl Fn(u8) -> u32) -> u32 {
+    pub fn address(&self, mut value: impl FnMut(u8) -> u32) -> u32 {
         let offset = match self.offset {
             Offset::Immediate(offset) => offset as u32,
             Offset::Register { number, shift } => value(number) << shift,

@@ -80,7 +80,7 @@ pub enum Operation {
 
 impl Flash {
     /// After a reset.
-    pub const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         Self { access: 0, status: 0, control: control::LOCK, options: 0x0FFF_AAED, key: Key::Out }
     }
 
@@ -161,12 +161,6 @@ impl Flash {
         if self.control & control::END_INTERRUPT != 0 {
             self.status |= status::END;
         }
-    }
-}
-
-impl Default for Flash {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -15,7 +15,7 @@ const BSRR: usize = 6;
 
 /// The registers of a port, in their order.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Gpio {
     registers: [u32; BYTES as usize / 4],
 }

@@ -25,18 +25,9 @@ pub struct Iwdg {
     seen: u32,
 }
 
-/// What a store to the watchdog did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effect {
-    /// Nothing to tell.
-    None,
-    /// The running watchdog was fed this many nanoseconds after the last time.
-    Fed(u64),
-}
-
 impl Iwdg {
     /// After a reset.
-    pub const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         Self {
             prescaler: 0,
             reload: 0xFFF,
@@ -63,27 +54,28 @@ impl Iwdg {
         }
     }
 
-    /// Stores to an offset at a reading of the clock in nanoseconds, wrapping.
-    pub fn write(&mut self, offset: u32, store: Store, now: u32) -> Effect {
+    /// Stores to an offset at a reading of the clock in nanoseconds, wrapping. If that feeds the running watchdog: the
+    /// time since the last feeding, nanoseconds.
+    pub fn write(&mut self, offset: u32, store: Store, now: u32) -> Option<u64> {
         match offset {
             0 => return self.key(store.bits(), now),
             4 if self.open => self.prescaler = store.bits() & 7,
             8 if self.open => self.reload = store.bits() & 0xFFF,
             _ => {}
         }
-        Effect::None
+        None
     }
 
-    fn key(&mut self, key: u32, now: u32) -> Effect {
+    fn key(&mut self, key: u32, now: u32) -> Option<u64> {
         let fed = self.running.then(|| self.elapsed_ns + u64::from(now.wrapping_sub(self.seen)));
         self.open = key == KEY_ACCESS;
         match key {
             KEY_START => self.running = true,
             KEY_FEED => {}
-            _ => return Effect::None,
+            _ => return None,
         }
         (self.begun, self.elapsed_ns, self.seen) = (self.reload, 0, now);
-        fed.filter(|_| key == KEY_FEED).map_or(Effect::None, Effect::Fed)
+        fed.filter(|_| key == KEY_FEED)
     }
 
     /// Looks at the clock, which must not go round between two looks: whether the watchdog resets the chip.
@@ -98,12 +90,6 @@ impl Iwdg {
         // Above 6 the prescaler stays at 256.
         let divider = 4 << self.prescaler.min(6);
         u64::from(self.begun + 1) * divider * CYCLE_NS
-    }
-}
-
-impl Default for Iwdg {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -140,7 +126,7 @@ mod tests {
     fn feeding_gives_the_whole_time_again_and_tells_the_gap() {
         let mut watchdog = started();
         assert!(!watchdog.expired(10 * MS));
-        assert_eq!(watchdog.write(0, Store::word(KEY_FEED), 14 * MS), Effect::Fed(9_000_000));
+        assert_eq!(watchdog.write(0, Store::word(KEY_FEED), 14 * MS), Some(9_000_000));
         assert!(!watchdog.expired(24 * MS - 1));
         assert!(watchdog.expired(24 * MS));
     }
@@ -178,7 +164,7 @@ mod tests {
     #[test]
     fn a_wrong_key_does_nothing() {
         let mut watchdog = started();
-        assert_eq!(watchdog.write(0, Store::word(0x1234), 9 * MS), Effect::None);
+        assert_eq!(watchdog.write(0, Store::word(0x1234), 9 * MS), None);
         assert!(watchdog.expired(15 * MS));
     }
 }

@@ -59,7 +59,7 @@ impl Queue {
 
 impl PlantPort {
     /// After a reset.
-    pub const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         let registers = [0; LAST as usize / 4 + 1];
         Self { registers, outgoing: Queue::new(), incoming: Queue::new(), taken: 0, waiting: false }
     }
@@ -124,12 +124,6 @@ impl PlantPort {
             line.send(self.outgoing.filled());
             self.outgoing.length = 0;
         }
-    }
-}
-
-impl Default for PlantPort {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

@@ -16,7 +16,7 @@ pub struct Pwr {
 
 impl Pwr {
     /// After a reset.
-    pub const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         Self { control: 0x4000, status: VOLTAGE_READY }
     }
 
@@ -40,12 +40,6 @@ impl Pwr {
             }
             _ => {}
         }
-    }
-}
-
-impl Default for Pwr {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

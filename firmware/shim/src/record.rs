@@ -3,8 +3,7 @@
 
 use core::mem::offset_of;
 
-use crate::gpio::{self, Gpio};
-use crate::iwdg::Effect;
+use crate::gpio::Gpio;
 use crate::rcc::ResetCause;
 
 /// Where the record lies; the linker script says the same.
@@ -17,11 +16,22 @@ pub const POWER_CUT_ADDRESS: u32 = ADDRESS + offset_of!(Record, power_cut) as u3
 const MARK: u32 = 0x5265_6331;
 /// Words before the ports.
 const PLAIN: usize = 13;
-const PORT_WORDS: usize = gpio::BYTES as usize / 4;
+
+/// QEMU's handles of open files.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Handles {
+    /// The file behind the slots; zero: not open.
+    pub flash: u32,
+    /// The pipe to the plant; zero: the line is silent.
+    pub request: u32,
+    /// The pipe from the plant.
+    pub answer: u32,
+}
 
 /// The record. Counts are those since power-on.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Record {
     mark: u32,
     /// Starts, the first included.
@@ -38,12 +48,8 @@ pub struct Record {
     pub longest_gap_ns: u32,
     /// Loads and stores that were answered.
     pub traps: u32,
-    /// Handle of the file behind the slots; zero: not open.
-    pub flash_file: u32,
-    /// Handle of the pipe to the plant; zero: the line is silent.
-    pub request_pipe: u32,
-    /// Handle of the pipe from the plant.
-    pub answer_pipe: u32,
+    /// The open files.
+    pub files: Handles,
     /// Sectors erased and values programmed.
     pub flash_operations: u32,
     /// Count of flash operations at which the power is cut, for a debugger to set ([`POWER_CUT_ADDRESS`]); zero: never.
@@ -57,31 +63,15 @@ const PORTS: [Gpio; 2] =
     [Gpio::new(0xA800_0000, 0x0C00_0000, 0x6400_0000), Gpio::new(0x0000_0280, 0x0000_00C0, 0x0000_0100)];
 
 impl Record {
-    /// At power-on.
-    pub const fn new() -> Self {
-        Self {
-            mark: MARK,
-            starts: 0,
-            reset_flags: 0,
-            expired: 0,
-            watchdog_resets: 0,
-            feeds: 0,
-            longest_gap_ns: 0,
-            traps: 0,
-            flash_file: 0,
-            request_pipe: 0,
-            answer_pipe: 0,
-            flash_operations: 0,
-            power_cut: 0,
-            ports: PORTS,
-        }
+    pub(crate) fn at_power_on() -> Self {
+        Self { mark: MARK, ports: PORTS, ..Self::default() }
     }
 
     /// Counts one more start of the chip and adds its cause to the reset flags. What is in memory is kept if this program
     /// wrote it; if not, power has just come.
     pub fn begin(&mut self) {
         let cause = if self.mark != MARK {
-            *self = Self::new();
+            *self = Self::at_power_on();
             ResetCause::PowerOn
         } else if self.expired == 1 {
             self.watchdog_resets += 1;
@@ -100,21 +90,18 @@ impl Record {
         self.expired = 1;
     }
 
-    /// Notes what a store to the watchdog did.
-    pub fn note(&mut self, effect: Effect) {
-        if let Effect::Fed(gap_ns) = effect {
-            self.feeds += 1;
-            self.longest_gap_ns = self.longest_gap_ns.max(u32::try_from(gap_ns).unwrap_or(u32::MAX));
-        }
+    /// Counts a feeding of the watchdog this many nanoseconds after the last one.
+    pub(crate) fn fed(&mut self, gap_ns: u64) {
+        self.feeds += 1;
+        self.longest_gap_ns = self.longest_gap_ns.max(u32::try_from(gap_ns).unwrap_or(u32::MAX));
     }
 
     /// The record in words read from [`ADDRESS`]; none if no shim has run there.
     pub fn from_words(words: &[u32; WORDS]) -> Option<Self> {
-        let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *words;
-        let [.., flash_file, request_pipe, answer_pipe, flash_operations, power_cut] =
-            *words.first_chunk::<PLAIN>()?;
-        let (a, b) = words[PLAIN..].split_first_chunk::<PORT_WORDS>()?;
-        let ports = [Gpio::from_words(*a), Gpio::from_words(*b.first_chunk()?)];
+        let (plain, ports) = words.split_first_chunk::<PLAIN>()?;
+        let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *plain;
+        let [.., flash, request, answer, flash_operations, power_cut] = *plain;
+        let (a, b) = ports.split_first_chunk()?;
         let record = Self {
             mark,
             starts,
@@ -124,20 +111,12 @@ impl Record {
             feeds,
             longest_gap_ns,
             traps,
-            flash_file,
-            request_pipe,
-            answer_pipe,
+            files: Handles { flash, request, answer },
             flash_operations,
             power_cut,
-            ports,
+            ports: [Gpio::from_words(*a), Gpio::from_words(*b.first_chunk()?)],
         };
         (mark == MARK).then_some(record)
-    }
-}
-
-impl Default for Record {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
@@ -146,7 +125,7 @@ mod tests {
     use super::*;
 
     fn blank() -> Record {
-        Record { mark: 0, starts: 77, ..Record::new() }
+        Record { mark: 0, starts: 77, ..Record::at_power_on() }
     }
 
     #[test]
@@ -189,17 +168,17 @@ mod tests {
     fn open_files_outlive_a_reset_and_pins_do_not() {
         let mut record = blank();
         record.begin();
-        record.flash_file = 3;
+        record.files.flash = 3;
         record.ports[0] = Gpio::new(0, 0, 0);
         record.begin();
-        assert_eq!((record.flash_file, record.ports), (3, PORTS));
+        assert_eq!((record.files.flash, record.ports), (3, PORTS));
     }
 
     #[test]
     fn the_longest_gap_between_feedings_is_kept() {
-        let mut record = Record::new();
+        let mut record = Record::at_power_on();
         for gap in [3_000_000, 9_000_000, 1_000_000] {
-            record.note(Effect::Fed(gap));
+            record.fed(gap);
         }
         assert_eq!((record.feeds, record.longest_gap_ns), (3, 9_000_000));
     }

@@ -4,32 +4,24 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
     /// 8 bits.
-    Byte,
+    Byte = 1,
     /// 16 bits.
-    Half,
+    Half = 2,
     /// 32 bits.
-    Word,
+    Word = 4,
 }
 
 impl Width {
     /// Number of bytes.
     #[inline]
     pub fn bytes(self) -> u32 {
-        match self {
-            Self::Byte => 1,
-            Self::Half => 2,
-            Self::Word => 4,
-        }
+        self as u32
     }
 
     /// A mask of this width at the lower end.
     #[inline]
     pub fn mask(self) -> u32 {
-        match self {
-            Self::Byte => 0xFF,
-            Self::Half => 0xFFFF,
-            Self::Word => !0,
-        }
+        !0 >> (32 - 8 * self.bytes())
     }
 }
 

@@ -11,7 +11,7 @@ use shim::bus;
 use shim::decode::{self, Access, Direction};
 use shim::store::Width;
 
-use super::files::{Files, Handles};
+use super::files::Files;
 use super::{FIRMWARE_HARD_FAULT, registers};
 
 /// What the core has put on the stack: r0 to r3, r12, lr, pc, status.
@@ -58,7 +58,7 @@ pub unsafe extern "C" fn hard_fault() {
 /// that can be carried out: then it is the firmware's.
 unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
     let Some(access) = instruction(frame[FRAME_PC]) else { return false };
-    let address = access.address(|number| value(number, frame, kept));
+    let address = access.address(|number| *register(number, frame, kept));
     if !bus::is_refused(address, access.direction) {
         // The firmware shall see the status of its own fault alone.
         registers::forget_refusals();
@@ -67,7 +67,7 @@ unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
     // SAFETY: the hard fault interrupts only the firmware, and nothing interrupts it.
     let (chip, record) = unsafe { (super::chip(), super::record()) };
     record.traps = record.traps.wrapping_add(1);
-    let mut files = Files { record: Handles::of(record) };
+    let mut files = Files(record.files);
     let register = register(access.register, frame, kept);
     match access.direction {
         Direction::Store => chip.store(address, access.width, *register, record, &mut files),
@@ -96,17 +96,6 @@ fn instruction(address: u32) -> Option<Access> {
     let first = half(address);
     let second = if decode::is_wide(first) { half(address + 2) } else { 0 };
     decode::decode(first, second)
-}
-
-/// A register's value.
-#[inline]
-fn value(number: u8, frame: &Frame, kept: &Kept) -> u32 {
-    match number {
-        0..=3 => frame[usize::from(number)],
-        4..=11 => kept[usize::from(number - 4)],
-        12 => frame[FRAME_R12],
-        _ => frame[FRAME_LR],
-    }
 }
 
 /// Where a register's value is while the fault is handled.

@@ -3,10 +3,10 @@
 use shim::bus::Outside;
 use shim::flash::{ERASED, Operation, SLOTS, SLOTS_BYTES};
 use shim::plant_port::Line;
-use shim::record::Record;
+use shim::record::{Handles, Record};
 
 use super::registers;
-use super::semihosting::{self, Mode};
+use super::semihosting::{self, CREATE, READ, UPDATE, write};
 
 /// Bytes that are erased at once.
 const PAGE: usize = 512;
@@ -19,25 +19,25 @@ static mut ANSWER_LEFT: u32 = 0;
 
 /// Opens what is not open since an earlier start, and loads the slots.
 pub fn open(record: &mut Record) {
-    if record.flash_file == 0 {
+    if record.files.flash == 0 {
         let name = shim::FLASH_FILE;
-        let file = semihosting::open(name, Mode::Update).or_else(|| semihosting::open(name, Mode::Create));
+        let file = semihosting::open(name, UPDATE).or_else(|| semihosting::open(name, CREATE));
         let Some(file) = file else { semihosting::fail(c"shim: cannot open flash.bin\n") };
-        record.flash_file = file;
+        record.files.flash = file;
         let present = semihosting::length(file).min(SLOTS_BYTES);
         erase(file, present, SLOTS_BYTES - present);
         open_plant(record);
     }
-    load(record.flash_file, 0, SLOTS_BYTES);
+    load(record.files.flash, 0, SLOTS_BYTES);
 }
 
 /// Opens the line to the plant, if there is one, and tells the host that the shim has started.
 fn open_plant(record: &mut Record) {
-    let answer = semihosting::open(shim::ANSWER_PIPE, Mode::Read);
-    let request = answer.and_then(|_| semihosting::open(shim::REQUEST_PIPE, Mode::Update));
+    let answer = semihosting::open(shim::ANSWER_PIPE, READ);
+    let request = answer.and_then(|_| semihosting::open(shim::REQUEST_PIPE, UPDATE));
     if let (Some(request), Some(answer)) = (request, answer) {
-        (record.request_pipe, record.answer_pipe) = (request, answer);
-        Files { record: Handles::of(record) }.send(&[]);
+        (record.files.request, record.files.answer) = (request, answer);
+        Files(record.files).send(&[]);
     }
 }
 
@@ -52,12 +52,6 @@ fn erase(file: u32, offset: u32, bytes: u32) {
     }
 }
 
-fn write(file: u32, bytes: &[u8]) {
-    if semihosting::write(file, bytes).is_err() {
-        semihosting::fail(c"shim: cannot write\n");
-    }
-}
-
 /// Makes a part of the slots what the file says.
 fn load(file: u32, offset: u32, bytes: u32) {
     semihosting::seek(file, offset);
@@ -69,31 +63,12 @@ fn load(file: u32, offset: u32, bytes: u32) {
     }
 }
 
-/// The open files.
-#[derive(Clone, Copy)]
-pub struct Handles {
-    flash: u32,
-    request: u32,
-    answer: u32,
-}
-
-impl Handles {
-    /// Those of the record.
-    #[inline]
-    pub fn of(record: &Record) -> Self {
-        Self { flash: record.flash_file, request: record.request_pipe, answer: record.answer_pipe }
-    }
-}
-
-/// The outside of the models.
-pub struct Files {
-    /// The open files.
-    pub record: Handles,
-}
+/// The outside of the models, by the open files.
+pub struct Files(pub Handles);
 
 impl Line for Files {
     fn send(&mut self, bytes: &[u8]) {
-        if self.record.request == 0 {
+        if self.0.request == 0 {
             return;
         }
         let mut frame = [0; 2 + PIECE];
@@ -101,7 +76,7 @@ impl Line for Files {
         frame[..2].copy_from_slice(&(bytes.len() as u16).to_le_bytes());
         frame[2..2 + bytes.len()].copy_from_slice(bytes);
         // Whole or not at all: the host would wait for the rest.
-        write(self.record.request, &frame[..2 + bytes.len()]);
+        write(self.0.request, &frame[..2 + bytes.len()]);
         let mut length = [0; 2];
         self.read(&mut length[..1]);
         self.read(&mut length[1..]);
@@ -127,7 +102,7 @@ impl Line for Files {
 impl Files {
     /// Some bytes of the plant's answer, at least one.
     fn read(&mut self, bytes: &mut [u8]) -> usize {
-        match semihosting::read(self.record.answer, bytes) {
+        match semihosting::read(self.0.answer, bytes) {
             // Whoever started QEMU has gone, so QEMU goes too.
             0 => semihosting::fail(c"shim: the plant has closed the line\n"),
             read => read,
@@ -143,7 +118,7 @@ impl Outside for Files {
 
     fn change(&mut self, operation: Operation) {
         // The file first: what the firmware has seen stored outlives the end of QEMU.
-        let file = self.record.flash;
+        let file = self.0.flash;
         match operation {
             Operation::Erase { address, bytes } => {
                 erase(file, address - SLOTS, bytes);

@@ -5,7 +5,6 @@ use core::ptr::{read_volatile, write_volatile};
 use shim::bus::Region;
 
 const VECTOR_TABLE: u32 = 0xE000_ED08;
-const APPLICATION_RESET: u32 = 0xE000_ED0C;
 const FAULT_STATUS: u32 = 0xE000_ED28;
 const PROTECTION_CONTROL: u32 = 0xE000_ED94;
 const REGION_NUMBER: u32 = 0xE000_ED98;
@@ -31,13 +30,6 @@ fn write(address: u32, value: u32) {
 /// Takes the vectors from here.
 pub fn set_vectors(address: u32) {
     write(VECTOR_TABLE, address);
-}
-
-/// Resets the system; returns where the reset comes a few instructions later.
-pub fn request_reset() {
-    const KEY: u32 = 0x05FA_0000;
-    const SYSTEM_RESET_REQUEST: u32 = 1 << 2;
-    write(APPLICATION_RESET, KEY | SYSTEM_RESET_REQUEST);
 }
 
 /// Lets accesses to a region fault.

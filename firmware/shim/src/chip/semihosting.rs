@@ -1,49 +1,38 @@
 //! Calls to the host: files and the end of the run (Arm: Semihosting for `AArch32` and `AArch64`).
 
-use core::arch::asm;
 use core::ffi::CStr;
 
-const OPEN: u32 = 0x01;
-const WRITE_TEXT: u32 = 0x04;
-const WRITE: u32 = 0x05;
-const READ: u32 = 0x06;
-const SEEK: u32 = 0x0A;
-const LENGTH: u32 = 0x0C;
-const EXIT: u32 = 0x20;
+use cortex_m_semihosting::nr::{self, open};
+use cortex_m_semihosting::{syscall, syscall1};
+
+/// `SYS_EXIT_EXTENDED`, whose exit code the host sees.
+const EXIT: usize = 0x20;
 const FAILURE: u32 = !0;
 
-/// How a file is opened.
-#[derive(Clone, Copy)]
-pub enum Mode {
-    /// Reading, if it exists.
-    Read = 1,
-    /// Reading and writing, if it exists.
-    Update = 3,
-    /// Reading and writing; it is made anew.
-    Create = 7,
-}
+/// Reading, if the file exists.
+pub const READ: usize = open::R_BINARY;
+/// Reading and writing, if the file exists.
+pub const UPDATE: usize = open::RW_BINARY;
+/// Reading and writing a new file.
+pub const CREATE: usize = open::RW_TRUNC_BINARY;
 
-fn call(operation: u32, parameter: u32) -> u32 {
-    let result;
-    // SAFETY: QEMU takes the break for a call; it reads and writes only where the parameters of the functions below say.
-    unsafe { asm!("bkpt #0xAB", inlateout("r0") operation => result, in("r1") parameter) }
-    result
-}
-
-fn call_with<const N: usize>(operation: u32, parameters: [u32; N]) -> u32 {
-    call(operation, parameters.as_ptr() as u32)
+fn call<const N: usize>(operation: usize, parameters: [u32; N]) -> u32 {
+    // SAFETY: QEMU reads and writes only where the parameters of the functions below say.
+    unsafe { syscall(operation, &parameters) as u32 }
 }
 
 /// Opens a file in QEMU's working directory; gives its handle, which is never zero.
-pub fn open(name: &CStr, mode: Mode) -> Option<u32> {
-    let handle = call_with(OPEN, [name.as_ptr() as u32, mode as u32, name.count_bytes() as u32]);
+pub fn open(name: &CStr, mode: usize) -> Option<u32> {
+    let handle = call(nr::OPEN, [name.as_ptr() as u32, mode as u32, name.count_bytes() as u32]);
     (handle != FAILURE).then_some(handle)
 }
 
-/// Writes everything, or tells that it could not.
-pub fn write(file: u32, bytes: &[u8]) -> Result<(), ()> {
-    let left = call_with(WRITE, [file, bytes.as_ptr() as u32, bytes.len() as u32]);
-    if left == 0 { Ok(()) } else { Err(()) }
+/// Writes everything, or ends QEMU.
+pub fn write(file: u32, bytes: &[u8]) {
+    let left = call(nr::WRITE, [file, bytes.as_ptr() as u32, bytes.len() as u32]);
+    if left != 0 {
+        fail(c"shim: cannot write\n");
+    }
 }
 
 /// Reads some bytes to an address; gives how many, zero at the end of the file.
@@ -53,7 +42,7 @@ pub fn write(file: u32, bytes: &[u8]) -> Result<(), ()> {
 /// # Safety
 /// The memory must be the caller's to change.
 pub unsafe fn read_to(file: u32, address: u32, bytes: u32) -> u32 {
-    let left = call_with(READ, [file, address, bytes]);
+    let left = call(nr::READ, [file, address, bytes]);
     // A failure counts as the end.
     bytes.saturating_sub(left)
 }
@@ -66,24 +55,20 @@ pub fn read(file: u32, buffer: &mut [u8]) -> usize {
 
 /// Goes to a byte of a file.
 pub fn seek(file: u32, position: u32) {
-    call_with(SEEK, [file, position]);
+    call(nr::SEEK, [file, position]);
 }
 
 /// Length of a file.
 pub fn length(file: u32) -> u32 {
-    call_with(LENGTH, [file])
+    call(nr::FLEN, [file])
 }
 
-/// Writes a text where the host shows it.
-pub fn tell(text: &CStr) {
-    call(WRITE_TEXT, text.as_ptr() as u32);
-}
-
-/// Ends QEMU with an exit code, after a text.
+/// Ends QEMU with an exit code, after a text that the host shows.
 pub fn fail(text: &CStr) -> ! {
     const APPLICATION_EXIT: u32 = 0x20026;
-    tell(text);
-    call_with(EXIT, [APPLICATION_EXIT, shim::EXIT_CODE]);
+    // SAFETY: QEMU reads the text up to its end.
+    unsafe { syscall1(nr::WRITE0, text.as_ptr() as usize) };
+    call(EXIT, [APPLICATION_EXIT, shim::EXIT_CODE]);
     loop {
         core::hint::spin_loop();
     }

@@ -28,9 +28,6 @@ extern "C" fn look() {
     if watchdog.running() && watchdog.expired(registers::now()) {
         // SAFETY: as above.
         unsafe { super::record() }.expire();
-        registers::request_reset();
-        loop {
-            core::hint::spin_loop();
-        }
+        cortex_m::peripheral::SCB::sys_reset();
     }
 }
