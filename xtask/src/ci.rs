@@ -13,86 +13,55 @@ use anyhow::{Context, Result, bail};
 use clap::builder::PossibleValuesParser;
 use xshell::Shell;
 
-use crate::{CHIP_PROFILE, CHIP_TARGET};
-
 /// One check.
 struct Step {
     name: &'static str,
     /// A step of the other lane that must have passed: it builds what this one uses.
     after: Option<&'static str>,
     environment: Option<(&'static str, &'static str)>,
+    /// Parts of the command line after `cargo`.
     cargo: &'static [&'static str],
 }
 
 /// What the computer's own compiler builds, then the tests in QEMU. Cheap checks first, so that a slip is reported early.
 const HOST: &[Step] = &[
-    step("format", &["fmt", "--all", "--check"]),
-    step("clippy", &["clippy", "--all-targets", "--features", "tests/board", "--", "-D", "warnings"]),
+    step("format", &["fmt --all --check"]),
+    step("clippy", &["clippy --all-targets --features tests/board", DENY_WARNINGS]),
     // Beside clippy, since it needs the same dependencies.
     Step {
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),
-        ..step("doc", &["doc", "--no-deps", "--document-private-items"])
+        ..step("doc", &["doc --no-deps --document-private-items"])
     },
-    step("build", &["test", "--no-run", "--workspace", "--exclude", "firmware"]),
-    step("test", &["test", "--workspace", "--exclude", "firmware"]),
-    step("qemu-test", &["xtask", "qemu-test"]).after("firmware"),
-    step("cost", &["xtask", "cost"]),
+    step("build", &["test --no-run --workspace --exclude firmware"]),
+    step("test", &["test --workspace --exclude firmware"]),
+    step("qemu-test", &["xtask qemu-test"]).after("firmware"),
+    step("cost", &["xtask cost"]),
 ];
 
 /// The chip, and what uses the trainer that the other lane has built.
 const CHIP: &[Step] = &[
-    step("setup", &["xtask", "setup"]),
-    step("clippy-board", &chip_clippy("firmware", "stm32f405")),
-    step("clippy-hil", &chip_clippy("firmware", "stm32f405,hil,cost")),
-    step("clippy-f446", &chip_clippy("firmware", "stm32f446")),
-    step("clippy-shim", &chip_clippy("shim", "")),
-    step("firmware", &["xtask", "firmware"]),
+    step("setup", &["xtask setup"]),
+    step("clippy-board", &[CHIP_CLIPPY, "-p firmware --features stm32f405", DENY_WARNINGS]),
+    step("clippy-hil", &[CHIP_CLIPPY, "-p firmware --features stm32f405,hil,cost", DENY_WARNINGS]),
+    step("clippy-f446", &[CHIP_CLIPPY, "-p firmware --features stm32f446", DENY_WARNINGS]),
+    step("clippy-shim", &[CHIP_CLIPPY, "-p shim", DENY_WARNINGS]),
+    step("firmware", &["xtask firmware"]),
     // The test step runs them in debug; an optimiser that changed a bit of a command would show here.
-    step("golden", &optimised("golden", "golden")),
-    step("frames", &optimised("fuzz", "--ignored")),
-    step("python", &["xtask", "python"]).after("build"),
-    step("faults", &["xtask", "faults"]).after("build"),
-    step("monitors", &["xtask", "mutate-monitors"]).after("build"),
+    step("golden", &[OPTIMISED_TEST, "golden -- golden"]),
+    step("frames", &[OPTIMISED_TEST, "fuzz -- --ignored"]),
+    step("python", &["xtask python"]).after("build"),
+    step("faults", &["xtask faults"]).after("build"),
+    step("monitors", &["xtask mutate-monitors"]).after("build"),
 ];
 
 const LANES: [&[Step]; 2] = [HOST, CHIP];
 
-/// The lints of a package for the chip, with these features.
-const fn chip_clippy(package: &'static str, features: &'static str) -> [&'static str; 15] {
-    [
-        "clippy",
-        "--profile",
-        CHIP_PROFILE,
-        "-p",
-        package,
-        "--no-default-features",
-        "--features",
-        features,
-        "--bins",
-        "--examples",
-        "--target",
-        CHIP_TARGET,
-        "--",
-        "-D",
-        "warnings",
-    ]
-}
-
+/// The lints of a package for the chip.
+const CHIP_CLIPPY: &str =
+    "clippy --profile chip --target thumbv7em-none-eabihf --no-default-features --bins --examples";
+const DENY_WARNINGS: &str = "-- -D warnings";
 /// A test of the core with the chip's optimisation, without the crates of the host side.
-const fn optimised(test: &'static str, selection: &'static str) -> [&'static str; 10] {
-    [
-        "test",
-        "--profile",
-        CHIP_PROFILE,
-        "-p",
-        "tests",
-        "--no-default-features",
-        "--test",
-        test,
-        "--",
-        selection,
-    ]
-}
+const OPTIMISED_TEST: &str = "test --profile chip -p tests --no-default-features --test";
 
 const fn step(name: &'static str, cargo: &'static [&'static str]) -> Step {
     Step { name, after: None, environment: None, cargo }
@@ -113,7 +82,8 @@ impl Step {
     /// The command as it is run. `cargo xtask` is this very program: cargo would wait for the other lane's build, only to find
     /// that nothing is to be done.
     fn command(&self, place: &Place) -> Command {
-        let (program, arguments) = match self.cargo {
+        let words: Vec<_> = self.cargo.iter().flat_map(|part| part.split(' ')).collect();
+        let (program, arguments) = match &words[..] {
             ["xtask", arguments @ ..] => (place.xtask.as_path(), arguments),
             arguments => (Path::new("cargo"), arguments),
         };

@@ -134,10 +134,13 @@ fn read(path: &Path) -> Result<Vec<u8>> {
 pub fn size(image: &Path, map: &Path) -> Result<Size> {
     let map = String::from_utf8(read(map)?)?;
     let ram = memory::find(&memory::regions(&map)?, "RAM")?.clone();
-    let sections = sections(&read(image)?)?;
+    Ok(taken(&sections(&read(image)?)?, &ram))
+}
+
+fn taken(sections: &[Section], ram: &Region) -> Size {
     let bytes =
         |chosen: &dyn Fn(&Section) -> bool| sections.iter().filter(|s| chosen(s)).map(|s| s.bytes).sum();
-    Ok(Size { flash: bytes(&|s| s.stored), ram: bytes(&|s| ram.contains(s.address)) })
+    Size { flash: bytes(&|s| s.stored), ram: bytes(&|s| ram.contains(s.address)) }
 }
 
 /// The sections that take room on the chip.
@@ -169,15 +172,12 @@ fn report(sections: &[Section], regions: &[Region]) -> Result<String> {
         format!("{name:<16} {address:#010x} {bytes:>9}\n")
     };
     let lines: String = sections.iter().map(line).collect();
-    let in_flash = used("flash", sections.iter().filter(|section| section.stored), flash);
-    let in_ram = sections.iter().filter(|section| ram.contains(section.address));
-    let in_ram = used("RAM", in_ram, ram);
+    let Size { flash: in_flash, ram: in_ram } = taken(sections, ram);
     let note = "RAM does not count the stack, which takes what is left.\n";
-    Ok([head, lines, in_flash, in_ram, note.into()].concat())
+    Ok([head, lines, used("flash", in_flash, flash), used("RAM", in_ram, ram), note.into()].concat())
 }
 
-fn used<'a>(name: &str, sections: impl Iterator<Item = &'a Section>, region: &Region) -> String {
-    let bytes: u64 = sections.map(|section| section.bytes).sum();
+fn used(name: &str, bytes: u64, region: &Region) -> String {
     let percent = 100.0 * bytes as f64 / region.length as f64;
     format!("{name:<5} {bytes:>7} of {:>7} bytes, {percent:.1} %\n", region.length)
 }

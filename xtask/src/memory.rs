@@ -35,20 +35,12 @@ pub fn find<'a>(regions: &'a [Region], name: &str) -> Result<&'a Region> {
 }
 
 fn region(line: &str) -> Result<Region> {
-    let (name, rest) = line.split_once(':').context("no colon after the name")?;
-    Ok(Region {
-        name: name.trim().to_owned(),
-        origin: number(value(rest, "ORIGIN")?)?,
-        length: number(value(rest, "LENGTH")?)?,
-    })
-}
-
-/// The word after `key =`.
-fn value<'a>(text: &'a str, key: &str) -> Result<&'a str> {
-    let (_, after) = text.split_once(key).with_context(|| format!("{key} is missing"))?;
-    let after = after.trim_start().strip_prefix('=').context("no equals sign")?;
-    let word = after.trim_start().split([',', ' ', '\t', '/']).next();
-    word.context("no value")
+    let words = line.split(|character: char| !(character.is_ascii_alphanumeric() || character == '_'));
+    let words: Vec<&str> = words.filter(|word| !word.is_empty()).collect();
+    let [name, "ORIGIN", origin, "LENGTH", length, ..] = words[..] else {
+        bail!("it is not of the form `NAME : ORIGIN = number, LENGTH = number`");
+    };
+    Ok(Region { name: name.to_owned(), origin: number(origin)?, length: number(length)? })
 }
 
 /// A linker's number: decimal or hexadecimal, with K or M.
