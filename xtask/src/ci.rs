@@ -4,7 +4,7 @@
 //! lockstep with its plant. After a failure no further step starts, and the command that repeats the failed step is named.
 
 use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -81,22 +81,16 @@ impl Step {
 
     /// The command as it is run. `cargo xtask` is this very program: cargo would wait for the other lane's build, only to find
     /// that nothing is to be done.
-    fn command(&self, place: &Place) -> Command {
+    fn command(&self, root: &Path, xtask: &Path) -> Command {
         let words: Vec<_> = self.cargo.iter().flat_map(|part| part.split(' ')).collect();
         let (program, arguments) = match &words[..] {
-            ["xtask", arguments @ ..] => (place.xtask.as_path(), arguments),
+            ["xtask", arguments @ ..] => (xtask, arguments),
             arguments => (Path::new("cargo"), arguments),
         };
         let mut command = Command::new(program);
-        command.args(arguments).current_dir(&place.root).envs(self.environment);
+        command.args(arguments).current_dir(root).envs(self.environment);
         command
     }
-}
-
-/// Where commands run, and this program.
-struct Place {
-    root: PathBuf,
-    xtask: PathBuf,
 }
 
 /// Arguments of `cargo xtask ci`.
@@ -114,7 +108,7 @@ fn names() -> impl Iterator<Item = &'static str> {
 /// Runs all steps, or those asked for, each lane in the table's order.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let xtask = std::env::current_exe().context("this program cannot be started again")?;
-    let place = Place { root: shell.current_dir(), xtask };
+    let root = shell.current_dir();
     let only = &arguments.only;
     let chosen = |name: &str| only.is_empty() || only.iter().any(|only| only == name);
     let progress = Progress::default();
@@ -123,8 +117,8 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let show_chip: fn(Command) -> io::Result<bool> = if alone { run_in_sight } else { run_aside };
     let [host, chip] = LANES.map(|lane| lane.iter().filter(|step| chosen(step.name)));
     std::thread::scope(|scope| {
-        scope.spawn(|| progress.follow(host, &chosen, |step| run_in_sight(step.command(&place))));
-        scope.spawn(|| progress.follow(chip, &chosen, |step| show_chip(step.command(&place))));
+        scope.spawn(|| progress.follow(host, &chosen, |step| run_in_sight(step.command(&root, &xtask))));
+        scope.spawn(|| progress.follow(chip, &chosen, |step| show_chip(step.command(&root, &xtask))));
     });
     let State { passed, failed } = progress.state.into_inner().unwrap_or_else(PoisonError::into_inner);
     print!("{}", summary(&passed, begun.elapsed()));

@@ -39,11 +39,6 @@ impl Iwdg {
         }
     }
 
-    /// Whether it was started; nothing but a reset stops it.
-    pub fn running(&self) -> bool {
-        self.running
-    }
-
     /// The word at an offset; zero where there is no register. New values are taken over at once, so the status, which
     /// tells otherwise, is always zero.
     pub fn read(&self, offset: u32) -> u32 {

@@ -1,7 +1,6 @@
 //! The link task: moves bytes, requests and reports between the line, the server and the control task; owns the flash.
 
 use embassy_futures::select::{Either, select};
-use shared::device::ControlReport;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{ToDevice, ToHost, read_request};
@@ -61,7 +60,11 @@ pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsF
                 }
                 server.corrupt_frames(decoder.counters().corrupt().wrapping_add(link_uart::lost()));
             }
-            Either::Second(report) => forward(server, &report).await,
+            Either::Second(report) => {
+                for event in server.report(&report) {
+                    send(&event).await;
+                }
+            }
         }
     }
 }
@@ -87,13 +90,6 @@ async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request
                 cortex_m::peripheral::SCB::sys_reset();
             }
         };
-    }
-}
-
-/// Sends what a report of the control task makes the server say.
-async fn forward(server: &mut Server<'_>, report: &ControlReport) {
-    for event in server.report(report) {
-        send(&event).await;
     }
 }
 

@@ -7,7 +7,7 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use defmt_rtt as _;
 use embassy_stm32::pac::TIM5;
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
+use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::features::{FeatureSpec, FeatureState};
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualSpec};
@@ -117,9 +117,18 @@ fn residual() -> Residual {
         authority: 30.0,
         features: FeatureSpec::default(),
     };
-    match Residual::new(spec, network) {
-        Ok(residual) => residual,
-        Err(_) => unreachable!("the specification is in bounds"),
+    built(Residual::new(spec, network))
+}
+
+fn breath(pip: f32) -> Breath {
+    built(Breath::new(&paper_settings(pip), DEFAULT_PERIOD_US))
+}
+
+/// Unwraps what the measurements build from constants.
+fn built<T, E>(result: Result<T, E>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(_) => unreachable!("all constants are in bounds"),
     }
 }
 
@@ -128,8 +137,7 @@ fn parts(counting: &Cost) {
     let residual = residual();
     let controller = Controller::Residual(residual.clone());
     let pid = Controller::Pid(*residual.pid());
-    let breath = shared::breath::Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US);
-    let Ok(breath) = breath else { unreachable!("the paper's settings are in bounds") };
+    let breath = breath(20.0);
     let mut sensors = Sensors::default();
     let (mut state, mut pid_state) = (ControllerState::new(), ControllerState::new());
     let mut feature_state = FeatureState::new();
@@ -163,9 +171,7 @@ fn parts(counting: &Cost) {
 /// All monitors, ladder and filter through whole breaths of a learned controller, so that what is judged or learned once in a
 /// phase is in it.
 fn monitors(counting: &Cost) {
-    let Ok(breath) = shared::breath::Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US) else {
-        unreachable!("the paper's settings are in bounds")
-    };
+    let breath = breath(25.0);
     let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
     let (mut state, mut cost) = (SupervisorState::default(), Cost::NONE);
     let mut plant = ExactLung::new(breath.settings().peep);
@@ -208,21 +214,14 @@ fn telemetry(counting: &Cost) {
 /// Validating the weights at the start of the program.
 fn boot(counting: &Cost) {
     let mut image = [0; IMAGE_BYTES];
-    if encode(&residual(), &Identity::default(), &mut image).is_err() {
-        unreachable!("the buffer is long enough");
-    }
+    built(encode(&residual(), &Identity::default(), &mut image));
     let mut cost = Cost::NONE;
-    if cost.of(|| decode(black_box(&image)).is_err()) {
-        unreachable!("the image was packed here");
-    }
+    built(cost.of(|| decode(black_box(&image)).map(drop)));
     cost.print("boot_decode_weights", counting);
 }
 
 fn control() -> Control {
-    match Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ) {
-        Ok(control) => control,
-        Err(_) => unreachable!("the default control period is in bounds"),
-    }
+    built(Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ))
 }
 
 /// The flight recorder's memory.

@@ -1,34 +1,12 @@
 //! The plant link: a ventilator on one end (firmware or trainer), a lung simulator in any language on the other, in
-//! lockstep. It takes the place of sensor and valves. `docs/PLANT_LINK.md` explains it for those who write a plant.
+//! lockstep. It takes the place of sensor and valves. `docs/PLANT_LINK.md` has the bytes of each
+//! frame, for those who write a plant.
 //!
-//! Every frame has 16 bytes, little endian:
-//!
-//! | offset | bytes | content |
-//! |---|---|---|
-//! | 0 | 1 | start, 0xA5 |
-//! | 1 | 1 | kind |
-//! | 2 | 2 | tick, u16: chosen by the ventilator, wrapping; repeated in the answer |
-//! | 4 | 8 | payload |
-//! | 12 | 4 | CRC-32 of bytes 0..12 (`zlib.crc32`) |
-//!
-//! | kind | direction | payload |
-//! |---|---|---|
-//! | 1 Reset | to the plant | control period in microseconds, u32; zero, u32 |
-//! | 2 Step | to the plant | inspiratory valve in percent, f32; expiratory valve, u32: 1 open, 0 closed |
-//! | 5 Peep | to the plant | PEEP that its mechanical valve is set to, cmH2O, f32; zero, u32 |
-//! | 6 Seed | to the plant | seed of its random numbers from the next Reset on, u64 |
-//! | 7 Hello | to the plant | version of this protocol that the ventilator speaks, u32; zero, u32 |
-//! | 3 Ready | from the plant | pressure at rest in cmH2O, f32; zero, u32 |
-//! | 4 Pressure | from the plant | pressure after the step in cmH2O, f32; zero, u32 |
-//! | 8 Greeting | from the plant | version, u16; highest pressure that it tells, cmH2O, u16; control period in microseconds, u32: 0 is any |
-//! | 9 Truth | from the plant | in the place of Ready and Pressure: pressure measured, cmH2O, f32; true airway pressure, cmH2O, f32 |
-//!
+//! Every frame has 16 bytes, little endian: start, kind, tick (u16), payload (8 bytes), CRC-32 of bytes 0..12.
 //! The ventilator sends one frame and waits for its answer: Greeting to Hello, Ready to Reset, Peep and Seed, Pressure to
 //! Step; a plant that knows the true pressure may answer Truth to Reset and Step. No answer in time on a line that may lose
 //! bytes: it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
 //! does not step. Bytes that belong to no frame are skipped. The firmware, whose plant is wired to it, does not say Hello.
-//!
-//! In Python: `struct.pack("<BBHfI", 0xA5, 4, tick, pressure, 0)`, then `struct.pack("<I", zlib.crc32(...))`.
 
 use crate::checksum::{crc32, verified};
 
@@ -100,9 +78,9 @@ pub enum Message {
 /// A message with its tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
-    /// Tick that the ventilator chose.
+    /// Chosen by the ventilator, wrapping; repeated in the answer.
     pub tick: u16,
-    /// Content of a frame.
+    /// Its content.
     pub message: Message,
 }
 
@@ -132,7 +110,7 @@ impl Frame {
         bytes
     }
 
-    /// The frame in some bytes; none unless all of them are as the table says.
+    /// The frame in some bytes; none unless all of them are as `docs/PLANT_LINK.md` says.
     pub fn decode(bytes: &[u8; FRAME_BYTES]) -> Option<Self> {
         verified(bytes)?;
         let [start, kind, t0, t1, a0, a1, a2, a3, b0, b1, b2, b3, ..] = *bytes;

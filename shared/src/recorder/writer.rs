@@ -85,7 +85,9 @@ impl<'a> Recorder<'a> {
         if boot.cause == ResetCause::PowerOn || !memory.is_sound() {
             memory.format();
         } else if boot.cause == ResetCause::BrownOut {
-            forget(memory);
+            memory.fast.empty();
+            memory.slow.empty();
+            memory.set_recording(RecordingState::Nothing, 0);
         }
         let running = memory.recording().filter(|(recording, _)| *recording == RecordingState::Running);
         if let Some((_, before)) = running {
@@ -246,13 +248,6 @@ impl<'a> Recorder<'a> {
         let RecorderMemory { log, .. } = self.memory;
         log.push(entry.pack(), 0);
     }
-}
-
-/// Forgets what has no check of its own.
-fn forget(memory: &RecorderMemory) {
-    memory.fast.empty();
-    memory.slow.empty();
-    memory.set_recording(RecordingState::Nothing, 0);
 }
 
 fn entry(moment: &Moment) -> TickEntry {

@@ -25,7 +25,7 @@ pub unsafe extern "C" fn system_tick() {
 extern "C" fn look() {
     // SAFETY: the tick interrupts only the firmware, and accesses nothing that faults.
     let watchdog = unsafe { &mut super::chip().iwdg };
-    if watchdog.running() && watchdog.expired(registers::now()) {
+    if watchdog.expired(registers::now()) {
         // SAFETY: as above.
         unsafe { super::record() }.expire();
         cortex_m::peripheral::SCB::sys_reset();

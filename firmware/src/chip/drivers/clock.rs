@@ -74,11 +74,10 @@ pub fn now() -> u32 {
     if COUNTER.load(Ordering::Relaxed) {
         return DWT::cycle_count();
     }
-    let (number, value) = (NUMBER.load(Ordering::Relaxed), SYST::get_current());
+    let (mut number, mut since) = (NUMBER.load(Ordering::Relaxed), since_tick());
     if SCB::is_pendst_pending() || NUMBER.load(Ordering::Relaxed) != number {
         // The timer wrapped in between: a value read now belongs to the next tick.
-        let number = number.wrapping_add(1);
-        return number.wrapping_mul(TICK_CYCLES).wrapping_add(since_tick());
+        (number, since) = (number.wrapping_add(1), since_tick());
     }
-    number.wrapping_mul(TICK_CYCLES).wrapping_add((TICK_CYCLES - 1).saturating_sub(value))
+    number.wrapping_mul(TICK_CYCLES).wrapping_add(since)
 }
