@@ -198,6 +198,8 @@ impl<'a> Server<'a> {
         NextStep::Send(self.answer(result.unwrap_or_else(Response::Refused)))
     }
 
+    /// Not inlined: it copies an answer, and each copy of that code takes a kilobyte of flash.
+    #[inline(never)]
     fn answer(&mut self, response: Response) -> ToHost {
         self.last = Some((self.sequence, response.clone()));
         ToHost::Response { sequence: self.sequence, response }
