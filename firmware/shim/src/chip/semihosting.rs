@@ -47,7 +47,8 @@ pub unsafe fn read_to(file: u32, address: u32, bytes: u32) -> u32 {
     bytes.saturating_sub(left)
 }
 
-/// As [`read_to`], to a buffer.
+/// As [`read_to`], to a buffer. Not inlined: that would make every trap longer, and few of them read.
+#[inline(never)]
 pub fn read(file: u32, buffer: &mut [u8]) -> usize {
     // SAFETY: the buffer is borrowed for it.
     unsafe { read_to(file, buffer.as_mut_ptr() as u32, buffer.len() as u32) as usize }
