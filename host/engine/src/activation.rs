@@ -1,4 +1,8 @@
 //! Hidden layers' activations on lanes: softsign as on the chip, and the two of the authors' networks.
+#![expect(
+    clippy::inline_always,
+    reason = "vector operations are compiled for the unit found at run time only where they are inlined there"
+)]
 
 use pulp::{Arch, Simd, WithSimd};
 use serde::{Deserialize, Serialize};
