@@ -43,7 +43,7 @@ pub fn frames(data: &[u8]) {
 
 /// A frame of the plant link is accepted only with the very bytes that it is written with.
 fn plant_frames(data: &[u8]) {
-    let (mut decoder, mut found) = (plant_link::Decoder::default(), 0);
+    let (mut decoder, mut found) = (plant_link::PlantDecoder::default(), 0);
     for (index, byte) in data.iter().enumerate() {
         if let Some(frame) = decoder.push(*byte) {
             found += 1;

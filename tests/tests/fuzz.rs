@@ -171,14 +171,17 @@ fn replies(frames: &[u8]) -> Vec<ToHost> {
 /// A frame of each kind on the plant link.
 fn plant_frames() -> Vec<u8> {
     let messages = [
-        plant_link::Message::Reset { period_us: 1000 },
-        plant_link::Message::Step { u_in: 50.0, u_out: false },
-        plant_link::Message::Peep { pressure: 5.0 },
-        plant_link::Message::Seed { seed: 9 },
-        plant_link::Message::Ready { pressure: 5.0 },
-        plant_link::Message::Pressure { pressure: 20.0 },
+        plant_link::PlantMessage::Reset { period_us: 1000 },
+        plant_link::PlantMessage::Step { u_in: 50.0, u_out: false },
+        plant_link::PlantMessage::Peep { pressure: 5.0 },
+        plant_link::PlantMessage::Seed { seed: 9 },
+        plant_link::PlantMessage::Ready { pressure: 5.0 },
+        plant_link::PlantMessage::Pressure { pressure: 20.0 },
     ];
-    (0..).zip(messages).flat_map(|(tick, message)| plant_link::Frame { tick, message }.encode()).collect()
+    (0..)
+        .zip(messages)
+        .flat_map(|(tick, message)| plant_link::PlantFrame { tick, message }.encode())
+        .collect()
 }
 
 fn content(frame: &[u8]) -> Vec<u8> {

@@ -4,7 +4,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use plant::{Plant, Reading};
-use shared::link::plant_link::{Decoder, FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, PlantDecoder, PlantFrame, PlantMessage, VERSION};
 use shared::settings::Settings;
 
 /// How far virtual time may have fallen behind before it stops catching up.
@@ -26,7 +26,7 @@ pub trait PlantEnd {
 #[derive(Clone, Debug)]
 pub struct LockstepPlant<P> {
     plant: P,
-    decoder: Decoder,
+    decoder: PlantDecoder,
     /// Seed of the resets to come.
     seed: u64,
     /// Setting of the mechanical PEEP valve, cmH2O, which resets leave alone.
@@ -41,10 +41,10 @@ impl<P: Plant> LockstepPlant<P> {
     /// Puts a plant at the end of the line.
     pub fn new(plant: P) -> Self {
         let peep = Settings::default().peep;
-        Self { plant, decoder: Decoder::default(), seed: 0, peep, pressure: 0.0, last: None }
+        Self { plant, decoder: PlantDecoder::default(), seed: 0, peep, pressure: 0.0, last: None }
     }
 
-    fn reply(&mut self, frame: &Frame) -> Option<[u8; FRAME_BYTES]> {
+    fn reply(&mut self, frame: &PlantFrame) -> Option<[u8; FRAME_BYTES]> {
         let request = frame.encode();
         if let Some([answered, answer]) = self.last
             && answered == request
@@ -52,33 +52,33 @@ impl<P: Plant> LockstepPlant<P> {
             return Some(answer);
         }
         match frame.message {
-            Message::Reset { period_us } => {
+            PlantMessage::Reset { period_us } => {
                 self.pressure = pressure(self.plant.reset(period_us, self.seed, self.peep));
             }
-            Message::Step { u_in, u_out } => self.pressure = pressure(self.plant.step(u_in, u_out)),
-            Message::Peep { pressure } if !pressure.is_nan() => {
+            PlantMessage::Step { u_in, u_out } => self.pressure = pressure(self.plant.step(u_in, u_out)),
+            PlantMessage::Peep { pressure } if !pressure.is_nan() => {
                 self.peep = pressure;
                 if self.plant.set_peep(pressure).is_err() {
                     self.pressure = f32::NAN;
                 }
             }
-            Message::Seed { seed } => self.seed = seed,
-            Message::Peep { .. } | Message::Hello { .. } => {}
+            PlantMessage::Seed { seed } => self.seed = seed,
+            PlantMessage::Peep { .. } | PlantMessage::Hello { .. } => {}
             // A plant's own words.
-            Message::Ready { .. }
-            | Message::Pressure { .. }
-            | Message::Greeting { .. }
-            | Message::Truth { .. } => return None,
+            PlantMessage::Ready { .. }
+            | PlantMessage::Pressure { .. }
+            | PlantMessage::Greeting { .. }
+            | PlantMessage::Truth { .. } => return None,
         }
         let pressure = self.pressure;
         let message = match frame.message {
-            Message::Hello { .. } => {
-                Message::Greeting { version: VERSION, highest: HIGHEST, period_us: ANY_PERIOD }
+            PlantMessage::Hello { .. } => {
+                PlantMessage::Greeting { version: VERSION, highest: HIGHEST, period_us: ANY_PERIOD }
             }
-            Message::Step { .. } => Message::Pressure { pressure },
-            _ => Message::Ready { pressure },
+            PlantMessage::Step { .. } => PlantMessage::Pressure { pressure },
+            _ => PlantMessage::Ready { pressure },
         };
-        let answer = Frame { tick: frame.tick, message }.encode();
+        let answer = PlantFrame { tick: frame.tick, message }.encode();
         self.last = Some([request, answer]);
         Some(answer)
     }
@@ -168,25 +168,25 @@ mod tests {
         Reading { pressure, truth: None }
     }
 
-    fn frame(tick: u16, message: Message) -> [u8; FRAME_BYTES] {
-        Frame { tick, message }.encode()
+    fn frame(tick: u16, message: PlantMessage) -> [u8; FRAME_BYTES] {
+        PlantFrame { tick, message }.encode()
     }
 
     fn step(tick: u16, u_in: f32) -> [u8; FRAME_BYTES] {
-        frame(tick, Message::Step { u_in, u_out: false })
+        frame(tick, PlantMessage::Step { u_in, u_out: false })
     }
 
     fn pressure(tick: u16, pressure: f32) -> [u8; FRAME_BYTES] {
-        frame(tick, Message::Pressure { pressure })
+        frame(tick, PlantMessage::Pressure { pressure })
     }
 
     #[test]
     fn each_request_is_answered_in_its_tick() {
         let mut plant = LockstepPlant::new(Counter::default());
-        let reset = frame(1, Message::Reset { period_us: 1000 });
-        assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1000.0 }));
-        let peep = frame(2, Message::Peep { pressure: 5.0 });
-        assert_eq!(plant.answer(&peep), frame(2, Message::Ready { pressure: 1000.0 }), "no time passes");
+        let reset = frame(1, PlantMessage::Reset { period_us: 1000 });
+        assert_eq!(plant.answer(&reset), frame(1, PlantMessage::Ready { pressure: 1000.0 }));
+        let peep = frame(2, PlantMessage::Peep { pressure: 5.0 });
+        assert_eq!(plant.answer(&peep), frame(2, PlantMessage::Ready { pressure: 1000.0 }), "no time passes");
         assert_eq!(plant.answer(&step(3, 20.0)), pressure(3, 25.0));
     }
 
@@ -194,21 +194,21 @@ mod tests {
     fn the_peep_valve_stays_where_it_was_turned() {
         let mut plant = LockstepPlant::new(Counter::default());
         for (tick, pressure) in [(1, 8.0), (2, f32::NAN)] {
-            plant.answer(&frame(tick, Message::Peep { pressure }));
+            plant.answer(&frame(tick, PlantMessage::Peep { pressure }));
         }
-        plant.answer(&frame(3, Message::Reset { period_us: 1000 }));
+        plant.answer(&frame(3, PlantMessage::Reset { period_us: 1000 }));
         assert_eq!(plant.answer(&step(4, 20.0)), pressure(4, 28.0));
     }
 
     #[test]
     fn a_seed_holds_for_every_reset_until_the_next() {
         let mut plant = LockstepPlant::new(Counter::default());
-        let ready = |tick, pressure| frame(tick, Message::Ready { pressure });
-        let reset = |tick| frame(tick, Message::Reset { period_us: 1000 });
-        assert_eq!(plant.answer(&frame(1, Message::Seed { seed: 7 })), ready(1, 0.0));
+        let ready = |tick, pressure| frame(tick, PlantMessage::Ready { pressure });
+        let reset = |tick| frame(tick, PlantMessage::Reset { period_us: 1000 });
+        assert_eq!(plant.answer(&frame(1, PlantMessage::Seed { seed: 7 })), ready(1, 0.0));
         assert_eq!(plant.answer(&reset(2)), ready(2, 1007.0));
         assert_eq!(plant.answer(&reset(3)), ready(3, 1007.0));
-        assert_eq!(plant.answer(&frame(4, Message::Seed { seed: 8 })), ready(4, 1007.0));
+        assert_eq!(plant.answer(&frame(4, PlantMessage::Seed { seed: 8 })), ready(4, 1007.0));
         assert_eq!(plant.answer(&reset(5)), ready(5, 1008.0));
     }
 
@@ -225,8 +225,8 @@ mod tests {
     fn a_board_that_starts_anew_is_not_given_an_old_answer() {
         let mut plant = LockstepPlant::new(Counter::default());
         plant.answer(&step(1, 20.0));
-        let reset = frame(1, Message::Reset { period_us: 1000 });
-        assert_eq!(plant.answer(&reset), frame(1, Message::Ready { pressure: 1000.0 }));
+        let reset = frame(1, PlantMessage::Reset { period_us: 1000 });
+        assert_eq!(plant.answer(&reset), frame(1, PlantMessage::Ready { pressure: 1000.0 }));
     }
 
     #[test]

@@ -129,7 +129,7 @@ mod tests {
     use emulator::PlantEnd;
     use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
     use shared::control::pid::{Pid, PidGains};
-    use shared::link::plant_link::{Frame, Message};
+    use shared::link::plant_link::{PlantFrame, PlantMessage};
 
     const SEED: u64 = 5;
 
@@ -158,23 +158,25 @@ mod tests {
             let (mut line, mut number) = (LockstepPlant::new(plant), 0);
             let mut ask = |message| {
                 number += 1;
-                let answer = line.answer(&Frame { tick: number, message }.encode());
-                match Frame::decode(answer.as_slice().try_into().unwrap()).unwrap().message {
-                    Message::Ready { pressure } | Message::Pressure { pressure } => pressure.to_bits(),
+                let answer = line.answer(&PlantFrame { tick: number, message }.encode());
+                match PlantFrame::decode(answer.as_slice().try_into().unwrap()).unwrap().message {
+                    PlantMessage::Ready { pressure } | PlantMessage::Pressure { pressure } => {
+                        pressure.to_bits()
+                    }
                     other => panic!("{other:?}"),
                 }
             };
-            ask(Message::Seed { seed: SEED });
-            ask(Message::Peep { pressure: 5.0 });
-            let mut reading = ask(Message::Reset { period_us });
+            ask(PlantMessage::Seed { seed: SEED });
+            ask(PlantMessage::Peep { pressure: 5.0 });
+            let mut reading = ask(PlantMessage::Reset { period_us });
             let mut breath = ticks[0].sample.breath;
             for tick in &ticks {
                 if tick.sample.breath != breath {
                     breath = tick.sample.breath;
-                    ask(Message::Peep { pressure: 8.0 });
+                    ask(PlantMessage::Peep { pressure: 8.0 });
                 }
                 assert_eq!(reading, tick.sample.pressure.to_bits(), "{tick:?}");
-                reading = ask(Message::Step { u_in: tick.sample.u_in, u_out: tick.sample.u_out });
+                reading = ask(PlantMessage::Step { u_in: tick.sample.u_in, u_out: tick.sample.u_out });
             }
             let logged: Vec<_> = log(&truths).iter().copied().map(Some).collect();
             let expected: Vec<_> = ticks.iter().map(|tick| tick.truth).collect();

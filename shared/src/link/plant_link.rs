@@ -19,7 +19,7 @@ pub const FRAME_BYTES: usize = 16;
 
 /// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Message {
+pub enum PlantMessage {
     /// Restart at rest.
     Reset {
         /// Control period, microseconds.
@@ -77,28 +77,28 @@ pub enum Message {
 
 /// A message with its tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame {
+pub struct PlantFrame {
     /// Chosen by the ventilator, wrapping; repeated in the answer.
     pub tick: u16,
     /// Its content.
-    pub message: Message,
+    pub message: PlantMessage,
 }
 
-impl Frame {
+impl PlantFrame {
     /// The frame's bytes.
     pub fn encode(&self) -> [u8; FRAME_BYTES] {
         let (kind, first, second) = match self.message {
-            Message::Reset { period_us } => (1, period_us, 0),
-            Message::Step { u_in, u_out } => (2, u_in.to_bits(), u32::from(u_out)),
-            Message::Ready { pressure } => (3, pressure.to_bits(), 0),
-            Message::Pressure { pressure } => (4, pressure.to_bits(), 0),
-            Message::Peep { pressure } => (5, pressure.to_bits(), 0),
-            Message::Seed { seed } => (6, seed as u32, (seed >> 32) as u32),
-            Message::Hello { version } => (7, version, 0),
-            Message::Greeting { version, highest, period_us } => {
+            PlantMessage::Reset { period_us } => (1, period_us, 0),
+            PlantMessage::Step { u_in, u_out } => (2, u_in.to_bits(), u32::from(u_out)),
+            PlantMessage::Ready { pressure } => (3, pressure.to_bits(), 0),
+            PlantMessage::Pressure { pressure } => (4, pressure.to_bits(), 0),
+            PlantMessage::Peep { pressure } => (5, pressure.to_bits(), 0),
+            PlantMessage::Seed { seed } => (6, seed as u32, (seed >> 32) as u32),
+            PlantMessage::Hello { version } => (7, version, 0),
+            PlantMessage::Greeting { version, highest, period_us } => {
                 (8, u32::from(highest) << 16 | u32::from(version), period_us)
             }
-            Message::Truth { pressure, airway } => (9, pressure.to_bits(), airway.to_bits()),
+            PlantMessage::Truth { pressure, airway } => (9, pressure.to_bits(), airway.to_bits()),
         };
         let mut bytes = [0; FRAME_BYTES];
         (bytes[0], bytes[1]) = (START, kind);
@@ -118,17 +118,17 @@ impl Frame {
         let second = u32::from_le_bytes([b0, b1, b2, b3]);
         let real = f32::from_bits(first);
         let message = match (start, kind, second) {
-            (START, 1, 0) => Message::Reset { period_us: first },
-            (START, 2, 0 | 1) => Message::Step { u_in: real, u_out: second == 1 },
-            (START, 3, 0) => Message::Ready { pressure: real },
-            (START, 4, 0) => Message::Pressure { pressure: real },
-            (START, 5, 0) => Message::Peep { pressure: real },
-            (START, 6, high) => Message::Seed { seed: u64::from(high) << 32 | u64::from(first) },
-            (START, 7, 0) => Message::Hello { version: first },
+            (START, 1, 0) => PlantMessage::Reset { period_us: first },
+            (START, 2, 0 | 1) => PlantMessage::Step { u_in: real, u_out: second == 1 },
+            (START, 3, 0) => PlantMessage::Ready { pressure: real },
+            (START, 4, 0) => PlantMessage::Pressure { pressure: real },
+            (START, 5, 0) => PlantMessage::Peep { pressure: real },
+            (START, 6, high) => PlantMessage::Seed { seed: u64::from(high) << 32 | u64::from(first) },
+            (START, 7, 0) => PlantMessage::Hello { version: first },
             (START, 8, period_us) => {
-                Message::Greeting { version: first as u16, highest: (first >> 16) as u16, period_us }
+                PlantMessage::Greeting { version: first as u16, highest: (first >> 16) as u16, period_us }
             }
-            (START, 9, second) => Message::Truth { pressure: real, airway: f32::from_bits(second) },
+            (START, 9, second) => PlantMessage::Truth { pressure: real, airway: f32::from_bits(second) },
             _ => return None,
         };
         Some(Self { tick: u16::from_le_bytes([t0, t1]), message })
@@ -137,15 +137,15 @@ impl Frame {
 
 /// Finds frames in a stream of bytes: a window over the last 16.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Decoder {
+pub struct PlantDecoder {
     window: [u8; FRAME_BYTES],
     filled: usize,
     skipped: u32,
 }
 
-impl Decoder {
+impl PlantDecoder {
     /// Takes in one byte; a frame when it completes one.
-    pub fn push(&mut self, byte: u8) -> Option<Frame> {
+    pub fn push(&mut self, byte: u8) -> Option<PlantFrame> {
         if self.filled == FRAME_BYTES {
             self.filled -= 1;
             self.skipped = self.skipped.wrapping_add(1);
@@ -156,7 +156,7 @@ impl Decoder {
         if self.filled < FRAME_BYTES || self.window[0] != START {
             return None;
         }
-        let frame = Frame::decode(&self.window)?;
+        let frame = PlantFrame::decode(&self.window)?;
         self.filled = 0;
         Some(frame)
     }

@@ -7,7 +7,7 @@ use embassy_stm32::pac::USART2;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
-use shared::link::plant_link::{Decoder, Frame, Message};
+use shared::link::plant_link::{PlantDecoder, PlantFrame, PlantMessage};
 use shared::safety::filter::ValveCommand;
 
 use super::super::board::{CORE_CLOCK, PlantInterface};
@@ -20,26 +20,26 @@ const RETRY_TIMEOUT: u32 = CORE_CLOCK.0 / 2_000;
 
 /// The plant line.
 pub struct PlantLine {
-    decoder: Decoder,
+    decoder: PlantDecoder,
     tick: u16,
     command: ValveCommand,
     /// Sent and not yet answered.
-    unanswered: Option<Frame>,
+    unanswered: Option<PlantFrame>,
 }
 
 impl PlantLine {
     /// The line, which [`super::open_serial`] has opened: from here on its registers are polled.
     pub fn new() -> Self {
-        Self { decoder: Decoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }
+        Self { decoder: PlantDecoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }
     }
 
     /// Sends a message and waits for its answer: the pressure in it, cmH2O.
-    fn exchange(&mut self, message: Message) -> Option<f32> {
+    fn exchange(&mut self, message: PlantMessage) -> Option<f32> {
         let timeout = if self.unanswered.is_some() { RETRY_TIMEOUT } else { TIMEOUT };
         if self.unanswered.is_none() {
             self.tick = self.tick.wrapping_add(1);
         }
-        let frame = *self.unanswered.get_or_insert(Frame { tick: self.tick, message });
+        let frame = *self.unanswered.get_or_insert(PlantFrame { tick: self.tick, message });
         let start = clock::now();
         for byte in frame.encode() {
             while !USART2.sr().read().txe() {}
@@ -61,15 +61,15 @@ impl PlantLine {
 }
 
 /// The pressure in an answer, if it is the answer to this frame.
-fn answered(asked: &Frame, answer: &Frame) -> Option<f32> {
+fn answered(asked: &PlantFrame, answer: &PlantFrame) -> Option<f32> {
     if asked.tick != answer.tick {
         return None;
     }
     match (asked.message, answer.message) {
-        (Message::Step { .. }, Message::Pressure { pressure })
+        (PlantMessage::Step { .. }, PlantMessage::Pressure { pressure })
         | (
-            Message::Reset { .. } | Message::Peep { .. } | Message::Seed { .. },
-            Message::Ready { pressure },
+            PlantMessage::Reset { .. } | PlantMessage::Peep { .. } | PlantMessage::Seed { .. },
+            PlantMessage::Ready { pressure },
         ) => Some(pressure),
         _ => None,
     }
@@ -80,14 +80,15 @@ impl PlantInterface for PlantLine {
 
     fn read(&mut self, change: &PlantChange) -> f32 {
         let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
-        let turn = |line: &mut Self| change.peep.map(|pressure| line.exchange(Message::Peep { pressure }));
+        let turn =
+            |line: &mut Self| change.peep.map(|pressure| line.exchange(PlantMessage::Peep { pressure }));
         // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
         let reading = if let Some(seed) = change.reset {
             turn(self);
-            self.exchange(Message::Seed { seed });
-            self.exchange(Message::Reset { period_us: DEFAULT_PERIOD_US })
+            self.exchange(PlantMessage::Seed { seed });
+            self.exchange(PlantMessage::Reset { period_us: DEFAULT_PERIOD_US })
         } else {
-            let reading = self.exchange(Message::Step { u_in, u_out });
+            let reading = self.exchange(PlantMessage::Step { u_in, u_out });
             turn(self);
             reading
         };

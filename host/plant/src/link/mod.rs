@@ -9,7 +9,7 @@ mod line;
 
 use std::time::Duration;
 
-use shared::link::plant_link::{FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, PlantFrame, PlantMessage, VERSION};
 use thiserror::Error;
 
 use crate::{Plant, Reading, TickTruth};
@@ -188,12 +188,12 @@ impl PlantLink {
     }
 
     fn greet(&mut self) -> Result<Greeting, PlantError> {
-        match self.ask(Message::Hello { version: VERSION.into() })? {
-            Message::Greeting { version, .. } if version != VERSION => Err(PlantError::Version(version)),
-            Message::Greeting { highest, .. } if highest == 0 || highest > HIGHEST_MAX => {
+        match self.ask(PlantMessage::Hello { version: VERSION.into() })? {
+            PlantMessage::Greeting { version, .. } if version != VERSION => Err(PlantError::Version(version)),
+            PlantMessage::Greeting { highest, .. } if highest == 0 || highest > HIGHEST_MAX => {
                 Err(PlantError::Limit(highest))
             }
-            Message::Greeting { highest, period_us, .. } => {
+            PlantMessage::Greeting { highest, period_us, .. } => {
                 Ok(Greeting { highest, period_us: (period_us > 0).then_some(period_us) })
             }
             other => unreachable!("{other:?} was refused as an answer"),
@@ -201,7 +201,7 @@ impl PlantLink {
     }
 
     /// One exchange. Whatever goes wrong is remembered.
-    fn ask(&mut self, message: Message) -> Result<Message, PlantError> {
+    fn ask(&mut self, message: PlantMessage) -> Result<PlantMessage, PlantError> {
         if let Some(error) = &self.broken {
             return Err(error.clone());
         }
@@ -210,13 +210,13 @@ impl PlantLink {
         answer
     }
 
-    fn exchange(&mut self, message: Message) -> Result<Message, PlantError> {
+    fn exchange(&mut self, message: PlantMessage) -> Result<PlantMessage, PlantError> {
         self.tick = self.tick.wrapping_add(1);
-        let asked = Frame { tick: self.tick, message };
+        let asked = PlantFrame { tick: self.tick, message };
         let question = name(message);
         let mut bytes = [0; FRAME_BYTES];
         self.line.exchange(&asked.encode(), &mut bytes).map_err(|trouble| self.trouble(trouble, question))?;
-        let answer = Frame::decode(&bytes).ok_or_else(|| PlantError::NoFrame {
+        let answer = PlantFrame::decode(&bytes).ok_or_else(|| PlantError::NoFrame {
             question,
             bytes: bytes.map(|byte| format!("{byte:02X}")).join(" "),
         })?;
@@ -224,12 +224,14 @@ impl PlantLink {
             return Err(PlantError::Tick { asked: asked.tick, told: answer.tick });
         }
         let fits = match message {
-            Message::Hello { .. } => matches!(answer.message, Message::Greeting { .. }),
-            Message::Step { .. } => {
-                matches!(answer.message, Message::Pressure { .. } | Message::Truth { .. })
+            PlantMessage::Hello { .. } => matches!(answer.message, PlantMessage::Greeting { .. }),
+            PlantMessage::Step { .. } => {
+                matches!(answer.message, PlantMessage::Pressure { .. } | PlantMessage::Truth { .. })
             }
-            Message::Reset { .. } => matches!(answer.message, Message::Ready { .. } | Message::Truth { .. }),
-            _ => matches!(answer.message, Message::Ready { .. }),
+            PlantMessage::Reset { .. } => {
+                matches!(answer.message, PlantMessage::Ready { .. } | PlantMessage::Truth { .. })
+            }
+            _ => matches!(answer.message, PlantMessage::Ready { .. }),
         };
         if fits {
             Ok(answer.message)
@@ -249,10 +251,14 @@ impl PlantLink {
     }
 
     /// The pressures of an answer, if they can be.
-    fn reading(&mut self, answer: Message, question: &'static str) -> Result<Reading, PlantError> {
+    fn reading(&mut self, answer: PlantMessage, question: &'static str) -> Result<Reading, PlantError> {
         let reading = match answer {
-            Message::Truth { pressure, airway } => Reading { pressure, truth: Some(airway_alone(airway)) },
-            Message::Ready { pressure } | Message::Pressure { pressure } => Reading { pressure, truth: None },
+            PlantMessage::Truth { pressure, airway } => {
+                Reading { pressure, truth: Some(airway_alone(airway)) }
+            }
+            PlantMessage::Ready { pressure } | PlantMessage::Pressure { pressure } => {
+                Reading { pressure, truth: None }
+            }
             other => unreachable!("{other:?} was refused as an answer"),
         };
         let highest = self.greeting.highest;
@@ -286,25 +292,25 @@ impl Plant for PlantLink {
         if let Some(own) = self.greeting.period_us.filter(|own| *own != period_us) {
             return Err(PlantError::other_period(period_us, own));
         }
-        self.ask(Message::Seed { seed })?;
+        self.ask(PlantMessage::Seed { seed })?;
         self.set_peep(peep)?;
         self.truthful = false;
-        let answer = self.ask(Message::Reset { period_us })?;
-        if let Message::Ready { pressure } = answer
+        let answer = self.ask(PlantMessage::Reset { period_us })?;
+        if let PlantMessage::Ready { pressure } = answer
             && pressure.is_nan()
         {
             return Err(PlantError::Period { asked: period_us, own: String::new() });
         }
-        self.truthful = matches!(answer, Message::Truth { .. });
+        self.truthful = matches!(answer, PlantMessage::Truth { .. });
         self.reading(answer, "Reset")
     }
 
     fn set_peep(&mut self, peep: f32) -> Result<(), PlantError> {
-        self.ask(Message::Peep { pressure: peep }).map(|_| ())
+        self.ask(PlantMessage::Peep { pressure: peep }).map(|_| ())
     }
 
     fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, PlantError> {
-        let answer = self.ask(Message::Step { u_in, u_out })?;
+        let answer = self.ask(PlantMessage::Step { u_in, u_out })?;
         self.reading(answer, "Step")
     }
 }
@@ -315,16 +321,16 @@ fn airway_alone(airway_pressure: f32) -> TickTruth {
 }
 
 /// A message as errors name it.
-fn name(message: Message) -> &'static str {
+fn name(message: PlantMessage) -> &'static str {
     match message {
-        Message::Reset { .. } => "Reset",
-        Message::Step { .. } => "Step",
-        Message::Peep { .. } => "Peep",
-        Message::Seed { .. } => "Seed",
-        Message::Hello { .. } => "Hello",
-        Message::Greeting { .. } => "Greeting",
-        Message::Ready { .. } => "Ready",
-        Message::Pressure { .. } => "Pressure",
-        Message::Truth { .. } => "Truth",
+        PlantMessage::Reset { .. } => "Reset",
+        PlantMessage::Step { .. } => "Step",
+        PlantMessage::Peep { .. } => "Peep",
+        PlantMessage::Seed { .. } => "Seed",
+        PlantMessage::Hello { .. } => "Hello",
+        PlantMessage::Greeting { .. } => "Greeting",
+        PlantMessage::Ready { .. } => "Ready",
+        PlantMessage::Pressure { .. } => "Pressure",
+        PlantMessage::Truth { .. } => "Truth",
     }
 }

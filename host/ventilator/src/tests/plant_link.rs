@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use shared::breath::paper_settings;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
-use shared::link::plant_link::{FRAME_BYTES, Frame, Message, VERSION};
+use shared::link::plant_link::{FRAME_BYTES, PlantFrame, PlantMessage, VERSION};
 use shared::settings::Settings;
 
 use crate::collect::{CollectConfig, CollectError, Collected, collect};
@@ -48,28 +48,28 @@ fn bench_plant() -> PlantAddress {
 
 /// What a scripted plant does about a request.
 enum Act {
-    Say(Message),
+    Say(PlantMessage),
     Bytes(Vec<u8>),
     Silence,
     HangUp,
 }
 
 /// A lung that holds 5 cmH2O and does what `act` says about each request, counted from 0.
-fn scripted(mut act: impl FnMut(usize, Frame) -> Option<Act> + Send + 'static) -> PlantAddress {
+fn scripted(mut act: impl FnMut(usize, PlantFrame) -> Option<Act> + Send + 'static) -> PlantAddress {
     served(move |mut stream| {
         let mut request = [0; FRAME_BYTES];
         for number in 0.. {
             if stream.read_exact(&mut request).is_err() {
                 return;
             }
-            let frame = Frame::decode(&request).unwrap();
+            let frame = PlantFrame::decode(&request).unwrap();
             let honest = match frame.message {
-                Message::Hello { .. } => greeting(VERSION, 100),
-                Message::Step { .. } => Message::Pressure { pressure: 5.0 },
-                _ => Message::Ready { pressure: 5.0 },
+                PlantMessage::Hello { .. } => greeting(VERSION, 100),
+                PlantMessage::Step { .. } => PlantMessage::Pressure { pressure: 5.0 },
+                _ => PlantMessage::Ready { pressure: 5.0 },
             };
             let answer = match act(number, frame).unwrap_or(Act::Say(honest)) {
-                Act::Say(message) => Frame { tick: frame.tick, message }.encode().to_vec(),
+                Act::Say(message) => PlantFrame { tick: frame.tick, message }.encode().to_vec(),
                 Act::Bytes(bytes) => bytes,
                 Act::Silence => continue,
                 Act::HangUp => return,
@@ -81,8 +81,8 @@ fn scripted(mut act: impl FnMut(usize, Frame) -> Option<Act> + Send + 'static) -
     })
 }
 
-fn greeting(version: u16, highest: u16) -> Message {
-    Message::Greeting { version, highest, period_us: PERIOD_US }
+fn greeting(version: u16, highest: u16) -> PlantMessage {
+    PlantMessage::Greeting { version, highest, period_us: PERIOD_US }
 }
 
 fn open(address: &PlantAddress) -> Result<PlantLink, PlantError> {
@@ -90,13 +90,13 @@ fn open(address: &PlantAddress) -> Result<PlantLink, PlantError> {
 }
 
 /// Opens, resets and steps a few times until something goes wrong.
-fn error(act: impl FnMut(usize, Frame) -> Option<Act> + Send + 'static) -> PlantError {
+fn error(act: impl FnMut(usize, PlantFrame) -> Option<Act> + Send + 'static) -> PlantError {
     error_within(LONG, act)
 }
 
 fn error_within(
     patience: Duration,
-    act: impl FnMut(usize, Frame) -> Option<Act> + Send + 'static,
+    act: impl FnMut(usize, PlantFrame) -> Option<Act> + Send + 'static,
 ) -> PlantError {
     let mut link = match PlantLink::open(&scripted(act), patience) {
         Ok(link) => link,
@@ -111,7 +111,7 @@ fn error_within(
 }
 
 /// Does something on the sixth step, after Hello, Seed, Peep and Reset.
-fn on_step(act: impl Fn(Frame) -> Act + Send + 'static) -> PlantError {
+fn on_step(act: impl Fn(PlantFrame) -> Act + Send + 'static) -> PlantError {
     error(move |number, frame| (number == 9).then(|| act(frame)))
 }
 
@@ -157,8 +157,8 @@ fn a_new_peep_is_told_before_the_breath_that_has_it() {
     let log = Arc::clone(&told);
     let address = scripted(move |_, frame| {
         match frame.message {
-            Message::Peep { pressure } => log.lock().unwrap().push((pressure, 0)),
-            Message::Step { .. } => log.lock().unwrap().last_mut().unwrap().1 += 1,
+            PlantMessage::Peep { pressure } => log.lock().unwrap().push((pressure, 0)),
+            PlantMessage::Step { .. } => log.lock().unwrap().last_mut().unwrap().1 += 1,
             _ => {}
         }
         None
@@ -173,8 +173,8 @@ fn a_new_peep_is_told_before_the_breath_that_has_it() {
 #[test]
 fn the_true_pressure_is_recorded_where_a_plant_tells_it() {
     let address = scripted(|_, frame| match frame.message {
-        Message::Reset { .. } | Message::Step { .. } => {
-            Some(Act::Say(Message::Truth { pressure: 5.5, airway: 5.25 }))
+        PlantMessage::Reset { .. } | PlantMessage::Step { .. } => {
+            Some(Act::Say(PlantMessage::Truth { pressure: 5.5, airway: 5.25 }))
         }
         _ => None,
     });
@@ -234,14 +234,14 @@ fn a_vanished_plant_is_gone_at_once() {
 #[test]
 fn lies_are_told_from_pressures() {
     for pressure in [f32::NAN, f32::INFINITY, 100.5, -101.0] {
-        let lie = on_step(move |_| Act::Say(Message::Pressure { pressure }));
+        let lie = on_step(move |_| Act::Say(PlantMessage::Pressure { pressure }));
         assert!(matches!(lie, PlantError::Pressure { what: "a pressure", highest: 100, .. }), "{lie}");
         let text = lie.to_string();
         assert!(text.contains(&pressure.to_string()), "{text}");
     }
     let untrue = error(|_, frame| match frame.message {
-        Message::Reset { .. } => Some(Act::Say(Message::Truth { pressure: 5.0, airway: 5.0 })),
-        Message::Step { .. } => Some(Act::Say(Message::Truth { pressure: 5.0, airway: f32::NAN })),
+        PlantMessage::Reset { .. } => Some(Act::Say(PlantMessage::Truth { pressure: 5.0, airway: 5.0 })),
+        PlantMessage::Step { .. } => Some(Act::Say(PlantMessage::Truth { pressure: 5.0, airway: f32::NAN })),
         _ => None,
     });
     assert!(matches!(untrue, PlantError::Pressure { what: "a true pressure", .. }), "{untrue}");
@@ -249,18 +249,20 @@ fn lies_are_told_from_pressures() {
 
 #[test]
 fn the_truth_is_told_always_or_never() {
-    let now_and_then = on_step(|_| Act::Say(Message::Truth { pressure: 5.0, airway: 5.0 }));
+    let now_and_then = on_step(|_| Act::Say(PlantMessage::Truth { pressure: 5.0, airway: 5.0 }));
     assert_eq!(now_and_then, PlantError::Truth);
 }
 
 #[test]
 fn an_answer_to_another_tick_or_of_another_kind_is_no_answer() {
-    let message = Message::Pressure { pressure: 5.0 };
-    let early = on_step(move |frame| Act::Bytes(Frame { tick: frame.tick + 1, message }.encode().to_vec()));
+    let message = PlantMessage::Pressure { pressure: 5.0 };
+    let early =
+        on_step(move |frame| Act::Bytes(PlantFrame { tick: frame.tick + 1, message }.encode().to_vec()));
     assert_eq!(early, PlantError::Tick { asked: 10, told: 11 });
-    let twice = on_step(move |frame| Act::Bytes([Frame { tick: frame.tick, message }.encode(); 2].concat()));
+    let twice =
+        on_step(move |frame| Act::Bytes([PlantFrame { tick: frame.tick, message }.encode(); 2].concat()));
     assert_eq!(twice, PlantError::Tick { asked: 11, told: 10 });
-    let ready = on_step(|_| Act::Say(Message::Ready { pressure: 5.0 }));
+    let ready = on_step(|_| Act::Say(PlantMessage::Ready { pressure: 5.0 }));
     assert_eq!(ready, PlantError::Kind { question: "Step", answer: "Ready" });
 }
 
@@ -270,7 +272,8 @@ fn bytes_that_are_no_frame_are_shown() {
     let text = chatty.to_string();
     assert!(matches!(chatty, PlantError::NoFrame { .. }) && text.contains("73 74 65 70"), "{text}");
     let damaged = on_step(|frame| {
-        let mut bytes = Frame { tick: frame.tick, message: Message::Pressure { pressure: 5.0 } }.encode();
+        let mut bytes =
+            PlantFrame { tick: frame.tick, message: PlantMessage::Pressure { pressure: 5.0 } }.encode();
         bytes[6] ^= 1;
         Act::Bytes(bytes.to_vec())
     });
@@ -321,7 +324,9 @@ fn a_plant_that_fails_before_the_first_tick_leaves_no_recording() {
 #[test]
 fn a_high_pressure_on_a_plant_ends_the_breath_and_can_be_acknowledged() {
     let address = scripted(|number, frame| match frame.message {
-        Message::Step { .. } if number == 20 => Some(Act::Say(Message::Pressure { pressure: 90.0 })),
+        PlantMessage::Step { .. } if number == 20 => {
+            Some(Act::Say(PlantMessage::Pressure { pressure: 90.0 }))
+        }
         _ => None,
     });
     let mut source = source(&address);

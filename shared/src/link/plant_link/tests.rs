@@ -5,24 +5,25 @@ use proptest::prelude::*;
 use super::*;
 
 /// Any frame whose numbers are no NaN, so that frames can be compared.
-fn frame() -> impl Strategy<Value = Frame> {
+fn frame() -> impl Strategy<Value = PlantFrame> {
     let real = || -200.0f32..200.0;
     let message = prop_oneof![
-        any::<u32>().prop_map(|period_us| Message::Reset { period_us }),
-        any::<u64>().prop_map(|seed| Message::Seed { seed }),
-        (real(), any::<bool>()).prop_map(|(u_in, u_out)| Message::Step { u_in, u_out }),
-        real().prop_map(|pressure| Message::Ready { pressure }),
-        real().prop_map(|pressure| Message::Pressure { pressure }),
-        real().prop_map(|pressure| Message::Peep { pressure }),
-        any::<u32>().prop_map(|version| Message::Hello { version }),
-        (any::<u16>(), any::<u16>(), any::<u32>())
-            .prop_map(|(version, highest, period_us)| { Message::Greeting { version, highest, period_us } }),
-        (real(), real()).prop_map(|(pressure, airway)| Message::Truth { pressure, airway }),
+        any::<u32>().prop_map(|period_us| PlantMessage::Reset { period_us }),
+        any::<u64>().prop_map(|seed| PlantMessage::Seed { seed }),
+        (real(), any::<bool>()).prop_map(|(u_in, u_out)| PlantMessage::Step { u_in, u_out }),
+        real().prop_map(|pressure| PlantMessage::Ready { pressure }),
+        real().prop_map(|pressure| PlantMessage::Pressure { pressure }),
+        real().prop_map(|pressure| PlantMessage::Peep { pressure }),
+        any::<u32>().prop_map(|version| PlantMessage::Hello { version }),
+        (any::<u16>(), any::<u16>(), any::<u32>()).prop_map(|(version, highest, period_us)| {
+            PlantMessage::Greeting { version, highest, period_us }
+        }),
+        (real(), real()).prop_map(|(pressure, airway)| PlantMessage::Truth { pressure, airway }),
     ];
-    (any::<u16>(), message).prop_map(|(tick, message)| Frame { tick, message })
+    (any::<u16>(), message).prop_map(|(tick, message)| PlantFrame { tick, message })
 }
 
-fn feed(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Frame> {
+fn feed(decoder: &mut PlantDecoder, bytes: &[u8]) -> Vec<PlantFrame> {
     bytes.iter().filter_map(|byte| decoder.push(*byte)).collect()
 }
 
@@ -32,7 +33,7 @@ const PYTHON_STEP: [u8; FRAME_BYTES] =
 
 #[test]
 fn a_step_has_the_bytes_that_python_packs() {
-    let frame = Frame { tick: 258, message: Message::Step { u_in: 37.5, u_out: true } };
+    let frame = PlantFrame { tick: 258, message: PlantMessage::Step { u_in: 37.5, u_out: true } };
     assert_eq!(frame.encode(), PYTHON_STEP);
 }
 
@@ -42,18 +43,18 @@ const PYTHON_GREETING: [u8; FRAME_BYTES] =
 
 #[test]
 fn a_greeting_has_the_bytes_that_python_packs() {
-    let message = Message::Greeting { version: 1, highest: 120, period_us: 30_000 };
-    assert_eq!(Frame { tick: 1, message }.encode(), PYTHON_GREETING);
+    let message = PlantMessage::Greeting { version: 1, highest: 120, period_us: 30_000 };
+    assert_eq!(PlantFrame { tick: 1, message }.encode(), PYTHON_GREETING);
 }
 
 /// The document shows two frames as bytes.
 #[test]
 fn the_frames_of_the_document_are_these() {
     let document = include_str!("../../../../docs/PLANT_LINK.md");
-    let hello = Message::Hello { version: VERSION.into() };
-    let greeting = Message::Greeting { version: VERSION, highest: 150, period_us: 30_000 };
+    let hello = PlantMessage::Hello { version: VERSION.into() };
+    let greeting = PlantMessage::Greeting { version: VERSION, highest: 150, period_us: 30_000 };
     for message in [hello, greeting] {
-        let bytes = Frame { tick: 1, message }.encode();
+        let bytes = PlantFrame { tick: 1, message }.encode();
         let shown = bytes.iter().map(|byte| std::format!("{byte:02X}")).collect::<Vec<_>>().join(" ");
         assert!(document.contains(&shown), "{shown}");
     }
@@ -66,7 +67,7 @@ fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
         bytes[at] = value;
         let checksum = crc32(&bytes[..12]);
         bytes[12..].copy_from_slice(&checksum.to_le_bytes());
-        Frame::decode(&bytes)
+        PlantFrame::decode(&bytes)
     };
     assert!(forged(8, 0).is_some());
     for (at, value) in [(0, 0xA4), (1, 0), (1, 1), (1, 7), (1, 10), (8, 2), (11, 1)] {
@@ -76,16 +77,16 @@ fn values_outside_of_the_table_are_refused_in_spite_of_the_checksum() {
 
 #[test]
 fn a_pressure_that_is_no_number_arrives_as_it_was_sent() {
-    let message = Message::Pressure { pressure: f32::NAN };
-    let back = Frame::decode(&Frame { tick: 0, message }.encode()).unwrap();
-    assert!(matches!(back.message, Message::Pressure { pressure } if pressure.is_nan()));
+    let message = PlantMessage::Pressure { pressure: f32::NAN };
+    let back = PlantFrame::decode(&PlantFrame { tick: 0, message }.encode()).unwrap();
+    assert!(matches!(back.message, PlantMessage::Pressure { pressure } if pressure.is_nan()));
 }
 
 proptest! {
     #[test]
     fn frames_come_back(frames in prop::collection::vec(frame(), 1..10)) {
-        let mut decoder = Decoder::default();
-        let stream: Vec<u8> = frames.iter().flat_map(Frame::encode).collect();
+        let mut decoder = PlantDecoder::default();
+        let stream: Vec<u8> = frames.iter().flat_map(PlantFrame::encode).collect();
         prop_assert_eq!(feed(&mut decoder, &stream), frames);
         prop_assert_eq!(decoder.skipped(), 0);
     }
@@ -97,12 +98,12 @@ proptest! {
             let mut flipped = bytes;
             flipped[bit / 8] ^= 1 << (bit % 8);
             let stream = [flipped, next.encode()].concat();
-            prop_assert_eq!(feed(&mut Decoder::default(), &stream), std::vec![next]);
+            prop_assert_eq!(feed(&mut PlantDecoder::default(), &stream), std::vec![next]);
         }
         for lost in 0..FRAME_BYTES {
             let mut stream = [bytes, next.encode()].concat();
             stream.remove(lost);
-            let good = feed(&mut Decoder::default(), &stream);
+            let good = feed(&mut PlantDecoder::default(), &stream);
             // A lost last byte of 0xA5 is made up for by the next frame's start, at that frame's cost.
             prop_assert!(good == [next] || good == [frame]);
         }
@@ -112,7 +113,7 @@ proptest! {
     fn after_any_garbage_the_next_frame_arrives(
         garbage in prop::collection::vec(prop_oneof![Just(START), any::<u8>()], 0..200), frame in frame(),
     ) {
-        let mut decoder = Decoder::default();
+        let mut decoder = PlantDecoder::default();
         let mut stream = garbage.clone();
         stream.extend(frame.encode());
         prop_assert_eq!(feed(&mut decoder, &stream), std::vec![frame]);
