@@ -89,7 +89,7 @@ impl<P: Plant> Plant for Arc<Mutex<P>> {
     }
 }
 
-/// Each call leaves a plant whole, so that a panic elsewhere has not harmed it.
-fn locked<P>(plant: &Mutex<P>) -> MutexGuard<'_, P> {
-    plant.lock().unwrap_or_else(PoisonError::into_inner)
+/// Locks what every user leaves whole, so that a panic elsewhere has not harmed it.
+pub fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -15,9 +15,7 @@ mod tests;
 mod virtual_board;
 
 pub use in_process::{BalloonSource, BenchSource, InProcess, PlantSource, SharedLink};
-pub use port::{PortSource, Truth};
-#[cfg(unix)]
-pub use virtual_board::VirtualBoard;
+pub use port::PortSource;
 
 use shared::control::Controller;
 use shared::explore::Exploration;

@@ -30,7 +30,7 @@ const HEARD_EVERY: usize = 2000;
 const SILENCE: Duration = Duration::from_secs(20);
 
 /// What only the plant behind a device knows of the numbered tick since the start of ventilation.
-pub type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
+pub(super) type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
 
 /// A device that breathes.
 pub struct PortSource {
@@ -55,6 +55,9 @@ pub struct PortSource {
     truth: Option<Truth>,
     /// Images whose bytes, and so their names, are known.
     images: Vec<Vec<u8>>,
+    /// The virtual board, where the device is one; it goes last, since the device is stopped before.
+    #[cfg(unix)]
+    board: Option<emulator::Emulator>,
 }
 
 impl PortSource {
@@ -88,13 +91,22 @@ impl PortSource {
             unheard: 0,
             truth: None,
             images: Vec::new(),
+            #[cfg(unix)]
+            board: None,
         })
     }
 
-    /// Tells what the plant behind the device is, for the recording.
-    #[must_use]
-    pub fn with_plant(mut self, name: String, parameters: String, truth: Option<Truth>) -> Self {
-        (self.plant, self.plant_parameters, self.truth) = (name, parameters, truth);
+    /// Keeps the virtual board that the device is, and tells what its plant is.
+    #[cfg(unix)]
+    pub(super) fn with_board(
+        mut self,
+        board: emulator::Emulator,
+        plant: String,
+        parameters: String,
+        truth: Truth,
+    ) -> Self {
+        (self.plant, self.plant_parameters) = (plant, parameters);
+        (self.board, self.truth) = (Some(board), Some(truth));
         self
     }
 
@@ -205,6 +217,14 @@ impl PortSource {
         }
         Ok(ControllerChoice::Learned)
     }
+
+    fn fault(&mut self, breath: u32, tick: u32) -> SourceError {
+        self.running = false;
+        match self.alarm.take() {
+            Some(fault) => SourceError::Fault { fault, breath, tick },
+            None => SourceError::Silent { breath },
+        }
+    }
 }
 
 impl Source for PortSource {
@@ -301,16 +321,6 @@ impl Drop for PortSource {
     fn drop(&mut self) {
         if self.running {
             let _ = self.device.stop();
-        }
-    }
-}
-
-impl PortSource {
-    fn fault(&mut self, breath: u32, tick: u32) -> SourceError {
-        self.running = false;
-        match self.alarm.take() {
-            Some(fault) => SourceError::Fault { fault, breath, tick },
-            None => SourceError::Silent { breath },
         }
     }
 }

@@ -2,59 +2,38 @@
 //!
 //! It gives the samples of [`super::BenchSource`] under the same seed, bit for bit.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
-use shared::control::Controller;
-use shared::explore::Exploration;
-use shared::settings::Settings;
-
-use super::{PortSource, Source, SourceError, Tick, TickTruth};
+use super::{PortSource, SourceError, TickTruth};
 use device::Device;
 use device::port::Address;
 use emulator::{Emulator, EmulatorConfig, LockstepPlant};
 use plant::bench::{BenchConfig, BenchPlant};
-use plant::{Plant, Reading};
+use plant::{Plant, Reading, locked};
 
-/// A board that runs as long as this lives.
-pub struct VirtualBoard {
-    // Dropped first: it stops the device while that can still be reached.
-    port: PortSource,
-    _emulator: Emulator,
-}
-
-impl VirtualBoard {
-    /// Switches a board on whose plant is this bench with the noise of `seed`.
+impl PortSource {
+    /// Switches on a board whose plant is this bench with the noise of `seed`; it runs as long as the source lives.
     ///
     /// # Errors
     /// A bench that cannot be built, QEMU or images that are missing, a device that does not answer.
-    pub fn start(config: EmulatorConfig, bench: &BenchConfig, seed: u64) -> Result<Self, SourceError> {
+    pub fn virtual_board(
+        config: EmulatorConfig,
+        bench: &BenchConfig,
+        seed: u64,
+    ) -> Result<Self, SourceError> {
         let truths = TruthLog::default();
         let plant = Logged { plant: BenchPlant::new(bench)?, truths: Arc::clone(&truths) };
         let emulator = Emulator::start(config, LockstepPlant::new(plant))?;
         let device = Device::connect(&Address::Tcp(emulator.address().to_string()))?;
-        let truth = Box::new(move |tick| log(&truths).get(tick).copied());
-        let port = PortSource::new(device, seed)?.with_plant(
-            format!("{} on the virtual board", bench.name),
-            bench.to_toml(),
-            Some(truth),
-        );
-        Ok(Self { port, _emulator: emulator })
-    }
-
-    /// The device's end of the link.
-    pub fn port(&mut self) -> &mut PortSource {
-        &mut self.port
+        let truth = Box::new(move |tick| locked(&truths).get(tick).copied());
+        let name = format!("{} on the virtual board", bench.name);
+        Ok(Self::new(device, seed)?.with_board(emulator, name, bench.to_toml(), truth))
     }
 }
 
 /// The truths since the last reset: entry `n` is from the instant of the `n`-th reading, which is that of tick `n` since
 /// then. It is there before the board has the reading.
 type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
-
-/// Locks the log. A thread that panicked while holding it has left it intact.
-fn log(truths: &TruthLog) -> MutexGuard<'_, Vec<TickTruth>> {
-    truths.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// A plant that logs its truths.
 struct Logged<P> {
@@ -71,7 +50,7 @@ impl<P: Plant> Plant for Logged<P> {
 
     fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, P::Error> {
         let reading = self.plant.reset(period_us, seed, peep)?;
-        let mut truths = log(&self.truths);
+        let mut truths = locked(&self.truths);
         truths.clear();
         truths.extend(reading.truth);
         Ok(reading)
@@ -83,53 +62,21 @@ impl<P: Plant> Plant for Logged<P> {
 
     fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, P::Error> {
         let reading = self.plant.step(u_in, u_out)?;
-        log(&self.truths).extend(reading.truth);
+        locked(&self.truths).extend(reading.truth);
         Ok(reading)
-    }
-}
-
-impl Source for VirtualBoard {
-    fn period_us(&self) -> u32 {
-        self.port.period_us()
-    }
-
-    fn plant(&self) -> String {
-        self.port.plant()
-    }
-
-    fn plant_parameters(&self) -> String {
-        self.port.plant_parameters()
-    }
-
-    fn configure(
-        &mut self,
-        controller: Controller,
-        exploration: Option<Exploration>,
-    ) -> Result<(), SourceError> {
-        self.port.configure(controller, exploration)
-    }
-
-    fn upcoming(&mut self, settings: &[Settings]) -> Result<(), SourceError> {
-        self.port.upcoming(settings)
-    }
-
-    fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
-        self.port.breath(settings, sink)
-    }
-
-    fn acknowledge(&mut self) -> Result<(), SourceError> {
-        self.port.acknowledge()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::BenchSource;
+    use crate::{BenchSource, Source, Tick};
     use emulator::PlantEnd;
     use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use shared::control::Controller;
     use shared::control::pid::{Pid, PidGains};
     use shared::link::plant_link::{PlantFrame, PlantMessage};
+    use shared::settings::Settings;
 
     const SEED: u64 = 5;
 
@@ -178,7 +125,7 @@ mod tests {
                 assert_eq!(reading, tick.sample.pressure.to_bits(), "{tick:?}");
                 reading = ask(PlantMessage::Step { u_in: tick.sample.u_in, u_out: tick.sample.u_out });
             }
-            let logged: Vec<_> = log(&truths).iter().copied().map(Some).collect();
+            let logged: Vec<_> = locked(&truths).iter().copied().map(Some).collect();
             let expected: Vec<_> = ticks.iter().map(|tick| tick.truth).collect();
             assert_eq!(logged[..ticks.len()], expected);
         }

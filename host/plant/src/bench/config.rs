@@ -280,9 +280,17 @@ pub struct BenchConfig {
 
 impl Default for BenchConfig {
     fn default() -> Self {
-        let CompartmentConfig { resistance_cmh2o_per_l_s: r, compliance_ml_per_cmh2o: c, .. } =
-            CompartmentConfig::default();
-        Self::paper(r, c)
+        Self {
+            name: "R20C20".to_owned(),
+            sub_steps: super::LEAST_SUB_STEPS,
+            valve: ValveConfig::default(),
+            expiratory: ExpiratoryConfig::default(),
+            circuit: CircuitConfig::default(),
+            lung: LungConfig::default(),
+            sensor: SensorConfig::default(),
+            unit: UnitConfig::default(),
+            patient: PatientConfig::default(),
+        }
     }
 }
 
@@ -319,17 +327,55 @@ impl BenchConfig {
     /// # Errors
     /// [`BenchError::OutOfRange`] for the first field that is not.
     pub fn validate(&self) -> Result<(), BenchError> {
-        check("sub_steps", f64::from(self.sub_steps), f64::from(super::LEAST_SUB_STEPS)..=64.0)?;
-        self.valve.validate()?;
-        self.expiratory.validate()?;
-        self.circuit.validate()?;
-        self.lung.first.validate("lung.first")?;
-        if let Some(second) = &self.lung.second {
+        let Self { name: _, sub_steps, valve, expiratory, circuit, lung, sensor, unit, patient } = self;
+        check("sub_steps", f64::from(*sub_steps), f64::from(super::LEAST_SUB_STEPS)..=64.0)?;
+        check("valve.dead_time_ms", valve.dead_time_ms, 0.0..=100.0)?;
+        check("valve.lag_ms", valve.lag_ms, 0.0..=500.0)?;
+        check("valve.backlash_percent", valve.backlash_percent, 0.0..=20.0)?;
+        check("valve.dead_zone_percent", valve.dead_zone_percent, 0.0..=50.0)?;
+        check("valve.curve_exponent", valve.curve_exponent, 0.5..=4.0)?;
+        check("valve.max_flow_l_per_s", valve.max_flow_l_per_s, 0.05..=5.0)?;
+        check("valve.supply_pressure_cmh2o", valve.supply_pressure_cmh2o, 50.0..=5000.0)?;
+        check("expiratory.lag_ms", expiratory.lag_ms, 0.0..=500.0)?;
+        check(
+            "expiratory.orifice_l_per_s_per_sqrt_cmh2o",
+            expiratory.orifice_l_per_s_per_sqrt_cmh2o,
+            0.02..=5.0,
+        )?;
+        check(
+            "expiratory.laminar_resistance_cmh2o_per_l_s",
+            expiratory.laminar_resistance_cmh2o_per_l_s,
+            0.01..=50.0,
+        )?;
+        check("circuit.compliance_ml_per_cmh2o", circuit.compliance_ml_per_cmh2o, 0.1..=20.0)?;
+        check("circuit.leak_l_per_s_at_30_cmh2o", circuit.leak_l_per_s_at_30_cmh2o, 0.0..=1.0)?;
+        check("circuit.relief_opening_cmh2o", circuit.relief_opening_cmh2o, 20.0..=200.0)?;
+        check(
+            "circuit.relief_conductance_l_per_s_per_cmh2o",
+            circuit.relief_conductance_l_per_s_per_cmh2o,
+            0.01..=10.0,
+        )?;
+        lung.first.validate("lung.first")?;
+        if let Some(second) = &lung.second {
             second.validate("lung.second")?;
         }
-        self.sensor.validate()?;
-        self.unit.validate()?;
-        self.patient.validate()
+        check("sensor.lag_ms", sensor.lag_ms, 0.0..=100.0)?;
+        check("sensor.noise_sd_cmh2o", sensor.noise_sd_cmh2o, 0.0..=5.0)?;
+        check("sensor.quantum_cmh2o", sensor.quantum_cmh2o, 0.0..=2.0)?;
+        check("unit.flow_gain_sd_percent", unit.flow_gain_sd_percent, 0.0..=20.0)?;
+        check("unit.sensor_offset_sd_cmh2o", unit.sensor_offset_sd_cmh2o, 0.0..=5.0)?;
+        check("unit.dead_time_sd_ms", unit.dead_time_sd_ms, 0.0..=5.0)?;
+        check("unit.sensor_drift_cmh2o_per_hour", unit.sensor_drift_cmh2o_per_hour, -10.0..=10.0)?;
+        check("patient.effort_cmh2o", patient.effort_cmh2o, 0.0..=40.0)?;
+        check("patient.effort_rate_per_min", patient.effort_rate_per_min, 1.0..=80.0)?;
+        let period_s = 60.0 / patient.effort_rate_per_min;
+        check("patient.effort_duration_s", patient.effort_duration_s, 0.05..=period_s)?;
+        check("patient.cough_cmh2o", patient.cough_cmh2o, 0.0..=150.0)?;
+        check("patient.cough_at_s", patient.cough_at_s, 0.0..=1e6)?;
+        check("patient.cough_duration_s", patient.cough_duration_s, 0.02..=5.0)?;
+        check("patient.resistance_factor", patient.resistance_factor, 0.02..=50.0)?;
+        check("patient.compliance_factor", patient.compliance_factor, 0.02..=50.0)?;
+        Ok(())
     }
 }
 
@@ -341,43 +387,6 @@ pub(super) fn check(field: &str, value: f64, range: RangeInclusive<f64>) -> Resu
     Err(BenchError::OutOfRange { field: field.to_owned(), value, low: *range.start(), high: *range.end() })
 }
 
-impl ValveConfig {
-    fn validate(&self) -> Result<(), BenchError> {
-        check("valve.dead_time_ms", self.dead_time_ms, 0.0..=100.0)?;
-        check("valve.lag_ms", self.lag_ms, 0.0..=500.0)?;
-        check("valve.backlash_percent", self.backlash_percent, 0.0..=20.0)?;
-        check("valve.dead_zone_percent", self.dead_zone_percent, 0.0..=50.0)?;
-        check("valve.curve_exponent", self.curve_exponent, 0.5..=4.0)?;
-        check("valve.max_flow_l_per_s", self.max_flow_l_per_s, 0.05..=5.0)?;
-        check("valve.supply_pressure_cmh2o", self.supply_pressure_cmh2o, 50.0..=5000.0)
-    }
-}
-
-impl ExpiratoryConfig {
-    fn validate(&self) -> Result<(), BenchError> {
-        check("expiratory.lag_ms", self.lag_ms, 0.0..=500.0)?;
-        check("expiratory.orifice_l_per_s_per_sqrt_cmh2o", self.orifice_l_per_s_per_sqrt_cmh2o, 0.02..=5.0)?;
-        check(
-            "expiratory.laminar_resistance_cmh2o_per_l_s",
-            self.laminar_resistance_cmh2o_per_l_s,
-            0.01..=50.0,
-        )
-    }
-}
-
-impl CircuitConfig {
-    fn validate(&self) -> Result<(), BenchError> {
-        check("circuit.compliance_ml_per_cmh2o", self.compliance_ml_per_cmh2o, 0.1..=20.0)?;
-        check("circuit.leak_l_per_s_at_30_cmh2o", self.leak_l_per_s_at_30_cmh2o, 0.0..=1.0)?;
-        check("circuit.relief_opening_cmh2o", self.relief_opening_cmh2o, 20.0..=200.0)?;
-        check(
-            "circuit.relief_conductance_l_per_s_per_cmh2o",
-            self.relief_conductance_l_per_s_per_cmh2o,
-            0.01..=10.0,
-        )
-    }
-}
-
 impl CompartmentConfig {
     fn validate(&self, table: &str) -> Result<(), BenchError> {
         let check = |field: &str, value, range| check(&format!("{table}.{field}"), value, range);
@@ -386,36 +395,5 @@ impl CompartmentConfig {
         check("compliance_ml_per_cmh2o", self.compliance_ml_per_cmh2o, 0.2..=500.0)?;
         check("upper_inflection_cmh2o", self.upper_inflection_cmh2o, 5.0..=200.0)?;
         check("stiffening_cmh2o", self.stiffening_cmh2o, 1.0..=1000.0)
-    }
-}
-
-impl SensorConfig {
-    fn validate(&self) -> Result<(), BenchError> {
-        check("sensor.lag_ms", self.lag_ms, 0.0..=100.0)?;
-        check("sensor.noise_sd_cmh2o", self.noise_sd_cmh2o, 0.0..=5.0)?;
-        check("sensor.quantum_cmh2o", self.quantum_cmh2o, 0.0..=2.0)
-    }
-}
-
-impl UnitConfig {
-    fn validate(&self) -> Result<(), BenchError> {
-        check("unit.flow_gain_sd_percent", self.flow_gain_sd_percent, 0.0..=20.0)?;
-        check("unit.sensor_offset_sd_cmh2o", self.sensor_offset_sd_cmh2o, 0.0..=5.0)?;
-        check("unit.dead_time_sd_ms", self.dead_time_sd_ms, 0.0..=5.0)?;
-        check("unit.sensor_drift_cmh2o_per_hour", self.sensor_drift_cmh2o_per_hour, -10.0..=10.0)
-    }
-}
-
-impl PatientConfig {
-    fn validate(&self) -> Result<(), BenchError> {
-        check("patient.effort_cmh2o", self.effort_cmh2o, 0.0..=40.0)?;
-        check("patient.effort_rate_per_min", self.effort_rate_per_min, 1.0..=80.0)?;
-        let period_s = 60.0 / self.effort_rate_per_min;
-        check("patient.effort_duration_s", self.effort_duration_s, 0.05..=period_s)?;
-        check("patient.cough_cmh2o", self.cough_cmh2o, 0.0..=150.0)?;
-        check("patient.cough_at_s", self.cough_at_s, 0.0..=1e6)?;
-        check("patient.cough_duration_s", self.cough_duration_s, 0.02..=5.0)?;
-        check("patient.resistance_factor", self.resistance_factor, 0.02..=50.0)?;
-        check("patient.compliance_factor", self.compliance_factor, 0.02..=50.0)
     }
 }

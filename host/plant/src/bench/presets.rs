@@ -2,11 +2,7 @@
 
 use shared::breath::{ISO_ROWS, IsoRow};
 
-use super::LEAST_SUB_STEPS;
-use super::config::{
-    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LungConfig, PatientConfig,
-    SensorConfig, UnitConfig, ValveConfig,
-};
+use super::config::{BenchConfig, BenchError, CompartmentConfig, LungConfig};
 
 /// Resistances of the paper's lungs, cmH2O/(L/s).
 const PAPER_RESISTANCES: [f64; 3] = [5.0, 20.0, 50.0];
@@ -69,16 +65,6 @@ impl BenchConfig {
             compliance_ml_per_cmh2o: compliance,
             ..CompartmentConfig::default()
         };
-        Self {
-            name,
-            sub_steps: LEAST_SUB_STEPS,
-            valve: ValveConfig::default(),
-            expiratory: ExpiratoryConfig::default(),
-            circuit: CircuitConfig::default(),
-            lung: LungConfig { first, second: None },
-            sensor: SensorConfig::default(),
-            unit: UnitConfig::default(),
-            patient: PatientConfig::default(),
-        }
+        Self { name, lung: LungConfig { first, second: None }, ..Self::default() }
     }
 }

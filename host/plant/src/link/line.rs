@@ -1,5 +1,6 @@
 //! The line to a plant: a TCP connection, or the standard input and output of a command that is started here.
 
+use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -16,20 +17,6 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// Pieces of output that may wait to be read; a plant in lockstep never has more than one.
 const PIECES: usize = 16;
 
-/// What can go wrong on a line.
-#[derive(Debug)]
-pub(super) enum Trouble {
-    /// Too few bytes in time.
-    Late {
-        /// How many came.
-        bytes: usize,
-    },
-    /// The other end is closed.
-    Gone,
-    /// Anything else.
-    Failed(String),
-}
-
 /// An open line.
 pub(super) struct Line {
     ends: Ends,
@@ -44,57 +31,94 @@ enum Ends {
 impl Line {
     pub(super) fn open(address: &PlantAddress, patience: Duration) -> Result<Self, PlantError> {
         let ends = match address {
-            PlantAddress::Tcp(name) => {
-                let failed = |reason: io::Error| PlantError::Connect {
-                    address: address.to_string(),
-                    reason: reason.to_string(),
-                };
-                Ends::Tcp(connect(name, patience).map_err(failed)?)
-            }
-            PlantAddress::Pipe(words) => {
-                let failed = |reason: io::Error| PlantError::Start {
-                    command: words.join(" "),
-                    reason: reason.to_string(),
-                };
-                Ends::Pipe(Box::new(Pipe::start(words).map_err(failed)?))
-            }
+            PlantAddress::Tcp(name) => connect(name, patience).map(Ends::Tcp).map_err(|reason| {
+                PlantError::Connect { address: address.to_string(), reason: reason.to_string() }
+            }),
+            PlantAddress::Pipe(words) => Pipe::start(words)
+                .map(|pipe| Ends::Pipe(Box::new(pipe)))
+                .map_err(|reason| PlantError::Start { command: words.join(" "), reason: reason.to_string() }),
         };
-        Ok(Self { ends, patience })
+        Ok(Self { ends: ends?, patience })
     }
 
-    /// How long an answer may take.
-    pub(super) fn patience(&self) -> Duration {
-        self.patience
-    }
-
-    /// How the plant ended, where that can be known.
-    pub(super) fn status(&mut self) -> String {
-        match &mut self.ends {
-            Ends::Tcp(_) => String::new(),
-            Ends::Pipe(pipe) => pipe.status(),
-        }
-    }
-
-    /// Sends a frame and waits for as many bytes.
+    /// Sends a frame, which asks `question`, and waits for as many bytes.
     pub(super) fn exchange(
         &mut self,
+        question: &'static str,
         request: &[u8; FRAME_BYTES],
-        answer: &mut [u8; FRAME_BYTES],
-    ) -> Result<(), Trouble> {
-        let deadline = Instant::now() + self.patience;
+    ) -> Result<[u8; FRAME_BYTES], PlantError> {
+        let mut answer = [0; FRAME_BYTES];
         let mut bytes = 0;
-        let outcome = match &mut self.ends {
-            Ends::Tcp(stream) => exchange_tcp(stream, request, answer, deadline, &mut bytes),
-            Ends::Pipe(pipe) => pipe.exchange(request, answer, deadline, &mut bytes),
-        };
-        outcome.map_err(|error| match error.kind() {
-            ErrorKind::TimedOut | ErrorKind::WouldBlock => Trouble::Late { bytes },
+        self.talk(request, &mut answer, &mut bytes).map_err(|error| match error.kind() {
+            ErrorKind::TimedOut | ErrorKind::WouldBlock => {
+                PlantError::Late { question, bytes, seconds: self.patience.as_secs_f64() }
+            }
             ErrorKind::UnexpectedEof
             | ErrorKind::BrokenPipe
             | ErrorKind::ConnectionReset
-            | ErrorKind::ConnectionAborted => Trouble::Gone,
-            _ => Trouble::Failed(error.to_string()),
-        })
+            | ErrorKind::ConnectionAborted => PlantError::Gone { question, status: self.status() },
+            _ => PlantError::Line { question, reason: error.to_string() },
+        })?;
+        Ok(answer)
+    }
+
+    /// Sends a request and fills the answer; `bytes` counts what has come of it.
+    fn talk(&mut self, request: &[u8], answer: &mut [u8], bytes: &mut usize) -> io::Result<()> {
+        let deadline = Instant::now() + self.patience;
+        self.ends.send(request)?;
+        while *bytes < answer.len() {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(ErrorKind::TimedOut.into());
+            }
+            *bytes += self.ends.receive(&mut answer[*bytes..], left)?;
+        }
+        Ok(())
+    }
+
+    /// How the plant ended, where that can be known.
+    fn status(&mut self) -> String {
+        match &mut self.ends {
+            Ends::Tcp(_) => String::new(),
+            Ends::Pipe(pipe) => pipe.farewell().map_or_else(String::new, |status| format!(" ({status})")),
+        }
+    }
+}
+
+impl Ends {
+    fn send(&mut self, request: &[u8]) -> io::Result<()> {
+        match self {
+            Self::Tcp(stream) => stream.write_all(request),
+            Self::Pipe(pipe) => {
+                let input = pipe.input.as_mut().ok_or(ErrorKind::BrokenPipe)?;
+                input.write_all(request)?;
+                input.flush()
+            }
+        }
+    }
+
+    /// Waits for bytes as long as `time` and takes those that fit; their number.
+    fn receive(&mut self, buffer: &mut [u8], time: Duration) -> io::Result<usize> {
+        match self {
+            Self::Tcp(stream) => {
+                stream.set_read_timeout(Some(time))?;
+                match stream.read(buffer) {
+                    Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
+                    Err(error) if error.kind() == ErrorKind::Interrupted => Ok(0),
+                    outcome => outcome,
+                }
+            }
+            Self::Pipe(pipe) => {
+                if pipe.rest.is_empty() {
+                    let piece = pipe.output.recv_timeout(time).map_err(|error| match error {
+                        RecvTimeoutError::Timeout => ErrorKind::TimedOut,
+                        RecvTimeoutError::Disconnected => ErrorKind::UnexpectedEof,
+                    })?;
+                    pipe.rest.extend(piece);
+                }
+                pipe.rest.read(buffer)
+            }
+        }
     }
 }
 
@@ -114,40 +138,14 @@ fn connect(name: &str, patience: Duration) -> io::Result<TcpStream> {
     Err(failure)
 }
 
-fn exchange_tcp(
-    stream: &mut TcpStream,
-    request: &[u8],
-    answer: &mut [u8],
-    deadline: Instant,
-    bytes: &mut usize,
-) -> io::Result<()> {
-    stream.write_all(request)?;
-    while *bytes < answer.len() {
-        stream.set_read_timeout(Some(left(deadline)?))?;
-        match stream.read(&mut answer[*bytes..]) {
-            Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
-            Ok(count) => *bytes += count,
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
-}
-
-/// Time that is left, if any is.
-fn left(deadline: Instant) -> io::Result<Duration> {
-    let left = deadline.saturating_duration_since(Instant::now());
-    if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left) }
-}
-
 /// A plant's process. What it writes to standard error appears on ours.
 struct Pipe {
     child: Child,
     /// None once it is closed, which tells the plant to end.
     input: Option<ChildStdin>,
     output: Receiver<Vec<u8>>,
-    /// What was read beyond an answer.
-    rest: Vec<u8>,
+    /// What has come and was not yet taken.
+    rest: VecDeque<u8>,
 }
 
 impl Pipe {
@@ -171,30 +169,7 @@ impl Pipe {
                 }
             }
         });
-        Ok(Self { child, input, output, rest: Vec::new() })
-    }
-
-    fn exchange(
-        &mut self,
-        request: &[u8],
-        answer: &mut [u8],
-        deadline: Instant,
-        bytes: &mut usize,
-    ) -> io::Result<()> {
-        let input = self.input.as_mut().ok_or(ErrorKind::BrokenPipe)?;
-        input.write_all(request)?;
-        input.flush()?;
-        while self.rest.len() < answer.len() {
-            *bytes = self.rest.len();
-            match self.output.recv_timeout(left(deadline)?) {
-                Ok(piece) => self.rest.extend(piece),
-                Err(RecvTimeoutError::Timeout) => return Err(ErrorKind::TimedOut.into()),
-                Err(RecvTimeoutError::Disconnected) => return Err(ErrorKind::UnexpectedEof.into()),
-            }
-        }
-        answer.copy_from_slice(&self.rest[..answer.len()]);
-        self.rest.drain(..answer.len());
-        Ok(())
+        Ok(Self { child, input, output, rest: VecDeque::new() })
     }
 
     /// Closes its input and waits for a moment, so that it can end by itself.
@@ -207,10 +182,6 @@ impl Pipe {
                 ended => return ended.ok().flatten(),
             }
         }
-    }
-
-    fn status(&mut self) -> String {
-        self.farewell().map_or_else(String::new, |status| format!(" ({status})"))
     }
 }
 

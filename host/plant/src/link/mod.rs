@@ -14,7 +14,7 @@ use thiserror::Error;
 
 use crate::{Plant, Reading, TickTruth};
 pub use address::{AddressError, PlantAddress, is_host_and_port};
-use line::{Line, Trouble};
+use line::Line;
 
 /// How long an answer may take unless told otherwise.
 pub const PATIENCE: Duration = Duration::from_secs(10);
@@ -214,8 +214,7 @@ impl PlantLink {
         self.tick = self.tick.wrapping_add(1);
         let asked = PlantFrame { tick: self.tick, message };
         let question = name(message);
-        let mut bytes = [0; FRAME_BYTES];
-        self.line.exchange(&asked.encode(), &mut bytes).map_err(|trouble| self.trouble(trouble, question))?;
+        let bytes = self.line.exchange(question, &asked.encode())?;
         let answer = PlantFrame::decode(&bytes).ok_or_else(|| PlantError::NoFrame {
             question,
             bytes: bytes.map(|byte| format!("{byte:02X}")).join(" "),
@@ -223,56 +222,45 @@ impl PlantLink {
         if answer.tick != asked.tick {
             return Err(PlantError::Tick { asked: asked.tick, told: answer.tick });
         }
-        let fits = match message {
-            PlantMessage::Hello { .. } => matches!(answer.message, PlantMessage::Greeting { .. }),
-            PlantMessage::Step { .. } => {
-                matches!(answer.message, PlantMessage::Pressure { .. } | PlantMessage::Truth { .. })
+        match (message, answer.message) {
+            (PlantMessage::Hello { .. }, PlantMessage::Greeting { .. })
+            | (PlantMessage::Step { .. }, PlantMessage::Pressure { .. } | PlantMessage::Truth { .. })
+            | (PlantMessage::Reset { .. }, PlantMessage::Ready { .. } | PlantMessage::Truth { .. })
+            | (PlantMessage::Peep { .. } | PlantMessage::Seed { .. }, PlantMessage::Ready { .. }) => {
+                Ok(answer.message)
             }
-            PlantMessage::Reset { .. } => {
-                matches!(answer.message, PlantMessage::Ready { .. } | PlantMessage::Truth { .. })
-            }
-            _ => matches!(answer.message, PlantMessage::Ready { .. }),
-        };
-        if fits {
-            Ok(answer.message)
-        } else {
-            Err(PlantError::Kind { question, answer: name(answer.message) })
-        }
-    }
-
-    fn trouble(&mut self, trouble: Trouble, question: &'static str) -> PlantError {
-        match trouble {
-            Trouble::Late { bytes } => {
-                PlantError::Late { question, bytes, seconds: self.line.patience().as_secs_f64() }
-            }
-            Trouble::Gone => PlantError::Gone { question, status: self.line.status() },
-            Trouble::Failed(reason) => PlantError::Line { question, reason },
+            (_, other) => Err(PlantError::Kind { question, answer: name(other) }),
         }
     }
 
     /// The pressures of an answer, if they can be.
     fn reading(&mut self, answer: PlantMessage, question: &'static str) -> Result<Reading, PlantError> {
-        let reading = match answer {
-            PlantMessage::Truth { pressure, airway } => {
-                Reading { pressure, truth: Some(airway_alone(airway)) }
-            }
-            PlantMessage::Ready { pressure } | PlantMessage::Pressure { pressure } => {
-                Reading { pressure, truth: None }
-            }
+        let (pressure, airway) = match answer {
+            PlantMessage::Truth { pressure, airway } => (pressure, Some(airway)),
+            PlantMessage::Ready { pressure } | PlantMessage::Pressure { pressure } => (pressure, None),
             other => unreachable!("{other:?} was refused as an answer"),
         };
         let highest = self.greeting.highest;
-        let truth = reading.truth.map(|truth| truth.airway_pressure);
-        let told = [("a pressure", Some(reading.pressure)), ("a true pressure", truth)];
-        // A NaN is not possible.
-        let possible = |value: f32| value.abs() <= f32::from(highest);
-        let wrong = told
-            .into_iter()
-            .find_map(|(what, value)| value.filter(|value| !possible(*value)).map(|value| (what, value)));
-        let error = match wrong {
-            Some((what, value)) => PlantError::Pressure { what, value: value.to_string(), question, highest },
-            None if truth.is_some() != self.truthful => PlantError::Truth,
-            None => return Ok(reading),
+        let lie = |what, value: f32| {
+            // A NaN is not possible either.
+            let possible = value.abs() <= f32::from(highest);
+            let error = || PlantError::Pressure { what, value: value.to_string(), question, highest };
+            (!possible).then(error)
+        };
+        let lie = lie("a pressure", pressure).or_else(|| lie("a true pressure", airway?));
+        let error = match lie {
+            Some(error) => error,
+            None if airway.is_some() != self.truthful => PlantError::Truth,
+            None => {
+                // A plant tells the airway's pressure and nothing else.
+                let unknown = f32::NAN;
+                let truth = airway.map(|airway_pressure| TickTruth {
+                    airway_pressure,
+                    sensor_pressure: unknown,
+                    lung_volume: unknown,
+                });
+                return Ok(Reading { pressure, truth });
+            }
         };
         self.broken = Some(error.clone());
         Err(error)
@@ -313,11 +301,6 @@ impl Plant for PlantLink {
         let answer = self.ask(PlantMessage::Step { u_in, u_out })?;
         self.reading(answer, "Step")
     }
-}
-
-/// A plant tells the airway's pressure and nothing else.
-fn airway_alone(airway_pressure: f32) -> TickTruth {
-    TickTruth { airway_pressure, sensor_pressure: f32::NAN, lung_volume: f32::NAN }
 }
 
 /// A message as errors name it.

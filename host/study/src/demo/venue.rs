@@ -12,7 +12,7 @@ use judge::evaluate::{BreathTrace, Evaluation, Ground, Plan, trace_source};
 use plant::bench::BenchConfig;
 use progress::Progress;
 #[cfg(unix)]
-use ventilator::VirtualBoard;
+use ventilator::PortSource;
 use ventilator::{BenchSource, Source, SourceError};
 
 /// A place to collect and to compare. All give the same figures, bit for bit.
@@ -40,7 +40,7 @@ impl Venue {
             Self::InProcess => Box::new(BenchSource::new(bench, controller, settings, period_us, seed)?),
             #[cfg(unix)]
             Self::Board(config) => {
-                let mut board = VirtualBoard::start(config.clone(), bench, seed)?;
+                let mut board = PortSource::virtual_board(config.clone(), bench, seed)?;
                 board.configure(controller, None)?;
                 Box::new(board)
             }
@@ -59,8 +59,8 @@ impl Venue {
             Self::InProcess => bench.evaluate(controller, plan, progress),
             #[cfg(unix)]
             Self::Board(config) => {
-                let mut board = VirtualBoard::start(config.clone(), bench, 0)?;
-                evaluate_source(board.port(), controller, plan, progress)
+                let mut board = PortSource::virtual_board(config.clone(), bench, 0)?;
+                evaluate_source(&mut board, controller, plan, progress)
             }
         }
     }
