@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod controller;
+mod layers;
 pub mod pipeline;
 pub mod recipe;
 pub mod simulator;

@@ -2,8 +2,8 @@
 
 use engine::Lane;
 use shared::control::features::{
-    AVERAGES, CLOCK, COMMAND_SCALE, ERROR_SCALE, FEATURES, Features, INTEGRAL, LEAKY, PAST_COMMANDS,
-    PEEP_SCALE, PIP_SCALE,
+    AVERAGES, CLOCK, COMMAND_SCALE, ERROR_SCALE, Features, INTEGRAL, LEAKY, PAST_COMMANDS, PEEP_SCALE,
+    PIP_SCALE,
 };
 
 use super::scenario::Scenario;
@@ -121,7 +121,7 @@ impl<'a> LaneFeatures<'a> {
     pub fn backward(
         &self,
         back: &mut Averages,
-        d: &[Lane; FEATURES],
+        d: &[Lane],
         tick: usize,
         d_signals: &mut Signals,
         d_integral: &mut Lane,
@@ -155,7 +155,7 @@ mod tests {
     use super::*;
     use crate::tests_support::check_slopes;
     use engine::LANES;
-    use shared::control::features::FeatureSpec;
+    use shared::control::features::{FEATURES, FeatureSpec};
 
     const TICKS: usize = 100;
 
@@ -190,7 +190,7 @@ mod tests {
         let mut d_integral = Lane::ZERO;
         for tick in (0..TICKS).rev() {
             built.applied_back(&mut back, &mut d_signals.command[tick]);
-            let d = std::array::from_fn(|n| Lane::splat(weight(tick, n)));
+            let d: [Lane; FEATURES] = std::array::from_fn(|n| Lane::splat(weight(tick, n)));
             built.backward(&mut back, &d, tick, &mut d_signals, &mut d_integral);
         }
         let first = |lanes: &[Lane]| -> Vec<f32> { lanes.iter().map(|lane| lane[0]).collect() };

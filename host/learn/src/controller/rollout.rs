@@ -7,14 +7,16 @@
 
 use engine::Lane;
 use shared::control::COMMAND_MAX;
+use shared::control::network::Network;
 use shared::control::residual::Residual;
 
 use super::features::{Averages, LaneFeatures, Signals};
 use super::limit::{limit, limit_back};
 use super::loss::{self, Loss};
-use super::network::{LaneNetwork, NetworkTape};
+use super::network::lane_network;
 use super::pid::{self, PidLanes, PidTape};
 use super::scenario::Scenario;
+use crate::layers::{Layers, LayersTape};
 use crate::simulator::model::Model;
 use crate::simulator::rollout::Rollout;
 
@@ -22,7 +24,7 @@ use crate::simulator::rollout::Rollout;
 #[derive(Debug)]
 pub struct ClosedLoopTape {
     simulator: Rollout,
-    network: NetworkTape,
+    network: LayersTape,
     pid: PidTape,
     signals: Signals,
     d_signals: Signals,
@@ -37,7 +39,7 @@ impl ClosedLoopTape {
     pub fn new(model: &Model, ticks: usize) -> Self {
         Self {
             simulator: Rollout::new(model, ticks),
-            network: NetworkTape::new(ticks),
+            network: lane_network(&vec![0.0; Network::PARAMETERS]).tape(ticks),
             pid: PidTape::new(ticks),
             signals: Signals::new(ticks),
             d_signals: Signals::new(ticks),
@@ -51,7 +53,7 @@ impl ClosedLoopTape {
 #[derive(Clone, Debug)]
 pub struct LaneController<'a> {
     controller: &'a Residual,
-    network: LaneNetwork,
+    network: Layers,
 }
 
 /// What is carried from tick to tick; going back, the gradients by it.
@@ -63,7 +65,7 @@ struct Carried {
 impl<'a> LaneController<'a> {
     /// Fixed parts of `controller` with the network of `parameters`.
     pub fn new(controller: &'a Residual, parameters: &[f32]) -> Self {
-        Self { controller, network: LaneNetwork::new(parameters) }
+        Self { controller, network: lane_network(parameters) }
     }
 
     /// Runs the inspiration; the tape then holds everything that [`Self::backward`] needs.
@@ -90,7 +92,7 @@ impl<'a> LaneController<'a> {
         let measured = pressure.zip(&scenario.noise[tick], |p, n| p + n);
         tape.signals.error[tick] = scenario.pip.zip(&measured, |target, p| target - p);
         let Carried { pid, averages } = carried;
-        let seen = tape.network.features(tick);
+        let seen = tape.network.inputs(tick);
         features.forward(averages, &tape.signals, &pid.integral, tick, seen);
 
         let scale = self.controller.spec().lambda * COMMAND_MAX;
@@ -138,7 +140,7 @@ impl<'a> LaneController<'a> {
         let d_correction = limit_back(&d_residual, &tape.correction[tick], -authority, authority);
         let scale = self.controller.spec().lambda * COMMAND_MAX;
         let d_features = self.network.backward(&mut tape.network, tick, d_correction.map(|d| scale * d));
-        features.backward(averages, &d_features, tick, d_signals, &mut pid.integral);
+        features.backward(averages, d_features, tick, d_signals, &mut pid.integral);
 
         let d_pressure =
             loss::slope(scenario, &tape.pressure[tick]).zip(&d_signals.error[tick], |loss, d| loss - d);

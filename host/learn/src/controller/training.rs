@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
 use super::config::TrainConfig;
@@ -93,15 +94,11 @@ pub struct Training {
     config: TrainConfig,
     base: Residual,
     plants: Vec<Ensemble>,
-    /// Factor on each plant's loss.
-    factors: Vec<f32>,
     ticks: usize,
-    parameters: Vec<f32>,
-    adam: Adam,
     tapes: Vec<ClosedLoopTape>,
-    iteration: usize,
-    best: (f64, Vec<f32>),
     base_score: f64,
+    /// All that changes from step to step.
+    state: Checkpoint,
 }
 
 /// What a training needs to go on later.
@@ -141,7 +138,7 @@ impl Training {
         assert!(plants.iter().all(|plant| !plant.trained_on.is_empty()), "each plant needs a simulator");
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         let fresh = initial_parameters(&mut rng);
-        let base = Residual::new(spec, chip_network(&vec![0.0; fresh.len()]))?;
+        let base = Residual::new(spec, Network::zero())?;
         let mut parameters = warm.map_or(fresh, <[f32]>::to_vec);
         blind_to(&config.blind_to, &mut parameters);
         let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
@@ -151,76 +148,62 @@ impl Training {
         let tapes = (0..shards)
             .map(|shard| ClosedLoopTape::new(&plants[shard % plants.len()].trained_on[0].model, ticks))
             .collect();
-        let adam = Adam::new(config.adam, parameters.len());
-        let mut training = Self {
-            factors: vec![1.0; plants.len()],
-            best: (f64::INFINITY, parameters.clone()),
-            base_score: 0.0,
+        let state = Checkpoint {
             iteration: 0,
-            config,
-            base,
-            plants,
-            ticks,
+            adam: Adam::new(config.adam, parameters.len()),
+            best: (f64::INFINITY, parameters.clone()),
+            factors: vec![1.0; plants.len()],
             parameters,
-            adam,
-            tapes,
         };
-        training.base_score = mean(&training.validate(&vec![0.0; training.parameters.len()]));
+        let mut training = Self { config, base, plants, ticks, tapes, base_score: 0.0, state };
+        training.base_score = mean(&training.validate(&vec![0.0; Network::PARAMETERS]));
         training.keep_best();
         Ok(training)
     }
 
     /// Goes on from a checkpoint.
     pub fn resume(&mut self, checkpoint: Checkpoint) {
-        let Checkpoint { iteration, parameters, adam, best, factors } = checkpoint;
-        (self.iteration, self.parameters, self.adam, self.best) = (iteration, parameters, adam, best);
-        self.factors = factors;
+        self.state = checkpoint;
     }
 
     /// What to keep so that training can go on later.
-    pub fn checkpoint(&self) -> Checkpoint {
-        Checkpoint {
-            iteration: self.iteration,
-            parameters: self.parameters.clone(),
-            adam: self.adam.clone(),
-            best: self.best.clone(),
-            factors: self.factors.clone(),
-        }
+    pub fn checkpoint(&self) -> &Checkpoint {
+        &self.state
     }
 
     /// Gradient steps done.
     pub fn iteration(&self) -> usize {
-        self.iteration
+        self.state.iteration
     }
 
     /// Steps until the next validation; none when training is done.
     pub fn advance(&mut self) -> Option<CurvePoint> {
-        if self.iteration >= self.config.iterations {
+        if self.state.iteration >= self.config.iterations {
             return None;
         }
         let mut training = 0.0;
-        let until = (self.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
-        while self.iteration < until {
+        let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
+        while self.state.iteration < until {
             training = self.step();
         }
         let validation = self.keep_best();
-        Some(CurvePoint { iteration: self.iteration, training, validation })
+        Some(CurvePoint { iteration: self.state.iteration, training, validation })
     }
 
     /// Validates the present parameters and keeps them if they are the best so far; the mean score over the plants.
     fn keep_best(&mut self) -> f64 {
-        let scores = self.validate(&self.parameters);
-        self.factors = self.config.weighting.factors(&scores);
+        let scores = self.validate(&self.state.parameters);
+        self.state.factors = self.config.weighting.factors(&scores);
         let validation = mean(&scores);
-        if validation < self.best.0 {
-            self.best = (validation, self.parameters.clone());
+        if validation < self.state.best.0 {
+            self.state.best = (validation, self.state.parameters.clone());
         }
         validation
     }
 
     /// One gradient step; the batch's mean score.
     pub fn step(&mut self) -> f64 {
-        let size = self.parameters.len();
+        let size = self.state.parameters.len();
         let parts = self.on_shards(|controller, model, scenario, tape| {
             let mut gradient = vec![0.0; size];
             let loss = controller.forward(model, scenario, tape);
@@ -236,9 +219,9 @@ impl Training {
             }
         }
         blind_to(&self.config.blind_to, &mut gradient);
-        let progress = self.iteration as f32 / self.config.iterations as f32;
-        self.adam.step(&mut self.parameters, &gradient, progress);
-        self.iteration += 1;
+        let progress = self.state.iteration as f32 / self.config.iterations as f32;
+        self.state.adam.step(&mut self.state.parameters, &gradient, progress);
+        self.state.iteration += 1;
         score
     }
 
@@ -255,9 +238,9 @@ impl Training {
         &mut self,
         work: impl Fn(&LaneController<'_>, &Model, &Scenario, &mut ClosedLoopTape) -> T + Sync,
     ) -> Vec<T> {
-        let controller = LaneController::new(&self.base, &self.parameters);
+        let controller = LaneController::new(&self.base, &self.state.parameters);
         let (config, plants, factors, ticks, iteration) =
-            (&self.config, &self.plants, &self.factors, self.ticks, self.iteration);
+            (&self.config, &self.plants, &self.state.factors, self.ticks, self.state.iteration);
         let shards_each = self.tapes.len() / plants.len();
         self.tapes
             .par_iter_mut()
@@ -302,7 +285,7 @@ impl Training {
     /// # Errors
     /// Weights that outgrew their bound.
     pub fn finish(&self) -> Result<Trained, ResidualError> {
-        let (validation, parameters) = &self.best;
+        let (validation, parameters) = &self.state.best;
         let improved = *validation < self.base_score;
         let controller = if improved {
             Residual::new(*self.base.spec(), chip_network(parameters))?
@@ -315,7 +298,7 @@ impl Training {
 
     /// Parameters as they are now.
     pub fn parameters(&self) -> &[f32] {
-        &self.parameters
+        &self.state.parameters
     }
 }
 

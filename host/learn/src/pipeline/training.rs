@@ -46,7 +46,7 @@ pub fn train(
         curve.push(point);
         task.reach(point.iteration);
         if let Some((folder, round)) = round {
-            let pause = Pause { checkpoint: training.checkpoint(), curve: curve.clone() };
+            let pause = Pause { checkpoint: training.checkpoint().clone(), curve: curve.clone() };
             folder.save(round, name, &pause)?;
         }
     }

@@ -1,41 +1,111 @@
-//! Leaky integrators, one time constant each: `c' = a c + (1 - a) g` with `a = sigmoid(decay)`.
+//! Leaky states with a time constant each, driven by an affine map of their inputs: `c' = a c + (1 - a) (W v + b)` with
+//! `a = sigmoid(decay)`. The start of a breath sets them by an affine map of what is known there.
 
 use engine::Lane;
+use engine::dense::{DenseLayer, DenseWeights};
 
-/// The integrators' `a`.
+use super::{piece, piece_mut};
+
+/// The states' parameters.
 #[derive(Clone, Debug)]
-pub(super) struct Leaky {
+pub(super) struct LeakyStates {
+    start: DenseWeights,
+    drive: DenseWeights,
+    decay_offset: usize,
+    /// `a` of each state.
     keep: Vec<f32>,
 }
 
-impl Leaky {
-    /// From their decays.
-    pub fn new(decays: &[f32]) -> Self {
-        Self { keep: decays.iter().map(|decay| sigmoid(*decay)).collect() }
+/// Forward values and backward gradients of a rollout, block after block.
+#[derive(Clone, Debug)]
+pub(super) struct LeakyTape {
+    known: Vec<Lane>,
+    /// `W v + b` of each block.
+    drive: Vec<Lane>,
+    d_drive: Vec<Lane>,
+    d_decay: Vec<Lane>,
+    /// Gradient by the states after the block that goes back next.
+    pub d_state: Vec<Lane>,
+}
+
+impl LeakyStates {
+    /// From their parameters: layers, and the index of the first decay.
+    pub fn new(start: &DenseLayer, drive: &DenseLayer, decay_offset: usize, parameters: &[f32]) -> Self {
+        let decays = &parameters[decay_offset..decay_offset + drive.outputs];
+        Self {
+            start: start.load(parameters),
+            drive: drive.load(parameters),
+            decay_offset,
+            keep: decays.iter().map(|decay| sigmoid(*decay)).collect(),
+        }
     }
 
-    /// States after a block, from those before it and their drive.
-    pub fn step(&self, before: &[Lane], drive: &[Lane], after: &mut [Lane]) {
+    /// Memory for a rollout of so many blocks.
+    pub fn tape(&self, blocks: usize) -> LeakyTape {
+        let zeros = |length: usize| vec![Lane::ZERO; length];
+        let states = self.keep.len();
+        LeakyTape {
+            known: zeros(self.start.shape().inputs),
+            drive: zeros(blocks * states),
+            d_drive: zeros(blocks * states),
+            d_decay: zeros(states),
+            d_state: zeros(states),
+        }
+    }
+
+    /// Starts a breath: sets `states` by what is known.
+    pub fn begin(&self, tape: &mut LeakyTape, known: &[Lane], states: &mut [Lane]) {
+        tape.known.copy_from_slice(known);
+        self.start.forward(known, states);
+        tape.d_state.fill(Lane::ZERO);
+        tape.d_decay.fill(Lane::ZERO);
+    }
+
+    /// States after a block, from those before it and its inputs.
+    pub fn step(
+        &self,
+        tape: &mut LeakyTape,
+        block: usize,
+        before: &[Lane],
+        inputs: &[Lane],
+        after: &mut [Lane],
+    ) {
+        let drive = piece_mut(&mut tape.drive, block, self.keep.len());
+        self.drive.forward(inputs, drive);
         for (s, keep) in self.keep.iter().enumerate() {
             after[s] = before[s].zip(&drive[s], |c, g| keep * c + (1.0 - keep) * g);
         }
     }
 
-    /// The way back. `d` holds the gradient by the states after the block, and then that by those before it; the gradient
-    /// by the drive is set, that by the decays is added to.
+    /// The way back: takes what the block's outputs add to the gradient by the states after it, sets the gradient by the
+    /// inputs, and leaves that by the states before it in the tape.
     pub fn step_back(
         &self,
+        tape: &mut LeakyTape,
+        block: usize,
         before: &[Lane],
-        drive: &[Lane],
-        d: &mut [Lane],
-        d_drive: &mut [Lane],
-        d_decay: &mut [Lane],
+        d_after: &[Lane],
+        d_inputs: &mut [Lane],
     ) {
+        let drive = piece(&tape.drive, block, self.keep.len());
+        let d_drive = piece_mut(&mut tape.d_drive, block, self.keep.len());
         for (s, keep) in self.keep.iter().enumerate() {
+            let d = &mut tape.d_state[s];
+            d.add_scaled(1.0, &d_after[s]);
             let difference = before[s].zip(&drive[s], |c, g| keep * (1.0 - keep) * (c - g));
-            d_decay[s].add_scaled(1.0, &d[s].zip(&difference, |d, x| d * x));
-            d_drive[s] = d[s].map(|d| (1.0 - keep) * d);
-            d[s] = d[s].map(|d| keep * d);
+            tape.d_decay[s].add_scaled(1.0, &d.zip(&difference, |d, x| d * x));
+            d_drive[s] = d.map(|d| (1.0 - keep) * d);
+            *d = d.map(|d| keep * d);
+        }
+        self.drive.backward(d_drive, d_inputs);
+    }
+
+    /// Adds the gradient by the parameters, given the inputs of all blocks, once all of them have gone back.
+    pub fn finish(&self, tape: &LeakyTape, inputs: &[Lane], gradient: &mut [f32]) {
+        self.drive.shape().gradient(&tape.d_drive, inputs, gradient);
+        self.start.shape().gradient(&tape.d_state, &tape.known, gradient);
+        for (gradient, d) in gradient[self.decay_offset..].iter_mut().zip(&tape.d_decay) {
+            *gradient += d.sum();
         }
     }
 }
@@ -50,22 +120,39 @@ mod tests {
     use super::*;
     use crate::tests_support::check_slopes;
 
+    const BLOCKS: usize = 3;
+    const WEIGHTS: [f32; 2] = [2.0, -3.0];
+
+    /// Two states driven by one input, started by one known number; the sum of all states, each with its weight.
+    fn run(at: &[f32]) -> (LeakyStates, LeakyTape, Vec<Lane>, f64) {
+        let ([drive, start], decay) = DenseLayer::layout([(1, 2), (1, 2)]);
+        let leaky = LeakyStates::new(&start, &drive, decay, at);
+        let (mut tape, mut states) = (leaky.tape(BLOCKS), vec![Lane::ZERO; 2 * (BLOCKS + 1)]);
+        leaky.begin(&mut tape, &[Lane::splat(0.7)], &mut states[..2]);
+        let mut total = 0.0;
+        for block in 0..BLOCKS {
+            let (before, after) = states.split_at_mut(2 * (block + 1));
+            leaky.step(&mut tape, block, &before[2 * block..], &[inputs()[block]], after);
+            total += after.iter().zip(WEIGHTS).map(|(c, weight)| f64::from(c[0] * weight)).sum::<f64>();
+        }
+        (leaky, tape, states, total)
+    }
+
+    fn inputs() -> [Lane; BLOCKS] {
+        [0.4, -0.8, 1.2].map(Lane::splat)
+    }
+
     #[test]
     fn gradients_agree_with_finite_differences() {
-        // Decays, states before the block, drives: two of each, the same in all lanes.
-        let at = [-0.5, 1.5, 0.3, -0.8, 1.2, 0.4];
-        let splat =
-            |values: &[f32]| -> Vec<Lane> { values.iter().map(|value| Lane::splat(*value)).collect() };
-        let weights = splat(&[2.0, -3.0]);
-        let run = |at: &[f32]| -> f64 {
-            let mut after = [Lane::ZERO; 2];
-            Leaky::new(&at[..2]).step(&splat(&at[2..4]), &splat(&at[4..]), &mut after);
-            after.iter().zip(&weights).map(|(after, weight)| f64::from(after[0] * weight[0])).sum()
-        };
-        let (mut d, mut d_drive, mut d_decay) = (weights.clone(), [Lane::ZERO; 2], [Lane::ZERO; 2]);
-        let leaky = Leaky::new(&at[..2]);
-        leaky.step_back(&splat(&at[2..4]), &splat(&at[4..]), &mut d, &mut d_drive, &mut d_decay);
-        let gradient: Vec<f32> = d_decay.iter().chain(&d).chain(&d_drive).map(|lane| lane[0]).collect();
-        check_slopes("argument", &at, 1e-2, &gradient, run);
+        let at = [0.5, -0.9, 0.2, 0.1, -0.3, 0.8, 0.6, -0.2, -0.5, 1.5];
+        let (leaky, mut tape, states, _) = run(&at);
+        // All lanes do the same; the sum over them counts one.
+        let d_after = WEIGHTS.map(|weight| Lane::splat(weight / engine::LANES as f32));
+        for block in (0..BLOCKS).rev() {
+            leaky.step_back(&mut tape, block, &states[2 * block..], &d_after, &mut [Lane::ZERO]);
+        }
+        let mut gradient = vec![0.0; at.len()];
+        leaky.finish(&tape, &inputs(), &mut gradient);
+        check_slopes("parameter", &at, 1e-2, &gradient, |at| run(at).3);
     }
 }

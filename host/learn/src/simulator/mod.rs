@@ -33,6 +33,10 @@ pub use command_log::CommandLog;
 pub use first_order::first_order;
 pub use timing::Timing;
 
+use std::any::Any;
+use std::fmt::Debug;
+
+use crate::layers::{piece, piece_mut};
 use engine::Lane;
 
 /// Pressure that counts as zero, and the distance that counts as one, inside of a simulator, cmH2O.
@@ -40,25 +44,10 @@ pub const PRESSURE_SCALE: (f32, f32) = (20.0, 10.0);
 /// Command that counts as one inside of a simulator, percent.
 pub const COMMAND_SCALE: f32 = 50.0;
 
-/// The `n`-th piece of `width` lanes.
-fn piece(lanes: &[Lane], n: usize, width: usize) -> &[Lane] {
-    &lanes[n * width..(n + 1) * width]
-}
-
-fn piece_mut(lanes: &mut [Lane], n: usize, width: usize) -> &mut [Lane] {
-    &mut lanes[n * width..(n + 1) * width]
-}
-
-/// A differentiable architecture, run on the lanes of one shard.
-pub trait Dynamics: Sync {
+/// A differentiable architecture with its parameters, run on the lanes of one shard.
+trait Dynamics: Debug + Send + Sync {
     /// What the forward pass leaves behind for the backward pass.
-    type Tape: Send;
-
-    /// How time is cut.
-    fn timing(&self) -> &Timing;
-
-    /// Number of parameters.
-    fn parameters(&self) -> usize;
+    type Tape: Send + Sync + 'static;
 
     /// Memory for a rollout of so many blocks.
     fn tape(&self, blocks: usize) -> Self::Tape;
@@ -79,4 +68,47 @@ pub trait Dynamics: Sync {
 
     /// Adds the gradient by the parameters of the whole rollout, after the last step back.
     fn finish(&self, tape: &mut Self::Tape, gradient: &mut [f32]);
+}
+
+/// [`Dynamics`] of an architecture that is known only at run time.
+trait AnyDynamics: Debug + Send + Sync {
+    fn tape(&self, blocks: usize) -> AnyTape;
+    fn begin(&self, tape: &mut AnyTape, start: &BreathStart);
+    fn step(&self, tape: &mut AnyTape, block: usize, log: &CommandLog, points: &mut [Lane]);
+    fn step_back(&self, tape: &mut AnyTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog);
+    fn teach(&self, tape: &mut AnyTape, block: usize, measured: &Lane);
+    fn finish(&self, tape: &mut AnyTape, gradient: &mut [f32]);
+}
+
+/// The tape of some architecture.
+type AnyTape = Box<dyn Any + Send + Sync>;
+
+fn own<T: 'static>(tape: &mut AnyTape) -> &mut T {
+    tape.downcast_mut().expect("a tape is used by the architecture that made it")
+}
+
+impl<M: Dynamics> AnyDynamics for M {
+    fn tape(&self, blocks: usize) -> AnyTape {
+        Box::new(Dynamics::tape(self, blocks))
+    }
+
+    fn begin(&self, tape: &mut AnyTape, start: &BreathStart) {
+        Dynamics::begin(self, own(tape), start);
+    }
+
+    fn step(&self, tape: &mut AnyTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        Dynamics::step(self, own(tape), block, log, points);
+    }
+
+    fn step_back(&self, tape: &mut AnyTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+        Dynamics::step_back(self, own(tape), block, d_points, d_log);
+    }
+
+    fn teach(&self, tape: &mut AnyTape, block: usize, measured: &Lane) {
+        Dynamics::teach(self, own(tape), block, measured);
+    }
+
+    fn finish(&self, tape: &mut AnyTape, gradient: &mut [f32]) {
+        Dynamics::finish(self, own(tape), gradient);
+    }
 }

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::Timing;
 use super::hybrid::{Hybrid, HybridConfig};
 use super::state_space::{StateSpace, StateSpaceConfig};
 use super::stitched::{Stitched, StitchedConfig};
+use super::{AnyDynamics, Timing};
 use data::tensors::{self, TensorError};
 
 /// Which architecture, with its shape.
@@ -53,12 +53,14 @@ impl Architecture {
     }
 }
 
-/// A learned simulator.
-#[derive(Clone, Debug, PartialEq)]
+/// A learned simulator. All but its parameters stands as JSON in its file's metadata.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Simulator {
     /// Architecture and shape.
+    #[serde(flatten)]
     pub architecture: Architecture,
     /// Its parameters, in the architecture's order.
+    #[serde(skip)]
     pub parameters: Vec<f32>,
     /// Standard deviation of the sensor's noise, estimated from the recording, cmH2O.
     pub noise: f32,
@@ -70,13 +72,9 @@ pub struct Simulator {
 
 /// A simulator ready to run, to be shared by any number of rollouts.
 #[derive(Clone, Debug)]
-pub enum Model {
-    /// Ours.
-    StateSpace(Arc<StateSpace>),
-    /// Ours for many lungs.
-    Hybrid(Arc<Hybrid>),
-    /// The authors'.
-    Stitched(Arc<Stitched>),
+pub struct Model {
+    architecture: Architecture,
+    pub(super) dynamics: Arc<dyn AnyDynamics>,
 }
 
 impl Model {
@@ -85,33 +83,18 @@ impl Model {
     /// # Panics
     /// If `parameters` does not have [`Architecture::parameters`] entries.
     pub fn new(architecture: Architecture, parameters: &[f32]) -> Self {
-        match architecture {
-            Architecture::StateSpace(config) => {
-                Self::StateSpace(Arc::new(StateSpace::new(config, parameters)))
-            }
-            Architecture::Hybrid(config) => Self::Hybrid(Arc::new(Hybrid::new(config, parameters))),
-            Architecture::Stitched(config) => Self::Stitched(Arc::new(Stitched::new(config, parameters))),
-        }
+        let dynamics: Arc<dyn AnyDynamics> = match architecture {
+            Architecture::StateSpace(config) => Arc::new(StateSpace::new(config, parameters)),
+            Architecture::Hybrid(config) => Arc::new(Hybrid::new(config, parameters)),
+            Architecture::Stitched(_) => Arc::new(Stitched::new(parameters)),
+        };
+        Self { architecture, dynamics }
     }
 
     /// Architecture and shape.
-    pub fn architecture(&self) -> Architecture {
-        match self {
-            Self::StateSpace(model) => Architecture::StateSpace(*model.config()),
-            Self::Hybrid(model) => Architecture::Hybrid(*model.config()),
-            Self::Stitched(model) => Architecture::Stitched(*model.config()),
-        }
+    pub fn architecture(&self) -> &Architecture {
+        &self.architecture
     }
-}
-
-/// What stands in the file's metadata.
-#[derive(Serialize, Deserialize)]
-struct SimulatorMetadata {
-    #[serde(flatten)]
-    architecture: Architecture,
-    noise: f32,
-    start_pressure: f32,
-    plant: String,
 }
 
 /// What the file says it is.
@@ -130,13 +113,7 @@ impl Simulator {
     /// # Errors
     /// The file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), TensorError> {
-        let metadata = SimulatorMetadata {
-            architecture: self.architecture,
-            noise: self.noise,
-            start_pressure: self.start_pressure,
-            plant: self.plant.clone(),
-        };
-        tensors::save(path, KIND, &metadata, &[(PARAMETERS, &self.parameters)])
+        tensors::save(path, KIND, self, &[(PARAMETERS, &self.parameters)])
     }
 
     /// Reads what [`Self::save`] wrote.
@@ -144,15 +121,14 @@ impl Simulator {
     /// # Errors
     /// The file cannot be read, is torn, or holds something else.
     pub fn load(path: &Path) -> Result<Self, TensorError> {
-        let (metadata, mut vectors): (SimulatorMetadata, _) = tensors::load(path, KIND, &[PARAMETERS])?;
-        let parameters = vectors.swap_remove(0);
-        let expected = metadata.architecture.parameters();
-        if parameters.len() != expected {
-            let reason = format!("{} parameters where {expected} belong", parameters.len());
+        let (mut simulator, mut vectors): (Self, _) = tensors::load(path, KIND, &[PARAMETERS])?;
+        simulator.parameters = vectors.swap_remove(0);
+        let (found, expected) = (simulator.parameters.len(), simulator.architecture.parameters());
+        if found != expected {
+            let reason = format!("{found} parameters where {expected} belong");
             return Err(TensorError::format(path, KIND, &reason));
         }
-        let SimulatorMetadata { architecture, noise, start_pressure, plant } = metadata;
-        Ok(Self { architecture, parameters, noise, start_pressure, plant })
+        Ok(simulator)
     }
 }
 

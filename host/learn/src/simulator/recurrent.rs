@@ -13,14 +13,17 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::leaky::Leaky;
+use super::leaky::{LeakyStates, LeakyTape};
 use super::{CommandLog, Timing, piece, piece_mut};
 use engine::Lane;
 use engine::activation::Activation;
 use engine::dense::{DenseLayer, DenseWeights};
 
+/// Scales of the layers' first weights: two in a row, the one that is read out, and the start.
+pub(super) const GAINS: [f32; 4] = [1.0, 1.0, 0.5, 0.3];
+
 /// Shape of the network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct RecurrentShape {
     /// How time is cut.
     pub timing: Timing,
@@ -67,12 +70,11 @@ impl RecurrentShape {
 
     /// Draws parameters: time constants from one block to `slowest_s`, evenly spaced on a logarithmic scale.
     pub fn initialise(&self, slowest_s: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        let ([hidden, drive, readout, start], decay, total) = self.layout();
+        let (layers, decay, total) = self.layout();
         let mut parameters = vec![0.0; total];
-        hidden.initialise(&mut parameters, 1.0, rng);
-        drive.initialise(&mut parameters, 1.0, rng);
-        readout.initialise(&mut parameters, 0.5, rng);
-        start.initialise(&mut parameters, 0.3, rng);
+        for (layer, gain) in layers.iter().zip(GAINS) {
+            layer.initialise(&mut parameters, gain, rng);
+        }
         let block = self.timing.block_s();
         for (n, decay) in parameters[decay..].iter_mut().enumerate() {
             let share = n as f32 / (self.states - 1).max(1) as f32;
@@ -88,11 +90,8 @@ impl RecurrentShape {
 pub(super) struct RecurrentNetwork {
     shape: RecurrentShape,
     hidden: DenseWeights,
-    drive: DenseWeights,
+    states: LeakyStates,
     readout: DenseWeights,
-    start: DenseWeights,
-    decay_offset: usize,
-    leaky: Leaky,
 }
 
 /// Forward values and backward gradients of a rollout, block after block.
@@ -104,15 +103,10 @@ pub(super) struct RecurrentTape {
     hidden: Vec<Lane>,
     /// `[c', z]` of each block.
     after: Vec<Lane>,
-    drive: Vec<Lane>,
-    known: Vec<Lane>,
+    states: LeakyTape,
     constants: Vec<Lane>,
     d_hidden: Vec<Lane>,
-    d_drive: Vec<Lane>,
     d_readout: Vec<Lane>,
-    d_decay: Vec<Lane>,
-    /// Gradient by the states after the block that goes back next.
-    d_state: Vec<Lane>,
     scratch: Vec<Lane>,
 }
 
@@ -122,16 +116,13 @@ impl RecurrentNetwork {
     /// # Panics
     /// If `parameters` does not have [`RecurrentShape::parameters`] entries.
     pub fn new(shape: RecurrentShape, parameters: &[f32]) -> Self {
-        let ([hidden, drive, readout, start], decay_offset, total) = shape.layout();
+        let ([hidden, drive, readout, start], decay, total) = shape.layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
         Self {
             shape,
             hidden: hidden.load(parameters),
-            drive: drive.load(parameters),
+            states: LeakyStates::new(&start, &drive, decay, parameters),
             readout: readout.load(parameters),
-            start: start.load(parameters),
-            decay_offset,
-            leaky: Leaky::new(&parameters[decay_offset..]),
         }
     }
 
@@ -142,32 +133,25 @@ impl RecurrentNetwork {
 
     /// Memory for a rollout of so many blocks.
     pub fn tape(&self, blocks: usize) -> RecurrentTape {
-        let RecurrentShape { states, hidden, known, constants, outputs, .. } = self.shape;
+        let RecurrentShape { states, hidden, constants, outputs, .. } = self.shape;
         let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
         RecurrentTape {
             state: vec![Lane::ZERO; (blocks + 1) * inputs],
             hidden: zeros(hidden + commands),
             after: zeros(states + hidden),
-            drive: zeros(states),
-            known: vec![Lane::ZERO; known],
+            states: self.states.tape(blocks),
             constants: vec![Lane::ZERO; constants],
             d_hidden: zeros(hidden),
-            d_drive: zeros(states),
             d_readout: zeros(outputs),
-            d_decay: vec![Lane::ZERO; states],
-            d_state: vec![Lane::ZERO; states],
             scratch: vec![Lane::ZERO; 2 * (hidden + inputs)],
         }
     }
 
     /// Starts a breath.
     pub fn begin(&self, tape: &mut RecurrentTape, known: &[Lane], constants: &[Lane]) {
-        tape.known.copy_from_slice(known);
         tape.constants.copy_from_slice(constants);
-        self.start.forward(known, &mut tape.state[..self.shape.states]);
-        tape.d_state.fill(Lane::ZERO);
-        tape.d_decay.fill(Lane::ZERO);
+        self.states.begin(&mut tape.states, known, &mut tape.state[..self.shape.states]);
     }
 
     /// One block forward.
@@ -185,10 +169,8 @@ impl RecurrentNetwork {
         Activation::Softsign.forward(z);
         v.copy_from_slice(&before[states..states + commands]);
 
-        let drive = piece_mut(&mut tape.drive, block, states);
-        self.drive.forward(zv, drive);
+        self.states.step(&mut tape.states, block, before, zv, after);
         let readout = piece_mut(&mut tape.after, block, states + hidden);
-        self.leaky.step(before, drive, after);
         readout[..states].copy_from_slice(&after[..states]);
         readout[states..].copy_from_slice(&zv[..hidden]);
         self.readout.forward(readout, outputs);
@@ -212,16 +194,9 @@ impl RecurrentNetwork {
         let d_after = &mut first[..states + hidden];
         self.readout.backward(d_y, d_after);
 
-        for (d_state, d) in tape.d_state.iter_mut().zip(&*d_after) {
-            d_state.add_scaled(1.0, d);
-        }
         let before = piece(&tape.state, block, inputs);
-        let drive = piece(&tape.drive, block, states);
-        let d_drive = piece_mut(&mut tape.d_drive, block, states);
-        self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
-
         let d_zv = &mut second[..hidden + commands];
-        self.drive.backward(d_drive, d_zv);
+        self.states.step_back(&mut tape.states, block, before, d_after, d_zv);
         let d_z = piece_mut(&mut tape.d_hidden, block, hidden);
         for ((d_z, from_drive), from_readout) in d_z.iter_mut().zip(&*d_zv).zip(&d_after[states..]) {
             *d_z = from_drive.zip(from_readout, |a, b| a + b);
@@ -229,25 +204,20 @@ impl RecurrentNetwork {
         Activation::Softsign.backward(&piece(&tape.hidden, block, hidden + commands)[..hidden], d_z);
 
         let d_cv = &mut first[..inputs];
-        d_cv[..states].copy_from_slice(&tape.d_state);
+        d_cv[..states].copy_from_slice(&tape.states.d_state);
         d_cv[states..states + commands].copy_from_slice(&d_zv[hidden..]);
         d_cv[states + commands..].fill(Lane::ZERO);
         self.hidden.backward_add(d_z, d_cv);
-        tape.d_state.copy_from_slice(&d_cv[..states]);
+        tape.states.d_state.copy_from_slice(&d_cv[..states]);
         d_log.scatter(self.newest(block), &d_cv[states..states + commands]);
     }
 
     /// Adds the gradient by the parameters, once all blocks have gone back.
     pub fn finish(&self, tape: &RecurrentTape, gradient: &mut [f32]) {
-        let blocks = tape.drive.len() / self.shape.states;
-        let inputs = self.shape.inputs();
-        self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..blocks * inputs], gradient);
-        self.drive.shape().gradient(&tape.d_drive, &tape.hidden, gradient);
+        let used = tape.state.len() - self.shape.inputs();
+        self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..used], gradient);
+        self.states.finish(&tape.states, &tape.hidden, gradient);
         self.readout.shape().gradient(&tape.d_readout, &tape.after, gradient);
-        self.start.shape().gradient(&tape.d_state, &tape.known, gradient);
-        for (gradient, d) in gradient[self.decay_offset..].iter_mut().zip(&tape.d_decay) {
-            *gradient += d.sum();
-        }
     }
 }
 

@@ -6,96 +6,16 @@
 //! ([`Rollout::replay`], [`Rollout::replay_back`]). Nothing of a breath is left in the next one, so that a rollout's
 //! memory is used again and again.
 
-use std::sync::Arc;
-
-use super::hybrid::{Hybrid, HybridTape};
 use super::model::Model;
 use super::shard::Shard;
-use super::state_space::{StateSpace, StateSpaceTape};
-use super::stitched::{Stitched, StitchedTape};
-use super::{BreathStart, COMMAND_SCALE, CommandLog, Dynamics, Timing, piece, piece_mut};
+use super::{AnyTape, BreathStart, COMMAND_SCALE, CommandLog, Timing, piece, piece_mut};
 use engine::Lane;
-
-/// A model beside its tape: the one place that knows the architectures apart.
-#[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "one exists per shard")]
-enum Running {
-    StateSpace(Arc<StateSpace>, StateSpaceTape),
-    Hybrid(Arc<Hybrid>, HybridTape),
-    Stitched(Arc<Stitched>, StitchedTape),
-}
-
-impl Running {
-    fn new(model: &Model, blocks: usize) -> Self {
-        match model {
-            Model::StateSpace(model) => Self::StateSpace(Arc::clone(model), model.tape(blocks)),
-            Model::Hybrid(model) => Self::Hybrid(Arc::clone(model), model.tape(blocks)),
-            Model::Stitched(model) => Self::Stitched(Arc::clone(model), model.tape(blocks)),
-        }
-    }
-
-    /// Takes over another model for the same tape; false, and nothing done, where it is of another shape.
-    fn adopt(&mut self, model: &Model) -> bool {
-        match (self, model) {
-            (Self::StateSpace(own, _), Model::StateSpace(new)) if own.config() == new.config() => {
-                *own = Arc::clone(new);
-            }
-            (Self::Hybrid(own, _), Model::Hybrid(new)) if own.config() == new.config() => {
-                *own = Arc::clone(new);
-            }
-            (Self::Stitched(own, _), Model::Stitched(new)) if own.config() == new.config() => {
-                *own = Arc::clone(new);
-            }
-            _ => return false,
-        }
-        true
-    }
-
-    fn begin(&mut self, start: &BreathStart) {
-        match self {
-            Self::StateSpace(model, tape) => model.begin(tape, start),
-            Self::Hybrid(model, tape) => model.begin(tape, start),
-            Self::Stitched(model, tape) => model.begin(tape, start),
-        }
-    }
-
-    fn step(&mut self, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        match self {
-            Self::StateSpace(model, tape) => model.step(tape, block, log, points),
-            Self::Hybrid(model, tape) => model.step(tape, block, log, points),
-            Self::Stitched(model, tape) => model.step(tape, block, log, points),
-        }
-    }
-
-    fn teach(&mut self, block: usize, measured: &Lane) {
-        match self {
-            Self::StateSpace(model, tape) => model.teach(tape, block, measured),
-            Self::Hybrid(model, tape) => model.teach(tape, block, measured),
-            Self::Stitched(model, tape) => model.teach(tape, block, measured),
-        }
-    }
-
-    fn step_back(&mut self, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        match self {
-            Self::StateSpace(model, tape) => model.step_back(tape, block, d_points, d_log),
-            Self::Hybrid(model, tape) => model.step_back(tape, block, d_points, d_log),
-            Self::Stitched(model, tape) => model.step_back(tape, block, d_points, d_log),
-        }
-    }
-
-    fn finish(&mut self, gradient: &mut [f32]) {
-        match self {
-            Self::StateSpace(model, tape) => model.finish(tape, gradient),
-            Self::Hybrid(model, tape) => model.finish(tape, gradient),
-            Self::Stitched(model, tape) => model.finish(tape, gradient),
-        }
-    }
-}
 
 /// A simulator at work on one shard, with the memory for breaths of a given length.
 #[derive(Debug)]
 pub struct Rollout {
-    running: Running,
+    model: Model,
+    tape: AnyTape,
     timing: Timing,
     ticks: usize,
     log: CommandLog,
@@ -114,7 +34,8 @@ impl Rollout {
         let log = CommandLog::new(blocks, vec![Lane::ZERO; timing.width()]);
         let points = vec![Lane::ZERO; 1 + blocks * timing.points];
         Self {
-            running: Running::new(model, blocks),
+            model: model.clone(),
+            tape: model.dynamics.tape(blocks),
             timing,
             ticks,
             d_log: log.clone(),
@@ -127,7 +48,9 @@ impl Rollout {
 
     /// Starts a breath of a model from a command of `rest` percent; the tick is 0.
     pub fn begin(&mut self, model: &Model, start: &BreathStart, rest: f32) {
-        if !self.running.adopt(model) {
+        if self.model.architecture() == model.architecture() {
+            self.model = model.clone();
+        } else {
             *self = Self::new(model, self.ticks);
         }
         self.log.reset(Lane::splat(rest / COMMAND_SCALE));
@@ -196,7 +119,11 @@ impl Rollout {
         for block in 0..timing.blocks(rollout.ticks) {
             rollout.predict(block);
             if teacher_forcing {
-                rollout.running.teach(block, &shard.pressure((block + 1) * timing.block_ticks));
+                rollout.model.dynamics.teach(
+                    &mut rollout.tape,
+                    block,
+                    &shard.pressure((block + 1) * timing.block_ticks),
+                );
             }
         }
         rollout
@@ -208,20 +135,20 @@ impl Rollout {
         for block in (0..self.timing.blocks(self.ticks)).rev() {
             self.predict_back(block);
         }
-        self.running.finish(gradient);
+        self.model.dynamics.finish(&mut self.tape, gradient);
     }
 
     fn start_breath(&mut self, start: &BreathStart) {
         self.points[0] = start.pressure;
         self.tick = 0;
-        self.running.begin(start);
+        self.model.dynamics.begin(&mut self.tape, start);
     }
 
     /// The model's step of a block; none beyond the end of the breath.
     fn predict(&mut self, block: usize) {
         if block < self.timing.blocks(self.ticks) {
             let points = piece_mut(&mut self.points[1..], block, self.timing.points);
-            self.running.step(block, &self.log, points);
+            self.model.dynamics.step(&mut self.tape, block, &self.log, points);
         }
     }
 
@@ -229,7 +156,7 @@ impl Rollout {
     fn predict_back(&mut self, block: usize) {
         if block < self.timing.blocks(self.ticks) {
             let d_points = piece(&self.d_points[1..], block, self.timing.points);
-            self.running.step_back(block, d_points, &mut self.d_log);
+            self.model.dynamics.step_back(&mut self.tape, block, d_points, &mut self.d_log);
         }
     }
 

@@ -75,14 +75,10 @@ impl StateSpaceConfig {
 
 /// The model with its parameters, ready to run.
 #[derive(Clone, Debug)]
-pub struct StateSpace {
+pub(super) struct StateSpace {
     config: StateSpaceConfig,
     network: RecurrentNetwork,
 }
-
-/// Forward values and backward gradients of a rollout, block after block.
-#[derive(Clone, Debug)]
-pub struct StateSpaceTape(RecurrentTape);
 
 impl StateSpace {
     /// A model from its parameters.
@@ -92,59 +88,47 @@ impl StateSpace {
     pub fn new(config: StateSpaceConfig, parameters: &[f32]) -> Self {
         Self { config, network: RecurrentNetwork::new(config.shape(), parameters) }
     }
-
-    /// Its shape.
-    pub fn config(&self) -> &StateSpaceConfig {
-        &self.config
-    }
 }
 
 impl Dynamics for StateSpace {
-    type Tape = StateSpaceTape;
+    type Tape = RecurrentTape;
 
-    fn timing(&self) -> &Timing {
-        &self.config.timing
+    fn tape(&self, blocks: usize) -> RecurrentTape {
+        self.network.tape(blocks)
     }
 
-    fn parameters(&self) -> usize {
-        self.config.parameters()
-    }
-
-    fn tape(&self, blocks: usize) -> StateSpaceTape {
-        StateSpaceTape(self.network.tape(blocks))
-    }
-
-    fn begin(&self, tape: &mut StateSpaceTape, start: &BreathStart) {
+    fn begin(&self, tape: &mut RecurrentTape, start: &BreathStart) {
         let LungParameters { resistance, compliance } = USUAL_LUNG;
         let lung: [Lane; LUNG_INPUTS] = [
             start.resistance.map(|r| (r / resistance).ln()),
             start.compliance.map(|c| (c / compliance).ln()),
         ];
         let RecurrentShape { known, constants, .. } = self.config.shape();
-        self.network.begin(&mut tape.0, &start.known()[..known], &lung[..constants]);
+        self.network.begin(tape, &start.known()[..known], &lung[..constants]);
     }
 
-    fn step(&self, tape: &mut StateSpaceTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        self.network.step(&mut tape.0, block, log, points);
+    fn step(&self, tape: &mut RecurrentTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        self.network.step(tape, block, log, points);
         let (mean, scale) = PRESSURE_SCALE;
         for point in points {
             *point = point.map(|y| mean + scale * y);
         }
     }
 
-    fn step_back(&self, tape: &mut StateSpaceTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+    fn step_back(&self, tape: &mut RecurrentTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
         let d_output = |n: usize| d_points[n].map(|d| PRESSURE_SCALE.1 * d);
-        self.network.step_back(&mut tape.0, block, d_output, d_log);
+        self.network.step_back(tape, block, d_output, d_log);
     }
 
-    fn finish(&self, tape: &mut StateSpaceTape, gradient: &mut [f32]) {
-        self.network.finish(&tape.0, gradient);
+    fn finish(&self, tape: &mut RecurrentTape, gradient: &mut [f32]) {
+        self.network.finish(tape, gradient);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulator::model::Architecture;
     use crate::simulator::tests_support::check_gradients;
     use engine::LANES;
     use rand_chacha::rand_core::SeedableRng;
@@ -160,7 +144,7 @@ mod tests {
                 ..StateSpaceConfig::for_period(period_us, 1)
             };
             let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(3));
-            check_gradients(&parameters, |p| StateSpace::new(config, p));
+            check_gradients(Architecture::StateSpace(config), &parameters);
         }
     }
 

@@ -8,10 +8,12 @@
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use crate::layers::{Layers, LayersTape};
+
 use super::{BreathStart, CommandLog, Dynamics, PRESSURE_SCALE, Timing};
 use engine::Lane;
 use engine::activation::Activation;
-use engine::dense::{DenseLayer, DenseWeights};
+use engine::dense::DenseLayer;
 
 /// Commands that a step sees.
 const COMMANDS: usize = 5;
@@ -72,20 +74,19 @@ impl StitchedConfig {
 
 /// The model with its parameters, ready to run.
 #[derive(Clone, Debug)]
-pub struct Stitched {
-    config: StitchedConfig,
-    layers: Vec<DenseWeights>,
+pub(super) struct Stitched {
+    /// Those of the boundaries, then the shared one.
+    networks: Vec<Layers>,
 }
 
 /// Forward values and backward gradients of a rollout.
 #[derive(Clone, Debug)]
-pub struct StitchedTape {
+pub(super) struct StitchedTape {
     /// Scaled pressures at the start of each step, own predictions or, in one-step training, measured ones.
     pressures: Vec<Lane>,
     d_pressures: Vec<Lane>,
-    /// Input, hidden layers and output of each step, and the gradients behind them.
-    values: Vec<Vec<Vec<Lane>>>,
-    gradients: Vec<Vec<Vec<Lane>>>,
+    /// A tape of one step for each step.
+    steps: Vec<LayersTape>,
     measured: bool,
 }
 
@@ -94,28 +95,21 @@ impl Stitched {
     ///
     /// # Panics
     /// If `parameters` does not have [`StitchedConfig::parameters`] entries.
-    pub fn new(config: StitchedConfig, parameters: &[f32]) -> Self {
+    pub fn new(parameters: &[f32]) -> Self {
         let (layers, total) = StitchedConfig::layout();
         assert_eq!(parameters.len(), total, "parameters of another shape");
-        Self { config, layers: layers.iter().map(|layer| layer.load(parameters)).collect() }
+        let (boundaries, shared) = layers.split_at(2 * BOUNDARIES);
+        let boundaries = boundaries.chunks(2).map(|layers| Layers::new(layers, Activation::Tanh, parameters));
+        let shared = Layers::new(shared, Activation::Selu, parameters);
+        Self { networks: boundaries.chain([shared]).collect() }
     }
 
-    /// Layers and activation of a step's network.
-    fn network(&self, step: usize) -> (&[DenseWeights], Activation) {
-        if step < BOUNDARIES {
-            (&self.layers[2 * step..2 * step + 2], Activation::Tanh)
-        } else {
-            (&self.layers[2 * BOUNDARIES..], Activation::Selu)
-        }
+    fn network(&self, step: usize) -> &Layers {
+        &self.networks[step.min(BOUNDARIES)]
     }
 
     fn pressures_seen(step: usize) -> usize {
         if step < BOUNDARIES { PRESSURES } else { PRESSURES_SHARED }
-    }
-
-    /// Its shape.
-    pub fn config(&self) -> &StitchedConfig {
-        &self.config
     }
 }
 
@@ -126,26 +120,11 @@ fn scale(pressure: f32) -> f32 {
 impl Dynamics for Stitched {
     type Tape = StitchedTape;
 
-    fn timing(&self) -> &Timing {
-        &self.config.timing
-    }
-
-    fn parameters(&self) -> usize {
-        self.config.parameters()
-    }
-
     fn tape(&self, blocks: usize) -> StitchedTape {
-        let memory: Vec<Vec<Vec<Lane>>> = (0..blocks)
-            .map(|step| {
-                let outputs = self.network(step).0.iter().map(|layer| layer.shape().outputs);
-                std::iter::once(INPUTS).chain(outputs).map(|width| vec![Lane::ZERO; width]).collect()
-            })
-            .collect();
         StitchedTape {
             pressures: vec![Lane::ZERO; blocks + 1],
             d_pressures: vec![Lane::ZERO; blocks + 1],
-            gradients: memory.clone(),
-            values: memory,
+            steps: (0..blocks).map(|step| self.network(step).tape(1)).collect(),
             measured: false,
         }
     }
@@ -157,9 +136,7 @@ impl Dynamics for Stitched {
     }
 
     fn step(&self, tape: &mut StitchedTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
-        let (layers, activation) = self.network(block);
-        let values = &mut tape.values[block];
-        let input = &mut values[0];
+        let input = tape.steps[block].inputs(0);
         input.fill(Lane::ZERO);
         for (age, input) in input[..COMMANDS].iter_mut().enumerate().take(block + 1) {
             *input = log.block(Some(block - age))[0];
@@ -168,31 +145,15 @@ impl Dynamics for Stitched {
         for (age, input) in input[COMMANDS..].iter_mut().enumerate().take(seen) {
             *input = tape.pressures[block - age];
         }
-        for (n, layer) in layers.iter().enumerate() {
-            let (before, after) = values.split_at_mut(n + 1);
-            layer.forward(&before[n], &mut after[0]);
-            if n + 1 < layers.len() {
-                activation.forward(&mut after[0]);
-            }
-        }
-        let next = values[layers.len()][0];
+        let next = self.network(block).forward(&mut tape.steps[block], 0);
         tape.pressures[block + 1] = next;
         points[0] = next.map(|y| PRESSURE_SCALE.0 + PRESSURE_SCALE.1 * y);
     }
 
     fn step_back(&self, tape: &mut StitchedTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
-        let (layers, activation) = self.network(block);
-        let (values, gradients) = (&tape.values[block], &mut tape.gradients[block]);
         let carried = if tape.measured { Lane::ZERO } else { tape.d_pressures[block + 1] };
-        gradients[layers.len()][0] = d_points[0].zip(&carried, |d, c| PRESSURE_SCALE.1 * d + c);
-        for (n, layer) in layers.iter().enumerate().rev() {
-            let (before, after) = gradients.split_at_mut(n + 1);
-            layer.backward(&after[0], &mut before[n]);
-            if n > 0 {
-                activation.backward(&values[n], &mut before[n]);
-            }
-        }
-        let d_input = &gradients[0];
+        let d_next = d_points[0].zip(&carried, |d, c| PRESSURE_SCALE.1 * d + c);
+        let d_input = self.network(block).backward(&mut tape.steps[block], 0, d_next);
         for (age, d) in d_input[..COMMANDS].iter().enumerate().take(block + 1) {
             d_log.block_mut(block - age)[0].add_scaled(1.0, d);
         }
@@ -208,10 +169,8 @@ impl Dynamics for Stitched {
     }
 
     fn finish(&self, tape: &mut StitchedTape, gradient: &mut [f32]) {
-        for (step, (values, gradients)) in tape.values.iter().zip(&tape.gradients).enumerate() {
-            for (n, layer) in self.network(step).0.iter().enumerate() {
-                layer.shape().gradient(&gradients[n + 1], &values[n], gradient);
-            }
+        for (step, tape) in tape.steps.iter().enumerate() {
+            self.network(step).finish(tape, gradient);
         }
     }
 }
@@ -219,6 +178,7 @@ impl Dynamics for Stitched {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulator::model::Architecture;
     use crate::simulator::tests_support::check_gradients;
     use rand_chacha::rand_core::SeedableRng;
 
@@ -226,7 +186,7 @@ mod tests {
     fn gradients_of_a_rollout_agree_with_finite_differences() {
         let config = StitchedConfig::for_period(30_000);
         let parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(3));
-        check_gradients(&parameters, |p| Stitched::new(config, p));
+        check_gradients(Architecture::Stitched(config), &parameters);
     }
 
     #[test]

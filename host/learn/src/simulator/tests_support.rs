@@ -1,7 +1,8 @@
 //! What the simulators' tests share: gradients against finite differences, and a breath.
 
 use super::episode::Episode;
-use super::{BreathStart, CommandLog, Dynamics, USUAL_LUNG};
+use super::model::{Architecture, Model};
+use super::{BreathStart, CommandLog, Timing, USUAL_LUNG};
 use engine::{LANES, Lane};
 
 /// An inspiration of a lung of R 20 and C 20, of a simulator with one command per block.
@@ -53,12 +54,14 @@ fn weight(block: usize, point: usize, l: usize) -> f32 {
     0.1 * ((block * 31 + point * 17 + l * 7) as f32).cos()
 }
 
-fn loss(model: &impl Dynamics, log: &CommandLog) -> f64 {
-    let (mut tape, mut points) = (model.tape(BLOCKS), vec![Lane::ZERO; model.timing().points]);
-    model.begin(&mut tape, &start());
+fn loss(model: &Model, log: &CommandLog) -> f64 {
+    let dynamics = &model.dynamics;
+    let (mut tape, mut points) =
+        (dynamics.tape(BLOCKS), vec![Lane::ZERO; model.architecture().timing().points]);
+    dynamics.begin(&mut tape, &start());
     let mut total = 0.0;
     for block in 0..BLOCKS {
-        model.step(&mut tape, block, log, &mut points);
+        dynamics.step(&mut tape, block, log, &mut points);
         for (n, point) in points.iter().enumerate() {
             total += (0..LANES).map(|l| f64::from(weight(block, n, l) * point[l])).sum::<f64>();
         }
@@ -67,32 +70,34 @@ fn loss(model: &impl Dynamics, log: &CommandLog) -> f64 {
 }
 
 /// Compares analytic gradients by commands and by every few parameters with central differences.
-pub(super) fn check_gradients<M: Dynamics>(parameters: &[f32], build: impl Fn(&[f32]) -> M) {
+pub(super) fn check_gradients(architecture: Architecture, parameters: &[f32]) {
     let some = (0..parameters.len()).step_by((parameters.len() / 150).max(1));
-    check_gradients_by(some, parameters, build);
+    check_gradients_by(some, architecture, parameters);
 }
 
 /// Compares analytic gradients by commands and by the parameters of these indices with central differences.
-pub(super) fn check_gradients_by<M: Dynamics>(
+pub(super) fn check_gradients_by(
     indices: impl Iterator<Item = usize>,
+    architecture: Architecture,
     parameters: &[f32],
-    build: impl Fn(&[f32]) -> M,
 ) {
-    let model = build(parameters);
-    let width = model.timing().width();
+    let Timing { points, .. } = *architecture.timing();
+    let width = architecture.timing().width();
+    let model = Model::new(architecture, parameters);
     let mut log = commands(width);
-    let (mut tape, mut points) = (model.tape(BLOCKS), vec![Lane::ZERO; model.timing().points]);
-    model.begin(&mut tape, &start());
+    let (dynamics, mut pressures) = (&model.dynamics, vec![Lane::ZERO; points]);
+    let mut tape = dynamics.tape(BLOCKS);
+    dynamics.begin(&mut tape, &start());
     for block in 0..BLOCKS {
-        model.step(&mut tape, block, &log, &mut points);
+        dynamics.step(&mut tape, block, &log, &mut pressures);
     }
     let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; width]);
     for block in (0..BLOCKS).rev() {
-        let d: Vec<Lane> = (0..points.len()).map(|n| Lane::from_fn(|l| weight(block, n, l))).collect();
-        model.step_back(&mut tape, block, &d, &mut d_log);
+        let d: Vec<Lane> = (0..points).map(|n| Lane::from_fn(|l| weight(block, n, l))).collect();
+        dynamics.step_back(&mut tape, block, &d, &mut d_log);
     }
-    let mut gradient = vec![0.0; model.parameters()];
-    model.finish(&mut tape, &mut gradient);
+    let mut gradient = vec![0.0; parameters.len()];
+    dynamics.finish(&mut tape, &mut gradient);
 
     let agree = |numeric: f64, analytic: f32, what: &str| {
         let tolerance = 0.02 * f64::from(analytic.abs()) + 0.02;
@@ -102,9 +107,9 @@ pub(super) fn check_gradients_by<M: Dynamics>(
     let mut varied = parameters.to_vec();
     for n in indices {
         varied[n] = parameters[n] + step;
-        let above = loss(&build(&varied), &log);
+        let above = loss(&Model::new(architecture, &varied), &log);
         varied[n] = parameters[n] - step;
-        let below = loss(&build(&varied), &log);
+        let below = loss(&Model::new(architecture, &varied), &log);
         varied[n] = parameters[n];
         agree((above - below) / f64::from(2.0 * step), gradient[n], &format!("parameter {n}"));
     }

@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use self::lung::{LungTape, PHYSICS, Physics};
 use self::own::Own;
-use self::ventilator::{OPENINGS, VentilatorModel, VentilatorShape, VentilatorTape};
+use self::ventilator::{OPENINGS, VentilatorModel, VentilatorTape};
 use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
 use super::{BreathStart, CommandLog, Dynamics, Members, Timing, piece, piece_mut};
 use engine::{LANES, Lane};
@@ -78,11 +78,6 @@ impl HybridConfig {
         Self { timing, states: 8, hidden: 24, history: 8, ventilators: 0, groups: 0 }
     }
 
-    fn ventilator(&self) -> VentilatorShape {
-        let Self { timing, states, hidden, history, ventilators, .. } = *self;
-        VentilatorShape { timing, states, hidden, history, ventilators }
-    }
-
     /// Modes of a block: each of its points has its own.
     fn modes(&self) -> usize {
         MODES * self.timing.points
@@ -109,7 +104,7 @@ impl HybridConfig {
             end - length..end
         };
         HybridLayout {
-            ventilator: next(self.ventilator().parameters()),
+            ventilator: next(self.ventilator_parameters()),
             physics: next(PHYSICS),
             deviations: next(self.groups * DEVIATIONS),
             network: next(self.network().parameters()),
@@ -131,7 +126,7 @@ impl HybridConfig {
     pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let layout = self.layout();
         let mut parameters = vec![0.0; layout.mixing.end];
-        parameters[layout.ventilator].copy_from_slice(&self.ventilator().initialise(rng));
+        parameters[layout.ventilator].copy_from_slice(&self.initialise_ventilator(rng));
         parameters[layout.physics].copy_from_slice(&Physics::PLAIN);
         parameters[layout.network].copy_from_slice(&self.network().initialise(LONGEST_REST_S, rng));
         parameters
@@ -140,7 +135,7 @@ impl HybridConfig {
 
 /// The model with its parameters, ready to run.
 #[derive(Clone, Debug)]
-pub struct Hybrid {
+pub(super) struct Hybrid {
     config: HybridConfig,
     ventilator: VentilatorModel,
     physics: Physics,
@@ -151,7 +146,7 @@ pub struct Hybrid {
 
 /// Forward values and backward gradients of a rollout, block after block.
 #[derive(Clone, Debug)]
-pub struct HybridTape {
+pub(super) struct HybridTape {
     /// Group of each lane.
     group: Members,
     ventilator: VentilatorTape,
@@ -176,30 +171,17 @@ impl Hybrid {
         assert_eq!(parameters.len(), layout.mixing.end, "parameters of another shape");
         Self {
             config,
-            ventilator: VentilatorModel::new(config.ventilator(), &parameters[layout.ventilator]),
+            ventilator: VentilatorModel::new(config, &parameters[layout.ventilator]),
             physics: Physics::new(&config.timing, &parameters[layout.physics]),
             deviations: Own::new(DEVIATIONS, &parameters[layout.deviations]),
             network: RecurrentNetwork::new(config.network(), &parameters[layout.network]),
             mixing: Own::new(MODES, &parameters[layout.mixing]),
         }
     }
-
-    /// Its shape.
-    pub fn config(&self) -> &HybridConfig {
-        &self.config
-    }
 }
 
 impl Dynamics for Hybrid {
     type Tape = HybridTape;
-
-    fn timing(&self) -> &Timing {
-        &self.config.timing
-    }
-
-    fn parameters(&self) -> usize {
-        self.config.parameters()
-    }
 
     fn tape(&self, blocks: usize) -> HybridTape {
         let steps = blocks * self.config.timing.points;
@@ -280,6 +262,7 @@ impl Dynamics for Hybrid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulator::model::Architecture;
     use crate::simulator::tests_support::{check_gradients, check_gradients_by};
     use rand_chacha::rand_core::SeedableRng;
 
@@ -313,10 +296,9 @@ mod tests {
     fn gradients_of_a_rollout_agree_with_finite_differences() {
         for period_us in [1000, 30_000] {
             let config = config(period_us);
-            check_gradients(&config.initialise(&mut ChaCha8Rng::seed_from_u64(3)), |p| {
-                Hybrid::new(config, p)
-            });
-            check_gradients(&varied(&config, 3), |p| Hybrid::new(config, p));
+            let architecture = Architecture::Hybrid(config);
+            check_gradients(architecture, &config.initialise(&mut ChaCha8Rng::seed_from_u64(3)));
+            check_gradients(architecture, &varied(&config, 3));
         }
     }
 
@@ -333,7 +315,7 @@ mod tests {
         let (parameters, layout) = (varied(&config, 5), config.layout());
         // The network has a check of its own in the state space.
         let all_but_network = (0..layout.network.start).chain(layout.mixing);
-        check_gradients_by(all_but_network, &parameters, |p| Hybrid::new(config, p));
+        check_gradients_by(all_but_network, Architecture::Hybrid(config), &parameters);
     }
 
     /// Pressure and volume (mL) in each lane after a long blow with a constant command.

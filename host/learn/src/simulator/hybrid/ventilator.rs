@@ -11,9 +11,11 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::HybridConfig;
 use super::own::Own;
-use crate::simulator::leaky::{Leaky, sigmoid};
-use crate::simulator::{BreathStart, CommandLog, Members, Timing, piece, piece_mut};
+use crate::simulator::leaky::{LeakyStates, LeakyTape, sigmoid};
+use crate::simulator::recurrent::GAINS;
+use crate::simulator::{BreathStart, CommandLog, Members, piece, piece_mut};
 use engine::activation::Activation;
 use engine::dense::{DenseLayer, DenseWeights};
 use engine::{LANES, Lane};
@@ -29,21 +31,7 @@ const USUAL_OPENING: f32 = -1.4;
 /// Slowest filter to start with, s.
 const LONGEST_FILTER_S: f32 = 0.2;
 
-/// Shape of the ventilator.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct VentilatorShape {
-    pub timing: Timing,
-    /// Filters of past commands.
-    pub states: usize,
-    /// Static curves.
-    pub hidden: usize,
-    /// Blocks of past commands that a step sees.
-    pub history: usize,
-    /// Ventilators of the recording.
-    pub ventilators: usize,
-}
-
-impl VentilatorShape {
+impl HybridConfig {
     fn commands(&self) -> usize {
         self.history * self.timing.width()
     }
@@ -53,31 +41,30 @@ impl VentilatorShape {
         self.hidden + OPENINGS
     }
 
-    /// Layers (filters, curves, source, start), index of the decays, number of parameters; what ventilators own is last.
-    fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
+    /// Layers (filters, curves, source, start), index of the decays, and of what ventilators own, which is last.
+    fn ventilator_layout(&self) -> ([DenseLayer; 4], usize, usize) {
         let (layers, decay) = DenseLayer::layout([
             (self.commands(), self.states),
             (self.states, self.hidden),
             (self.states + self.hidden, OPENINGS),
             (BreathStart::KNOWN, self.states),
         ]);
-        (layers, decay, decay + self.states + self.ventilators * self.own())
+        (layers, decay, decay + self.states)
     }
 
-    /// Number of parameters.
-    pub fn parameters(&self) -> usize {
-        self.layout().2
+    /// Number of parameters of the ventilator.
+    pub(super) fn ventilator_parameters(&self) -> usize {
+        self.ventilator_layout().2 + self.ventilators * self.own()
     }
 
-    /// Draws parameters: time constants from one block to `LONGEST_FILTER_S`, all ventilators alike.
-    pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
-        let ([filters, curves, source, start], decay, total) = self.layout();
-        let mut parameters = vec![0.0; total];
-        filters.initialise(&mut parameters, 1.0, rng);
-        curves.initialise(&mut parameters, 1.0, rng);
-        source.initialise(&mut parameters, 0.5, rng);
-        start.initialise(&mut parameters, 0.3, rng);
-        for (n, decay) in parameters[decay..decay + self.states].iter_mut().enumerate() {
+    /// Draws them: time constants from one block to `LONGEST_FILTER_S`, all ventilators alike.
+    pub(super) fn initialise_ventilator(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        let (layers, decay, own) = self.ventilator_layout();
+        let mut parameters = vec![0.0; self.ventilator_parameters()];
+        for (layer, gain) in layers.iter().zip(GAINS) {
+            layer.initialise(&mut parameters, gain, rng);
+        }
+        for (n, decay) in parameters[decay..own].iter_mut().enumerate() {
             let share = n as f32 / (self.states - 1).max(1) as f32;
             *decay = share * (LONGEST_FILTER_S / self.timing.block_s()).max(1.0).ln();
         }
@@ -88,13 +75,11 @@ impl VentilatorShape {
 /// The ventilator with its parameters.
 #[derive(Clone, Debug)]
 pub(super) struct VentilatorModel {
-    shape: VentilatorShape,
-    filters: DenseWeights,
+    config: HybridConfig,
+    filters: LeakyStates,
     curves: DenseWeights,
     source: DenseWeights,
-    start: DenseWeights,
-    decay_offset: usize,
-    leaky: Leaky,
+    own_offset: usize,
     own: Own,
 }
 
@@ -107,9 +92,8 @@ pub(super) struct VentilatorTape {
     state: Vec<Lane>,
     /// `[c', z]` of each block.
     after: Vec<Lane>,
-    drive: Vec<Lane>,
+    filters: LeakyTape,
     pub openings: Vec<Openings>,
-    known: [Lane; BreathStart::KNOWN],
     /// Which ventilator it is in each lane.
     members: Members,
     /// Its shifts.
@@ -117,10 +101,7 @@ pub(super) struct VentilatorTape {
     /// What the openings are multiplied by.
     stretch: Openings,
     d_hidden: Vec<Lane>,
-    d_drive: Vec<Lane>,
     d_source: Vec<Lane>,
-    d_decay: Vec<Lane>,
-    d_state: Vec<Lane>,
     /// Gradient by the logarithms of the stretch.
     pub d_stretch: Openings,
     scratch: Vec<Lane>,
@@ -128,46 +109,38 @@ pub(super) struct VentilatorTape {
 
 impl VentilatorModel {
     /// The ventilator from its parameters.
-    pub fn new(shape: VentilatorShape, parameters: &[f32]) -> Self {
-        let ([filters, curves, source, start], decay_offset, total) = shape.layout();
-        assert_eq!(parameters.len(), total, "parameters of another shape");
-        let (decays, own) = parameters[decay_offset..].split_at(shape.states);
+    pub fn new(config: HybridConfig, parameters: &[f32]) -> Self {
+        let ([filters, curves, source, start], decay, own_offset) = config.ventilator_layout();
         Self {
-            shape,
-            filters: filters.load(parameters),
+            config,
+            filters: LeakyStates::new(&start, &filters, decay, parameters),
             curves: curves.load(parameters),
             source: source.load(parameters),
-            start: start.load(parameters),
-            decay_offset,
-            leaky: Leaky::new(decays),
-            own: Own::new(shape.own(), own),
+            own_offset,
+            own: Own::new(config.own(), &parameters[own_offset..]),
         }
     }
 
     fn newest(&self, block: usize) -> Option<usize> {
-        block.checked_sub(self.shape.timing.lag())
+        block.checked_sub(self.config.timing.lag())
     }
 
     /// Memory for a rollout of so many blocks.
     pub fn tape(&self, blocks: usize) -> VentilatorTape {
-        let VentilatorShape { states, hidden, .. } = self.shape;
-        let commands = self.shape.commands();
+        let HybridConfig { states, hidden, .. } = self.config;
+        let commands = self.config.commands();
         let zeros = |width: usize| vec![Lane::ZERO; blocks * width];
         VentilatorTape {
             commands: zeros(commands),
             state: vec![Lane::ZERO; (blocks + 1) * states],
             after: zeros(states + hidden),
-            drive: zeros(states),
+            filters: self.filters.tape(blocks),
             openings: vec![[Lane::ZERO; OPENINGS]; blocks],
-            known: [Lane::ZERO; BreathStart::KNOWN],
             members: [None; LANES],
             shifts: vec![Lane::ZERO; hidden],
             stretch: [Lane::ZERO; OPENINGS],
             d_hidden: zeros(hidden),
-            d_drive: zeros(states),
             d_source: zeros(OPENINGS),
-            d_decay: vec![Lane::ZERO; states],
-            d_state: vec![Lane::ZERO; states],
             d_stretch: [Lane::ZERO; OPENINGS],
             scratch: vec![Lane::ZERO; states + hidden + commands],
         }
@@ -175,31 +148,26 @@ impl VentilatorModel {
 
     /// Starts a breath; `stretch` holds logarithms of what the test run multiplies its openings by.
     pub fn begin(&self, tape: &mut VentilatorTape, start: &BreathStart, stretch: &Openings) {
-        tape.known = start.known();
         tape.members = start.ventilator;
-        self.start.forward(&tape.known, &mut tape.state[..self.shape.states]);
+        self.filters.begin(&mut tape.filters, &start.known(), &mut tape.state[..self.config.states]);
         for (n, shift) in tape.shifts.iter_mut().enumerate() {
             *shift = self.own.lane(&tape.members, n);
         }
         for (n, run) in stretch.iter().enumerate() {
-            let own = self.own.lane(&tape.members, self.shape.hidden + n);
+            let own = self.own.lane(&tape.members, self.config.hidden + n);
             tape.stretch[n] = own.zip(run, |own, run| (own + run).exp());
         }
-        tape.d_state.fill(Lane::ZERO);
-        tape.d_decay.fill(Lane::ZERO);
         tape.d_stretch.fill(Lane::ZERO);
     }
 
     /// The openings of a block.
     pub fn step(&self, tape: &mut VentilatorTape, block: usize, log: &CommandLog) {
-        let VentilatorShape { states, hidden, history, .. } = self.shape;
-        let commands = piece_mut(&mut tape.commands, block, self.shape.commands());
+        let HybridConfig { states, hidden, history, .. } = self.config;
+        let commands = piece_mut(&mut tape.commands, block, self.config.commands());
         log.gather(self.newest(block), history, commands);
-        let drive = piece_mut(&mut tape.drive, block, states);
-        self.filters.forward(commands, drive);
         let (before, after) = tape.state.split_at_mut((block + 1) * states);
         let before = piece(before, block, states);
-        self.leaky.step(before, drive, after);
+        self.filters.step(&mut tape.filters, block, before, commands, after);
         let readout = piece_mut(&mut tape.after, block, states + hidden);
         let (c, z) = readout.split_at_mut(states);
         c.copy_from_slice(&after[..states]);
@@ -223,7 +191,7 @@ impl VentilatorModel {
         d_openings: &Openings,
         d_log: &mut CommandLog,
     ) {
-        let VentilatorShape { states, hidden, .. } = self.shape;
+        let HybridConfig { states, hidden, .. } = self.config;
         let d_y = piece_mut(&mut tape.d_source, block, OPENINGS);
         for n in 0..OPENINGS {
             let opening = &tape.openings[block][n];
@@ -240,30 +208,19 @@ impl VentilatorModel {
         Activation::Softsign.backward(&piece(&tape.after, block, states + hidden)[states..], d_z);
         self.curves.backward_add(d_z, d_c);
 
-        for (d_state, d) in tape.d_state.iter_mut().zip(&*d_c) {
-            d_state.add_scaled(1.0, d);
-        }
         let before = piece(&tape.state, block, states);
-        let drive = piece(&tape.drive, block, states);
-        let d_drive = piece_mut(&mut tape.d_drive, block, states);
-        self.leaky.step_back(before, drive, &mut tape.d_state, d_drive, &mut tape.d_decay);
-        self.filters.backward(d_drive, d_commands);
+        self.filters.step_back(&mut tape.filters, block, before, d_c, d_commands);
         d_log.scatter(self.newest(block), d_commands);
     }
 
     /// Adds the gradient by the parameters, once all blocks have gone back.
     pub fn finish(&self, tape: &VentilatorTape, gradient: &mut [f32]) {
-        let VentilatorShape { states, hidden, .. } = self.shape;
-        self.filters.shape().gradient(&tape.d_drive, &tape.commands, gradient);
+        let HybridConfig { states, hidden, .. } = self.config;
+        self.filters.finish(&tape.filters, &tape.commands, gradient);
         let c: Vec<Lane> =
             tape.after.chunks_exact(states + hidden).flat_map(|after| &after[..states]).copied().collect();
         self.curves.shape().gradient(&tape.d_hidden, &c, gradient);
         self.source.shape().gradient(&tape.d_source, &tape.after, gradient);
-        self.start.shape().gradient(&tape.d_state, &tape.known, gradient);
-        let (decays, own) = gradient[self.decay_offset..].split_at_mut(states);
-        for (gradient, d) in decays.iter_mut().zip(&tape.d_decay) {
-            *gradient += d.sum();
-        }
         let mut d_shifts = vec![Lane::ZERO; hidden];
         for d_z in tape.d_hidden.chunks_exact(hidden) {
             for (d_shift, d) in d_shifts.iter_mut().zip(d_z) {
@@ -271,7 +228,7 @@ impl VentilatorModel {
             }
         }
         for (n, d) in d_shifts.iter().chain(&tape.d_stretch).enumerate() {
-            self.own.add_gradient(&tape.members, n, d, own);
+            self.own.add_gradient(&tape.members, n, d, &mut gradient[self.own_offset..]);
         }
     }
 }
@@ -289,8 +246,8 @@ mod tests {
     }
 
     /// A breath of a ventilator that every third lane does not know; sum of its openings, each with a weight.
-    fn breathe(shape: VentilatorShape, parameters: &[f32]) -> (VentilatorModel, VentilatorTape, f64) {
-        let model = VentilatorModel::new(shape, parameters);
+    fn breathe(config: HybridConfig, parameters: &[f32]) -> (VentilatorModel, VentilatorTape, f64) {
+        let model = VentilatorModel::new(config, parameters);
         let mut tape = model.tape(BLOCKS);
         let ventilator = std::array::from_fn(|l| (l as u32 % 3).checked_sub(1));
         let start = BreathStart {
@@ -300,7 +257,7 @@ mod tests {
             ..BreathStart::default()
         };
         model.begin(&mut tape, &start, &[Lane::splat(0.1), Lane::splat(-0.2)]);
-        let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.2); shape.timing.width()]);
+        let mut log = CommandLog::new(BLOCKS, vec![Lane::splat(0.2); config.timing.width()]);
         let mut total = 0.0;
         for block in 0..BLOCKS {
             log.block_mut(block).fill(Lane::from_fn(|l| 0.6 + 0.4 * ((3 * block + l) as f32).sin()));
@@ -314,20 +271,25 @@ mod tests {
 
     #[test]
     fn gradients_by_parameters_agree_with_finite_differences() {
-        let timing = Timing::for_period(10_000, 1);
-        let shape = VentilatorShape { timing, states: 3, hidden: 4, history: 2, ventilators: 2 };
-        let mut parameters = shape.initialise(&mut ChaCha8Rng::seed_from_u64(7));
-        let own = parameters.len() - shape.ventilators * shape.own();
+        let config = HybridConfig {
+            states: 3,
+            hidden: 4,
+            history: 2,
+            ventilators: 2,
+            ..HybridConfig::for_period(10_000, 1)
+        };
+        let mut parameters = config.initialise_ventilator(&mut ChaCha8Rng::seed_from_u64(7));
+        let own = parameters.len() - config.ventilators * config.own();
         for (n, parameter) in parameters[own..].iter_mut().enumerate() {
             *parameter = 0.1 * (n as f32).sin();
         }
-        let (model, mut tape, _) = breathe(shape, &parameters);
-        let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; timing.width()]);
+        let (model, mut tape, _) = breathe(config, &parameters);
+        let mut d_log = CommandLog::new(BLOCKS, vec![Lane::ZERO; config.timing.width()]);
         for block in (0..BLOCKS).rev() {
             model.step_back(&mut tape, block, &[weight(block, 0), weight(block, 1)], &mut d_log);
         }
         let mut gradient = vec![0.0; parameters.len()];
         model.finish(&tape, &mut gradient);
-        check_slopes("parameter", &parameters, 5e-3, &gradient, |varied| breathe(shape, varied).2);
+        check_slopes("parameter", &parameters, 5e-3, &gradient, |varied| breathe(config, varied).2);
     }
 }
