@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use clap::ValueEnum;
+
 use super::bars::with_bars;
 use super::output::OutputArgs;
 use plant::bench::BenchConfig;
@@ -41,7 +43,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         budget: if args.quick { Budget::quick() } else { Budget::full() },
         lungs: BenchConfig::paper_lungs(),
         out: args.out.clone(),
-        only: if args.only.is_empty() { Experiment::ALL.to_vec() } else { args.only.clone() },
+        only: if args.only.is_empty() { Experiment::value_variants().to_vec() } else { args.only.clone() },
     };
     let results = with_bars(|progress| reproduce(&reproduction, progress))?;
     if !results.lungs.is_empty() {

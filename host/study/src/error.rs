@@ -60,12 +60,8 @@ pub enum StudyError {
     OtherRun(String),
     /// Another file.
     #[error("cannot use {path}: {source}")]
-    File {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    #[expect(missing_docs, reason = "the message names every field")]
+    File { path: PathBuf, source: io::Error },
     /// Stopped where the folder holds what was done.
     #[error("stopped; the same command goes on from here")]
     Stopped,
@@ -73,6 +69,9 @@ pub enum StudyError {
     #[error("stopped during the search of the best PID; nothing was learned yet, start again")]
     SearchStopped,
 }
+
+/// What a study gives, if it can.
+pub(crate) type Result<T, E = StudyError> = std::result::Result<T, E>;
 
 impl StudyError {
     /// What the system says about a file.

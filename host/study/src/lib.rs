@@ -5,4 +5,5 @@ pub mod demo;
 mod error;
 pub mod reproduce;
 
+pub(crate) use error::Result;
 pub use error::StudyError;

@@ -4,7 +4,7 @@ use shared::breath::{Breath, Phase};
 use shared::settings::Settings;
 
 use super::BoundError;
-use crate::evaluate::{Inspiration, Score, score_breath};
+use crate::evaluate::{Score, score_breath};
 use plant::bench::{Bench, BenchConfig, STEP_S, steps_per_period};
 use ventilator::SourceError;
 
@@ -16,10 +16,11 @@ const MOST_BREATHS: usize = 100;
 /// One waveform on one bench.
 #[derive(Clone, Debug)]
 pub(super) struct BenchBreath {
-    breath: Breath,
+    pub(super) breath: Breath,
     steps_per_tick: u32,
     rest: Bench,
-    target: Vec<f64>,
+    /// Target at every tick of the inspiration, cmH2O.
+    pub(super) target: Vec<f64>,
 }
 
 impl BenchBreath {
@@ -41,11 +42,6 @@ impl BenchBreath {
     /// Control period, ms.
     pub(super) fn tick_ms(&self) -> f64 {
         f64::from(self.steps_per_tick) * STEP_S * 1e3
-    }
-
-    /// Target at every tick of the inspiration, cmH2O.
-    pub(super) fn target(&self) -> &[f64] {
-        &self.target
     }
 
     /// One control tick of the inspiration; the true airway pressure at its beginning, cmH2O.
@@ -92,13 +88,7 @@ impl BenchBreath {
 
     /// The score that an evaluation gives this pressure.
     pub(super) fn score(&self, pressure: &[f64]) -> Score {
-        let Settings { pip, peep, .. } = *self.breath.settings();
-        score_breath(&Inspiration {
-            period_s: f64::from(self.breath.period_s()),
-            peep: f64::from(peep),
-            pip: f64::from(pip),
-            pressure,
-            target: &self.target,
-        })
+        let period_s = f64::from(self.breath.period_s());
+        score_breath(self.breath.settings(), period_s, pressure, &self.target)
     }
 }

@@ -131,7 +131,7 @@ impl<'a> Descent<'a> {
         let responses =
             responses.map(|(node, bench)| self.response(node, bench, firsts[node], &commands, &pressure));
         let errors = |(p, target): (&f64, &f64)| p - target;
-        (pressure.iter().zip(self.breath.target()).map(errors).collect(), responses.collect())
+        (pressure.iter().zip(&self.breath.target).map(errors).collect(), responses.collect())
     }
 
     fn response(

@@ -1,6 +1,6 @@
 //! What no controller can beat: the best command sequence for a bench that is known in every detail.
 //!
-//! A controller sees a noisy, late pressure; [`bound`] sees the bench itself and may try a breath as often as it
+//! A controller sees a noisy, late pressure; [`bounds`] sees the bench itself and may try a breath as often as it
 //! likes. It searches the commands of the inspiration freely, tick by tick, from the state that breathing with just
 //! these commands leads to, and scores the true airway pressure as an evaluation does. The search goes down from
 //! several starts by Gauss-Newton steps on responses measured on the bench, adds nodes where the command bends, then
@@ -17,13 +17,13 @@ mod tests;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::breath::period_s;
 use thiserror::Error;
 
 use crate::evaluate::{Plan, Score};
 use bench_breath::BenchBreath;
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::{Progress, Stage};
+use search::Found;
 use ventilator::SourceError;
 
 /// How to search.
@@ -99,26 +99,13 @@ pub enum BoundError {
     Source(#[from] SourceError),
 }
 
-/// The best score that any commands reach on a bench, for each waveform of the plan. Of the plan only period,
-/// settings and PIPs count: what is searched has no noise, and is the breath that all later ones repeat. The result
-/// does not depend on the number of threads.
+/// The best score that any commands reach on each bench, for each waveform of the plan. Of the plan only period,
+/// settings and PIPs count: what is searched has no noise, and is the breath that all later ones repeat. Runs in
+/// parallel over benches and waveforms; the result does not depend on the number of threads.
 ///
 /// # Errors
-/// A patient who is not passive, a bench or settings that are refused, or a period that the bench cannot run.
-pub fn bound(
-    config: &BenchConfig,
-    plan: &Plan,
-    search: &BoundConfig,
-    progress: &Progress<'_>,
-) -> Result<Bound, BoundError> {
-    let mut bounds = bounds(std::slice::from_ref(config), plan, search, progress)?;
-    Ok(bounds.remove(0))
-}
-
-/// [`bound`] for several benches, in parallel over benches and waveforms.
-///
-/// # Errors
-/// As [`bound`], before any search.
+/// Before any search: a patient who is not passive, a bench or settings that are refused, or a period that the bench
+/// cannot run.
 pub fn bounds(
     benches: &[BenchConfig],
     plan: &Plan,
@@ -131,15 +118,15 @@ pub fn bounds(
             return Err(BoundError::Patient(bench.name.clone()));
         }
         for (number, pip) in plan.pips.iter().enumerate() {
-            jobs.push((bench, number, *pip, BenchBreath::new(bench, &plan.waveform(*pip), plan.period_us)?));
+            jobs.push((bench, number, BenchBreath::new(bench, &plan.waveform(*pip), plan.period_us)?));
         }
     }
     let task = progress.task(Stage::Bound, jobs.len() * search::stages(search));
     let found: Vec<Option<WaveformBound>> = jobs
         .par_iter()
-        .map(|(bench, number, pip, breath)| {
+        .map(|(bench, number, breath)| {
             let found = search::search(breath, &bench.valve, search, *number as u64, &task)?;
-            Some(waveform(breath, *pip, &found, plan.period_us, search.trace))
+            Some(waveform(breath, found, search.trace))
         })
         .collect();
     let per_bench = plan.pips.len().max(1);
@@ -150,23 +137,17 @@ fn passive(patient: &PatientConfig) -> bool {
     patient.effort_cmh2o <= 0.0 && patient.cough_cmh2o <= 0.0 && patient.change_at_breath == 0
 }
 
-fn waveform(
-    breath: &BenchBreath,
-    pip: f32,
-    found: &search::Found,
-    period_us: u32,
-    trace: bool,
-) -> WaveformBound {
+fn waveform(breath: &BenchBreath, found: Found, trace: bool) -> WaveformBound {
     let pressure = breath.inspire(&breath.periodic(&found.commands), &found.commands);
     let score = breath.score(&pressure);
-    let period = f64::from(period_s(period_us));
+    let period = f64::from(breath.breath.period_s());
     let trace = trace.then(|| BoundTrace {
         time_s: (0..pressure.len()).map(|tick| tick as f64 * period).collect(),
-        target: breath.target().to_vec(),
+        target: breath.target.clone(),
         pressure,
-        u_in: found.commands.clone(),
+        u_in: found.commands,
     });
-    WaveformBound { pip, score, spread: found.spread, trace }
+    WaveformBound { pip: breath.breath.settings().pip, score, spread: found.spread, trace }
 }
 
 fn summarize(bench: &BenchConfig, found: &[Option<WaveformBound>]) -> Bound {

@@ -15,7 +15,7 @@ pub(super) fn look_ahead(breath: &BenchBreath, start: &Bench, block: usize, hori
     let mut commands = Vec::with_capacity(ticks);
     while commands.len() < ticks {
         let from = commands.len();
-        let target = &breath.target()[from..(from + horizon).min(ticks)];
+        let target = &breath.target[from..(from + horizon).min(ticks)];
         let u_in = best_held(breath, &bench, target);
         for _ in from..(from + block).min(ticks) {
             breath.tick(&mut bench, u_in);

@@ -29,6 +29,15 @@ fn plan(pips: &[f32]) -> Plan {
     Plan { pips: pips.to_vec(), breaths: 1, warm_up: 8, seeds: vec![1], ..Plan::default() }
 }
 
+fn bound(
+    bench: &BenchConfig,
+    plan: &Plan,
+    search: &BoundConfig,
+    progress: &Progress<'_>,
+) -> Result<Bound, BoundError> {
+    Ok(bounds(std::slice::from_ref(bench), plan, search, progress)?.remove(0))
+}
+
 fn found(bench: &BenchConfig, pips: &[f32], search: &BoundConfig) -> Bound {
     bound(bench, &plan(pips), search, &Progress::silent()).unwrap()
 }

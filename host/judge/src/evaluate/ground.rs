@@ -6,9 +6,9 @@ use plant::bench::BenchConfig;
 use plant::link::PlantError;
 use progress::Progress;
 use shared::control::Controller;
-use ventilator::{Reseed, SourceError};
+use ventilator::Reseed;
 
-use super::{Evaluation, Plan, evaluate_law, evaluate_source};
+use super::{Evaluated, Plan, evaluate_law, evaluate_source};
 
 /// What controllers can be evaluated on.
 pub trait Ground: Sync {
@@ -18,13 +18,8 @@ pub trait Ground: Sync {
     /// Runs a controller as planned.
     ///
     /// # Errors
-    /// The first waveform's that could not be run; [`SourceError::Stopped`] if it was stopped.
-    fn evaluate(
-        &self,
-        controller: &Controller,
-        plan: &Plan,
-        progress: &Progress<'_>,
-    ) -> Result<Evaluation, SourceError>;
+    /// The first waveform's that could not be run; [`ventilator::SourceError::Stopped`] if it was stopped.
+    fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated;
 }
 
 impl Ground for BenchConfig {
@@ -32,12 +27,7 @@ impl Ground for BenchConfig {
         self.name.clone()
     }
 
-    fn evaluate(
-        &self,
-        controller: &Controller,
-        plan: &Plan,
-        progress: &Progress<'_>,
-    ) -> Result<Evaluation, SourceError> {
+    fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
         evaluate_law(self, controller, plan, progress)
     }
 }
@@ -61,12 +51,7 @@ impl Ground for SourceGround {
         self.source().plant()
     }
 
-    fn evaluate(
-        &self,
-        controller: &Controller,
-        plan: &Plan,
-        progress: &Progress<'_>,
-    ) -> Result<Evaluation, SourceError> {
+    fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
         let mut source = self.source();
         let own = source.period_us();
         if own != plan.period_us {

@@ -13,17 +13,17 @@ mod trace;
 
 pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
 pub use ground::{Ground, SourceGround};
-pub use score::{Inspiration, Score, score_breath};
+pub use score::{InspirationRecord, Score, score_breath};
 pub use trace::{BreathTrace, trace, trace_source};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, Phase, period_s};
+use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
 
 use plant::bench::BenchConfig;
-use progress::{Progress, Stage};
+use progress::{Progress, Stage, Task};
 use ventilator::seeds;
 use ventilator::{BenchSource, Reseed, SourceError, Tick};
 
@@ -102,16 +102,15 @@ pub struct Evaluation {
     pub by_seed: Vec<f64>,
 }
 
+/// An evaluation, if all of it could be run.
+pub type Evaluated = Result<Evaluation, SourceError>;
+
 /// Runs a controller on a bench as planned. The result does not depend on the number of threads.
 ///
 /// # Errors
 /// The first waveform's, in the plan's order, that could not be run: refused settings or a fault of the
 /// ventilator.
-pub fn evaluate(
-    bench: &BenchConfig,
-    controller: &Controller,
-    plan: &Plan,
-) -> Result<Evaluation, SourceError> {
+pub fn evaluate(bench: &BenchConfig, controller: &Controller, plan: &Plan) -> Evaluated {
     evaluate_law(bench, controller, plan, &Progress::silent())
 }
 
@@ -124,24 +123,36 @@ pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     controller: &C,
     plan: &Plan,
     progress: &Progress<'_>,
-) -> Result<Evaluation, SourceError> {
+) -> Evaluated {
     let jobs: Vec<(f32, u64)> =
         plan.pips.iter().flat_map(|pip| plan.seeds.iter().map(move |seed| (*pip, *seed))).collect();
     let task = progress.task(Stage::Evaluate, jobs.len());
-    let outcomes: Vec<Result<Score, SourceError>> = jobs
+    let scores = side_by_side(&jobs, &task, |(pip, seed)| {
+        let settings = plan.waveform(*pip);
+        let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
+        run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))
+    })?;
+    Ok(summarize(plan, &scores))
+}
+
+/// Does each job once on all threads, until the task is stopped; the first error in the jobs' order counts.
+pub(crate) fn side_by_side<T: Sync, R: Send>(
+    jobs: &[T],
+    task: &Task<'_>,
+    work: impl Fn(&T) -> Result<R, SourceError> + Sync,
+) -> Result<Vec<R>, SourceError> {
+    let outcomes: Vec<Result<R, SourceError>> = jobs
         .par_iter()
-        .map(|(pip, seed)| {
+        .map(|job| {
             if task.stopped() {
                 return Err(SourceError::Stopped);
             }
-            let settings = plan.waveform(*pip);
-            let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
-            let score = run(plan, &breaths(plan, *pip), &mut |breath, sink| source.breathe(breath, sink))?;
+            let result = work(job)?;
             task.advance(1);
-            Ok(score)
+            Ok(result)
         })
         .collect();
-    Ok(summarize(plan, &outcomes.into_iter().collect::<Result<Vec<_>, _>>()?))
+    outcomes.into_iter().collect()
 }
 
 /// Runs a controller on any other source as planned, one waveform after the other. Where nobody knows the true pressure, the
@@ -154,7 +165,7 @@ pub fn evaluate_source(
     controller: &Controller,
     plan: &Plan,
     progress: &Progress<'_>,
-) -> Result<Evaluation, SourceError> {
+) -> Evaluated {
     let task = progress.task(Stage::Evaluate, plan.pips.len() * plan.seeds.len());
     let mut scores = Vec::new();
     for pip in &plan.pips {
@@ -205,26 +216,12 @@ type Breathe<'a> = dyn FnMut(&Settings, &mut dyn FnMut(&Tick)) -> Result<(), Sou
 
 /// Runs and scores all breaths of one waveform.
 fn run(plan: &Plan, breaths: &[Settings], breathe: &mut Breathe<'_>) -> Result<Score, SourceError> {
-    let (mut pressure, mut target) = (Vec::new(), Vec::new());
     let mut scores = Vec::with_capacity(plan.breaths);
     for (number, breath) in breaths.iter().enumerate() {
-        pressure.clear();
-        target.clear();
-        breathe(breath, &mut |tick| {
-            if tick.sample.phase == Phase::Inspiration {
-                let believed = tick.truth.map_or(tick.sample.pressure, |truth| truth.airway_pressure);
-                pressure.push(f64::from(believed));
-                target.push(f64::from(tick.sample.target));
-            }
-        })?;
+        let mut record = InspirationRecord::default();
+        breathe(breath, &mut |tick| record.add(tick))?;
         if number >= plan.warm_up {
-            scores.push(score_breath(&Inspiration {
-                period_s: f64::from(period_s(plan.period_us)),
-                peep: f64::from(breath.peep),
-                pip: f64::from(breath.pip),
-                pressure: &pressure,
-                target: &target,
-            }));
+            scores.push(record.score(breath, plan.period_us));
         }
     }
     Ok(Score::mean(&scores))

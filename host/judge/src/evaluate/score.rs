@@ -1,6 +1,10 @@
 //! The score of one breath, from samples of its inspiration.
 
 use serde::{Deserialize, Serialize};
+use shared::breath::{Phase, period_s};
+use shared::settings::Settings;
+
+use ventilator::Tick;
 
 /// Start of what counts as late, s: by then a good controller has done its rise.
 const LATE_FROM_S: f64 = 0.15;
@@ -24,36 +28,50 @@ pub struct Score {
     pub late_error: f64,
 }
 
-/// One inspiration: a sample at the start of every control tick, the first at its very beginning.
-#[derive(Clone, Copy, Debug)]
-pub struct Inspiration<'a> {
-    /// Time from sample to sample, s.
-    pub period_s: f64,
-    /// PEEP, cmH2O.
-    pub peep: f64,
-    /// PIP, cmH2O.
-    pub pip: f64,
-    /// True airway pressure, cmH2O.
-    pub pressure: &'a [f64],
-    /// Target, cmH2O; as long as `pressure`.
-    pub target: &'a [f64],
+/// Pressure and target of an inspiration, a sample at the start of every control tick.
+#[derive(Clone, Debug, Default)]
+pub struct InspirationRecord {
+    pressure: Vec<f64>,
+    target: Vec<f64>,
 }
 
-/// Scores one inspiration. One without samples has the score of a default.
+impl InspirationRecord {
+    /// Takes in a tick if it is one of the inspiration: the true pressure, or the measured one where nobody knows that.
+    pub fn add(&mut self, Tick { sample, truth, .. }: &Tick) {
+        if sample.phase == Phase::Inspiration {
+            let believed = truth.map_or(sample.pressure, |truth| truth.airway_pressure);
+            self.pressure.push(f64::from(believed));
+            self.target.push(f64::from(sample.target));
+        }
+    }
+
+    /// Scores the breath, which had these settings.
+    pub fn score(&self, breath: &Settings, period_us: u32) -> Score {
+        score_breath(breath, f64::from(period_s(period_us)), &self.pressure, &self.target)
+    }
+}
+
+/// Scores an inspiration of true airway pressures, cmH2O, against as many targets, cmH2O: samples every `period_s`
+/// seconds, the first at its very beginning. One without samples has the score of a default.
 ///
 /// Means over time follow the trapezoidal rule: with a sum of samples, the first instant, when the error is
 /// largest, would weigh the more the longer the control period is.
-pub fn score_breath(breath: &Inspiration) -> Score {
-    let errors: Vec<f64> =
-        breath.pressure.iter().zip(breath.target).map(|(p, target)| (p - target).abs()).collect();
-    let from_pip: Vec<f64> = breath.pressure.iter().map(|p| (p - breath.pip).abs()).collect();
-    let ticks = |seconds: f64| (seconds / breath.period_s).round() as usize;
+pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: &[f64]) -> Score {
+    let (peep, pip) = (f64::from(breath.peep), f64::from(breath.pip));
+    let errors: Vec<f64> = pressure.iter().zip(target).map(|(p, target)| (p - target).abs()).collect();
+    let from_pip: Vec<f64> = pressure.iter().map(|p| (p - pip).abs()).collect();
+    let ticks = |seconds: f64| (seconds / period_s).round() as usize;
     let late = ticks(LATE_FROM_S).min(errors.len().saturating_sub(1));
     let plateau = from_pip.len().saturating_sub(ticks(PLATEAU_S).max(1));
+    let reached = |part: f64| Some(reached_at(pressure, peep + part * (pip - peep))? * period_s);
+    let rise_s = match (reached(RISE.0), reached(RISE.1)) {
+        (Some(start), Some(end)) => end - start,
+        _ => pressure.len() as f64 * period_s,
+    };
     Score {
         score: mean_over_time(&errors),
-        rise_ms: 1e3 * rise_s(breath),
-        overshoot: breath.pressure.iter().fold(0.0, |most: f64, p| most.max(p - breath.pip)),
+        rise_ms: 1e3 * rise_s,
+        overshoot: pressure.iter().fold(0.0, |most: f64, p| most.max(p - pip)),
         plateau_error: mean_over_time(&from_pip[plateau..]),
         late_error: mean_over_time(&errors[late..]),
     }
@@ -68,15 +86,6 @@ fn mean_over_time(samples: &[f64]) -> f64 {
             let sum: f64 = samples.iter().sum();
             (sum - 0.5 * (first + last)) / (samples.len() - 1) as f64
         }
-    }
-}
-
-fn rise_s(breath: &Inspiration) -> f64 {
-    let level = |part: f64| breath.peep + part * (breath.pip - breath.peep);
-    let reached = |part| reached_at(breath.pressure, level(part)).map(|at| at * breath.period_s);
-    match (reached(RISE.0), reached(RISE.1)) {
-        (Some(start), Some(end)) => end - start,
-        _ => breath.pressure.len() as f64 * breath.period_s,
     }
 }
 
@@ -108,6 +117,7 @@ impl Score {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use shared::breath::paper_settings;
 
     /// One second at 1 kHz, PEEP 5, PIP 25, square target; `pressure` of the time in seconds.
     fn scored(pressure: impl Fn(f64) -> f64) -> Score {
@@ -117,13 +127,7 @@ mod tests {
     fn sampled(period_s: f64, pressure: impl Fn(f64) -> f64) -> Score {
         let samples = (1.0 / period_s).round() as usize;
         let pressure: Vec<f64> = (0..samples).map(|n| pressure(n as f64 * period_s)).collect();
-        score_breath(&Inspiration {
-            period_s,
-            peep: 5.0,
-            pip: 25.0,
-            pressure: &pressure,
-            target: &vec![25.0; samples],
-        })
+        score_breath(&paper_settings(25.0), period_s, &pressure, &vec![25.0; samples])
     }
 
     fn close(actual: f64, expected: f64) {
@@ -188,8 +192,7 @@ mod tests {
 
     #[test]
     fn nothing_to_score_is_no_panic() {
-        let none = Inspiration { period_s: 1e-3, peep: 5.0, pip: 25.0, pressure: &[], target: &[] };
-        assert_eq!(score_breath(&none), Score::default());
+        assert_eq!(score_breath(&paper_settings(25.0), 1e-3, &[], &[]), Score::default());
     }
 
     #[test]
@@ -205,8 +208,8 @@ mod tests {
         #[test]
         fn every_figure_is_finite_and_not_negative(pressure in prop::collection::vec(-20.0f64..100.0, 0..400)) {
             let target = vec![25.0; pressure.len()];
-            let breath = Inspiration { period_s: 0.005, peep: 5.0, pip: 25.0, pressure: &pressure, target: &target };
-            let Score { score, rise_ms, overshoot, plateau_error, late_error } = score_breath(&breath);
+            let Score { score, rise_ms, overshoot, plateau_error, late_error } =
+                score_breath(&paper_settings(25.0), 0.005, &pressure, &target);
             for figure in [score, overshoot, plateau_error, late_error] {
                 prop_assert!(figure >= 0.0 && figure.is_finite());
             }

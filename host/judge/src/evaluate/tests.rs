@@ -66,13 +66,7 @@ fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
     let settings = plan.waveform(20.0);
     assert!(cut_short(&settings).rate > 59.0, "the last breath is a third as long");
     let whole = trace(&lung(), &pid(1.0, 30.0), &settings, plan.period_us, 3, 1).unwrap();
-    let expected = score_breath(&Inspiration {
-        period_s: 1e-3,
-        peep: 5.0,
-        pip: 20.0,
-        pressure: &whole.pressure[..1000],
-        target: &whole.target[..1000],
-    });
+    let expected = score_breath(&settings, 1e-3, &whole.pressure[..1000], &whole.target[..1000]);
     let scored = evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap().mean;
     assert!((scored.score - expected.score).abs() < 1e-9);
     assert!((scored.plateau_error - expected.plateau_error).abs() < 1e-9);

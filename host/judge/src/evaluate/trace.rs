@@ -28,6 +28,19 @@ pub struct BreathTrace {
     pub u_out: Vec<bool>,
 }
 
+impl BreathTrace {
+    /// Points of one of its columns up to a time in s.
+    pub fn points(&self, column: &[f64], until: f64) -> Vec<(f64, f64)> {
+        let both = self.time_s.iter().copied().zip(column.iter().copied());
+        both.take_while(|(time, _)| *time < until).collect()
+    }
+
+    /// Command of the expiratory valve, percent: 0 or 100.
+    pub fn u_out_percent(&self) -> Vec<f64> {
+        self.u_out.iter().map(|open| if *open { 100.0 } else { 0.0 }).collect()
+    }
+}
+
 /// Runs one breath unseen and records `breaths` after it; `seed` is that of the sensor's noise.
 ///
 /// # Errors

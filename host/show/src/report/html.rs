@@ -36,6 +36,13 @@ pub struct Section {
     pub blocks: Vec<Block>,
 }
 
+impl Section {
+    /// A part with its introduction.
+    pub fn new(heading: impl Into<String>, text: impl Into<String>, blocks: Vec<Block>) -> Self {
+        Self { heading: heading.into(), text: text.into(), blocks }
+    }
+}
+
 /// Content of a section.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Block {

@@ -18,7 +18,7 @@ use thiserror::Error;
 pub use heat_map::HeatMap;
 pub use html::{Block, Report, Section};
 pub use plot::{Plot, Series, Style};
-pub use table::{Cell, Table};
+pub use table::{Cell, Column, Table};
 
 /// Why a report cannot be made.
 #[derive(Debug, Error)]

@@ -107,10 +107,15 @@ type Drawn = Result<(), String>;
 type Height = Result<u32, String>;
 
 impl Plot {
+    /// A plot with axes that fit its points.
+    pub fn new(title: impl Into<String>, x_label: &str, y_label: &str, series: Vec<Series>) -> Self {
+        let (x_label, y_label) = (x_label.into(), y_label.into());
+        Self { title: title.into(), x_label, y_label, series, ..Self::default() }
+    }
+
     /// Curves over seconds.
     pub fn over_time(title: impl Into<String>, y_label: &str, series: Vec<Series>) -> Self {
-        let (x_label, y_label) = ("time, s".to_owned(), y_label.to_owned());
-        Self { title: title.into(), x_label, y_label, series, ..Self::default() }
+        Self::new(title, "time, s", y_label, series)
     }
 
     /// The plot as an SVG document.

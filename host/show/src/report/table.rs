@@ -34,6 +34,11 @@ impl Cell {
         Self { text: format!("{value:.decimals$}"), numeric: true, best: false }
     }
 
+    /// A number that may be unknown, which shows as `-`.
+    pub fn known(value: Option<f64>, decimals: usize) -> Self {
+        value.map_or_else(|| Self::right("-"), |value| Self::number(value, decimals))
+    }
+
     /// A whole number, to the right.
     pub fn count(value: usize) -> Self {
         Self { text: value.to_string(), numeric: true, best: false }
@@ -51,6 +56,9 @@ impl Cell {
     }
 }
 
+/// Head of a column, with the unit, and its cell for an item.
+pub type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> Cell);
+
 /// A table. A column stands to the right if its first row holds a number there.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Table {
@@ -67,6 +75,16 @@ impl Table {
     pub fn new(title: impl Into<String>, header: &[&str]) -> Self {
         let header = header.iter().map(|&head| head.to_owned()).collect();
         Self { title: title.into(), header, rows: Vec::new() }
+    }
+
+    /// Table with a row for each item; a column is its head and what stands in it.
+    pub fn of<T>(title: impl Into<String>, items: &[T], columns: &[Column<'_, T>]) -> Self {
+        let row = |item: &T| columns.iter().map(|(_, cell)| cell(item)).collect();
+        Self {
+            title: title.into(),
+            header: columns.iter().map(|(head, _)| (*head).to_owned()).collect(),
+            rows: items.iter().map(row).collect(),
+        }
     }
 
     /// Adds a row.

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use crate::StudyError;
+use crate::{Result, StudyError};
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
 use judge::baselines::{Best, Search, tune_pid};
 use judge::evaluate::{BreathTrace, Evaluation, Plan};
@@ -86,7 +86,7 @@ struct Tuned {
 ///
 /// # Errors
 /// The first step that fails; what earlier steps wrote stays.
-pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo, StudyError> {
+pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo> {
     let started = Instant::now();
     let best = tuned(config, out, progress)?;
     let outcome = learn(config, best.pid.gains, out, progress)?;
@@ -100,7 +100,7 @@ pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<D
 }
 
 /// The best PID, searched or as an earlier run in this folder found it.
-fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best, StudyError> {
+fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
     let file = out.join("tuning.json");
     // A file that cannot be read is as good as none: the search is done again.
@@ -120,12 +120,7 @@ fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Bes
     Ok(tuned.best)
 }
 
-fn learn(
-    config: &DemoConfig,
-    gains: PidGains,
-    out: &Path,
-    progress: &Progress<'_>,
-) -> Result<Outcome, StudyError> {
+fn learn(config: &DemoConfig, gains: PidGains, out: &Path, progress: &Progress<'_>) -> Result<Outcome> {
     let pipeline = PipelineConfig { gains, ..config.pipeline.clone() };
     let base = Controller::Pid(Pid::new(gains, pipeline.period_us)?);
     let (settings, period_us) = (pipeline.collect.settings, pipeline.period_us);
@@ -140,7 +135,7 @@ fn compare(
     outcome: &Outcome,
     plan: &Plan,
     progress: &Progress<'_>,
-) -> Result<Vec<Contestant>, StudyError> {
+) -> Result<Vec<Contestant>> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
     // A vector: on the stack, controllers with their weights would be large.
     let controllers = vec![
@@ -160,7 +155,7 @@ fn compare(
 }
 
 impl Demo {
-    fn save(&self, out: &Path) -> Result<(), StudyError> {
+    fn save(&self, out: &Path) -> Result<()> {
         self.outcome.plants[0].recording.save(out.join("recording.parquet"))?;
         if let Some(simulator) = self.outcome.plants[0].simulators.first() {
             simulator.save(&out.join("simulator.safetensors"))?;

@@ -2,7 +2,7 @@
 
 use super::{Contestant, Demo, TRACED_PIPS};
 use data::provenance::Provenance;
-use judge::evaluate::BreathTrace;
+use learn::pipeline::Round;
 use learn::simulator::episode::{Episode, episodes, split};
 use learn::simulator::open_loop::predict;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
@@ -32,144 +32,99 @@ impl Demo {
     }
 
     fn result(&self) -> Section {
-        let mut rivals = Table::new(
+        let pids = [self.best.p_only.gains, self.best.i_only.gains, self.best.pid.gains];
+        let rows: Vec<_> = self.contestants.iter().zip(pids.map(Some).into_iter().chain([None])).collect();
+        let gain = |gain: Option<f32>, decimals| {
+            gain.map_or_else(|| Cell::text(""), |gain| Cell::number(f64::from(gain), decimals))
+        };
+        let better = self.summary.ratio() < 1.0;
+        let rivals = Table::of(
             "Mean error over the six waveforms, cmH2O",
-            &["controller", "P %/cmH2O", "I %/(cmH2O s)", "D % s/cmH2O", "error"],
+            &rows,
+            &[
+                ("controller", &|(contestant, _)| Cell::text(contestant.name)),
+                ("P %/cmH2O", &|(_, pid)| gain(pid.map(|pid| pid.p), 3)),
+                ("I %/(cmH2O s)", &|(_, pid)| gain(pid.map(|pid| pid.i), 2)),
+                ("D % s/cmH2O", &|(_, pid)| gain(pid.map(|pid| pid.d), 4)),
+                ("error", &|(contestant, pid)| {
+                    Cell::number(contestant.evaluation.mean.score, 3).best_if(pid.is_none() && better)
+                }),
+            ],
         );
-        let gains = [self.best.p_only.gains, self.best.i_only.gains, self.best.pid.gains];
-        for (contestant, gains) in self.contestants.iter().zip(gains) {
-            rivals.row(vec![
-                Cell::text(contestant.name),
-                Cell::number(f64::from(gains.p), 3),
-                Cell::number(f64::from(gains.i), 2),
-                Cell::number(f64::from(gains.d), 4),
-                Cell::number(contestant.evaluation.mean.score, 3),
-            ]);
-        }
-        let learned = &self.contestants[3];
-        rivals.row(vec![
-            Cell::text(learned.name),
-            Cell::text(""),
-            Cell::text(""),
-            Cell::text(""),
-            Cell::number(learned.evaluation.mean.score, 3).best_if(self.summary.ratio() < 1.0),
-        ]);
         let seeds = self.plan.seeds.len();
-        Section {
-            heading: "Result".into(),
-            text: format!(
-                "Error is the mean of |p - target| over each inspiration, of the true airway pressure that only the \
-                 bench knows; rise is from 10 to 90 %, overshoot the highest pressure above PIP, plateau the error \
-                 over the last 0.3 s. Both controllers met the same sensor noise ({seeds} seeds, none of them used \
-                 for tuning or training). On its learned simulator the controller scored {:.3} cmH2O.",
-                self.summary.mean.learned_on_simulator
-            ),
-            blocks: vec![Block::Table(self.summary.table()), Block::Table(rivals)],
-        }
+        let text = format!(
+            "Error is the mean of |p - target| over each inspiration, of the true airway pressure that only the \
+             bench knows; rise is from 10 to 90 %, overshoot the highest pressure above PIP, plateau the error \
+             over the last 0.3 s. Both controllers met the same sensor noise ({seeds} seeds, none of them used \
+             for tuning or training). On its learned simulator the controller scored {:.3} cmH2O.",
+            self.summary.mean.learned_on_simulator
+        );
+        Section::new("Result", text, vec![Block::Table(self.summary.table()), Block::Table(rivals)])
     }
 
     fn pressures(&self) -> Section {
-        let zooms = (0..TRACED_PIPS.len()).map(|n| self.zoom(n)).collect();
-        Section {
-            heading: "Pressure".into(),
-            text:
-                "True airway pressure against the target: three breaths, then one inspiration at three PIPs."
-                    .into(),
-            blocks: vec![Block::Plot(self.breaths(1)), Block::PlotRow(zooms)],
-        }
+        let breaths = self.pressure("Three breaths", 1, 2, f64::INFINITY);
+        let zooms = (0..TRACED_PIPS.len()).map(|n| self.pressure("One inspiration", n, 0, INSPIRATION_SHOWN));
+        Section::new(
+            "Pressure",
+            "True airway pressure against the target: three breaths, then one inspiration at three PIPs.",
+            vec![Block::Plot(breaths), Block::PlotRow(zooms.collect())],
+        )
     }
 
-    /// All breaths of a traced waveform, PID and learned.
-    fn breaths(&self, traced: usize) -> Plot {
-        let mut series = vec![target(&self.contestants[3].traces[traced], f64::INFINITY)];
-        series.extend(self.contestants[2..].iter().map(|c| {
-            let trace = &c.traces[traced];
-            Series::new(c.name, Style::Line, points(&trace.time_s, &trace.pressure, f64::INFINITY))
+    /// A traced waveform up to a time in s, under the contestants from `first` on.
+    fn pressure(&self, what: &str, traced: usize, first: usize, until: f64) -> Plot {
+        let target = &self.contestants[3].traces[traced];
+        let mut series = vec![Series::new("target", Style::Dashed, target.points(&target.target, until))];
+        series.extend(self.contestants[first..].iter().map(|contestant| {
+            let trace = &contestant.traces[traced];
+            Series::new(contestant.name, Style::Line, trace.points(&trace.pressure, until))
         }));
-        Plot {
-            title: format!("Three breaths at PIP {} cmH2O", TRACED_PIPS[traced]),
-            x_label: "time, s".into(),
-            y_label: "airway pressure, cmH2O".into(),
-            series,
-            ..Plot::default()
-        }
-    }
-
-    /// The first inspiration of a traced waveform, all controllers.
-    fn zoom(&self, traced: usize) -> Plot {
-        let mut series = vec![target(&self.contestants[3].traces[traced], INSPIRATION_SHOWN)];
-        series.extend(self.contestants.iter().map(|c| {
-            let trace = &c.traces[traced];
-            Series::new(c.name, Style::Line, points(&trace.time_s, &trace.pressure, INSPIRATION_SHOWN))
-        }));
-        Plot {
-            title: format!("One inspiration at PIP {} cmH2O", TRACED_PIPS[traced]),
-            x_label: "time, s".into(),
-            y_label: "airway pressure, cmH2O".into(),
-            series,
-            ..Plot::default()
-        }
+        let title = format!("{what} at PIP {} cmH2O", TRACED_PIPS[traced]);
+        Plot::new(title, "time, s", "airway pressure, cmH2O", series)
     }
 
     fn valves(&self) -> Section {
         let plot = |contestant: &Contestant| {
             let trace = &contestant.traces[1];
-            let out: Vec<f64> = trace.u_out.iter().map(|open| if *open { 100.0 } else { 0.0 }).collect();
-            Plot {
-                title: format!("Valves, {}", contestant.name),
-                x_label: "time, s".into(),
-                y_label: "command, %".into(),
-                series: vec![
-                    Series::new("inspiratory", Style::Line, points(&trace.time_s, &trace.u_in, 2.0)),
-                    Series::new("expiratory", Style::Step, points(&trace.time_s, &out, 2.0)),
-                ],
-                ..Plot::default()
-            }
+            let series = vec![
+                Series::new("inspiratory", Style::Line, trace.points(&trace.u_in, 2.0)),
+                Series::new("expiratory", Style::Step, trace.points(&trace.u_out_percent(), 2.0)),
+            ];
+            Plot::new(format!("Valves, {}", contestant.name), "time, s", "command, %", series)
         };
-        Section {
-            heading: "Valves".into(),
-            text: format!("Commands of both valves at PIP {} cmH2O.", TRACED_PIPS[1]),
-            blocks: vec![Block::PlotRow(self.contestants[2..].iter().map(plot).collect())],
-        }
+        Section::new(
+            "Valves",
+            format!("Commands of both valves at PIP {} cmH2O.", TRACED_PIPS[1]),
+            vec![Block::PlotRow(self.contestants[2..].iter().map(plot).collect())],
+        )
     }
 
     fn simulator(&self) -> Section {
         let Some(simulator) = self.outcome.plants[0].simulators.first() else { return Section::default() };
         let all = episodes(&self.outcome.plants[0].recording, simulator.architecture.timing());
         let (_, held_out) = split(&all, self.outcome.hold_out);
-        let shown: Vec<&Episode> = held_out
-            .iter()
-            .step_by((held_out.len() / PREDICTIONS).max(1))
-            .take(PREDICTIONS)
-            .copied()
-            .collect();
+        let apart = (held_out.len() / PREDICTIONS).max(1);
+        let shown: Vec<&Episode> = held_out.into_iter().step_by(apart).take(PREDICTIONS).collect();
         let period = f64::from(simulator.architecture.timing().period_us) * 1e-6;
-        let plots = shown
-            .iter()
-            .zip(predict(simulator, &shown))
-            .map(|(episode, predicted)| prediction(episode, &predicted, period))
-            .collect();
-        Section {
-            heading: "Learned simulator".into(),
-            text: format!(
-                "Open loop: the simulator sees how a held-out breath starts and the recorded commands, never its \
-                 pressure. Its mean distance to the true airway pressure is {:.3} cmH2O.",
-                self.summary.open_loop_distance
-            ),
-            blocks: vec![Block::PlotRow(plots)],
-        }
+        let predictions = shown.iter().zip(predict(simulator, &shown));
+        let plots = predictions.map(|(episode, predicted)| prediction(episode, &predicted, period));
+        let text = format!(
+            "Open loop: the simulator sees how a held-out breath starts and the recorded commands, never its \
+             pressure. Its mean distance to the true airway pressure is {:.3} cmH2O.",
+            self.summary.open_loop_distance
+        );
+        Section::new("Learned simulator", text, vec![Block::PlotRow(plots.collect())])
     }
 
     fn training(&self) -> Section {
-        let rounds = &self.summary.rounds;
-        let curve = |values: &[f64], offset: usize| -> Vec<(f64, f64)> {
-            values.iter().enumerate().map(|(n, v)| ((n + offset + 1) as f64, *v)).collect()
-        };
         let mut fit = Vec::new();
         let (mut training, mut validation) = (Vec::new(), Vec::new());
         let (mut epochs, mut steps) = (0, 0);
-        for (n, round) in rounds.iter().enumerate() {
-            fit.push(Series::new(format!("round {}", n + 1), Style::Line, curve(&round.fit_curve, epochs)));
+        for (n, round) in self.summary.rounds.iter().enumerate() {
+            let curve = round.fit_curve.iter().enumerate();
+            let curve = curve.map(|(n, loss)| ((n + epochs + 1) as f64, *loss)).collect();
+            fit.push(Series::new(format!("round {}", n + 1), Style::Line, curve));
             epochs += round.fit_curve.len();
             for p in &round.train_curve {
                 training.push(((steps + p.iteration) as f64, p.training));
@@ -177,90 +132,51 @@ impl Demo {
             }
             steps += round.train_curve.last().map_or(0, |p| p.iteration);
         }
-        let fit = Plot {
-            title: "Simulator".into(),
-            x_label: "epoch".into(),
-            y_label: "loss, cmH2O".into(),
-            series: fit,
-            log_y: true,
-            ..Plot::default()
-        };
-        let train = Plot {
-            title: "Controller".into(),
-            x_label: "gradient step".into(),
-            y_label: "error, cmH2O".into(),
-            series: vec![
-                Series::new("training batch", Style::Line, training),
-                Series::new("held-out simulator", Style::Line, validation),
-            ],
-            ..Plot::default()
-        };
-        Section {
-            heading: "Training".into(),
-            text:
-                "Each round collects with the controller learned so far, fits the simulators to everything \
-                   recorded and trains the controller further."
-                    .into(),
-            blocks: vec![Block::PlotRow(vec![fit, train]), Block::Table(self.rounds())],
-        }
+        let fit = Plot { log_y: true, ..Plot::new("Simulator", "epoch", "loss, cmH2O", fit) };
+        let train = vec![
+            Series::new("training batch", Style::Line, training),
+            Series::new("held-out simulator", Style::Line, validation),
+        ];
+        let train = Plot::new("Controller", "gradient step", "error, cmH2O", train);
+        Section::new(
+            "Training",
+            "Each round collects with the controller learned so far, fits the simulators to everything \
+             recorded and trains the controller further.",
+            vec![Block::PlotRow(vec![fit, train]), Block::Table(self.rounds())],
+        )
     }
 
     fn rounds(&self) -> Table {
-        let mut table = Table::new(
+        let rounds: Vec<_> = self.summary.rounds.iter().enumerate().collect();
+        let open_loop = |round: &Round| round.open_loop.first().copied().unwrap_or_default();
+        Table::of(
             "Rounds",
+            &rounds,
             &[
-                "round",
-                "breaths",
-                "aborted",
-                "one-step",
-                "open loop, measured",
-                "open loop, true",
-                "PID on simulator",
-                "learned",
+                ("round", &|(n, _)| Cell::count(n + 1)),
+                ("breaths", &|(_, round)| Cell::count(round.breaths)),
+                ("aborted", &|(_, round)| Cell::count(round.aborts)),
+                ("one-step", &|(_, round)| Cell::number(open_loop(round).one_step, 3)),
+                ("open loop, measured", &|(_, round)| Cell::number(open_loop(round).measured, 3)),
+                ("open loop, true", &|(_, round)| Cell::known(open_loop(round).truth, 3)),
+                ("PID on simulator", &|(_, round)| Cell::number(round.base, 3)),
+                ("learned", &|(_, round)| Cell::number(round.validation, 3)),
             ],
-        );
-        for (n, round) in self.summary.rounds.iter().enumerate() {
-            let open_loop = round.open_loop.first().copied().unwrap_or_default();
-            table.row(vec![
-                Cell::count(n + 1),
-                Cell::count(round.breaths),
-                Cell::count(round.aborts),
-                Cell::number(open_loop.one_step, 3),
-                Cell::number(open_loop.measured, 3),
-                open_loop.truth.map_or_else(|| Cell::right("-"), |truth| Cell::number(truth, 3)),
-                Cell::number(round.base, 3),
-                Cell::number(round.validation, 3),
-            ]);
-        }
-        table
+        )
     }
 }
 
 /// How much of a breath the zooms show, s.
 const INSPIRATION_SHOWN: f64 = 1.0;
 
-fn points(time: &[f64], values: &[f64], until: f64) -> Vec<(f64, f64)> {
-    time.iter().copied().zip(values.iter().copied()).take_while(|(t, _)| *t < until).collect()
-}
-
-fn target(trace: &BreathTrace, until: f64) -> Series {
-    Series::new("target", Style::Dashed, points(&trace.time_s, &trace.target, until))
-}
-
 fn prediction(episode: &Episode, predicted: &[f32], period: f64) -> Plot {
-    let curve = |values: &[f32]| -> Vec<(f64, f64)> {
-        values.iter().enumerate().map(|(n, v)| (n as f64 * period, f64::from(*v))).collect()
+    let curve = |name: &str, values: &[f32]| {
+        let points = values.iter().enumerate().map(|(n, v)| (n as f64 * period, f64::from(*v)));
+        Series::new(name, Style::Line, points.collect())
     };
-    let mut series = vec![Series::new("measured", Style::Line, curve(&episode.pressure))];
-    if let Some(truth) = &episode.truth {
-        series.push(Series::new("true", Style::Line, curve(truth)));
-    }
-    series.push(Series::new("simulator", Style::Line, curve(predicted)));
-    Plot {
-        title: format!("Held-out breath, PIP {:.1} cmH2O", episode.pip),
-        x_label: "time, s".into(),
-        y_label: "pressure, cmH2O".into(),
-        series,
-        ..Plot::default()
-    }
+    let mut series = vec![curve("measured", &episode.pressure)];
+    series.extend(episode.truth.as_ref().map(|truth| curve("true", truth)));
+    series.push(curve("simulator", predicted));
+    let title = format!("Held-out breath, PIP {:.1} cmH2O", episode.pip);
+    Plot::new(title, "time, s", "pressure, cmH2O", series)
 }

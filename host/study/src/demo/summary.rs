@@ -101,20 +101,10 @@ impl DemoSummary {
             "{}: best PID found and learned controller on the true bench (rise in ms, all else in cmH2O)",
             self.lung
         );
-        let header = [
-            "PIP",
-            "error PID",
-            "learned",
-            "rise PID",
-            "learned",
-            "overshoot PID",
-            "learned",
-            "plateau PID",
-            "learned",
-        ];
-        let mut table = Table::new(title, &header);
+        let mut table = Table::new(title, &["PIP"]);
+        table.header.extend(COLUMNS.iter().flat_map(|(name, ..)| [format!("{name} PID"), "learned".into()]));
         for row in &self.waveforms {
-            table.row(cells(format!("{}", row.pip), &row.pid, &row.learned));
+            table.row(cells(row.pip.to_string(), &row.pid, &row.learned));
         }
         let mean =
             |of: fn(&Compared) -> Score| Score::mean(&self.waveforms.iter().map(of).collect::<Vec<_>>());
@@ -123,16 +113,22 @@ impl DemoSummary {
     }
 }
 
+/// One figure of a score.
+type Figure = fn(&Score) -> f64;
+
+/// Name, figure and decimals of each pair of columns.
+const COLUMNS: [(&str, Figure, usize); 4] = [
+    ("error", |score| score.score, 3),
+    ("rise", |score| score.rise_ms, 0),
+    ("overshoot", |score| score.overshoot, 2),
+    ("plateau", |score| score.plateau_error, 3),
+];
+
 /// A row: each figure of the PID beside that of the learned controller, the better one marked.
 fn cells(name: String, pid: &Score, learned: &Score) -> Vec<Cell> {
-    let figures = [
-        (pid.score, learned.score, 3),
-        (pid.rise_ms, learned.rise_ms, 0),
-        (pid.overshoot, learned.overshoot, 2),
-        (pid.plateau_error, learned.plateau_error, 3),
-    ];
     let mut cells = vec![Cell::right(name)];
-    for (pid, learned, decimals) in figures {
+    for (_, figure, decimals) in COLUMNS {
+        let (pid, learned) = (figure(pid), figure(learned));
         cells.push(Cell::number(pid, decimals).best_if(pid < learned));
         cells.push(Cell::number(learned, decimals).best_if(learned < pid));
     }

@@ -8,7 +8,7 @@ use shared::explore::Exploration;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::StudyError;
+use crate::Result;
 use judge::evaluate::{Plan, evaluate};
 use learn::pipeline::{PAPER_PERIOD_US, PipelineConfig};
 use learn::simulator::fit::FitConfig;
@@ -48,7 +48,7 @@ struct Variant {
 }
 
 /// Trains and scores every variant on the lung in the middle of the list.
-pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>, StudyError> {
+pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>> {
     let gains = lungs::tuned(study)?.lungs[study.middle()].pid.gains;
     let mut done: Vec<(Variant, Ablation)> = Vec::new();
     for variant in variants(study, gains) {
@@ -64,7 +64,7 @@ pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>, StudyError> 
 }
 
 /// What the folder holds, if it holds every variant.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>, StudyError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>> {
     variants(study, PidGains::default()).iter().map(|variant| study.kept(&variant.place())).collect()
 }
 
@@ -85,7 +85,7 @@ impl Variant {
     }
 }
 
-fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablation, StudyError> {
+fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablation> {
     let config = &variant.config;
     let outcome = lungs::train(study, &variant.benches, config, folder)?;
     let plan = Plan { period_us: config.period_us, ..study.plan() };

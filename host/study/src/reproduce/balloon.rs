@@ -6,8 +6,9 @@ use shared::control::pid::Pid;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::StudyError;
+use crate::Result;
 use judge::balloon::{self, baseline};
+use learn::pipeline;
 use plant::balloon::PERIOD_US;
 use ventilator::{BalloonSource, Source, SourceError};
 
@@ -20,14 +21,13 @@ pub(super) const AUTHORS: [f64; 3] = [2.239, 2.013, 3.739];
 pub(super) struct OnBalloon {
     /// Full flow, then an exact hold.
     pub(super) floor: f64,
-    /// Best PI of the authors' grid.
     pub(super) grid_pi: f64,
     /// Ours, trained through simulators learned from recordings, by seed.
     pub(super) learned: Vec<f64>,
 }
 
 /// Trains on recordings of the balloon and scores on it.
-pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, StudyError> {
+pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon> {
     study.keep("balloon", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let mut learned = Vec::new();
@@ -38,14 +38,11 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon, StudyError> {
             let source = |_| -> Result<Box<dyn Source>, SourceError> {
                 Ok(Box::new(BalloonSource::new(base.clone())))
             };
-            let outcome = lungs::train_on(study, &[&source], &config, &format!("balloon-{repeat}"))?;
+            let outcome = lungs::train_by(study, &format!("balloon-{repeat}"), |run, progress| {
+                pipeline::run(&config, &[&source], Some(run), progress)
+            })?;
             learned.push(balloon::score(&Controller::Residual(outcome.learned.controller))?);
         }
         Ok(OnBalloon { floor: baseline::floor(), grid_pi: baseline::best_pi().score, learned })
     })
-}
-
-/// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<OnBalloon>, StudyError> {
-    study.kept("balloon")
 }

@@ -1,13 +1,12 @@
 //! A lung that changes from one breath to the next: how many breaths until the controller tracks again.
 
 use serde::{Deserialize, Serialize};
-use shared::breath::{Phase, period_s};
 use shared::control::Controller;
 
+use super::generalist;
 use super::study::Study;
-use super::{generalist, lungs};
-use crate::StudyError;
-use judge::evaluate::{Inspiration, Plan, score_breath};
+use crate::Result;
+use judge::evaluate::InspirationRecord;
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::Stage;
 use ventilator::{BenchSource, Source};
@@ -43,10 +42,9 @@ impl Change {
 }
 
 /// Breathes through all changes.
-pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, StudyError> {
+pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>> {
     study.keep("changes", || {
-        let learned = generalist::controller(study)?;
-        let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
+        let (learned, single) = generalist::with_rival(study)?;
         let cases = [
             ("R 20 to 50", 2.5, 1.0),
             ("R 20 to 5", 0.25, 1.0),
@@ -69,56 +67,28 @@ pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>, StudyError> {
     })
 }
 
-/// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Change>>, StudyError> {
-    study.kept("changes")
-}
-
 /// R20C20 up to the change.
 fn changing(resistance_factor: f64, compliance_factor: f64) -> BenchConfig {
     let change_at_breath = BREATHS.0 as u32 + 1;
-    BenchConfig {
-        patient: PatientConfig {
-            change_at_breath,
-            resistance_factor,
-            compliance_factor,
-            ..PatientConfig::default()
-        },
-        ..BenchConfig::paper(20.0, 20.0)
-    }
+    let healthy = PatientConfig::default();
+    let patient = PatientConfig { change_at_breath, resistance_factor, compliance_factor, ..healthy };
+    BenchConfig { patient, ..BenchConfig::paper(20.0, 20.0) }
 }
 
 /// Score of each breath, mean over the plan's noise.
-fn scores(study: &Study<'_>, bench: &BenchConfig, controller: &Controller) -> Result<Vec<f64>, StudyError> {
+fn scores(study: &Study<'_>, bench: &BenchConfig, controller: &Controller) -> Result<Vec<f64>> {
     let plan = study.plan();
+    let settings = plan.waveform(PIP);
     let mut sums = vec![0.0; BREATHS.0 + BREATHS.1];
     for seed in &plan.seeds {
-        let settings = plan.waveform(PIP);
         let mut source = BenchSource::new(bench, controller.clone(), &settings, plan.period_us, *seed)?;
         for sum in &mut sums {
-            *sum += breath(&mut source, &plan)? / plan.seeds.len() as f64;
+            let mut record = InspirationRecord::default();
+            source.breath(&settings, &mut |tick| record.add(tick))?;
+            *sum += record.score(&settings, plan.period_us).score / plan.seeds.len() as f64;
         }
     }
     Ok(sums)
-}
-
-fn breath(source: &mut BenchSource, plan: &Plan) -> Result<f64, StudyError> {
-    let settings = plan.waveform(PIP);
-    let (mut pressure, mut target) = (Vec::new(), Vec::new());
-    source.breath(&settings, &mut |tick| {
-        if let (Phase::Inspiration, Some(truth)) = (tick.sample.phase, tick.truth) {
-            pressure.push(f64::from(truth.airway_pressure));
-            target.push(f64::from(tick.sample.target));
-        }
-    })?;
-    let inspiration = Inspiration {
-        period_s: f64::from(period_s(plan.period_us)),
-        peep: f64::from(settings.peep),
-        pip: f64::from(settings.pip),
-        pressure: &pressure,
-        target: &target,
-    };
-    Ok(score_breath(&inspiration).score)
 }
 
 #[cfg(test)]

@@ -5,9 +5,8 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::StudyError;
+use crate::Result;
 use judge::evaluate::Evaluation;
-use learn::controller::learned::Learned;
 use learn::pipeline::PipelineConfig;
 
 /// Its folder.
@@ -16,14 +15,13 @@ const FOLDER: &str = "generalist";
 /// What the controller for all lungs does.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Generalist {
-    /// By lung.
     pub(super) lungs: Vec<Evaluation>,
     /// Control ticks recorded, all lungs together.
     pub(super) ticks: usize,
 }
 
 /// Trains and scores it.
-pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist, StudyError> {
+pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist> {
     study.keep(FOLDER, || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let gains = lungs::tuned(study)?.over_all.pid.gains;
@@ -38,14 +36,14 @@ pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist, StudyError> {
     })
 }
 
-/// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Generalist>, StudyError> {
-    study.kept(FOLDER)
+/// The controller itself, trained if it is not there.
+pub(super) fn controller(study: &Study<'_>) -> Result<Controller> {
+    generalist(study)?;
+    study.learned(FOLDER)
 }
 
-/// The controller itself, trained if it is not there.
-pub(super) fn controller(study: &Study<'_>) -> Result<Controller, StudyError> {
-    generalist(study)?;
-    let file = study.path(FOLDER).join("controller.safetensors");
-    Ok(Controller::Residual(Learned::load(&file)?.controller))
+/// The same, and the best single PID.
+pub(super) fn with_rival(study: &Study<'_>) -> Result<(Controller, Controller)> {
+    let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
+    Ok((controller(study)?, single))
 }

@@ -2,13 +2,13 @@
 //! it): plateau, overshoot, rise and tidal volume, PID and learned side by side.
 
 use serde::{Deserialize, Serialize};
-use shared::breath::{ISO_ROWS, IsoRow, Phase, period_s};
+use shared::breath::{ISO_ROWS, IsoRow, Phase};
 use shared::control::Controller;
 
+use super::generalist;
 use super::study::Study;
-use super::{generalist, lungs};
-use crate::StudyError;
-use judge::evaluate::{Inspiration, Score, score_breath};
+use crate::Result;
+use judge::evaluate::{InspirationRecord, Score};
 use plant::bench::BenchConfig;
 use progress::Stage;
 use ventilator::{BenchSource, Source, SourceError};
@@ -47,10 +47,9 @@ pub(super) struct IsoResult {
 }
 
 /// Runs all rows.
-pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>, StudyError> {
+pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>> {
     study.keep("iso", || {
-        let learned = generalist::controller(study)?;
-        let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
+        let (learned, single) = generalist::with_rival(study)?;
         let benches = BenchConfig::iso_lungs();
         let task = study.progress.of("test table").task(Stage::Evaluate, ISO_ROWS.len());
         ISO_ROWS
@@ -71,17 +70,12 @@ pub(super) fn iso(study: &Study<'_>) -> Result<Vec<IsoResult>, StudyError> {
     })
 }
 
-/// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<IsoResult>>, StudyError> {
-    study.kept("iso")
-}
-
 fn outcome(
     study: &Study<'_>,
     row: &IsoRow,
     bench: &BenchConfig,
     controller: &Controller,
-) -> Result<Option<IsoOutcome>, StudyError> {
+) -> Result<Option<IsoOutcome>> {
     match run(study, row, bench, controller) {
         Ok(outcome) => Ok(Some(outcome)),
         Err(SourceError::Fault { .. }) => Ok(None),
@@ -100,19 +94,16 @@ fn run(
     for _ in 0..WARM_UP {
         source.breath(&settings, &mut |_| ())?;
     }
-    let (mut pressure, mut target, mut volume) = (Vec::new(), Vec::new(), Vec::new());
+    let mut record = InspirationRecord::default();
+    let (mut least, mut most) = (f64::INFINITY, 0.0_f64);
     source.breath(&settings, &mut |tick| {
+        record.add(tick);
         if let (Phase::Inspiration, Some(truth)) = (tick.sample.phase, tick.truth) {
-            pressure.push(f64::from(truth.airway_pressure));
-            target.push(f64::from(tick.sample.target));
-            volume.push(f64::from(truth.lung_volume));
+            least = least.min(f64::from(truth.lung_volume));
+            most = most.max(f64::from(truth.lung_volume));
         }
     })?;
-    let (peep, pip) = (f64::from(row.peep), f64::from(row.pip));
-    let period_s = f64::from(period_s(plan.period_us));
-    let score = score_breath(&Inspiration { period_s, peep, pip, pressure: &pressure, target: &target });
-    let allowed = PLATEAU_TOLERANCE.0 + PLATEAU_TOLERANCE.1 * pip;
-    let least = volume.iter().copied().fold(f64::INFINITY, f64::min);
-    let most = volume.iter().copied().fold(0.0, f64::max);
+    let score = record.score(&settings, plan.period_us);
+    let allowed = PLATEAU_TOLERANCE.0 + PLATEAU_TOLERANCE.1 * f64::from(row.pip);
     Ok(IsoOutcome { score, tidal_volume: most - least, pass: score.plateau_error <= allowed })
 }

@@ -6,7 +6,7 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::StudyError;
+use crate::{Result, StudyError};
 use engine::LANES;
 use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;
@@ -44,16 +44,14 @@ impl LearnerResult {
 /// The comparison.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Learning {
-    /// Proximal policy optimisation.
     pub(super) ppo: LearnerResult,
-    /// Deep Q-learning.
     pub(super) dqn: LearnerResult,
     /// Back-propagation through the simulators.
     pub(super) ours: LearnerResult,
 }
 
 /// Trains all three on the simulators learned for the lung in the middle of the list.
-pub(super) fn learning(study: &Study<'_>) -> Result<Learning, StudyError> {
+pub(super) fn learning(study: &Study<'_>) -> Result<Learning> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let index = study.middle();
     let bench = &study.lungs()[index];
@@ -61,7 +59,7 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning, StudyError> {
     lungs::lungs(study)?;
     let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
     // Its folder holds the whole run already.
-    let simulators = || -> Result<Vec<Simulator>, StudyError> {
+    let simulators = || -> Result<Vec<Simulator>> {
         let folder = format!("lungs/{}-0", bench.name);
         let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
         Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
@@ -74,7 +72,7 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning, StudyError> {
 }
 
 /// What the folder holds, if it holds all three.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>, StudyError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>> {
     let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
     Ok(match (ppo, dqn, ours) {
         (Some(ppo), Some(dqn), Some(ours)) => Some(Learning { ppo, dqn, ours }),
@@ -87,7 +85,7 @@ fn rival(
     bench: &BenchConfig,
     algorithm: Algorithm,
     simulators: &[Simulator],
-) -> Result<LearnerResult, StudyError> {
+) -> Result<LearnerResult> {
     let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let config = RlConfig { seed: study.reproduction.seed, ..study.reproduction.budget.learners.clone() };
     let trained = train(algorithm, trained_on, held_out, &config, &study.progress.of(algorithm.name()))?;
@@ -104,7 +102,7 @@ fn ours(
     bench: &BenchConfig,
     config: &PipelineConfig,
     simulators: &[Simulator],
-) -> Result<LearnerResult, StudyError> {
+) -> Result<LearnerResult> {
     let (held_out, trained_on) = simulators.split_last().ok_or(StudyError::Stopped)?;
     let train = TrainConfig {
         batch: LANES,

@@ -1,18 +1,13 @@
 //! What no controller can beat on the lungs: how much of the way there a controller has gone.
 
 use super::study::Study;
-use crate::StudyError;
+use crate::Result;
 use judge::bound::{Bound, BoundConfig, bounds};
 
 /// Searches the bound of every lung.
-pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>, StudyError> {
+pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>> {
     study.keep("bound", || {
         let search = BoundConfig { seed: study.reproduction.seed, ..BoundConfig::default() };
         Ok(bounds(study.lungs(), &study.plan(), &search, &study.progress)?)
     })
-}
-
-/// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Bound>>, StudyError> {
-    study.kept("bound")
 }

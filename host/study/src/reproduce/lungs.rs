@@ -7,27 +7,24 @@ use shared::control::pid::PidGains;
 
 use super::Reproduction;
 use super::study::Study;
-use crate::StudyError;
+use crate::{Result, StudyError};
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
-use learn::pipeline::{self, Folder, MakeSource, Outcome, PipelineConfig};
+use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};
 use plant::bench::BenchConfig;
+use progress::Progress;
 
 /// The best PIDs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct TunedPids {
-    /// By lung.
     pub(super) lungs: Vec<Best>,
-    /// For all of them.
     pub(super) over_all: Best,
 }
 
 /// What became of a lung.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct LungScores {
-    /// Its own best PID.
     pub(super) pid: Evaluation,
-    /// The best PID for all lungs.
     pub(super) single_pid: Evaluation,
     /// The controllers learned for it, by seed.
     pub(super) learned: Vec<Evaluation>,
@@ -38,7 +35,7 @@ pub(super) struct LungScores {
 }
 
 /// Searches the PIDs.
-pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids, StudyError> {
+pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids> {
     study.keep("tuning", || {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let plan = Plan::tuning(*seed);
@@ -52,29 +49,21 @@ pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids, StudyError> {
 }
 
 /// Trains and scores a controller for each lung.
-pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>, StudyError> {
+pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>> {
     let tuned = tuned(study)?;
-    let lungs = study.lungs().iter().zip(&tuned.lungs);
-    lungs
-        .map(|(bench, best)| {
-            study.keep(&format!("lungs/{}", bench.name), || {
-                lung(study, bench, best.pid.gains, tuned.over_all.pid.gains)
-            })
-        })
-        .collect()
+    let single = tuned.over_all.pid.gains;
+    let scores = |(bench, best): (&BenchConfig, &Best)| {
+        study.keep(&format!("lungs/{}", bench.name), || lung(study, bench, best.pid.gains, single))
+    };
+    study.lungs().iter().zip(&tuned.lungs).map(scores).collect()
 }
 
 /// All that the folder holds, if it holds every lung.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>, StudyError> {
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>> {
     study.lungs().iter().map(|bench| study.kept(&format!("lungs/{}", bench.name))).collect()
 }
 
-fn lung(
-    study: &Study<'_>,
-    bench: &BenchConfig,
-    own: PidGains,
-    single: PidGains,
-) -> Result<LungScores, StudyError> {
+fn lung(study: &Study<'_>, bench: &BenchConfig, own: PidGains, single: PidGains) -> Result<LungScores> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let (mut learned, mut open_loop, mut ticks) = (Vec::new(), Vec::new(), Vec::new());
     for repeat in 0..budget.repeats {
@@ -102,26 +91,17 @@ pub(super) fn train(
     benches: &[BenchConfig],
     config: &PipelineConfig,
     folder: &str,
-) -> Result<Outcome, StudyError> {
-    let run = Folder::new(study.path(folder));
-    let progress = study.progress.of(folder);
-    finished(study, pipeline::run_on_benches(config, benches, Some(&run), &progress)?, folder)
+) -> Result<Outcome> {
+    train_by(study, folder, |run, progress| pipeline::run_on_benches(config, benches, Some(run), progress))
 }
 
-/// The same on any plants.
-pub(super) fn train_on(
+/// Runs a pipeline to its end in a folder of the study's and saves its controller there.
+pub(super) fn train_by(
     study: &Study<'_>,
-    sources: &[MakeSource<'_>],
-    config: &PipelineConfig,
     folder: &str,
-) -> Result<Outcome, StudyError> {
-    let run = Folder::new(study.path(folder));
-    let progress = study.progress.of(folder);
-    finished(study, pipeline::run(config, sources, Some(&run), &progress)?, folder)
-}
-
-/// Saves the controller of a run that was not stopped.
-fn finished(study: &Study<'_>, outcome: Outcome, folder: &str) -> Result<Outcome, StudyError> {
+    run: impl FnOnce(&Folder, &Progress<'_>) -> Result<Outcome, PipelineError>,
+) -> Result<Outcome> {
+    let outcome = run(&Folder::new(study.path(folder)), &study.progress.of(folder))?;
     if !outcome.complete {
         return Err(StudyError::Stopped);
     }

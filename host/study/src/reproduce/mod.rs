@@ -3,22 +3,6 @@
 //! [`run`] carries out experiments one after the other. Each keeps its result as JSON in the folder, so that a stopped run
 //! goes on where it was and an experiment finds what an earlier one has left. At the end all results found there become
 //! `results.json` and one report.
-//!
-//! | file | subject |
-//! |---|---|
-//! | `study` | the folder, budgets and progress that experiments share |
-//! | `lungs` | the best PIDs, and a controller for each lung |
-//! | `generalist` | one controller for all lungs |
-//! | `limits` | what no controller can beat |
-//! | `balloon` | the authors' own plant |
-//! | `learning` | reinforcement learning as the rival |
-//! | `ablations` | what each part of the system is worth |
-//! | `tracking` | curves of the controllers on one lung |
-//! | `unseen` | lungs and ventilators that nobody trained on |
-//! | `changes` | a lung that changes from one breath to the next |
-//! | `iso` | the rows of the pressure-control test table |
-//! | `results` | everything found, in numbers |
-//! | `report` | the same for people |
 
 mod ablations;
 mod balloon;
@@ -38,9 +22,10 @@ mod unseen;
 
 use std::path::PathBuf;
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
-use crate::StudyError;
+use crate::Result;
 use plant::bench::BenchConfig;
 use progress::Progress;
 
@@ -52,8 +37,8 @@ pub use results::{
 pub use study::Budget;
 use study::Study;
 
-/// An experiment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+/// An experiment, in the order in which they are run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 pub enum Experiment {
     /// The best P, I and PID for each lung and for all of them
     Tuning,
@@ -79,23 +64,6 @@ pub enum Experiment {
     Ablations,
 }
 
-impl Experiment {
-    /// All, in the order in which they are run.
-    pub const ALL: [Self; 11] = [
-        Self::Tuning,
-        Self::Lungs,
-        Self::Generalist,
-        Self::Bound,
-        Self::Tracking,
-        Self::Unseen,
-        Self::Changes,
-        Self::Iso,
-        Self::Balloon,
-        Self::Rl,
-        Self::Ablations,
-    ];
-}
-
 /// What to run.
 #[derive(Clone, Debug)]
 pub struct Reproduction {
@@ -115,9 +83,9 @@ pub struct Reproduction {
 ///
 /// # Errors
 /// The first experiment that fails; what earlier ones left stays.
-pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results, StudyError> {
+pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results> {
     let study = Study::new(reproduction, progress)?;
-    for experiment in Experiment::ALL.into_iter().filter(|e| reproduction.only.contains(e)) {
+    for experiment in Experiment::value_variants().iter().filter(|e| reproduction.only.contains(e)) {
         match experiment {
             Experiment::Tuning => drop(lungs::tuned(&study)?),
             Experiment::Lungs => drop(lungs::lungs(&study)?),

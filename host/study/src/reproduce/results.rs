@@ -2,14 +2,19 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::changes::{self, Change};
+use super::balloon::OnBalloon;
+use super::changes::Change;
+use super::generalist::Generalist;
+use super::iso::IsoResult;
 use super::learning::{LearnerResult, Learning};
 use super::lungs::LungScores;
 use super::study::Study;
-use super::{Ablation, ablations, balloon, generalist, iso, learning, limits, lungs, unseen};
-use crate::StudyError;
+use super::unseen::Unseen;
+use super::{Ablation, ablations, learning, lungs};
+use crate::Result;
 use data::provenance::git_revision;
-use judge::evaluate::Evaluation;
+use judge::bound::Bound;
+use plant::bench::BenchConfig;
 
 /// Mean scores on one lung, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,6 +44,12 @@ impl LungFigures {
     pub fn gap_closed(&self) -> Option<f64> {
         Some((self.pid - self.learned) / (self.pid - self.bound?))
     }
+
+    /// Its scores without their spread.
+    pub(super) fn scores(&self) -> LungMeans {
+        let Self { pid, single_pid, learned, generalist, bound, .. } = *self;
+        LungMeans { pid, single_pid, learned, generalist, bound }
+    }
 }
 
 /// Means over the lungs, cmH2O.
@@ -54,6 +65,19 @@ pub struct LungMeans {
     pub generalist: Option<f64>,
     /// What no controller can beat.
     pub bound: Option<f64>,
+}
+
+impl LungMeans {
+    /// All of them in parts of one score.
+    pub(super) fn divided_by(&self, score: f64) -> Self {
+        Self {
+            pid: self.pid / score,
+            single_pid: self.single_pid / score,
+            learned: self.learned / score,
+            generalist: self.generalist.map(|generalist| generalist / score),
+            bound: self.bound.map(|bound| bound / score),
+        }
+    }
 }
 
 /// The authors' own plant: mean of |p - PIP| over the samples, cmH2O.
@@ -153,35 +177,28 @@ pub struct Results {
 
 impl Results {
     /// Reads what the folder holds.
-    pub(super) fn gather(study: &Study<'_>) -> Result<Self, StudyError> {
+    pub(super) fn gather(study: &Study<'_>) -> Result<Self> {
         let kept = lungs::kept(study)?.unwrap_or_default();
-        let generalist = generalist::kept(study)?;
-        let generalists: Vec<Option<&Evaluation>> = match &generalist {
-            Some(generalist) => generalist.lungs.iter().map(Some).collect(),
-            None => vec![None; kept.len()],
-        };
-        let lungs = lung_figures(study, &kept, &generalists)?;
-        let cells = kept.iter().zip(&generalists).filter_map(|(lung, generalist)| {
-            let pairs = generalist.as_ref()?.waveforms.iter().zip(&lung.single_pid.waveforms);
-            Some(pairs.map(|(learned, pid)| learned.score.score / pid.score.score).fold(0.0, f64::max))
+        let generalist: Option<Generalist> = study.kept("generalist")?;
+        let lungs = lung_figures(study, &kept, generalist.as_ref(), study.kept("bound")?);
+        let cells = kept.iter().zip(generalist.iter().flat_map(|generalist| &generalist.lungs));
+        let cells = cells.map(|(lung, generalist)| {
+            let pairs = generalist.waveforms.iter().zip(&lung.single_pid.waveforms);
+            pairs.map(|(learned, pid)| learned.score.score / pid.score.score).fold(0.0, f64::max)
         });
+        let changes: Vec<Change> = study.kept("changes")?.unwrap_or_default();
+        let unseen: Vec<Unseen> = study.kept("unseen")?.unwrap_or_default();
+        let iso: Vec<IsoResult> = study.kept("iso")?.unwrap_or_default();
         Ok(Self {
             seed: study.reproduction.seed,
             revision: git_revision(),
             worst_cell_ratio: cells.reduce(f64::max),
-            unseen: unseen_figures(study)?,
-            iso_rows: iso_figures(study)?,
+            unseen: unseen.into_iter().map(unseen_figures).collect(),
+            iso_rows: iso.iter().map(iso_figures).collect(),
             rl: learning::kept(study)?.as_ref().map(rl_figures),
             ablations: ablations::kept(study)?.unwrap_or_default(),
-            balloon: balloon::kept(study)?.map(|found| BalloonFigures {
-                floor: found.floor,
-                grid_pi: found.grid_pi,
-                learned: mean(found.learned.iter().copied()),
-                learned_by_seed: found.learned,
-            }),
-            breaths_to_reconverge: changes::kept(study)?.and_then(|changes| {
-                changes.iter().map(|change| Change::breaths_to_reconverge(&change.generalist)).max()
-            }),
+            balloon: study.kept("balloon")?.map(balloon_figures),
+            breaths_to_reconverge: changes.iter().map(|c| Change::breaths_to_reconverge(&c.generalist)).max(),
             mean: means(&lungs),
             lungs,
         })
@@ -192,14 +209,11 @@ impl Results {
 fn lung_figures(
     study: &Study<'_>,
     kept: &[LungScores],
-    generalists: &[Option<&Evaluation>],
-) -> Result<Vec<LungFigures>, StudyError> {
-    let bounds: Vec<Option<f64>> = match limits::kept(study)? {
-        Some(bounds) => bounds.iter().map(|bound| Some(bound.mean.score)).collect(),
-        None => vec![None; kept.len()],
-    };
-    let lungs = study.lungs().iter().zip(kept).zip(generalists).zip(bounds);
-    let figures = lungs.map(|(((bench, lung), generalist), bound)| {
+    generalist: Option<&Generalist>,
+    bounds: Option<Vec<Bound>>,
+) -> Vec<LungFigures> {
+    let bounds = bounds.unwrap_or_default();
+    let figures = |(n, (bench, lung)): (usize, (&BenchConfig, &LungScores))| {
         let learned: Vec<f64> = lung.learned.iter().map(|e| e.mean.score).collect();
         LungFigures {
             lung: bench.name.clone(),
@@ -209,11 +223,11 @@ fn lung_figures(
             single_pid: lung.single_pid.mean.score,
             learned: mean(learned.iter().copied()),
             learned_by_seed: learned,
-            generalist: generalist.map(|e| e.mean.score),
-            bound,
+            generalist: generalist.and_then(|generalist| Some(generalist.lungs.get(n)?.mean.score)),
+            bound: bounds.get(n).map(|bound| bound.mean.score),
         }
-    });
-    Ok(figures.collect())
+    };
+    study.lungs().iter().zip(kept).enumerate().map(figures).collect()
 }
 
 /// Means over the lungs, if there are any.
@@ -238,26 +252,33 @@ fn rl_figures(found: &Learning) -> RlFigures {
     RlFigures { ppo: figure(&found.ppo), dqn: figure(&found.dqn), ours: figure(&found.ours) }
 }
 
-fn unseen_figures(study: &Study<'_>) -> Result<Vec<UnseenFigures>, StudyError> {
-    let figures = |plant: unseen::Unseen| UnseenFigures {
+fn unseen_figures(plant: Unseen) -> UnseenFigures {
+    UnseenFigures {
         plant: plant.plant,
         inside: plant.inside,
         pid: plant.pid.mean.score,
         single_pid: plant.single_pid.mean.score,
         generalist: plant.generalist.mean.score,
-    };
-    Ok(unseen::kept(study)?.unwrap_or_default().into_iter().map(figures).collect())
+    }
 }
 
-fn iso_figures(study: &Study<'_>) -> Result<Vec<IsoFigures>, StudyError> {
-    let figures = |row: iso::IsoResult| IsoFigures {
+fn iso_figures(row: &IsoResult) -> IsoFigures {
+    IsoFigures {
         row: row.number,
         single_pid: row.single_pid.is_some_and(|outcome| outcome.pass),
         generalist: row.generalist.is_some_and(|outcome| outcome.pass),
         tidal_volume: row.generalist.map(|outcome| outcome.tidal_volume),
         expected_volume: row.expected_volume,
-    };
-    Ok(iso::kept(study)?.unwrap_or_default().into_iter().map(figures).collect())
+    }
+}
+
+fn balloon_figures(found: OnBalloon) -> BalloonFigures {
+    BalloonFigures {
+        floor: found.floor,
+        grid_pi: found.grid_pi,
+        learned: mean(found.learned.iter().copied()),
+        learned_by_seed: found.learned,
+    }
 }
 
 fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {

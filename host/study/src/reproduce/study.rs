@@ -8,11 +8,12 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::Reproduction;
-use crate::StudyError;
+use crate::{Result, StudyError};
 use data::files::{claim, read_json, write_json_indented};
 use judge::baselines::{Grid, Search};
 use judge::evaluate::{Evaluation, Plan, evaluate};
 use judge::rl::compare::RlConfig;
+use learn::controller::learned::Learned;
 use learn::pipeline::PipelineConfig;
 use plant::bench::BenchConfig;
 use progress::Progress;
@@ -80,7 +81,7 @@ struct Claim {
 
 impl<'a> Study<'a> {
     /// Takes the folder, unless it belongs to another study.
-    pub(super) fn new(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Result<Self, StudyError> {
+    pub(super) fn new(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Result<Self> {
         let Reproduction { seed, budget, lungs, out, .. } = reproduction;
         let own = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
         if claim(out, &own).map_err(StudyError::file(out))? {
@@ -111,25 +112,27 @@ impl<'a> Study<'a> {
     }
 
     /// Scores a controller on a bench.
-    pub(super) fn evaluate(
-        &self,
-        bench: &BenchConfig,
-        controller: &Controller,
-    ) -> Result<Evaluation, StudyError> {
+    pub(super) fn evaluate(&self, bench: &BenchConfig, controller: &Controller) -> Result<Evaluation> {
         Ok(evaluate(bench, controller, &self.plan())?)
     }
 
     /// A PID at the plan's control period.
-    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller, StudyError> {
+    pub(super) fn pid(&self, gains: PidGains) -> Result<Controller> {
         Ok(Controller::Pid(Pid::new(gains, self.plan().period_us)?))
+    }
+
+    /// The controller that a training has left in this folder of the study's.
+    pub(super) fn learned(&self, folder: &str) -> Result<Controller> {
+        let learned = Learned::load(&self.path(folder).join("controller.safetensors"))?;
+        Ok(Controller::Residual(learned.controller))
     }
 
     /// What an earlier run has kept under this name, or the outcome of `work`, which is then kept.
     pub(super) fn keep<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
-        work: impl FnOnce() -> Result<T, StudyError>,
-    ) -> Result<T, StudyError> {
+        work: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
         if let Some(kept) = self.kept(name)? {
             return Ok(kept);
         }
@@ -142,13 +145,13 @@ impl<'a> Study<'a> {
     }
 
     /// What is kept under this name.
-    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, StudyError> {
+    pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>> {
         let path = self.path(&format!("{name}.json"));
         read_json(&path).map_err(StudyError::file(&path))
     }
 
     /// Writes a value as JSON.
-    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<(), StudyError> {
+    pub(super) fn write(&self, name: &str, value: &impl Serialize) -> Result<()> {
         let path = self.path(name);
         write_json_indented(&path, value).map_err(StudyError::file(&path))
     }

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use super::*;
+use crate::StudyError;
 use judge::baselines::{Grid, Search};
 use judge::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;

@@ -3,11 +3,10 @@
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
-use shared::control::pid::PidGains;
 
 use super::study::Study;
-use super::{Reproduction, generalist, lungs};
-use crate::StudyError;
+use super::{Reproduction, generalist};
+use crate::{Result, StudyError};
 use judge::baselines::tune_pid;
 use judge::evaluate::{Evaluation, Plan};
 use plant::bench::{BenchConfig, CompartmentConfig};
@@ -19,27 +18,17 @@ pub(super) struct Unseen {
     pub(super) plant: String,
     /// Whether its resistance and compliance lie within the trained ones and all else is as in training.
     pub(super) inside: bool,
-    /// Its own best PID.
     pub(super) pid: Evaluation,
-    /// The best PID for the trained lungs.
     pub(super) single_pid: Evaluation,
-    /// The controller trained on all trained lungs.
     pub(super) generalist: Evaluation,
 }
 
 /// Scores the generalist and the single PID everywhere.
-pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>, StudyError> {
+pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>> {
     study.keep("unseen", || {
-        let learned = generalist::controller(study)?;
-        let single = lungs::tuned(study)?.over_all.pid.gains;
-        let plants = plants();
-        plants.iter().map(|(bench, inside)| plant(study, bench, *inside, &learned, single)).collect()
+        let (learned, single) = generalist::with_rival(study)?;
+        plants().iter().map(|(bench, inside)| plant(study, bench, *inside, &learned, &single)).collect()
     })
-}
-
-/// What the folder holds.
-pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Unseen>>, StudyError> {
-    study.kept("unseen")
 }
 
 fn plant(
@@ -47,8 +36,8 @@ fn plant(
     bench: &BenchConfig,
     inside: bool,
     learned: &Controller,
-    single: PidGains,
-) -> Result<Unseen, StudyError> {
+    single: &Controller,
+) -> Result<Unseen> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let progress = study.progress.of(&bench.name);
     let own = tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress)?;
@@ -59,7 +48,7 @@ fn plant(
         plant: bench.name.clone(),
         inside,
         pid: study.evaluate(bench, &study.pid(own.over_all.pid.gains)?)?,
-        single_pid: study.evaluate(bench, &study.pid(single)?)?,
+        single_pid: study.evaluate(bench, single)?,
         generalist: study.evaluate(bench, learned)?,
     })
 }
