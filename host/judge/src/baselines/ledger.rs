@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use super::TuneError;
 use super::grid::PidKind;
+use super::{Candidate, TuneError};
 use crate::evaluate::{Ground, Plan};
 use ventilator::SourceError;
 
@@ -98,13 +98,12 @@ impl<'a, G: Ground> Ledger<'a, G> {
     }
 
     /// The best gains of a kind that are known for every lung of a group; of equals, the smallest.
-    pub fn best(&self, group: &[usize], kind: PidKind) -> Option<(PidGains, f64)> {
+    pub fn best(&self, group: &[usize], kind: PidKind) -> Option<Candidate> {
         let known = self.scores.iter().filter_map(|(key, lungs)| {
-            let gains = gains(*key);
-            let score = mean(group, lungs)?;
-            kind.includes(&gains).then_some((gains, score))
+            let (gains, score) = (gains(*key), mean(group, lungs)?);
+            kind.includes(&gains).then_some(Candidate { gains, score })
         });
-        known.min_by(|(_, one), (_, other)| one.total_cmp(other))
+        known.min_by(|one, other| one.score.total_cmp(&other.score))
     }
 }
 

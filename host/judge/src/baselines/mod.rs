@@ -249,9 +249,8 @@ impl<G: Ground> Tuning<'_, G> {
 
     /// The best known of a kind.
     fn known(&self, group: &[usize], kind: PidKind) -> Candidate {
-        let nothing = (PidGains::default(), FAULT_SCORE);
-        let (gains, score) = self.full.best(group, kind).unwrap_or(nothing);
-        Candidate { gains, score }
+        let nothing = Candidate { gains: PidGains::default(), score: FAULT_SCORE };
+        self.full.best(group, kind).unwrap_or(nothing)
     }
 
     /// Scores over the grid at D = 0.

@@ -1,6 +1,6 @@
 //! A flash memory whose supply can fail in the middle of a write.
 
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use shared::weights::IMAGE_BYTES;
 use shared::weights::slots::Slots;
 
@@ -13,18 +13,8 @@ const ERASED: u8 = 0xFF;
 #[derive(Clone, Debug)]
 pub struct Flash {
     cells: Vec<u8>,
-    /// Bytes that can still be written.
-    supply: usize,
-}
-
-/// The supply has failed.
-#[derive(Debug)]
-pub struct Cut;
-
-impl NorFlashError for Cut {
-    fn kind(&self) -> NorFlashErrorKind {
-        NorFlashErrorKind::Other
-    }
+    /// Bytes that can still be written until the supply fails.
+    pub supply: usize,
 }
 
 impl Flash {
@@ -38,16 +28,6 @@ impl Flash {
         Slots::new(self, [0, SECTOR as u32])
     }
 
-    /// The supply fails after so many bytes more.
-    pub fn fail_after(&mut self, bytes: usize) {
-        self.supply = bytes;
-    }
-
-    /// The supply is back.
-    pub fn repair(&mut self) {
-        self.supply = usize::MAX;
-    }
-
     /// Flips a bit of the image in the first slot.
     pub fn flip(&mut self, bit: usize) {
         let bit = bit % (8 * IMAGE_BYTES);
@@ -56,13 +36,13 @@ impl Flash {
 }
 
 impl ErrorType for Flash {
-    type Error = Cut;
+    type Error = NorFlashErrorKind;
 }
 
 impl ReadNorFlash for Flash {
     const READ_SIZE: usize = 1;
 
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Cut> {
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
         bytes.copy_from_slice(&self.cells[offset as usize..][..bytes.len()]);
         Ok(())
     }
@@ -76,14 +56,14 @@ impl NorFlash for Flash {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = SECTOR;
 
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Cut> {
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
         self.cells[from as usize..to as usize].fill(ERASED);
         Ok(())
     }
 
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Cut> {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
         for (cell, byte) in self.cells[offset as usize..].iter_mut().zip(bytes) {
-            self.supply = self.supply.checked_sub(1).ok_or(Cut)?;
+            self.supply = self.supply.checked_sub(1).ok_or(NorFlashErrorKind::Other)?;
             *cell &= byte;
         }
         Ok(())

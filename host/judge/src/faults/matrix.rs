@@ -1,6 +1,5 @@
 //! The fault matrix: every fault on every lung, with the monitor that must fire.
 
-use rayon::prelude::*;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
 use shared::control::Controller;
@@ -12,8 +11,13 @@ use shared::safety::alarms::{Action, Fault};
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 
-use super::injection::{Damage, Injection};
+use super::injection::Damage;
+use super::injection::Injection::{
+    self, BrownOut, Coughs, Drift, Dropped, Hang, HostSilent, MissedTicks, Noise, NoisyAt, Offset, OtherHost,
+    Reads, StuckAt, StuckAtLast, SwappedBytes, Weights,
+};
 use super::trial::{Trial, TrialOutcome, run};
+use crate::evaluate::side_by_side;
 use plant::bench::{BenchConfig, Failure};
 use progress::{Progress, Stage};
 use ventilator::SourceError;
@@ -26,10 +30,10 @@ const PIP: f32 = 25.0;
 pub const VENT_WITHIN_MS: u32 = 200;
 /// Highest true pressure where the valves obey, and where one of them is stuck, cmH2O.
 pub const PEAKS: (f64, f64) = (60.0, 75.0);
-/// In the middle of the third inspiration, and just before the fourth one, ms.
+/// In the middle of the third inspiration, ms.
 const MID_INSPIRATION_MS: u32 = 6400;
-/// See [`MID_INSPIRATION_MS`].
-const BEFORE_INSPIRATION_MS: u32 = 8900;
+/// Just before the fourth inspiration, ms.
+const BEFORE_MS: u32 = 8900;
 /// In the middle of the second inspiration at 4 breaths a minute, ms.
 const SLOW_INSPIRATION_MS: u32 = 15_500;
 /// A breath at the usual rate, ms.
@@ -40,6 +44,8 @@ const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
 const NOMINAL_BREATHS: u32 = 10;
 /// How long a trial is watched after its fault, ms.
 const WATCHED_MS: u32 = 21_000;
+
+use CaseController::{Alternating, Greedy, Ringing, Sound};
 
 /// Who is in command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,17 +124,12 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         name,
         injection,
         monitors,
-        controller: CaseController::Sound,
+        controller: Sound,
         onset_ms: MID_INSPIRATION_MS,
         settings: usual,
         peak_allowed: PEAKS.0,
         within_ms: WATCHED_MS,
     }
-}
-
-/// A fault that begins just before an inspiration.
-const fn before(name: &'static str, injection: Injection, monitors: &'static [Fault]) -> FaultCase {
-    FaultCase { onset_ms: BEFORE_INSPIRATION_MS, ..case(name, injection, monitors) }
 }
 
 /// A part of the machine that fails.
@@ -141,101 +142,85 @@ const fn stuck(name: &'static str, failure: Failure, monitors: &'static [Fault])
     FaultCase { peak_allowed: PEAKS.1, ..part(name, failure, monitors) }
 }
 
-/// A fault that must be found before the next breath ends.
-const fn within_a_breath(case: FaultCase) -> FaultCase {
-    FaultCase { within_ms: BREATH_MS, ..case }
-}
+impl FaultCase {
+    const fn at(self, onset_ms: u32) -> Self {
+        Self { onset_ms, ..self }
+    }
 
-const fn run_by(controller: CaseController, case: FaultCase) -> FaultCase {
-    FaultCase { controller, ..case }
+    /// It must be found before the next breath ends.
+    const fn within_a_breath(self) -> Self {
+        Self { within_ms: BREATH_MS, ..self }
+    }
+
+    const fn with(self, settings: fn() -> Settings) -> Self {
+        Self { settings, ..self }
+    }
+
+    const fn run_by(self, controller: CaseController) -> Self {
+        Self { controller, ..self }
+    }
 }
 
 /// Faults of the sensor.
 const SENSOR: [FaultCase; 13] = [
-    case("reading stuck at its last value", Injection::StuckAtLast, &[Fault::ReadingFrozen]),
-    within_a_breath(before("reading stuck at PEEP", Injection::StuckAt(5.0), &[Fault::ReadingFrozen])),
-    within_a_breath(before("reading stuck at 0", Injection::StuckAt(0.0), &[Fault::ReadingFrozen])),
-    within_a_breath(before(
-        "reading stuck at PEEP, with noise",
-        Injection::NoisyAt(5.0),
-        &[Fault::NoResponse],
-    )),
-    case("reading is no number", Injection::Reads(f32::NAN), &[Fault::ReadingNotANumber]),
-    case("reading is infinite", Injection::Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
-    case("reading drifts up by 1 cmH2O/s", Injection::Drift(1.0), &[Fault::BaselineHigh]),
-    case("reading drifts down by 1 cmH2O/s", Injection::Drift(-1.0), &[Fault::BaselineLow]),
-    case("reading is 5 cmH2O too high", Injection::Offset(5.0), &[Fault::BaselineHigh]),
-    case("reading is 5 cmH2O too low", Injection::Offset(-5.0), &[Fault::BaselineLow]),
-    case("noise of the reading times 10", Injection::Noise(1.0), &[Fault::ReadingNoisy]),
-    case("a third of the readings dropped", Injection::Dropped(0.33), &[Fault::ReadingNotANumber]),
-    case("bytes of a third of the readings swapped", Injection::SwappedBytes(0.33), &[Fault::ReadingJumps]),
+    case("reading stuck at its last value", StuckAtLast, &[Fault::ReadingFrozen]),
+    case("reading stuck at PEEP", StuckAt(5.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
+    case("reading stuck at 0", StuckAt(0.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
+    case("reading stuck at PEEP, with noise", NoisyAt(5.0), &[Fault::NoResponse])
+        .at(BEFORE_MS)
+        .within_a_breath(),
+    case("reading is no number", Reads(f32::NAN), &[Fault::ReadingNotANumber]),
+    case("reading is infinite", Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
+    case("reading drifts up by 1 cmH2O/s", Drift(1.0), &[Fault::BaselineHigh]),
+    case("reading drifts down by 1 cmH2O/s", Drift(-1.0), &[Fault::BaselineLow]),
+    case("reading is 5 cmH2O too high", Offset(5.0), &[Fault::BaselineHigh]),
+    case("reading is 5 cmH2O too low", Offset(-5.0), &[Fault::BaselineLow]),
+    case("noise of the reading times 10", Noise(1.0), &[Fault::ReadingNoisy]),
+    case("a third of the readings dropped", Dropped(0.33), &[Fault::ReadingNotANumber]),
+    case("bytes of a third of the readings swapped", SwappedBytes(0.33), &[Fault::ReadingJumps]),
 ];
+
+/// What a cough may do on one lung or another.
+const COUGH: [Fault; 3] = [Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure];
 
 /// Faults of machine and tube.
 const MACHINE: [FaultCase; 14] = [
-    before("tube occluded", Injection::Part(Failure::TubeOccluded), &[Fault::Occlusion]),
+    part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS),
     stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]),
     part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]),
-    before("leak of 0.8 L/s", Injection::Part(Failure::Leak(0.8)), &[Fault::BaselineLow]),
-    FaultCase {
-        onset_ms: 0,
-        ..part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure])
-    },
+    part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::BaselineLow]).at(BEFORE_MS),
+    part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure]).at(0),
     stuck("inspiratory valve stuck open", Failure::InspiratoryValveStuck(80.0), &[Fault::BaselineHigh]),
     stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse]),
     stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh]),
-    FaultCase {
-        settings: slow,
-        onset_ms: SLOW_INSPIRATION_MS,
-        ..stuck(
-            "expiratory valve stuck closed, 4 breaths a minute",
-            Failure::ExpiratoryValveClosed,
-            &[Fault::SustainedPressure],
-        )
-    },
+    stuck(
+        "expiratory valve stuck closed, 4 breaths a minute",
+        Failure::ExpiratoryValveClosed,
+        &[Fault::SustainedPressure],
+    )
+    .with(slow)
+    .at(SLOW_INSPIRATION_MS),
     stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]),
     stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
     stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]),
     part("supply lost", Failure::SupplyLost, &[Fault::NoResponse]),
-    FaultCase {
-        settings: tight,
-        ..case(
-            "coughs in every breath",
-            Injection::Coughs(25.0),
-            &[Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure],
-        )
-    },
+    case("coughs in every breath", Coughs(25.0), &COUGH).with(tight),
 ];
 
 /// Faults of chip and controller.
 const CONTROL: [FaultCase; 10] = [
-    case("every tenth tick missed", Injection::MissedTicks(10), &[Fault::MissedTicks]),
-    case("control task hangs", Injection::Hang, &[Fault::Restarted]),
-    case("supply dips in mid-inspiration", Injection::BrownOut, &[Fault::Restarted]),
-    case("host falls silent while exploring", Injection::HostSilent, &[Fault::HostSilent]),
-    case("another host sends settings and gains of its own", Injection::OtherHost, &[]),
-    run_by(
-        CaseController::Greedy,
-        case(
-            "a bit of the stored weights flipped",
-            Injection::Weights(Damage::FlippedBit),
-            &[Fault::WeightsRefused],
-        ),
-    ),
-    run_by(
-        CaseController::Greedy,
-        case(
-            "supply cut while weights are stored",
-            Injection::Weights(Damage::TornStore),
-            &[Fault::WeightsRefused],
-        ),
-    ),
-    run_by(CaseController::Greedy, case("weights that ask for more", Injection::Controller, &[])),
-    run_by(
-        CaseController::Alternating,
-        case("weights that ask for all and nothing in turn", Injection::Controller, &[]),
-    ),
-    run_by(CaseController::Ringing, case("PID that rings", Injection::Controller, &[])),
+    case("every tenth tick missed", MissedTicks(10), &[Fault::MissedTicks]),
+    case("control task hangs", Hang, &[Fault::Restarted]),
+    case("supply dips in mid-inspiration", BrownOut, &[Fault::Restarted]),
+    case("host falls silent while exploring", HostSilent, &[Fault::HostSilent]),
+    case("another host sends settings and gains of its own", OtherHost, &[]),
+    case("a bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
+        .run_by(Greedy),
+    case("supply cut while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
+        .run_by(Greedy),
+    case("weights that ask for more", Injection::Controller, &[]).run_by(Greedy),
+    case("weights that ask for all and nothing in turn", Injection::Controller, &[]).run_by(Alternating),
+    case("PID that rings", Injection::Controller, &[]).run_by(Ringing),
 ];
 
 /// All faults.
@@ -254,10 +239,10 @@ impl CaseController {
     fn controller(self) -> Result<Controller, SourceError> {
         let pid = |gains| Pid::new(gains, DEFAULT_PERIOD_US).map(Controller::Pid);
         let built = match self {
-            Self::Sound => pid(SOUND).ok(),
-            Self::Ringing => pid(RINGING).ok(),
-            Self::Greedy => full_authority(WITHOUT_INTEGRAL, greedy()),
-            Self::Alternating => full_authority(SOUND, alternating()),
+            Sound => pid(SOUND).ok(),
+            Ringing => pid(RINGING).ok(),
+            Greedy => full_authority(WITHOUT_INTEGRAL, greedy()),
+            Alternating => full_authority(SOUND, alternating()),
         };
         built.ok_or(SourceError::Stopped)
     }
@@ -302,35 +287,27 @@ pub fn false_alarms(
     breaths: u32,
     progress: &Progress<'_>,
 ) -> Result<Vec<(String, Fault)>, SourceError> {
-    let controller = &CaseController::Sound.controller()?;
+    let controller = &Sound.controller()?;
     let each = breaths.div_ceil(lungs.len().max(1) as u32);
     let runs: Vec<(u64, BenchConfig)> = (0..u64::from(each / NOMINAL_BREATHS))
         .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
         .collect();
     let task = progress.task(Stage::Faults, runs.len());
-    let found: Result<Vec<_>, _> = runs
-        .par_iter()
-        .map(|(seed, bench)| {
-            if task.stopped() {
-                return Err(SourceError::Stopped);
-            }
-            let pip = PAPER_PIPS[*seed as usize % PAPER_PIPS.len()];
-            let outcome = run(&Trial {
-                bench,
-                settings: paper_settings(pip),
-                controller,
-                monitors: Monitors::ALL,
-                injection: Injection::Controller,
-                onset_ms: 0,
-                watched_ms: NOMINAL_BREATHS * BREATH_MS,
-                seed: *seed,
-            })?;
-            task.advance(1);
-            let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
-            Ok(alarms.collect::<Vec<_>>())
-        })
-        .collect();
-    Ok(found?.concat())
+    let found = side_by_side(&runs, &task, |(seed, bench)| {
+        let outcome = run(&Trial {
+            bench,
+            settings: paper_settings(PAPER_PIPS[*seed as usize % PAPER_PIPS.len()]),
+            controller,
+            monitors: Monitors::ALL,
+            injection: Injection::Controller,
+            onset_ms: 0,
+            watched_ms: NOMINAL_BREATHS * BREATH_MS,
+            seed: *seed,
+        })?;
+        let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
+        Ok(alarms.collect::<Vec<_>>())
+    })?;
+    Ok(found.concat())
 }
 
 /// A unit of the fleet, and a patient who breathes and coughs, each time otherwise.
@@ -375,17 +352,7 @@ pub fn matrix(
 ) -> Result<Vec<FaultRow>, SourceError> {
     let cells: Vec<_> = cases().flat_map(|case| lungs.iter().map(move |lung| (case, lung))).collect();
     let task = progress.task(Stage::Faults, cells.len());
-    cells
-        .par_iter()
-        .map(|(case, lung)| {
-            if task.stopped() {
-                return Err(SourceError::Stopped);
-            }
-            let row = cell(case, lung, seeds, monitors)?;
-            task.advance(1);
-            Ok(row)
-        })
-        .collect()
+    side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, monitors))
 }
 
 fn cell(
@@ -411,11 +378,10 @@ fn cell(
 
 fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome]) -> FaultRow {
     let longest = |of: &dyn Fn(&TrialOutcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
-    let detected =
-        |outcome: &TrialOutcome| case.monitors.first().and_then(|monitor| outcome.time_to(*monitor));
-    let fired =
-        |outcome: &TrialOutcome| case.monitors.iter().all(|monitor| outcome.time_to(*monitor).is_some());
+    let detected = |outcome: &TrialOutcome| outcome.time_to(*case.monitors.first()?);
+    let fired = |outcome: &TrialOutcome| case.monitors.iter().all(|m| outcome.time_to(*m).is_some());
     let always = outcomes.iter().all(fired);
+    let shown = outcomes.iter().find(|outcome| !fired(outcome)).or(outcomes.last());
     let peak_true = outcomes.iter().map(|outcome| outcome.peak_true).fold(0.0, f64::max);
     let limit_to_vent_ms = longest(&|outcome| outcome.limit_to_vent_ms);
     let back_at_peep_ms = longest(&|outcome| outcome.back_at_peep_ms);
@@ -431,12 +397,7 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome]) -> Fault
         peak_allowed: case.peak_allowed,
         back_at_peep_ms,
         limit_to_vent_ms,
-        alarms: outcomes
-            .iter()
-            .find(|outcome| !fired(outcome))
-            .or(outcomes.last())
-            .map(|outcome| outcome.alarms.iter().map(|(fault, _)| fault.alarm().id).collect())
-            .unwrap_or_default(),
+        alarms: shown.iter().flat_map(|outcome| &outcome.alarms).map(|(fault, _)| fault.alarm().id).collect(),
         pass: always
             && peak_true <= case.peak_allowed
             && limit_to_vent_ms.is_none_or(|ms| ms <= VENT_WITHIN_MS)

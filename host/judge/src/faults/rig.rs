@@ -34,15 +34,13 @@ pub struct Rig {
     learned: Option<Residual>,
     settings: Settings,
     monitors: Monitors,
-    host_speaks: bool,
+    /// Does the host still ask?
+    pub host_speaks: bool,
     ticks: u32,
 }
 
 impl Rig {
     /// A device that a host has just started.
-    ///
-    /// # Errors
-    /// Settings that are refused.
     pub fn started(
         controller: &Controller,
         settings: &Settings,
@@ -91,36 +89,21 @@ impl Rig {
         self.control.state()
     }
 
-    /// The host says nothing any more.
-    pub fn silence_host(&mut self) {
-        self.host_speaks = false;
-    }
-
     /// Another host sends what it holds for right.
     pub fn other_host(&mut self) {
-        let gains = ControllerChoice::Pid(shared::device::KNOWN_GOOD);
         let impossible = Settings { pip: f32::NAN, ..self.settings };
-        for request in [
-            ControlRequest::Apply(impossible),
-            ControlRequest::Apply(Settings::default()),
-            ControlRequest::Controller(gains),
-        ] {
-            self.control.execute(&request);
-        }
+        let gains = ControllerChoice::Pid(shared::device::KNOWN_GOOD);
+        self.control.execute(&ControlRequest::Apply(impossible));
+        self.control.execute(&ControlRequest::Apply(Settings::default()));
+        self.control.execute(&ControlRequest::Controller(gains));
     }
 
-    /// The chip starts anew, with the weights that it has.
-    ///
-    /// # Errors
-    /// Never: the control period is in bounds.
+    /// The chip starts again, with the weights that it has.
     pub fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
         self.boot(cause, self.learned.clone(), [SlotState::Empty; 2])
     }
 
     /// The same, and the weights in flash are damaged.
-    ///
-    /// # Errors
-    /// A controller that cannot be stored.
     pub fn reset_with(&mut self, damage: Damage, rng: &mut ChaCha8Rng) -> Result<(), SourceError> {
         let mut flash = Flash::new();
         let image = self.image()?;
@@ -129,9 +112,9 @@ impl Rig {
         match damage {
             Damage::FlippedBit => flash.flip(rng.random_range(0..8 * IMAGE_BYTES)),
             Damage::TornStore => {
-                flash.fail_after(rng.random_range(1..IMAGE_BYTES));
+                flash.supply = rng.random_range(1..IMAGE_BYTES);
                 let _ = flash.slots().store(&image);
-                flash.repair();
+                flash.supply = usize::MAX;
             }
         }
         let mut slots = flash.slots();

@@ -44,26 +44,17 @@ const LUNGS: [(f64, f64); 2] = [(5.0, 50.0), (10.0, 50.0)];
 
 /// Why a torture cannot go on.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the messages name every field")]
 pub enum TortureError {
     /// A run could not be breathed.
     #[error(transparent)]
     Source(#[from] SourceError),
     /// The file that keeps how far it is.
     #[error("cannot use {}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
     /// The file is of another torture.
     #[error("{} belongs to seed {seed}; choose another file or that seed", path.display())]
-    OtherSeed {
-        /// The file.
-        path: PathBuf,
-        /// Its seed.
-        seed: u64,
-    },
+    OtherSeed { path: PathBuf, seed: u64 },
 }
 
 /// How far a torture has come, and what it has found; written down, it can go on later.

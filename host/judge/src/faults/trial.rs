@@ -134,7 +134,11 @@ impl Run<'_> {
             None => Task::Runs,
         };
         let alarm = match task {
-            Task::Runs => self.step(),
+            Task::Runs => {
+                let output = self.rig.step(self.reading, std::mem::take(&mut self.missed));
+                self.command = output.command;
+                output.alarm
+            }
             Task::Misses => {
                 self.missed += 1;
                 None
@@ -157,7 +161,7 @@ impl Run<'_> {
     fn inject(&mut self, since: u32) {
         match (self.trial.injection, since) {
             (Injection::Part(failure), 0) => self.bench.fail(failure),
-            (Injection::HostSilent, 0) => self.rig.silence_host(),
+            (Injection::HostSilent, 0) => self.rig.host_speaks = false,
             (Injection::OtherHost, 0) => self.rig.other_host(),
             (Injection::Weights(_), RESTART_MS) => self.rig.start(),
             (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
@@ -173,12 +177,6 @@ impl Run<'_> {
             Injection::Weights(damage) => self.rig.reset_with(damage, &mut self.rng),
             _ => self.rig.reset(cause),
         }
-    }
-
-    fn step(&mut self) -> Option<Fault> {
-        let output = self.rig.step(self.reading, std::mem::take(&mut self.missed));
-        self.command = output.command;
-        output.alarm
     }
 
     /// Notes what the fault has led to.

@@ -47,15 +47,12 @@ pub enum IdentifyError {
          commands with `trainer fit`"
     )]
     NoFlow,
-    /// No respiratory cycle that says anything.
+    /// No respiratory cycle of so many says anything.
     #[error(
-        "none of {cycles} whole respiratory cycles can be fitted: a cycle needs an inspiration, flow that changes, \
+        "none of {0} whole respiratory cycles can be fitted: a cycle needs an inspiration, flow that changes, \
          and another breath behind it"
     )]
-    NoBreath {
-        /// How many cycles there were.
-        cycles: usize,
-    },
+    NoBreath(usize),
 }
 
 /// A value with its 95 % confidence interval.
@@ -169,7 +166,7 @@ pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError>
     let lungs = lungs(recording)?;
     let found: Vec<_> = lungs.iter().filter_map(LungCycles::identify).collect();
     if found.is_empty() {
-        return Err(IdentifyError::NoBreath { cycles: lungs.iter().map(|lung| lung.breaths.len()).sum() });
+        return Err(IdentifyError::NoBreath(lungs.iter().map(|lung| lung.breaths.len()).sum()));
     }
     Ok(found)
 }

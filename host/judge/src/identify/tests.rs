@@ -117,7 +117,7 @@ fn a_change_of_group_is_another_lung() {
 #[test]
 fn without_flow_or_breaths_it_is_said_what_is_missing() {
     let mut recording = record(&lung(20.0, 20.0), 1, 35.0, 0.0);
-    assert!(matches!(identify(&recording), Err(IdentifyError::NoBreath { cycles: 0 })));
+    assert!(matches!(identify(&recording), Err(IdentifyError::NoBreath(0))));
     recording.flow_in = None;
     assert!(matches!(identify(&recording), Err(IdentifyError::NoFlow)));
 }
