@@ -13,7 +13,7 @@ use super::dqn::{Dqn, DqnConfig};
 use super::policy::Policy;
 use super::ppo::{Ppo, PpoConfig};
 use super::ventilation::{Inspirations, TaskConfig};
-use super::{Actions, End, Greedy, TaskBatch};
+use super::{Actions, End, Greedy, Learner, TaskBatch};
 use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
 use progress::{Progress, Stage};
@@ -88,45 +88,6 @@ pub struct TrainedPolicy {
     pub curve: Vec<(u64, f64)>,
 }
 
-/// An algorithm on its task.
-trait Learner {
-    /// Collects and learns; `progress` is the share of the training done.
-    fn round(&mut self, progress: f32);
-
-    /// Steps of all copies per round.
-    fn steps(&self) -> usize;
-
-    fn greedy(&self) -> Greedy;
-}
-
-impl<S: TaskBatch> Learner for Ppo<S> {
-    fn round(&mut self, progress: f32) {
-        Self::round(self, progress);
-    }
-
-    fn steps(&self) -> usize {
-        self.steps_per_round()
-    }
-
-    fn greedy(&self) -> Greedy {
-        Self::greedy(self)
-    }
-}
-
-impl<S: TaskBatch> Learner for Dqn<S> {
-    fn round(&mut self, progress: f32) {
-        Self::round(self, progress);
-    }
-
-    fn steps(&self) -> usize {
-        LANES
-    }
-
-    fn greedy(&self) -> Greedy {
-        Self::greedy(self)
-    }
-}
-
 /// Trains on `simulators`, validates on `held_out`. The result does not depend on the number of threads; a training
 /// that is stopped ends with its best policy so far.
 ///
@@ -149,14 +110,13 @@ pub fn train(
     let task = Inspirations::new(simulators, task_config, actions)?;
     let mut examiner = Inspirations::new(std::slice::from_ref(held_out), task_config, actions)?;
     let perception = task.perception().clone();
-    let hold = u64::from(perception.senses().hold);
     let mut learner: Box<dyn Learner> = match algorithm {
         Algorithm::Ppo => Box::new(Ppo::new(config.ppo.clone(), task, config.seed)),
         Algorithm::Dqn => Box::new(Dqn::new(config.dqn.clone(), task, config.seed)),
     };
     let mut best = (validate(&mut examiner, &learner.greedy(), task_config, config.seed), learner.greedy());
     let mut curve = vec![(0, best.0)];
-    let per_round = learner.steps() as u64 * hold;
+    let per_round = learner.steps_per_round() as u64 * u64::from(perception.hold);
     let rounds = samples.div_ceil(per_round);
     let every = (rounds / config.validations.max(1)).max(1);
     let task = progress.task(Stage::Reinforce, rounds as usize);

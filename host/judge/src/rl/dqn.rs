@@ -10,7 +10,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
 use super::network::{Mlp, MlpTape};
-use super::{Actions, End, Greedy, TaskBatch, Transition, best, highest};
+use super::{Actions, End, Greedy, Learner, TaskBatch, Transition, best, highest};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -127,35 +127,9 @@ impl<S: TaskBatch> Dqn<S> {
         }
     }
 
-    /// The policy as it is now.
-    pub fn greedy(&self) -> Greedy {
-        let (network, parameters) = (self.network.clone(), self.parameters.clone());
-        Greedy { network, parameters, actions: Actions::Discrete(self.choices) }
-    }
-
-    /// One step in every copy and the gradient steps that go with it; `progress` is the share of the training done,
-    /// for learning rate and random choices.
-    pub fn round(&mut self, progress: f32) {
-        let actions = self.choose(progress);
-        let transitions = self.tasks.step(&actions);
-        let before = self.seen.clone();
-        self.tasks.observe(&mut self.seen);
-        self.replay.record(&before, &actions, &transitions, &self.seen);
-        let ended = transitions.map(|transition| transition.end != End::Not);
-        if ended.contains(&true) {
-            self.tasks.reset(&ended, &mut self.rng);
-            self.tasks.observe(&mut self.seen);
-        }
-        if self.replay.facts.len() >= self.config.warm_up.max(LANES) {
-            (0..self.config.updates).for_each(|_| self.improve(progress));
-        }
-    }
-
     fn choose(&mut self, progress: f32) -> Lane {
-        let mut tape = MlpTape::new(&self.network, 1);
-        tape.inputs(0).copy_from_slice(&self.seen);
-        self.network.load(&self.parameters).forward(&mut tape);
-        let greedy = best(Actions::Discrete(self.choices), tape.outputs(0));
+        let mut network = self.network.single(&self.parameters);
+        let greedy = best(Actions::Discrete(self.choices), network.outputs(&self.seen));
         let epsilon = epsilon(&self.config, progress);
         greedy.map(|choice| {
             let explores = self.rng.random::<f32>() < epsilon;
@@ -208,6 +182,34 @@ impl<S: TaskBatch> Dqn<S> {
         };
         let groups = samples.chunks_exact(LANES).enumerate();
         groups.map(|(group, samples)| Lane::from_fn(|l| of(group, l, samples[l]))).collect()
+    }
+}
+
+impl<S: TaskBatch> Learner for Dqn<S> {
+    /// One step in every copy and the gradient steps that go with it.
+    fn round(&mut self, progress: f32) {
+        let actions = self.choose(progress);
+        let transitions = self.tasks.step(&actions);
+        let before = self.seen.clone();
+        self.tasks.observe(&mut self.seen);
+        self.replay.record(&before, &actions, &transitions, &self.seen);
+        let ended = transitions.map(|transition| transition.end != End::Not);
+        if ended.contains(&true) {
+            self.tasks.reset(&ended, &mut self.rng);
+            self.tasks.observe(&mut self.seen);
+        }
+        if self.replay.facts.len() >= self.config.warm_up.max(LANES) {
+            (0..self.config.updates).for_each(|_| self.improve(progress));
+        }
+    }
+
+    fn steps_per_round(&self) -> usize {
+        LANES
+    }
+
+    fn greedy(&self) -> Greedy {
+        let (network, parameters) = (self.network.clone(), self.parameters.clone());
+        Greedy { network, parameters, actions: Actions::Discrete(self.choices) }
     }
 }
 

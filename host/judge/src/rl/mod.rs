@@ -3,15 +3,6 @@
 //! Both algorithms see a simulator from outside only: they try commands and are told how far the pressure strayed
 //! from its target. Our training ([`learn::controller`]) differentiates the same simulator instead.
 //!
-//! | file | what |
-//! |---|---|
-//! | [`network`] | multilayer perceptron with gradient |
-//! | [`head`] | what a policy's outputs mean: Gaussian or categorical distribution |
-//! | [`ppo`], [`dqn`] | the two algorithms, for any [`TaskBatch`] |
-//! | [`ventilation`] | the inspiration as a task |
-//! | [`policy`] | what was learned, as commands of the valve; its file; its score on the true bench |
-//! | [`compare`] | training of either on learned simulators under a budget |
-//!
 //! Everything is drawn from a seeded `ChaCha8` and runs on the calling thread, so that the same seed gives the same
 //! policy whatever the number of threads.
 
@@ -25,15 +16,12 @@ pub mod ppo;
 mod tests;
 pub mod ventilation;
 
-use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
-
 use engine::{LANES, Lane};
-use network::{Mlp, MlpTape};
+use network::Mlp;
+use rand_chacha::ChaCha8Rng;
 
 /// What an agent may do in a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Actions {
     /// Any number; a task limits it where it must.
     Continuous,
@@ -80,6 +68,18 @@ pub trait TaskBatch {
     fn observe(&self, observation: &mut [Lane]);
 }
 
+/// An algorithm on its task.
+pub trait Learner {
+    /// Collects and learns; `progress` is the share of the training done, for learning rates and random choices.
+    fn round(&mut self, progress: f32);
+
+    /// Steps of the task per round, all copies together.
+    fn steps_per_round(&self) -> usize;
+
+    /// The policy as it is now.
+    fn greedy(&self) -> Greedy;
+}
+
 /// A policy without exploration: the mean of a Gaussian, the most probable or most valuable choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Greedy {
@@ -94,13 +94,8 @@ pub struct Greedy {
 impl Greedy {
     /// Actions for observations, ready to be asked again and again.
     pub fn actor(&self) -> impl FnMut(&[Lane]) -> Lane + use<> {
-        let weights = self.network.load(&self.parameters);
-        let (mut tape, actions) = (MlpTape::new(&self.network, 1), self.actions);
-        move |observation| {
-            tape.inputs(0).copy_from_slice(observation);
-            weights.forward(&mut tape);
-            best(actions, tape.outputs(0))
-        }
+        let (mut network, actions) = (self.network.single(&self.parameters), self.actions);
+        move |observation| best(actions, network.outputs(observation))
     }
 }
 

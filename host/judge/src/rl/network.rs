@@ -2,14 +2,12 @@
 //! at the output.
 
 use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
 
 use engine::Lane;
 use engine::dense::{DenseLayer, DenseWeights};
 
 /// Shape of a network: units of each layer, inputs first.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mlp {
     widths: Vec<usize>,
 }
@@ -24,9 +22,15 @@ pub struct Weights {
 #[derive(Clone, Debug)]
 pub struct MlpTape {
     widths: Vec<usize>,
-    groups: usize,
     values: Vec<Vec<Lane>>,
     gradients: Vec<Vec<Lane>>,
+}
+
+/// A network that is asked for one group of samples at a time.
+#[derive(Clone, Debug)]
+pub struct Single {
+    weights: Weights,
+    tape: MlpTape,
 }
 
 impl Mlp {
@@ -42,16 +46,6 @@ impl Mlp {
     /// A network with the same hidden layers for so many inputs and outputs.
     pub fn with_hidden(inputs: usize, hidden: &[usize], outputs: usize) -> Self {
         Self::new(&[&[inputs], hidden, &[outputs]].concat())
-    }
-
-    /// Inputs.
-    pub fn inputs(&self) -> usize {
-        self.widths[0]
-    }
-
-    /// Outputs.
-    pub fn outputs(&self) -> usize {
-        self.widths[self.widths.len() - 1]
     }
 
     fn layers(&self) -> impl Iterator<Item = DenseLayer> + '_ {
@@ -82,6 +76,20 @@ impl Mlp {
     pub fn load(&self, parameters: &[f32]) -> Weights {
         Weights { layers: self.layers().map(|layer| layer.load(parameters)).collect() }
     }
+
+    /// The same with memory for one group of samples.
+    pub fn single(&self, parameters: &[f32]) -> Single {
+        Single { weights: self.load(parameters), tape: MlpTape::new(self, 1) }
+    }
+}
+
+impl Single {
+    /// Outputs for these inputs.
+    pub fn outputs(&mut self, inputs: &[Lane]) -> &[Lane] {
+        self.tape.inputs(0).copy_from_slice(inputs);
+        self.weights.forward(&mut self.tape);
+        self.tape.outputs(0)
+    }
 }
 
 impl MlpTape {
@@ -89,12 +97,7 @@ impl MlpTape {
     pub fn new(network: &Mlp, groups: usize) -> Self {
         let zeros: Vec<Vec<Lane>> =
             network.widths.iter().map(|width| vec![Lane::ZERO; groups * width]).collect();
-        Self { widths: network.widths.clone(), groups, gradients: zeros.clone(), values: zeros }
-    }
-
-    /// Groups of samples.
-    pub fn groups(&self) -> usize {
-        self.groups
+        Self { widths: network.widths.clone(), gradients: zeros.clone(), values: zeros }
     }
 
     /// Inputs of a group, to be written.

@@ -10,8 +10,8 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 
 use super::head::{Head, Slope};
-use super::network::{Mlp, MlpTape, Weights};
-use super::{Actions, End, Greedy, TaskBatch, Transition};
+use super::network::{Mlp, MlpTape, Single};
+use super::{Actions, End, Greedy, Learner, TaskBatch, Transition};
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
 
@@ -130,44 +130,6 @@ impl<S: TaskBatch> Ppo<S> {
         }
     }
 
-    /// Steps of the task per round, all copies together.
-    pub fn steps_per_round(&self) -> usize {
-        self.config.horizon * LANES
-    }
-
-    /// The policy as it is now.
-    pub fn greedy(&self) -> Greedy {
-        let parameters = self.policy_parameters[..self.policy.parameters()].to_vec();
-        Greedy { network: self.policy.clone(), parameters, actions: self.actions }
-    }
-
-    /// Standard deviation of a continuous policy.
-    pub fn spread(&self) -> f32 {
-        self.policy_parameters[self.policy.parameters()].exp()
-    }
-
-    /// One round; `progress` is the share of the training done, for the learning rates.
-    pub fn round(&mut self, progress: f32) {
-        self.collect();
-        self.rollout.estimate(self.config.discount, self.config.lambda);
-        let groups = self.config.minibatch.div_ceil(LANES).min(self.config.horizon).max(1);
-        let mut policy_tape = MlpTape::new(&self.policy, groups);
-        let mut value_tape = MlpTape::new(&self.value, groups);
-        let mut order: Vec<usize> = (0..self.steps_per_round()).collect();
-        for _ in 0..self.config.epochs {
-            order.shuffle(&mut self.rng);
-            let (mut divergence, mut batches) = (0.0, 0);
-            for batch in order.chunks_exact(groups * LANES) {
-                divergence += self.improve_policy(&mut policy_tape, batch, progress);
-                self.improve_value(&mut value_tape, batch, progress);
-                batches += 1;
-            }
-            if divergence > self.config.divergence_limit * batches as f32 {
-                break;
-            }
-        }
-    }
-
     fn head(&self) -> Head {
         match self.actions {
             Actions::Continuous => {
@@ -180,35 +142,37 @@ impl<S: TaskBatch> Ppo<S> {
     /// Runs the policy for one horizon.
     fn collect(&mut self) {
         let head = self.head();
-        let policy = self.policy.load(&self.policy_parameters);
-        let mut critic = Critic::new(&self.value, &self.value_parameters);
-        let mut tape = MlpTape::new(&self.policy, 1);
+        let mut policy = self.policy.single(&self.policy_parameters);
+        let mut critic = self.value.single(&self.value_parameters);
+        let mut seen = vec![Lane::ZERO; self.rollout.width];
         for step in 0..self.config.horizon {
-            self.tasks.observe(tape.inputs(0));
-            policy.forward(&mut tape);
-            let actions = head.sample(tape.outputs(0), &mut self.rng);
-            let log_probability = head.log_probability(tape.outputs(0), &actions);
-            let value = critic.value(tape.inputs(0));
+            self.tasks.observe(&mut seen);
+            let outputs = policy.outputs(&seen);
+            let actions = head.sample(outputs, &mut self.rng);
+            let rollout = &mut self.rollout;
+            rollout.observations[step * rollout.width..][..rollout.width].copy_from_slice(&seen);
+            rollout.actions[step] = actions;
+            rollout.log_probabilities[step] = head.log_probability(outputs, &actions);
+            rollout.values[step] = critic.outputs(&seen)[0];
             let transitions = self.tasks.step(&actions);
-            self.rollout.record(step, tape.inputs(0), &actions, &log_probability, &value);
             let cut = self.value_of_cut(&mut critic, &transitions);
             self.rollout.rewards[step] = Lane::from_fn(|l| transitions[l].reward).zip(&cut, |r, c| r + c);
             let ended = transitions.map(|transition| transition.end != End::Not);
             self.rollout.goes_on[step] = Lane::from_fn(|l| f32::from(u8::from(!ended[l])));
             self.tasks.reset(&ended, &mut self.rng);
         }
-        self.tasks.observe(tape.inputs(0));
-        self.rollout.values[self.config.horizon] = critic.value(tape.inputs(0));
+        self.tasks.observe(&mut seen);
+        self.rollout.values[self.config.horizon] = critic.outputs(&seen)[0];
     }
 
     /// What the rest of episodes that were cut would have been worth, one step later.
-    fn value_of_cut(&self, critic: &mut Critic, transitions: &[Transition; LANES]) -> Lane {
+    fn value_of_cut(&self, critic: &mut Single, transitions: &[Transition; LANES]) -> Lane {
         if transitions.iter().all(|transition| transition.end != End::TimeLimit) {
             return Lane::ZERO;
         }
         let mut last = vec![Lane::ZERO; self.rollout.width];
         self.tasks.observe(&mut last);
-        let value = critic.value(&last);
+        let value = critic.outputs(&last)[0];
         Lane::from_fn(|l| match transitions[l].end {
             End::TimeLimit => self.config.discount * value[l],
             _ => 0.0,
@@ -260,21 +224,35 @@ impl<S: TaskBatch> Ppo<S> {
     }
 }
 
-/// The value network, asked for one group at a time.
-struct Critic {
-    weights: Weights,
-    tape: MlpTape,
-}
-
-impl Critic {
-    fn new(network: &Mlp, parameters: &[f32]) -> Self {
-        Self { weights: network.load(parameters), tape: MlpTape::new(network, 1) }
+impl<S: TaskBatch> Learner for Ppo<S> {
+    fn round(&mut self, progress: f32) {
+        self.collect();
+        self.rollout.estimate(self.config.discount, self.config.lambda);
+        let groups = self.config.minibatch.div_ceil(LANES).min(self.config.horizon).max(1);
+        let mut policy_tape = MlpTape::new(&self.policy, groups);
+        let mut value_tape = MlpTape::new(&self.value, groups);
+        let mut order: Vec<usize> = (0..self.steps_per_round()).collect();
+        for _ in 0..self.config.epochs {
+            order.shuffle(&mut self.rng);
+            let (mut divergence, mut batches) = (0.0, 0);
+            for batch in order.chunks_exact(groups * LANES) {
+                divergence += self.improve_policy(&mut policy_tape, batch, progress);
+                self.improve_value(&mut value_tape, batch, progress);
+                batches += 1;
+            }
+            if divergence > self.config.divergence_limit * batches as f32 {
+                break;
+            }
+        }
     }
 
-    fn value(&mut self, observation: &[Lane]) -> Lane {
-        self.tape.inputs(0).copy_from_slice(observation);
-        self.weights.forward(&mut self.tape);
-        self.tape.outputs(0)[0]
+    fn steps_per_round(&self) -> usize {
+        self.config.horizon * LANES
+    }
+
+    fn greedy(&self) -> Greedy {
+        let parameters = self.policy_parameters[..self.policy.parameters()].to_vec();
+        Greedy { network: self.policy.clone(), parameters, actions: self.actions }
     }
 }
 
@@ -303,20 +281,6 @@ impl RolloutBuffer {
             advantages: zeros(),
             returns: zeros(),
         }
-    }
-
-    fn record(
-        &mut self,
-        step: usize,
-        observation: &[Lane],
-        actions: &Lane,
-        log_probability: &Lane,
-        value: &Lane,
-    ) {
-        self.observations[step * self.width..(step + 1) * self.width].copy_from_slice(observation);
-        self.actions[step] = *actions;
-        self.log_probabilities[step] = *log_probability;
-        self.values[step] = *value;
     }
 
     /// Advantages and returns.
@@ -415,13 +379,14 @@ mod tests {
     fn a_continuous_action_is_learned_and_its_spread_shrinks() {
         let config = PpoConfig { horizon: 32, ..quick() };
         let mut ppo = Ppo::new(config, Copies::of(&Follow::default()), 2);
-        let before = ppo.spread();
+        let spread = |ppo: &Ppo<_>| ppo.policy_parameters[ppo.policy.parameters()].exp();
+        let before = spread(&ppo);
         (0..100).for_each(|round| ppo.round(round as f32 / 100.0));
         let mut act = ppo.greedy().actor();
         let shown = Lane::from_fn(|l| 0.2 * l as f32 - 1.6);
         let worst = act(&[shown]).zip(&shown, |a, x| (a - 0.5 * x).abs()).0.into_iter().fold(0.0, f32::max);
         assert!(worst < 0.1, "off by {worst}");
-        assert!(ppo.spread() < 0.5 * before, "{} after {before}", ppo.spread());
+        assert!(spread(&ppo) < 0.5 * before, "{} after {before}", spread(&ppo));
     }
 
     /// One step, one point, ended in one way.
@@ -456,7 +421,7 @@ mod tests {
             let config = PpoConfig { discount: 0.5, horizon: 16, value, ..quick() };
             let mut ppo = Ppo::new(config, Copies::of(&OneStep(end)), 1);
             (0..60).for_each(|round| ppo.round(round as f32 / 60.0));
-            let learned = Critic::new(&ppo.value, &ppo.value_parameters).value(&[Lane::splat(1.0)])[0];
+            let learned = ppo.value.single(&ppo.value_parameters).outputs(&[Lane::splat(1.0)])[0][0];
             assert!((learned - worth).abs() < 0.05, "{end:?}: {learned}");
         }
     }

@@ -68,22 +68,12 @@ impl Default for TaskConfig {
 }
 
 /// How an agent senses and acts, on simulator and bench alike.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Senses {
+#[derive(Clone, Debug, PartialEq)]
+pub struct Perception {
     /// Control period, microseconds.
     pub period_us: u32,
     /// Control ticks for which an action is held.
     pub hold: u32,
-    /// Gain of the integral among the features, percent per cmH2O and second.
-    pub integral_gain: f32,
-    /// What the agent sees.
-    pub features: FeatureSpec,
-}
-
-/// Built form of [`Senses`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct Perception {
-    senses: Senses,
     features: Features,
     integral: Pid,
 }
@@ -95,32 +85,19 @@ pub struct PolicyMemory {
     integral: PidState,
 }
 
-impl Senses {
+impl Perception {
     /// Senses for a control period in microseconds.
-    pub fn new(config: &TaskConfig, period_us: u32) -> Self {
-        Self {
-            period_us,
-            hold: math::ticks(config.hold_time, period_us).max(1),
-            integral_gain: config.integral_gain,
-            features: FeatureSpec::for_period(period_us),
-        }
-    }
-
-    /// Builds them.
     ///
     /// # Errors
     /// A gain or feature out of range.
-    pub fn build(self) -> Result<Perception, ResidualError> {
-        let gains = PidGains { p: 0.0, i: self.integral_gain, d: 0.0 };
-        let features = Features::new(self.features, self.period_us)?;
-        Ok(Perception { senses: self, features, integral: Pid::new(gains, self.period_us)? })
-    }
-}
-
-impl Perception {
-    /// From what it was built.
-    pub fn senses(&self) -> &Senses {
-        &self.senses
+    pub fn new(config: &TaskConfig, period_us: u32) -> Result<Self, ResidualError> {
+        let gains = PidGains { p: 0.0, i: config.integral_gain, d: 0.0 };
+        Ok(Self {
+            period_us,
+            hold: math::ticks(config.hold_time, period_us).max(1),
+            features: Features::new(FeatureSpec::for_period(period_us), period_us)?,
+            integral: Pid::new(gains, period_us)?,
+        })
     }
 
     /// Forgets the last breath; the valve stands at `command` percent.
@@ -157,7 +134,7 @@ pub struct Inspirations {
     config: TaskConfig,
     actions: Actions,
     perception: Perception,
-    simulators: Vec<Candidate>,
+    simulators: Vec<(Model, Simulator)>,
     running: usize,
     /// Of the simulator that is running.
     rollout: Rollout,
@@ -169,13 +146,6 @@ pub struct Inspirations {
     seen: [Lane; FEATURES],
     /// Sum of the absolute errors since the start of the inspiration, cmH2O.
     strayed: Lane,
-}
-
-/// One of the simulators that take turns.
-struct Candidate {
-    model: Model,
-    noise: f32,
-    start_pressure: f32,
 }
 
 impl Inspirations {
@@ -196,15 +166,10 @@ impl Inspirations {
         let alike = simulators.iter().all(|s| s.architecture.timing().period_us == period_us);
         assert!(alike, "simulators of one control period");
         let ticks = math::ticks(config.inspiratory_time, period_us) as usize;
-        let candidate = |simulator: &Simulator| Candidate {
-            model: simulator.model(),
-            noise: simulator.noise,
-            start_pressure: simulator.start_pressure,
-        };
-        let simulators: Vec<_> = simulators.iter().map(candidate).collect();
+        let simulators: Vec<_> = simulators.iter().map(|s| (s.model(), s.clone())).collect();
         Ok(Self {
-            perception: Senses::new(config, period_us).build()?,
-            rollout: Rollout::new(&simulators[0].model, ticks),
+            perception: Perception::new(config, period_us)?,
+            rollout: Rollout::new(&simulators[0].0, ticks),
             simulators,
             config: config.clone(),
             actions,
@@ -228,11 +193,11 @@ impl Inspirations {
     pub fn begin(&mut self, pip: Lane, rng: &mut ChaCha8Rng) {
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
         self.running = (self.running + 1) % self.simulators.len();
-        let Candidate { model, noise, start_pressure } = &self.simulators[self.running];
-        let pressure = Lane::from_fn(|_| *start_pressure + normal(self.config.start_spread));
+        let (model, simulator) = &self.simulators[self.running];
+        let pressure = Lane::from_fn(|_| simulator.start_pressure + normal(self.config.start_spread));
         let start = BreathStart { pressure, plateau: pip, ..BreathStart::default() };
         self.rollout.begin(model, &start, self.config.rest);
-        self.noise.fill_with(|| Lane::from_fn(|_| normal(*noise)));
+        self.noise.fill_with(|| Lane::from_fn(|_| normal(simulator.noise)));
         (self.pip, self.tick, self.strayed) = (pip, 0, Lane::ZERO);
         for memory in &mut self.memories {
             self.perception.start_breath(memory, self.config.rest);
@@ -297,7 +262,7 @@ impl TaskBatch for Inspirations {
 
     fn step(&mut self, actions: &Lane) -> [Transition; LANES] {
         let command = actions.map(|action| command(self.actions, action));
-        let held = (self.perception.senses().hold as usize).min(self.ticks - self.tick);
+        let held = (self.perception.hold as usize).min(self.ticks - self.tick);
         let mut strayed = Lane::ZERO;
         for _ in 0..held {
             strayed.add_scaled(1.0, &self.tick(&command));
