@@ -7,7 +7,7 @@
 //! serves ten control ticks.
 //!
 //! [`state_space`] and [`hybrid`] are ours, one for one plant, one for many lungs whose nominal R and C are known;
-//! [`stitched`] is the architecture of Suo et al. 2021. All implement [`Dynamics`]; whatever runs a simulator (its own
+//! [`stitched`] is the architecture of Suo et al. 2021. All implement `Dynamics`; whatever runs a simulator (its own
 //! fit, a controller in training, an agent) does so through a [`rollout::Rollout`], which alone tells them apart.
 
 mod breath_start;
