@@ -158,6 +158,7 @@ impl<'a> Server<'a> {
         self.continuation = continuation;
         NextStep::Control(control_request)
     }
+
     /// Goes on after [`NextStep::Control`] with the control half's reply.
     pub fn control_replied(&mut self, reply: ControlReply) -> NextStep {
         let status = match reply {
