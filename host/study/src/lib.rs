@@ -5,5 +5,4 @@ pub mod demo;
 mod error;
 pub mod reproduce;
 
-pub(crate) use error::Result;
 pub use error::StudyError;

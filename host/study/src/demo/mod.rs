@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
-use crate::{Result, StudyError};
+use crate::error::{Result, StudyError};
 use data::files::{read_json, write_atomically, write_json, write_json_indented};
 use judge::baselines::{Best, Search, tune_pid};
 use judge::evaluate::{BreathTrace, Evaluation, Plan};

@@ -8,7 +8,7 @@ use shared::explore::Exploration;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::Result;
+use crate::error::Result;
 use judge::evaluate::{Plan, evaluate};
 use learn::pipeline::{PAPER_PERIOD_US, PipelineConfig};
 use learn::simulator::fit::FitConfig;

@@ -6,7 +6,7 @@ use shared::control::pid::Pid;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::Result;
+use crate::error::Result;
 use judge::balloon::{self, baseline};
 use learn::pipeline;
 use plant::balloon::PERIOD_US;

@@ -5,7 +5,7 @@ use shared::control::Controller;
 
 use super::generalist;
 use super::study::Study;
-use crate::Result;
+use crate::error::Result;
 use judge::evaluate::InspirationRecord;
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::Stage;

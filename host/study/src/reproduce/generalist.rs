@@ -5,7 +5,7 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::Result;
+use crate::error::Result;
 use judge::evaluate::Evaluation;
 use learn::pipeline::PipelineConfig;
 

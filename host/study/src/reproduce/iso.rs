@@ -7,7 +7,7 @@ use shared::control::Controller;
 
 use super::generalist;
 use super::study::Study;
-use crate::Result;
+use crate::error::Result;
 use judge::evaluate::{InspirationRecord, Score};
 use plant::bench::BenchConfig;
 use progress::Stage;

@@ -6,7 +6,7 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{Reproduction, lungs};
-use crate::{Result, StudyError};
+use crate::error::{Result, StudyError};
 use engine::LANES;
 use judge::rl::compare::{Algorithm, RlConfig, train};
 use judge::rl::policy::evaluate;

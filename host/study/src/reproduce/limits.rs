@@ -1,7 +1,7 @@
 //! What no controller can beat on the lungs: how much of the way there a controller has gone.
 
 use super::study::Study;
-use crate::Result;
+use crate::error::Result;
 use judge::bound::{Bound, BoundConfig, bounds};
 
 /// Searches the bound of every lung.

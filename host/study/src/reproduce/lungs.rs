@@ -7,7 +7,7 @@ use shared::control::pid::PidGains;
 
 use super::Reproduction;
 use super::study::Study;
-use crate::{Result, StudyError};
+use crate::error::{Result, StudyError};
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};

@@ -25,7 +25,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
-use crate::Result;
+use crate::error::Result;
 use plant::bench::BenchConfig;
 use progress::Progress;
 

@@ -8,7 +8,7 @@ use super::results::{BalloonFigures, LungMeans, Results};
 use super::study::Study;
 use super::tracking::Tracking;
 use super::{Ablation, LungFigures, learning, lungs};
-use crate::Result;
+use crate::error::Result;
 use data::provenance::Provenance;
 use judge::evaluate::BreathTrace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};

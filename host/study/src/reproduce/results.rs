@@ -11,7 +11,7 @@ use super::lungs::LungScores;
 use super::study::Study;
 use super::unseen::Unseen;
 use super::{Ablation, ablations, learning, lungs};
-use crate::Result;
+use crate::error::Result;
 use data::provenance::git_revision;
 use judge::bound::Bound;
 use plant::bench::BenchConfig;

@@ -8,7 +8,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::Reproduction;
-use crate::{Result, StudyError};
+use crate::error::{Result, StudyError};
 use data::files::{claim, read_json, write_json_indented};
 use judge::baselines::{Grid, Search};
 use judge::evaluate::{Evaluation, Plan, evaluate};

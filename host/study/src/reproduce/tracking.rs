@@ -5,7 +5,7 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{generalist, lungs};
-use crate::Result;
+use crate::error::Result;
 use judge::evaluate::{BreathTrace, trace};
 
 /// The waveform shown, cmH2O.

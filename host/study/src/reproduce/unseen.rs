@@ -6,7 +6,7 @@ use shared::control::Controller;
 
 use super::study::Study;
 use super::{Reproduction, generalist};
-use crate::{Result, StudyError};
+use crate::error::{Result, StudyError};
 use judge::baselines::tune_pid;
 use judge::evaluate::{Evaluation, Plan};
 use plant::bench::{BenchConfig, CompartmentConfig};
