@@ -1,14 +1,14 @@
-//! The breath: timing in control ticks and the pressure waveform to follow.
+//! The breath: its timing in control ticks and its target pressure.
 //!
-//! A breath starts with the inspiration, goes on with a linear fall and ends with the expiration at PEEP. Two
-//! protocols stand here as data: the paper's six waveforms and the pressure-control rows of the test standard.
+//! A breath is an inspiration at PIP (peak inspiratory pressure), a linear fall, and an expiration at PEEP (positive
+//! end-expiratory pressure). Here too: the paper's six waveforms and the pressure-control rows of the test standard.
 
 use serde::{Deserialize, Serialize};
 
 use crate::math;
 use crate::settings::{Settings, SettingsError};
 
-/// Control period in microseconds.
+/// Default control period, microseconds.
 pub const DEFAULT_PERIOD_US: u32 = 1000;
 /// Shortest and longest control period accepted, microseconds.
 pub const PERIOD_BOUNDS_US: (u32, u32) = (250, 50_000);
@@ -16,10 +16,10 @@ pub const PERIOD_BOUNDS_US: (u32, u32) = (250, 50_000);
 /// Peak pressures of the paper's six waveforms, cmH2O (Suo et al. 2021, section 5).
 pub const PAPER_PIPS: [f32; 6] = [10.0, 15.0, 20.0, 25.0, 30.0, 35.0];
 
-/// Part of the breath.
+/// Phase of a breath.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
-    /// Gas is pushed in; the expiratory valve is closed and the controller works.
+    /// The controller drives gas into the lung; the expiratory valve is closed.
     Inspiration,
     /// The target falls from PIP to PEEP; the expiratory valve is open.
     Fall,
@@ -27,7 +27,7 @@ pub enum Phase {
     Expiration,
 }
 
-/// One breath's built form: validated pressures, times in ticks.
+/// A breath built from validated settings, with times in ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Breath {
     settings: Settings,
@@ -42,7 +42,7 @@ impl Breath {
     /// Builds a breath at a control period in microseconds.
     ///
     /// # Errors
-    /// What [`Settings::validate`] finds, or a control period out of [`PERIOD_BOUNDS_US`].
+    /// An error of [`Settings::validate`], or a control period outside [`PERIOD_BOUNDS_US`].
     pub fn new(settings: &Settings, period_us: u32) -> Result<Self, SettingsError> {
         settings.validate()?;
         if period_us < PERIOD_BOUNDS_US.0 || period_us > PERIOD_BOUNDS_US.1 {
@@ -55,7 +55,7 @@ impl Breath {
         Ok(Self { settings: *settings, period_us, rise_ticks, inspiration_ticks, fall_ticks, total_ticks })
     }
 
-    /// Settings that the breath was built from.
+    /// Settings from which the breath was built.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
@@ -70,17 +70,17 @@ impl Breath {
         period_s(self.period_us)
     }
 
-    /// Ticks of the inspiration.
+    /// Length of the inspiration, ticks.
     pub fn inspiration_ticks(&self) -> u32 {
         self.inspiration_ticks
     }
 
-    /// Ticks of the whole breath.
+    /// Length of the whole breath, ticks.
     pub fn total_ticks(&self) -> u32 {
         self.total_ticks
     }
 
-    /// Phase at a tick counted from the start of the breath.
+    /// Phase at a tick, counted from the start of the breath.
     pub fn phase(&self, tick: u32) -> Phase {
         if tick < self.inspiration_ticks {
             Phase::Inspiration
@@ -91,7 +91,7 @@ impl Breath {
         }
     }
 
-    /// Target pressure at a tick counted from the start of the breath, cmH2O.
+    /// Target pressure at a tick, counted from the start of the breath, cmH2O.
     pub fn target(&self, tick: u32) -> f32 {
         let Settings { pip, peep, .. } = self.settings;
         match self.phase(tick) {
@@ -141,7 +141,7 @@ pub struct IsoRow {
 }
 
 impl IsoRow {
-    /// The row as settings. The fall takes a sixth of the breath, as in the paper's protocol.
+    /// Settings for this row. The fall takes a sixth of the breath, as in the paper's protocol.
     pub fn settings(&self) -> Settings {
         let breath = 60.0 / self.rate;
         Settings {
@@ -168,7 +168,7 @@ const fn row(number: u8, lung: (f32, f32), timing: (f32, f32), pressure: (f32, f
     }
 }
 
-/// All pressure-control rows: lung (C, R), timing (rate, I:E), pressures (PIP, PEEP), tidal volume.
+/// All pressure-control rows: lung (compliance, resistance), timing (rate, I:E), pressures (PIP, PEEP), tidal volume.
 pub const ISO_ROWS: [IsoRow; 21] = [
     row(1, (50.0, 5.0), (20.0, 0.5), (15.0, 5.0), 500.0),
     row(2, (50.0, 20.0), (12.0, 0.25), (25.0, 10.0), 500.0),

@@ -1,26 +1,26 @@
-//! The one checksum of the project: CRC-32 as in zip and Ethernet (`zlib.crc32` in Python), for the weights
-//! image and for both links.
+//! The project's checksum, CRC-32 as in zip and Ethernet (`zlib.crc32` in Python), for the weights image and both
+//! links; and a hash for layouts.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 
-/// The checksum, for callers that feed it bit by bit.
+/// The checksum algorithm, for callers that feed it piece by piece.
 pub static CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Bytes that a checksum takes in a frame or image.
+/// Length of a checksum in a frame or image, bytes.
 pub const CHECKSUM_BYTES: usize = 4;
 
-/// Checksum of some bytes.
+/// CRC-32 of `bytes`.
 pub fn crc32(bytes: &[u8]) -> u32 {
     CRC_32.checksum(bytes)
 }
 
-/// Splits off the checksum at the end, stored little endian: what it covers, if it matches.
+/// Checks the little-endian checksum at the end of `bytes`; returns the bytes before it if it matches.
 pub fn verified(bytes: &[u8]) -> Option<&[u8]> {
     let (covered, stored) = bytes.split_last_chunk::<CHECKSUM_BYTES>()?;
     (crc32(covered) == u32::from_le_bytes(*stored)).then_some(covered)
 }
 
-/// Hash of some words (Fowler, Noll and Vo): it tells layouts apart, and does not detect damage.
+/// Hash of `words` (Fowler, Noll and Vo), to distinguish memory layouts; it is too weak to detect damage.
 pub const fn fnv(words: &[u32]) -> u32 {
     let (mut hash, mut index) = (0x811C_9DC5_u32, 0);
     while index < words.len() {

@@ -1,9 +1,9 @@
-//! Exploration: a random perturbation added to the controller's command, one per breath (Suo et al. 2021,
-//! section 4).
+//! Exploration: a random perturbation of the controller's command, one per breath, so that recordings contain varied
+//! commands (Suo et al. 2021, section 4).
 //!
-//! *Boundary* exploration adds to the very start of the inspiration and fades out linearly; *triangular*
-//! exploration adds a ramp up and down somewhere within the inspiration. A breath's perturbation depends on the
-//! seed and the breath's number alone, so a device and a bench given both explore alike.
+//! *Boundary* exploration adds a step at the start of the inspiration that fades out linearly; *triangular*
+//! exploration adds a ramp up and down somewhere within the inspiration. A breath's perturbation depends only on the
+//! parameters, the breath's number and its inspiratory time, so device and bench explore alike.
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
@@ -13,24 +13,24 @@ use thiserror::Error;
 use crate::breath::{Breath, period_s};
 use crate::control::COMMAND_MAX;
 
-/// A range to draw from uniformly.
+/// Lower and upper end of a uniform distribution.
 pub type Range = (f32, f32);
 
-/// How to explore; the defaults are the paper's.
+/// Parameters of exploration; the defaults are the paper's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Exploration {
-    /// Probability of boundary exploration, else triangular.
+    /// Probability of boundary exploration; all other breaths get a triangle.
     pub boundary_probability: f32,
     /// Command added at the start of the breath, percent.
     pub boundary_height: Range,
-    /// Time until it has faded out, s.
+    /// Time until that command has faded out, s.
     pub boundary_duration: Range,
     /// Peak of the triangle, percent.
     pub triangle_height: Range,
-    /// Length of the triangle, s.
+    /// Duration of the triangle, s.
     pub triangle_duration: Range,
-    /// Seed of the random numbers.
+    /// Seed of the random number generator.
     pub seed: u64,
 }
 
@@ -47,15 +47,15 @@ impl Default for Exploration {
     }
 }
 
-/// An exploration parameter that makes no sense.
+/// An exploration parameter out of bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("exploration: {name} is {low} to {high}, it must be a rising range within {min} to {max}")]
+#[error("exploration: {name} is {low} to {high}; give the lower end first, both within {min} to {max}")]
 pub struct ExplorationError {
     /// Field of [`Exploration`].
     pub name: &'static str,
-    /// Lower end asked for.
+    /// Requested lower end.
     pub low: f32,
-    /// Upper end asked for.
+    /// Requested upper end.
     pub high: f32,
     /// Lowest accepted value.
     pub min: f32,
@@ -64,10 +64,10 @@ pub struct ExplorationError {
 }
 
 impl Exploration {
-    /// Checks that every range rises and lies within its bounds.
+    /// Checks that every range is ordered and within its bounds.
     ///
     /// # Errors
-    /// The first range that does not.
+    /// The first range that is not.
     pub fn validate(&self) -> Result<(), ExplorationError> {
         let p = self.boundary_probability;
         let ranges = [
@@ -85,7 +85,7 @@ impl Exploration {
         Ok(())
     }
 
-    /// The perturbation of one breath.
+    /// Perturbation of the breath with this number.
     pub fn perturbation(&self, breath: &Breath, number: u32) -> Perturbation {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(u64::from(number));
@@ -103,15 +103,15 @@ impl Exploration {
     }
 }
 
-/// 24 random bits as a number in `0.0..1.0`.
+/// The upper 24 bits as a number in `0.0..1.0`.
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 / 16_777_216.0
 }
 
-/// A straight rise and fall of the command within one breath; times in seconds from its start.
+/// A linear rise and fall of the command within one breath; times in seconds from the start of the breath.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Perturbation {
-    /// Command at the peak, percent.
+    /// Command added at the peak, percent.
     pub height: f32,
     /// Start of the rise.
     pub start: f32,
@@ -122,7 +122,7 @@ pub struct Perturbation {
 }
 
 impl Perturbation {
-    /// Command to add at a tick of the breath, percent.
+    /// Command to add at `tick` of the breath, percent.
     pub fn at(&self, tick: u32, period_us: u32) -> f32 {
         let time = tick as f32 * period_s(period_us);
         if time < self.start || time >= self.end {

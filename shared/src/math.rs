@@ -1,41 +1,41 @@
 //! The only module that defines or names a mathematical function.
 //!
-//! Everything here is built from additions, multiplications, divisions and comparisons, which IEEE 754 defines
-//! to the last bit, so host and chip agree exactly.
+//! Everything here consists of additions, multiplications, divisions, comparisons and integer operations on the bits.
+//! IEEE 754 defines their results exactly, so host and chip agree in every bit.
 
-/// Limits `x` to `lo..=hi`; a NaN gives `lo`, so that a broken value can only mean *less*.
+/// Limits `x` to `lo..=hi`; a NaN becomes `lo`, so that an invalid value can only *reduce* a command.
 ///
-/// (`f32::clamp` would let the NaN through.)
+/// (`f32::clamp` returns NaN for NaN.)
 #[inline]
 pub fn limit(x: f32, lo: f32, hi: f32) -> f32 {
     if x >= lo { if x <= hi { x } else { hi } } else { lo }
 }
 
-/// The hidden layers' activation, `x / (1 + |x|)`: smooth, bounded to ±1, and four instructions long where a
-/// hyperbolic tangent takes a hundred.
+/// Activation of the hidden layers, `x / (1 + |x|)`: smooth, bounded to ±1, and about 4 instructions where a
+/// hyperbolic tangent takes about 100.
 #[inline]
 pub fn softsign(x: f32) -> f32 {
     x / (1.0 + x.abs())
 }
 
-/// Smoothing factor of a first-order lag: `step / (tau + step)`, both in seconds. A lag of zero or less passes
-/// everything.
+/// Smoothing factor of a first-order lag: `step / (tau + step)`, both in seconds. A lag of zero or less gives 1, no
+/// smoothing.
 #[inline]
 pub fn lag_factor(tau: f32, step: f32) -> f32 {
     if tau > 0.0 { step / (tau + step) } else { 1.0 }
 }
 
-/// Seconds as a number of ticks of `tick_us` microseconds, rounded to the nearest.
+/// Converts seconds to ticks of `tick_us` microseconds, rounded to the nearest.
 #[inline]
 pub fn ticks(seconds: f32, tick_us: u32) -> u32 {
-    // In f64, since 1 us in a minute is beyond the resolution of f32.
+    // In f64, since f32 cannot resolve 1 us in a minute.
     let exact = f64::from(seconds) * 1.0e6 / f64::from(tick_us.max(1));
     (exact + 0.5) as u32
 }
 
-/// Square root, to within 1e-5 of it; of what is not positive 0, of a NaN a NaN.
+/// Square root with a relative error below 1e-5; 0 for `x <= 0`, NaN for NaN.
 ///
-/// Two of Newton's steps from micromath's first guess, which is up to 6 % off.
+/// Two Newton steps from micromath's estimate, which is up to 6 % off.
 #[inline]
 pub fn square_root(x: f32) -> f32 {
     if x <= 0.0 {

@@ -1,26 +1,26 @@
-//! From the converter's counts to pressure and flow: the arithmetic of the sensors' drivers.
+//! Converts the counts of the analogue-to-digital converter to pressure and flow.
 //!
-//! Every sensor gives 0.5 to 4.5 V of a 5 V supply over its range (as, for instance, the MPXV7000 series does), and a
-//! divider of 2/3 brings that to the converter's 3.3 V. So a count far below or above the range means a broken wire or a
-//! short circuit, not a pressure, and gives no number.
+//! Over its range every sensor outputs 0.5 to 4.5 V at a supply of 5 V (as the MPXV7000 series does), and a divider of 2/3
+//! adapts that to the converter's 3.3 V. A count far outside that range means a broken wire or a short circuit, not a
+//! pressure, and is read as NaN.
 //!
-//! | channel | range | for instance |
+//! | channel | range | example |
 //! |---|---|---|
 //! | airway pressure | -71.4 to 71.4 cmH2O | MPXV7007DP |
-//! | pressure at the machine's outlet, a second opinion | the same | MPXV7007DP |
+//! | pressure at the machine's outlet, to check the airway sensor | the same | MPXV7007DP |
 //! | pressure across the flow meter's orifice | -20.4 to 20.4 cmH2O | MPXV7002DP |
 
 use crate::math;
 
-/// Counts of the converter at its reference voltage, 3.3 V.
+/// Converter counts at the reference voltage of 3.3 V.
 const FULL_SCALE: f32 = 4095.0;
-/// Counts per volt of a sensor, behind the divider.
+/// Converter counts per volt at a sensor's output, before the divider.
 const COUNTS_PER_VOLT: f32 = FULL_SCALE / 3.3 * (2.0 / 3.0);
-/// Voltage of a sensor at zero, V.
+/// Sensor voltage at zero pressure, V.
 const ZERO: f32 = 2.5;
-/// Voltage of a sensor from zero to the end of its range, V.
+/// Change of the sensor voltage from zero to the end of the range, V.
 const SPAN: f32 = 2.0;
-/// Below and above these voltages no sound sensor is, V.
+/// Lowest and highest voltage that a working sensor can output, V.
 const PLAUSIBLE: (f32, f32) = (0.25, 4.75);
 /// End of the pressure sensors' range, cmH2O (7 kPa).
 pub const PRESSURE_SPAN: f32 = 71.4;
@@ -28,23 +28,23 @@ pub const PRESSURE_SPAN: f32 = 71.4;
 pub const ORIFICE_SPAN: f32 = 20.4;
 /// Flow through the orifice at 1 cmH2O, L/s.
 pub const ORIFICE_FLOW: f32 = 0.66;
-/// Largest difference of airway and outlet, cmH2O: the tube between them takes up to 5 at full flow.
+/// Largest plausible difference between airway and outlet, cmH2O: at full flow the tube between them drops up to 5.
 pub const DISAGREEMENT: f32 = 10.0;
-/// Time of a larger difference after which neither is believed, ticks.
+/// Ticks with a larger difference after which neither sensor is believed.
 pub const DISAGREEMENT_TICKS: u32 = 20;
 
-/// Counts of the converter, 12 bits each.
+/// Converter counts of one tick, 12 bits each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counts {
     /// Airway pressure.
     pub airway: u16,
-    /// Pressure at the outlet.
+    /// Pressure at the machine's outlet.
     pub outlet: u16,
-    /// Pressure across the orifice.
+    /// Pressure across the flow meter's orifice.
     pub flow: u16,
 }
 
-/// Values of the sensors; NaN where there is nothing to believe.
+/// Sensor values; NaN where there is no plausible value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorReading {
     /// Airway pressure, cmH2O.
@@ -53,15 +53,15 @@ pub struct SensorReading {
     pub flow: f32,
 }
 
-/// The sensors' memory.
+/// State of the sensor check.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sensors {
-    /// Ticks for which the pressures have been apart.
+    /// Consecutive ticks in which the two pressures have disagreed.
     apart: u32,
 }
 
 impl Sensors {
-    /// Takes in one tick's counts.
+    /// Converts one tick's counts.
     pub fn read(&mut self, counts: Counts) -> SensorReading {
         let (airway, outlet) = (value(counts.airway, PRESSURE_SPAN), value(counts.outlet, PRESSURE_SPAN));
         let agree = (airway - outlet).abs() <= DISAGREEMENT;
@@ -71,13 +71,13 @@ impl Sensors {
     }
 }
 
-/// A sensor's value from its counts, in the unit of its span; NaN from a broken wire.
+/// Converts a sensor's counts to the unit of its span; NaN outside [`PLAUSIBLE`].
 fn value(counts: u16, span: f32) -> f32 {
     let volts = f32::from(counts) / COUNTS_PER_VOLT;
     if volts >= PLAUSIBLE.0 && volts <= PLAUSIBLE.1 { (volts - ZERO) / SPAN * span } else { f32::NAN }
 }
 
-/// Flow through an orifice, L/s, from the pressure across it, cmH2O: its square root, with its sign.
+/// Flow through the orifice, L/s, from the pressure across it, cmH2O: proportional to its square root, with its sign.
 fn orifice_flow(pressure: f32) -> f32 {
     let flow = ORIFICE_FLOW * math::square_root(pressure.abs());
     if pressure < 0.0 { -flow } else { flow }
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Counts of a value, as a sound sensor gives them.
+    /// Counts of a working sensor at a value.
     fn counts(value: f32, span: f32) -> u16 {
         ((ZERO + value / span * SPAN) * COUNTS_PER_VOLT + 0.5) as u16
     }
@@ -114,8 +114,8 @@ mod tests {
     }
 
     #[test]
-    fn the_window_of_sound_voltages_is_that_from_a_quarter_of_a_volt_to_the_same_below_the_supply() {
-        // 0.25 V are 206.8 counts behind the divider, 4.75 V are 3929.5.
+    fn plausible_voltages_are_a_quarter_of_a_volt_inside_the_supply() {
+        // After the divider 0.25 V are 206.8 counts, and 4.75 V are 3929.5.
         for (counts, sound) in [(206, false), (207, true), (3929, true), (3930, false)] {
             let reading = Sensors::default().read(Counts { airway: counts, outlet: counts, ..at(0.0, 0.0) });
             assert_eq!(!reading.pressure.is_nan(), sound, "{counts} counts");
@@ -134,7 +134,7 @@ mod tests {
         for _ in 1..DISAGREEMENT_TICKS {
             sensors.read(broken);
         }
-        assert!(sensors.read(broken).pressure.is_nan(), "a lost second opinion is no agreement");
+        assert!(sensors.read(broken).pressure.is_nan(), "a broken outlet sensor does not count as agreement");
     }
 
     proptest! {

@@ -1,6 +1,6 @@
-//! The operator's settings: names, units, bounds and defaults, once for firmware, command line and documents.
+//! The operator's settings: names, units, bounds and defaults, defined once for firmware, command line and documents.
 //!
-//! [`Settings`] is what was typed or received; a `Breath` is the validated, built form that the control loop sees.
+//! [`Settings`] holds values as typed or received; a `Breath` is the validated form that the control loop sees.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -23,16 +23,16 @@ pub struct Settings {
     pub fall_time: f32,
     /// Command of the inspiratory valve while the expiratory valve is open, percent.
     pub expiratory_bias: f32,
-    /// Airway pressure above which the ventilator goes to its safe state, cmH2O.
+    /// Airway pressure above which the running inspiration is ended (expiratory valve open), cmH2O.
     pub pressure_limit: f32,
 }
 
-/// One setting's place in the schema.
+/// Description of one setting.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
     /// Name as in [`Settings`].
     pub name: &'static str,
-    /// What it is, as printed.
+    /// Description, as printed.
     pub description: &'static str,
     /// Unit, as printed.
     pub unit: &'static str,
@@ -40,19 +40,19 @@ pub struct Field {
     pub min: f32,
     /// Highest accepted value.
     pub max: f32,
-    /// Value of a new device, from the paper's protocol.
+    /// Default value; together the defaults are the paper's protocol.
     pub default: f32,
     get: fn(&Settings) -> f32,
 }
 
 impl Field {
-    /// This setting's value in `settings`.
+    /// Value of this setting in `settings`.
     pub fn value(&self, settings: &Settings) -> f32 {
         (self.get)(settings)
     }
 }
 
-/// Index of a setting in [`FIELDS`]. A device of another version may know settings that are not there.
+/// Index of a setting in [`FIELDS`]. A device of another version may have settings that this list lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FieldIndex(pub u8);
 
@@ -68,7 +68,7 @@ impl FieldIndex {
 
 macro_rules! fields {
     ($($name:ident, $unit:literal, $min:literal ..= $max:literal, $default:literal, $description:literal;)*) => {
-        /// Every setting with unit, bounds and default.
+        /// All settings with unit, bounds and default.
         pub const FIELDS: &[Field] = &[$(Field {
             name: stringify!($name), description: $description, unit: $unit, min: $min, max: $max,
             default: $default, get: |s| s.$name,
@@ -93,68 +93,68 @@ fields! {
     pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0, "Pressure above which a breath is ended";
 }
 
-/// Every setting but PIP, which stands first: what the waveforms of a run have in common.
+/// Every setting except PIP, which is first: the settings that the waveforms of a run have in common.
 pub const TEMPLATE_FIELDS: &[Field] = FIELDS.split_at(1).1;
 
 /// Reason for refusing settings. The order of variants and fields is part of the link's protocol: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Error)]
 pub enum SettingsError {
-    /// A value lies outside its bounds (or is no number).
+    /// A value is outside its bounds or not a number.
     #[error("{} is {value} {1}, allowed are {min} to {max} {1}", .field.name(), .field.unit())]
     OutOfBounds {
         /// The setting.
         field: FieldIndex,
-        /// Value that was asked for.
+        /// Requested value.
         value: f32,
         /// Lowest accepted value.
         min: f32,
         /// Highest accepted value.
         max: f32,
     },
-    /// PIP lies below PEEP.
-    #[error("PIP ({pip} cmH2O) lies below PEEP ({peep} cmH2O); raise pip or lower peep")]
+    /// PIP is below PEEP.
+    #[error("PIP ({pip} cmH2O) is below PEEP ({peep} cmH2O); raise pip or lower peep")]
     PipBelowPeep {
-        /// PIP asked for, cmH2O.
+        /// Requested PIP, cmH2O.
         pip: f32,
-        /// PEEP asked for, cmH2O.
+        /// Requested PEEP, cmH2O.
         peep: f32,
     },
-    /// The pressure limit leaves no room above PIP.
-    #[error("pressure limit ({limit} cmH2O) must lie at least {margin} cmH2O above PIP ({pip} cmH2O)")]
+    /// The pressure limit is too close to PIP.
+    #[error("pressure limit ({limit} cmH2O) must be at least {margin} cmH2O above PIP ({pip} cmH2O)")]
     LimitTooLow {
-        /// Limit asked for, cmH2O.
+        /// Requested limit, cmH2O.
         limit: f32,
-        /// PIP asked for, cmH2O.
+        /// Requested PIP, cmH2O.
         pip: f32,
-        /// Distance required, cmH2O.
+        /// Required distance, cmH2O.
         margin: f32,
     },
-    /// Inspiration and fall do not fit into the breath.
+    /// Inspiration and fall are longer than the breath.
     #[error(
         "inspiration and fall take {inspiration} s of a breath of {breath} s; lower the rate or shorten them"
     )]
     BreathTooShort {
         /// Inspiratory and fall time together, s.
         inspiration: f32,
-        /// Length of a breath at the rate asked for, s.
+        /// Length of a breath at the requested rate, s.
         breath: f32,
     },
-    /// The control period cannot resolve the breath.
+    /// The control period is out of bounds.
     #[error("control period of {period_us} us is outside 250 to 50000 us")]
     Period {
-        /// Period asked for, microseconds.
+        /// Requested period, microseconds.
         period_us: u32,
     },
 }
 
-/// Room that the pressure limit must leave above PIP, cmH2O.
+/// Smallest distance of the pressure limit above PIP, cmH2O.
 pub const LIMIT_MARGIN: f32 = 5.0;
 
 impl Settings {
-    /// Checks every bound and what the settings demand of each other.
+    /// Checks all bounds and the relations between settings.
     ///
     /// # Errors
-    /// The first violated rule, with what would be allowed.
+    /// The first violated rule, with the allowed range.
     pub fn validate(&self) -> Result<(), SettingsError> {
         for (index, field) in (0..).zip(FIELDS) {
             let (value, min, max) = (field.value(self), field.min, field.max);

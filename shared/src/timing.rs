@@ -1,61 +1,61 @@
-//! Punctuality and duration of the control ticks, in cycles of the core's clock.
+//! Statistics of the control ticks: latency, work and period, in core clock cycles.
 
 use serde::{Deserialize, Serialize};
 
-/// Bins of the histogram: below 1 us, below 2 us, below 4 us, ..., the last one open.
+/// Bins of the histogram: below 1 us, below 2 us, below 4 us and so on; the last one is open-ended.
 pub const BINS: usize = 12;
 
-/// Shortest, mean and longest of a number of times, in cycles of the core's clock.
+/// Shortest, mean and longest of a set of times, in core clock cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CycleStats {
-    /// Shortest.
+    /// Shortest time, cycles.
     pub shortest: u32,
-    /// Mean.
+    /// Mean time, cycles.
     pub mean: f32,
-    /// Longest.
+    /// Longest time, cycles.
     pub longest: u32,
 }
 
 /// Statistics of the control ticks since they were last cleared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TickTimes {
-    /// Frequency of the core's clock, Hz: the unit of all spans.
+    /// Core clock frequency, Hz, to convert cycles to time.
     pub core_hz: u32,
-    /// Ticks counted.
+    /// Number of ticks that ran.
     pub ticks: u32,
-    /// Ticks that did not run at all.
+    /// Number of ticks that did not run.
     pub missed: u32,
-    /// From the moment that the tick was due to its first instruction.
+    /// Time from when the tick was due to its first instruction.
     pub latency: CycleStats,
-    /// From the pressure reading to the end of the tick; the time in which a plant makes its answer is not in it.
+    /// Time from the pressure reading to the end of the tick, without the wait for a plant's answer.
     pub work: CycleStats,
-    /// From the start of one tick to the start of the next.
+    /// Time from the start of one tick to the start of the next.
     pub period: CycleStats,
-    /// Ticks by their work, see [`BINS`].
+    /// Number of ticks by work, see [`BINS`].
     pub histogram: [u32; BINS],
 }
 
 impl TickTimes {
-    /// A number of cycles in microseconds.
+    /// Converts cycles to microseconds.
     pub fn microseconds(&self, cycles: f32) -> f32 {
         cycles * 1.0e6 / (self.core_hz.max(1) as f32)
     }
 }
 
-/// Times of one tick, in cycles of the core's clock.
+/// Times of one tick, in core clock cycles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TickTime {
     /// See [`TickTimes::latency`].
     pub latency: u32,
     /// See [`TickTimes::work`].
     pub work: u32,
-    /// See [`TickTimes::period`]; none if ticks were missed in between, or at the first one.
+    /// See [`TickTimes::period`]; none for the first tick and after missed ticks.
     pub period: Option<u32>,
-    /// Ticks that did not run since the last one that did.
+    /// Ticks missed since the last one that ran.
     pub missed: u32,
 }
 
-/// Sums up ticks.
+/// Accumulates the statistics.
 #[derive(Clone, Debug)]
 pub struct TickTimer {
     core_hz: u32,
@@ -68,13 +68,13 @@ pub struct TickTimer {
 }
 
 impl TickTimer {
-    /// Nothing counted; `core_hz` is the frequency of the core's clock.
+    /// Empty statistics; `core_hz` is the core clock frequency, Hz.
     pub const fn new(core_hz: u32) -> Self {
         let (latency, work, period) = (Sum::NONE, Sum::NONE, Sum::NONE);
         Self { core_hz, ticks: 0, missed: 0, latency, work, period, histogram: [0; BINS] }
     }
 
-    /// Takes in one tick.
+    /// Adds one tick.
     pub fn record(&mut self, tick: &TickTime) {
         self.ticks = self.ticks.saturating_add(1);
         self.missed = self.missed.saturating_add(tick.missed);
@@ -87,23 +87,23 @@ impl TickTimer {
         *bin = bin.saturating_add(1);
     }
 
-    /// Forgets everything.
+    /// Clears the statistics.
     pub fn clear(&mut self) {
         *self = Self::new(self.core_hz);
     }
 
-    /// Ticks that did not run.
+    /// Number of ticks that did not run.
     pub fn missed(&self) -> u32 {
         self.missed
     }
 
-    /// Longest and mean work, microseconds.
+    /// Longest and mean work of a tick, microseconds.
     pub fn work_us(&self) -> (u32, f32) {
         let times = self.times();
         (times.microseconds(times.work.longest as f32) as u32, times.microseconds(times.work.mean))
     }
 
-    /// The statistics.
+    /// The statistics so far.
     pub fn times(&self) -> TickTimes {
         let Self { core_hz, ticks, missed, histogram, .. } = *self;
         let [latency, work, period] = [self.latency, self.work, self.period].map(Sum::span);
@@ -111,7 +111,7 @@ impl TickTimer {
     }
 }
 
-/// Bin of a time in microseconds: the number of its binary digits.
+/// Histogram bin of a time in microseconds: its number of binary digits.
 fn bin(microseconds: u32) -> usize {
     ((u32::BITS - microseconds.leading_zeros()) as usize).min(BINS - 1)
 }

@@ -1,18 +1,18 @@
-//! The ventilator: the pure state machine around controller and safety, one [`Ventilator::step`] per control
-//! tick.
+//! The ventilator: a pure state machine that connects controller and supervisor, with one [`Ventilator::step`] per
+//! control tick.
 //!
 //! # Modes
-//! *Standby*: valves safe, no breath runs. *Ventilating*: breath after breath. *Fault*: latched safe state,
-//! left only by [`VentilatorState::acknowledge`], which leads to standby.
+//! *Standby*: valves safe, no breath runs. *Ventilating*: breath follows breath. *Fault*: latched safe state; only
+//! [`VentilatorState::acknowledge`] ends it, and leads to standby.
 //!
 //! # Breath
-//! Settings sent while ventilating wait and take effect when the next breath starts. The controller works during
-//! the inspiration; in fall and expiration the expiratory valve is open, the mechanical PEEP valve holds PEEP,
-//! and the inspiratory valve is closed (fall) or at its bias (expiration).
+//! Settings sent while ventilating take effect when the next breath starts. The controller runs during the
+//! inspiration; in fall and expiration the expiratory valve is open, the mechanical PEEP valve holds PEEP, and the
+//! inspiratory valve is closed (fall) or at its bias (expiration).
 //!
 //! # Order of a tick
-//! supervisor checks the reading -> controller -> exploration -> safety filter -> controller takes in what was
-//! applied. Any [`ControlLaw`] can be the controller; the order and the safety are the same for all.
+//! The supervisor checks the reading -> controller -> exploration -> safety filter -> the controller records the applied
+//! command. Any [`ControlLaw`] can be the controller; order and safety are the same for all.
 
 use serde::{Deserialize, Serialize};
 
@@ -26,18 +26,18 @@ use crate::safety::monitors::Monitors;
 use crate::safety::supervisor::{Supervisor, SupervisorState};
 use crate::settings::{Settings, SettingsError};
 
-/// What the ventilator is doing.
+/// Mode of the ventilator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Mode {
-    /// Valves safe, waiting for a start.
+    /// Valves safe, waiting for the start.
     Standby,
-    /// Breathing.
+    /// Ventilating breath by breath.
     Ventilating,
-    /// Latched safe state.
+    /// Latched safe state, with the fault that caused it.
     Fault(Fault),
 }
 
-/// What a tick did, for telemetry and recordings.
+/// Record of one tick, for telemetry and recordings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Number of the breath since the start of ventilation, from 0.
@@ -52,27 +52,27 @@ pub struct Sample {
     pub pressure: f32,
     /// Command sent to the inspiratory valve, percent.
     pub u_in: f32,
-    /// Expiratory valve open?
+    /// Whether the expiratory valve is open.
     pub u_out: bool,
-    /// What exploration added to the controller's output, percent.
+    /// Perturbation that exploration added to the controller's output, percent.
     pub explore: f32,
 }
 
-/// What a tick gives.
+/// Output of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Output {
-    /// For the valves.
+    /// Command for the valves.
     pub command: ValveCommand,
     /// Mode after the tick.
     pub mode: Mode,
-    /// The tick's sample; none outside of ventilation.
+    /// Sample of the tick; none outside ventilation.
     pub sample: Option<Sample>,
-    /// An alarm that begins.
+    /// Alarm that begins in this tick.
     pub alarm: Option<Fault>,
 }
 
-/// The configuration of a ventilator: control period, controller, exploration, supervisor. Replacing it leaves the
-/// state, and with it the running breath, alone.
+/// Configuration of a ventilator: control period, controller, exploration, supervisor. Changing it does not change the
+/// state, and so does not interrupt the running breath.
 #[derive(Clone, Debug)]
 pub struct Ventilator<C = Controller> {
     period_us: u32,
@@ -81,7 +81,7 @@ pub struct Ventilator<C = Controller> {
     supervisor: Supervisor,
 }
 
-/// Everything that changes from tick to tick.
+/// State of a ventilator: everything that changes from tick to tick.
 #[derive(Clone, Debug)]
 pub struct VentilatorState<S = ControllerState> {
     mode: Mode,
@@ -102,31 +102,31 @@ impl<C: ControlLaw> Ventilator<C> {
         Self { period_us, controller, exploration: None, supervisor }
     }
 
-    /// The same with these monitors alone, for a plant that is no ventilator, or to see what a monitor is there for.
+    /// Enables only these monitors: for a plant that does not behave like a ventilator, or to show what a monitor prevents.
     #[must_use]
     pub fn with_monitors(mut self, monitors: Monitors) -> Self {
         self.supervisor = Supervisor::new(self.period_us, monitors);
         self
     }
 
-    /// The same, exploring.
+    /// Sets the exploration.
     #[must_use]
     pub fn with_exploration(mut self, exploration: Option<Exploration>) -> Self {
         self.exploration = exploration;
         self
     }
 
-    /// Takes another controller; the running breath goes on with it.
+    /// Replaces the controller; the running breath continues with the new one.
     pub fn set_controller(&mut self, controller: C) {
         self.controller = controller;
     }
 
-    /// Explores, or not, from the next breath on.
+    /// Sets the exploration from the next breath on; none ends it.
     pub fn set_exploration(&mut self, exploration: Option<Exploration>) {
         self.exploration = exploration;
     }
 
-    /// Which monitors are at work.
+    /// The enabled monitors.
     pub fn monitors(&self) -> Monitors {
         self.supervisor.monitors()
     }
@@ -141,10 +141,10 @@ impl<C: ControlLaw> Ventilator<C> {
         &self.controller
     }
 
-    /// A state in standby.
+    /// A state in standby, with settings for the first breath.
     ///
     /// # Errors
-    /// Settings that are refused.
+    /// Settings that are refused by [`Breath::new`].
     pub fn standby(&self, settings: &Settings) -> Result<VentilatorState<C::State>, SettingsError> {
         Ok(self.at_rest(Breath::new(settings, self.period_us)?))
     }
@@ -164,10 +164,10 @@ impl<C: ControlLaw> Ventilator<C> {
         }
     }
 
-    /// Accepts settings for the next breath (in standby: for the first one).
+    /// Sets the settings of the next breath (in standby: of the first one).
     ///
     /// # Errors
-    /// Settings that are refused; those in force stay.
+    /// Settings that are refused by [`Breath::new`]; those in force stay.
     pub fn apply(
         &self,
         state: &mut VentilatorState<C::State>,
@@ -177,14 +177,14 @@ impl<C: ControlLaw> Ventilator<C> {
         Ok(())
     }
 
-    /// Control ticks have been missed since the last step.
+    /// Reports control ticks missed since the last step.
     pub fn missed(&self, state: &mut VentilatorState<C::State>, ticks: u32) {
         if state.mode == Mode::Ventilating {
             self.supervisor.missed(&mut state.supervisor, ticks);
         }
     }
 
-    /// One control tick with the pressure reading in cmH2O.
+    /// Runs one control tick with the pressure reading in cmH2O.
     #[inline]
     pub fn step(&self, state: &mut VentilatorState<C::State>, reading: f32) -> Output {
         let tick = if state.mode == Mode::Ventilating {
@@ -209,12 +209,12 @@ impl<C: ControlLaw> Ventilator<C> {
         }
     }
 
-    /// One tick of a breath; `pressure` is the reading or, for a moment, what replaces it.
+    /// Runs one tick of a breath; `pressure` is the reading, or for a few milliseconds the last good one.
     fn breathe(&self, state: &mut VentilatorState<C::State>, reading: f32, pressure: f32) -> Output {
         let (tick, breath) = (state.tick, state.breath);
         let settings = breath.settings();
         let (phase, target) = match breath.phase(tick) {
-            // An inspiration that has met the pressure limit is over.
+            // An inspiration that has reached the pressure limit has ended.
             Phase::Inspiration if state.supervisor.cut() => (Phase::Fall, settings.peep),
             phase => (phase, breath.target(tick)),
         };
@@ -264,7 +264,7 @@ impl<C: ControlLaw> Ventilator<C> {
 }
 
 impl<S> VentilatorState<S> {
-    /// What the ventilator is doing.
+    /// The mode.
     pub fn mode(&self) -> Mode {
         self.mode
     }
@@ -279,7 +279,7 @@ impl<S> VentilatorState<S> {
         self.pending.as_ref().map(Breath::settings)
     }
 
-    /// Takes another breath from the next one on; it must be built for the ventilator's control period.
+    /// Sets the breath that runs from the next start of a breath on; it must be built for the ventilator's control period.
     pub fn set_pending(&mut self, breath: Breath) {
         self.pending = Some(breath);
     }
@@ -294,7 +294,7 @@ impl<S> VentilatorState<S> {
         self.tick
     }
 
-    /// Who commands the inspiratory valve.
+    /// Level of the ladder of trust that commands the inspiratory valve.
     pub fn level(&self) -> Level {
         self.supervisor.level()
     }
@@ -304,7 +304,7 @@ impl<S> VentilatorState<S> {
         self.supervisor.cut()
     }
 
-    /// From standby, starts the first breath at the next tick. A latched fault must be acknowledged first.
+    /// In standby, lets the first breath start at the next tick; a latched fault must be acknowledged first.
     pub fn start(&mut self) {
         if self.mode == Mode::Standby {
             self.supervisor.begin();
@@ -341,13 +341,13 @@ mod tests {
 
     const GAINS: PidGains = PidGains { p: 2.0, i: 20.0, d: 0.0 };
 
-    /// With a plant that does as the tests say.
+    /// A ventilator for plants whose readings the tests make up.
     fn ventilator() -> Ventilator {
         let pid = Pid::new(GAINS, DEFAULT_PERIOD_US).unwrap();
         Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid)).with_monitors(Monitors::ANY_PLANT)
     }
 
-    /// The same with a network on top of the PID that always asks for so many percent more.
+    /// The same ventilator with a network that always adds `percent` to the PID.
     fn learned(percent: f32) -> Ventilator {
         let mut network = Network::zero();
         network.output.bias[0] = 0.01 * percent;
@@ -443,7 +443,7 @@ mod tests {
         let output = run(&ventilator, &mut state, 3, 76.0);
         assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
         assert_eq!(output.alarm, Some(Fault::HardLimit));
-        assert_eq!(run(&ventilator, &mut state, 1, 76.0).alarm, None, "told once");
+        assert_eq!(run(&ventilator, &mut state, 1, 76.0).alarm, None, "reported once");
         state.start();
         let output = run(&ventilator, &mut state, 10_000, 5.0);
         assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
@@ -466,13 +466,13 @@ mod tests {
         assert!((first(&exploring).explore - 10.0).abs() < 1e-6);
     }
 
-    /// What SAFETY.md says of a hand-over: the learned part fades at the slew, and the PID under it goes on as if nothing
-    /// had happened, its integral neither reset nor fitted to the command applied.
+    /// SAFETY.md on a hand-over: the learned part fades at the slew, and the PID underneath continues, its integral neither
+    /// reset nor fitted to the applied command.
     #[test]
     fn a_hand_over_is_a_ramp_of_the_learned_part_alone() {
         let (learned, pid) = (learned(60.0), ventilator());
         let (mut state, mut pid_state) = (started(&learned), started(&pid));
-        // Thousandths of a percent between each command and that of a PID that never had a network.
+        // Difference between each command and that of a PID without a network, thousandths of a percent.
         let mut added = |state: &mut VentilatorState, readings: &[f32]| -> Vec<i32> {
             let mut added = |reading| {
                 let command = learned.step(state, reading).command.u_in();
@@ -489,8 +489,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever is read and asked for, and in whatever order: the command stays in range, the expiratory
-        /// valve is open unless an inspiration runs, and a fault stays until it is acknowledged.
+        /// For any readings and requests in any order: the command stays in range, the expiratory valve is open unless an
+        /// inspiration runs, and a fault stays until it is acknowledged.
         #[test]
         fn no_sequence_of_events_leaves_the_state_machine(
             events in prop::collection::vec((0u8..12, prop::num::f32::ANY, -20.0f32..80.0), 1..400),

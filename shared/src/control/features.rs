@@ -1,10 +1,10 @@
-//! What the residual's network sees: the recent past of error and command, leaky averages of both, the time
-//! since the breath started and its pressures, each scaled to about one.
+//! The inputs of the residual's network: recent errors and commands, leaky averages of both, the time since the
+//! breath started, and PIP and PEEP, each scaled to about one.
 //!
 //! | index | feature |
 //! |---|---|
-//! | 0..8 | error, at the ticks of [`FeatureSpec::error_taps`] ago |
-//! | 8..14 | command, at the ticks of [`FeatureSpec::command_taps`] ago |
+//! | 0..8 | error, [`FeatureSpec::error_taps`] ticks ago |
+//! | 8..14 | command, [`FeatureSpec::command_taps`] ticks ago |
 //! | 14..16 | error, leaky averages |
 //! | 16..18 | command, leaky averages |
 //! | 18 | integral part of the PID |
@@ -29,38 +29,38 @@ pub const COMMAND_TAPS: usize = 6;
 pub const AVERAGES: usize = 2;
 /// Number of time features.
 pub const TIMES: usize = 3;
-/// Features of past errors.
+/// Indices of past errors.
 pub const PAST_ERRORS: Range<usize> = 0..ERROR_TAPS;
-/// Features of past commands.
+/// Indices of past commands.
 pub const PAST_COMMANDS: Range<usize> = PAST_ERRORS.end..PAST_ERRORS.end + COMMAND_TAPS;
-/// Leaky averages of the error, then of the command.
+/// Indices of the leaky averages: of the error, then of the command.
 pub const LEAKY: Range<usize> = PAST_COMMANDS.end..PAST_COMMANDS.end + 2 * AVERAGES;
-/// The PID's integral.
+/// Index of the PID's integral.
 pub const INTEGRAL: usize = LEAKY.end;
-/// Features of time.
+/// Indices of the time features.
 pub const CLOCK: Range<usize> = INTEGRAL + 1..INTEGRAL + 1 + TIMES;
-/// Length of the feature vector: after the time PIP and PEEP.
+/// Length of the feature vector; PIP and PEEP follow the time features.
 pub const FEATURES: usize = CLOCK.end + 2;
-/// Longest tap, ticks.
+/// Highest age of a tap, ticks.
 pub const TAP_MAX: u8 = (HISTORY - 1) as u8;
 
-/// Entries of a history; a power of two, so that the ring's index is a mask.
+/// Entries of a history; a power of two, so that indexing the ring is a bit mask.
 const HISTORY: usize = 128;
 
-/// Error that counts as one, cmH2O.
+/// Error that is scaled to one, cmH2O.
 pub const ERROR_SCALE: f32 = 10.0;
-/// Command that counts as one, percent.
+/// Command that is scaled to one, percent.
 pub const COMMAND_SCALE: f32 = 50.0;
-/// PIP that counts as zero, and the distance from it that counts as one, cmH2O.
+/// PIP that is scaled to zero, and the distance from it that is scaled to one, cmH2O.
 pub const PIP_SCALE: (f32, f32) = (20.0, 15.0);
-/// PEEP that counts as zero, and the distance from it that counts as one, cmH2O.
+/// PEEP that is scaled to zero, and the distance from it that is scaled to one, cmH2O.
 pub const PEEP_SCALE: (f32, f32) = (5.0, 5.0);
 
-/// Which past the network sees; part of the weights, since they mean nothing without it.
+/// Ages and time constants of the features. Stored with the weights, which are valid only for these features.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FeatureSpec {
-    /// Ages of the errors, ticks; 0 is the present one.
+    /// Ages of the errors, ticks; 0 is the current error.
     pub error_taps: [u8; ERROR_TAPS],
     /// Ages of the commands, ticks; 1 is the last one applied.
     pub command_taps: [u8; COMMAND_TAPS],
@@ -73,7 +73,7 @@ pub struct FeatureSpec {
 }
 
 impl Default for FeatureSpec {
-    /// For a control period of 1 ms: the taps reach back over the dead time and the valve's lag.
+    /// For a control period of 1 ms: the taps cover the valve's dead time and lag.
     fn default() -> Self {
         Self {
             error_taps: [0, 1, 2, 4, 8, 16, 32, 64],
@@ -85,19 +85,19 @@ impl Default for FeatureSpec {
     }
 }
 
-/// What makes a [`FeatureSpec`] unusable.
+/// Reason for refusing a [`FeatureSpec`].
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum FeatureError {
-    /// A tap reaches further back than the history.
-    #[error("a tap of {0} ticks is outside 0 to {TAP_MAX} (commands: 1 to {TAP_MAX})")]
+    /// The age of a tap is out of bounds.
+    #[error("the age of a tap is {0} ticks; allowed are 0 (commands: 1) to {TAP_MAX}")]
     Tap(u8),
-    /// A time constant is not a positive number.
-    #[error("a time constant of {0} s is not positive")]
+    /// A time constant is not positive and finite.
+    #[error("a time constant is {0} s; it must be positive and finite")]
     TimeConstant(f32),
 }
 
 impl FeatureSpec {
-    /// The default for 1 ms; consecutive ticks for periods so long that taps would coincide.
+    /// The default up to a control period of 2 ms; for longer periods mostly consecutive ticks, to cover a similar time.
     pub fn for_period(period_us: u32) -> Self {
         let spec = Self::default();
         if period_us <= 2000 {
@@ -109,7 +109,7 @@ impl FeatureSpec {
     /// Checks taps and time constants.
     ///
     /// # Errors
-    /// The first one out of range.
+    /// The first value out of bounds.
     pub fn validate(&self) -> Result<(), FeatureError> {
         let taps = self.error_taps.iter().chain(&self.command_taps);
         if let Some(tap) = taps.chain(&[]).find(|tap| **tap > TAP_MAX) {
@@ -126,7 +126,7 @@ impl FeatureSpec {
     }
 }
 
-/// Built form of a [`FeatureSpec`]: smoothing factors per tick.
+/// A built [`FeatureSpec`], with smoothing factors per tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Features {
     spec: FeatureSpec,
@@ -135,7 +135,7 @@ pub struct Features {
     command_factors: [f32; AVERAGES],
 }
 
-/// The past of one signal: a ring of its last values and their leaky averages.
+/// Past of one signal: a ring of its last values, and its leaky averages.
 #[derive(Clone, Debug, PartialEq)]
 struct History {
     ring: [f32; HISTORY],
@@ -178,7 +178,7 @@ impl FeatureState {
         Self { errors: History::new(), commands: History::new(), tick: 0 }
     }
 
-    /// Forgets the last breath: no error so far, the valve stood at `command` percent.
+    /// Clears the last breath: past errors are zero, past commands are `command` percent.
     pub fn start_breath(&mut self, command: f32) {
         self.errors.fill(0.0);
         self.commands.fill(command / COMMAND_SCALE);
@@ -196,7 +196,7 @@ impl Features {
     /// Builds the features for a control period in microseconds.
     ///
     /// # Errors
-    /// What [`FeatureSpec::validate`] finds.
+    /// An error of [`FeatureSpec::validate`].
     pub fn new(spec: FeatureSpec, period_us: u32) -> Result<Self, FeatureError> {
         spec.validate()?;
         let period = period_s(period_us);
@@ -209,7 +209,7 @@ impl Features {
         })
     }
 
-    /// What was built.
+    /// Specification from which the features were built.
     #[inline]
     pub fn spec(&self) -> &FeatureSpec {
         &self.spec
@@ -227,14 +227,14 @@ impl Features {
         &self.command_factors
     }
 
-    /// Takes in this tick's observation and gives the feature vector; `integral` is the PID's, percent.
+    /// Records this tick's observation and returns the feature vector; `integral` is the PID's, percent.
     pub fn step(&self, state: &mut FeatureState, seen: &Observation, integral: f32) -> [f32; FEATURES] {
         let error = (seen.target - seen.pressure) / ERROR_SCALE;
         state.errors.push(state.tick, error, self.error_factors);
         let errors = self.spec.error_taps.map(|tap| state.errors.ago(state.tick, tap));
         let commands = self.spec.command_taps.map(|tap| state.commands.ago(state.tick, tap));
         let mut features = [0.0; FEATURES];
-        // Group by group: one chain of all values would ask itself for each of them which group it has come to.
+        // Group by group: one chained iterator would test for every value which group it is in.
         let mut places = features.iter_mut();
         let mut put = |group: &[f32]| {
             for (value, place) in group.iter().zip(places.by_ref()) {
@@ -262,7 +262,7 @@ impl Features {
         ]
     }
 
-    /// The time features at a tick of the breath.
+    /// Time features at a tick of the breath.
     pub fn times(&self, tick: u32) -> [f32; TIMES] {
         let time = tick as f32 * self.period;
         self.spec.times.map(|tau| time / (time + tau))
@@ -289,7 +289,7 @@ mod tests {
         Observation { pressure: 20.0 - error, target: 20.0, pip: 20.0, peep: 5.0, tick }
     }
 
-    /// Runs `n` ticks with error = tick and command = 2 x tick; gives the last tick's features.
+    /// Runs `n` ticks with error = tick and command = 2 x tick; returns the last tick's features.
     fn ramp(n: u32) -> [f32; FEATURES] {
         let (features, mut state) = (features(), FeatureState::new());
         state.start_breath(0.0);
@@ -348,7 +348,7 @@ mod tests {
         let spec = FeatureSpec { error_taps: [0, 1, 2, 4, 8, 16, 32, 200], ..FeatureSpec::default() };
         assert_eq!(spec.validate(), Err(FeatureError::Tap(200)));
         let spec = FeatureSpec { command_taps: [0, 2, 4, 8, 16, 32], ..FeatureSpec::default() };
-        assert_eq!(spec.validate(), Err(FeatureError::Tap(0)), "the present command is not known yet");
+        assert_eq!(spec.validate(), Err(FeatureError::Tap(0)), "the current command is not known yet");
         let spec = FeatureSpec { times: [0.1, f32::NAN, 0.2], ..FeatureSpec::default() };
         assert!(matches!(spec.validate(), Err(FeatureError::TimeConstant(_))));
     }

@@ -1,8 +1,8 @@
-//! Controllers: what turns a pressure reading into a demand on the inspiratory valve.
+//! Controllers: they compute the command of the inspiratory valve from the pressure reading.
 //!
-//! [`ControlLaw`] is what a ventilator asks of a controller. [`Controller`] is the one that a device runs: [`pid`], the
-//! industry's standard, alone or with the learned residual, which [`features`] and [`network`] compute and [`residual`] adds,
-//! scaled by lambda. A controller works during the inspiration only; each breath starts it afresh.
+//! [`ControlLaw`] is the interface that the ventilator uses. [`Controller`] is its implementation on a device: the [`pid`]
+//! alone, or the PID plus a learned [`residual`], which a [`network`] computes from [`features`] and lambda scales. A
+//! controller runs during the inspiration only and is reset at the start of each breath.
 
 pub mod features;
 pub mod network;
@@ -16,12 +16,12 @@ use residual::Residual;
 /// Highest command of the inspiratory valve, percent.
 pub const COMMAND_MAX: f32 = 100.0;
 
-/// What a controller may look at in one tick.
+/// Input of a controller in one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Measured airway pressure, cmH2O.
     pub pressure: f32,
-    /// Target, cmH2O.
+    /// Target pressure, cmH2O.
     pub target: f32,
     /// PIP of the breath, cmH2O.
     pub pip: f32,
@@ -31,45 +31,45 @@ pub struct Observation {
     pub tick: u32,
 }
 
-/// What a controller asks of the inspiratory valve before the safety filter, percent, both within `0..=100`.
+/// Command of the inspiratory valve before the safety filter; before exploration both parts are in `0..=100` percent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControlOutput {
-    /// The part that needs no trust: what its PID would command alone, in the same state.
+    /// The command of the PID alone in the same state, percent: used when the learned part is not trusted.
     pub base: f32,
-    /// The whole command, with what it has learned.
+    /// The command including the learned part, percent.
     pub command: f32,
 }
 
 impl ControlOutput {
-    /// A command with nothing learned in it.
+    /// A command without a learned part.
     pub const fn plain(command: f32) -> Self {
         Self { base: command, command }
     }
 
-    /// The same with so many percent more.
+    /// Adds `percent` to both parts.
     #[must_use]
     pub fn plus(self, percent: f32) -> Self {
         Self { base: self.base + percent, command: self.command + percent }
     }
 }
 
-/// A controller as the ventilator runs it: [`Controller`], or any other that takes its place.
+/// Interface between ventilator and controller; [`Controller`] implements it, and any other controller can.
 ///
-/// In a tick of the inspiration the ventilator calls [`Self::step`], filters the output, and calls [`Self::applied`].
+/// In each tick of the inspiration the ventilator calls [`Self::step`], filters the output, and calls [`Self::applied`].
 pub trait ControlLaw {
-    /// What it remembers from tick to tick.
+    /// State that persists from tick to tick.
     type State;
 
-    /// Before the first breath, valve closed.
+    /// State before the first breath, with the valve closed.
     fn initial_state(&self) -> Self::State;
 
-    /// Forgets the last breath; the valve stands at `command` percent.
+    /// Resets the state for a new breath; the last command was `command` percent.
     fn start_breath(&self, state: &mut Self::State, command: f32);
 
-    /// One tick: the command wanted.
+    /// Computes the command of one tick.
     fn step(&self, state: &mut Self::State, seen: &Observation) -> ControlOutput;
 
-    /// Takes in which command was applied, percent; exploration and the safety filter may have changed it.
+    /// Records the applied command, percent; exploration and the safety filter may have changed it.
     fn applied(&self, state: &mut Self::State, command: f32);
 }
 
@@ -79,11 +79,11 @@ pub trait ControlLaw {
 pub enum Controller {
     /// PID alone.
     Pid(Pid),
-    /// PID and learned residual.
+    /// PID plus learned residual.
     Residual(Residual),
 }
 
-/// State of either controller; both have the PID's part, so that one can take over from the other.
+/// State of either controller. Both use the PID's state, so that a change of controller within a breath is possible.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ControllerState {
     pid: PidState,
@@ -91,7 +91,7 @@ pub struct ControllerState {
 }
 
 impl Controller {
-    /// The PID, or the one under the residual.
+    /// The PID: alone, or underneath the residual.
     pub fn pid(&self) -> &Pid {
         match self {
             Self::Pid(pid) => pid,
@@ -127,7 +127,7 @@ impl ControlLaw for Controller {
 }
 
 impl ControllerState {
-    /// State before the first breath, valve closed.
+    /// State before the first breath, with the valve closed.
     pub const fn new() -> Self {
         Self { pid: PidState::new(), features: FeatureState::new() }
     }

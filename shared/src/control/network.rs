@@ -1,21 +1,20 @@
-//! The learned residual's network: two hidden layers and one output, on fixed arrays.
+//! The network of the learned residual: two hidden layers and one output, on fixed arrays.
 //!
-//! Every sum starts with its bias and takes the inputs in order, each product rounded before it is added: host and chip get
-//! the same bits, however many sums run side by side.
+//! Every sum starts with its bias and adds the inputs in order, with each product rounded before it is added. So host and
+//! chip get the same bits, however many sums are computed side by side.
 //!
 //! # Shape of the code
-//! On a Cortex-M4F the bound is two instructions for each weight, its load and its multiply-add, since compilers load one
-//! float at a time. What comes on top is kept small:
+//! A Cortex-M4F needs at least two instructions for each weight, a load and a multiply-add (which rounds twice), since
+//! compilers load one float at a time. All other instructions are kept few:
 //!
-//! - `BLOCK` sums run side by side, so that an input is loaded once for all of them. Half of the core's 32 float registers
-//!   hold sums; with more of them the rest would not do for what is loaded.
-//! - Weights lie input by input, so that those of a block follow each other and are reached from one address.
-//! - `STEP` inputs are taken in one turn of the loop. Twice as many make the compiler load inputs that it then has to put
-//!   aside.
-//! - Each layer is a function of its own, with the layer's address as the base of all others: inlined into the network, they
-//!   are too far from its start for the immediate offset of a load.
+//! - `BLOCK` sums are computed side by side, so that an input is loaded once for all of them. They use half of the core's
+//!   32 float registers; with more sums too few registers would remain for weights and inputs.
+//! - Weights are stored input by input, so that those of a block are contiguous and addressed from one base.
+//! - The loop handles `STEP` inputs per iteration. With twice as many the compiler spills inputs to the stack.
+//! - Each layer is a function of its own, with the layer's address as the base of all accesses: inlined into the network,
+//!   most weights would be too far from the base for the immediate offset of a load.
 //!
-//! `cargo xtask cost` counts the outcome.
+//! `cargo xtask cost` counts the instructions.
 
 use core::iter;
 
@@ -26,18 +25,18 @@ use crate::math;
 pub const HIDDEN_1: usize = 32;
 /// Units of the second hidden layer.
 pub const HIDDEN_2: usize = 16;
-/// Largest magnitude of a weight or bias accepted.
+/// Largest accepted magnitude of a weight or bias.
 pub const WEIGHT_MAX: f32 = 1.0e3;
 
-/// Outputs that are summed side by side.
+/// Number of outputs that are summed side by side.
 const BLOCK: usize = 16;
-/// Inputs that are taken in one turn of the loop.
+/// Number of inputs per iteration of the loop.
 const STEP: usize = 4;
 
-/// A fully connected layer, `O` outputs of `I` inputs: `y = weights x + bias`.
+/// A fully connected layer with `I` inputs and `O` outputs: `y = weights x + bias`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dense<const I: usize, const O: usize> {
-    /// One row per input: what it adds to each output.
+    /// One row per input, with its weight for each output.
     pub weights: [[f32; O]; I],
     /// One bias per output.
     pub bias: [f32; O],
@@ -65,7 +64,7 @@ impl<const I: usize, const O: usize> Dense<I, O> {
         }
     }
 
-    /// A block of outputs; all outputs are divided into blocks of `R`.
+    /// Computes block number `block` of the outputs, divided into blocks of `R`.
     #[inline]
     fn outputs<const R: usize>(
         &self,
@@ -87,13 +86,13 @@ impl<const I: usize, const O: usize> Dense<I, O> {
         sums.map(activation)
     }
 
-    /// Parameters in storage order: all weights of the first output, of the second and so on, then the biases.
+    /// Parameters in storage order: all weights of the first output, then of the second and so on, then the biases.
     pub fn parameters(&self) -> impl Iterator<Item = &f32> {
         let weights = (0..O).flat_map(|output| self.weights.iter().map(move |row| &row[output]));
         weights.chain(&self.bias)
     }
 
-    /// Parameters in storage order, to be written.
+    /// Mutable access to the parameters in storage order.
     pub fn parameters_mut(&mut self) -> impl Iterator<Item = &mut f32> {
         let mut rows = self.weights.each_mut().map(|row| row.iter_mut());
         let mut inputs = (0..I).cycle();
@@ -102,7 +101,7 @@ impl<const I: usize, const O: usize> Dense<I, O> {
     }
 }
 
-/// `sums += x weights`, rounding twice.
+/// `sums += x weights`; product and sum are rounded separately.
 #[inline]
 fn add_scaled<const R: usize>(sums: &mut [f32; R], x: f32, weights: &[f32; R]) {
     for (sum, weight) in sums.iter_mut().zip(weights) {
@@ -110,38 +109,38 @@ fn add_scaled<const R: usize>(sums: &mut [f32; R], x: f32, weights: &[f32; R]) {
     }
 }
 
-/// The residual's network: features to residual as a fraction of full opening.
+/// The residual's network: from features to the residual before scaling by lambda, as a fraction of full opening.
 pub type Network = Perceptron<FEATURES, HIDDEN_1, HIDDEN_2>;
 
-/// Two hidden layers and one linear output.
+/// A network with two hidden layers and one linear output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Perceptron<const I: usize, const H1: usize, const H2: usize> {
     /// First hidden layer.
     pub hidden_1: Dense<I, H1>,
     /// Second hidden layer.
     pub hidden_2: Dense<H1, H2>,
-    /// Output.
+    /// Output layer, linear.
     pub output: Dense<H2, 1>,
 }
 
 impl<const I: usize, const H1: usize, const H2: usize> Perceptron<I, H1, H2> {
-    /// Sizes from input to output.
+    /// Sizes of the layers from input to output.
     pub const SHAPE: [usize; 4] = [I, H1, H2, 1];
     /// Number of parameters.
     pub const PARAMETERS: usize =
         Dense::<I, H1>::PARAMETERS + Dense::<H1, H2>::PARAMETERS + Dense::<H2, 1>::PARAMETERS;
 
-    /// A network that gives zero.
+    /// A network whose output is always zero.
     pub const fn zero() -> Self {
         Self { hidden_1: Dense::zero(), hidden_2: Dense::zero(), output: Dense::zero() }
     }
 
-    /// The output, with softsign in the hidden layers.
+    /// Computes the output, with softsign in the hidden layers.
     pub fn forward(&self, inputs: &[f32; I]) -> f32 {
         self.forward_with(inputs, math::softsign)
     }
 
-    /// The output, with any activation in the hidden layers.
+    /// Computes the output, with any activation in the hidden layers.
     #[inline]
     pub fn forward_with(&self, inputs: &[f32; I], activation: impl Fn(f32) -> f32) -> f32 {
         let (mut first, mut second, mut out) = ([0.0; H1], [0.0; H2], [0.0; 1]);
@@ -156,7 +155,7 @@ impl<const I: usize, const H1: usize, const H2: usize> Perceptron<I, H1, H2> {
         self.hidden_1.parameters().chain(self.hidden_2.parameters()).chain(self.output.parameters())
     }
 
-    /// Parameters in storage order, to be written.
+    /// Mutable access to the parameters in storage order.
     pub fn parameters_mut(&mut self) -> impl Iterator<Item = &mut f32> {
         self.hidden_1
             .parameters_mut()
@@ -164,7 +163,7 @@ impl<const I: usize, const H1: usize, const H2: usize> Perceptron<I, H1, H2> {
             .chain(self.output.parameters_mut())
     }
 
-    /// Whether every parameter is a number of at most [`WEIGHT_MAX`].
+    /// Whether every parameter is a number with a magnitude of at most [`WEIGHT_MAX`].
     pub fn is_bounded(&self) -> bool {
         self.parameters().all(|w| w.abs() <= WEIGHT_MAX)
     }
@@ -176,7 +175,7 @@ mod tests {
     use proptest::prelude::*;
     use std::vec::Vec;
 
-    /// Inputs that do not divide by [`STEP`], outputs that do not divide by [`BLOCK`].
+    /// Numbers of inputs and outputs that are no multiples of [`STEP`] and [`BLOCK`].
     type Odd = Dense<7, 19>;
 
     fn odd(parameters: &[f32]) -> Odd {

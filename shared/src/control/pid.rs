@@ -1,5 +1,5 @@
-//! PID control of the inspiratory valve: parallel form, derivative on the filtered measurement, anti-windup by
-//! conditional integration.
+//! PID (proportional-integral-derivative) control of the inspiratory valve: parallel form, derivative of the filtered
+//! measurement, anti-windup by conditional integration.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -8,10 +8,10 @@ use super::{COMMAND_MAX, ControlOutput, Observation};
 use crate::breath::period_s;
 use crate::math;
 
-/// Time constant of the derivative's filter, s: longer than the noise, shorter than the valve's lag.
+/// Time constant of the derivative's filter, s: many ticks to average noise, but shorter than the valve's lag.
 pub const DERIVATIVE_LAG: f32 = 0.01;
 
-/// Gains in physical units, as searched and stored.
+/// Gains in physical units, as tuned and stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PidGains {
@@ -23,22 +23,22 @@ pub struct PidGains {
     pub d: f32,
 }
 
-/// Largest gains accepted; far beyond what is stable, so that nothing overflows.
+/// Largest accepted gains: far above any stable gain, but small enough that nothing overflows.
 pub const GAINS_MAX: PidGains = PidGains { p: 100.0, i: 10_000.0, d: 10.0 };
 
-/// A gain that is negative, too large or no number.
+/// A gain that is negative, too large or not a number.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[error("PID gain {name} is {value}, allowed are 0 to {max}")]
 pub struct GainError {
     /// `p`, `i` or `d`.
     pub name: &'static str,
-    /// Value asked for.
+    /// Requested value.
     pub value: f32,
     /// Largest accepted value.
     pub max: f32,
 }
 
-/// Built form: gains per tick.
+/// A PID built from [`PidGains`], with gains per tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pid {
     gains: PidGains,
@@ -47,7 +47,7 @@ pub struct Pid {
     derivative_factor: f32,
 }
 
-/// What a PID remembers from tick to tick.
+/// State of a PID.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PidState {
     /// Integral part of the command, percent.
@@ -75,7 +75,7 @@ impl Pid {
     /// Builds a PID for a control period in microseconds.
     ///
     /// # Errors
-    /// A gain that is negative, above [`GAINS_MAX`] or no number.
+    /// A gain that is negative, above [`GAINS_MAX`] or not a number.
     pub fn new(gains: PidGains, period_us: u32) -> Result<Self, GainError> {
         let checks = [("p", gains.p, GAINS_MAX.p), ("i", gains.i, GAINS_MAX.i), ("d", gains.d, GAINS_MAX.d)];
         for (name, value, max) in checks {
@@ -92,7 +92,7 @@ impl Pid {
         })
     }
 
-    /// Gains as given.
+    /// Gains from which the PID was built.
     #[inline]
     pub fn gains(&self) -> PidGains {
         self.gains
@@ -104,7 +104,7 @@ impl Pid {
         self.integral_step
     }
 
-    /// Derivative part per cmH2O of change in one tick, before the filter, percent per cmH2O.
+    /// Derivative part per change of the pressure in one tick, before the filter, percent per cmH2O.
     #[inline]
     pub fn derivative_scale(&self) -> f32 {
         self.derivative_scale
@@ -116,9 +116,9 @@ impl Pid {
         self.derivative_factor
     }
 
-    /// One tick with `extra` percent added (the residual): the limited commands with it and without.
+    /// Computes one tick. `extra` is the residual, percent; the output holds the limited commands with and without it.
     ///
-    /// The integral is frozen while the whole command, `extra` included, is saturated and the error would drive it further.
+    /// The integral stays as it is while the command including `extra` is saturated and the error would drive it further.
     #[inline]
     pub fn step(&self, state: &mut PidState, seen: &Observation, extra: f32) -> ControlOutput {
         let error = seen.target - seen.pressure;
@@ -177,7 +177,7 @@ mod tests {
         assert!(state.integral.abs() < 1e-6, "integral {}", state.integral);
     }
 
-    /// The residual counts, whether the supervisor trusts it or not.
+    /// The residual counts for the anti-windup even while the supervisor does not trust it.
     #[test]
     fn the_integral_does_not_wind_up_while_the_command_with_the_residual_is_saturated() {
         let (pid, mut state) = (pid(1.0, 100.0, 0.0), PidState::new());

@@ -1,4 +1,4 @@
-//! The learned controller: PID plus a network's correction scaled by lambda (Suo et al. 2021, section 5).
+//! The learned controller: PID plus a network's output scaled by lambda (Suo et al. 2021, section 5).
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -10,50 +10,50 @@ use super::{COMMAND_MAX, ControlOutput, ControllerState, Observation};
 use crate::breath::PERIOD_BOUNDS_US;
 use crate::math;
 
-/// Everything about a learned controller but the network's numbers.
+/// Specification of a learned controller: everything except the network's parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ResidualSpec {
-    /// Control period the controller was trained for, microseconds.
+    /// Control period for which the controller was trained, microseconds.
     pub period_us: u32,
     /// Gains of the PID underneath.
     pub gains: PidGains,
-    /// Scale of the residual, 0 to 1: 0 is the PID alone, 1 lets a network output of one open the valve fully.
+    /// Scale of the residual, 0 to 1. With 0 the PID controls alone; with 1 a network output of one is 100 percent.
     pub lambda: f32,
     /// Largest magnitude of the residual, percent.
     pub authority: f32,
-    /// What the network sees.
+    /// Inputs of the network.
     pub features: FeatureSpec,
 }
 
-/// Why a learned controller cannot be built.
+/// Reason why a learned controller cannot be built.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ResidualError {
-    /// A gain of the base is out of range.
+    /// A gain of the PID is out of bounds.
     #[error(transparent)]
     Gain(#[from] GainError),
     /// The features are unusable.
     #[error(transparent)]
     Features(#[from] FeatureError),
-    /// Lambda or the authority is out of range.
+    /// Lambda or the authority is out of bounds.
     #[error("{name} is {value}, allowed are 0 to {max}")]
     OutOfBounds {
         /// `lambda` or `authority`.
         name: &'static str,
-        /// Value asked for.
+        /// Requested value.
         value: f32,
         /// Largest accepted value.
         max: f32,
     },
-    /// The control period is out of range.
+    /// The control period is out of bounds.
     #[error("control period of {0} us is outside {min} to {max} us", min = PERIOD_BOUNDS_US.0, max = PERIOD_BOUNDS_US.1)]
     Period(u32),
-    /// A weight is no number or absurdly large.
-    #[error("the network holds a weight that is not finite or beyond the bound; train or transfer it again")]
+    /// A parameter of the network is not a number or out of bounds.
+    #[error("a weight of the network is not finite or out of bounds; train or transfer the controller again")]
     Weights,
 }
 
-/// Built form of the learned controller.
+/// A learned controller, ready to run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Residual {
     spec: ResidualSpec,
@@ -66,7 +66,7 @@ impl Residual {
     /// Builds a learned controller.
     ///
     /// # Errors
-    /// Whatever is out of range in `spec` or `network`.
+    /// The first value of `spec` or `network` that is out of bounds.
     pub fn new(spec: ResidualSpec, network: Network) -> Result<Self, ResidualError> {
         for (name, value, max) in [("lambda", spec.lambda, 1.0), ("authority", spec.authority, COMMAND_MAX)] {
             if !(value >= 0.0 && value <= max) {
@@ -84,7 +84,7 @@ impl Residual {
         Ok(Self { spec, pid, features, network })
     }
 
-    /// What was built.
+    /// Specification from which the controller was built.
     pub fn spec(&self) -> &ResidualSpec {
         &self.spec
     }
@@ -94,7 +94,7 @@ impl Residual {
         &self.pid
     }
 
-    /// The features.
+    /// The features that the network sees.
     pub fn features(&self) -> &Features {
         &self.features
     }
@@ -104,14 +104,14 @@ impl Residual {
         &self.network
     }
 
-    /// One tick: the command wanted.
+    /// Computes the command of one tick.
     pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
         let features = self.features.step(&mut state.features, seen, state.pid.integral);
         let residual = self.correction(self.network.forward(&features));
         self.pid.step(&mut state.pid, seen, residual)
     }
 
-    /// A network output as percent of the valve: scaled by lambda, limited to the authority.
+    /// Converts a network output to a residual in percent: scaled by lambda, limited to the authority.
     pub fn correction(&self, output: f32) -> f32 {
         math::limit(self.spec.lambda * COMMAND_MAX * output, -self.spec.authority, self.spec.authority)
     }

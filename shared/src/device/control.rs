@@ -1,9 +1,9 @@
-//! The half of a device that runs with the control tick.
+//! The half of a device that runs in every control tick.
 //!
-//! A tick is [`Control::plant_change`] (hardware in the loop only) -> reading -> [`Control::step`] -> valves ->
-//! [`Control::report`] -> at most one [`Control::execute`] -> the flight recorder, by [`Control::moment`] ->
-//! [`Control::record`]. A request about settings, controller or exploration is built when it is accepted, and refused with a
-//! reason if that fails. What was built waits for the breath boundary, so that no breath changes while it runs.
+//! A tick is [`Control::plant_change`] (for a plant in place of sensor and valves) -> reading -> [`Control::step`] ->
+//! valves -> [`Control::report`] -> at most one [`Control::execute`] -> flight recorder ([`Control::moment`]) ->
+//! [`Control::record`]. Requests about settings, controller and exploration are validated on arrival, and refused with a
+//! reason if invalid. They take effect at the breath boundary, so that no breath changes while it runs.
 
 use heapless::Deque;
 
@@ -26,30 +26,30 @@ use crate::timing::{TickTime, TickTimer};
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
 use crate::weights::slots::SlotState;
 
-/// Breaths that can wait for their turn.
+/// Number of breaths that can be queued.
 pub const QUEUE_LENGTH: usize = 16;
 /// Ticks between two reports of the counters.
 const COUNTERS_EVERY: u64 = 64;
 
-/// Changes that a plant in the place of sensor and valves makes before its next tick.
+/// Changes that a plant in place of sensor and valves must make before its next step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PlantChange {
-    /// PEEP of the breath that begins, cmH2O, if it is another than before.
+    /// New PEEP of the breath that begins, cmH2O; none if unchanged.
     pub peep: Option<f32>,
-    /// Restart at rest with this seed, in place of a step.
+    /// Seed with which to restart at rest, instead of a step.
     pub reset: Option<u64>,
 }
 
-/// A controller that was accepted and waits for the breath boundary.
+/// An accepted controller that waits for the breath boundary.
 #[derive(Clone, Copy, Debug)]
 enum NextController {
-    /// This one.
+    /// This PID.
     Pid(Pid),
-    /// The stored weights, which are kilobytes long and stay in their place until then.
+    /// The learned controller in [`Control`], which takes kilobytes and is copied only then.
     Learned,
 }
 
-/// The control half.
+/// The control half of a device.
 #[derive(Clone, Debug)]
 pub struct Control {
     kind: DeviceKind,
@@ -57,7 +57,7 @@ pub struct Control {
     state: VentilatorState,
     learned: Option<Residual>,
     status: Status,
-    /// Runs from the next breath on.
+    /// Controller from the next breath on.
     next_controller: Option<NextController>,
     queue: Deque<Breath, QUEUE_LENGTH>,
     meter: BreathMeter,
@@ -65,19 +65,19 @@ pub struct Control {
     tick: u64,
     dropped: u32,
     host: HostWatch,
-    /// Alarms that wait for a tick to report them: two that a start can find, and one of a silent host.
+    /// Alarms that wait to be reported, one per tick: up to two from the start, and that of a silent host.
     alarms: Deque<Fault, 3>,
     seed: Option<u64>,
-    /// PEEP that the plant was last set to, cmH2O.
+    /// PEEP last sent to the plant, cmH2O.
     peep: Option<f32>,
 }
 
 impl Control {
-    /// A device in standby. It runs `learned`, if there are weights for this control period, else a PID of
-    /// [`KNOWN_GOOD`] gains; `core_hz` is the unit of the tick times.
+    /// A device in standby. It runs `learned` if that was made for this control period, otherwise a PID with
+    /// [`KNOWN_GOOD`] gains. `core_hz` is the clock frequency of the tick times.
     ///
     /// # Errors
-    /// [`Refusal::Settings`] for a control period out of bounds.
+    /// [`Refusal::Settings`] if the control period is out of bounds.
     pub fn new(
         kind: DeviceKind,
         period_us: u32,
@@ -111,15 +111,15 @@ impl Control {
         })
     }
 
-    /// The same with these monitors alone, for a plant that is no ventilator.
+    /// Enables only these monitors, for a plant that does not behave like a ventilator.
     #[must_use]
     pub fn with_monitors(mut self, monitors: Monitors) -> Self {
         self.ventilator = self.ventilator.with_monitors(monitors);
         self
     }
 
-    /// Raises with the first ticks the alarms for a start that nobody requested, after a fault of supply or program or in
-    /// the middle of ventilation (`interrupted`), and for a slot that holds something other than valid weights.
+    /// Raises in the first ticks the alarms for an unrequested start (after a supply dip, by the watchdog, or during
+    /// ventilation: `interrupted`), and for a slot with torn or invalid weights.
     pub fn report_boot(&mut self, cause: ResetCause, interrupted: bool, slots: &[SlotState; 2]) {
         if interrupted || matches!(cause, ResetCause::BrownOut | ResetCause::Watchdog) {
             self.raise(Fault::Restarted);
@@ -131,7 +131,7 @@ impl Control {
 
     fn raise(&mut self, fault: Fault) {
         if self.ventilator.monitors().has(fault) {
-            // There is room: each tick takes one, and a host falls silent only once in many.
+            // There is always room: each tick removes one, and a silent host is reported once in thousands of ticks.
             let _ = self.alarms.push_back(fault);
         }
     }
@@ -146,7 +146,7 @@ impl Control {
         self.state.mode()
     }
 
-    /// Changes for the plant to make before this tick's reading is taken.
+    /// Changes that the plant must make before this tick's reading.
     pub fn plant_change(&mut self) -> PlantChange {
         let peep = match (self.begins_breath(), self.next_settings()) {
             (true, Some(next)) => next.peep,
@@ -158,7 +158,7 @@ impl Control {
         PlantChange { peep: (before != Some(peep)).then_some(peep), reset }
     }
 
-    /// One step of the ventilator with the pressure reading in cmH2O.
+    /// Runs one step of the ventilator with the pressure reading in cmH2O.
     #[inline]
     pub fn step(&mut self, reading: f32) -> Output {
         if self.begins_breath() {
@@ -175,7 +175,7 @@ impl Control {
         output
     }
 
-    /// The host is gone: nobody watches the exploration.
+    /// Handles a silent host: raises the alarm and ends exploration, which nobody supervises any more.
     #[cold]
     fn go_on_alone(&mut self) {
         self.raise(Fault::HostSilent);
@@ -189,7 +189,7 @@ impl Control {
         self.state.mode() == Mode::Ventilating && self.state.tick() == 0
     }
 
-    /// Hands the ventilator what waited for the breath boundary.
+    /// Passes pending settings, exploration and controller to the ventilator.
     fn begin_breath(&mut self) {
         if let Some(breath) = self.queue.pop_front() {
             self.state.set_pending(breath);
@@ -197,16 +197,16 @@ impl Control {
         self.ventilator.set_exploration(self.status.exploration);
         match (self.next_controller.take(), &self.learned) {
             (Some(NextController::Pid(pid)), _) => self.ventilator.set_controller(Controller::Pid(pid)),
-            // Copied straight to its place: each move on the way would cost the tick as much as the network itself.
+            // Copied directly to its destination: each further move would take as long as running the network.
             (Some(NextController::Learned), Some(residual)) => {
                 self.ventilator.set_controller(Controller::Residual(residual.clone()));
             }
-            // It was accepted only because there are weights, and they stay.
+            // The second pattern cannot occur: the request was accepted because weights are loaded, and they stay.
             (None, _) | (Some(NextController::Learned), None) => {}
         }
     }
 
-    /// Reports what a step did; `room` takes a report or says that there is no room for it.
+    /// Reports the results of a step through `room`, which returns false if it has no room for a report.
     #[inline]
     pub fn report(&mut self, output: &Output, room: &mut dyn FnMut(ControlReport) -> bool) {
         let tick = self.tick.wrapping_sub(1);
@@ -243,14 +243,14 @@ impl Control {
         Counters { dropped, corrupt_frames: 0, missed_ticks, worst_tick_us, mean_tick_us }
     }
 
-    /// A step for the flight recorder: its reading, its output, and the ticks missed before it.
+    /// The flight recorder's input for a step: reading, output, and the ticks missed before it.
     #[inline]
     pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;
         Moment { reading, output, settings: self.state.breath().settings(), learned, missed }
     }
 
-    /// Takes in how long a tick took.
+    /// Records the times of a tick.
     #[inline]
     pub fn record(&mut self, time: &TickTime) {
         let before = self.timer.missed();
@@ -258,7 +258,7 @@ impl Control {
         self.ventilator.missed(&mut self.state, self.timer.missed().saturating_sub(before));
     }
 
-    /// Carries out a request.
+    /// Executes a request.
     pub fn execute(&mut self, request: &ControlRequest) -> ControlReply {
         self.host.heard();
         let response = match *request {
@@ -286,7 +286,7 @@ impl Control {
         }
     }
 
-    /// Settings of the next breath, if they differ from those in force.
+    /// Settings that wait for the next breath.
     fn next_settings(&self) -> Option<&Settings> {
         self.queue.front().map(Breath::settings).or(self.state.pending())
     }

@@ -1,15 +1,15 @@
-//! A ventilator as a device at the end of a link: everything between the link's bytes, the ventilator and the
-//! weights slots that is not tied to a chip.
+//! A ventilator as a device on a link: the chip-independent code between the link's bytes, the ventilator and the
+//! weights slots.
 //!
-//! Two halves, which a microcontroller runs at two priorities:
+//! It has two halves, which a microcontroller runs at different priorities:
 //!
-//! | half | runs | holds |
+//! | half | runs | contains |
 //! |---|---|---|
-//! | [`control`] | once per control tick | ventilator, breaths that wait, breath meter, tick statistics |
-//! | [`server`] | when bytes or reports are there | requests and their answers, telemetry batches, uploads |
+//! | [`control`] | once per control tick | ventilator, queued breaths, breath meter, tick statistics |
+//! | [`server`] | when bytes or reports arrive | requests and their answers, telemetry batches, uploads |
 //!
-//! The server sends the control half one [`ControlRequest`] at a time and gets a [`ControlReply`] to each; unasked, the control
-//! half sends [`ControlReport`]s. Neither half waits: the caller moves requests, replies and reports between them.
+//! The server sends one [`ControlRequest`] at a time to the control half and gets one [`ControlReply`]; the control half also
+//! sends unrequested [`ControlReport`]s. Neither half blocks: the caller passes requests, replies and reports between them.
 
 pub mod control;
 pub mod server;
@@ -26,20 +26,20 @@ use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
 
-/// Gains of a device that was told none and holds no weights: good on a lung of R 20 cmH2O/(L/s) and C 20 mL/cmH2O, and safe
-/// to explore around; on a stiff lung of low resistance they ring.
+/// Gains of a device that has received none and has no weights. They suit a lung with resistance 20 cmH2O/(L/s) and compliance
+/// 20 mL/cmH2O and are safe for exploration there; on a stiff lung with low resistance the pressure oscillates.
 pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
-/// A request of the server to the control half.
+/// A request from the server to the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ControlRequest {
     /// Report the status. Answered by [`ControlReply::Status`].
     Status,
-    /// Report the settings in force and those that wait.
+    /// Report the settings in force and the pending ones.
     Settings,
-    /// Settings for the next breath, in place of all that wait.
+    /// Use these settings from the next breath on; they replace all pending ones.
     Apply(Settings),
-    /// Settings for one of the next breaths.
+    /// Append settings to the queue: each breath that starts takes one entry.
     Queue(Settings),
     /// Start ventilation.
     Start,
@@ -47,25 +47,25 @@ pub enum ControlRequest {
     Stop,
     /// Leave the latched safe state.
     Acknowledge,
-    /// Another controller from the next breath on.
+    /// Use this controller from the next breath on.
     Controller(ControllerChoice),
-    /// Other exploration from the next breath on.
+    /// Use this exploration from the next breath on.
     Exploration(Option<Exploration>),
-    /// Statistics of the ticks.
+    /// Report the statistics of the ticks.
     Timing {
-        /// Clear them?
+        /// Whether to clear them afterwards.
         clear: bool,
     },
-    /// At the next start the plant restarts with this seed.
+    /// Restart the plant with this seed at the next start of ventilation.
     ResetPlant(u64),
 }
 
 /// The control half's answer to a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ControlReply {
-    /// For the host, as it is.
+    /// An answer for the host.
     Response(Response),
-    /// For the server.
+    /// The status, which the server needs for its own answer.
     Status(Status),
 }
 
@@ -74,33 +74,33 @@ pub enum ControlReply {
 pub struct Status {
     /// Mode of the ventilator.
     pub mode: Mode,
-    /// The controller that runs, or will from the next breath on.
+    /// The controller that runs, at the latest from the next breath on.
     pub controller: ControllerChoice,
-    /// The exploration in force, or from the next breath on.
+    /// The exploration in force, at the latest from the next breath on.
     pub exploration: Option<Exploration>,
 }
 
-/// An unasked report of the control half.
+/// An unrequested report of the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ControlReport {
-    /// A tick of a breath.
+    /// The sample of a tick of a breath.
     Sample {
-        /// Control tick since power-up.
+        /// Control tick since the device started.
         tick: u64,
-        /// Its sample.
+        /// The sample.
         sample: Sample,
     },
     /// A breath has ended.
     Breath(BreathSummary),
     /// A monitor has raised an alarm; [`crate::safety::alarms::ALARMS`] lists the response to each.
     Alarm {
-        /// Which.
+        /// The alarm's fault.
         fault: Fault,
-        /// Control tick since power-up.
+        /// Control tick since the device started.
         tick: u64,
     },
     /// Ventilation has stopped.
     Stopped,
-    /// The counters of the control half; `corrupt_frames` is the server's to fill in.
+    /// The counters of the control half; the server fills in `corrupt_frames`.
     Counters(Counters),
 }

@@ -1,10 +1,10 @@
-//! The half of a device that serves the host: it answers requests, batches telemetry and takes uploads.
+//! The half of a device that serves the host: it answers requests, batches telemetry and receives uploads.
 //!
-//! It waits for nothing. [`Server::receive`] gives a [`NextStep`]; the caller carries it out and reports the result back until
-//! the step is an answer. The server works on one request at a time.
+//! It never blocks. [`Server::receive`] returns a [`NextStep`]; the caller executes it and passes the result back until the
+//! step is an answer. The server handles one request at a time.
 //!
-//! A host that got no answer repeats its request under the same sequence number. The server remembers its last answer and
-//! sends it again, so that nothing is done twice.
+//! A host that gets no answer repeats its request with the same sequence number. The server stores its last answer and
+//! sends it again, so that no request is executed twice.
 
 use heapless::{String, Vec};
 
@@ -22,7 +22,7 @@ use crate::ventilator::Mode;
 use crate::weights::IMAGE_BYTES;
 use crate::weights::slots::{Slot, SlotState};
 
-/// The part of the greeting that stays until the device restarts; only a store changes the slots.
+/// The part of the greeting that is fixed until the device restarts, except the slots, which a store changes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceFacts {
     /// Version of the firmware: major, minor, patch.
@@ -33,33 +33,33 @@ pub struct DeviceFacts {
     pub period_us: u32,
     /// Content of each weights slot.
     pub slots: [SlotState; 2],
-    /// The slot that was loaded.
+    /// Slot from which the weights were loaded at the start.
     pub running: Option<Slot>,
     /// Cause of the start.
     pub reset: ResetCause,
-    /// Message of the failure before the start, if there was one.
+    /// Message of the failure that caused the restart, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
 }
 
-/// The caller's next step.
+/// Next step of the caller.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NextStep {
-    /// Send this.
+    /// Send this message.
     Send(ToHost),
-    /// Have the control half carry out this request, then call [`Server::control_replied`].
+    /// Let the control half execute this request, then call [`Server::control_replied`].
     Control(ControlRequest),
-    /// Store [`Server::image`] in a slot that does not run, then call [`Server::stored`].
+    /// Store [`Server::image`] in the flash, then call [`Server::stored`].
     Store,
-    /// Send this, wait until it is out, and restart.
+    /// Send this message completely, then restart.
     Restart(ToHost),
 }
 
 /// Use of the control half's reply.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Continuation {
-    /// Forward it to the host.
+    /// Forward the reply to the host.
     Forward,
-    /// Complete the greeting with it.
+    /// Complete the greeting with the reply.
     Greet,
     /// Begin an upload, unless the device ventilates.
     Begin { length: u32, id: u32 },
@@ -69,7 +69,7 @@ enum Continuation {
     Restart,
 }
 
-/// The server.
+/// The server half of a device.
 #[derive(Clone, Debug)]
 pub struct Server<'a> {
     facts: DeviceFacts,
@@ -78,7 +78,7 @@ pub struct Server<'a> {
     batcher: Batcher,
     counters: Counters,
     upload: Upload,
-    /// Id of the image on its way into a slot.
+    /// Id of the image that is being stored.
     committed: u32,
     sequence: u16,
     continuation: Continuation,
@@ -86,7 +86,7 @@ pub struct Server<'a> {
 }
 
 impl<'a> Server<'a> {
-    /// A server before the first request; it reads the flight recorder's memory for the host.
+    /// A server before the first request; `recorder` is the flight recorder's memory, which the host can read.
     pub fn new(facts: DeviceFacts, recorder: &'a RecorderMemory) -> Self {
         Self {
             facts,
@@ -102,17 +102,17 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// The validated image that [`NextStep::Store`] is about.
+    /// The validated image for [`NextStep::Store`].
     pub fn image(&self) -> &[u8; IMAGE_BYTES] {
         self.upload.bytes()
     }
 
-    /// Sets the number of refused frames from the host, for the telemetry.
+    /// Sets the number of corrupt frames from the host, for the telemetry.
     pub fn corrupt_frames(&mut self, count: u32) {
         self.counters.corrupt_frames = count;
     }
 
-    /// Takes in a request.
+    /// Handles a request.
     pub fn receive(&mut self, message: &ToDevice) -> NextStep {
         let ToDevice { sequence, request } = message;
         if let Some((_, response)) = self.last.as_ref().filter(|last| last.0 == *sequence)
@@ -159,7 +159,7 @@ impl<'a> Server<'a> {
         NextStep::Control(control_request)
     }
 
-    /// Goes on after [`NextStep::Control`] with the control half's reply.
+    /// Continues after [`NextStep::Control`] with the control half's reply.
     pub fn control_replied(&mut self, reply: ControlReply) -> NextStep {
         let status = match reply {
             ControlReply::Response(response) => return self.send(Ok(response)),
@@ -188,7 +188,7 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Goes on after [`NextStep::Store`]: the slot that took the image, if one did, and what both slots hold now.
+    /// Continues after [`NextStep::Store`] with the slot of the stored image, if storing succeeded, and both slots' new state.
     pub fn stored(&mut self, slot: Option<Slot>, slots: [SlotState; 2]) -> NextStep {
         self.facts.slots = slots;
         let id = self.committed;
@@ -199,7 +199,7 @@ impl<'a> Server<'a> {
         NextStep::Send(self.answer(result.unwrap_or_else(Response::Refused)))
     }
 
-    /// Not inlined: it copies an answer, and each copy of that code takes a kilobyte of flash.
+    /// Not inlined: it copies an answer, and each inlined instance takes a kilobyte of flash.
     #[inline(never)]
     fn answer(&mut self, response: Response) -> ToHost {
         self.last = Some((self.sequence, response.clone()));
@@ -224,7 +224,7 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Takes in a report of the control half; gives the messages to send, in this order.
+    /// Handles a report of the control half; returns the messages to send, in this order.
     pub fn report(&mut self, report: &ControlReport) -> Vec<ToHost, 2> {
         let mut events = Vec::new();
         let (batch, event) = match *report {

@@ -22,7 +22,7 @@ use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
 const CORE_HZ: u32 = 168_000_000;
 const TICKS_OF_A_BREATH: usize = 3000;
 
-/// A device without a chip: both halves, a plant that is always at 5 cmH2O and no ventilator, and what would go over the link.
+/// A device without a chip: both halves, a plant with a constant 5 cmH2O, and the messages that would go over the link.
 struct Rig {
     control: Control,
     server: Server<'static>,
@@ -240,7 +240,7 @@ fn controller_and_exploration_change_at_the_breath_boundary() {
 }
 
 #[test]
-fn the_plant_is_told_each_new_peep_and_one_reset_at_the_start() {
+fn the_plant_gets_each_new_peep_and_one_reset_at_the_start() {
     let mut rig = Rig::new(None);
     assert_eq!(rig.control.plant_change(), control::PlantChange { peep: Some(5.0), reset: None });
     assert_eq!(rig.control.plant_change(), control::PlantChange::default());
@@ -309,7 +309,7 @@ fn an_uploaded_image_is_stored_and_named() {
 }
 
 #[test]
-fn a_store_that_failed_is_refused_and_the_greeting_tells_what_it_left() {
+fn a_failed_store_is_refused_and_the_greeting_shows_both_slots() {
     let (mut rig, image) = (Rig { flash_fails: true, ..Rig::new(None) }, image());
     upload(&mut rig, &image);
     assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(Refusal::Storage));
@@ -362,7 +362,7 @@ fn a_ventilator_has_no_plant_to_reset() {
 }
 
 proptest! {
-    /// Requests in any order, in any mode: each is answered, and the valves are safe unless a breath runs.
+    /// Every request in any order and mode is answered, and the valves are safe unless a breath runs.
     #[test]
     fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..16, -10.0f32..70.0), 1..60)) {
         let mut rig = Rig::new(Some(residual()));

@@ -1,7 +1,7 @@
-//! Puts an uploaded weights image together in memory and validates it, before anything touches the flash.
+//! Assembles an uploaded weights image in memory and validates it, before anything is written to the flash.
 //!
-//! A chunk whose answer was lost may be sent again. Whether an upload is allowed at all (not while ventilating)
-//! is the caller's to decide.
+//! A chunk whose answer was lost may be sent again. The caller decides whether an upload is allowed (not while
+//! ventilating).
 
 use crate::link::refusal::Refusal;
 use crate::weights::{IMAGE_BYTES, Image, ImageProblem, decode};
@@ -20,8 +20,8 @@ impl Upload {
         Self { bytes: [0; IMAGE_BYTES], received: 0, announced: None }
     }
 
-    /// Begins an upload of an image with this length and id; gives the offset to go on at, which is not the start if the
-    /// same upload was broken off. An unfinished one of another image is forgotten.
+    /// Begins the upload of an image with this length and id; returns the next expected offset, which is not zero if an
+    /// interrupted upload of the same image continues. An unfinished upload of another image is discarded.
     ///
     /// # Errors
     /// [`Refusal::WrongLength`].
@@ -35,11 +35,11 @@ impl Upload {
         Ok(self.received as u32)
     }
 
-    /// Takes in a chunk; gives the offset to go on at.
+    /// Adds a chunk; returns the next expected offset.
     ///
     /// # Errors
-    /// [`Refusal::NoUpload`]; [`Refusal::WrongOffset`] unless the chunk follows the last one or repeats what is
-    /// already there.
+    /// [`Refusal::NoUpload`]; [`Refusal::WrongOffset`] unless the chunk follows the last one or repeats received
+    /// bytes.
     pub fn chunk(&mut self, offset: u32, chunk: &[u8]) -> Result<u32, Refusal> {
         if self.announced.is_none() {
             return Err(Refusal::NoUpload);
@@ -60,7 +60,7 @@ impl Upload {
         Ok(end as u32)
     }
 
-    /// Validates the whole image; its bytes, for the flash, are [`Upload::bytes`].
+    /// Validates the whole image, whose bytes are then in [`Upload::bytes`].
     ///
     /// # Errors
     /// [`Refusal::NoUpload`], [`Refusal::WrongOffset`] if bytes are missing, [`Refusal::BadImage`],

@@ -1,6 +1,7 @@
 //! Frames: `00, COBS(postcard bytes, CRC-32), 00`.
 //!
-//! [`FrameDecoder`] takes one byte at a time in constant time and has no idea where the bytes come from.
+//! COBS (consistent overhead byte stuffing) removes zeros from the content. [`FrameDecoder`] takes one byte at a time, from
+//! any source; only the delimiter at the end of a frame costs more, since the checksum is computed there.
 
 use postcard::ser_flavors::crc::CrcModifier;
 use postcard::ser_flavors::{Cobs, Slice};
@@ -11,25 +12,25 @@ use crate::checksum::{CHECKSUM_BYTES, CRC_32, verified};
 
 /// Longest message, bytes.
 pub const MESSAGE_BYTES: usize = 512;
-/// Room that the decoder needs for any message.
+/// Buffer size of the decoder for any message, bytes.
 pub const DECODER_BYTES: usize = MESSAGE_BYTES + CHECKSUM_BYTES;
-/// Room that [`encode_frame`] needs for any message: COBS adds one byte in 254, and there are two delimiters.
+/// Buffer size of [`encode_frame`] for any message, bytes: COBS adds 1 byte, and 1 per 254; there are two delimiters.
 pub const FRAME_BYTES: usize = DECODER_BYTES + DECODER_BYTES / 254 + 1 + 2;
 
-/// Separates frames and occurs nowhere within them.
+/// Separates frames and does not occur within them.
 const DELIMITER: u8 = 0;
-/// Length code of a full block, which is not followed by a zero.
+/// COBS code of a full block, which no zero follows.
 const FULL_BLOCK: u8 = 0xFF;
 
 /// The buffer is too short for the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("message does not fit into the buffer; give one of FRAME_BYTES")]
+#[error("the message does not fit into the buffer; use a buffer of FRAME_BYTES")]
 pub struct FrameTooLong;
 
-/// Writes a message as a frame and gives the bytes to send.
+/// Writes a message as a frame and returns the bytes to send.
 ///
 /// # Errors
-/// [`FrameTooLong`], never with a buffer of [`FRAME_BYTES`].
+/// [`FrameTooLong`], but never with a buffer of [`FRAME_BYTES`].
 pub fn encode_frame<'a, M: Serialize>(message: &M, buffer: &'a mut [u8]) -> Result<&'a [u8], FrameTooLong> {
     let (first, rest) = buffer.split_first_mut().ok_or(FrameTooLong)?;
     *first = DELIMITER;
@@ -39,13 +40,13 @@ pub fn encode_frame<'a, M: Serialize>(message: &M, buffer: &'a mut [u8]) -> Resu
     buffer.get(..=written).ok_or(FrameTooLong)
 }
 
-/// Damage of a frame.
+/// Damage to a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Corrupt {
     /// The checksum does not match.
-    #[error("frame with a wrong checksum")]
+    #[error("frame with wrong checksum")]
     Checksum,
-    /// More bytes than any message has.
+    /// The frame has more bytes than any message.
     #[error("frame longer than any message")]
     Overlong,
     /// The frame ends within a COBS block.
@@ -53,7 +54,7 @@ pub enum Corrupt {
     Cobs,
 }
 
-/// Numbers of good and of refused frames.
+/// Numbers of good and corrupt frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameCounters {
     /// Good frames.
@@ -67,7 +68,7 @@ pub struct FrameCounters {
 }
 
 impl FrameCounters {
-    /// All refused frames.
+    /// Number of all corrupt frames.
     pub fn corrupt(&self) -> u32 {
         self.checksum.wrapping_add(self.overlong).wrapping_add(self.cobs)
     }
@@ -83,18 +84,18 @@ impl FrameCounters {
     }
 }
 
-/// Result of one byte.
+/// Result of decoding one byte.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Poll<'a> {
-    /// Nothing yet.
+    /// No frame ends here.
     Pending,
-    /// A frame with a right checksum: the message's bytes.
+    /// A frame with the right checksum: the message's bytes.
     Frame(&'a [u8]),
-    /// A frame that must be thrown away.
+    /// A damaged frame, which must be discarded.
     Corrupt(Corrupt),
 }
 
-/// Finds frames in a stream of bytes; `N` is [`DECODER_BYTES`] to take any message.
+/// Decodes frames from a stream of bytes; with `N` = [`DECODER_BYTES`] it accepts any message.
 #[derive(Clone, Debug)]
 pub struct FrameDecoder<const N: usize> {
     buffer: [u8; N],
@@ -102,14 +103,14 @@ pub struct FrameDecoder<const N: usize> {
     counters: FrameCounters,
 }
 
-/// Position of the decoder within a frame.
+/// State of the decoder within a frame.
 #[derive(Clone, Copy, Debug, Default)]
 struct DecoderState {
     started: bool,
     length: usize,
-    /// Bytes left in the present COBS block.
+    /// Bytes left in the current COBS block.
     block: u8,
-    /// The block stands for a zero at its end, unless the frame ends there.
+    /// Whether a zero follows the current block, unless the frame ends there.
     zero: bool,
     overlong: bool,
 }
@@ -124,12 +125,12 @@ impl<const N: usize> FrameDecoder<N> {
         }
     }
 
-    /// Frames so far.
+    /// Counters since the decoder was made.
     pub fn counters(&self) -> &FrameCounters {
         &self.counters
     }
 
-    /// Takes in one byte.
+    /// Decodes one byte.
     pub fn push(&mut self, byte: u8) -> Poll<'_> {
         if byte != DELIMITER {
             self.take(byte);
@@ -186,7 +187,7 @@ impl DecoderState {
             Err(Corrupt::Cobs)
         } else {
             let frame = buffer.get(..self.length).unwrap_or(&[]);
-            // The checksum of nothing is zero, which a run of zeros would pass for; nobody sends nothing.
+            // The CRC of an empty message is zero, so four zero bytes would be accepted; no message is empty.
             verified(frame).filter(|content| !content.is_empty()).ok_or(Corrupt::Checksum)
         }
     }

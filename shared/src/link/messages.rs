@@ -1,11 +1,11 @@
 //! The messages between host and device.
 //!
-//! **The order of variants and fields in this file, and in the types it names, is the protocol**: postcard
-//! writes a variant as its number and fields without names. Append variants at the end; any other change is a
-//! new [`PROTOCOL`] version. The tests pin the bytes of every message.
+//! **The order of variants and fields in this file, and in the types used here, is the protocol**: postcard
+//! writes a variant as its number, and fields without names. Append variants at the end; any other change needs a
+//! new [`PROTOCOL`] version. Tests pin the bytes of every message.
 //!
-//! Two things never change, so that any two versions can tell each other apart: [`Request::Identify`] is
-//! variant 0, and its answer begins with the protocol version ([`greeted_protocol`]).
+//! Two things never change, so that each side can recognise another version: [`Request::Identify`] is variant 0, and
+//! its answer begins with the protocol version ([`greeted_protocol`]).
 
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
@@ -24,15 +24,15 @@ use crate::timing::TickTimes;
 use crate::ventilator::Mode;
 use crate::weights::slots::{Slot, SlotState};
 
-/// Most bytes of an image in one chunk.
+/// Most image bytes in one chunk.
 pub const CHUNK_BYTES: usize = 128;
-/// Longest text about a failure, bytes.
+/// Longest failure message, bytes.
 pub const FAILURE_BYTES: usize = 120;
 
-/// Host to device.
+/// Message from host to device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ToDevice {
-    /// Chosen by the host, returned with the answer.
+    /// Chosen by the host and repeated in the answer.
     pub sequence: u16,
     /// The request.
     pub request: Request,
@@ -43,9 +43,9 @@ pub struct ToDevice {
 pub enum Request {
     /// Report the identity. Answered by [`Response::Identity`].
     Identify,
-    /// Answered by [`Response::Settings`].
+    /// Reports the settings; answered by [`Response::Settings`].
     GetSettings,
-    /// Settings for the next breath; answered by [`Response::Settings`].
+    /// Sets the settings of the next breath; answered by [`Response::Settings`].
     ApplySettings(Settings),
     /// Starts ventilation; answered by [`Response::Mode`].
     Start,
@@ -53,127 +53,126 @@ pub enum Request {
     Stop,
     /// Leaves the latched safe state for standby; answered by [`Response::Mode`].
     Acknowledge,
-    /// Answered by [`Response::Controller`].
+    /// Sets the controller from the next breath on; answered by [`Response::Controller`].
     SetController(ControllerChoice),
-    /// Answered by [`Response::Exploration`].
+    /// Sets the exploration from the next breath on; answered by [`Response::Exploration`].
     SetExploration(Option<Exploration>),
     /// Switches telemetry; answered by [`Response::Telemetry`].
     Telemetry {
-        /// Send batches?
+        /// Whether to send batches.
         on: bool,
     },
     /// Begins an upload; answered by [`Response::Progress`]. Not while ventilating.
     BeginWeights {
-        /// Bytes of the image.
+        /// Length of the image, bytes.
         length: u32,
-        /// The image's id: the checksum at its end.
+        /// Id of the image: the checksum at its end.
         id: u32,
     },
-    /// Next bytes of the image; answered by [`Response::Progress`].
+    /// Transfers the next bytes of the image; answered by [`Response::Progress`].
     WeightsChunk {
-        /// Place of the first byte in the image.
+        /// Offset of the first byte in the image.
         offset: u32,
-        /// The bytes.
+        /// Bytes of the image.
         bytes: Vec<u8, CHUNK_BYTES>,
     },
-    /// Validates and stores the image; answered by [`Response::Weights`].
+    /// Validates and stores the image; answered by [`Response::Weights`]. Not while ventilating.
     CommitWeights,
-    /// Restarts the device; answered by [`Response::Done`] before it does. Not while ventilating.
+    /// Restarts the device, which answers [`Response::Done`] first. Not while ventilating.
     Reset,
-    /// Settings for one of the next breaths: each breath that starts takes the oldest ones waiting, and the last ones
-    /// stay in force. So a sequence of breaths does not depend on how fast the host is. Answered by
-    /// [`Response::Queued`].
+    /// Queues settings: each breath that starts takes the oldest entry, and the last entry stays in force. So a
+    /// sequence of breaths does not depend on the speed of the host. Answered by [`Response::Queued`].
     QueueSettings(Settings),
-    /// Statistics of the control ticks; answered by [`Response::Timing`].
+    /// Reports the statistics of the control ticks; answered by [`Response::Timing`].
     GetTiming {
-        /// Clear them?
+        /// Whether to clear them afterwards.
         clear: bool,
     },
-    /// At the next start of ventilation the plant restarts with this seed of its random numbers; answered by
-    /// [`Response::Done`]. Only with hardware in the loop.
+    /// Restarts the plant with this random seed at the next start of ventilation; answered by [`Response::Done`]. Not
+    /// on a [`DeviceKind::Ventilator`].
     ResetPlant {
-        /// The seed.
+        /// Random seed.
         seed: u64,
     },
-    /// Status of the flight recorder; answered by [`Response::Recorder`].
+    /// Reports the status of the flight recorder; answered by [`Response::Recorder`].
     GetRecorder,
-    /// Entries of the flight recorder; answered by [`Response::Recorded`].
+    /// Reads entries of the flight recorder; answered by [`Response::Recorded`].
     ReadRecorder {
-        /// The part.
+        /// Part of the recorder.
         part: RecorderPart,
         /// Number of the first entry.
         from: u32,
     },
-    /// Empties the flight recorder's ticks with the next control tick; its log stays. Answered by [`Response::Done`].
+    /// Clears the flight recorder's ticks in the next control tick; the log stays. Answered by [`Response::Done`].
     ClearRecorder,
 }
 
-/// Which controller to run.
+/// Choice of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ControllerChoice {
     /// PID with these gains.
     Pid(PidGains),
-    /// The stored weights.
+    /// The learned controller, with the weights loaded at the start.
     Learned,
 }
 
-/// Device to host.
+/// Message from device to host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::large_enum_variant, reason = "a batch is most of the traffic, and nothing may allocate")]
 pub enum ToHost {
     /// Answer to a request.
     Response {
-        /// The request's.
+        /// Sequence number of the request.
         sequence: u16,
         /// The answer.
         response: Response,
     },
-    /// Unasked.
+    /// Unrequested message.
     Event(Event),
 }
 
-/// A device's answer: the value in force after the request.
+/// Answer of a device: the value in force after the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Response {
     /// Identity of the device and its state.
     Identity(DeviceIdentity),
-    /// Settings.
+    /// Settings in force and pending.
     Settings {
-        /// Of the running breath.
+        /// Settings of the running breath.
         in_force: Settings,
-        /// Of the next breath, if different ones wait.
+        /// Settings that wait for the next breath, if any.
         pending: Option<Settings>,
     },
     /// Mode of the ventilator.
     Mode(Mode),
-    /// The controller that runs.
+    /// The controller, in force from the next breath on.
     Controller(ControllerChoice),
-    /// The device's exploration.
+    /// The exploration, in force from the next breath on.
     Exploration(Option<Exploration>),
     /// Whether telemetry is sent.
     Telemetry {
-        /// Sending?
+        /// Whether batches are sent.
         on: bool,
     },
     /// Progress of an upload.
     Progress {
-        /// First byte that is missing.
+        /// Offset of the first missing byte.
         offset: u32,
     },
-    /// Weights are stored, and run when they are chosen.
+    /// Weights are stored; they are loaded at the next start.
     Weights {
-        /// Their id.
+        /// Id of the weights.
         id: u32,
-        /// Their slot.
+        /// Slot in which they are stored.
         slot: Slot,
     },
-    /// Done, and there is no value to show for it.
+    /// Done; there is no value to return.
     Done,
-    /// Not done; everything is as it was.
+    /// Refused; nothing has changed.
     Refused(Refusal),
-    /// Settings wait for their breath.
+    /// Settings are queued.
     Queued {
-        /// Room left for this many more.
+        /// Number of free places in the queue.
         free: u8,
     },
     /// Statistics of the control ticks.
@@ -184,7 +183,7 @@ pub enum Response {
     Recorded(Page),
 }
 
-/// The greeting.
+/// The greeting: identity and state of a device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceIdentity {
     /// [`PROTOCOL`] of the device.
@@ -197,22 +196,22 @@ pub struct DeviceIdentity {
     pub period_us: u32,
     /// Mode of the ventilator.
     pub mode: Mode,
-    /// The controller that runs.
+    /// The controller that runs, at the latest from the next breath on.
     pub controller: ControllerChoice,
-    /// Its exploration.
+    /// The exploration, in force at the latest from the next breath on.
     pub exploration: Option<Exploration>,
     /// Content of each weights slot, in the order of [`Slot`].
     pub slots: [SlotState; 2],
-    /// The slot whose weights run when they are chosen, if one holds valid ones.
+    /// Slot from which the weights were loaded at the start, if it was valid.
     pub running: Option<Slot>,
     /// Cause of the start.
     pub reset: ResetCause,
-    /// Message of the failure before the start, if there was one.
+    /// Message of the failure that caused the restart, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
 }
 
 impl DeviceIdentity {
-    /// Id of the weights that were loaded at the start.
+    /// Id of the valid weights in the slot that was loaded at the start.
     pub fn running_id(&self) -> Option<u32> {
         self.slots[self.running? as usize].id()
     }
@@ -221,48 +220,48 @@ impl DeviceIdentity {
 /// Kind of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum DeviceKind {
-    /// A ventilator: real sensor, real valves.
+    /// A ventilator with real sensors and valves.
     Ventilator,
-    /// A microcontroller whose sensor and valves are the [`super::plant_link`].
+    /// A microcontroller with the [`super::plant_link`] in place of sensors and valves.
     HardwareInTheLoop,
     /// A program on a computer.
     Simulated,
 }
 
-/// An unasked message of the device.
+/// An unrequested message of the device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(clippy::large_enum_variant, reason = "a batch is most of the traffic, and nothing may allocate")]
 pub enum Event {
-    /// Samples.
+    /// A batch of samples.
     Telemetry(TelemetryBatch),
     /// A breath has ended.
     Breath(BreathSummary),
-    /// A fault has latched.
+    /// A monitor has raised an alarm.
     Alarm {
-        /// Which.
+        /// The alarm's fault.
         fault: Fault,
-        /// Control tick since power-up.
+        /// Control tick since the device started.
         tick: u64,
     },
 }
 
-/// A frame that arrived whole but holds no message of this version.
+/// An undamaged frame that contains no message of this version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("frame holds no message of protocol {PROTOCOL}; update the older side")]
+#[error("the frame contains no message of protocol {PROTOCOL}; update the older side")]
 pub struct Unreadable {
-    /// Sequence number to refuse the request under, if it can be read.
+    /// Sequence number for the refusal, if it can be read.
     pub sequence: Option<u16>,
 }
 
 impl Unreadable {
-    /// The answer to the host, if the request's sequence number could be read.
+    /// The refusal to send to the host, if the request's sequence number could be read.
     pub fn refusal(self) -> Option<ToHost> {
         let response = Response::Refused(Refusal::UnknownRequest);
         self.sequence.map(|sequence| ToHost::Response { sequence, response })
     }
 }
 
-/// Reads a frame's content on the device.
+/// Decodes a frame's content on the device.
 ///
 /// # Errors
 /// [`Unreadable`]; answer with [`Unreadable::refusal`].
@@ -272,22 +271,22 @@ pub fn read_request(content: &[u8]) -> Result<ToDevice, Unreadable> {
     })
 }
 
-/// Reads a frame's content on the host.
+/// Decodes a frame's content on the host.
 ///
 /// # Errors
-/// [`Unreadable`]; [`greeted_protocol`] tells whether it is a greeting of another version.
+/// [`Unreadable`]; [`greeted_protocol`] recognises a greeting of another version.
 pub fn read_reply(content: &[u8]) -> Result<ToHost, Unreadable> {
     whole(content).ok_or(Unreadable { sequence: None })
 }
 
-/// Protocol version in a greeting of any version; none if the content is something else.
+/// Protocol version in a greeting of any version; none for any other content.
 pub fn greeted_protocol(content: &[u8]) -> Option<u16> {
     let ((response, _, identity, protocol), _): ((u8, u16, u8, u16), _) =
         postcard::take_from_bytes(content).ok()?;
     (response == 0 && identity == 0).then_some(protocol)
 }
 
-/// A message that fills its content exactly.
+/// Decodes a message that takes up the whole content.
 fn whole<'a, M: Deserialize<'a>>(content: &'a [u8]) -> Option<M> {
     let (message, rest) = postcard::take_from_bytes(content).ok()?;
     rest.is_empty().then_some(message)

@@ -1,14 +1,14 @@
 //! The link between host and device.
 //!
-//! A message is an enum ([`messages`]) in postcard's encoding, followed by a CRC-32 of those bytes (little
-//! endian), framed with COBS between two zero bytes ([`frame`]). Zero bytes on both sides cost one byte and save
-//! the frame that follows line noise.
+//! A message is an enum ([`messages`]) in postcard's encoding, followed by the CRC-32 of those bytes (little
+//! endian), framed with COBS between two zero bytes ([`frame`]). The leading zero byte ends any line noise before the
+//! frame.
 //!
-//! The host asks, the device answers each request once, with the request's sequence number and the value that
-//! is now in force. In between the device sends events: batches of [`telemetry`], breath summaries, alarms.
-//! After a connection the host reads first ([`messages::Request::Identify`]) and pushes nothing unasked.
+//! The device answers each request of the host once, with the request's sequence number and the value that is now in
+//! force. It also sends events: batches of [`telemetry`], breath summaries, alarms. After connecting, the host first
+//! reads ([`messages::Request::Identify`]) and never changes settings by itself.
 //!
-//! [`plant_link`] is a second, separate link for hardware in the loop.
+//! [`plant_link`] is a separate link, for a plant in place of sensor and valves.
 
 pub mod frame;
 pub mod messages;
@@ -16,5 +16,5 @@ pub mod plant_link;
 pub mod refusal;
 pub mod telemetry;
 
-/// Version of the protocol: changes whenever the bytes of an existing message change.
+/// Version of the protocol; it changes whenever the bytes of an existing message change.
 pub const PROTOCOL: u16 = 2;

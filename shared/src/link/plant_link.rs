@@ -1,91 +1,90 @@
-//! The plant link: a ventilator on one end (firmware or trainer), a lung simulator in any language on the other, in
-//! lockstep. It takes the place of sensor and valves. `docs/PLANT_LINK.md` has the bytes of each
-//! frame, for those who write a plant.
+//! The plant link: it connects a ventilator (firmware or trainer) in lockstep with a lung simulator in any language, in
+//! place of sensor and valves. `docs/PLANT_LINK.md` specifies every frame for authors of a plant.
 //!
 //! Every frame has 16 bytes, little endian: start, kind, tick (u16), payload (8 bytes), CRC-32 of bytes 0..12.
 //! The ventilator sends one frame and waits for its answer: Greeting to Hello, Ready to Reset, Peep and Seed, Pressure to
-//! Step; a plant that knows the true pressure may answer Truth to Reset and Step. No answer in time on a line that may lose
-//! bytes: it sends the same frame again. A plant that gets the tick of its last answer again repeats that answer and
-//! does not step. Bytes that belong to no frame are skipped. The firmware, whose plant is wired to it, does not say Hello.
+//! Step. A plant that knows the true pressure may answer Reset and Step with Truth. On a line that can lose bytes, the
+//! ventilator repeats a frame that gets no answer in time; a plant that receives the tick of its last answer again repeats
+//! that answer without a step. Bytes outside frames are skipped. The firmware sends no Hello and does not accept Truth.
 
 use crate::checksum::{crc32, verified};
 
-/// Version of the protocol: changes whenever the bytes of an existing message change.
+/// Version of the protocol; it changes whenever the bytes of an existing message change.
 pub const VERSION: u16 = 1;
 /// First byte of a frame.
 pub const START: u8 = 0xA5;
-/// Length of a frame.
+/// Length of a frame, bytes.
 pub const FRAME_BYTES: usize = 16;
 
 /// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlantMessage {
-    /// Restart at rest.
+    /// Restart the plant at rest.
     Reset {
         /// Control period, microseconds.
         period_us: u32,
     },
-    /// One control period with these valves.
+    /// Simulate one control period with these valve commands.
     Step {
         /// Inspiratory valve, percent of full opening.
         u_in: f32,
-        /// Expiratory valve open?
+        /// Whether the expiratory valve is open.
         u_out: bool,
     },
-    /// The knob of the mechanical PEEP valve is turned; time stands still.
+    /// Set the mechanical PEEP valve; no time passes.
     Peep {
         /// PEEP, cmH2O.
         pressure: f32,
     },
-    /// The next Reset starts the plant's random numbers with this seed; without one it starts with the seed before.
+    /// Set the random seed that the next Reset uses; without one it uses the previous seed again.
     Seed {
-        /// The seed.
+        /// Random seed.
         seed: u64,
     },
-    /// The ventilator opens the link.
+    /// Open the link.
     Hello {
-        /// [`VERSION`] of the one who asks.
+        /// [`VERSION`] of the ventilator.
         version: u32,
     },
-    /// The plant describes itself.
+    /// Description of the plant.
     Greeting {
-        /// Its [`VERSION`].
+        /// [`VERSION`] of the plant.
         version: u16,
-        /// Highest magnitude of a pressure that it tells, cmH2O.
+        /// Largest magnitude of the pressures that it sends, cmH2O.
         highest: u16,
-        /// The control period that it is made for, microseconds; 0 if it runs any.
+        /// The only control period that it supports, microseconds; 0 for any.
         period_us: u32,
     },
-    /// In the place of Ready and Pressure, from a plant that knows the truth.
+    /// Replaces Ready and Pressure for a plant that knows the true pressure.
     Truth {
-        /// Pressure measured, cmH2O.
+        /// Measured pressure, cmH2O.
         pressure: f32,
         /// True airway pressure at the same instant, cmH2O.
         airway: f32,
     },
-    /// The plant has restarted, its PEEP valve is set, or it has the seed.
+    /// The plant has executed Reset, Peep or Seed.
     Ready {
-        /// Pressure now, cmH2O.
+        /// Current pressure, cmH2O.
         pressure: f32,
     },
-    /// The plant has stepped.
+    /// The plant has executed Step.
     Pressure {
         /// Pressure after the step, cmH2O.
         pressure: f32,
     },
 }
 
-/// A message with its tick.
+/// A frame: a message with its tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlantFrame {
     /// Chosen by the ventilator, wrapping; repeated in the answer.
     pub tick: u16,
-    /// Its content.
+    /// The message.
     pub message: PlantMessage,
 }
 
 impl PlantFrame {
-    /// The frame's bytes.
+    /// Encodes the frame.
     pub fn encode(&self) -> [u8; FRAME_BYTES] {
         let (kind, first, second) = match self.message {
             PlantMessage::Reset { period_us } => (1, period_us, 0),
@@ -110,7 +109,7 @@ impl PlantFrame {
         bytes
     }
 
-    /// The frame in some bytes; none unless all of them are as `docs/PLANT_LINK.md` says.
+    /// Decodes a frame; none unless every byte is as specified in `docs/PLANT_LINK.md`.
     pub fn decode(bytes: &[u8; FRAME_BYTES]) -> Option<Self> {
         verified(bytes)?;
         let [start, kind, t0, t1, a0, a1, a2, a3, b0, b1, b2, b3, ..] = *bytes;
@@ -135,7 +134,7 @@ impl PlantFrame {
     }
 }
 
-/// Finds frames in a stream of bytes: a window over the last 16.
+/// Finds frames in a stream of bytes, in a window of the last 16.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PlantDecoder {
     window: [u8; FRAME_BYTES],
@@ -144,7 +143,7 @@ pub struct PlantDecoder {
 }
 
 impl PlantDecoder {
-    /// Takes in one byte; a frame when it completes one.
+    /// Takes one byte; returns a frame if it completes one.
     pub fn push(&mut self, byte: u8) -> Option<PlantFrame> {
         if self.filled == FRAME_BYTES {
             self.filled -= 1;
@@ -161,7 +160,7 @@ impl PlantDecoder {
         Some(frame)
     }
 
-    /// Bytes that belonged to no frame.
+    /// Number of bytes outside frames.
     pub fn skipped(&self) -> u32 {
         self.skipped
     }

@@ -1,4 +1,4 @@
-//! Reasons for a refused request; as text, each says how to go on.
+//! Reasons for refusing a request; each text says what to do next.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -6,59 +6,59 @@ use thiserror::Error;
 use crate::settings::SettingsError;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
 
-/// A refused request. The order of the variants is part of the protocol: append only.
+/// Reason for refusing a request. The order of the variants is part of the protocol: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Error)]
 pub enum Refusal {
-    /// Settings out of bounds or at odds with each other; those in force stay.
+    /// Settings are out of bounds or contradict each other; those in force stay.
     #[error("settings refused: {0}")]
     Settings(#[from] SettingsError),
     /// A PID gain is out of range.
-    #[error("a PID gain is out of range; build the PID on the host to see which")]
+    #[error("a PID gain is out of range; build the PID on the host to see which one")]
     Gains,
-    /// An exploration range makes no sense.
-    #[error("an exploration range is out of bounds; validate it on the host to see which")]
+    /// An exploration range is out of bounds.
+    #[error("an exploration range is out of bounds; validate the exploration on the host to see which one")]
     Exploration,
-    /// Not while ventilating.
+    /// The request is not allowed while ventilating.
     #[error("the device is ventilating; stop it first")]
     Ventilating,
     /// A latched fault must be acknowledged first.
     #[error("a fault is latched; find its cause, then acknowledge it")]
     FaultLatched,
-    /// There is no fault to acknowledge.
+    /// No fault is latched.
     #[error("no fault is latched; there is nothing to acknowledge")]
     NoFault,
-    /// No valid weights for this control period.
-    #[error("the device holds no valid weights for its control period; upload an image first")]
+    /// No valid weights for the control period were loaded at the start.
+    #[error("no valid weights for the control period are loaded; upload an image, then reset the device")]
     NoWeights,
-    /// No upload has begun.
-    #[error("no upload is running; begin it again")]
+    /// No upload is in progress.
+    #[error("no upload is in progress; begin it again")]
     NoUpload,
-    /// An image of another length.
+    /// The image has another length than images of this version.
     #[error("an image of this version has {IMAGE_BYTES} bytes; pack it with this version's trainer")]
     WrongLength,
-    /// A chunk that does not follow the last one.
-    #[error("chunk out of order; go on at offset {expected}")]
+    /// The chunk does not follow the last one, or bytes are missing.
+    #[error("chunk out of order; continue at offset {expected}")]
     WrongOffset {
-        /// First byte that is missing.
+        /// Offset of the first missing byte.
         expected: u32,
     },
-    /// Something is wrong with the uploaded image.
+    /// The uploaded image is invalid.
     #[error("the device refused the image ({0:?}); decode it on the host to see why")]
     BadImage(ImageProblem),
-    /// The image is not the one that was announced.
-    #[error("another image arrived than was announced; begin the upload again")]
+    /// The image's id is not the announced one.
+    #[error("the uploaded image is not the announced one; begin the upload again")]
     OtherImage,
-    /// The flash could not be written.
-    #[error("the image could not be stored; try again, the old weights are still in force")]
+    /// The image could not be written to the flash.
+    #[error("the image could not be stored; the old weights are still in force, try again")]
     Storage,
-    /// The request could not be read.
+    /// The request could not be decoded.
     #[error("the device does not know this request; update the older side")]
     UnknownRequest,
-    /// No room for more settings.
-    #[error("settings for enough breaths are waiting; send more when one has started")]
+    /// The queue of settings is full.
+    #[error("the queue of settings is full; send more after the next breath has started")]
     QueueFull,
-    /// There is no plant to reset.
-    #[error("this device breathes with real valves; only one with hardware in the loop has a plant to reset")]
+    /// The device has no plant to reset.
+    #[error("this device has real valves; only a device with a simulated plant can reset it")]
     NoPlant,
 }
 
@@ -71,7 +71,7 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn the_reader_of_a_refusal_sees_the_settings_own_words() {
+    fn a_refusal_contains_the_text_of_the_settings_error() {
         let settings = Settings { rate: 200.0, ..Settings::default() };
         let error = settings.validate().unwrap_err();
         assert_eq!(Refusal::from(error).to_string(), std::format!("settings refused: {error}"));

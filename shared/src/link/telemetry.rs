@@ -1,8 +1,7 @@
-//! Telemetry: every tick's sample in batches, with what was lost on the way, and a summary of each breath.
+//! Telemetry: the samples of all ticks in batches, with counters of losses, and a summary of each breath.
 //!
-//! A batch holds samples of consecutive control ticks. Its sequence number tells the host how many batches were
-//! lost on the line, its counters what was lost before: `dropped` samples, frames that the device refused,
-//! ticks that came too late.
+//! A batch contains samples of consecutive control ticks. Its sequence number shows how many batches were lost on the
+//! line, its counters what was lost before: dropped samples, corrupt frames from the host, missed ticks.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -10,10 +9,10 @@ use serde::{Deserialize, Serialize};
 use crate::breath::Phase;
 use crate::ventilator::Sample;
 
-/// Most samples of a batch.
+/// Most samples in a batch.
 pub const BATCH_SAMPLES: usize = 16;
 
-/// A [`Sample`] for the link, 18 bytes in a usual breath, 22 while exploring; lossless to the last bit.
+/// A [`Sample`] in the link's encoding: about 18 bytes, 22 while exploring; lossless to the last bit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PackedSample {
     breath: u32,
@@ -23,7 +22,7 @@ pub struct PackedSample {
     target: f32,
     pressure: f32,
     u_in: f32,
-    /// Absent for the very bits of +0, which most samples have.
+    /// None for exactly +0.0, the most common value.
     explore: Option<f32>,
 }
 
@@ -35,42 +34,42 @@ impl PackedSample {
         Self { breath, tick, phase, u_out, target, pressure, u_in, explore }
     }
 
-    /// The sample that was packed.
+    /// Unpacks the sample.
     pub fn unpack(&self) -> Sample {
         let Self { breath, tick, phase, u_out, target, pressure, u_in, explore } = *self;
         Sample { breath, tick, phase, target, pressure, u_in, u_out, explore: explore.unwrap_or(0.0) }
     }
 }
 
-/// Losses since power-up, and the duration of control ticks.
+/// Losses since the start, and the duration of control ticks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counters {
-    /// Samples that found no room in the device's queue.
+    /// Reports that did not fit into the device's queue.
     pub dropped: u32,
-    /// Frames from the host that the device refused.
+    /// Corrupt frames from the host, and bytes lost in the device's receiver.
     pub corrupt_frames: u32,
-    /// Control ticks that began late or not at all.
+    /// Control ticks that did not run.
     pub missed_ticks: u32,
     /// Longest control tick, microseconds.
     pub worst_tick_us: u32,
-    /// Mean length of a control tick, microseconds.
+    /// Mean control tick, microseconds.
     pub mean_tick_us: f32,
 }
 
-/// Samples of consecutive ticks.
+/// A batch: samples of consecutive ticks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TelemetryBatch {
-    /// Counts batches, wrapping.
+    /// Number of the batch, wrapping.
     pub sequence: u32,
-    /// Control tick of the first sample, since power-up.
+    /// Control tick of the first sample, since the device started.
     pub first_tick: u64,
-    /// State of the counters when the batch was closed.
+    /// Counters when the batch was closed.
     pub counters: Counters,
     /// The samples.
     pub samples: Vec<PackedSample, BATCH_SAMPLES>,
 }
 
-/// Puts samples into batches (device).
+/// Collects samples into batches (device).
 #[derive(Clone, Debug, Default)]
 pub struct Batcher {
     sequence: u32,
@@ -79,14 +78,14 @@ pub struct Batcher {
 }
 
 impl Batcher {
-    /// Takes in a tick's sample; gives a batch when it is full, or when the new sample does not follow the last.
+    /// Adds a tick's sample; returns a batch when it is full, or when the new sample does not follow the last one.
     pub fn push(&mut self, tick: u64, sample: &Sample, counters: &Counters) -> Option<TelemetryBatch> {
         let follows = self.first_tick.wrapping_add(self.samples.len() as u64) == tick;
         let closed = if follows { None } else { self.flush(counters) };
         if self.samples.is_empty() {
             self.first_tick = tick;
         }
-        // There is room: a full batch was closed when its last sample came.
+        // There is room: a batch is closed as soon as it is full.
         let _ = self.samples.push(PackedSample::pack(sample));
         if self.samples.is_full() {
             return self.flush(counters);
@@ -118,7 +117,7 @@ pub struct LossCounter {
 }
 
 impl LossCounter {
-    /// Takes in a batch's sequence number; gives how many batches are missing before it.
+    /// Takes a batch's sequence number; returns the number of missing batches before it.
     pub fn arrived(&mut self, sequence: u32) -> u32 {
         let missing = self.next.map_or(0, |next| sequence.wrapping_sub(next));
         self.next = Some(sequence.wrapping_add(1));
@@ -126,7 +125,7 @@ impl LossCounter {
         missing
     }
 
-    /// The same losses, and whatever comes next follows.
+    /// Keeps the count but accepts any next sequence number.
     #[must_use]
     pub fn restarted(self) -> Self {
         Self { next: None, ..self }
@@ -138,12 +137,12 @@ impl LossCounter {
     }
 }
 
-/// A breath in a few numbers.
+/// Summary of a breath.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BreathSummary {
     /// Number of the breath.
     pub breath: u32,
-    /// Mean absolute pressure error over the inspiration, cmH2O: the score.
+    /// Mean absolute pressure error over the inspiration, the score, cmH2O.
     pub mean_absolute_error: f32,
     /// Highest pressure, cmH2O.
     pub peak_pressure: f32,
@@ -151,7 +150,7 @@ pub struct BreathSummary {
     pub end_pressure: f32,
 }
 
-/// Makes breath summaries from samples.
+/// Computes breath summaries from samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BreathMeter {
     breath: u32,
@@ -163,8 +162,8 @@ pub struct BreathMeter {
 }
 
 impl BreathMeter {
-    /// Takes in a sample; at the first one of a breath gives the summary of the breath before, unless that was
-    /// broken off in its inspiration.
+    /// Adds a sample; at the first one of a breath returns the summary of the previous breath, unless that was stopped
+    /// during its inspiration.
     pub fn take(&mut self, sample: &Sample) -> Option<BreathSummary> {
         let summary = if sample.tick == 0 { self.restart(sample) } else { None };
         if sample.phase == Phase::Inspiration {

@@ -1,15 +1,15 @@
-//! Words of memory that an interrupt may write while another task reads, and that a reset may leave at any store.
+//! Memory cells that an interrupt may write while another task reads, and whose writing a reset may interrupt at any store.
 //!
-//! Atomics, because any bit pattern is a valid one and their order can be told; a core with one bus needs no more.
+//! They are atomics: every bit pattern is valid, and the order of stores is defined; a single-core chip needs no more.
 
 use core::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
-/// 32 bits.
+/// A cell of 32 bits.
 #[derive(Debug)]
 #[repr(transparent)]
 pub(super) struct Word(AtomicU32);
 
-/// 16 bits.
+/// A cell of 16 bits.
 #[derive(Debug)]
 #[repr(transparent)]
 pub(super) struct Half(AtomicU16);
@@ -23,7 +23,7 @@ impl Word {
         self.0.load(Ordering::Acquire)
     }
 
-    /// Stores after everything that was stored before.
+    /// Stores `value` after all earlier stores.
     pub(super) fn store(&self, value: u32) {
         if fuse::holds() {
             self.0.store(value, Ordering::Release);
@@ -40,7 +40,7 @@ impl Half {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Stores in any order with other halves, but before the next [`Word::store`].
+    /// Stores `value` in any order relative to other halves, but before the next [`Word::store`].
     pub(super) fn store(&self, value: u16) {
         if fuse::holds() {
             self.0.store(value, Ordering::Relaxed);
@@ -48,7 +48,7 @@ impl Half {
     }
 }
 
-/// Whether the supply still holds.
+/// Simulation of the supply for tests; here it never fails.
 #[cfg(not(test))]
 mod fuse {
     pub(super) const fn holds() -> bool {
@@ -56,7 +56,7 @@ mod fuse {
     }
 }
 
-/// In tests the supply can be cut after any number of stores: those that follow never reach the memory.
+/// In tests the supply can fail after any number of stores; later stores do not reach the memory.
 #[cfg(test)]
 pub(super) mod fuse {
     use core::cell::Cell;
@@ -65,12 +65,12 @@ pub(super) mod fuse {
         static LEFT: Cell<usize> = const { Cell::new(usize::MAX) };
     }
 
-    /// Lets this many stores through.
+    /// Lets the supply fail after this many stores.
     pub fn set(stores: usize) {
         LEFT.set(stores);
     }
 
-    /// Stores that would still get through.
+    /// Stores left until the supply fails.
     pub fn left() -> usize {
         LEFT.get()
     }

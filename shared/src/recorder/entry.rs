@@ -1,4 +1,4 @@
-//! The entries: a control tick in six bytes, an event in twelve.
+//! Entries of the flight recorder: a control tick in 6 bytes, an event in 12.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -8,68 +8,68 @@ use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 
-/// Sixteen-bit halves of a tick's entry.
+/// Length of a tick's entry, 16-bit halves.
 pub(super) const TICK_HALVES: usize = 3;
-/// Bytes of a tick's entry.
+/// Length of a tick's entry, bytes.
 pub const TICK_BYTES: usize = 2 * TICK_HALVES;
-/// Sixteen-bit halves of an event's entry.
+/// Length of an event's entry, 16-bit halves.
 pub(super) const EVENT_HALVES: usize = 6;
-/// Bytes of an event's entry.
+/// Length of an event's entry, bytes.
 pub const EVENT_BYTES: usize = 2 * EVENT_HALVES;
 
-/// Lowest pressure that can be told from lower ones, cmH2O.
+/// Offset of the pressure code; lower pressures are recorded as -99.99, cmH2O.
 const PRESSURE_OFFSET: f32 = -100.0;
-/// Steps of pressure and target per cmH2O.
+/// Resolution of pressure and target, steps per cmH2O.
 const PRESSURE_STEPS: f32 = 100.0;
-/// Steps of a valve command per percent.
+/// Resolution of a valve command, steps per percent.
 const COMMAND_STEPS: f32 = 10.0;
-/// Highest code of a pressure, 15 bits; 0 stands for no number.
+/// Highest code of a pressure, 15 bits; 0 means not a number.
 const PRESSURE_CODE: u32 = 32_767;
-/// Highest code of a target, 13 bits; 0 stands for none.
+/// Highest code of a target, 13 bits; 0 means no target.
 const TARGET_CODE: u32 = 8_191;
 /// Highest code of a valve command, 10 bits.
 const COMMAND_CODE: u32 = 1_023;
-/// Code of no phase, 2 bits; the others are the numbers of [`Phase`]'s variants.
+/// Code for no phase, 2 bits; the other codes are the numbers of [`Phase`]'s variants.
 const NO_PHASE: u16 = 3;
-/// Steps of a setting in an event's argument.
+/// Resolution of a setting in an event's argument, steps per unit.
 const SETTING_STEPS: f32 = 10.0;
 
-/// Activity of the ventilator in a tick. The order of the variants is part of the recording: append only.
+/// Activity of the ventilator in a tick. The order of the variants is part of the recording's format: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Activity {
-    /// Standing by.
+    /// In standby.
     Standby,
-    /// Breathing.
+    /// Ventilating.
     Ventilating,
     /// In the latched safe state.
     Fault,
 }
 
-/// A control tick as it is recorded.
+/// Record of a control tick.
 ///
 /// | value | bits | resolution, range |
 /// |---|---|---|
-/// | pressure | 15 | 0.01 cmH2O, -99.99 to 227.67; one code for "no number" |
-/// | expiratory valve | 1 | open or not |
+/// | pressure | 15 | 0.01 cmH2O, -99.99 to 227.67; one code for NaN |
+/// | expiratory valve | 1 | open or closed |
 /// | target | 13 | 0.01 cmH2O, 0 to 81.9; one code for "none" |
 /// | phase | 2 | one code for "no breath" |
-/// | explored | 1 | whether exploration moved the valve |
+/// | explored | 1 | whether exploration changed the command |
 /// | inspiratory valve | 10 | 0.1 % |
 /// | activity | 2 | one code for a gap |
-/// | breath | 4 | number of the breath, its lowest bits |
+/// | breath | 4 | lowest bits of the breath's number |
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TickEntry {
-    /// Pressure as read, cmH2O; NaN for a reading that is no number.
+    /// Pressure as read, cmH2O; NaN if the reading was not a number.
     pub pressure: f32,
-    /// Target, cmH2O; none outside of a breath.
+    /// Target, cmH2O; none outside a breath.
     pub target: Option<f32>,
     /// Command of the inspiratory valve, percent.
     pub u_in: f32,
-    /// Expiratory valve open?
+    /// Whether the expiratory valve was open.
     pub u_out: bool,
-    /// Phase of the breath; none outside of one.
+    /// Phase of the breath; none outside a breath.
     pub phase: Option<Phase>,
-    /// Whether exploration moved the inspiratory valve.
+    /// Whether exploration changed the command of the inspiratory valve.
     pub explored: bool,
     /// Activity of the ventilator.
     pub activity: Activity,
@@ -77,11 +77,11 @@ pub struct TickEntry {
     pub breath: u8,
 }
 
-/// Stands between ticks that did not follow each other.
+/// Entry between ticks that are not consecutive.
 pub(super) const GAP: [u16; TICK_HALVES] = [0, 0, 3 << 4];
 
 impl TickEntry {
-    /// The entry's halves; what is out of range is at its end.
+    /// Packs the entry; values out of range are limited to it.
     #[inline]
     pub(super) fn pack(&self) -> [u16; TICK_HALVES] {
         let pressure = (self.pressure - PRESSURE_OFFSET) * PRESSURE_STEPS;
@@ -96,10 +96,10 @@ impl TickEntry {
         ]
     }
 
-    /// Reads an entry's bytes; none if it marks a gap: what follows it did not follow what is before it.
+    /// Unpacks an entry; none if it marks a gap, where the next tick does not follow the previous one.
     pub fn read(bytes: [u8; TICK_BYTES]) -> Option<Self> {
         let [first, second, third] = halves(bytes);
-        // Three stands for a gap.
+        // Activity 3 marks a gap.
         let activity = variant((third >> 4 & 3) as u8)?;
         let pressure = match first >> 1 {
             0 => f32::NAN,
@@ -122,21 +122,21 @@ impl TickEntry {
     }
 }
 
-/// The nearest whole number within two bounds. Limited as a whole number, which takes fewer instructions: the cast itself
-/// makes 0 of what is negative or no number, and the largest number of what is too large.
+/// Rounds `value` and limits it to `low..=high`. Limiting the integer takes fewer instructions: the cast converts negative
+/// values and NaN to 0, and values that are too large to the largest integer.
 #[inline]
 fn code(value: f32, low: u32, high: u32) -> u16 {
     ((value + 0.5) as u32).clamp(low, high) as u16
 }
 
-/// An event worth logging.
+/// An event of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Happening {
     /// The device started.
     Boot {
-        /// Cause.
+        /// Cause of the start.
         cause: ResetCause,
-        /// Whether the program had failed before.
+        /// Whether a failure of the program caused the start.
         failed: bool,
     },
     /// Weights with this id were loaded at the start.
@@ -145,16 +145,16 @@ pub enum Happening {
     Start,
     /// Ventilation was stopped.
     Stop,
-    /// A fault latched.
+    /// A fault was latched.
     Fault(Fault),
     /// The fault was acknowledged.
     Acknowledged,
-    /// Another controller runs.
+    /// The controller changed.
     Controller {
-        /// Learned weights, or a PID.
+        /// Whether learned weights run; otherwise a PID.
         learned: bool,
     },
-    /// Settings of a breath, each to a tenth of its unit.
+    /// Settings of a breath, with a resolution of a tenth of their unit.
     Settings {
         /// Peak inspiratory pressure, cmH2O.
         pip: f32,
@@ -163,24 +163,24 @@ pub enum Happening {
         /// Breaths per minute.
         rate: f32,
     },
-    /// Control ticks that did not run, since the start.
+    /// Control ticks were missed.
     Missed {
-        /// Their number.
+        /// Number of ticks that have not run since the start.
         ticks: u32,
     },
-    /// A host emptied the recording.
+    /// A host cleared the recording.
     Cleared,
-    /// A monitor raised an alarm, and ventilation went on.
+    /// A monitor raised an alarm that did not end ventilation.
     Alarm(Fault),
 }
 
 impl Happening {
-    /// Settings as they are logged.
+    /// The logged settings of a breath.
     pub(super) fn settings(settings: &Settings) -> Self {
         Self::Settings { pip: settings.pip, peep: settings.peep, rate: settings.rate }
     }
 
-    /// Kind, never 0, and argument.
+    /// Packs the event into its kind, never 0, and its argument.
     fn pack(self) -> (u8, u32) {
         match self {
             Self::Boot { cause, failed } => (1, u32::from(cause as u8) | u32::from(failed) << 8),
@@ -219,24 +219,24 @@ impl Happening {
     }
 }
 
-/// The variant of this number, as the link counts them too.
+/// The variant with this number, as postcard numbers them.
 pub(super) fn variant<V: DeserializeOwned>(number: u8) -> Option<V> {
     postcard::from_bytes(&[number]).ok()
 }
 
-/// An event of the log.
+/// An entry of the log: an event with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LogEntry {
     /// Control tick since the device started.
     pub tick: u32,
-    /// Which start that was; they are counted since the memory was last without power.
+    /// Number of that start, counted since the memory last lost power.
     pub boot: u16,
     /// The event.
     pub happening: Happening,
 }
 
 impl LogEntry {
-    /// The entry's halves: tick, argument, boot, kind and check.
+    /// Packs the entry: tick, argument, boot, kind and check.
     pub(super) fn pack(&self) -> [u16; EVENT_HALVES] {
         let (kind, argument) = self.happening.pack();
         let check = check(self.tick, argument, self.boot, kind);
@@ -250,7 +250,7 @@ impl LogEntry {
         ]
     }
 
-    /// Reads an entry's bytes; none if they were damaged or come from a newer device.
+    /// Unpacks an entry; none if it is damaged or from a newer device.
     pub fn read(bytes: [u8; EVENT_BYTES]) -> Option<Self> {
         let [tick, tick_high, argument, argument_high, boot, last] = halves(bytes);
         let tick = u32::from(tick) | u32::from(tick_high) << 16;
@@ -263,13 +263,13 @@ impl LogEntry {
     }
 }
 
-/// Eight bits that change with any single bit of an event.
+/// An 8-bit checksum that changes with every single bit of an event.
 fn check(tick: u32, argument: u32, boot: u16, kind: u8) -> u8 {
     let mixed = tick ^ argument.rotate_left(7) ^ (u32::from(boot) << 8 | u32::from(kind));
     (mixed.wrapping_mul(0x9E37_79B1) >> 24) as u8
 }
 
-/// Bytes as halves, little endian.
+/// Converts bytes to little-endian halves.
 fn halves<const BYTES: usize, const HALVES: usize>(bytes: [u8; BYTES]) -> [u16; HALVES] {
     let (pairs, _) = bytes.as_chunks::<2>();
     core::array::from_fn(|index| pairs.get(index).map_or(0, |pair| u16::from_le_bytes(*pair)))

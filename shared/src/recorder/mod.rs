@@ -1,25 +1,25 @@
-//! The flight recorder: the last moments before a fault, and what happened when, in memory that survives a reset.
+//! The flight recorder: it keeps the last control ticks before a fault and a log of events in memory that survives a reset.
 //!
-//! | part | holds | entry |
+//! | part | contains | entry |
 //! |---|---|---|
 //! | [`RecorderPart::Fast`] | the last 2,000 control ticks of a ventilation: 2 s | [`TickEntry`], 6 bytes |
-//! | [`RecorderPart::Slow`] | every 20th tick of the last 60 s, with the highest pressure of the 20 | [`TickEntry`], 6 bytes |
+//! | [`RecorderPart::Slow`] | every 20th tick of the last 60 s, with the highest pressure of 20 | [`TickEntry`], 6 bytes |
 //! | [`RecorderPart::Log`] | the last 1,024 events | [`LogEntry`], 12 bytes |
 //!
 //! # When it records
-//! Ticks are recorded while the ventilator ventilates and for a short time after that ([`FAST_TAIL`], [`SLOW_TAIL`]): what
-//! the pressure did when the valves went to their safe state is half of the story. Then the recording stands still, so that
-//! the moments before a fault can be read at any later time, until ventilation starts again or a host empties it. The event log never
-//! stands still.
+//! Ticks are recorded during ventilation and for a short time afterwards ([`FAST_TAIL`], [`SLOW_TAIL`]), to show how the
+//! pressure responded to the safe state. Then recording stops, so that the time before a fault can be read until
+//! ventilation starts again or a host clears the recording. The event log is never stopped.
 //!
 //! # What survives
-//! [`RecorderMemory`] lies where no start of the program touches it. [`Recorder::attach`] keeps what it finds there after a reset and
-//! empties it after power-up, or if it is not what this very layout left. A reset in the middle of a write loses at most
-//! that entry. A start that finds a recording that never ended knows that the device was reset while it ventilated.
+//! [`RecorderMemory`] is in memory that the program's start does not initialise. [`Recorder::attach`] keeps its content
+//! after a reset, and clears it after power-up or if its layout is another. A reset during a write loses at most that
+//! entry. A recording that is still running at the start shows that the device was reset while it ventilated.
 //!
-//! # Who writes, who reads
-//! The control task alone writes ([`Recorder`]), a constant handful of stores per tick. Anyone may read ([`RecorderMemory::status`],
-//! [`RecorderMemory::page`]); a reader that the writer has overtaken notices it and reads again, so the writer never waits.
+//! # Writer and readers
+//! Only the control task writes ([`Recorder`]), with a bounded number of stores per tick. Any task may read
+//! ([`RecorderMemory::status`], [`RecorderMemory::page`]); a reader that the writer overtakes detects it and reads again,
+//! so the writer never waits.
 
 mod cell;
 pub mod entry;
@@ -39,28 +39,28 @@ use entry::{EVENT_HALVES, TICK_HALVES, variant};
 use ring::Ring;
 pub use writer::{Boot, Moment, Recorder};
 
-/// Ticks that [`RecorderPart::Fast`] holds.
+/// Capacity of [`RecorderPart::Fast`], ticks.
 pub const FAST_ENTRIES: usize = 2000;
-/// Entries that [`RecorderPart::Slow`] holds.
+/// Capacity of [`RecorderPart::Slow`], entries.
 pub const SLOW_ENTRIES: usize = 3000;
-/// Events that [`RecorderPart::Log`] holds.
+/// Capacity of [`RecorderPart::Log`], events.
 pub const LOG_ENTRIES: usize = 1024;
-/// Ticks from one entry of [`RecorderPart::Slow`] to the next.
+/// Ticks per entry of [`RecorderPart::Slow`].
 pub const SLOW_STRIDE: u32 = 20;
-/// Ticks for which [`RecorderPart::Fast`] goes on after ventilation has ended.
+/// Ticks for which [`RecorderPart::Fast`] continues after ventilation has ended.
 pub const FAST_TAIL: u32 = 500;
-/// Ticks for which [`RecorderPart::Slow`] goes on after ventilation has ended.
+/// Ticks for which [`RecorderPart::Slow`] continues after ventilation has ended.
 pub const SLOW_TAIL: u32 = 15_000;
-/// Most bytes of a page: whole entries of either length.
+/// Most bytes of a page: a multiple of both entry lengths.
 pub const PAGE_BYTES: usize = 216;
-/// Most bytes of RAM that all of this may take.
+/// Most bytes of RAM that the recorder may use.
 pub const BYTES: usize = 64 * 1024;
 
 /// Marks memory that this program wrote.
 const MAGIC: u32 = 0x4575_7042;
-/// Changes with the meaning of any bit that the layout's numbers do not tell.
+/// Version of the layout; change it when a bit changes its meaning but no size in [`LAYOUT`] changes.
 const VERSION: u32 = 1;
-/// Hash of the layout: memory of another layout is emptied.
+/// Hash of the layout; memory with another layout is cleared.
 const LAYOUT: u32 = fnv(&[
     VERSION,
     size_of::<RecorderMemory>() as u32,
@@ -69,7 +69,7 @@ const LAYOUT: u32 = fnv(&[
     LOG_ENTRIES as u32,
     SLOW_STRIDE,
 ]);
-/// Asks the writer to empty the recording.
+/// Request to the writer to clear the recording.
 const CLEAR: u32 = 0x434C_4541;
 
 const _: () = assert!(size_of::<RecorderMemory>() <= BYTES);
@@ -79,9 +79,9 @@ const _: () = assert!(size_of::<RecorderMemory>() <= BYTES);
 pub enum RecorderPart {
     /// Every control tick.
     Fast,
-    /// Every 20th.
+    /// Every 20th control tick.
     Slow,
-    /// Events.
+    /// Log of events.
     Log,
 }
 
@@ -90,13 +90,13 @@ pub enum RecorderPart {
 pub enum RecordingState {
     /// Nothing was recorded.
     Nothing,
-    /// It goes on: the device ventilates.
+    /// It is running: the device ventilates.
     Running,
-    /// It ended with a stop.
+    /// Ventilation was stopped.
     Stopped,
-    /// It ended with a fault.
+    /// A fault ended ventilation.
     Fault(Fault),
-    /// It ended with a reset of the ventilating device.
+    /// A reset ended ventilation.
     Reset,
 }
 
@@ -124,20 +124,20 @@ impl RecordingState {
     }
 }
 
-/// Range of a part's entries: from `first` up to, but without, `next`.
+/// Range of a part's entries: from `first` to before `next`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Held {
     /// Number of the oldest entry.
     pub first: u32,
-    /// Number of the entry that comes next.
+    /// Number of the next entry to be written.
     pub next: u32,
-    /// Control tick of entry 0, wrapping; with the entries' distance it gives the tick of each entry after the last gap.
-    /// Entries of the log know their tick themselves.
+    /// Control tick of entry 0, wrapping, from which [`Held::tick`] computes the ticks of entries after the last gap.
+    /// Unused for the log, whose entries contain their tick.
     pub origin: u32,
 }
 
 impl Held {
-    /// Control tick of an entry after the last gap; `stride` is the distance of the part's entries in ticks.
+    /// Control tick of an entry after the last gap; `stride` is the number of ticks per entry.
     pub fn tick(&self, number: u32, stride: u32) -> u32 {
         self.origin.wrapping_add(number.wrapping_mul(stride))
     }
@@ -146,34 +146,34 @@ impl Held {
 /// Status of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecorderStatus {
-    /// Starts of the device since its memory was last without power.
+    /// Starts of the device since its memory last lost power.
     pub boot: u16,
     /// State of the recording of ticks.
     pub recording: RecordingState,
-    /// Control tick since the device's start at which it ended (or began, while it runs).
+    /// Control tick since the device's start at which ventilation ended (or began, while the recording is running).
     pub tick: u32,
-    /// Start of the device that `tick` counts from.
+    /// Number of the start from which `tick` counts.
     pub tick_boot: u16,
-    /// Every tick.
+    /// Entries of [`RecorderPart::Fast`].
     pub fast: Held,
-    /// Every 20th.
+    /// Entries of [`RecorderPart::Slow`].
     pub slow: Held,
-    /// Events.
+    /// Entries of [`RecorderPart::Log`].
     pub log: Held,
 }
 
 /// Consecutive entries of a part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Page {
-    /// The part.
+    /// Part of the recorder.
     pub part: RecorderPart,
-    /// Number of the first entry: the one that was asked for, or the oldest that is left.
+    /// Number of the first entry: the requested one, or the oldest available one.
     pub first: u32,
-    /// The entries, see [`TickEntry::read`] and [`LogEntry::read`]; none if there are no more.
+    /// The entries, see [`TickEntry::read`] and [`LogEntry::read`]; empty if there are no more.
     pub bytes: Vec<u8, PAGE_BYTES>,
 }
 
-/// The recorder's memory. Whatever lies in it, [`Recorder::attach`] makes it usable.
+/// The recorder's memory. With any content, [`Recorder::attach`] makes it usable.
 #[derive(Debug)]
 #[repr(C)]
 pub struct RecorderMemory {
@@ -181,11 +181,11 @@ pub struct RecorderMemory {
     layout: Word,
     /// Number of starts, and its complement.
     boots: Word,
-    /// Code of [`RecordingState`], the start that it belongs to, and their check.
+    /// Code of [`RecordingState`], the number of its start, and a check of both.
     recording: Word,
     /// See [`RecorderStatus::tick`].
     tick: Word,
-    /// [`CLEAR`] for one tick.
+    /// [`CLEAR`] until the writer has cleared the recording.
     clear: Word,
     fast: Ring<{ FAST_ENTRIES + 1 }, TICK_HALVES>,
     slow: Ring<{ SLOW_ENTRIES + 1 }, TICK_HALVES>,
@@ -193,7 +193,7 @@ pub struct RecorderMemory {
 }
 
 impl RecorderMemory {
-    /// Memory as after power-up.
+    /// Memory filled with zeros.
     pub const fn new() -> Self {
         Self {
             magic: Word::new(),
@@ -208,14 +208,14 @@ impl RecorderMemory {
         }
     }
 
-    /// Whether a program of this layout left it.
+    /// Whether the content was left by a program with this layout.
     fn is_sound(&self) -> bool {
         let rings = self.fast.is_sound() && self.slow.is_sound() && self.log.is_sound();
         let header = self.magic.load() == MAGIC && self.layout.load() == LAYOUT;
         header && rings && self.boots().is_some() && self.recording().is_some()
     }
 
-    /// Makes it an empty recorder. It counts as one only when all of it is written.
+    /// Formats it as an empty recorder, valid only after the last store.
     fn format(&self) {
         self.magic.store(0);
         self.layout.store(LAYOUT);
@@ -238,7 +238,7 @@ impl RecorderMemory {
         self.boots.store(u32::from(boots) | u32::from(!boots) << 16);
     }
 
-    /// State of the recording, and the start that it belongs to.
+    /// State of the recording, and the number of its start.
     fn recording(&self) -> Option<(RecordingState, u16)> {
         let [code, low, high, check] = self.recording.load().to_le_bytes();
         let recording = RecordingState::of(code).filter(|_| check == code ^ low ^ high ^ 0xA5)?;
@@ -250,15 +250,15 @@ impl RecorderMemory {
         self.recording.store(u32::from_le_bytes([code, low, high, code ^ low ^ high ^ 0xA5]));
     }
 
-    /// Asks the writer to empty the recording of ticks with the next tick; the log stays.
+    /// Requests the writer to clear the recording of ticks in the next tick; the log stays.
     pub fn request_clear(&self) {
         self.clear.store(CLEAR);
     }
 
-    /// Its status.
+    /// Status of the recorder.
     pub fn status(&self) -> RecorderStatus {
         let cleared = self.clear.load() == CLEAR;
-        // The writer leaves it readable; what cannot be read is nothing.
+        // The writer keeps the state valid; an invalid state counts as no recording.
         let (recording, tick_boot) = self.recording().unwrap_or((RecordingState::Nothing, 0));
         let recording =
             if cleared && recording != RecordingState::Running { RecordingState::Nothing } else { recording };
@@ -274,7 +274,7 @@ impl RecorderMemory {
         }
     }
 
-    /// Entries of a part from this number on, or from the oldest that is left.
+    /// Reads entries of a part, starting at this number or at the oldest available one.
     pub fn page(&self, part: RecorderPart, from: u32) -> Page {
         let (first, bytes) = match part {
             RecorderPart::Fast => self.fast.read(from),

@@ -1,33 +1,33 @@
-//! A ring of entries in memory that survives a reset at any store.
+//! A ring buffer of entries that stays valid through a reset at any store.
 //!
-//! An entry is written to a slot that nobody sees, then one word makes it visible. So one slot fewer can be seen than there
-//! are, and a reset leaves either the entries with the new one or those without it.
+//! An entry is written to a slot that is not visible, then a store of one word makes it visible. So one slot is always
+//! invisible, and after a reset the new entry is either complete or absent.
 
 use heapless::Vec;
 
 use super::cell::{Half, Word};
 use super::{Held, PAGE_BYTES};
 
-/// Attempts of a reader that the writer overtakes: the writer comes once in a millisecond, reading takes far less.
+/// Attempts of a reader that the writer overtakes: the writer runs once per millisecond, and reading takes far less.
 const ATTEMPTS: usize = 3;
 
-/// The ring. Entries are numbered; the number of an entry gives its slot.
+/// The ring buffer. Entries are numbered; the number determines the slot.
 #[derive(Debug)]
 #[repr(C)]
 pub(super) struct Ring<const SLOTS: usize, const HALVES: usize> {
     /// Number of the next entry.
     next: Word,
-    /// Number of the first entry since the ring was emptied.
+    /// Number of the first entry since the ring was cleared.
     start: Word,
-    /// Added to an entry's number (times the entries' distance) gives its tick, see [`Held::origin`].
+    /// See [`Held::origin`].
     origin: Word,
     slots: [[Half; HALVES]; SLOTS],
 }
 
 impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
-    /// Entries that can be seen at most.
+    /// Largest number of visible entries.
     pub(super) const VISIBLE: u32 = SLOTS as u32 - 1;
-    /// Numbers begin again at `SLOTS` after this one; both lie in the first slot.
+    /// At this number the numbering continues from `SLOTS`; both numbers are in the first slot.
     pub(super) const LIMIT: u32 = (1 << 30) / (SLOTS as u32) * (SLOTS as u32);
 
     pub(super) const fn new() -> Self {
@@ -35,20 +35,20 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         Self { next: Word::new(), start: Word::new(), origin: Word::new(), slots }
     }
 
-    /// Whether this can be a ring's state.
+    /// Whether the state is possible.
     pub(super) fn is_sound(&self) -> bool {
         let next = self.next.load();
         next < Self::LIMIT && self.start.load() <= next
     }
 
-    /// Makes any memory an empty ring. Nobody may read it in between.
+    /// Formats any memory as an empty ring. No reader may access it meanwhile.
     pub(super) fn format(&self) {
         self.next.store(0);
         self.start.store(0);
         self.origin.store(0);
     }
 
-    /// Forgets all entries.
+    /// Removes all entries.
     pub(super) fn empty(&self) {
         self.start.store(self.next.load());
     }
@@ -63,7 +63,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         self.origin.store(origin);
     }
 
-    /// Adds an entry. `stride` is the distance of entries in ticks.
+    /// Adds an entry. `stride` is the number of ticks per entry.
     #[inline]
     pub(super) fn push(&self, entry: [u16; HALVES], stride: u32) {
         let next = self.next.load();
@@ -79,7 +79,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         }
     }
 
-    /// Numbers the entries from the first slot's lowest number on, so that the number never overflows: once in twelve days.
+    /// Reduces the numbers of all entries, so that they never overflow: at most once in 12 days.
     #[cold]
     fn begin_again(&self, stride: u32) {
         let step = Self::LIMIT - SLOTS as u32;
@@ -95,7 +95,7 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         Held { first, next, origin: self.origin.load() }
     }
 
-    /// As many entries as fit into a page, from this number or the oldest one on; the number of the first.
+    /// Reads as many entries as fit into a page, from this number or the oldest one on; returns the number of the first.
     pub(super) fn read(&self, from: u32) -> (u32, Vec<u8, PAGE_BYTES>) {
         let mut first = from.max(self.held().first);
         for _ in 0..ATTEMPTS {
@@ -115,21 +115,21 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         for number in (first..self.next.load()).take(count) {
             let Some(slot) = self.slots.get(number as usize % SLOTS) else { continue };
             for half in slot {
-                // There is room for so many entries.
+                // A page has room for `count` entries.
                 let _ = bytes.extend_from_slice(&half.load().to_le_bytes());
             }
         }
         bytes
     }
 
-    /// For tests: goes on at another number.
+    /// For tests: continues at another number.
     #[cfg(test)]
     pub(super) fn jump(&self, next: u32) {
         self.next.store(next);
         self.start.store(next);
     }
 
-    /// For tests: any bytes in place of the state.
+    /// For tests: overwrites the state.
     #[cfg(test)]
     pub(super) fn spoil(&self, words: [u32; 3]) {
         for (word, value) in [&self.next, &self.start, &self.origin].into_iter().zip(words) {

@@ -27,7 +27,7 @@ fn sample(breath: u32, tick: u32) -> Sample {
     Sample { breath, tick, phase, target, pressure, u_in: 0.0, u_out: true, explore: 0.0 }
 }
 
-/// A tick without anything around it: valves safe, since only the safety filter makes other commands.
+/// Records a tick with safe valves, since only the safety filter can make other commands.
 fn tick(recorder: &mut Recorder, mode: Mode, reading: f32) {
     let sample = (mode == Mode::Ventilating).then(|| sample(3, 5));
     let output = Output { command: ValveCommand::SAFE, mode, sample, alarm: None };
@@ -39,13 +39,13 @@ fn run(recorder: &mut Recorder, mode: Mode, readings: impl IntoIterator<Item = f
     readings.into_iter().for_each(|reading| tick(recorder, mode, reading));
 }
 
-/// A device with a plant that does as the tests say.
+/// A device for plants whose readings the tests make up.
 fn control() -> Control {
     let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, 1).unwrap();
     control.with_monitors(Monitors::ANY_PLANT)
 }
 
-/// Bytes of all entries of a part, page by page.
+/// Reads the bytes of all entries of a part, page by page.
 fn bytes(memory: &RecorderMemory, part: RecorderPart) -> StdVec<u8> {
     let status = memory.status();
     let held = match part {
@@ -89,7 +89,7 @@ fn happenings(memory: &RecorderMemory) -> StdVec<Happening> {
     log(memory).iter().map(|entry| entry.happening).collect()
 }
 
-/// Numbers that a pressure can be, in order, again and again.
+/// Whole numbers that are possible pressures, ascending and repeated.
 fn counting(from: u32, count: u32) -> impl Iterator<Item = f32> {
     (from..from + count).map(|number| (number % 200) as f32)
 }
@@ -99,13 +99,13 @@ fn counted(from: u32, count: u32) -> StdVec<i32> {
 }
 
 #[test]
-fn all_of_it_fits_into_its_room() {
+fn the_recorder_fits_into_its_memory() {
     assert!(size_of::<RecorderMemory>() <= 44 * 1024, "{} bytes", size_of::<RecorderMemory>());
     assert!(size_of::<RecorderMemory>() <= BYTES);
 }
 
 #[test]
-fn the_last_two_seconds_are_there_in_order_and_tell_their_ticks() {
+fn the_last_two_seconds_are_kept_in_order_with_their_ticks() {
     let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Standby, counting(0, 77));
@@ -152,7 +152,7 @@ fn a_fault_ends_the_recording_after_its_tail_and_nothing_but_a_new_start_goes_on
     assert_eq!(
         pressures(&memory, RecorderPart::Fast),
         counted(1500, 2000),
-        "half a second after the fault is in it"
+        "half a second after the fault is recorded"
     );
     assert_eq!(ticks(&memory, RecorderPart::Fast)[1500].unwrap().activity, Activity::Fault);
     assert_eq!(
@@ -167,7 +167,7 @@ fn a_fault_ends_the_recording_after_its_tail_and_nothing_but_a_new_start_goes_on
     assert_eq!(
         (bytes(&memory, RecorderPart::Fast), bytes(&memory, RecorderPart::Slow)),
         (kept, slow),
-        "it stands still"
+        "recording has stopped"
     );
     run(&mut recorder, Mode::Ventilating, [1.0, 2.0]);
     assert_eq!(pressures(&memory, RecorderPart::Fast)[1997..], [-1, 1, 2], "a gap, then the new run");
@@ -227,7 +227,7 @@ fn memory_of_another_layout_is_emptied() {
 }
 
 #[test]
-fn a_host_empties_the_recording_and_the_log_tells_it() {
+fn a_host_clears_the_recording_and_the_log_records_it() {
     let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     run(&mut recorder, Mode::Ventilating, counting(0, 100));
@@ -246,7 +246,7 @@ fn a_host_empties_the_recording_and_the_log_tells_it() {
     run(&mut recorder, Mode::Ventilating, [6.0]);
     memory.request_clear();
     run(&mut recorder, Mode::Ventilating, [7.0, 8.0]);
-    assert_eq!(pressures(&memory, RecorderPart::Fast), [7, 8], "one that runs goes on");
+    assert_eq!(pressures(&memory, RecorderPart::Fast), [7, 8], "a running one continues");
     assert_eq!(memory.status().recording, RecordingState::Running);
 }
 
@@ -359,7 +359,7 @@ fn a_page_from_anywhere_begins_with_the_oldest_that_is_left_or_is_empty() {
     assert_eq!((page(5001).1, page(u32::MAX).1), (0, 0));
 }
 
-/// A short life with all that writes: start, ticks of a full ring, a fault, its tail, a clear, a new start.
+/// A short life with every kind of write: start, a full ring of ticks, a fault, its tail, a clear, a new start.
 fn life(memory: &RecorderMemory) {
     let mut recorder = Recorder::attach(memory, Boot { weights: Some(7), ..RESET });
     run(&mut recorder, Mode::Ventilating, counting(0, 45));
@@ -369,7 +369,7 @@ fn life(memory: &RecorderMemory) {
     run(&mut recorder, Mode::Ventilating, counting(53, 25));
 }
 
-/// After a cut at every single store the memory is that of some moment of the life, and can be used on.
+/// After a cut at any single store the memory has a valid state of that life, and stays usable.
 #[test]
 fn a_reset_at_any_store_leaves_no_wrong_entry() {
     let aged = || {
@@ -382,7 +382,7 @@ fn a_reset_at_any_store_leaves_no_wrong_entry() {
     life(&whole);
     let stores = usize::MAX - fuse::left();
     assert!(stores > 300, "{stores}");
-    // What was there before, then what this life added, gaps in between.
+    // The old entries, then those of this life, with gaps in between.
     let story: StdVec<i32> =
         [counted(100, 2600), vec![-1], counted(0, 45), counted(45, 8), vec![-1], counted(53, 25)].concat();
     let followed = |found: &[i32]| found.is_empty() || story.windows(found.len()).any(|part| part == found);
@@ -406,7 +406,7 @@ fn a_reset_at_any_store_leaves_no_wrong_entry() {
     }
 }
 
-/// The same for the start on memory that holds nothing of worth: it is empty, or a whole recorder.
+/// The same for a start on unformatted memory: afterwards it is unformatted or a valid recorder.
 #[test]
 fn a_reset_at_any_store_of_the_first_start_is_harmless() {
     for cut in 0..40 {
@@ -422,8 +422,8 @@ fn a_reset_at_any_store_of_the_first_start_is_harmless() {
 }
 
 proptest! {
-    /// Memory after power-up holds anything. Without the magic and the layout it is emptied; with them by chance, nothing
-    /// panics and no page is longer than it may be.
+    /// Memory after power-up has any content. Without the magic and the layout it is cleared; with them by chance, nothing
+    /// panics and no page is too long.
     #[test]
     fn garbage_is_refused_and_never_panics(
         words in prop::array::uniform9(any::<u32>()), header in prop::array::uniform3(any::<u32>()), marked: bool,
@@ -447,7 +447,7 @@ proptest! {
         memory.page(RecorderPart::Slow, from);
     }
 
-    /// Whatever the modes, the rings hold the newest ticks in their order, parted by gaps.
+    /// With any sequence of modes the rings contain the newest ticks in order, separated by gaps.
     #[test]
     fn ticks_stay_in_order_through_any_life(parts in prop::collection::vec((0u8..4, 1u32..900), 1..20)) {
         let memory = Box::new(RecorderMemory::new());
@@ -473,7 +473,7 @@ proptest! {
     }
 
     #[test]
-    fn an_entry_tells_its_values_to_their_resolution(
+    fn an_entry_keeps_its_values_to_their_resolution(
         pressure in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY), -150.0f32..300.0],
         target in prop::option::of(-1.0f32..90.0), u_in in 0.0f32..100.0, u_out: bool, explored: bool, breath: u8,
         phase in prop_oneof![
@@ -536,7 +536,7 @@ fn every_happening_comes_back() {
     assert_eq!(TickEntry::read(stored(entry::GAP)), None);
 }
 
-/// Halves as they lie in memory.
+/// Halves as bytes in memory.
 fn stored<const HALVES: usize, const BYTES: usize>(halves: [u16; HALVES]) -> [u8; BYTES] {
     let bytes: StdVec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
     bytes.try_into().unwrap()

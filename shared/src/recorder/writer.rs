@@ -1,4 +1,4 @@
-//! The writer: ticks while the ventilator ventilates and shortly after, events always.
+//! The writer: it records ticks during and shortly after ventilation, and events always.
 
 use super::entry::{Activity, GAP, Happening, LogEntry, TickEntry};
 use super::{CLEAR, FAST_TAIL, RecorderMemory, RecordingState, SLOW_STRIDE, SLOW_TAIL};
@@ -6,21 +6,21 @@ use crate::reset::ResetCause;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output};
 
-/// Ticks between two log entries of a kind that could come with every tick or breath.
+/// Least number of ticks between two log entries of a kind that could occur in every tick or breath.
 const LOG_INTERVAL: u32 = 60_000;
 
-/// The start of the device.
+/// Description of the device's start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Boot {
-    /// Cause.
+    /// Cause of the start.
     pub cause: ResetCause,
-    /// Whether the program had failed before.
+    /// Whether a failure of the program caused the start.
     pub failed: bool,
-    /// Id of the weights that were loaded.
+    /// Id of the loaded weights.
     pub weights: Option<u32>,
 }
 
-/// A control tick, for the recorder.
+/// Input of the recorder in a control tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
     /// Pressure as read, cmH2O.
@@ -31,25 +31,25 @@ pub struct Moment<'a> {
     pub settings: &'a Settings,
     /// Whether learned weights run.
     pub learned: bool,
-    /// Ticks that did not run since the last one that did.
+    /// Ticks missed since the last one that ran.
     pub missed: u32,
 }
 
-/// Writes a [`RecorderMemory`]. There is one writer at a time.
+/// Writer of a [`RecorderMemory`]; there must be only one.
 #[derive(Debug)]
 pub struct Recorder<'a> {
     memory: &'a RecorderMemory,
     boot: u16,
     interrupted: bool,
-    /// Number of the tick to come.
+    /// Number of the next tick.
     now: u32,
     mode: Mode,
-    /// Ticks to record after ventilation has ended.
+    /// Ticks that are still recorded after ventilation has ended.
     fast_left: u32,
     slow_left: u32,
     /// Ticks until the next entry of [`super::RecorderPart::Slow`].
     until_slow: u32,
-    /// Highest pressure since the last one, cmH2O; NaN if there was no number.
+    /// Highest pressure since the last such entry, cmH2O; NaN if there was no number.
     highest: f32,
     learned: Option<bool>,
     settings: RateLimited<Happening>,
@@ -57,7 +57,7 @@ pub struct Recorder<'a> {
     missed_logged: RateLimited<u32>,
 }
 
-/// A value that is logged when it has changed, at most once in [`LOG_INTERVAL`].
+/// A value that is logged after a change, at most once per [`LOG_INTERVAL`].
 #[derive(Clone, Copy, Debug)]
 struct RateLimited<T> {
     logged: Option<(T, u32)>,
@@ -66,7 +66,7 @@ struct RateLimited<T> {
 impl<T: Copy + PartialEq> RateLimited<T> {
     const NEVER: Self = Self { logged: None };
 
-    /// Whether this value is to be logged now.
+    /// Whether to log this value now.
     fn is_due(&mut self, value: T, now: u32) -> bool {
         let due =
             self.logged.is_none_or(|(last, when)| last != value && now.wrapping_sub(when) >= LOG_INTERVAL);
@@ -78,9 +78,9 @@ impl<T: Copy + PartialEq> RateLimited<T> {
 }
 
 impl<'a> Recorder<'a> {
-    /// Takes over memory that holds anything, as the first one to use it since the device started. What an earlier run left
-    /// stays, unless the supply was gone since then: after power-up nothing does, after a dip of the supply only the log,
-    /// whose every entry has a check.
+    /// Attaches to memory with any content, as its first user since the device started. The content of an earlier run is
+    /// kept if the supply was stable: power-up clears everything, a supply dip everything except the log, whose entries have
+    /// checksums.
     pub fn attach(memory: &'a RecorderMemory, boot: Boot) -> Self {
         if boot.cause == ResetCause::PowerOn || !memory.is_sound() {
             memory.format();
@@ -125,7 +125,7 @@ impl<'a> Recorder<'a> {
         self.interrupted
     }
 
-    /// Takes in a tick, after all else that it does.
+    /// Records a tick, after all its other work.
     #[inline]
     pub fn record(&mut self, moment: &Moment) {
         if self.memory.clear.load() == CLEAR {
@@ -135,7 +135,7 @@ impl<'a> Recorder<'a> {
             self.change(moment.output.mode);
         }
         match (moment.output.alarm, self.mode) {
-            // A latched fault is logged as the change of mode that it is.
+            // A latched fault has been logged as a change of mode.
             (None, _) | (_, Mode::Fault(_)) => {}
             (Some(alarm), _) => self.enter(Happening::Alarm(alarm)),
         }
@@ -151,7 +151,7 @@ impl<'a> Recorder<'a> {
         self.now = self.now.wrapping_add(1);
     }
 
-    /// Records a tick in the ring of all and, if it is its turn, in that of every 20th.
+    /// Records a tick in the fast ring and every 20th tick in the slow ring.
     fn record_tick(&mut self, moment: &Moment) {
         let mut entry = entry(moment);
         if self.fast_left > 0 {
@@ -172,7 +172,7 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// The mode is another than in the tick before.
+    /// Handles a change of mode.
     #[cold]
     fn change(&mut self, mode: Mode) {
         let before = core::mem::replace(&mut self.mode, mode);
@@ -195,7 +195,7 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// A recording begins.
+    /// Begins a recording.
     fn begin(&mut self) {
         let RecorderMemory { fast, slow, .. } = self.memory;
         fast.push(GAP, 1);
@@ -214,7 +214,7 @@ impl<'a> Recorder<'a> {
         self.memory.set_recording(recording, self.boot);
     }
 
-    /// Logs changes that come with a breath.
+    /// Logs changes that take effect with a breath.
     fn log_changes(&mut self, moment: &Moment) {
         if self.missed_logged.is_due(self.missed, self.now) {
             self.enter(Happening::Missed { ticks: self.missed });

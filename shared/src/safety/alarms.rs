@@ -1,55 +1,55 @@
-//! Everything that a monitor can find: its name, how urgent it is, what is done about it, when it begins and ends.
+//! All alarms: name, priority, the ventilator's action, entry and exit conditions, text.
 //!
-//! [`ALARMS`] is the one table: the chip acts on it, the trainer prints it, and the table in SAFETY.md is generated from it.
+//! [`ALARMS`] is the single source: the chip acts on it, the trainer prints it, and SAFETY.md's table is generated from it.
 
 use serde::{Deserialize, Serialize};
 
-/// What a monitor has found. The order is that of the link and only ever grows at its end.
+/// A finding of a monitor. The order of the variants is part of the link's protocol: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Fault {
-    /// The pressure reading is no number.
+    /// The pressure reading is not a number.
     ReadingNotANumber,
-    /// The pressure reading is outside of what the sensor can give.
+    /// The pressure reading is outside the sensor's range.
     ReadingOutOfRange,
-    /// The airway pressure exceeded its limit again and again.
+    /// The airway pressure exceeded its limit in breath after breath, in the end with a capped command.
     HighPressure,
-    /// Readings jump faster than any pressure can.
+    /// Readings change faster than a pressure can.
     ReadingJumps,
-    /// The reading does not even move by its noise.
+    /// The reading does not change at all, not even by noise.
     ReadingFrozen,
-    /// The reading is far noisier than a sound sensor's.
+    /// The reading is far noisier than that of a working sensor.
     ReadingNoisy,
-    /// The airway pressure exceeded its limit by far, or did not fall after venting.
+    /// The airway pressure was far above its limit, or stayed above it while venting.
     HardLimit,
-    /// The airway pressure has not come back to PEEP for a long time.
+    /// The airway pressure has not returned to PEEP for a long time.
     SustainedPressure,
-    /// At the end of the expiration the airway pressure stands above PEEP.
+    /// The airway pressure is above PEEP at the end of expirations.
     BaselineHigh,
-    /// At the end of the expiration the airway pressure stands below PEEP.
+    /// The airway pressure is below PEEP at the end of expirations.
     BaselineLow,
-    /// The inspiration does not reach its pressure although the valve is wide open.
+    /// Inspirations do not reach their pressure although the valve is wide open.
     LowPressure,
-    /// The airway pressure is gone in the middle of an inspiration.
+    /// The airway pressure is lost during an inspiration.
     Disconnection,
-    /// The same pressure now takes a small part of the volume that it took before.
+    /// The same pressure delivers only a fraction of the earlier volume.
     Occlusion,
-    /// The pressure does not answer to what the valve delivers.
+    /// The pressure does not respond to the delivered gas.
     NoResponse,
-    /// Control ticks came too late.
+    /// Control ticks were missed.
     MissedTicks,
-    /// A breath of the learned controller ended at the pressure limit: the PID goes on.
+    /// Breaths of the chosen controller ended at the pressure limit: the PID controls alone.
     LearnedDistrusted,
-    /// A breath of the PID ended at the pressure limit too: its command is capped.
+    /// A breath of the PID also ended at the pressure limit: its command is capped.
     CommandCapped,
-    /// The host has fallen silent.
+    /// The host sends no requests any more.
     HostSilent,
-    /// Weights in flash are torn or damaged.
+    /// Stored weights are incomplete, damaged or refused.
     WeightsRefused,
-    /// The device has restarted by itself.
+    /// The device has restarted without a request.
     Restarted,
 }
 
-/// How urgent an alarm is (IEC 60601-1-8).
+/// Priority of an alarm (IEC 60601-1-8).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Priority {
     /// Awareness is required.
@@ -60,10 +60,10 @@ pub enum Priority {
     High,
 }
 
-/// What the ventilator does about it.
+/// The ventilator's response to an alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Action {
-    /// It is told; what else follows, the entry says.
+    /// The alarm is reported; its entry text names any further action.
     Tell,
     /// The PID alone controls.
     Pid,
@@ -76,25 +76,25 @@ pub enum Action {
 /// A row of the table of alarms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Alarm {
-    /// What it is about.
+    /// The finding that raises it.
     pub fault: Fault,
-    /// Name that scripts can rely on.
+    /// Stable name, for scripts.
     pub id: &'static str,
-    /// How urgent it is.
+    /// Priority.
     pub priority: Priority,
-    /// What is done.
+    /// Response of the ventilator.
     pub action: Action,
-    /// When it begins.
+    /// Condition that raises it.
     pub entry: &'static str,
-    /// When it ends.
+    /// Condition that ends it.
     pub exit: &'static str,
-    /// What the operator reads.
+    /// Text for the operator.
     pub text: &'static str,
 }
 
-/// What ends a latched alarm.
+/// Exit condition of a latched alarm.
 const ACKNOWLEDGED: &str = "an operator acknowledges";
-/// What ends a step down the ladder.
+/// Exit condition of a step down the ladder.
 const CLEAN_BREATHS: &str = "5 breaths without another, at most 3 times; then an operator acknowledges";
 
 const fn vent(
@@ -264,12 +264,12 @@ pub const ALARMS: [Alarm; 20] = [
 ];
 
 impl Fault {
-    /// All of them.
+    /// All faults, in the order of the variants.
     pub fn all() -> impl Iterator<Item = Self> {
         ALARMS.iter().map(|alarm| alarm.fault)
     }
 
-    /// Its row in the table.
+    /// The fault's row of [`ALARMS`].
     pub fn alarm(self) -> &'static Alarm {
         &ALARMS[self as usize % ALARMS.len()]
     }
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn names_and_texts_are_told_apart() {
+    fn names_and_texts_are_unique() {
         for (place, alarm) in ALARMS.iter().enumerate() {
             assert!(ALARMS[..place].iter().all(|other| other.id != alarm.id && other.text != alarm.text));
         }

@@ -1,51 +1,51 @@
-//! Does breath after breath go as it must? Judged once per phase, from the pressures at its end.
+//! Checks each breath: once per phase, from pressure and command at its end; for a lost airway pressure in every tick.
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::{Breath, Phase};
 
-/// Distance above PEEP at which the expiration has not ended, cmH2O.
+/// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
 const ABOVE_PEEP: f32 = 3.0;
-/// Distance below PEEP at which PEEP is lost, cmH2O.
+/// Pressure below PEEP at which PEEP counts as lost, cmH2O.
 const BELOW_PEEP: f32 = 2.0;
-/// Part of the way from PEEP to PIP that an inspiration must reach.
+/// Fraction of the rise from PEEP to PIP that an inspiration must reach.
 const REACHED: f32 = 0.3;
 /// Mean command above which the valve counts as wide open, percent.
 const WIDE_OPEN: f32 = 60.0;
-/// Command above which an airway cannot stay empty, percent.
+/// Command above which the pressure of a connected airway must rise, percent.
 const FILLING: f32 = 30.0;
-/// Part of the compliance before that is left when the tube is occluded.
+/// Fraction of the earlier compliance below which the tube counts as occluded.
 const OCCLUDED: f32 = 1.0 / 3.0;
-/// Rise that is needed to tell a compliance, cmH2O.
+/// Smallest rise from which a compliance is estimated, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
-/// End of a phase over which pressure and command are averaged, s.
+/// Length of the averaging window at the end of a phase, s.
 const END_OF_PHASE: f32 = 0.05;
-/// How long the airway pressure may be gone, s.
+/// Time for which the airway pressure may be lost, s.
 const DISCONNECTED: f32 = 0.15;
 
-/// Judges whole phases of breaths.
+/// Checks the phases of each breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BreathMonitor {
     /// [`END_OF_PHASE`] and [`DISCONNECTED`] in ticks.
     end_of_phase: u32,
     disconnected: u32,
-    /// Breaths in a row that make each complaint a fault.
+    /// Consecutive breaths with a condition that make it a fault.
     high: u32,
     low: u32,
     weak: u32,
     occluded: u32,
 }
 
-/// What breaths so far say.
+/// State of the breath monitor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BreathState {
     pressure: Mean,
     command: Mean,
     gone: u32,
-    /// The running inspiration was cut short.
+    /// Whether the running inspiration was ended at the pressure limit.
     cut: bool,
-    /// Breaths in a row with each complaint.
+    /// Consecutive breaths with each condition.
     high: u32,
     low: u32,
     weak: u32,
@@ -54,14 +54,14 @@ pub struct BreathState {
     compliance: Option<f32>,
 }
 
-/// A tick as this monitor sees it.
+/// Input of the monitor in one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct BreathInput<'a> {
     /// The running breath.
     pub breath: &'a Breath,
-    /// Tick of that breath.
+    /// Tick within that breath.
     pub tick: u32,
-    /// Its inspiration was ended at the pressure limit.
+    /// Whether its inspiration was ended at the pressure limit.
     pub cut: bool,
     /// Believed pressure, cmH2O.
     pub pressure: f32,
@@ -71,7 +71,7 @@ pub struct BreathInput<'a> {
     pub volume: f32,
 }
 
-/// A mean over the end of a phase.
+/// Running mean over the end of a phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Mean {
     sum: f32,
@@ -84,7 +84,7 @@ impl Mean {
         self.count += 1;
     }
 
-    /// The mean; what was added is forgotten.
+    /// Returns the mean and starts a new one.
     fn take(&mut self) -> f32 {
         let Self { sum, count } = core::mem::take(self);
         sum / count.max(1) as f32
@@ -92,7 +92,7 @@ impl Mean {
 }
 
 impl BreathMonitor {
-    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    /// A monitor for a control period in microseconds that reports the enabled findings only.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
         Self {
             end_of_phase: ticks(END_OF_PHASE, period_us),
@@ -104,7 +104,7 @@ impl BreathMonitor {
         }
     }
 
-    /// Takes in a tick. A breath that is cut short tells of the tube at that moment, and of nothing else.
+    /// Checks one tick. An inspiration that is ended at the pressure limit is checked for occlusion only.
     #[inline]
     pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
         let BreathInput { breath, tick, cut, pressure, command, volume } = *input;
@@ -116,7 +116,7 @@ impl BreathMonitor {
         if state.gone >= self.disconnected {
             return Some(Fault::Disconnection);
         }
-        // Where the baseline stands high another part has failed.
+        // A high baseline has another cause.
         let cut_now = inspires && cut && !state.cut && state.high == 0;
         if cut_now && self.occluded(state, pressure - peep, volume) {
             return Some(Fault::Occlusion);
@@ -137,7 +137,7 @@ impl BreathMonitor {
         }
     }
 
-    /// Judges an inspiration by the means over its end.
+    /// Checks an inspiration by the means over its end.
     fn inspired(&self, state: &mut BreathState, end: &BreathInput<'_>) -> Option<Fault> {
         let settings = end.breath.settings();
         let rise = end.pressure - settings.peep;
@@ -150,7 +150,7 @@ impl BreathMonitor {
         occluded.then_some(Fault::Occlusion)
     }
 
-    /// Compares volume and rise with those of the last good breath; whether the tube is occluded.
+    /// Compares the ratio of volume to rise with that of the last good breath; whether the tube is occluded.
     fn occluded(&self, state: &mut BreathState, rise: f32, volume: f32) -> bool {
         if rise <= TELLING_RISE {
             return false;
@@ -164,10 +164,10 @@ impl BreathMonitor {
         state.occluded >= self.occluded
     }
 
-    /// Judges an expiration by the mean pressure over its end.
+    /// Checks an expiration by the mean pressure over its end.
     fn expired(&self, state: &mut BreathState, above_peep: f32, cut: bool) -> Option<Fault> {
         state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
-        // After a cough the lung holds less than at PEEP.
+        // After a cough the lung contains less gas than at PEEP.
         state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
         if state.high >= self.high {
             return Some(Fault::BaselineHigh);
@@ -181,8 +181,8 @@ mod tests {
     use super::*;
     use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
 
-    /// A breath as the monitors see it: pressure and volume at the end of the inspiration, pressure at the end of the
-    /// expiration, command throughout.
+    /// Input of the monitor in one breath: pressure and volume at the end of the inspiration, pressure at the end of the
+    /// expiration, a constant command.
     #[derive(Clone, Copy)]
     struct Seen {
         plateau: f32,
@@ -193,7 +193,7 @@ mod tests {
 
     const GOOD: Seen = Seen { plateau: 25.0, volume: 400.0, baseline: 5.1, command: 10.0 };
 
-    /// The first complaint about breaths one after the other, and in which of them.
+    /// The first fault in a sequence of breaths, with the index of the breath.
     fn complaint(breaths: &[Seen]) -> Option<(usize, Fault)> {
         let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
         let monitor = BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL);

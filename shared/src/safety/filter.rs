@@ -1,17 +1,17 @@
-//! The safety filter: the only maker of valve commands.
+//! The valve command, which only the safety filter can make.
 
 use crate::control::COMMAND_MAX;
 use crate::math;
 
-/// What goes to the valves. Its fields are private and only the safety filter makes one, so no controller can
-/// reach a valve past it.
+/// Command for the valves. Its fields are private and only the safety filter constructs it, so no controller can
+/// bypass the filter.
 ///
 /// Any code may pass a command on:
 /// ```
 /// let command = shared::safety::filter::ValveCommand::SAFE;
 /// assert!(command.u_out());
 /// ```
-/// No code outside of [`crate::safety`] can construct one,
+/// No code outside [`crate::safety`] can construct any other command,
 /// ```compile_fail,E0451
 /// let command = shared::safety::filter::ValveCommand { u_in: 80.0, u_out: false };
 /// ```
@@ -20,7 +20,7 @@ use crate::math;
 /// let mut command = shared::safety::filter::ValveCommand::SAFE;
 /// command.u_in = 80.0;
 /// ```
-/// or ask the filter's own constructor:
+/// or call the filter's own constructor:
 /// ```compile_fail,E0624
 /// let command = shared::safety::filter::ValveCommand::limited(80.0, false);
 /// ```
@@ -31,10 +31,10 @@ pub struct ValveCommand {
 }
 
 impl ValveCommand {
-    /// Inspiratory valve closed, expiratory valve open: pressure can only fall.
+    /// The safe state: inspiratory valve closed, expiratory valve open, so that the pressure falls.
     pub const SAFE: Self = Self { u_in: 0.0, u_out: true };
 
-    /// The command for what is asked: limited to the valve's range, a NaN closes it.
+    /// A command limited to the valve's range; NaN closes the inspiratory valve.
     pub(super) fn limited(u_in: f32, u_out: bool) -> Self {
         Self { u_in: math::limit(u_in, 0.0, COMMAND_MAX), u_out }
     }
@@ -44,7 +44,7 @@ impl ValveCommand {
         self.u_in
     }
 
-    /// Expiratory valve: open?
+    /// Whether the expiratory valve is open.
     pub fn u_out(&self) -> bool {
         self.u_out
     }

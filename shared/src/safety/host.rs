@@ -1,31 +1,31 @@
-//! Is a host still there? Ventilation goes on without one, on the settings in force; exploration does not.
+//! Detects a silent host. Ventilation continues without a host, on the settings in force; exploration ends.
 
 use crate::math;
 
-/// A host that says nothing for so long while the ventilator ventilates is gone, s.
+/// Longest time without a request while ventilating, s.
 pub const SILENCE_MAX: f32 = 10.0;
 
-/// Since when the host has been silent.
+/// Measures how long the host has been silent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HostWatch {
-    /// Ticks that it may be silent.
+    /// Ticks for which it may be silent.
     allowed: u32,
-    /// Ticks since it last spoke; none if it never did or if its silence was told.
+    /// Ticks since the last request; none before the first request and after the silence was reported.
     silent: Option<u32>,
 }
 
 impl HostWatch {
-    /// Nobody has spoken yet; control period in microseconds.
+    /// A watch for a control period in microseconds, before the first request.
     pub fn new(period_us: u32) -> Self {
         Self { allowed: math::ticks(SILENCE_MAX, period_us), silent: None }
     }
 
-    /// It spoke.
+    /// Records a request of the host.
     pub fn heard(&mut self) {
         self.silent = Some(0);
     }
 
-    /// Takes in a tick; whether the host is gone, told once.
+    /// Counts a tick; true once when the host has been silent for too long.
     #[inline]
     pub fn is_gone(&mut self, ventilating: bool) -> bool {
         let Some(silent) = self.silent.filter(|_| ventilating) else { return false };
@@ -39,15 +39,15 @@ impl HostWatch {
 mod tests {
     use super::*;
 
-    /// Ticks at which a host is called gone.
+    /// Ticks at which the host is reported silent.
     fn gone(watch: &mut HostWatch, ticks: usize, ventilating: bool) -> std::vec::Vec<usize> {
         (0..ticks).filter(|_| watch.is_gone(ventilating)).collect()
     }
 
     #[test]
-    fn a_host_that_falls_silent_is_told_once_until_it_speaks_again() {
+    fn a_silent_host_is_reported_once_until_it_sends_again() {
         let mut watch = HostWatch::new(1000);
-        assert!(gone(&mut watch, 50_000, true).is_empty(), "nobody ever spoke");
+        assert!(gone(&mut watch, 50_000, true).is_empty(), "no host was ever connected");
         watch.heard();
         assert_eq!(gone(&mut watch, 50_000, true), [10_000]);
         watch.heard();

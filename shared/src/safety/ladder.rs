@@ -1,6 +1,6 @@
-//! The ladder of trust: learned controller, PID, PID with a capped command; below it stands only the latched safe state.
+//! The ladder of trust: learned controller, PID, PID with a capped command. The level below is the latched safe state.
 //!
-//! A breath that ends at the pressure limit is a strike. Strikes lead down, clean breaths up again, a few times.
+//! A breath that ends at the pressure limit is a strike. Strikes lead down; clean breaths lead up again, a few times.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,26 +8,26 @@ use super::alarms::Fault;
 
 /// Highest command of the capped PID, percent.
 pub const CAP: f32 = 40.0;
-/// Strikes in a row that the learned controller may have.
+/// Consecutive strikes at which the PID replaces the learned controller.
 const LEARNED_STRIKES: u32 = 2;
-/// Clean breaths that lead one step up.
+/// Consecutive clean breaths that lead one level up.
 const CLEAN_BREATHS: u32 = 5;
-/// Times that the ladder is climbed again before an operator has to acknowledge.
+/// Steps up that are allowed until ventilation is started again.
 const RETURNS: u32 = 3;
 
-/// Who commands the inspiratory valve.
+/// Level of the ladder: the controller that commands the inspiratory valve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Level {
-    /// The controller that was chosen, learned residual included.
+    /// The chosen controller, including a learned residual.
     #[default]
     Learned,
-    /// Its PID alone.
+    /// The PID of that controller alone.
     Pid,
-    /// Its PID, with the command capped at [`CAP`].
+    /// That PID, with the command capped at [`CAP`].
     CappedPid,
 }
 
-/// Where the ventilator stands on the ladder; at first at its top.
+/// Position on the ladder; starts at the top.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ladder {
     level: Level,
@@ -37,18 +37,18 @@ pub struct Ladder {
 }
 
 impl Ladder {
-    /// Who commands.
+    /// The current level.
     pub fn level(&self) -> Level {
         self.level
     }
 
-    /// Down to at least this level.
+    /// Goes down to `level`, unless already there or below.
     pub fn step_down(&mut self, level: Level) {
         self.level = self.level.max(level);
         self.clean = 0;
     }
 
-    /// A breath has ended, at the pressure limit or cleanly; what there is to tell.
+    /// Counts a breath that ended at the pressure limit (`cut`) or cleanly; returns the fault to raise.
     pub fn breath_ended(&mut self, cut: bool) -> Option<Fault> {
         if cut { self.strike() } else { self.clean_breath() }
     }

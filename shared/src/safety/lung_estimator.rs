@@ -1,49 +1,49 @@
-//! Estimates the lung, and with it checks the pressure against what the valve must have delivered.
+//! Estimates the lung, and compares the pressure with the response that this lung must show to the delivered gas.
 //!
-//! Commands pass a model of the valve (dead time, lag, dead zone, curve) and give a flow, its sum a volume. At the end of
-//! each inspiration least squares of `p - p0 = E V + R q` over its ticks gives elastance and resistance, which predict the
-//! pressure of the next inspiration. A reading that stays behind by far is frozen, or the gas is not where it should be.
+//! A model of the valve (dead time, lag, flow curve with dead zone, back-pressure) converts commands to flow and volume. At
+//! the end of each inspiration a least-squares fit of `p - p0 = E V + R q` gives elastance E and resistance R, which predict
+//! the pressure of the next inspiration. A far lower reading is frozen, or the gas does not reach the lung.
 
 use super::monitors::{in_a_row, ticks};
 use crate::breath::period_s;
 use crate::math;
 
-/// Dead time and lag of the valve, s.
+/// Dead time of the valve, s.
 const DEAD_TIME: f32 = 0.012;
-/// See [`DEAD_TIME`].
+/// First-order lag of the valve, s.
 const LAG: f32 = 0.025;
-/// Flow of the valve at 0, 10, .. 100 percent against the pressure of the room, L/s.
+/// Flow of the valve into ambient pressure at 0, 10, .. 100 percent, L/s.
 const FLOW: [f32; 11] = [0.0, 0.046, 0.161, 0.303, 0.463, 0.639, 0.827, 1.026, 1.233, 1.449, 1.67];
-/// Part of the flow that a pressure of 1 cmH2O behind the valve takes away: half of one over its supply of 150 cmH2O.
+/// Fraction by which 1 cmH2O of back-pressure reduces the flow: `0.5 / 150`, for a supply pressure of 150 cmH2O.
 const BACK_PRESSURE: f32 = 0.0033;
 /// Longest dead time, ticks.
 const DELAY_MAX: usize = 48;
-/// Elastance of the softest lung, cmH2O/mL, assumed while nothing is known.
+/// Elastance of the softest lung, cmH2O/mL; assumed until there is an estimate.
 const SOFTEST: f32 = 1.0 / 120.0;
-/// Stiffest and softest elastance that is believed, cmH2O/mL.
+/// Lowest and highest elastance that an estimate may have, cmH2O/mL.
 const ELASTANCES: (f32, f32) = (SOFTEST, 1.0);
-/// Highest resistance that is believed, cmH2O/(L/s).
+/// Highest resistance that an estimate may have, cmH2O/(L/s).
 const RESISTANCE_MAX: f32 = 100.0;
-/// Part of the rise's square that elastance and resistance may leave unexplained.
+/// Largest fraction of the rise's sum of squares that the fit may leave unexplained.
 const UNEXPLAINED: f32 = 0.1;
-/// A rise below this tells nothing, cmH2O.
+/// Smallest predicted rise at which the pressure is checked, cmH2O.
 const TELLING_RISE: f32 = 10.0;
-/// A change below this is no change but noise, cmH2O.
+/// Largest change that is attributed to noise, cmH2O.
 const STANDS: f32 = 0.6;
-/// Part of the predicted rise that must be seen.
+/// Fraction of the predicted rise that must be measured.
 const ANSWER: f32 = 0.12;
-/// A fall from the start beyond which gas is lost, cmH2O.
+/// Largest fall below the starting pressure; a larger one means that gas is lost, cmH2O.
 const FALL: f32 = 1.5;
-/// Ticks over which a change is predicted, so that a reading that freezes in the middle of an inspiration is found as well.
+/// Ticks over which the change is predicted, to detect a reading that freezes in the middle of an inspiration.
 const WINDOW: usize = 64;
-/// Volume below which an inspiration tells nothing of the lung, mL.
+/// Smallest delivered volume from which the lung is estimated, mL.
 const TELLING_VOLUME: f32 = 20.0;
-/// How long the pressure may leave the valve's delivery unanswered, s.
+/// Time for which the pressure may be far lower than predicted, s.
 const UNANSWERED: f32 = 0.04;
-/// How long it may stand still against it, s.
+/// Time for which the pressure may stand still against a predicted change, s.
 const STANDING: f32 = 0.02;
 
-/// Sums of the least squares over the ticks of an inspiration, of volume `v`, flow `q` and rise of the pressure `y`.
+/// Sums of the least-squares fit over the ticks of an inspiration: volume `v`, flow `q` and pressure rise `y`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Sums {
     vv: f32,
@@ -64,7 +64,7 @@ impl Sums {
         self.yy += y * y;
     }
 
-    /// Elastance and resistance within their bounds, if they explain the rise.
+    /// The estimate, limited to its bounds, if it explains the rise.
     fn solve(&self) -> Option<LungEstimate> {
         let Self { vv, vq, qq, vy, qy, yy } = *self;
         let determinant = vv * qq - vq * vq;
@@ -83,7 +83,7 @@ impl Sums {
     }
 }
 
-/// Resistance and elastance of a lung.
+/// Estimated elastance and resistance of the lung.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LungEstimate {
     /// Elastance, cmH2O/mL.
@@ -93,25 +93,25 @@ pub struct LungEstimate {
 }
 
 impl LungEstimate {
-    /// The softest lung, with an open tube.
+    /// The softest lung, without resistance.
     const SOFTEST: Self = Self { elastance: SOFTEST, resistance: 0.0 };
 
-    /// Rise of the pressure by a volume, mL, and a flow, L/s; cmH2O.
+    /// Pressure rise for a volume in mL and a flow in L/s, cmH2O.
     fn rise(self, volume: f32, flow: f32) -> f32 {
         self.elastance * volume + self.resistance * flow
     }
 }
 
-/// A tick of the inspiration.
+/// A past tick of the inspiration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PastTick {
     /// Pressure, cmH2O.
     pressure: f32,
-    /// Rise predicted since the start of the inspiration, cmH2O.
+    /// Predicted rise since the start of the inspiration, cmH2O.
     predicted: f32,
 }
 
-/// Model of the valve and times of the monitor, per tick.
+/// Configuration: the valve's model and the monitor's times, in ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LungEstimator {
     period: f32,
@@ -122,7 +122,7 @@ pub struct LungEstimator {
     standing: u32,
 }
 
-/// What is known of valve and lung.
+/// State of the valve's model and of the estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LungState {
     pipe: [f32; DELAY_MAX],
@@ -134,17 +134,17 @@ pub struct LungState {
     /// Pressure at the start of the inspiration, cmH2O.
     start: f32,
     sums: Sums,
-    /// From the last two inspirations that told of the lung, the newer first.
+    /// Estimates from the last two inspirations that allowed one, the newer first.
     lungs: [Option<LungEstimate>; 2],
     unanswered: u32,
     standing: u32,
-    /// The last ticks, and how many of them belong to this inspiration.
+    /// The last ticks, and the number of ticks in this inspiration.
     past: [PastTick; WINDOW],
     ticks: usize,
 }
 
 impl LungEstimator {
-    /// The estimator at a control period in microseconds.
+    /// An estimator for a control period in microseconds.
     pub fn new(period_us: u32) -> Self {
         let period = period_s(period_us);
         Self {
@@ -156,7 +156,7 @@ impl LungEstimator {
         }
     }
 
-    /// Takes in the command that was applied, percent.
+    /// Records the applied command, percent.
     #[inline]
     pub fn applied(&self, state: &mut LungState, command: f32) {
         state.pipe[state.at] = command;
@@ -165,7 +165,7 @@ impl LungEstimator {
         state.opening += self.lag_factor * (due - state.opening);
     }
 
-    /// Takes in a tick of the inspiration; whether the pressure, cmH2O, leaves the valve's delivery unanswered.
+    /// Checks a tick of the inspiration; true if the pressure, cmH2O, does not respond to the delivered gas.
     #[inline]
     pub fn check(&self, state: &mut LungState, pressure: f32) -> bool {
         state.flow = flow(state.opening) * math::limit(1.0 - BACK_PRESSURE * pressure, 0.0, 1.0);
@@ -176,11 +176,11 @@ impl LungEstimator {
         let (before, between) = (state.before(WINDOW), state.before(WINDOW / 2));
         state.past[state.ticks % WINDOW] = PastTick { pressure, predicted };
         state.ticks += 1;
-        // A pressure that has gone below its start is an open tube, which another monitor finds.
+        // A pressure that has fallen below its start means an open tube, which another monitor detects.
         let silent = predicted > TELLING_RISE && rise < ANSWER * predicted && rise > -FALL;
         state.unanswered = in_a_row(state.unanswered, silent);
         let still = |past: PastTick| (pressure - past.pressure).abs() < STANDS;
-        // Between the end of a cough and the next rise the pressure is where it was, but was not there all the time.
+        // After a cough the pressure can be back at an earlier value without having been constant in between.
         let stands = still(before) && still(between) && rise > -FALL;
         state.standing = in_a_row(state.standing, stands && predicted - before.predicted > TELLING_RISE);
         state.unanswered >= self.unanswered || state.standing >= self.standing
@@ -188,20 +188,20 @@ impl LungEstimator {
 }
 
 impl LungState {
-    /// Volume that the valve has delivered in this inspiration, mL.
+    /// Volume delivered so far in this inspiration, mL.
     pub fn volume(&self) -> f32 {
         self.volume
     }
 
-    /// An inspiration starts at a pressure, cmH2O. Of one that a cough holds up no more than PEEP is taken, so that the end
-    /// of the cough is not a missing rise.
+    /// Starts an inspiration at a pressure, cmH2O, limited to PEEP: if a cough raises it, the pressure falls when the cough
+    /// ends, which must not count as a missing rise.
     pub fn start_inspiration(&mut self, pressure: f32, peep: f32) {
         let pressure = pressure.min(peep);
         (self.start, self.volume, self.sums) = (pressure, 0.0, Sums::default());
         (self.unanswered, self.standing, self.ticks) = (0, 0, 0);
     }
 
-    /// The tick of so many ago, at most [`WINDOW`]; the start, if the inspiration is younger.
+    /// The tick `ticks` ago, at most [`WINDOW`]; the start of a shorter inspiration.
     fn before(&self, ticks: usize) -> PastTick {
         if self.ticks < ticks {
             PastTick { pressure: self.start, predicted: 0.0 }
@@ -210,8 +210,7 @@ impl LungState {
         }
     }
 
-    /// The rise that volume and flow must make at least: a patient's effort may have spoilt one of the two last
-    /// inspirations.
+    /// The lower rise that the last two estimates predict: a patient's effort may have falsified one of them.
     fn predicted_rise(&self) -> f32 {
         let rise = |lung: LungEstimate| lung.rise(self.volume, self.flow);
         match self.lungs {
@@ -221,7 +220,7 @@ impl LungState {
         }
     }
 
-    /// The inspiration has ended: estimates the lung from it, if it behaved like one.
+    /// Ends the inspiration: estimates the lung from it, if the fit is good enough.
     pub fn end_inspiration(&mut self) {
         if self.volume < TELLING_VOLUME {
             return;
@@ -233,7 +232,7 @@ impl LungState {
 }
 
 impl Default for LungState {
-    /// Nothing is known of the lung; the valve is closed.
+    /// No estimate yet; the valve is closed.
     fn default() -> Self {
         Self {
             pipe: [0.0; DELAY_MAX],
@@ -270,7 +269,7 @@ mod tests {
         (LungEstimator::new(PERIOD_US), LungState::default())
     }
 
-    /// An inspiration with a constant command into a lung; the ticks at which the pressure was called silent.
+    /// An inspiration with a constant command into a lung; returns the ticks at which no response was reported.
     fn inspire(state: &mut LungState, command: f32, pressure: impl Fn(&LungState) -> f32) -> Vec<usize> {
         let (estimator, _) = estimator();
         state.start_inspiration(5.0, 5.0);

@@ -1,17 +1,17 @@
-//! Safety: who may command the valves, and when they are closed for good.
+//! Safety: checks readings, pressure and breaths, limits the controller's command, and latches the safe state.
 //!
-//! | file | what |
+//! | module | purpose |
 //! |---|---|
 //! | [`filter`] | the valve command, which this module alone can make |
 //! | [`supervisor`] | everything between a controller's output and the valves |
-//! | [`reading_monitor`] | can the reading be believed? |
-//! | [`pressure_monitor`] | is the pressure within its limits? |
-//! | [`breath_monitor`] | does breath after breath go as it must? |
-//! | [`lung_estimator`] | what is the lung like, and does the pressure answer to what the valve delivers? |
-//! | [`host`] | is a host still there? |
-//! | [`ladder`] | learned controller, PID, capped PID |
-//! | [`alarms`] | all that can be found, how urgent it is and what is done |
-//! | [`monitors`] | which monitors are at work, and their times |
+//! | [`reading_monitor`] | checks that the sensor works |
+//! | [`pressure_monitor`] | checks that the pressure is within its limits |
+//! | [`breath_monitor`] | checks each phase of the breaths |
+//! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
+//! | [`host`] | detects a silent host |
+//! | [`ladder`] | levels of trust: learned controller, PID, capped PID |
+//! | [`alarms`] | the table of alarms with priorities and actions |
+//! | [`monitors`] | the set of enabled monitors, and their times in ticks |
 
 pub mod alarms;
 pub mod breath_monitor;

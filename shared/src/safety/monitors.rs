@@ -1,25 +1,25 @@
-//! Which monitors are at work, and what all of them count with.
+//! The set of enabled monitors, and helpers that all monitors use.
 
 use super::alarms::Fault;
 use crate::math;
 
-/// Longest control period at which readings, one after the other, tell of the sensor itself, microseconds.
+/// Longest control period at which consecutive readings allow a check of the sensor's noise and jumps, microseconds.
 const QUICK_PERIOD_US: u32 = 5000;
 
-/// The limit of a monitor that is left out: at 1 kHz no counter gets there in a month.
+/// Limit of a disabled monitor: at 1 kHz a counter takes 49 days to reach it.
 const NEVER: u32 = u32::MAX;
 
-/// A set of monitors, named by what they find.
+/// A set of monitors, named by the fault that they detect.
 ///
-/// A ventilator has [`Monitors::ALL`]. A plant of another kind (no noise, another valve) can have those that ask nothing of
-/// it, and a proof can leave one out to see that it is missed.
+/// A ventilator uses [`Monitors::ALL`]. A plant of another kind (no noise, another valve) uses the monitors that suit it,
+/// and a test can leave out a monitor to show that it is needed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Monitors(u32);
 
 impl Monitors {
-    /// All of them.
+    /// All monitors.
     pub const ALL: Self = Self(u32::MAX);
-    /// Those that hold for any plant: is the reading a number, and is the pressure bearable?
+    /// The monitors that suit any plant: they check that the reading is a number in range and the pressure within its limits.
     pub const ANY_PLANT: Self = Self(
         1 << Fault::ReadingNotANumber as u32
             | 1 << Fault::ReadingOutOfRange as u32
@@ -27,39 +27,39 @@ impl Monitors {
             | 1 << Fault::HardLimit as u32,
     );
 
-    /// The same without one.
+    /// The same set without one monitor.
     #[must_use]
     pub const fn without(self, fault: Fault) -> Self {
         Self(self.0 & !(1 << fault as u32))
     }
 
-    /// Whether this one is at work.
+    /// Whether a monitor is enabled.
     pub const fn has(self, fault: Fault) -> bool {
         self.0 & 1 << fault as u32 != 0
     }
 
-    /// How often in a row a monitor has to see its fault: so often, or out of reach if it is left out.
+    /// The limit of a monitor's counter: `limit`, or [`NEVER`] if the monitor is disabled.
     pub(super) fn limit(self, fault: Fault, limit: u32) -> u32 {
         if self.has(fault) { limit } else { NEVER }
     }
 
-    /// The highest value that a monitor lets pass: this one, or any if it is left out.
+    /// The highest value that a monitor accepts: `highest`, or infinity if the monitor is disabled.
     pub(super) fn highest(self, fault: Fault, highest: f32) -> f32 {
         if self.has(fault) { highest } else { f32::INFINITY }
     }
 }
 
-/// Whether readings come so quickly that their noise and their jumps tell of the sensor.
+/// Whether the control period is short enough to check the sensor's noise and jumps.
 pub(super) const fn reads_quickly(period_us: u32) -> bool {
     period_us <= QUICK_PERIOD_US
 }
 
-/// A monitor's time in control ticks, at least one.
+/// Converts a monitor's time to control ticks, at least one.
 pub(super) fn ticks(seconds: f32, period_us: u32) -> u32 {
     math::ticks(seconds, period_us).max(1)
 }
 
-/// How often in a row something holds, counting this time.
+/// Counts consecutive ticks or breaths in which a condition is true, including this one.
 pub(super) fn in_a_row(before: u32, holds: bool) -> u32 {
     if holds { before.saturating_add(1) } else { 0 }
 }

@@ -1,35 +1,35 @@
-//! Is the airway pressure within its limits?
+//! Checks that the airway pressure is within its limits.
 //!
-//! Above the limit a breath ends at once: inspiratory valve closed, expiratory valve open. That is all for a cough; what
-//! comes back breath after breath is the ladder's concern, and what does not fall is latched.
+//! Above the limit an inspiration ends after 3 ms: inspiratory valve closed, expiratory valve open. That is enough for a
+//! cough; the ladder handles breaths that repeatedly end so, and a pressure that does not fall latches the safe state.
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
 
-/// So far above its limit no pressure is waited for, cmH2O.
+/// Pressure above the limit at which the safe state is latched, cmH2O.
 pub const FAR_ABOVE: f32 = 15.0;
-/// So close to PEEP the pressure counts as back, cmH2O.
+/// Pressure above PEEP below which it counts as returned to PEEP, cmH2O.
 const BACK_AT_PEEP: f32 = 3.0;
-/// How far ahead the pressure is looked for, ticks of 1 ms: the valve's dead time, in which no command helps.
+/// Ticks by which the pressure is extrapolated: at 1 kHz the valve's dead time, in which no command has an effect.
 const AHEAD: f32 = 12.0;
-/// How far above the limit it must then be, cmH2O: more than noise and the rise of an open airway make of it.
+/// Extrapolated pressure above the limit that ends an inspiration, cmH2O: more than noise and a normal rise cause.
 const AHEAD_ABOVE: f32 = 5.0;
-/// Share of a new change in the mean slope.
+/// Weight of a new change in the mean slope.
 const SLOPE_SHARE: f32 = 0.2;
 
-/// How long the pressure may exceed its limit, a spike of noise, s.
+/// Time above the limit that counts as a spike of noise, s.
 const SPIKE: f32 = 0.003;
-/// How long it may do so with the expiratory valve open, s.
+/// Time that the pressure may stay above the limit with the expiratory valve open, s.
 const VENTING: f32 = 0.15;
-/// How long it may stay away from PEEP, s.
+/// Time that the pressure may stay above PEEP, s.
 const SUSTAINED: f32 = 15.0;
 
-/// Compares the pressure with its limit and with PEEP.
+/// Compares the pressure with the limit and with PEEP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PressureMonitor {
-    /// Whether the slope from one reading to the next tells where the pressure goes.
+    /// Whether the control period is short enough to extrapolate the pressure.
     quick: bool,
-    /// Ticks above the limit and far above it, [`SPIKE`].
+    /// [`SPIKE`] in ticks, for pressures above the limit and far above it.
     above: u32,
     far_above: u32,
     /// [`VENTING`] and [`SUSTAINED`] in ticks.
@@ -37,11 +37,11 @@ pub struct PressureMonitor {
     sustained: u32,
 }
 
-/// What the pressures so far say.
+/// State of the pressure monitor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PressureState {
     last: Option<f32>,
-    /// Mean change in a tick, cmH2O.
+    /// Mean change per tick, cmH2O.
     slope: f32,
     above: u32,
     ahead_above: u32,
@@ -49,32 +49,32 @@ pub struct PressureState {
     away: u32,
 }
 
-/// A tick as this monitor sees it.
+/// Input of the monitor in one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PressureInput {
     /// Believed pressure, cmH2O.
     pub pressure: f32,
-    /// Its limit, cmH2O.
+    /// Pressure limit, cmH2O.
     pub limit: f32,
     /// PEEP, cmH2O.
     pub peep: f32,
-    /// The expiratory valve stands open.
+    /// Whether the expiratory valve is open.
     pub venting: bool,
 }
 
-/// What a pressure calls for.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PressureFinding {
-    /// Nothing.
+    /// No action.
     Normal,
-    /// The inspiration ends.
+    /// End the inspiration.
     EndInspiration,
-    /// An alarm.
+    /// Raise an alarm.
     Alarm(Fault),
 }
 
 impl PressureMonitor {
-    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    /// A monitor for a control period in microseconds that reports the enabled findings only.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
         let limit = |fault, seconds| enabled.limit(fault, ticks(seconds, period_us));
         Self {
@@ -86,7 +86,7 @@ impl PressureMonitor {
         }
     }
 
-    /// Takes in a tick.
+    /// Checks one tick.
     #[inline]
     pub fn check(&self, state: &mut PressureState, input: &PressureInput) -> PressureFinding {
         let PressureInput { pressure, limit, peep, venting } = *input;
@@ -114,7 +114,7 @@ mod tests {
 
     const LIMIT: f32 = 40.0;
 
-    /// What there is to do about pressures one after the other.
+    /// Results for a sequence of pressures.
     fn findings(
         pressures: impl IntoIterator<Item = f32>,
         venting: bool,
@@ -124,7 +124,7 @@ mod tests {
         pressures.into_iter().map(move |pressure| monitor.check(&mut state, &tick(pressure)))
     }
 
-    /// The first thing to do, and at which of the pressures.
+    /// The first result other than normal, with the index of the pressure.
     fn first(pressures: impl IntoIterator<Item = f32>, venting: bool) -> Option<(usize, PressureFinding)> {
         findings(pressures, venting).enumerate().find(|(_, finding)| *finding != PressureFinding::Normal)
     }

@@ -1,51 +1,51 @@
-//! Can the pressure reading be believed?
+//! Checks that the pressure sensor works.
 //!
-//! A reading that cannot is replaced by the last good one, for a few milliseconds. A sound sensor is never quite still and
-//! never jumps: its noise proves that it lives.
+//! An implausible reading is replaced by the last good one, for a few milliseconds. A working sensor always shows some
+//! noise and never jumps; a reading without noise is frozen.
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
 
-/// Readings outside of this range are not from a working sensor, cmH2O.
+/// Range of readings that a working sensor can give, cmH2O.
 pub const SENSOR_RANGE: (f32, f32) = (-30.0, 110.0);
-/// Highest change from one reading to the next that a pressure behind the sensor's lag can make, cmH2O.
+/// Largest change between two readings that the sensor's lag allows, cmH2O.
 pub const JUMP_MAX: f32 = 15.0;
-/// Highest standard deviation of a sound sensor's noise, cmH2O.
+/// Highest standard deviation of a working sensor's noise, cmH2O.
 pub const NOISE_MAX: f32 = 0.4;
-/// Mean of the absolute second difference of white noise per standard deviation: `sqrt(6) sqrt(2 / pi)`.
+/// Mean absolute second difference of white noise with a standard deviation of 1: `sqrt(6) sqrt(2 / pi)`.
 const SECOND_DIFFERENCE: f32 = 1.954;
-/// Share of a new second difference in their mean.
+/// Weight of a new second difference in their mean.
 const NOISE_SHARE: f32 = 0.02;
-/// Good readings that make up for a missing one.
+/// Good readings that cancel one missing reading.
 const MAKE_UP: u32 = 9;
-/// How long readings may be missing, s.
+/// Time for which readings may be missing, s.
 const MISSING: f32 = 0.005;
-/// How long a reading may stay the same to the last bit, s.
+/// Time for which a reading may stay the same to the last bit, s.
 const FROZEN: f32 = 0.04;
 
-/// Judges the sensor by its readings.
+/// Checks the sensor by its readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadingMonitor {
-    /// Whether jumps and noise from one reading to the next tell of the sensor.
+    /// Whether the control period is short enough to check noise and jumps.
     quick: bool,
-    /// Lowest and highest reading, highest jump, cmH2O.
+    /// Lowest and highest reading, largest jump, cmH2O.
     range: (f32, f32),
     jump: f32,
-    /// Highest mean of the absolute second difference, cmH2O.
+    /// Highest mean absolute second difference, cmH2O.
     noise: f32,
     /// [`MISSING`] and [`FROZEN`] in ticks.
     missing: u32,
     frozen: u32,
 }
 
-/// What the readings so far say of the sensor.
+/// State of the reading monitor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ReadingState {
     last_good: Option<f32>,
     before: f32,
-    /// Missing readings, each counted [`MAKE_UP`] times, less the good ones since.
+    /// Missing readings, each counted [`MAKE_UP`] times, minus the good readings since.
     debt: u32,
-    /// How often each problem has come since there was none: no number, out of range, jumps.
+    /// Number of missing readings by problem since the debt was last zero: not a number, out of range, jump.
     problems: [u32; 3],
     /// Consecutive ticks without a good reading.
     gap: u32,
@@ -53,19 +53,19 @@ pub struct ReadingState {
     second_difference: f32,
 }
 
-/// What became of a reading.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Believed {
-    /// The pressure to go on with, cmH2O; none while there was never a good reading.
+    /// The pressure to control with, cmH2O; none before the first good reading.
     pub pressure: Option<f32>,
-    /// Whether it is the reading itself and not what replaces it.
+    /// Whether this is the reading itself and not a replacement.
     pub fresh: bool,
-    /// What is wrong with the sensor.
+    /// Fault of the sensor, if one is detected.
     pub fault: Option<Fault>,
 }
 
 impl ReadingState {
-    /// The problem that came most often.
+    /// The most frequent problem.
     fn main_problem(&self) -> Fault {
         let [no_number, out_of_range, jumps] = self.problems;
         if jumps >= no_number.max(out_of_range) {
@@ -79,7 +79,7 @@ impl ReadingState {
 }
 
 impl ReadingMonitor {
-    /// The monitor at a control period in microseconds; of its findings only those that are enabled.
+    /// A monitor for a control period in microseconds that reports the enabled findings only.
     pub fn new(period_us: u32, enabled: Monitors) -> Self {
         let quick = reads_quickly(period_us);
         let (lowest, highest) = SENSOR_RANGE;
@@ -94,7 +94,7 @@ impl ReadingMonitor {
         }
     }
 
-    /// Takes in one reading; `moving` says that a breath runs, so that a sound sensor cannot stand still.
+    /// Checks one reading. `moving`: a breath runs, so noise and frozen readings are checked.
     #[inline]
     pub fn check(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Believed {
         if let Some(problem) = self.problem(state, reading) {
@@ -108,7 +108,7 @@ impl ReadingMonitor {
         Believed { pressure: Some(reading), fresh: true, fault }
     }
 
-    /// Why a reading counts as missing.
+    /// Reason why a reading counts as missing, if there is one.
     fn problem(&self, state: &ReadingState, reading: f32) -> Option<Fault> {
         if reading.is_nan() {
             return Some(Fault::ReadingNotANumber);
@@ -118,7 +118,7 @@ impl ReadingMonitor {
             return Some(Fault::ReadingOutOfRange);
         }
         let jump = state.last_good.map_or(0.0, |last| (reading - last).abs());
-        // The longer the gap, the further the pressure may have come.
+        // The longer the gap, the further the pressure may have moved.
         let possible = self.jump * (state.gap + 1) as f32;
         (jump > possible).then_some(Fault::ReadingJumps)
     }
@@ -161,12 +161,12 @@ mod tests {
 
     const PERIOD_US: u32 = 1000;
 
-    /// The monitor and its state before the first reading.
+    /// A monitor and its state before the first reading.
     fn monitor(enabled: Monitors) -> (ReadingMonitor, ReadingState) {
         (ReadingMonitor::new(PERIOD_US, enabled), ReadingState::default())
     }
 
-    /// What is found in readings one after the other.
+    /// The first fault found in a sequence of readings.
     fn feed(enabled: Monitors, readings: impl IntoIterator<Item = f32>) -> Option<Fault> {
         let (monitor, mut state) = monitor(enabled);
         readings
@@ -179,7 +179,7 @@ mod tests {
         feed(Monitors::ALL, readings)
     }
 
-    /// A living sensor about a pressure: noise of 0.1 cmH2O on a grid of 0.07.
+    /// Readings of a working sensor around a pressure: noise of 0.1 cmH2O on a grid of 0.07.
     fn alive(pressure: f32) -> impl Iterator<Item = f32> {
         (0..).map(move |n: u32| pressure + 0.07 * ((n * 7 % 5) as f32 - 2.0))
     }
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_told_from_a_steep_pressure() {
+    fn noise_is_distinguished_from_a_steep_pressure() {
         let noisy = (0..).map(|n: u32| 15.0 + 1.2 * ((n * 7 % 5) as f32 - 2.0)).take(200);
         assert_eq!(found(noisy), Some(Fault::ReadingNoisy));
         let swinging = alive(0.0).enumerate().map(|(n, p)| p + if n % 200 < 100 { 5.0 } else { 14.0 });

@@ -1,9 +1,9 @@
-//! The supervisor: everything that stands between a controller's output and the valves.
+//! The supervisor: all checks and limits between a controller's output and the valves.
 //!
-//! Each tick the monitors look at the reading, at the pressure, at the breath and at what the valve must have delivered. What
-//! they find leads down the [`super::ladder`] or into the latched safe state, which ends only by
-//! [`SupervisorState::clear`], asked for by an operator. The learned part of a command gets through only while everything is
-//! proven in this very tick, and never faster than [`RESIDUAL_SLEW`].
+//! In each tick the monitors check the reading, the pressure, the breath and the response to the delivered gas. A finding
+//! leads down the [`super::ladder`] or into the latched safe state, which only an operator can end
+//! ([`SupervisorState::clear`]). The learned part of a command is applied only in ticks with a fresh, plausible reading,
+//! and changes no faster than [`RESIDUAL_SLEW`].
 
 use super::alarms::{Action, Fault};
 use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
@@ -17,12 +17,12 @@ use crate::breath::{Breath, Phase, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
 use crate::math;
 
-/// How fast the learned part of a command may change, percent per second: through the whole range in 4 ms.
+/// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
-/// Ticks that may be missed within a breath.
+/// Missed ticks within a breath at which the safe state is latched.
 const MISSED_MAX: u32 = 5;
 
-/// The monitors and the slew of the learned part: what holds from tick to tick.
+/// Configuration: the monitors, and the slew of the learned part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervisor {
     monitors: Monitors,
@@ -30,11 +30,11 @@ pub struct Supervisor {
     pressure: PressureMonitor,
     breath: BreathMonitor,
     lung: LungEstimator,
-    /// Change of the learned part allowed in a tick, percent.
+    /// Largest change of the learned part in a tick, percent.
     slew: f32,
 }
 
-/// What the monitors have seen, ladder and latch.
+/// State of the monitors, of the ladder and of the latched fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SupervisorState {
     fault: Option<Fault>,
@@ -44,7 +44,7 @@ pub struct SupervisorState {
     breath: BreathState,
     lung: LungState,
     ladder: Ladder,
-    /// The inspiration was ended at the pressure limit.
+    /// Whether the inspiration was ended at the pressure limit.
     cut: bool,
     missed: u32,
     proven: bool,
@@ -55,7 +55,7 @@ pub struct SupervisorState {
 }
 
 impl Supervisor {
-    /// A supervisor with these monitors, for a control period in microseconds.
+    /// A supervisor with these monitors for a control period in microseconds.
     pub fn new(period_us: u32, monitors: Monitors) -> Self {
         Self {
             monitors,
@@ -67,12 +67,12 @@ impl Supervisor {
         }
     }
 
-    /// Which monitors are at work.
+    /// The enabled monitors.
     pub fn monitors(&self) -> Monitors {
         self.monitors
     }
 
-    /// Ticks have been missed since the last one.
+    /// Reports ticks missed since the last one.
     pub fn missed(&self, state: &mut SupervisorState, ticks: u32) {
         state.missed = state.missed.saturating_add(ticks);
         if state.missed >= MISSED_MAX {
@@ -80,8 +80,8 @@ impl Supervisor {
         }
     }
 
-    /// Takes in one reading; the pressure to control with, or none while there is nothing to believe. `tick` is that of the
-    /// running breath, none while no breath runs.
+    /// Checks one reading. Returns the pressure to control with; none before the first good reading and while a fault is
+    /// latched. `tick` is that of the running breath, none while no breath runs.
     #[inline]
     pub fn check(
         &self,
@@ -142,7 +142,7 @@ impl Supervisor {
         }
     }
 
-    /// Judges the breath that has ended, and starts the next one.
+    /// Updates the ladder with the breath that has ended, and starts the next one.
     fn start_breath(&self, state: &mut SupervisorState, pressure: f32, peep: f32) {
         if let Some(fault) = state.ladder.breath_ended(state.cut) {
             self.found(state, fault);
@@ -151,7 +151,7 @@ impl Supervisor {
         state.lung.start_inspiration(pressure, peep);
     }
 
-    /// Acts on a finding as its alarm's row says.
+    /// Responds to a finding as specified in its row of the alarm table.
     fn found(&self, state: &mut SupervisorState, fault: Fault) {
         if !self.monitors.has(fault) || state.fault.is_some() {
             return;
@@ -169,8 +169,8 @@ impl Supervisor {
         }
     }
 
-    /// The safety filter: makes a controller's output a command, as far as it is trusted. While a fault is latched the
-    /// command is the safe one; above the pressure limit the valves vent.
+    /// The safety filter: converts the trusted part of a controller's output to a valve command. The command is the safe one
+    /// while a fault is latched and for the rest of an inspiration that was ended at the pressure limit.
     #[inline]
     pub fn command(&self, state: &mut SupervisorState, output: ControlOutput, u_out: bool) -> ValveCommand {
         let u_in = self.trusted_part(state, output);
@@ -181,8 +181,8 @@ impl Supervisor {
         command
     }
 
-    /// The output without what is not trusted of it, percent. What is learned fades in and out at the slew, so that no
-    /// hand-over is a step of more than the slew; the cap takes effect at once.
+    /// The trusted part of the output, percent. The learned part fades in and out at the slew, so that no hand-over is a
+    /// larger step; the cap takes effect at once.
     fn trusted_part(&self, state: &mut SupervisorState, output: ControlOutput) -> f32 {
         let level = state.level();
         let trusted = state.proven && level == Level::Learned;
@@ -197,7 +197,7 @@ impl Supervisor {
         (output.base + state.learned).min(cap)
     }
 
-    /// No breath runs: the safe command.
+    /// The safe command, for ticks without a breath.
     pub fn rest(&self, state: &mut SupervisorState) -> ValveCommand {
         self.command(state, ControlOutput::default(), true)
     }
@@ -209,12 +209,12 @@ impl SupervisorState {
         self.fault
     }
 
-    /// The newest finding that nobody has asked for yet.
+    /// The newest alarm that has not been taken yet.
     pub fn take_raised(&mut self) -> Option<Fault> {
         self.raised.take()
     }
 
-    /// Who commands the inspiratory valve.
+    /// Level of the ladder that commands the inspiratory valve.
     pub fn level(&self) -> Level {
         if self.missed > 0 { self.ladder.level().max(Level::Pid) } else { self.ladder.level() }
     }
@@ -224,19 +224,19 @@ impl SupervisorState {
         self.cut
     }
 
-    /// Ventilation starts: breaths of an earlier run do not count.
+    /// Starts ventilation: resets everything except the reading monitor and a latched fault.
     pub fn begin(&mut self) {
         *self = Self { reading: self.reading, fault: self.fault, ..Self::default() };
     }
 
-    /// Forgets the fault, when an operator acknowledges it.
+    /// Clears the latched fault and all other state, when an operator acknowledges the fault.
     pub fn clear(&mut self) {
         *self = Self::default();
     }
 }
 
 impl Default for SupervisorState {
-    /// Nothing has happened yet; the valves are safe.
+    /// No findings yet; the valves are safe.
     fn default() -> Self {
         Self {
             fault: None,
@@ -268,7 +268,7 @@ mod tests {
         Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US).unwrap()
     }
 
-    /// A supervisor at work.
+    /// A supervisor with its state.
     struct Run {
         supervisor: Supervisor,
         state: SupervisorState,
@@ -284,7 +284,7 @@ mod tests {
             self.supervisor.check(&mut self.state, reading, &breath(), tick)
         }
 
-        /// The command of a tick of the inspiration.
+        /// The command in a tick of the inspiration.
         fn command(&mut self, output: ControlOutput) -> ValveCommand {
             self.supervisor.command(&mut self.state, output, false)
         }
@@ -293,7 +293,7 @@ mod tests {
             self.supervisor.missed(&mut self.state, ticks);
         }
 
-        /// Ticks of a breath at a constant pressure with a constant output of the controller; the commands, percent.
+        /// Runs ticks of a breath at a constant pressure and controller output; returns the commands, percent.
         fn breathe(&mut self, ticks: Range<u32>, pressure: f32, output: ControlOutput) -> Vec<f32> {
             ticks
                 .map(|tick| {
@@ -305,7 +305,7 @@ mod tests {
         }
     }
 
-    /// A living sensor about a pressure.
+    /// Noise of a working sensor.
     fn dither(tick: u32) -> f32 {
         0.07 * ((tick * 7 % 5) as f32 - 2.0)
     }
@@ -394,7 +394,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever a network says: the command never strays from the PID's by more than the slew allows, tick by tick.
+        /// For any output of the network, the difference from the PID's command changes no faster than the slew.
         #[test]
         fn no_network_moves_the_command_faster_than_the_slew(
             outputs in prop::collection::vec((0.0f32..=100.0, prop::num::f32::ANY), 1..300),

@@ -1,9 +1,9 @@
-//! The exercise: a short scripted run of a built controller whose commands prove that trainer and device
-//! compute alike, features, network and PID together.
+//! The exercise: a short scripted run of a built controller. Its commands prove that trainer and device compute features,
+//! network and PID alike.
 //!
-//! The script, part of the format's version: a breath starts with the valve at 5 %. In tick `k` of
-//! [`TICKS`] the target is 25 cmH2O, PIP 25 and PEEP 8, and the pressure lies `((7 k) mod 16) / 2 - 2` cmH2O
-//! below the target; every command is applied as it is. All of this is exact in single precision.
+//! The script is part of the format version. A breath starts with the valve at 5 %. In each tick `k` of [`TICKS`] the
+//! target is 25 cmH2O, PIP 25 and PEEP 8, and the pressure is `((7 k) mod 16) / 2 - 2` cmH2O below the target; every
+//! command is applied unchanged. All these numbers are exact in single precision.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,16 +11,16 @@ use crate::checksum::CRC_32;
 use crate::control::residual::Residual;
 use crate::control::{ControlLaw, Controller, ControllerState, Observation};
 
-/// Length of the exercise, ticks: longer than the features' history, so that every tap has seen the script.
+/// Length of the exercise, ticks: longer than the features' history, so that every tap reads values of the script.
 pub const TICKS: u32 = 160;
 
-/// Commands of a controller in the exercise.
+/// Result of a controller in the exercise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Golden {
     /// Bits of the last command (f32, percent).
     #[serde(with = "postcard::fixint::le")]
     pub last: u32,
-    /// CRC-32 over the bits of all commands, little endian, one after the other.
+    /// CRC-32 over the bits of all commands, little endian, in order.
     #[serde(with = "postcard::fixint::le")]
     pub all: u32,
 }
@@ -73,8 +73,8 @@ mod tests {
         golden(&Residual::new(spec, network).unwrap())
     }
 
-    /// Pins script, features, network and PID to bits; the same on every target. A change of any of them is a
-    /// new format version.
+    /// Pins script, features, network and PID to bits, the same on every target. A change of any of them needs a new
+    /// format version.
     #[test]
     fn the_exercise_of_a_known_controller_has_known_bits() {
         let known = Golden { last: 0x41F9_5756, all: 0x1505_ABBF };

@@ -1,6 +1,5 @@
-//! Packing and validating the image. Validation goes from the outside in, so that each error names the first
-//! thing that is wrong: length, magic, version, checksum, architecture, sizes, parameters, specification,
-//! golden values.
+//! Packs and validates the image. The checks have a fixed order, so that the error names the first problem: length,
+//! magic, version, checksum, architecture, sizes, parameters, specification, golden values.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +14,7 @@ use crate::control::network::{Network, WEIGHT_MAX};
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
 
-/// What comes before the parameters. Postcard writes reals and bytes at their full length, one after the other.
+/// The part before the parameters. Postcard writes floats and bytes at their full length, without padding.
 #[derive(Serialize, Deserialize)]
 struct Header {
     magic: [u8; 4],
@@ -23,7 +22,7 @@ struct Header {
     version: u16,
     #[serde(with = "postcard::fixint::le")]
     architecture: u16,
-    /// Little endian.
+    /// Sizes of the layers, u16 little endian.
     shape: [[u8; 2]; 4],
     #[serde(with = "postcard::fixint::le")]
     period_us: u32,
@@ -37,7 +36,7 @@ struct Header {
     parameter_bytes: u32,
 }
 
-/// Packs a learned controller; gives the bytes written, [`IMAGE_BYTES`].
+/// Packs a learned controller; returns the number of bytes written, [`IMAGE_BYTES`].
 ///
 /// # Errors
 /// [`WeightsError::Length`] if `out` is too short.
@@ -72,7 +71,7 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
 /// Validates an image and builds its controller. Bytes after the image are ignored.
 ///
 /// # Errors
-/// The first thing that is wrong, in the order of [`WeightsError`]'s variants.
+/// The first problem, in the order of [`WeightsError`]'s variants.
 pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
     let (header, parameters, id) = enclosed(bytes)?;
     let Header { architecture, period_us, gains, lambda, authority, features, .. } = header;
@@ -91,8 +90,8 @@ pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
     Ok(Image { residual, identity: header.identity, golden: header.golden, id })
 }
 
-/// Header, parameters and id of an image of this format, long enough and undamaged. Its length is its own, so that a
-/// sound image of another architecture is told from a damaged one.
+/// Header, parameters and id of a complete and undamaged image of this format. The header gives the length, so that a
+/// valid image of another architecture is not mistaken for a damaged one.
 fn enclosed(bytes: &[u8]) -> Result<(Header, &[u8], u32), WeightsError> {
     let short = |need| WeightsError::Length { have: bytes.len(), need };
     let (header, _): (Header, _) = postcard::take_from_bytes(bytes).map_err(|_| short(IMAGE_BYTES))?;

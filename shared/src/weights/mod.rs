@@ -1,6 +1,6 @@
-//! The weights image: a learned controller as bytes, for a file, for the link and for a flash slot.
+//! The weights image: the binary form of a learned controller, for files, the link and flash slots.
 //!
-//! All numbers are little endian, reals are IEEE 754 single precision.
+//! All numbers are little endian; floats are IEEE 754 single precision.
 //!
 //! | offset | bytes | content |
 //! |---|---|---|
@@ -21,15 +21,14 @@
 //! | 98 | 16 | plant id |
 //! | 114 | 4 | golden: last command of the [`exercise`], percent |
 //! | 118 | 4 | golden: CRC-32 over the bits of all its commands |
-//! | 122 | 4 | bytes of parameters, u32 |
+//! | 122 | 4 | length of the parameters, bytes, u32 |
 //! | 126 | ... | parameters in the order of [`Network::parameters`] |
 //! | end | 4 | CRC-32 over everything before, u32; also the image's id |
 //!
 //! Bytes after the checksum are ignored: a flash slot is longer than its image.
 //!
-//! The golden values are what the *built* controller commanded when the image was packed. A device that gets
-//! other bits from the same script computes features, network or PID differently from the trainer, and must
-//! not run these weights.
+//! The golden values are the results of the *built* controller when the image was packed. A device that gets other bits
+//! from the same script computes features, network or PID differently from the trainer, and must not run these weights.
 
 pub mod exercise;
 mod image;
@@ -47,21 +46,21 @@ pub use image::{decode, encode};
 pub const MAGIC: [u8; 4] = *b"EUPN";
 /// Version of the layout above and of the [`exercise`]'s script.
 pub const FORMAT_VERSION: u16 = 1;
-/// Features of [`crate::control::features`], two softsign layers, linear output, PID underneath.
+/// Architecture: features of [`crate::control::features`], two softsign layers, linear output, PID underneath.
 pub const ARCHITECTURE: u16 = 1;
-/// Bytes before the parameters.
+/// Length of the header, before the parameters, bytes.
 pub const HEADER_BYTES: usize = 126;
-/// Bytes of parameters.
+/// Length of the parameters, bytes.
 pub const PARAMETER_BYTES: usize = 4 * Network::PARAMETERS;
-/// Bytes of an image.
+/// Length of an image, bytes.
 pub const IMAGE_BYTES: usize = HEADER_BYTES + PARAMETER_BYTES + crate::checksum::CHECKSUM_BYTES;
 
 /// Origin of weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Which training made them.
+    /// Id of the training that produced them.
     pub training: [u8; 16],
-    /// Which ventilator's recording they were trained on.
+    /// Id of the ventilator whose recording they were trained on.
     pub plant: [u8; 16],
 }
 
@@ -72,9 +71,9 @@ pub struct Image {
     pub residual: Residual,
     /// Its origin.
     pub identity: Identity,
-    /// Its commands in the exercise.
+    /// Its results in the exercise.
     pub golden: Golden,
-    /// The image's checksum, which names it.
+    /// The image's checksum, which identifies it.
     pub id: u32,
 }
 
@@ -82,45 +81,45 @@ pub struct Image {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum WeightsError {
     /// Bytes are missing.
-    #[error("image is cut short: {have} bytes where {need} are needed; transfer it again")]
+    #[error("image is truncated: {have} of {need} bytes; transfer it again")]
     Length {
         /// Bytes given.
         have: usize,
-        /// Bytes that the image needs.
+        /// Bytes of a complete image.
         need: usize,
     },
-    /// Not an image, or an erased flash slot.
-    #[error("these bytes are no weights image; give a file that the trainer packed")]
+    /// Not an image, for example an erased flash slot.
+    #[error("this is not a weights image; use a file that the trainer packed")]
     Magic,
-    /// Another version of the layout.
+    /// The image has another version of the layout.
     #[error(
-        "image has format {0}, this version reads {FORMAT_VERSION}; pack it again with this version's trainer"
+        "image has format {0}, but this version reads {FORMAT_VERSION}; pack it again with this version's trainer"
     )]
     Version(u16),
     /// The checksum does not match.
     #[error("image is damaged (checksum differs); transfer it again")]
     Checksum,
-    /// Made for another kind of controller.
-    #[error("image is made for architecture {0}, this version runs {ARCHITECTURE}; train with this version")]
+    /// The image contains another kind of controller.
+    #[error("image has architecture {0}, this version runs {ARCHITECTURE}; train with this version")]
     Architecture(u16),
     /// The network's sizes differ.
-    #[error("image holds a network of {0:?}, this version runs {shape:?}; train with this version", shape = Network::SHAPE)]
+    #[error("image has a network of {0:?}, this version runs {shape:?}; train with this version", shape = Network::SHAPE)]
     Shape([u16; 4]),
-    /// A parameter is no number or too large.
-    #[error("parameter {0} is not finite or beyond the bound; train again, with a lower learning rate")]
+    /// A parameter is not a number or out of bounds.
+    #[error("parameter {0} is not finite or out of bounds; train again with a lower learning rate")]
     Weight(usize),
-    /// Gains, lambda, authority or features are out of bounds.
+    /// Gains, lambda, authority, control period or features are out of bounds.
     #[error("controller cannot be built: {0}; pack it again with values in bounds")]
     Spec(#[from] ResidualError),
-    /// The built controller commands something else than when it was packed.
+    /// The built controller gives other commands than when it was packed.
     #[error(
-        "controller gives other commands than on the trainer; pack it again with the version that runs here"
+        "controller gives other commands here than on the trainer; pack it again with the version that runs here"
     )]
     Golden,
 }
 
-/// A [`WeightsError`] without its numbers, as it goes over the link. The order of the variants is part of the
-/// protocol: append only.
+/// A [`WeightsError`] without its numbers, for the link. The order of the variants is part of the protocol: append
+/// only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the same variants as in the error")]
 pub enum ImageProblem {

@@ -1,15 +1,15 @@
-//! Two slots in flash for weights images, so that a cut supply never leaves the device without the weights it had.
+//! Two slots in flash for weights images, so that a power failure during a store never loses the weights in use.
 //!
 //! A slot is a region of whole sectors:
 //!
 //! | from the start of the slot | content |
 //! |---|---|
-//! | 0 | the image, [`IMAGE_BYTES`], filled up with 0xFF |
-//! | [`RECORD`] | generation, u32; its CRC-32, u32; filled up with 0xFF to one [`UNIT`] |
-//! | [`RECORD`] + [`UNIT`] | commit word, u32, filled up to one [`UNIT`] |
+//! | 0 | the image, [`IMAGE_BYTES`], padded with 0xFF |
+//! | [`RECORD`] | generation, u32; its CRC-32, u32; padded with 0xFF to one [`UNIT`] |
+//! | [`RECORD`] + [`UNIT`] | commit word, u32, padded with 0xFF to one [`UNIT`] |
 //!
-//! A store erases the slot that is not the newest, writes image and record, reads both back, and writes the commit word
-//! last. Until then the slot counts as torn and the other one stays the newest. Every place is written once after an
+//! A store erases the slot that is not the newest, writes image and record with read-back, and writes the commit word
+//! last. Until then the slot counts as torn and the other one stays the newest. Every address is written once after an
 //! erase, in multiples of [`UNIT`], which suits flash with words of up to that size.
 
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
@@ -20,40 +20,40 @@ use thiserror::Error;
 use super::{IMAGE_BYTES, Image, ImageProblem, decode};
 use crate::checksum::{crc32, verified};
 
-/// Written at once: the longest word of the supported flash memories.
+/// Unit of writing, bytes: the longest word of the supported flash memories.
 pub const UNIT: usize = 32;
-/// Place of the record in a slot.
+/// Offset of the record in a slot.
 pub const RECORD: u32 = IMAGE_BYTES.next_multiple_of(UNIT) as u32;
-/// Place of the commit word in a slot.
+/// Offset of the commit word in a slot.
 const COMMIT: u32 = RECORD + UNIT as u32;
-/// Bytes that a slot needs.
+/// Length of a slot's content, bytes.
 pub const SLOT_BYTES: u32 = COMMIT + UNIT as u32;
-/// Says that everything before it was written and read back.
+/// Commit word: everything before it was written and read back.
 const COMMITTED: u32 = 0x4B4F_2121;
 /// Value of an erased byte.
 const ERASED: u8 = 0xFF;
 
-/// One of the two places for weights in the flash. The order of the variants is part of the link's protocol.
+/// One of the two slots. The order of the variants is part of the link's protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Slot {
-    /// The first.
+    /// The first slot.
     A,
-    /// The second.
+    /// The second slot.
     B,
 }
 
 /// Content of a slot. The order of the variants is part of the link's protocol: append only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SlotState {
-    /// Nothing: erased.
+    /// Erased.
     Empty,
-    /// Something that was not finished.
+    /// A store that was not completed, or an unreadable slot.
     Torn,
-    /// A finished image that this device refuses.
+    /// A completely stored image that this device refuses.
     Invalid(ImageProblem),
     /// A valid image.
     Valid {
-        /// The higher of two is the newer one.
+        /// Number of the store; the higher one is newer (wrapping).
         generation: u32,
         /// The image's id.
         id: u32,
@@ -76,29 +76,29 @@ pub enum StoreError {
     /// The flash refused an operation.
     #[error("the flash refused to read, erase or write")]
     Flash,
-    /// The flash holds something else than what was written.
-    #[error("the flash holds something else than what was written; the sector may be worn out")]
+    /// The flash does not contain the data that was written.
+    #[error("the flash does not contain the data that was written; the sector may be worn out")]
     Readback,
 }
 
-/// The slots of a flash memory.
+/// Both slots of a flash memory.
 #[derive(Debug)]
 pub struct Slots<F> {
     flash: F,
     starts: [u32; 2],
-    /// The decoder's reason against the image of a slot, if it refused it.
+    /// Reason for which the decoder refused the image of a slot.
     refused: [Option<ImageProblem>; 2],
 }
 
 impl<F: NorFlash> Slots<F> {
-    /// Slots that start at these addresses of the flash, each at a sector of its own of at least [`SLOT_BYTES`].
+    /// Slots at these addresses of the flash, each with sectors of its own of at least [`SLOT_BYTES`].
     pub const fn new(flash: F, starts: [u32; 2]) -> Self {
         const { assert!(UNIT.is_multiple_of(F::WRITE_SIZE) && UNIT.is_multiple_of(F::READ_SIZE)) };
         Self { flash, starts, refused: [None; 2] }
     }
 
-    /// Content of both slots; an unreadable one counts as torn. A sound checksum is enough to count as valid, unless
-    /// [`Slots::load`] refused the image.
+    /// State of both slots; an unreadable one counts as torn. An image with the right checksum counts as valid unless
+    /// [`Slots::load`] has refused it.
     pub fn states(&mut self) -> [SlotState; 2] {
         [Slot::A, Slot::B].map(|slot| self.state(slot).unwrap_or(SlotState::Torn))
     }
@@ -120,7 +120,7 @@ impl<F: NorFlash> Slots<F> {
         })
     }
 
-    /// Reads, even where the length is no multiple of the flash's word.
+    /// Reads any number of bytes, also if it is not a multiple of the flash's word.
     fn read(&mut self, start: u32, bytes: &mut [u8]) -> Result<(), StoreError> {
         let mut unit = [0; UNIT];
         for (index, part) in bytes.chunks_mut(UNIT).enumerate() {
@@ -131,7 +131,7 @@ impl<F: NorFlash> Slots<F> {
         Ok(())
     }
 
-    /// Decodes the newest valid image; falls back to the other slot if it is refused.
+    /// Decodes the newest valid image; if it is refused, that of the other slot.
     pub fn load(&mut self) -> Option<(Slot, Image)> {
         for slot in by_age(&self.states()) {
             let mut bytes = [0; IMAGE_BYTES];
@@ -145,13 +145,13 @@ impl<F: NorFlash> Slots<F> {
         None
     }
 
-    /// Stores an image in the slot that is not the newest; gives the slot and its generation. Bytes are not decoded here:
-    /// validate them before.
+    /// Stores an image in the slot that is not the newest; returns the slot and its generation. The image is not decoded
+    /// here: validate it first.
     ///
     /// # Errors
-    /// [`StoreError`]; the newest slot is as it was, unless the very last write failed when it was done.
+    /// [`StoreError`]; the newest slot stays as it was, unless only the read-back of the commit word failed.
     pub fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> Result<(Slot, u32), StoreError> {
-        // A slot that cannot be read now may be the one that runs: better no store than that one erased.
+        // A slot that cannot be read may contain the weights in use, so it must not be erased.
         let states = [self.state(Slot::A)?, self.state(Slot::B)?];
         let newest = by_age(&states).first().copied();
         let (slot, generation) = match newest.map(|slot| (slot, states[slot as usize])) {
@@ -200,13 +200,13 @@ fn generation(record: &[u8; UNIT], commit: &[u8; UNIT]) -> Option<u32> {
     Some(u32::from_le_bytes(generation))
 }
 
-/// Id of an image with a sound checksum: the checksum itself.
+/// Id of an image with the right checksum: the checksum itself.
 fn identity(image: &[u8; IMAGE_BYTES]) -> Option<u32> {
     verified(image)?;
     Some(u32::from_le_bytes(*image.last_chunk()?))
 }
 
-/// The valid slots, the newest first. Generations wrap: the newer of two is less than half of the numbers ahead.
+/// The valid slots, the newest first. Generations wrap: the newer one is ahead by less than half of the range.
 fn by_age(states: &[SlotState; 2]) -> Vec<Slot, 2> {
     let generation = |slot: Slot| match states[slot as usize] {
         SlotState::Valid { generation, .. } => Some(generation),

@@ -17,7 +17,7 @@ fn content() -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![prop::collection::vec(byte, 0..300), prop::collection::vec(1u8..=255, 240..500),]
 }
 
-/// Feeds bytes; gives the contents of the good frames and the number of bad ones.
+/// Decodes bytes; returns the contents of the good frames and the number of corrupt ones.
 fn feed(decoder: &mut Decoder, bytes: &[u8]) -> (Vec<Vec<u8>>, u32) {
     let (mut good, mut bad) = (Vec::new(), 0);
     for byte in bytes {
@@ -30,7 +30,7 @@ fn feed(decoder: &mut Decoder, bytes: &[u8]) -> (Vec<Vec<u8>>, u32) {
     (good, bad)
 }
 
-/// The damaged frame may be lost or survive, but nothing else may come out, and the next frame must.
+/// Asserts that the damaged frame is lost or decoded unchanged, and that the next frame is decoded.
 fn survives(damaged: &[u8], original: &[u8]) {
     let next = b"the frame after it".to_vec();
     let mut stream = damaged.to_vec();
@@ -130,7 +130,7 @@ proptest! {
         prop_assert_eq!(decoder.counters().corrupt(), bad);
     }
 
-    /// Whatever comes, every run of bytes between zeros is counted exactly once.
+    /// In any stream every run of bytes between zeros is counted exactly once.
     #[test]
     fn counters_add_up(stream in prop::collection::vec(prop_oneof![Just(0u8), 0u8..8, any::<u8>()], 0..2000)) {
         let mut decoder = Decoder::new();

@@ -18,7 +18,7 @@ use crate::weights::slots::{Slot, SlotState};
 
 #[test]
 fn no_response_is_longer_than_a_page_of_the_recorder_needs() {
-    assert!(size_of::<Response>() <= 272, "{} bytes: every answer takes as many", size_of::<Response>());
+    assert!(size_of::<Response>() <= 272, "{} bytes, which every answer takes", size_of::<Response>());
 }
 
 fn hex<M: Serialize>(message: &M) -> String {
@@ -231,7 +231,7 @@ fn to_host() -> impl Strategy<Value = ToHost> {
     ]
 }
 
-/// Sends a message through a frame; gives its content.
+/// Encodes and decodes a message as a frame; returns its content.
 fn through<M: Serialize>(message: &M) -> StdVec<u8> {
     let (mut buffer, mut decoder) = ([0; FRAME_BYTES], FrameDecoder::<DECODER_BYTES>::new());
     let mut content = None;

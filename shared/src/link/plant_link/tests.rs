@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Any frame whose numbers are no NaN, so that frames can be compared.
+/// Any frame without NaN, so that frames can be compared.
 fn frame() -> impl Strategy<Value = PlantFrame> {
     let real = || -200.0f32..200.0;
     let message = prop_oneof![
@@ -104,7 +104,7 @@ proptest! {
             let mut stream = [bytes, next.encode()].concat();
             stream.remove(lost);
             let good = feed(&mut PlantDecoder::default(), &stream);
-            // A lost last byte of 0xA5 is made up for by the next frame's start, at that frame's cost.
+            // A lost last byte of 0xA5 is replaced by the next frame's start byte, which costs that frame.
             prop_assert!(good == [next] || good == [frame]);
         }
     }

@@ -9,7 +9,7 @@ use crate::control::residual::ResidualError;
 
 const IDENTITY: Identity = Identity { training: *b"training 0000001", plant: *b"virtual bench   " };
 
-/// Changes bytes and makes the checksum right again, as a careless or malicious packer would.
+/// Changes bytes and corrects the checksum, as a faulty or malicious packer would.
 fn forged(change: impl Fn(&mut [u8])) -> Vec<u8> {
     let mut bytes = packed(&residual(1));
     change(&mut bytes);
@@ -18,7 +18,7 @@ fn forged(change: impl Fn(&mut [u8])) -> Vec<u8> {
     bytes
 }
 
-/// A random controller; the seed decides everything.
+/// A random controller, determined by the seed.
 fn residual(seed: u64) -> Residual {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut unit = || (rng.next_u32() >> 8) as f32 / 16_777_216.0;
@@ -108,7 +108,7 @@ fn an_erased_slot_is_no_image_and_the_rest_of_a_slot_is_ignored() {
 }
 
 #[test]
-fn what_was_made_for_something_else_is_told_apart() {
+fn an_image_made_for_something_else_is_refused_with_the_reason() {
     assert_eq!(decode(&forged(|b| b[4] = 2)), Err(WeightsError::Version(2)));
     assert_eq!(decode(&forged(|b| b[6] = 9)), Err(WeightsError::Architecture(9)));
     assert_eq!(decode(&forged(|b| b[10] = 64)), Err(WeightsError::Shape([24, 64, 16, 1])));
@@ -195,7 +195,7 @@ proptest! {
         prop_assert!(decode(&bytes).is_err());
     }
 
-    /// Behind a right checksum nothing may panic either, and what is accepted is in bounds.
+    /// Even with the right checksum nothing panics, and accepted values are in bounds.
     #[test]
     fn forged_headers_are_refused_or_in_bounds(at in 6usize..HEADER_BYTES, value: u8) {
         if let Ok(image) = decode(&forged(|b| b[at] = value)) {

@@ -14,14 +14,14 @@ use crate::weights::{Identity, encode};
 const SECTOR: usize = 8192;
 const STARTS: [u32; 2] = [0, SECTOR as u32];
 
-/// NOR flash with words of `W` bytes: an erase sets bits, a write clears them, a word is written once, and after a number
-/// of bytes the supply fails in the middle of whatever runs.
+/// NOR flash with words of `W` bytes: an erase sets bits, a write clears them, and a word is written once. After a number
+/// of bytes the supply fails in the middle of the running operation.
 #[derive(Clone)]
 struct Nor<const W: usize> {
     cells: Box<[u8; 2 * SECTOR]>,
-    /// Words written since their erase.
+    /// Bytes written since their last erase.
     written: Box<[bool; 2 * SECTOR]>,
-    /// Bytes that can still be erased or written.
+    /// Bytes that can be erased or written until the supply fails.
     supply: usize,
     /// First byte that cannot be read.
     unreadable: usize,
@@ -76,7 +76,7 @@ impl<const W: usize> NorFlash for Nor<W> {
         let range = from as usize..to as usize;
         assert!(range.start.is_multiple_of(SECTOR) && range.end.is_multiple_of(SECTOR));
         for place in range.clone() {
-            // A sector that is being erased holds anything.
+            // During its erase a sector has any content.
             self.cells[place] ^= 0x5A;
         }
         for place in range {
@@ -110,7 +110,7 @@ fn image(gain: f32) -> [u8; IMAGE_BYTES] {
     bytes
 }
 
-/// An image with a sound checksum that promises another golden value than it gives.
+/// An image with the right checksum but a wrong golden value.
 fn forged(gain: f32) -> [u8; IMAGE_BYTES] {
     let mut forged = image(gain);
     forged[114] ^= 1;
@@ -123,13 +123,13 @@ fn id(image: &[u8; IMAGE_BYTES]) -> u32 {
     identity(image).unwrap()
 }
 
-/// What runs after a start: the slot and the image's id.
+/// The slot and image id that are loaded at a start.
 fn boot<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
     let flash = Nor { supply: usize::MAX, ..flash.clone() };
     Slots::new(flash, STARTS).load().map(|(slot, image)| (slot, image.id))
 }
 
-/// As [`boot`], by the checksums alone: fast enough to be asked after every byte.
+/// Like [`boot`], but by the checksums alone: fast enough to call after every byte.
 fn newest<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
     let mut slots = Slots::new(Nor { supply: usize::MAX, ..flash.clone() }, STARTS);
     let states = slots.states();
@@ -169,7 +169,7 @@ fn generations_wrap() {
     assert_eq!(by_age(&[SlotState::Torn, valid(3)])[..], [Slot::B]);
 }
 
-/// Cuts the supply after every single byte that a store erases or writes.
+/// Cuts the supply after each byte that a store erases or writes.
 fn survives_every_cut<const W: usize>() {
     let (old, new) = (image(1.0), image(2.0));
     let before = stored(stored(Nor::<W>::new(), &image(0.0)), &old);
@@ -183,7 +183,7 @@ fn survives_every_cut<const W: usize>() {
             Some((Slot::A, running)) if running == id(&new) => finished += 1,
             other => panic!("after a cut at {supply} runs {other:?}"),
         }
-        // Whatever the cut left behind, the next store succeeds.
+        // With any content that the cut has left, the next store succeeds.
         if supply % 97 == 0 || done {
             assert_eq!(boot(&slots.flash), newest(&slots.flash));
             let again = stored(Nor { supply: usize::MAX, ..slots.flash }, &image(3.0));
@@ -193,7 +193,7 @@ fn survives_every_cut<const W: usize>() {
             break;
         }
     }
-    assert!(finished <= UNIT, "only the filling after the commit word may be missing");
+    assert!(finished <= UNIT, "only the padding after the commit word may be missing");
 }
 
 #[test]
@@ -225,7 +225,7 @@ fn a_sound_image_that_the_decoder_refuses_falls_back_and_is_the_one_overwritten(
 }
 
 #[test]
-fn a_slot_that_cannot_be_read_is_not_overwritten_for_it() {
+fn an_unreadable_slot_is_not_overwritten() {
     let (old, new) = (image(1.0), image(2.0));
     let before = stored(stored(Nor::<4>::new(), &old), &new);
     let mut slots = Slots::new(Nor { unreadable: SECTOR, ..before.clone() }, STARTS);
@@ -258,7 +258,7 @@ fn an_image_without_its_commit_word_is_torn() {
 #[test]
 fn flash_that_does_not_keep_what_was_written_is_noticed() {
     let mut flash = Nor::<1>::new();
-    flash.cells[100] = 0; // stuck: the erase below is the only one that could mend it, and the slot is erased already
+    flash.cells[100] = 0; // stuck bits: no erase in this test restores them
     let mut slots = Slots::new(flash, STARTS);
     assert_eq!(slots.write(96, &[0xAA; 8]), Err(StoreError::Readback));
 }
@@ -266,7 +266,7 @@ fn flash_that_does_not_keep_what_was_written_is_noticed() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
-    /// Stores and cuts in any order: what runs is always the last image that was committed.
+    /// With stores and cuts in any order, the last committed image is always the one that runs.
     #[test]
     fn after_any_stores_and_cuts_the_last_commit_runs(events in prop::collection::vec((0u8..50, 0usize..15_000), 1..8)) {
         let mut flash = Nor::<4>::new();
