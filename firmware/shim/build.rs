@@ -1,4 +1,4 @@
-//! Links the shim to the memory that the firmware leaves free, and its examples, which are firmware, like the firmware.
+//! Links the shim to the memory that the firmware leaves free. Its examples are firmware, and are linked like the firmware.
 
 use std::path::PathBuf;
 use std::{env, fs, io};

@@ -1,19 +1,19 @@
-//! A small firmware that does on request, over USART1, what the shim has to answer for: clocks, flash, watchdog, plant.
+//! A small firmware that uses, on request over USART1, the parts that the shim models: clocks, flash, watchdog, plant port.
 //!
-//! A request has 12 bytes: a letter, three bytes that do not matter, two u32, little endian. Each is answered with two u32.
-//! A byte from 0x80 on in the place of a request is a hello, which is sent back.
+//! A request has 12 bytes: a letter, three ignored bytes, two u32, little endian. Each is answered with two u32. A byte of
+//! 0x80 or more in place of a request is a hello, which is sent back.
 //!
-//! | request | does | answer |
+//! | request | action | answer |
 //! |---|---|---|
-//! | `c` | | `RCC_CSR` at the start, clock of the core in Hz |
-//! | `e` offset, bytes | erases flash | 0 or 1 for an error |
-//! | `p` offset, value | programs a word of flash | 0 or 1 for an error |
-//! | `r` offset | | word of flash |
-//! | `f` ticks, µs | starts the watchdog, feeds it in each of so many ticks, and no more | ticks |
+//! | `c` | | `RCC_CSR` at the start, core clock in Hz |
+//! | `e` offset, bytes | erases flash | 0, or 1 for an error |
+//! | `p` offset, value | programs a word of flash | 0, or 1 for an error |
+//! | `r` offset | reads flash | the word; 0, or 1 for an error |
+//! | `f` ticks, µs | starts the watchdog and feeds it for this number of ticks only | ticks |
 //! | `h` µs | starts the watchdog and hangs | none |
 //! | `s` | resets the system | none |
-//! | `x` ticks | a frame to the plant and back in each tick | good answers, instructions per exchange |
-//! | `m` | | instructions per load from the clocks, per look at the plant port |
+//! | `x` ticks | sends a frame to the plant in each tick, and reads the answer | good answers, instructions per exchange |
+//! | `m` | | instructions per load from the clock registers, per load of the plant port's status |
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg_attr(target_os = "none", no_main)]
 
@@ -50,9 +50,9 @@ mod chip {
     const REQUEST_BYTES: usize = 12;
     const FIRST_HELLO: u8 = 0x80;
     const FRAME_BYTES: usize = 16;
-    /// Looks at the plant's line without a byte before it counts as silent.
+    /// Polls of the plant's line without a byte after which it counts as silent.
     const PATIENCE: u32 = 100;
-    /// Virtual nanoseconds of an instruction: QEMU's `-icount shift=3`.
+    /// Virtual time of an instruction with QEMU's `-icount shift=3`, ns.
     const INSTRUCTION_NS: u32 = 8;
 
     static TICKS: AtomicU32 = AtomicU32::new(0);
@@ -101,8 +101,8 @@ mod chip {
         config.baudrate = BAUD;
         let link = Uart::new_blocking(chip.USART1, chip.PA10, chip.PA9, config);
         let plant = Uart::new_blocking(chip.USART2, chip.PA3, chip.PA2, config);
-        let (Ok(mut link), Ok(plant)) = (link, plant) else { unreachable!("both speeds are possible") };
-        // Its registers are polled from here on.
+        let (Ok(mut link), Ok(plant)) = (link, plant) else { unreachable!("both baud rates are possible") };
+        // From here on its registers are polled.
         core::mem::forget(plant);
         if let Some(core) = cortex_m::Peripherals::take() {
             start_ticking(core.SYST);
@@ -135,7 +135,7 @@ mod chip {
             }
             let byte = pac::USART1.dr().read().dr() as u8;
             if length == 0 && byte >= FIRST_HELLO {
-                // Writing waits for room only, so it does not fail.
+                // Writing only waits for room, so it cannot fail.
                 let _ = link.blocking_write(&[byte]);
             } else {
                 request[length] = byte;
@@ -184,7 +184,7 @@ mod chip {
         }
     }
 
-    /// Under a name of its own, for a debugger to find.
+    /// Exported under its own name, so that a debugger can find it.
     #[unsafe(no_mangle)]
     #[inline(never)]
     extern "C" fn probe_feed() {
@@ -198,13 +198,13 @@ mod chip {
         }
     }
 
-    /// Frames that count up, to be answered with themselves.
+    /// Sends numbered frames, which the plant must echo.
     fn exchanges(ticks: u32) -> [u32; 2] {
         let (mut good, mut total_ns) = (0, 0_u64);
         for number in 0..ticks {
             wait_for_tick();
             let mut frame = [number as u8; FRAME_BYTES];
-            // Never all zeros, as a missing answer is.
+            // Never all zeros, which means a missing answer.
             frame[0] = u8::MAX;
             let start = now_ns();
             good += u32::from(exchange(&frame) == frame);
@@ -233,7 +233,7 @@ mod chip {
         answer
     }
 
-    /// Instructions that something takes.
+    /// Number of instructions of `something`.
     fn cost(something: impl Fn()) -> u32 {
         const TIMES: u32 = 64;
         let start = now_ns();
@@ -243,7 +243,7 @@ mod chip {
         now_ns().wrapping_sub(start) / INSTRUCTION_NS / TIMES
     }
 
-    /// Virtual time, wrapping: the shim has started this timer.
+    /// Virtual time, wrapping, from the timer that the shim has started.
     fn now_ns() -> u32 {
         pac::TIM5.cnt().read()
     }

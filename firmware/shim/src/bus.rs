@@ -1,4 +1,4 @@
-//! The modelled parts at their addresses.
+//! Routes accesses to the modelled parts by address.
 
 use crate::decode::Direction;
 use crate::flash::{self, Flash, Operation};
@@ -16,7 +16,7 @@ const GPIOA: u32 = 0x4002_0000;
 const GPIOB: u32 = 0x4002_0400;
 const RCC: u32 = 0x4002_3800;
 const FLASH: u32 = 0x4002_3C00;
-/// Each part has its registers at the start of this many bytes.
+/// Address range of each part, bytes; its registers are at the start.
 const PART_BYTES: u32 = 0x400;
 const SLOTS_LAST: u32 = flash::SLOTS + flash::SLOTS_BYTES - 1;
 
@@ -27,11 +27,11 @@ pub struct Region {
     pub address: u32,
     /// Length in bytes, a power of two.
     pub bytes: u32,
-    /// Loads do not fault.
+    /// Whether loads are allowed without a fault.
     pub readable: bool,
 }
 
-/// All of them; the memory protection unit has eight places.
+/// All regions; the memory protection unit supports eight.
 pub const REGIONS: [Region; 6] = [
     Region { address: RCC, bytes: 2 * PART_BYTES, readable: false },
     Region { address: GPIOA, bytes: 2 * PART_BYTES, readable: false },
@@ -51,29 +51,29 @@ pub fn is_refused(address: u32, direction: Direction) -> bool {
     }
 }
 
-/// What the models need from the outside.
+/// Environment of the models.
 pub trait Outside: Line {
-    /// Time in nanoseconds, wrapping.
+    /// Current time in nanoseconds, wrapping.
     fn now(&mut self) -> u32;
-    /// Changes the slots.
+    /// Changes the content of the slots.
     fn change(&mut self, operation: Operation);
     /// Cuts the power.
     fn cut_power(&mut self);
 }
 
-/// The modelled parts, but for what the record holds.
+/// The modelled parts, except their state in the record.
 #[derive(Clone, Debug)]
 pub struct Chip {
     rcc: Rcc,
     pwr: Pwr,
     flash: Flash,
-    /// The watchdog, which the tick looks at.
+    /// The watchdog, which the system tick checks.
     pub iwdg: Iwdg,
     plant_port: PlantPort,
 }
 
 impl Chip {
-    /// After a reset, with these reset flags.
+    /// The parts after a reset, with these reset flags.
     pub const fn new(reset_flags: u32) -> Self {
         Self {
             rcc: Rcc::new(reset_flags),
@@ -84,7 +84,7 @@ impl Chip {
         }
     }
 
-    /// What a load gives, extended by zeros.
+    /// Returns the result of a load, zero-extended.
     #[inline]
     pub fn load(&mut self, address: u32, width: Width, record: &Record, outside: &mut impl Outside) -> u32 {
         let offset = (address % PART_BYTES) & !3;
@@ -101,7 +101,7 @@ impl Chip {
         word >> (8 * (address & 3)) & width.mask()
     }
 
-    /// Does what a store does.
+    /// Executes a store.
     #[inline]
     pub fn store(
         &mut self,

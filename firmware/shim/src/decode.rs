@@ -1,34 +1,34 @@
-//! Thumb instructions that load or store one register, and what else is needed to go on behind them.
+//! Decodes Thumb instructions that load or store one register, and advances the program status past them.
 //!
 //! Encodings: `ARMv7-M` Architecture Reference Manual, A5.2.4 (16 bits), A5.3.7 to A5.3.10 (32 bits).
 
 use crate::store::Width;
 
-/// Stack pointer and program counter, which no access to a device goes to.
+/// Stack pointer and program counter, which no supported access uses.
 const SP: u16 = 13;
 const PC: u16 = 15;
 
-/// Which way the register goes.
+/// Direction of the transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// Memory to register; a narrow value is extended by zeros.
+    /// Memory to register; a narrow value is zero-extended.
     Load,
-    /// Memory to register; a narrow value is extended by its sign.
+    /// Memory to register; a narrow value is sign-extended.
     LoadSigned,
     /// Register to memory.
     Store,
 }
 
-/// What is added to the base register.
+/// Offset that is added to the base register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Offset {
-    /// A number.
+    /// A constant.
     Immediate(i32),
-    /// A register, shifted left.
+    /// The value of a register, shifted left.
     Register {
         /// Number of the register.
         number: u8,
-        /// By so many bits.
+        /// Number of bits of the shift.
         shift: u8,
     },
 }
@@ -36,22 +36,22 @@ pub enum Offset {
 /// A load or store of one register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Access {
-    /// Which way.
+    /// Direction of the transfer.
     pub direction: Direction,
-    /// How much.
+    /// Width of the transfer.
     pub width: Width,
     /// Number of the register, 0 to 12 or 14.
     pub register: u8,
-    /// Number of the register that holds the base of the address, 0 to 12 or 14.
+    /// Number of the register with the base address, 0 to 12 or 14.
     pub base: u8,
-    /// What is added to it.
+    /// Offset from the base.
     pub offset: Offset,
     /// Length of the instruction, bytes.
     pub length: u32,
 }
 
 impl Access {
-    /// Where it goes, with these values of the registers.
+    /// Address of the access for these register values.
     #[inline]
     pub fn address(&self, mut value: impl FnMut(u8) -> u32) -> u32 {
         let offset = match self.offset {
@@ -62,17 +62,17 @@ impl Access {
     }
 }
 
-/// The access that an instruction makes. None where going on behind it would take more than one register: forms that
-/// write the address back, that load or store several registers, exclusive and unprivileged ones; and none where the base is
-/// the stack pointer or the program counter, for no device lies there.
+/// Decodes an instruction. Returns none for forms that have further effects (write-back of the address, several registers,
+/// exclusive and unprivileged access), and if the base is the stack pointer or the program counter, since no device is
+/// there.
 ///
-/// `second` is looked at only if `first` begins an instruction of 32 bits.
+/// `second` is used only if `first` begins a 32-bit instruction.
 #[inline]
 pub fn decode(first: u16, second: u16) -> Option<Access> {
     if is_wide(first) { wide(first, second) } else { narrow(first) }
 }
 
-/// Whether a half-word begins an instruction of 32 bits.
+/// Whether a half-word begins a 32-bit instruction.
 #[inline]
 pub fn is_wide(first: u16) -> bool {
     first >> 11 >= 0b11101
@@ -132,7 +132,7 @@ fn wide(first: u16, second: u16) -> Option<Access> {
     } else if second >> 8 & 0xF == 0b1100 {
         Offset::Immediate(-i32::from(second & 0xFF))
     } else {
-        // Written back, or unprivileged.
+        // With write-back, or unprivileged.
         return None;
     };
     let single = first >> 9 == 0b111_1100;
@@ -142,13 +142,13 @@ fn wide(first: u16, second: u16) -> Option<Access> {
     Some(Access { direction, width, register: register as u8, base: base as u8, offset, length: 4 })
 }
 
-/// The program status register behind an instruction that was carried out in its place: the state of an IT block moves
-/// on by one instruction.
+/// The program status register after an emulated instruction: the state of an IT (if-then) block advances by one
+/// instruction.
 #[inline]
 pub fn behind(status: u32) -> u32 {
     const FIELD: u32 = 0x0600_FC00;
     let state = status >> 8 & 0xFC | status >> 25 & 3;
-    // The lower five bits hold the conditions to come; none is left once the last three are zero.
+    // The lower five bits contain the remaining conditions; the block ends when the last three are zero.
     let state = if state.trailing_zeros() >= 3 { 0 } else { state & 0xE0 | state << 1 & 0x1F };
     status & !FIELD | (state & 0xFC) << 8 | (state & 3) << 25
 }
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
     use Direction::{Load, LoadSigned, Store};
 
-    /// Based on r0.
+    /// An access with base r0.
     fn access(
         direction: Direction,
         width: Width,
@@ -256,7 +256,7 @@ mod tests {
         }
     }
 
-    /// A status with this IT state, all its other bits set.
+    /// A status with this IT state and all other bits set.
     fn status(it: u32) -> u32 {
         !0x0600_FC00 | (it & 0xFC) << 8 | (it & 3) << 25
     }

@@ -1,23 +1,23 @@
-//! Flash controller (RM0090, section 3): lock and keys, sector erase, programming by 8, 16 or 32 bits, error flags.
+//! Flash controller (RM0090, section 3): lock and keys, sector erase, programming of 8, 16 or 32 bits, error flags.
 //!
-//! Sectors 10 and 11, which hold the weights, can be changed. The program's own sectors count as write-protected. An
-//! operation takes no time: the busy flag is never seen.
+//! Sectors 10 and 11, which contain the weights, can be changed; the program's own sectors are write-protected. An
+//! operation takes no time, so the busy flag is never set.
 
 use crate::store::{Store, Width};
 
 /// First address of sector 10.
 pub const SLOTS: u32 = 0x080C_0000;
-/// Bytes of sectors 10 and 11 together.
+/// Length of sectors 10 and 11 together, bytes.
 pub const SLOTS_BYTES: u32 = 2 * SECTOR_BYTES;
-/// Bytes of one of the large sectors.
+/// Length of a large sector, bytes.
 pub const SECTOR_BYTES: u32 = 128 * 1024;
-/// What an erased byte reads.
+/// Value of an erased byte.
 pub const ERASED: u8 = 0xFF;
 
 const FIRST_SECTOR: u32 = 10;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// Status: end of operation, and why one was refused.
+/// Status register: end of operation, and reasons for refusing one.
 mod status {
     pub const END: u32 = 1;
     pub const PROTECTED: u32 = 1 << 4;
@@ -36,18 +36,18 @@ mod control {
     pub const LOCK: u32 = 1 << 31;
 }
 
-/// How far the key has been turned.
+/// State of the key sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Key {
-    /// No key given.
+    /// No key was written.
     Out,
-    /// The first of both.
+    /// The first key was written.
     Half,
-    /// A wrong one: locked until the next reset.
+    /// A wrong key was written: locked until the next reset.
     Broken,
 }
 
-/// The controller.
+/// The flash controller.
 #[derive(Clone, Debug)]
 pub struct Flash {
     access: u32,
@@ -57,7 +57,7 @@ pub struct Flash {
     key: Key,
 }
 
-/// What the memory behind the controller has to do.
+/// Operation on the memory behind the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     /// Set these bytes to [`ERASED`].
@@ -69,17 +69,17 @@ pub enum Operation {
     },
     /// Clear the bits that are zero in `value`.
     Program {
-        /// Address.
+        /// First address.
         address: u32,
-        /// Width.
+        /// Width of the value.
         width: Width,
-        /// New value.
+        /// Value to program.
         value: u32,
     },
 }
 
 impl Flash {
-    /// After a reset.
+    /// The controller after a reset.
     pub(crate) const fn new() -> Self {
         Self { access: 0, status: 0, control: control::LOCK, options: 0x0FFF_AAED, key: Key::Out }
     }
@@ -118,7 +118,7 @@ impl Flash {
         }
     }
 
-    /// A store to the control register, which is open.
+    /// A store to the unlocked control register.
     fn command(&mut self, value: u32) -> Option<Operation> {
         self.control = value & !control::START;
         if value & control::START == 0 {
@@ -139,7 +139,7 @@ impl Flash {
         Some(Operation::Erase { address, bytes: SECTOR_BYTES })
     }
 
-    /// A store to the flash itself.
+    /// A store to the flash memory.
     pub fn program(&mut self, address: u32, width: Width, value: u32) -> Option<Operation> {
         let refusal = if self.control & (control::LOCK | control::PROGRAM | control::ERASE_SECTOR)
             != control::PROGRAM
@@ -176,7 +176,7 @@ mod tests {
         flash
     }
 
-    /// Ready to program with words of 8 << `parallelism` bits.
+    /// A controller ready to program words of `8 << parallelism` bits.
     fn programming(parallelism: u32) -> Flash {
         let mut flash = unlocked();
         flash.write(0x10, Store::word(control::PROGRAM | parallelism << 8));
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_is_told_to_those_who_asked() {
+    fn the_end_of_an_operation_is_flagged_if_its_interrupt_is_enabled() {
         let mut flash = unlocked();
         flash.write(0x10, Store::word(erase(10) | control::END_INTERRUPT));
         assert_eq!(flash.read(0x0C), status::END);

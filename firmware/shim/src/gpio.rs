@@ -1,10 +1,10 @@
-//! Pins of one port (RM0090, section 8): what the program set, for a debugger to see.
+//! Pins of one port (RM0090, section 8): they keep the program's settings, which a debugger can read.
 //!
-//! Nothing is wired to the pins: an input reads what its pull resistor says, low without one.
+//! Nothing is connected to the pins: an input has the level of its pull resistor, and is low without one.
 
 use crate::store::Store;
 
-/// Bytes of registers.
+/// Length of the registers, bytes.
 pub const BYTES: u32 = 0x28;
 
 const MODER: usize = 0;
@@ -26,17 +26,17 @@ impl Gpio {
         Self { registers: [mode, 0, speed, pull, 0, 0, 0, 0, 0, 0] }
     }
 
-    /// From the words of its registers.
+    /// A port with these register values.
     pub fn from_words(registers: [u32; BYTES as usize / 4]) -> Self {
         Self { registers }
     }
 
-    /// Two bits per pin: 0 input, 1 output, 2 alternate function, 3 analogue.
+    /// Mode of a pin: 0 input, 1 output, 2 alternate function, 3 analogue.
     pub fn mode(&self, pin: u32) -> u32 {
         self.registers[MODER] >> (2 * pin) & 3
     }
 
-    /// Level at a pin.
+    /// Whether a pin is high.
     pub fn level(&self, pin: u32) -> bool {
         self.levels() >> pin & 1 == 1
     }

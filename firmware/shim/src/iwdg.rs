@@ -1,12 +1,12 @@
-//! Independent watchdog (RM0090, section 21): once started it counts down from the reload value at a 32 kHz clock
-//! behind a prescaler, and resets the chip at zero unless it is fed.
+//! Independent watchdog (RM0090, section 21): once started, it counts down from the reload value with a prescaled 32 kHz
+//! clock, and resets the chip at zero unless it is fed.
 
 use crate::store::Store;
 
 const KEY_FEED: u32 = 0xAAAA;
 const KEY_ACCESS: u32 = 0x5555;
 const KEY_START: u32 = 0xCCCC;
-/// Nanoseconds of a cycle of the watchdog's oscillator.
+/// Cycle of the watchdog's oscillator, ns.
 const CYCLE_NS: u64 = 31_250;
 
 /// The watchdog.
@@ -14,19 +14,19 @@ const CYCLE_NS: u64 = 31_250;
 pub struct Iwdg {
     prescaler: u32,
     reload: u32,
-    /// Prescaler and reload value may be written.
+    /// Whether prescaler and reload value are writable.
     open: bool,
     running: bool,
-    /// The reload value that the present countdown began with.
+    /// Reload value with which the current countdown began.
     begun: u32,
-    /// Time since the countdown began.
+    /// Time since the countdown began, up to `seen`.
     elapsed_ns: u64,
-    /// Reading of the clock at the last look.
+    /// Time of the last check, ns.
     seen: u32,
 }
 
 impl Iwdg {
-    /// After a reset.
+    /// The watchdog after a reset.
     pub(crate) const fn new() -> Self {
         Self {
             prescaler: 0,
@@ -39,8 +39,8 @@ impl Iwdg {
         }
     }
 
-    /// The word at an offset; zero where there is no register. New values are taken over at once, so the status, which
-    /// tells otherwise, is always zero.
+    /// The word at an offset; zero where there is no register. New values take effect at once, so the status, which reports
+    /// pending ones, is always zero.
     pub fn read(&self, offset: u32) -> u32 {
         match offset {
             4 => self.prescaler,
@@ -49,8 +49,8 @@ impl Iwdg {
         }
     }
 
-    /// Stores to an offset at a reading of the clock in nanoseconds, wrapping. If that feeds the running watchdog: the
-    /// time since the last feeding, nanoseconds.
+    /// Stores to an offset at time `now`, ns, wrapping. If that feeds the running watchdog, returns the time since the last
+    /// feeding, ns.
     pub fn write(&mut self, offset: u32, store: Store, now: u32) -> Option<u64> {
         match offset {
             0 => return self.key(store.bits(), now),
@@ -73,16 +73,16 @@ impl Iwdg {
         fed.filter(|_| key == KEY_FEED)
     }
 
-    /// Looks at the clock, which must not go round between two looks: whether the watchdog resets the chip.
+    /// Whether the watchdog has expired. Must be called at least once per wrap of the clock.
     pub fn expired(&mut self, now: u32) -> bool {
         self.elapsed_ns += u64::from(now.wrapping_sub(self.seen));
         self.seen = now;
         self.running && self.elapsed_ns >= self.timeout_ns()
     }
 
-    /// Time from feeding to reset.
+    /// Time from feeding to reset, ns.
     fn timeout_ns(&self) -> u64 {
-        // Above 6 the prescaler stays at 256.
+        // Values above 6 also divide by 256.
         let divider = 4 << self.prescaler.min(6);
         u64::from(self.begun + 1) * divider * CYCLE_NS
     }
@@ -94,7 +94,7 @@ mod tests {
 
     const MS: u32 = 1_000_000;
 
-    /// Started at 5 ms with a timeout of 10 ms: 80 cycles of 4 / 32 kHz.
+    /// A watchdog started at 5 ms with a timeout of 10 ms: 80 cycles of 4 / 32 kHz.
     fn started() -> Iwdg {
         let mut watchdog = Iwdg::new();
         watchdog.write(0, Store::word(KEY_ACCESS), 0);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn feeding_gives_the_whole_time_again_and_tells_the_gap() {
+    fn feeding_restarts_the_countdown_and_returns_the_gap() {
         let mut watchdog = started();
         assert!(!watchdog.expired(10 * MS));
         assert_eq!(watchdog.write(0, Store::word(KEY_FEED), 14 * MS), Some(9_000_000));
@@ -151,7 +151,7 @@ mod tests {
         watchdog.write(0, Store::word(KEY_ACCESS), 0);
         watchdog.write(4, Store::word(6), 0);
         watchdog.write(0, Store::word(KEY_START), 0);
-        // 4096 cycles of 8 ms are 32.768 s; the clock goes round every 4.29 s.
+        // 4096 cycles of 8 ms are 32.768 s; the clock wraps every 4.29 s.
         let seconds = (1..).find(|&s: &u32| watchdog.expired(s.wrapping_mul(1000 * MS)));
         assert_eq!(seconds, Some(33));
     }

@@ -1,19 +1,18 @@
-//! The parts of an STM32F405 that QEMU does not model, as pure register models, and the decoder of the instructions that
-//! access them.
+//! Register models of the parts of an STM32F405 that QEMU lacks, and a decoder for the instructions that access them.
 //!
-//! The `shim` program of this package is loaded into QEMU next to an *unchanged* firmware image. It makes the addresses
-//! of these parts inaccessible, takes the fault that each access to them then raises, decodes the load or store, and
-//! answers as the silicon would. What can be tested without a chip is here; the program holds the rest.
+//! QEMU loads the `shim` program of this package next to an *unchanged* firmware image. The shim makes the addresses of
+//! these parts inaccessible, handles the fault that each access then raises, decodes the load or store, and emulates it.
+//! Code that can be tested without a chip is in this library; the program contains the rest.
 //!
 //! | module | part of the chip |
 //! |---|---|
 //! | [`rcc`] | clocks: ready bits, reset flags |
 //! | [`pwr`] | supply: ready bits |
-//! | [`flash`] | flash controller, on the two slots for weights |
+//! | [`flash`] | flash controller, for the two weights slots |
 //! | [`iwdg`] | independent watchdog |
 //! | [`plant_port`] | USART2 as the line to the plant |
-//! | [`gpio`] | pins of ports A and B, for a debugger to see |
-//! | [`bus`] | all of them at their addresses |
+//! | [`gpio`] | pins of ports A and B, for a debugger |
+//! | [`bus`] | routing of accesses to these parts |
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -33,13 +32,13 @@ pub mod store;
 
 use core::ffi::CStr;
 
-/// The file that holds both slots, in QEMU's working directory as the pipes are. It is made if it is not there.
+/// File with both slots, in QEMU's working directory like the pipes. It is created if it does not exist.
 pub const FLASH_FILE: &CStr = c"flash.bin";
-/// Pipe to the plant: for each request its length, u16 little endian, and its bytes. A request without bytes says that
-/// the shim has started.
+/// Pipe to the plant: for each request its length, u16 little endian, and its bytes. A request without bytes reports
+/// the shim's start.
 pub const REQUEST_PIPE: &CStr = c"plant.request";
-/// Pipe from the plant: one answer to each request in the same form; without bytes for silence. Without the pipes the line
-/// is silent.
+/// Pipe from the plant: one answer to each request in the same form, empty if the plant does not answer. Without the pipes
+/// no plant is connected.
 pub const ANSWER_PIPE: &CStr = c"plant.answer";
-/// QEMU's exit code when the shim cannot go on.
+/// QEMU's exit code when the shim cannot continue.
 pub const EXIT_CODE: u32 = 70;

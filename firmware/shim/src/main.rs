@@ -1,7 +1,7 @@
-//! The shim: a small image that QEMU loads next to an unchanged firmware image and starts first.
+//! The shim: a small image that QEMU loads next to an unchanged firmware image, and that runs first.
 //!
-//! It lives in the upper 16 KiB of the core-coupled RAM. The firmware must leave that memory, the memory protection unit
-//! and the vector table's address alone. Compiled for any other system this is a program that says what it is for.
+//! It uses the upper 16 KiB of the core-coupled RAM. The firmware must not use that memory or the memory protection unit,
+//! or move the vector table. Compiled for any other system it only prints its purpose.
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg_attr(target_os = "none", no_main)]
 

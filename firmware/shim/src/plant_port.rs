@@ -1,12 +1,12 @@
-//! USART2 as the line to the plant (RM0090, section 30): a port without interrupts whose bytes go to the host at once.
+//! USART2 as the line to the plant (RM0090, section 30): a port without interrupts or transmission time.
 //!
-//! Sending never waits. What was sent goes to the host when the program looks at the status twice in a row and there is
-//! nothing to receive, which is how a program waits for an answer; between two bytes that it sends it looks once. The
-//! exchange takes no time on the chip.
+//! Sending never waits. The sent bytes go to the host when the program reads the status twice in a row and there is nothing
+//! to receive, since that is how a program waits for an answer; between two bytes that it sends it reads the status once.
+//! The exchange takes no time on the chip.
 
 use crate::store::Store;
 
-/// Bytes kept on each way.
+/// Buffer size in each direction, bytes.
 const BUFFER: usize = 256;
 
 const STATUS: u32 = 0x00;
@@ -14,30 +14,30 @@ const DATA: u32 = 0x04;
 const CONTROL_1: u32 = 0x0C;
 /// Offset of the last register.
 const LAST: u32 = 0x18;
-/// TXE and TC.
+/// Flags TXE and TC: the transmitter is empty.
 const SENT: u32 = 1 << 7 | 1 << 6;
-/// RXNE.
+/// Flag RXNE: a byte was received.
 const RECEIVED: u32 = 1 << 5;
-/// UE in the first control register.
+/// Bit UE in the first control register: the port is enabled.
 const ENABLED: u32 = 1 << 13;
 
 /// The other end of the line.
 pub trait Line {
-    /// Takes what was sent.
+    /// Takes the sent bytes.
     fn send(&mut self, bytes: &[u8]);
-    /// Fills a part of the buffer with what came; gives its length, zero if nothing came.
+    /// Copies received bytes to the buffer; returns their number, zero if there are none.
     fn receive(&mut self, bytes: &mut [u8]) -> usize;
 }
 
-/// The port.
+/// The serial port.
 #[derive(Clone, Debug)]
 pub struct PlantPort {
-    /// Baud rate and control registers: stored.
+    /// Values of baud rate and control registers.
     registers: [u32; LAST as usize / 4 + 1],
     outgoing: Queue,
     incoming: Queue,
     taken: usize,
-    /// The last access was to the status.
+    /// Whether the last access read the status.
     waiting: bool,
 }
 
@@ -58,7 +58,7 @@ impl Queue {
 }
 
 impl PlantPort {
-    /// After a reset.
+    /// The port after a reset.
     pub(crate) const fn new() -> Self {
         let registers = [0; LAST as usize / 4 + 1];
         Self { registers, outgoing: Queue::new(), incoming: Queue::new(), taken: 0, waiting: false }
@@ -133,7 +133,7 @@ mod tests {
     use std::collections::VecDeque;
     use std::vec::Vec;
 
-    /// Keeps what was sent and answers with what was prepared, in these pieces.
+    /// Stores the sent bytes and answers with prepared pieces.
     #[derive(Default)]
     struct Recorder {
         sent: Vec<Vec<u8>>,
@@ -158,7 +158,7 @@ mod tests {
         port
     }
 
-    /// As a driver sends: waits for room before each byte.
+    /// Sends like a driver, which waits for room before each byte.
     fn send(port: &mut PlantPort, line: &mut Recorder, bytes: &[u8]) {
         for &byte in bytes {
             assert_ne!(port.read(STATUS, line) & SENT, 0);
@@ -166,7 +166,7 @@ mod tests {
         }
     }
 
-    /// As a driver receives, at most `polls` looks without a byte in a row.
+    /// Receives like a driver, with at most `polls` consecutive polls without a byte.
     fn receive(port: &mut PlantPort, line: &mut Recorder, polls: usize) -> Vec<u8> {
         let (mut bytes, mut idle) = (Vec::new(), 0);
         while idle < polls {

@@ -1,9 +1,9 @@
-//! Power control (RM0090, section 5): regulators are ready as soon as they are asked for.
+//! Power control (RM0090, section 5): regulators are ready as soon as they are enabled.
 
 use crate::store::Store;
 
 const VOLTAGE_READY: u32 = 1 << 14;
-/// BRE, enable of the backup regulator, and BRR, its answer.
+/// BRE enables the backup regulator; BRR reports that it is ready.
 const BACKUP_ON: u32 = 1 << 9;
 const BACKUP_READY: u32 = 1 << 3;
 
@@ -15,7 +15,7 @@ pub struct Pwr {
 }
 
 impl Pwr {
-    /// After a reset.
+    /// The registers after a reset.
     pub(crate) const fn new() -> Self {
         Self { control: 0x4000, status: VOLTAGE_READY }
     }

@@ -1,12 +1,12 @@
-//! Reset and clock control (RM0090, section 7): oscillators are ready as soon as they are on, and the reset flags tell
-//! why the chip started.
+//! Reset and clock control (RM0090, section 7): oscillators are ready as soon as they are on, and the reset flags report
+//! the cause of the start.
 //!
-//! Nothing is passed on to QEMU's own model: it reads back what was written, and a reset of a serial port by way of it
+//! No access is passed on to QEMU's own model: that only returns written values, and resetting a serial port through it
 //! crashes QEMU 10.0.2.
 
 use crate::store::Store;
 
-/// Bytes of registers.
+/// Length of the registers, bytes.
 pub const BYTES: u32 = 0x94;
 
 const CR: usize = 0;
@@ -14,26 +14,26 @@ const CFGR: usize = 0x08 / 4;
 const BDCR: usize = 0x70 / 4;
 const CSR: usize = 0x74 / 4;
 
-/// HSION, HSEON, PLLON, PLLI2SON; the ready bit of each is the next.
+/// HSION, HSEON, PLLON, PLLI2SON; the bit above each is its ready bit.
 const CR_ON: u32 = 1 | 1 << 16 | 1 << 24 | 1 << 26;
-/// LSEON in BDCR and LSION in CSR; the ready bit of each is the next.
+/// LSEON in BDCR and LSION in CSR; the bit above each is its ready bit.
 const LOW_SPEED_ON: u32 = 1;
 const CSR_FLAGS: u32 = 0xFE00_0000;
 const CSR_REMOVE_FLAGS: u32 = 1 << 24;
 
-/// Why the chip started. Every cause pulls the reset pin, so the pin's flag comes with each.
+/// Cause of the chip's start. Every cause pulls the reset pin, so each also sets the pin's flag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetCause {
-    /// Power came: PORRSTF, BORRSTF.
+    /// The supply was switched on: PORRSTF, BORRSTF.
     PowerOn,
-    /// The program asked for it: SFTRSTF.
+    /// The program requested it: SFTRSTF.
     Software,
     /// The independent watchdog was not fed: IWDGRSTF.
     Watchdog,
 }
 
 impl ResetCause {
-    /// The flags that it sets in `RCC_CSR`.
+    /// Flags that this cause sets in `RCC_CSR`.
     pub const fn flags(self) -> u32 {
         const PIN: u32 = 1 << 26;
         match self {
@@ -51,7 +51,7 @@ pub struct Rcc {
 }
 
 impl Rcc {
-    /// After a reset, with the reset flags of this start and of those before it that were not removed.
+    /// The registers after a reset, with the flags of this start and those of earlier starts that were not cleared.
     pub const fn new(flags: u32) -> Self {
         let mut registers = [0; BYTES as usize / 4];
         registers[CR] = 0x83;
@@ -60,7 +60,7 @@ impl Rcc {
         Self { registers }
     }
 
-    /// The reset flags that a program would read now.
+    /// The current reset flags.
     pub fn flags(&self) -> u32 {
         self.registers[CSR] & CSR_FLAGS
     }
@@ -88,7 +88,7 @@ impl Rcc {
     }
 }
 
-/// The value with the bit above each of the `on` bits equal to it.
+/// Copies each of the `on` bits to the bit above it.
 fn ready(value: u32, on: u32) -> u32 {
     value & !(on << 1) | (value & on) << 1
 }

@@ -1,64 +1,63 @@
-//! What outlives a reset of the system, and what a debugger may want to know: at a fixed address, outside of everything
-//! that QEMU loads again.
+//! State that survives a system reset, and counters for a debugger: at a fixed address that QEMU does not reload.
 
 use core::mem::offset_of;
 
 use crate::gpio::Gpio;
 use crate::rcc::ResetCause;
 
-/// Where the record lies; the linker script says the same.
+/// Address of the record, as in the linker script.
 pub const ADDRESS: u32 = 0x1000_FF00;
-/// Its length in words.
+/// Length of the record, words.
 pub const WORDS: usize = size_of::<Record>() / 4;
-/// Where [`Record::power_cut`] lies.
+/// Address of [`Record::power_cut`].
 pub const POWER_CUT_ADDRESS: u32 = ADDRESS + offset_of!(Record, power_cut) as u32;
-/// Marks a record that was written by this program.
+/// Marks a record that this program has written.
 const MARK: u32 = 0x5265_6331;
-/// Words before the ports.
+/// Number of words before the ports.
 const PLAIN: usize = 13;
 
 /// QEMU's handles of open files.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Handles {
-    /// The file behind the slots; zero: not open.
+    /// File with the slots; zero: not open.
     pub flash: u32,
-    /// The pipe to the plant; zero: the line is silent.
+    /// Pipe to the plant; zero: no plant is connected.
     pub request: u32,
-    /// The pipe from the plant.
+    /// Pipe from the plant.
     pub answer: u32,
 }
 
-/// The record. Counts are those since power-on.
+/// The record. It counts from power-on.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Record {
     mark: u32,
-    /// Starts, the first included.
+    /// Number of starts, including the first.
     pub starts: u32,
-    /// Reset flags of `RCC_CSR` that the program has not removed.
+    /// Reset flags of `RCC_CSR` that the program has not cleared.
     pub reset_flags: u32,
-    /// The watchdog has expired and the reset is under way.
+    /// 1 if the watchdog has expired and caused the coming reset.
     expired: u32,
-    /// Resets by the watchdog.
+    /// Number of resets by the watchdog.
     pub watchdog_resets: u32,
-    /// Feedings of the running watchdog.
+    /// Number of feedings of the running watchdog.
     pub feeds: u32,
-    /// Longest time between two of them, nanoseconds; as much as fits for what is longer.
+    /// Longest time between two feedings, nanoseconds, saturating.
     pub longest_gap_ns: u32,
-    /// Loads and stores that were answered.
+    /// Number of emulated loads and stores.
     pub traps: u32,
     /// The open files.
     pub files: Handles,
-    /// Sectors erased and values programmed.
+    /// Number of erased sectors and programmed values.
     pub flash_operations: u32,
-    /// Count of flash operations at which the power is cut, for a debugger to set ([`POWER_CUT_ADDRESS`]); zero: never.
+    /// Number of flash operations at which the power is cut; a debugger sets it ([`POWER_CUT_ADDRESS`]); zero: never.
     pub power_cut: u32,
     /// Ports A and B.
     pub ports: [Gpio; 2],
 }
 
-/// Ports A and B after a reset, with the debugger's pins in use.
+/// Ports A and B after a reset, with the debugger's pins configured.
 const PORTS: [Gpio; 2] =
     [Gpio::new(0xA800_0000, 0x0C00_0000, 0x6400_0000), Gpio::new(0x0000_0280, 0x0000_00C0, 0x0000_0100)];
 
@@ -67,8 +66,8 @@ impl Record {
         Self { mark: MARK, ports: PORTS, ..Self::default() }
     }
 
-    /// Counts one more start of the chip and adds its cause to the reset flags. What is in memory is kept if this program
-    /// wrote it; if not, power has just come.
+    /// Counts a start of the chip and adds its cause to the reset flags. A record that this program has written is kept;
+    /// otherwise the power was just switched on.
     pub fn begin(&mut self) {
         let cause = if self.mark != MARK {
             *self = Self::at_power_on();
@@ -85,7 +84,7 @@ impl Record {
         self.ports = PORTS;
     }
 
-    /// The watchdog has expired: the next start has it as its cause.
+    /// Sets the watchdog as the cause of the next start.
     pub fn expire(&mut self) {
         self.expired = 1;
     }
@@ -96,7 +95,7 @@ impl Record {
         self.longest_gap_ns = self.longest_gap_ns.max(u32::try_from(gap_ns).unwrap_or(u32::MAX));
     }
 
-    /// The record in words read from [`ADDRESS`]; none if no shim has run there.
+    /// Decodes the words at [`ADDRESS`]; none if no shim has run.
     pub fn from_words(words: &[u32; WORDS]) -> Option<Self> {
         let (plain, ports) = words.split_first_chunk::<PLAIN>()?;
         let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *plain;
@@ -136,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_that_nobody_announced_is_the_programs_own() {
+    fn an_unannounced_start_is_a_software_reset() {
         let mut record = blank();
         record.begin();
         record.reset_flags = 0;

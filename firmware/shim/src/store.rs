@@ -1,4 +1,4 @@
-//! What a load or store transfers.
+//! Widths of loads and stores, and the effect of a narrow store on a word.
 
 /// Width of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,14 +18,14 @@ impl Width {
         self as u32
     }
 
-    /// A mask of this width at the lower end.
+    /// Mask for the lowest bits of this width.
     #[inline]
     pub fn mask(self) -> u32 {
         !0 >> (32 - 8 * self.bytes())
     }
 }
 
-/// A store as the word that it lies in sees it.
+/// A store in terms of the 32-bit word that contains its address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Store {
     value: u32,
@@ -47,13 +47,13 @@ impl Store {
         Self { value, mask: !0 }
     }
 
-    /// The bits stored, zeros elsewhere: for registers where ones act and zeros do nothing.
+    /// The stored bits, zeros elsewhere: for registers in which ones act and zeros have no effect.
     #[inline]
     pub fn bits(self) -> u32 {
         self.value
     }
 
-    /// The word's value after the store.
+    /// Value of the word after the store.
     #[inline]
     pub fn over(self, old: u32) -> u32 {
         old & !self.mask | self.value

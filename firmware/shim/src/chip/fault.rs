@@ -1,7 +1,7 @@
-//! The hard fault: answers refused accesses, and hands any other fault to the firmware.
+//! The hard fault handler: it emulates refused accesses, and passes any other fault on to the firmware.
 //!
-//! A refused access is known by its instruction alone. The core's fault registers would tell as well, but in QEMU each access
-//! to a register of the core costs more than all the rest of this.
+//! It recognises a refused access by its instruction. The core's fault registers would also show it, but in QEMU each access
+//! to a register of the core takes longer than the rest of the handler.
 
 use core::arch::naked_asm;
 use core::ops::Range;
@@ -14,19 +14,19 @@ use shim::store::Width;
 use super::files::Files;
 use super::{FIRMWARE_HARD_FAULT, registers};
 
-/// What the core has put on the stack: r0 to r3, r12, lr, pc, status.
+/// Registers that the core has pushed: r0 to r3, r12, lr, pc, status.
 type Frame = [u32; 8];
 const FRAME_R12: usize = 4;
 const FRAME_LR: usize = 5;
 const FRAME_PC: usize = 6;
 const FRAME_STATUS: usize = 7;
-/// What the core has left in its registers: r4 to r11.
+/// Registers that the core does not push: r4 to r11.
 type Kept = [u32; 8];
 
-/// Where programs run: flash without the slots, and RAM, without the last word of each.
+/// Memory in which programs run: flash without the slots, and RAM, each without its last word.
 const PROGRAM: [Range<u32>; 2] = [0x0800_0000..0x080B_FFFC, 0x2000_0000..0x2001_FFFC];
 
-/// Runs on the shim's own stack, so that the firmware needs no more than the frame that the core has put on its own.
+/// Switches to the shim's own stack, so that the firmware's stack only needs room for the frame that the core pushes.
 #[unsafe(naked)]
 pub unsafe extern "C" fn hard_fault() {
     naked_asm!(
@@ -54,13 +54,13 @@ pub unsafe extern "C" fn hard_fault() {
     )
 }
 
-/// Carries out the refused instruction on the models. False if the fault has another cause, or the instruction is none
-/// that can be carried out: then it is the firmware's.
+/// Emulates the refused instruction with the models. Returns false if the fault has another cause or the instruction is not
+/// supported: then the firmware handles it.
 unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
     let Some(access) = instruction(frame[FRAME_PC]) else { return false };
     let address = access.address(|number| *register(number, frame, kept));
     if !bus::is_refused(address, access.direction) {
-        // The firmware shall see the status of its own fault alone.
+        // The firmware must see the status of its own fault only.
         registers::forget_refusals();
         return false;
     }
@@ -85,20 +85,20 @@ unsafe extern "C" fn answer(frame: &mut Frame, kept: &mut Kept) -> bool {
     true
 }
 
-/// The load or store at an address, if there is a program at all.
+/// The load or store at an address, if a program can be there.
 #[inline]
 fn instruction(address: u32) -> Option<Access> {
     if !PROGRAM.iter().any(|memory| memory.contains(&address)) {
         return None;
     }
-    // SAFETY: there is memory, and no instruction begins at its last bytes.
+    // SAFETY: the address is in memory, and the range excludes the last word, so both halves can be read.
     let half = |address: u32| unsafe { read_volatile(with_exposed_provenance::<u16>(address as usize)) };
     let first = half(address);
     let second = if decode::is_wide(first) { half(address + 2) } else { 0 };
     decode::decode(first, second)
 }
 
-/// Where a register's value is while the fault is handled.
+/// Location of a register's value during the handler.
 #[inline]
 fn register<'a>(number: u8, frame: &'a mut Frame, kept: &'a mut Kept) -> &'a mut u32 {
     match number {

@@ -1,4 +1,4 @@
-//! What lies in files of the host: the slots, and the pipes to and from the plant.
+//! Access to files of the host: the slots, and the pipes to and from the plant.
 
 use shim::bus::Outside;
 use shim::flash::{ERASED, Operation, SLOTS, SLOTS_BYTES};
@@ -8,21 +8,21 @@ use shim::record::{Handles, Record};
 use super::registers;
 use super::semihosting::{self, CREATE, READ, UPDATE, write};
 
-/// Bytes that are erased at once.
+/// Bytes written at once for an erase.
 const PAGE: usize = 512;
 /// Bytes sent to the plant at once.
 const PIECE: usize = 256;
 
 static ERASED_PAGE: [u8; PAGE] = [ERASED; PAGE];
-/// Bytes of the plant's answer that are still to be read.
+/// Unread bytes of the plant's answer.
 static mut ANSWER_LEFT: u32 = 0;
 
-/// Opens what is not open since an earlier start, and loads the slots.
+/// Opens all files that are not open since an earlier start, and loads the slots.
 pub fn open(record: &mut Record) {
     if record.files.flash == 0 {
         let name = shim::FLASH_FILE;
         let file = semihosting::open(name, UPDATE).or_else(|| semihosting::open(name, CREATE));
-        let Some(file) = file else { semihosting::fail(c"shim: cannot open flash.bin\n") };
+        let Some(file) = file else { semihosting::fail(c"shim: cannot open or create flash.bin\n") };
         record.files.flash = file;
         let present = semihosting::length(file).min(SLOTS_BYTES);
         erase(file, present, SLOTS_BYTES - present);
@@ -31,7 +31,7 @@ pub fn open(record: &mut Record) {
     load(record.files.flash, 0, SLOTS_BYTES);
 }
 
-/// Opens the line to the plant, if there is one, and tells the host that the shim has started.
+/// Opens the pipes to the plant, if they exist, and reports the shim's start to the host.
 fn open_plant(record: &mut Record) {
     let answer = semihosting::open(shim::ANSWER_PIPE, READ);
     let request = answer.and_then(|_| semihosting::open(shim::REQUEST_PIPE, UPDATE));
@@ -52,18 +52,18 @@ fn erase(file: u32, offset: u32, bytes: u32) {
     }
 }
 
-/// Makes a part of the slots what the file says.
+/// Loads a part of the slots from the file.
 fn load(file: u32, offset: u32, bytes: u32) {
     semihosting::seek(file, offset);
-    // SAFETY: the slots are memory of the firmware, which reads them without caching: they can change under its feet on
-    // the chip as well.
+    // SAFETY: the slots are memory of the firmware, whose content changes on the chip as well when flash is erased or
+    // programmed.
     let read = unsafe { semihosting::read_to(file, SLOTS + offset, bytes) };
     if read != bytes {
         semihosting::fail(c"shim: flash.bin is too short\n");
     }
 }
 
-/// The outside of the models, by the open files.
+/// Environment of the models, implemented by the open files.
 pub struct Files(pub Handles);
 
 impl Line for Files {
@@ -75,12 +75,12 @@ impl Line for Files {
         let bytes = &bytes[..bytes.len().min(PIECE)];
         frame[..2].copy_from_slice(&(bytes.len() as u16).to_le_bytes());
         frame[2..2 + bytes.len()].copy_from_slice(bytes);
-        // Whole or not at all: the host would wait for the rest.
+        // In one write: with a part of a frame the host would wait for the rest.
         write(self.0.request, &frame[..2 + bytes.len()]);
         let mut length = [0; 2];
         self.read(&mut length[..1]);
         self.read(&mut length[1..]);
-        // SAFETY: only the hard fault uses it, or the start before it.
+        // SAFETY: only the hard fault and, before it, the start use it.
         unsafe { ANSWER_LEFT = u16::from_le_bytes(length).into() };
     }
 
@@ -100,10 +100,10 @@ impl Line for Files {
 }
 
 impl Files {
-    /// Some bytes of the plant's answer, at least one.
+    /// Reads bytes of the plant's answer, at least one.
     fn read(&mut self, bytes: &mut [u8]) -> usize {
         match semihosting::read(self.0.answer, bytes) {
-            // Whoever started QEMU has gone, so QEMU goes too.
+            // The process that started QEMU has ended, so QEMU must end too.
             0 => semihosting::fail(c"shim: the plant has closed the line\n"),
             read => read,
         }
@@ -117,7 +117,7 @@ impl Outside for Files {
     }
 
     fn change(&mut self, operation: Operation) {
-        // The file first: what the firmware has seen stored outlives the end of QEMU.
+        // The file first: data that the firmware has seen as stored survives the end of QEMU.
         let file = self.0.flash;
         match operation {
             Operation::Erase { address, bytes } => {

@@ -1,7 +1,7 @@
-//! Start of the shim, and its state.
+//! The shim's start and state.
 //!
-//! Everything here runs before the firmware, in the hard fault that only the firmware's own instructions raise, or in the
-//! system tick, which raises none: at any time one of them at most uses the state.
+//! All code here runs before the firmware, in the hard fault handler (only the firmware's instructions raise that fault), or
+//! in the system tick, which raises none. So at most one of them uses the state at any time.
 
 mod fault;
 mod files;
@@ -17,9 +17,9 @@ use core::ptr::addr_of_mut;
 use shim::bus::{Chip, REGIONS};
 use shim::record::Record;
 
-/// Where the firmware's vector table lies: first its stack pointer, then its entry.
+/// Address of the firmware's vector table, which begins with its stack pointer and its entry.
 const FIRMWARE: u32 = 0x0800_0000;
-/// Vectors of the core and of 82 interrupts, and more room than the table can take in its alignment.
+/// Number of vectors: at least those of the core and of 82 interrupts.
 const VECTORS: usize = 112;
 const HARD_FAULT: usize = 3;
 const SYSTEM_TICK: usize = 15;
@@ -39,22 +39,22 @@ static mut RECORD: MaybeUninit<Record> = MaybeUninit::uninit();
 /// The modelled parts.
 ///
 /// # Safety
-/// One caller at a time; see the head of this file.
+/// Only one caller may use it at a time; see the module documentation.
 unsafe fn chip() -> &'static mut Chip {
-    // SAFETY: by contract nobody else holds it.
+    // SAFETY: by contract there is no other reference.
     unsafe { &mut *addr_of_mut!(CHIP) }
 }
 
-/// The record. Before its start it may hold anything, and any words make a record.
+/// The record. Before [`Record::begin`] it has any content; all bit patterns are valid.
 ///
 /// # Safety
 /// As for [`chip`].
 unsafe fn record() -> &'static mut Record {
-    // SAFETY: by contract nobody else holds it; it is made of words alone, so that memory is initialised for it as it is.
+    // SAFETY: by contract there is no other reference, and the record consists of words, which are valid with any content.
     unsafe { (*addr_of_mut!(RECORD)).assume_init_mut() }
 }
 
-/// The first instruction after every reset. The firmware's stack is not touched.
+/// Entry after every reset. It does not use the firmware's stack.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]
 extern "C" fn shim_entry() -> ! {
@@ -74,11 +74,11 @@ extern "C" fn start() -> ! {
     }
     registers::enable_protection();
     let [stack, entry] = [FIRMWARE, FIRMWARE + 4].map(registers::read);
-    // SAFETY: these are the firmware's own initial stack pointer and entry, as the core would take them from its vectors.
+    // SAFETY: these are the firmware's own initial stack pointer and entry, as the core would load them from its vectors.
     unsafe { asm!("dsb", "isb", "msr msp, {}", "bx {}", in(reg) stack, in(reg) entry, options(noreturn)) }
 }
 
-/// Puts a copy of the firmware's vectors in their place, with the two handlers of this program in it.
+/// Replaces the firmware's vector table by a copy with the shim's two handlers.
 fn take_vectors() {
     // SAFETY: nothing else runs yet.
     let table = unsafe { &mut (*addr_of_mut!(VECTOR_TABLE)).0 };

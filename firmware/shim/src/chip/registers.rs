@@ -1,4 +1,4 @@
-//! Registers of the core that the shim uses, and the timer that is its clock.
+//! The core's registers that the shim uses, and the timer that serves as its clock.
 
 use core::ptr::{read_volatile, write_volatile};
 
@@ -10,33 +10,33 @@ const PROTECTION_CONTROL: u32 = 0xE000_ED94;
 const REGION_NUMBER: u32 = 0xE000_ED98;
 const REGION_ADDRESS: u32 = 0xE000_ED9C;
 const REGION_ATTRIBUTES: u32 = 0xE000_EDA0;
-/// TIM5: in QEMU it counts nanoseconds of virtual time, whatever the clocks are set to.
+/// TIM5: in QEMU it counts nanoseconds of virtual time, independent of the clock settings.
 const TIMER_CONTROL: u32 = 0x4000_0C00;
 const TIMER_COUNT: u32 = 0x4000_0C24;
 
-/// A word of memory or of a register.
+/// Reads a word of memory or a register.
 #[inline]
 pub fn read(address: u32) -> u32 {
-    // SAFETY: called with addresses of registers above and of the firmware's flash, which may all be read.
+    // SAFETY: called with addresses of the registers above and of the firmware's flash, which may all be read.
     unsafe { read_volatile(address as *const u32) }
 }
 
 #[inline]
 fn write(address: u32, value: u32) {
-    // SAFETY: called with addresses of the registers above, none of which touches memory that Rust knows of.
+    // SAFETY: called with addresses of the registers above, none of which affects memory that Rust manages.
     unsafe { write_volatile(address as *mut u32, value) }
 }
 
-/// Takes the vectors from here.
+/// Sets the address of the vector table.
 pub fn set_vectors(address: u32) {
     write(VECTOR_TABLE, address);
 }
 
-/// Lets accesses to a region fault.
+/// Makes accesses to a region fault.
 pub fn protect(number: u32, region: &Region) {
     const EXECUTE_NEVER: u32 = 1 << 28;
     const READ_ONLY: u32 = 5 << 24;
-    /// Normal memory, without which the core would not let code run or read unaligned.
+    /// Normal memory; otherwise the core could not execute code or make unaligned loads there.
     const NORMAL: u32 = 1 << 17;
     const ENABLE: u32 = 1;
     let access = if region.readable { READ_ONLY | NORMAL } else { EXECUTE_NEVER };
@@ -45,14 +45,14 @@ pub fn protect(number: u32, region: &Region) {
     write(REGION_ATTRIBUTES, access | (region.bytes.ilog2() - 1) << 1 | ENABLE);
 }
 
-/// Protects the regions, and them alone; the hard fault is exempt.
+/// Enables the protection of the regions only; the hard fault handler is exempt.
 pub fn enable_protection() {
     const ENABLE: u32 = 1;
     const ELSEWHERE_AS_WITHOUT: u32 = 1 << 2;
     write(PROTECTION_CONTROL, ENABLE | ELSEWHERE_AS_WITHOUT);
 }
 
-/// Forgets that accesses were refused.
+/// Clears the status of refused accesses.
 pub fn forget_refusals() {
     const REFUSED_AT_ADDRESS: u32 = 1 << 7 | 1 << 1;
     write(FAULT_STATUS, REFUSED_AT_ADDRESS);
@@ -63,7 +63,7 @@ pub fn start_clock() {
     write(TIMER_CONTROL, 1);
 }
 
-/// Nanoseconds, wrapping.
+/// Current time in nanoseconds, wrapping.
 #[inline]
 pub fn now() -> u32 {
     read(TIMER_COUNT)

@@ -1,7 +1,7 @@
-//! The system tick: looks at the watchdog, then goes on to the firmware's own handler.
+//! The system tick handler: it checks the watchdog, then jumps to the firmware's own handler.
 //!
-//! So a firmware that hangs with its system tick running and let through is reset. One that masks all interrupts for
-//! ever is not, unlike on the chip.
+//! So a firmware that hangs with its system tick running and unmasked is reset. A firmware that masks all interrupts
+//! permanently is not, unlike on the chip.
 
 use core::arch::naked_asm;
 
@@ -21,9 +21,9 @@ pub unsafe extern "C" fn system_tick() {
     )
 }
 
-/// Resets the system if the watchdog has not been fed.
+/// Resets the system if the watchdog has expired.
 extern "C" fn look() {
-    // SAFETY: the tick interrupts only the firmware, and accesses nothing that faults.
+    // SAFETY: the tick interrupts only the firmware, and makes no access that faults.
     let watchdog = unsafe { &mut super::chip().iwdg };
     if watchdog.expired(registers::now()) {
         // SAFETY: as above.
