@@ -1,8 +1,8 @@
-//! The ventilator's firmware for an STM32F405: pins, interrupts and tasks around the ventilator of `shared`.
+//! The ventilator's firmware for an STM32F405 or STM32F446: pins, interrupts and tasks around the device of `shared`.
 //!
-//! Computations that need no chip stand in `shared`, where host and tests use them too. Build with
-//! `cargo xtask firmware`. Compiled for any other system this is a program that says so, which keeps
-//! `cargo check --workspace` working.
+//! Computations that need no chip are in `shared`, where host and tests use them too. Build it with
+//! `cargo xtask firmware`. Compiled for any other system it only prints how to build it, so that
+//! `cargo check --workspace` works.
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg_attr(target_os = "none", no_main)]
 

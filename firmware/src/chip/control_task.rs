@@ -1,4 +1,4 @@
-//! The control task: one tick of the device per millisecond, the watchdog last.
+//! The control task: it runs one tick of the device per millisecond and feeds the watchdog last.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
@@ -17,26 +17,26 @@ use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
 use super::drivers::{clock, link_uart, taken_once};
 
-/// Reports that can wait for the link task: more than a tenth of a second of samples.
+/// Capacity of the queue of reports to the link task: more than 0.1 s of samples.
 const REPORTS_LENGTH: usize = 128;
 
-/// From the link task; one at a time.
+/// Request from the link task; one at a time.
 pub static REQUEST: Signal<CriticalSectionRawMutex, ControlRequest> = Signal::new();
-/// To the link task.
+/// Reply to the link task.
 pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
-/// To the link task.
+/// Reports to the link task.
 pub static REPORTS: Channel<CriticalSectionRawMutex, ControlReport, REPORTS_LENGTH> = Channel::new();
 
-/// The device's control half. Kept here and built in place: as part of the task it would be moved over the stack.
+/// The device's control half. Static and built in place: as part of the task it would be moved through the stack.
 static CONTROL: StaticCell<Control> = StaticCell::new();
 
-/// Makes the control half. Called once.
+/// Builds the control half. Called once.
 #[inline(never)]
 pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Control {
     CONTROL.init_with(|| taken_once(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
 }
 
-/// Never returns.
+/// Runs the ticks; never returns.
 #[embassy_executor::task]
 pub async fn run(
     control: &'static mut Control,
@@ -67,7 +67,7 @@ pub async fn run(
     }
 }
 
-/// Ticks missed since the last one, and the cycles between the starts of two that followed each other.
+/// Ticks missed since the last one, and the cycles between the starts of two consecutive ticks.
 fn since(before: Option<(u32, u32)>, number: u32, begun: u32) -> (u32, Option<u32>) {
     let Some((last, start)) = before else { return (0, None) };
     let missed = number.wrapping_sub(last).wrapping_sub(1);

@@ -1,7 +1,7 @@
-//! Failures of the program: the valves go to their safe state, the reason is kept, and
-//! the chip restarts in standby.
+//! Failures of the program (panic, hard fault): the valves go to their safe state, the reason is kept, and the chip restarts
+//! in standby.
 //!
-//! After a restart nothing moves until a host asks for it, and the greeting tells the reason.
+//! After the restart nothing moves until a host requests it, and the greeting contains the reason.
 
 use core::fmt::Write;
 use core::mem::MaybeUninit;
@@ -16,10 +16,10 @@ use shared::link::messages::FAILURE_BYTES;
 
 use super::board;
 
-/// Marks a note that was written by this program.
+/// Marks a note that this program has written.
 const MARK: u32 = 0x4661_696C;
 
-/// A failure's reason, kept in memory that no start of the program touches.
+/// Reason of a failure, in memory that the program's start does not initialise.
 struct Note {
     mark: u32,
     length: usize,
@@ -29,9 +29,9 @@ struct Note {
 #[unsafe(link_section = ".uninit.failure")]
 static mut NOTE: MaybeUninit<Note> = MaybeUninit::uninit();
 
-/// The reason of the last failure, once; none if the program did not fail. Called before anything else runs.
+/// Returns the reason of the last failure once; none if the program did not fail. Called before anything else runs.
 pub fn of_last_run() -> Option<String<FAILURE_BYTES>> {
-    // SAFETY: nothing else runs yet, and every bit pattern is a valid note; what was never written lacks the mark.
+    // SAFETY: nothing else runs yet, and every bit pattern is a valid note; memory that was never written lacks the mark.
     let note = unsafe { (*addr_of_mut!(NOTE)).assume_init_mut() };
     let kept = core::mem::replace(&mut note.mark, 0) == MARK;
     let text = note.text.get(..note.length).filter(|_| kept)?;
@@ -43,7 +43,7 @@ fn panic(info: &PanicInfo) -> ! {
     stop_safely();
     let place = info.location().map_or(("", 0), |place| (place.file(), place.line()));
     let mut text = Text(String::new());
-    // What does not fit is cut off.
+    // Text that does not fit is cut off.
     let _ = write!(text, "{}:{}: {}", place.0, place.1, info.message());
     restart(&text.0)
 }
@@ -65,12 +65,12 @@ fn restart(text: &str) -> ! {
     error!("{}", Display2Format(text));
     let mut note = Note { mark: MARK, length: text.len(), text: [0; FAILURE_BYTES] };
     note.text[..text.len()].copy_from_slice(text.as_bytes());
-    // SAFETY: interrupts are off, so nobody else uses the note.
+    // SAFETY: interrupts are off, so no other code uses the note.
     unsafe { addr_of_mut!(NOTE).write(MaybeUninit::new(note)) };
     SCB::sys_reset()
 }
 
-/// Text that is cut off where the room ends.
+/// Text that is cut off at the capacity.
 struct Text(String<FAILURE_BYTES>);
 
 impl Write for Text {

@@ -1,4 +1,4 @@
-//! The link task: moves bytes, requests and reports between the line, the server and the control task; owns the flash.
+//! The link task: it passes bytes, requests and reports between the line, the server and the control task, and owns the flash.
 
 use embassy_futures::select::{Either, select};
 use shared::device::server::{DeviceFacts, NextStep, Server};
@@ -19,26 +19,26 @@ pub const VERSION: [u16; 3] = [
     number(env!("CARGO_PKG_VERSION_MINOR")),
     number(env!("CARGO_PKG_VERSION_PATCH")),
 ];
-/// Bytes taken from the line at once.
+/// Most bytes read from the line at once.
 const CHUNK: usize = 64;
 
 const fn number(digits: &str) -> u16 {
     match u16::from_str_radix(digits, 10) {
         Ok(number) => number,
-        Err(_) => panic!("cargo gives versions in digits"),
+        Err(_) => panic!("cargo gives version numbers in digits"),
     }
 }
 
-/// The device's server. Kept here and built in place: as part of the task it would be moved over the stack.
+/// The device's server half. Static and built in place: as part of the task it would be moved through the stack.
 static SERVER: StaticCell<Server<'static>> = StaticCell::new();
 
-/// Makes the server. Called once.
+/// Builds the server. Called once.
 #[inline(never)]
 pub fn prepare(facts: DeviceFacts) -> &'static mut Server<'static> {
     SERVER.init_with(|| Server::new(facts, recorder::memory()))
 }
 
-/// Never returns.
+/// Serves the link; never returns.
 #[embassy_executor::task]
 pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsFlash>) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
@@ -69,7 +69,7 @@ pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsF
     }
 }
 
-/// Takes a request to its answer.
+/// Handles a request up to its answer.
 async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request: &ToDevice) {
     let mut step = server.receive(request);
     loop {
@@ -80,7 +80,7 @@ async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request
                 server.control_replied(REPLY.wait().await)
             }
             NextStep::Store => {
-                // The core stands still while a sector is erased.
+                // The core stalls while a sector is erased.
                 let stored = watchdog::with_long_timeout(|| slots.store(server.image()));
                 server.stored(stored.ok().map(|(slot, _)| slot), slots.states())
             }

@@ -1,11 +1,11 @@
-//! Everything that runs on the chip: start, the 1 kHz control task, the link task.
+//! The program on the chip: start, the 1 kHz control task, the link task.
 //!
-//! | runs | priority | does |
+//! | context | priority | work |
 //! |---|---|---|
-//! | `SysTick` | 0 | announces a tick |
-//! | USART1 | 2 | takes and gives the link's bytes |
+//! | `SysTick` | 0 | signals a tick |
+//! | USART1 | 2 | receives and sends the link's bytes |
 //! | control task, in the interrupt of an unused CAN port | 4 | reads, steps the ventilator, drives the valves, feeds the watchdog |
-//! | link task, in the interrupt of another | 14 | answers the host, sends telemetry, stores weights |
+//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights |
 //! | idle loop | thread | sleeps until the next interrupt |
 
 mod board;
@@ -39,7 +39,7 @@ fn main() -> ! {
     }
 }
 
-/// Starts everything. A function of its own, because `main` never gives its part of the stack back.
+/// Starts everything. It is a separate function because `main` never returns and so never frees its stack frame.
 #[inline(never)]
 fn start() {
     let failure = failure::of_last_run();
@@ -74,7 +74,7 @@ fn start() {
 
 #[interrupt]
 unsafe fn CAN2_SCE() {
-    // SAFETY: this is the interrupt that the executor was started with, and nobody else calls it.
+    // SAFETY: the executor was started with this interrupt, and no other code calls it.
     unsafe { CONTROL.on_interrupt() }
 }
 

@@ -1,5 +1,4 @@
-//! The flight recorder's memory: a region of its own, which memory.x keeps from every section, so that a reset leaves it
-//! as it is.
+//! The flight recorder's memory: a region in memory.x without any section, so that a reset does not change it.
 
 use core::ptr::addr_of;
 
@@ -12,14 +11,14 @@ unsafe extern "C" {
     static __recorder_end: u8;
 }
 
-/// The recorder's memory, for readers. [`attach`] makes it a recorder.
+/// The recorder's memory, for readers; [`attach`] initialises it.
 pub fn memory() -> &'static RecorderMemory {
-    // SAFETY: the region is RAM that nothing else uses, it begins at a word's boundary, `attach` checks its length before
-    // anyone reads, and every bit pattern in it is valid, for it consists of atomics.
+    // SAFETY: the region is RAM that nothing else uses and is aligned to words, `attach` checks its length before the first
+    // access, and every bit pattern is valid because it consists of atomics.
     unsafe { &__recorder_start }
 }
 
-/// Takes over what the last run left. Called once, before anyone reads.
+/// Attaches to the content that the last run left. Called once, before the first reader.
 pub fn attach(
     cause: ResetCause,
     failed: bool,
@@ -27,7 +26,7 @@ pub fn attach(
     running: Option<Slot>,
 ) -> Recorder<'static> {
     let room = addr_of!(__recorder_end) as usize - addr_of!(__recorder_start) as usize;
-    assert!(room >= size_of::<RecorderMemory>(), "memory.x leaves too little room for the flight recorder");
+    assert!(room >= size_of::<RecorderMemory>(), "RECORDER in memory.x is too small for the flight recorder");
     let weights = running.and_then(|slot| slots[slot as usize].id());
     Recorder::attach(memory(), Boot { cause, failed, weights })
 }

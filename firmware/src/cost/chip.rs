@@ -1,4 +1,4 @@
-//! The measurements: each part is run many times on changing inputs, as in a breath.
+//! The measurements: each part runs many times on changing inputs, as in a breath.
 
 use core::hint::black_box;
 use core::panic::PanicInfo;
@@ -31,11 +31,11 @@ use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 use super::exact_lung::ExactLung;
 use super::fixture::{Numbers, RUNS, reference_bits, relu};
 
-/// Nanoseconds of an instruction: two to the power of QEMU's icount shift.
+/// QEMU's `-icount shift`: an instruction takes 2 to this power nanoseconds.
 const INSTRUCTION_SHIFT: u32 = 3;
-/// Clock of the board that the costs are for; only the tick statistics need it.
+/// Core clock of the main board, Hz; only the tick statistics need it.
 const CORE_HZ: u32 = 168_000_000;
-/// Ticks of a breath of the closed loop.
+/// Ticks per breath of the closed loop.
 const TICKS: u32 = 3000;
 
 /// Mean and worst cost of a part, instructions.
@@ -49,7 +49,7 @@ struct Cost {
 impl Cost {
     const NONE: Self = Self { runs: 0, total: 0, worst: 0 };
 
-    /// Counts one run of some work.
+    /// Measures one run of `work`.
     fn of<T>(&mut self, work: impl FnOnce() -> T) -> T {
         let start = TIM5.cnt().read();
         let result = black_box(work());
@@ -60,14 +60,14 @@ impl Cost {
         result
     }
 
-    /// Takes in the runs of another count.
+    /// Adds the runs of another measurement.
     fn add(&mut self, other: &Self) {
         self.runs += other.runs;
         self.total += other.total;
         self.worst = self.worst.max(other.worst);
     }
 
-    /// Prints the part without what the counting itself costs.
+    /// Prints mean and worst cost without the cost of the measurement itself.
     fn print(&self, name: &str, counting: &Self) {
         let mean = self.total / u64::from(self.runs.max(1)) - u64::from(counting.worst);
         hprintln!("{} {} {}", name, mean, self.worst - counting.worst);
@@ -91,11 +91,11 @@ fn main() -> ! {
     recording(&counting);
     ticks(&counting);
     debug::exit(debug::EXIT_SUCCESS);
-    unreachable!("the emulator has ended")
+    unreachable!("QEMU has ended")
 }
 
-/// The reference network, 40-32-32-1, with the peers' activation and with the product's. The bits of the outputs are
-/// printed too, for the host to compare.
+/// Measures the reference network, 40-32-32-1, with relu and with softsign. Also prints the bits of the outputs, which
+/// the host compares.
 fn networks(counting: &Cost) {
     let (mut with_relu, mut with_softsign) = (Cost::NONE, Cost::NONE);
     let [relu_bits, softsign_bits] = reference_bits(
@@ -124,7 +124,7 @@ fn breath(pip: f32) -> Breath {
     built(Breath::new(&paper_settings(pip), DEFAULT_PERIOD_US))
 }
 
-/// Unwraps what the measurements build from constants.
+/// Unwraps a value that is built from constants.
 fn built<T, E>(result: Result<T, E>) -> T {
     match result {
         Ok(value) => value,
@@ -132,7 +132,7 @@ fn built<T, E>(result: Result<T, E>) -> T {
     }
 }
 
-/// The parts of a tick, each by itself.
+/// Measures the parts of a tick one by one.
 fn parts(counting: &Cost) {
     let residual = residual();
     let controller = Controller::Residual(residual.clone());
@@ -168,8 +168,8 @@ fn parts(counting: &Cost) {
     softsign.print("softsign", counting);
 }
 
-/// All monitors, ladder and filter through whole breaths of a learned controller, so that what is judged or learned once in a
-/// phase is in it.
+/// Measures all monitors, ladder and filter over whole breaths of a learned controller, so that the checks at the end of a
+/// phase are included.
 fn monitors(counting: &Cost) {
     let breath = breath(25.0);
     let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
@@ -187,12 +187,12 @@ fn monitors(counting: &Cost) {
         plant.step(command.u_in(), command.u_out());
     }
     if state.fault().is_some() {
-        unreachable!("nothing is wrong with the plant of the golden traces")
+        unreachable!("the plant of the golden traces raises no alarm")
     }
     cost.print("monitors", counting);
 }
 
-/// Packing a sample, and encoding a full batch, which is the link's work and not the tick's.
+/// Measures packing a sample, and encoding a full batch, which is the work of the link task and not of the tick.
 fn telemetry(counting: &Cost) {
     let (mut pack, mut encoding) = (Cost::NONE, Cost::NONE);
     let mut batcher = Batcher::default();
@@ -211,7 +211,7 @@ fn telemetry(counting: &Cost) {
     encoding.print("telemetry_frame", counting);
 }
 
-/// Validating the weights at the start of the program.
+/// Measures the validation of the weights at the start of the program.
 fn boot(counting: &Cost) {
     let mut image = [0; IMAGE_BYTES];
     built(encode(&residual(), &Identity::default(), &mut image));
@@ -231,7 +231,7 @@ fn recorder() -> Recorder<'static> {
     Recorder::attach(&MEMORY, Boot { cause: ResetCause::PowerOn, failed: false, weights: None })
 }
 
-/// The flight recorder's share of a tick.
+/// Measures the flight recorder's part of a tick.
 fn recording(counting: &Cost) {
     let (mut control, mut recorder, mut cost) = (control(), recorder(), Cost::NONE);
     control.execute(&ControlRequest::Start);
@@ -244,8 +244,9 @@ fn recording(counting: &Cost) {
     cost.print("flight_recorder", counting);
 }
 
-/// Whole ticks of the device's control half, learned and exploring, on the plant of the golden traces: reading, step, report
-/// and a request, as the control task runs them. A tick in which the network runs is counted apart, since most do not need it.
+/// Measures whole ticks of the device's control half, learned and exploring, on the plant of the golden traces: step, report,
+/// request and flight recorder, as in the control task. Ticks of the inspiration, in which the network runs, are also counted
+/// separately.
 fn ticks(counting: &Cost) {
     let mut control = control();
     let mut recorder = recorder();

@@ -1,7 +1,7 @@
-//! Counts the instructions of the control tick and of its parts, in QEMU; `cargo xtask cost` runs it.
+//! Counts the instructions of the control tick and of its parts in QEMU; `cargo xtask cost` runs it.
 //!
-//! QEMU's timer 5 counts nanoseconds of virtual time, and with `-icount shift=3` an instruction takes eight of them: a
-//! difference of its counter is an exact number of instructions. On a chip this program means nothing.
+//! QEMU's timer 5 counts nanoseconds of virtual time, and with `-icount shift=3` an instruction takes 8 ns, so the
+//! difference of two counts gives an exact number of instructions. On a chip the results are meaningless.
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg_attr(target_os = "none", no_main)]
 
@@ -16,6 +16,6 @@ mod fixture;
 
 #[cfg(not(target_os = "none"))]
 fn main() {
-    eprintln!("this image runs in the emulator only: cargo xtask cost");
+    eprintln!("this program runs in QEMU only; run it with: cargo xtask cost");
     std::process::exit(1);
 }

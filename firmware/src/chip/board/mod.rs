@@ -1,5 +1,5 @@
-//! The board: one file per board names its clocks and pins; nothing else knows them. Which one is built is a feature of
-//! the crate; docs/PORTING.md says how to add one.
+//! The board: one file per board defines its clocks and pins, which no other code depends on. A feature of the crate selects
+//! the board; docs/PORTING.md explains how to add one.
 
 #[cfg(feature = "stm32f405")]
 #[path = "stm32f405.rs"]
@@ -29,25 +29,25 @@ pub use super::drivers::bedside::Bedside as SelectedPlant;
 #[cfg(feature = "hil")]
 pub use super::drivers::plant_line::PlantLine as SelectedPlant;
 
-/// Sensors and valves of the control task, or a plant in their place.
+/// Interface of the control task to sensors and valves, or to a plant in their place.
 pub trait PlantInterface {
     /// Kind of a device with this interface.
     const KIND: DeviceKind;
 
-    /// Airway pressure, cmH2O; NaN if there is none to believe. Takes a bounded time.
+    /// Reads the airway pressure, cmH2O; NaN without a plausible value. Takes a bounded time.
     fn read(&mut self, change: &PlantChange) -> f32;
 
-    /// Moves the valves; only the safety filter makes such a command.
+    /// Drives the valves; only the safety filter can make a command.
     fn drive(&mut self, command: &ValveCommand);
 }
 
-/// A started board: clocks run, the valves are safe, the link's line is open.
+/// A started board: the clocks run, the valves are safe, the link's line is open.
 pub struct Board {
     /// Sensors and valves.
     pub plant: SelectedPlant,
-    /// Not yet running.
+    /// The watchdog, not yet started.
     pub watchdog: Watchdog,
-    /// Holds the weights slots.
+    /// The flash with the weights slots.
     pub flash: WeightsFlash,
     /// The core's own peripherals.
     pub core: cortex_m::Peripherals,
@@ -68,13 +68,13 @@ impl Board {
 pub fn start() -> Board {
     let board = selected::start();
     if cfg!(feature = "hil") {
-        // No valve should hang on this board, but one that does stays safe.
+        // No valve should be connected to this board; if one is, it stays safe.
         force_valves_safe();
     }
     board
 }
 
-/// 168 MHz from a crystal of 8 MHz, on any chip of the F4 family; both serial lines' clocks divide to 1 Mbaud.
+/// 168 MHz from an 8 MHz crystal, for chips of the F4 family that allow it; both serial lines' clocks divide to 1 Mbaud.
 fn clocks(crystal: Hse) -> Config {
     let mut config = Config::default();
     config.rcc.hse = Some(crystal);
@@ -93,13 +93,13 @@ fn clocks(crystal: Hse) -> Config {
     config
 }
 
-/// Puts both valves in their safe state, whatever else has gone wrong.
+/// Puts both valves in their safe state, after any failure.
 pub fn force_valves_safe() {
-    // SAFETY: called before a driver of these pins exists, or with interrupts off by a program that will not go on.
+    // SAFETY: called before a driver of these pins exists, or with interrupts off by a program that does not continue.
     let (inspiratory, expiratory) = unsafe { (Inspiratory::steal(), Expiratory::steal()) };
     let valves: [Peri<'static, AnyPin>; 2] = [inspiratory.into(), expiratory.into()];
     for pin in valves {
-        // Dropping an output would let its pin float.
+        // A dropped output would let its pin float.
         core::mem::forget(Output::new(pin, Level::Low, Speed::Low));
     }
 }

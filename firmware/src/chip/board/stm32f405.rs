@@ -1,4 +1,4 @@
-//! A board with an STM32F405RG: clocks and pin map. The wiring is in docs/HARDWARE.md.
+//! A board with an STM32F405RG: clocks and pin map. docs/HARDWARE.md describes the wiring.
 //!
 //! | pin | function | in reset, and in the safe state |
 //! |---|---|---|
@@ -21,9 +21,9 @@ use super::super::drivers::{adc::Adc, valves::Valves};
 use super::super::drivers::{link_uart, open_serial};
 use super::{Board, SelectedPlant, clocks};
 
-/// Clock of the core, and of `SysTick`.
+/// Clock of the core and of `SysTick`.
 pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
-/// The board's crystal. The internal oscillator may be wrong by 1 %, and with it every time of the breath.
+/// The board's crystal. The internal oscillator may be off by 1 %, and all times of the breath with it.
 const CRYSTAL: Hertz = Hertz(8_000_000);
 
 /// Inspiratory valve.
@@ -31,7 +31,7 @@ pub type Inspiratory = PA6;
 /// Expiratory valve.
 pub type Expiratory = PB0;
 
-/// Starts the clocks and hands pins and peripherals to their drivers.
+/// Starts the clocks and passes pins and peripherals to their drivers.
 pub(super) fn start() -> Board {
     let chip = embassy_stm32::init(clocks(Hse { freq: CRYSTAL, mode: HseMode::Oscillator }));
     open_serial(chip.USART1, chip.PA10, chip.PA9);

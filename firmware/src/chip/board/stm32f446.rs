@@ -21,9 +21,9 @@ use super::super::drivers::{adc::Adc, valves::Valves};
 use super::super::drivers::{link_uart, open_serial};
 use super::{Board, SelectedPlant, clocks};
 
-/// Clock of the core, and of `SysTick`.
+/// Clock of the core and of `SysTick`.
 pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
-/// The debugger's crystal, which the board feeds in.
+/// Clock input from the debugger on the board.
 const CRYSTAL: Hertz = Hertz(8_000_000);
 
 /// Inspiratory valve.
@@ -31,7 +31,7 @@ pub type Inspiratory = PB4;
 /// Expiratory valve.
 pub type Expiratory = PB10;
 
-/// Starts the clocks and hands pins and peripherals to their drivers.
+/// Starts the clocks and passes pins and peripherals to their drivers.
 pub(super) fn start() -> Board {
     let chip = embassy_stm32::init(clocks(Hse { freq: CRYSTAL, mode: HseMode::Bypass }));
     open_serial(chip.USART1, chip.PA10, chip.PA9);

@@ -1,7 +1,7 @@
-//! The sensors' three analogue channels, converted one after the other at the start of each tick.
+//! Analogue-to-digital converter: the sensors' three channels, converted one after the other in each tick.
 //!
-//! The injected group of ADC1 does it in 14 us. A converter that does not answer costs a bounded time and gives no
-//! counts: what was not measured is no number.
+//! The injected group of ADC1 takes 14 us. The wait is bounded; a converter that does not finish gives no counts, and the
+//! reading is NaN.
 
 use embassy_stm32::adc::{self, AnyAdcChannel, SampleTime};
 use embassy_stm32::peripherals::ADC1;
@@ -10,11 +10,11 @@ use embassy_stm32::{Peri, pac};
 use super::super::board::CORE_CLOCK;
 use super::clock;
 
-/// Time for all three conversions, with as much again in reserve, cycles.
+/// Timeout for all three conversions, twice their duration, cycles.
 const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000_000 * 30;
 /// Channels of the injected group.
 const CHANNELS: usize = 3;
-/// Long enough for a source of 10 kOhm.
+/// Long enough for a source impedance of 10 kOhm.
 const SAMPLE_TIME: SampleTime = SampleTime::CYCLES84;
 
 /// The converter.
@@ -23,18 +23,18 @@ pub struct Adc {
     registers: pac::adc::Adc,
 }
 
-/// A channel of the converter, for good.
+/// An analogue channel of the converter.
 pub type Channel = AnyAdcChannel<'static, ADC1>;
 
 impl Adc {
-    /// Starts the converter; the counts come in the order of the channels.
+    /// Starts the converter; [`Self::convert`] returns the counts in the order of the channels.
     pub fn new(converter: Peri<'static, ADC1>, channels: [Channel; CHANNELS]) -> Self {
         let driver = adc::Adc::new(converter);
         configure(channels.map(|channel| channel.get_hw_channel()));
         Self { _driver: driver, registers: pac::ADC1 }
     }
 
-    /// Counts of all channels; none if the converter does not answer.
+    /// Converts all channels to counts; none if the converter does not finish in time.
     pub fn convert(&mut self) -> Option<[u16; CHANNELS]> {
         self.registers.sr().modify(|w| w.set_jeoc(false));
         self.registers.cr2().modify(|w| w.set_jswstart(true));
@@ -48,7 +48,7 @@ impl Adc {
     }
 }
 
-/// Puts the channels into the injected group.
+/// Configures the channels as the injected group.
 fn configure(channels: [u8; CHANNELS]) {
     for channel in channels {
         let index = usize::from(channel) % 10;
@@ -60,7 +60,7 @@ fn configure(channels: [u8; CHANNELS]) {
     }
     pac::ADC1.jsqr().modify(|w| {
         w.set_jl(CHANNELS as u8 - 1);
-        // A group of three fills the last three of four places.
+        // A group of three uses the last three of the four positions.
         for (rank, channel) in channels.into_iter().enumerate() {
             w.set_jsq(rank + 1, channel);
         }

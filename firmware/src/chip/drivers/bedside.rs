@@ -1,4 +1,4 @@
-//! The ventilator's own sensors and valves.
+//! The ventilator's real sensors and valves.
 
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
@@ -9,7 +9,7 @@ use super::super::board::PlantInterface;
 use super::adc::Adc;
 use super::valves::Valves;
 
-/// Sensors and valves.
+/// Sensors and valves of the board.
 pub struct Bedside {
     adc: Adc,
     valves: Valves,
@@ -17,7 +17,7 @@ pub struct Bedside {
 }
 
 impl Bedside {
-    /// Sensors and valves of a board.
+    /// Combines the drivers of a board.
     pub fn new(adc: Adc, valves: Valves) -> Self {
         Self { adc, valves, sensors: Sensors::default() }
     }

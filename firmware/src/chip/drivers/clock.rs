@@ -1,4 +1,4 @@
-//! Time: `SysTick` announces the control ticks, and cycles of the core's clock measure them.
+//! Time: `SysTick` signals the control ticks, and core clock cycles measure them.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -14,19 +14,18 @@ use shared::breath::DEFAULT_PERIOD_US;
 use super::super::board::CORE_CLOCK;
 use super::link_uart;
 
-/// Cycles of a control tick.
+/// Length of a control tick, cycles.
 pub const TICK_CYCLES: u32 = CORE_CLOCK.0 / 1_000_000 * DEFAULT_PERIOD_US;
-/// Priority of `SysTick`, the most urgent: a tick must be announced while anything else runs.
+/// Priority of `SysTick`, the highest: a tick must be signalled while anything else runs.
 const TICK_PRIORITY: u8 = 0x00;
 
-/// Cycles from the tick to its sample: longer than whatever the tick may have interrupted takes to let it through.
+/// Delay from the tick to its sample, cycles: longer than any interrupt or critical section can delay the control task.
 const SAMPLING_DELAY: u32 = CORE_CLOCK.0 / 1_000_000 * 12;
 
-/// Number of the tick that has begun.
+/// Signals the number of the tick that has begun.
 static TICK: Signal<CriticalSectionRawMutex, u32> = Signal::new();
 static NUMBER: AtomicU32 = AtomicU32::new(0);
-/// Whether the cycle counter counts. Emulators have none; there `SysTick`'s value, which counts the same cycles, takes
-/// its place.
+/// Whether the cycle counter counts. In QEMU it does not; there `SysTick`, which counts the same cycles, replaces it.
 static COUNTER: AtomicBool = AtomicBool::new(false);
 
 /// Starts the ticks.
@@ -36,7 +35,7 @@ pub fn start(core: &mut Peripherals) {
     let before = DWT::cycle_count();
     cortex_m::asm::nop();
     COUNTER.store(DWT::cycle_count() != before, Ordering::Relaxed);
-    // SAFETY: the priority is the highest there is, so no critical section that masks by priority exists above it.
+    // SAFETY: no critical section in this program masks interrupts by priority, so a change of priority cannot break one.
     unsafe { core.SCB.set_priority(SystemHandler::SysTick, TICK_PRIORITY) };
     core.SYST.set_clock_source(SystClkSource::Core);
     core.SYST.set_reload(TICK_CYCLES - 1);
@@ -45,11 +44,11 @@ pub fn start(core: &mut Peripherals) {
     core.SYST.enable_counter();
 }
 
-/// Waits for the instant to sample in the next tick; gives its number. The instant is fixed, so that an interrupt or a
-/// critical section at the start of a tick does not become jitter of the sampling.
+/// Waits for the sampling instant of the next tick; returns the tick's number. The instant is fixed, so that an interrupt
+/// or a critical section at the start of a tick causes no sampling jitter.
 pub async fn tick() -> u32 {
     let number = TICK.wait().await;
-    // A delay of so many cycles may take twice as many; each round at least halves what is left.
+    // `delay(n)` may take up to twice `n` cycles, so wait for half of the rest in each round.
     while let Some(left @ 1..) = SAMPLING_DELAY.checked_sub(since_tick()) {
         cortex_m::asm::delay(left / 2);
     }
@@ -64,19 +63,19 @@ fn SysTick() {
     TICK.signal(number);
 }
 
-/// Cycles since the present tick was due.
+/// Cycles since the current tick was due.
 pub fn since_tick() -> u32 {
     (TICK_CYCLES - 1).saturating_sub(SYST::get_current())
 }
 
-/// Cycles since some moment in the past, wrapping.
+/// Cycles since an arbitrary moment, wrapping.
 pub fn now() -> u32 {
     if COUNTER.load(Ordering::Relaxed) {
         return DWT::cycle_count();
     }
     let (mut number, mut since) = (NUMBER.load(Ordering::Relaxed), since_tick());
     if SCB::is_pendst_pending() || NUMBER.load(Ordering::Relaxed) != number {
-        // The timer wrapped in between: a value read now belongs to the next tick.
+        // The timer wrapped in between: read the value again, for the next tick.
         (number, since) = (number.wrapping_add(1), since_tick());
     }
     number.wrapping_mul(TICK_CYCLES).wrapping_add(since)

@@ -1,10 +1,10 @@
-//! The flash that holds the weights slots. Where they lie is said by memory.x alone.
+//! The flash that contains the weights slots. Only memory.x defines their addresses.
 
 use core::ptr::addr_of;
 
 use embassy_stm32::flash::{Blocking, Flash};
 
-/// The chip's flash; addresses count from its start.
+/// Driver of the chip's flash; addresses are offsets from its start.
 pub type WeightsFlash = Flash<'static, Blocking>;
 
 unsafe extern "C" {
@@ -13,7 +13,7 @@ unsafe extern "C" {
     static __weights_b_start: u8;
 }
 
-/// Starts of both slots, in addresses of [`WeightsFlash`].
+/// Start addresses of both slots, for [`WeightsFlash`].
 pub fn slots() -> [u32; 2] {
     [addr_of!(__weights_a_start), addr_of!(__weights_b_start)]
         .map(|start| (start as u32).wrapping_sub(addr_of!(__flash_start) as u32))

@@ -1,8 +1,8 @@
-//! The link's serial line: USART1, byte by byte by interrupt.
+//! The link's serial line: USART1, one interrupt per byte.
 //!
-//! The interrupt is more urgent than the control task: at 1 Mbaud a byte lasts 10 us, less than a tick of the controller,
-//! and the receiver holds only one. It never writes the status register: a read-modify-write there would clear a
-//! byte-received flag that rose in between, and the byte with it.
+//! The interrupt has a higher priority than the control task: at 1 Mbaud a byte lasts 10 us, less than the work of a
+//! control tick, and the receiver buffers only one. The interrupt never writes the status register: a read-modify-write
+//! would clear a byte-received flag that was set in between, and lose the byte.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -11,19 +11,19 @@ use embassy_stm32::pac::USART1;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::pipe::Pipe;
 
-/// Bytes that wait on each way: 10 ms of the line.
+/// Buffer size in each direction, bytes: 10 ms of data.
 const BUFFER: usize = 1024;
 
 static RECEIVED: Pipe<CriticalSectionRawMutex, BUFFER> = Pipe::new();
 static TO_SEND: Pipe<CriticalSectionRawMutex, BUFFER> = Pipe::new();
-/// Bytes that came faster than they were taken.
+/// Number of received bytes that were lost.
 static LOST: AtomicU32 = AtomicU32::new(0);
 
-/// Starts the line, which [`super::open_serial`] has opened: from here on the interrupt owns the registers.
+/// Starts the line, which [`super::open_serial`] has opened; from then on the interrupt owns the registers.
 pub fn start() {
     interrupt::USART1.set_priority(Priority::P2);
     USART1.cr1().modify(|w| w.set_rxneie(true));
-    // SAFETY: the handler below is there, and what it uses is static.
+    // SAFETY: the handler is defined below and uses only static data.
     unsafe { interrupt::USART1.enable() };
 }
 
@@ -46,28 +46,29 @@ fn USART1() {
     }
 }
 
-/// Lets the line wait while a control tick begins, so that no burst of bytes delays it. A byte lasts longer than that.
+/// Pauses the line while a control tick begins, so that no burst of bytes delays it. The pause ends at the sampling
+/// instant, after at least 12 us; a byte lasts 10 us, so back-to-back bytes can overrun the receiver, which counts them.
 pub fn pause() {
     interrupt::USART1.disable();
 }
 
-/// Ends [`pause`].
+/// Ends the [`pause`].
 pub fn resume() {
-    // SAFETY: the line was opened, with its handler in place, before the first tick.
+    // SAFETY: the line and its handler were started before the first tick.
     unsafe { interrupt::USART1.enable() };
 }
 
-/// Bytes lost so far.
+/// Number of received bytes lost so far.
 pub fn lost() -> u32 {
     LOST.load(Ordering::Relaxed)
 }
 
-/// Waits for some bytes; gives how many came.
+/// Waits for at least one byte; returns the number of bytes read.
 pub async fn receive(bytes: &mut [u8]) -> usize {
     RECEIVED.read(bytes).await
 }
 
-/// Sends bytes; waits while there is no room.
+/// Sends bytes; waits while the buffer is full.
 pub async fn send(mut bytes: &[u8]) {
     while !bytes.is_empty() {
         let written = TO_SEND.write(bytes).await;
@@ -76,7 +77,7 @@ pub async fn send(mut bytes: &[u8]) {
     }
 }
 
-/// Waits until everything is on the line.
+/// Waits until all bytes have been sent.
 pub fn flush() {
     while USART1.cr1().read().txeie() || !USART1.sr().read().tc() {}
 }

@@ -1,4 +1,4 @@
-//! Drivers: the registers behind each function of the board. What can be computed without them is in `shared`.
+//! Drivers: register access for each function of the board. Computations without registers are in `shared`.
 
 #[cfg(not(feature = "hil"))]
 pub mod adc;
@@ -17,10 +17,10 @@ pub mod watchdog;
 use embassy_stm32::Peri;
 use embassy_stm32::usart::{Config, Instance, RxPin, TxPin, Uart};
 
-/// Speed of both serial lines, baud.
+/// Baud rate of both serial lines.
 const BAUD: u32 = 1_000_000;
 
-/// Sets up pins, clock and speed of a serial line whose registers a driver uses itself.
+/// Configures pins, clock and baud rate of a serial line whose registers a driver accesses itself.
 pub fn open_serial<P: Instance>(
     port: Peri<'static, P>,
     receive: Peri<'static, impl RxPin<P>>,
@@ -28,11 +28,11 @@ pub fn open_serial<P: Instance>(
 ) {
     let mut config = Config::default();
     config.baudrate = BAUD;
-    // Dropping it would close the line.
+    // Dropping the driver would close the line.
     core::mem::forget(taken_once(Uart::new_blocking(port, receive, transmit, config).ok()));
 }
 
-/// Unwraps what the start of the program takes or builds once: it is there, and its configuration is valid.
+/// Unwraps a value that the start of the program takes or builds once, from a valid configuration.
 pub fn taken_once<T>(value: Option<T>) -> T {
     match value {
         Some(value) => value,

@@ -1,7 +1,7 @@
-//! Hardware in the loop: the lockstep plant link on USART2 in the place of sensors and valves.
+//! Hardware in the loop: the lockstep plant link on USART2 in place of sensors and valves.
 //!
-//! One exchange per tick, polled: the frame goes out, the answer comes in. A plant that does not answer in time gives no
-//! reading, and the same frame is sent again at the next tick.
+//! One polled exchange per tick (more at the start of a breath): a frame and its answer. Without an answer in time there is
+//! no reading, and the next exchange sends the same frame again.
 
 use embassy_stm32::pac::USART2;
 use shared::breath::DEFAULT_PERIOD_US;
@@ -13,27 +13,27 @@ use shared::safety::filter::ValveCommand;
 use super::super::board::{CORE_CLOCK, PlantInterface};
 use super::clock;
 
-/// Longest wait for an answer, cycles. The ticks that a slow plant costs count as missed, and a breath bears no more.
+/// Longest wait for an answer, 3 ms in cycles. Ticks that pass meanwhile count as missed, and 5 in a breath latch a fault.
 const TIMEOUT: u32 = CORE_CLOCK.0 / 1_000 * 3;
-/// Longest wait for a plant that was silent before, cycles: half a tick, so that the link still gets its time.
+/// Longest wait for a plant that did not answer before, cycles: half a tick, so that the link task still gets time.
 const RETRY_TIMEOUT: u32 = CORE_CLOCK.0 / 2_000;
 
-/// The plant line.
+/// The plant link as the ventilator's sensor and valves.
 pub struct PlantLine {
     decoder: PlantDecoder,
     tick: u16,
     command: ValveCommand,
-    /// Sent and not yet answered.
+    /// Frame that was sent and not yet answered.
     unanswered: Option<PlantFrame>,
 }
 
 impl PlantLine {
-    /// The line, which [`super::open_serial`] has opened: from here on its registers are polled.
+    /// The line, which [`super::open_serial`] has opened; from then on its registers are polled.
     pub fn new() -> Self {
         Self { decoder: PlantDecoder::default(), tick: 0, command: ValveCommand::SAFE, unanswered: None }
     }
 
-    /// Sends a message and waits for its answer: the pressure in it, cmH2O.
+    /// Sends a message and waits for its answer; returns the pressure in it, cmH2O.
     fn exchange(&mut self, message: PlantMessage) -> Option<f32> {
         let timeout = if self.unanswered.is_some() { RETRY_TIMEOUT } else { TIMEOUT };
         if self.unanswered.is_none() {
@@ -60,7 +60,7 @@ impl PlantLine {
     }
 }
 
-/// The pressure in an answer, if it is the answer to this frame.
+/// The pressure in `answer`, if it answers this frame.
 fn answered(asked: &PlantFrame, answer: &PlantFrame) -> Option<f32> {
     if asked.tick != answer.tick {
         return None;
@@ -82,7 +82,7 @@ impl PlantInterface for PlantLine {
         let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
         let turn =
             |line: &mut Self| change.peep.map(|pressure| line.exchange(PlantMessage::Peep { pressure }));
-        // A new PEEP holds from the breath that begins: after the last step of the breath before it, and before a new start.
+        // A new PEEP is for the breath that begins: send it after the last step of the previous breath, but before a reset.
         let reading = if let Some(seed) = change.reset {
             turn(self);
             self.exchange(PlantMessage::Seed { seed });

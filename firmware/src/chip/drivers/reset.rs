@@ -1,10 +1,10 @@
-//! The cause of the chip's start.
+//! The cause of the chip's last reset.
 
 use embassy_stm32::pac::RCC;
 use shared::reset::ResetCause;
 
-/// Reads the cause of the start, and clears the flags for the next one. The pin's flag is set by every cause, so it counts
-/// only alone.
+/// Reads the cause of the reset and clears its flags. Every cause sets the pin's flag too, so the pin is the cause only if
+/// no other flag is set.
 pub fn cause() -> ResetCause {
     let flags = RCC.csr().read();
     RCC.csr().modify(|w| w.set_rmvf(true));

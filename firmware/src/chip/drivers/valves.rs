@@ -1,7 +1,7 @@
-//! Both valves: proportional inspiratory valve by PWM, expiratory on/off valve by a level.
+//! Both valves: the proportional inspiratory valve by PWM, the expiratory on/off valve by a level.
 //!
-//! They are wired so that the de-energised state is the safe one (inspiratory closed, expiratory open), and the inputs of
-//! their power stages are pulled low, so that they are safe as well while the chip is in reset and its pins float.
+//! They are wired so that the de-energised state is the safe one (inspiratory closed, expiratory open). The inputs of their
+//! power stages are pulled low, so that they are also safe while the chip is in reset and its pins float.
 
 use embassy_stm32::Peri;
 use embassy_stm32::gpio::{Level, Output, OutputType, Speed};
@@ -14,7 +14,7 @@ use shared::safety::filter::ValveCommand;
 
 use super::super::board::{Expiratory, Inspiratory};
 
-/// Above hearing, and far above what a solenoid follows.
+/// Above the audible range, and far above the bandwidth of a solenoid.
 const PWM_FREQUENCY: Hertz = Hertz(20_000);
 
 /// Both valves.
@@ -39,10 +39,10 @@ impl Valves {
         Self { inspiratory, expiratory }
     }
 
-    /// Drives the valves; only the safety filter makes such a command.
+    /// Drives the valves; only the safety filter can make a command.
     pub fn apply(&mut self, command: &ValveCommand) {
         let mut inspiratory = self.inspiratory.ch1();
-        // The command lies within 0 to COMMAND_MAX, and the conversion rounds down.
+        // The command is within 0 to COMMAND_MAX, and the conversion rounds down.
         let duty = command.u_in() / COMMAND_MAX * inspiratory.max_duty_cycle() as f32;
         inspiratory.set_duty_cycle(duty as u32);
         let closed = !command.u_out();
