@@ -1,7 +1,7 @@
-//! `cargo xtask ci`: every check that a change must pass, as a table of commands in two lanes.
+//! `cargo xtask ci`: all checks that a change must pass, as a table of commands in two lanes.
 //!
-//! The lanes run side by side, because one alone leaves a core idle wherever it waits: for a linker, for a download, for a board in
-//! lockstep with its plant. After a failure no further step starts, and the command that repeats the failed step is named.
+//! The lanes run in parallel, because a single one leaves a core idle while it waits for a linker, a download, or a board in
+//! lockstep with its plant. After a failure no further step starts, and the program prints the command that repeats the step.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -16,18 +16,18 @@ use xshell::Shell;
 /// One check.
 struct Step {
     name: &'static str,
-    /// A step of the other lane that must have passed: it builds what this one uses.
+    /// A step of the other lane that must pass first, since it builds files that this step uses.
     after: Option<&'static str>,
     environment: Option<(&'static str, &'static str)>,
-    /// Parts of the command line after `cargo`.
+    /// Parts of the command line after `cargo`, joined by spaces.
     cargo: &'static [&'static str],
 }
 
-/// What the computer's own compiler builds, then the tests in QEMU. Cheap checks first, so that a slip is reported early.
+/// Checks of the host's code, then the tests in QEMU. Cheap checks come first, so that simple mistakes are reported early.
 const HOST: &[Step] = &[
     step("format", &["fmt --all --check"]),
     step("clippy", &["clippy --all-targets --features tests/board", DENY_WARNINGS]),
-    // Beside clippy, since it needs the same dependencies.
+    // After clippy, since it needs the same dependencies.
     Step {
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),
         ..step("doc", &["doc --no-deps --document-private-items"])
@@ -38,7 +38,7 @@ const HOST: &[Step] = &[
     step("cost", &["xtask cost"]),
 ];
 
-/// The chip, and what uses the trainer that the other lane has built.
+/// Checks of the chip's code, then steps that use the trainer, which the other lane builds.
 const CHIP: &[Step] = &[
     step("setup", &["xtask setup"]),
     step("clippy-board", &[CHIP_CLIPPY, "-p firmware --features stm32f405", DENY_WARNINGS]),
@@ -46,7 +46,7 @@ const CHIP: &[Step] = &[
     step("clippy-f446", &[CHIP_CLIPPY, "-p firmware --features stm32f446", DENY_WARNINGS]),
     step("clippy-shim", &[CHIP_CLIPPY, "-p shim", DENY_WARNINGS]),
     step("firmware", &["xtask firmware"]),
-    // The test step runs them in debug; an optimiser that changed a bit of a command would show here.
+    // The test step runs these tests in debug; here the chip's optimisation must give the same bits.
     step("golden", &[OPTIMISED_TEST, "golden -- golden"]),
     step("frames", &[OPTIMISED_TEST, "fuzz -- --ignored"]),
     step("python", &["xtask python"]).after("build"),
@@ -56,11 +56,11 @@ const CHIP: &[Step] = &[
 
 const LANES: [&[Step]; 2] = [HOST, CHIP];
 
-/// The lints of a package for the chip.
+/// Lints a package for the chip.
 const CHIP_CLIPPY: &str =
     "clippy --profile chip --target thumbv7em-none-eabihf --no-default-features --bins --examples";
 const DENY_WARNINGS: &str = "-- -D warnings";
-/// A test of the core with the chip's optimisation, without the crates of the host side.
+/// Runs a test of the core with the chip's optimisation, without the host side's crates.
 const OPTIMISED_TEST: &str = "test --profile chip -p tests --no-default-features --test";
 
 const fn step(name: &'static str, cargo: &'static [&'static str]) -> Step {
@@ -72,15 +72,15 @@ impl Step {
         Self { after: Some(step), ..self }
     }
 
-    /// The command as one would type it.
+    /// The command as a user would type it.
     fn command_line(&self) -> String {
         let environment =
             self.environment.map(|(name, value)| format!("{name}='{value}' ")).unwrap_or_default();
         format!("{environment}cargo {}", self.cargo.join(" "))
     }
 
-    /// The command as it is run. `cargo xtask` is this very program: cargo would wait for the other lane's build, only to find
-    /// that nothing is to be done.
+    /// The command to run. `cargo xtask` runs this program directly: cargo would wait for the other lane's build, only to find
+    /// nothing to do.
     fn command(&self, root: &Path, xtask: &Path) -> Command {
         let words: Vec<_> = self.cargo.iter().flat_map(|part| part.split(' ')).collect();
         let (program, arguments) = match &words[..] {
@@ -105,9 +105,9 @@ fn names() -> impl Iterator<Item = &'static str> {
     LANES.into_iter().flatten().map(|step| step.name)
 }
 
-/// Runs all steps, or those asked for, each lane in the table's order.
+/// Runs all steps or the selected ones, each lane in the table's order.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
-    let xtask = std::env::current_exe().context("this program cannot be started again")?;
+    let xtask = std::env::current_exe().context("cannot find the path of this program")?;
     let root = shell.current_dir();
     let only = &arguments.only;
     let chosen = |name: &str| only.is_empty() || only.iter().any(|only| only == name);
@@ -129,16 +129,16 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// Runs a command whose output appears as it comes; tells whether it succeeded.
+/// Runs a command and shows its output as it arrives; returns whether it succeeded.
 fn run_in_sight(mut command: Command) -> io::Result<bool> {
     Ok(command.status()?.success())
 }
 
-/// Runs a command whose output appears in one piece at its end, lest it be torn by the other lane's.
+/// Runs a command and shows its output at the end, so that the other lane's output does not interleave.
 fn run_aside(mut command: Command) -> io::Result<bool> {
     let (mut output, input) = io::pipe()?;
     let mut child = command.stdin(Stdio::null()).stdout(input.try_clone()?).stderr(input).spawn()?;
-    // It holds our end of the pipe.
+    // The command holds an open copy of the pipe's writing end.
     drop(command);
     let mut text = Vec::new();
     output.read_to_end(&mut text)?;
@@ -146,7 +146,7 @@ fn run_aside(mut command: Command) -> io::Result<bool> {
     Ok(child.wait()?.success())
 }
 
-/// How far both lanes are.
+/// Progress of both lanes.
 #[derive(Default)]
 struct Progress {
     state: Mutex<State>,
@@ -161,7 +161,7 @@ struct State {
 }
 
 impl Progress {
-    /// Runs steps one after the other, until one fails in either lane.
+    /// Runs steps in order until one fails in either lane.
     fn follow(
         &self,
         steps: impl Iterator<Item = &'static Step>,
@@ -182,7 +182,7 @@ impl Progress {
         }
     }
 
-    /// Waits for the other lane's step that this one needs; false if a step has failed.
+    /// Waits for the step of the other lane that this one needs; false if a step has failed.
     fn may_start(&self, step: &Step, chosen: &impl Fn(&str) -> bool) -> bool {
         let waits = |state: &mut State| {
             let needed = step.after.filter(|needed| chosen(needed));
@@ -204,11 +204,11 @@ impl Progress {
     }
 }
 
-/// A line per step that passed, and the time of all.
+/// One line per passed step, and the total time.
 fn summary(times: &[(&str, Duration)], total: Duration) -> String {
     let line = |(name, time): &(&str, Duration)| format!("{name:<12} {:>7.1} s\n", time.as_secs_f64());
     let lines: String = times.iter().chain([&("total", total)]).map(line).collect();
-    format!("\n=== summary, lanes side by side\n{lines}")
+    format!("\n=== summary, lanes in parallel\n{lines}")
 }
 
 #[cfg(test)]
@@ -230,7 +230,7 @@ mod tests {
         let times = [("format", Duration::from_millis(1500)), ("test", Duration::from_secs(62))];
         let text = summary(&times, Duration::from_secs(62));
         let lines = "format           1.5 s\ntest            62.0 s\ntotal           62.0 s\n";
-        assert_eq!(text, format!("\n=== summary, lanes side by side\n{lines}"));
+        assert_eq!(text, format!("\n=== summary, lanes in parallel\n{lines}"));
     }
 
     #[test]
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_asked_for_is_not_waited_for() {
+    fn steps_that_are_not_selected_are_not_waited_for() {
         let progress = Progress::default();
         progress.follow(SECOND.iter(), &|name| name != "b", |_| Ok(true));
         assert_eq!(progress.state.into_inner().unwrap().passed.len(), 2);

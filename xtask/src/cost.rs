@@ -1,5 +1,5 @@
-//! `cargo xtask cost`: instructions of the control tick and its parts, counted in QEMU; flash and RAM; and the ceilings of
-//! all of them, which a change may not exceed unnoticed.
+//! `cargo xtask cost`: counts the instructions of the control tick and its parts in QEMU, measures flash and RAM, and fails
+//! if a figure exceeds its ceiling.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,20 +15,20 @@ use crate::qemu_test;
 #[path = "../../firmware/src/cost/fixture.rs"]
 mod fixture;
 
-/// Where the ceilings stand.
+/// File with the ceilings.
 const CEILINGS: &str = "firmware/ceilings.toml";
-/// Where the images' sizes stand.
+/// File with the images' expected sizes.
 const SIZES: &str = "firmware/sizes.txt";
-/// Part of a size that may come and go unnoticed: an image holds the paths of the sources it was built from, and they differ
-/// between machines.
+/// Accepted relative change of a size: an image contains the paths of its sources, whose lengths differ between
+/// machines.
 const SIZE_TOLERANCE: f64 = 0.01;
-/// Instructions that the core can run in a tick of 1 ms, one per cycle.
+/// Instructions that the core can execute in a tick of 1 ms, one per cycle.
 const TICK_BUDGET: f64 = 168_000.0;
-/// The figure that is compared with other implementations.
+/// Part that is compared with other implementations.
 const REFERENCE: &str = "network_40_32_32_1_relu";
-/// The part that only a test on the whole image can count.
+/// Part that only a test on the whole image can measure.
 const ON_THE_IMAGE: &str = "tick_on_the_image";
-/// What the line with the networks' output bits begins with.
+/// First word of the line with the networks' output bits.
 const BITS: &str = "bits";
 
 /// Arguments of `cargo xtask cost`.
@@ -37,10 +37,10 @@ pub struct Arguments {
     /// Write the figures as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Count the parts alone: neither tests on the image nor sizes
+    /// Count the parts only, without tests on the image and without sizes
     #[arg(long, conflicts_with_all = ["json", "bless"])]
     parts_only: bool,
-    /// Take the images' sizes as they are for those that are meant
+    /// Accept the images' current sizes: write them to firmware/sizes.txt
     #[arg(long)]
     bless: bool,
 }
@@ -52,14 +52,14 @@ struct Cost {
     worst: u32,
 }
 
-/// What the counting image printed.
+/// Output of the counting image.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Counted {
     parts: BTreeMap<String, Cost>,
     bits: [u32; 2],
 }
 
-/// What `--json` gives.
+/// Output of `--json`.
 #[derive(Debug, Serialize)]
 struct Figures<'a> {
     tick_worst: u32,
@@ -71,7 +71,7 @@ struct Figures<'a> {
     golden_hash_qemu: String,
 }
 
-/// Highest figures that pass.
+/// Highest accepted figures.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Ceilings {
@@ -80,7 +80,7 @@ struct Ceilings {
     parts: BTreeMap<String, u32>,
 }
 
-/// Counts, prints, compares.
+/// Counts, prints the table, and compares with the ceilings.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let ceilings: Ceilings = toml::from_str(&shell.read_file(CEILINGS)?).context(CEILINGS)?;
     let mut counted = count(shell)?;
@@ -93,14 +93,14 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     exceeded.extend(exceeded_parts(&counted.parts, &ceilings, arguments.parts_only));
     ensure!(
         exceeded.is_empty(),
-        "above the ceiling: {}; make it cheaper, or raise the ceiling in {CEILINGS} and say why",
+        "failed the ceilings in {CEILINGS}: {}; make the code cheaper, or correct the ceiling and give the reason",
         exceeded.join(", ")
     );
     Ok(())
 }
 
-/// Sizes of the images and what the golden test found on one of them, as ticks by its own clock beside those that were counted
-/// alone. Gives what lies above its ceiling.
+/// Measures the images' sizes, and adds the tick times of the golden test on an image to `parts`. Returns the sizes above
+/// their ceiling.
 fn image(
     shell: &Shell,
     arguments: &Arguments,
@@ -139,13 +139,13 @@ fn image(
     Ok(exceeded_sizes(board, ceilings))
 }
 
-/// The sizes as they stand in their file.
+/// Content of the file of sizes.
 fn sizes_text(sizes: &[(&str, Size)]) -> String {
     let line = |(name, Size { flash, ram }): &(&str, Size)| format!("{name} flash {flash} ram {ram}\n");
     sizes.iter().map(line).collect()
 }
 
-/// Fails if an image grew or shrank by more than the tolerance.
+/// Fails if the size of an image changed by more than the tolerance.
 fn check_sizes(text: &str, sizes: &[(&str, Size)]) -> Result<()> {
     let now = sizes_text(sizes);
     let (before, after) = (text.split_whitespace(), now.split_whitespace());
@@ -156,7 +156,7 @@ fn check_sizes(text: &str, sizes: &[(&str, Size)]) -> Result<()> {
         });
     ensure!(
         same,
-        "sizes changed from\n{text}to\n{now}if that is meant, commit what this writes: cargo xtask cost --bless"
+        "sizes changed from\n{text}to\n{now}if that is intended, run cargo xtask cost --bless and commit {SIZES}"
     );
     Ok(())
 }
@@ -176,8 +176,10 @@ fn parse(output: &str) -> Result<Counted> {
     let mut counted = Counted::default();
     for line in output.lines() {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let [name, first, second] = words[..] else { bail!("the counting image said: {output}") };
-        let number = |word: &str| word.parse().with_context(|| format!("`{line}`"));
+        let [name, first, second] = words[..] else {
+            bail!("unexpected output of the counting image: {output}")
+        };
+        let number = |word: &str| word.parse().with_context(|| format!("not a number in `{line}`"));
         let (first, second) = (number(first)?, number(second)?);
         if name == BITS {
             counted.bits = [first, second];
@@ -188,17 +190,13 @@ fn parse(output: &str) -> Result<Counted> {
     Ok(counted)
 }
 
-/// The chip must have computed what this computer computes.
+/// Fails unless the chip computed the same bits as this computer.
 fn check_bits(counted: &Counted) -> Result<()> {
     let here = fixture::reference_bits(
         |network, inputs| network.forward_with(inputs, fixture::relu),
         fixture::Reference::forward,
     );
-    ensure!(
-        counted.bits == here,
-        "the chip's networks give other bits than the host's: {:?}, {here:?}",
-        counted.bits
-    );
+    ensure!(counted.bits == here, "the networks' output bits differ: chip {:?}, host {here:?}", counted.bits);
     Ok(())
 }
 
@@ -215,14 +213,14 @@ fn table(parts: &BTreeMap<String, Cost>, ceilings: &Ceilings) -> String {
     let line = |(name, cost): (&String, &Cost)| {
         let ceiling = ceilings.parts.get(name).map_or_else(|| "-".into(), ToString::to_string);
         let share = 100.0 * f64::from(cost.worst) / TICK_BUDGET;
-        // The start of the program is no part of a tick.
+        // The start of the program is not part of a tick.
         let share = if name.starts_with("boot") { String::new() } else { format!("{share:>15.1} %") };
         format!("{name:<28} {:>8} {:>8} {ceiling:>8}{share}\n", cost.mean, cost.worst)
     };
     head + &parts.iter().map(line).collect::<String>()
 }
 
-/// Parts above their ceiling, without one, or missing although they have one.
+/// Parts that exceed their ceiling, have none, or were not counted although they have one.
 fn exceeded_parts(parts: &BTreeMap<String, Cost>, ceilings: &Ceilings, parts_only: bool) -> Vec<String> {
     let too_high = parts.iter().filter_map(|(name, cost)| match ceilings.parts.get(name) {
         Some(ceiling) if cost.worst <= *ceiling => None,
@@ -241,7 +239,7 @@ fn exceeded_sizes(size: Size, ceilings: &Ceilings) -> Vec<String> {
     exceeded.map(|(name, bytes, ceiling)| format!("{name} {bytes} > {ceiling}")).collect()
 }
 
-/// Compile-time proof that the product's network is an instance of what is counted.
+/// Proves at compile time that the product's network is an instance of the counted code.
 const _: fn(&Network, &[f32; shared::control::features::FEATURES]) -> f32 = Network::forward;
 
 #[cfg(test)]
@@ -287,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn the_image_is_missed_only_where_it_was_asked_for() {
+    fn a_missing_figure_of_the_image_is_reported_only_if_requested() {
         let ceilings = Ceilings { parts: BTreeMap::from([(ON_THE_IMAGE.into(), 9)]), ..ceilings(9) };
         assert!(exceeded_parts(&BTreeMap::new(), &ceilings, true).is_empty());
         assert_eq!(
@@ -314,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn the_trees_ceilings_are_no_higher_than_the_goals() {
+    fn the_committed_ceilings_are_within_the_goals() {
         let text = std::fs::read_to_string(Path::new("..").join(CEILINGS)).unwrap();
         let ceilings: Ceilings = toml::from_str(&text).unwrap();
         assert!(ceilings.parts[REFERENCE] <= 7_011 && ceilings.parts["tick"] <= 25_000);

@@ -1,11 +1,11 @@
-//! `cargo xtask faults` and `cargo xtask mutate-monitors`: what SAFETY.md claims of the monitors.
+//! `cargo xtask faults` and `cargo xtask mutate-monitors`: they check SAFETY.md's claims about the monitors.
 
 use anyhow::{Context, Result};
 use xshell::Shell;
 
 use crate::trainer::Trainer;
 
-/// The fault matrix, ten thousand breaths without a fault, and a short torture.
+/// Runs the fault matrix, ten thousand breaths without a fault, and a short torture test.
 pub fn faults(shell: &Shell) -> Result<()> {
     let trainer = Trainer::build(shell)?;
     ["faults", "faults --nominal 10080", "torture --breaths 20000"]
@@ -13,10 +13,10 @@ pub fn faults(shell: &Shell) -> Result<()> {
         .try_for_each(|line| trainer.run(line, &[]))
 }
 
-/// Removes one monitor after the other and demands that a row of the fault matrix fails each time: a monitor counts only if
-/// something fails without it.
+/// Removes the monitors one by one and requires that a row of the fault matrix fails each time, which proves that each
+/// monitor is needed.
 pub fn mutate_monitors(shell: &Shell) -> Result<()> {
     Trainer::build(shell)?.run("faults --mutate", &[]).context(
-        "a monitor can be removed without a row of the fault matrix failing; the table above tells which",
+        "a monitor can be removed without a failing row of the fault matrix; the table above shows which one",
     )
 }

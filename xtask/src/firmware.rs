@@ -1,4 +1,4 @@
-//! `cargo xtask firmware`: builds the image for the board and shows how much of the chip it takes.
+//! `cargo xtask firmware`: builds the firmware's images and shows how much flash and RAM they use.
 
 use std::path::{Path, PathBuf};
 
@@ -10,37 +10,37 @@ use xshell::{Shell, cmd};
 use crate::memory::{self, Region};
 use crate::{CHIP_PROFILE, CHIP_TARGET};
 
-/// What of a section matters for its size.
+/// A section of an image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Section {
     name: String,
     address: u64,
     bytes: u64,
-    /// Held in flash: code, constants and the initial values of variables, but not zeroed variables.
+    /// Whether it is stored in flash: code, constants and initial values of variables, but not zeroed variables.
     stored: bool,
 }
 
-/// Boards that are built besides the main one, to see that they can be: feature, and linker map.
+/// Feature and linker map of the other boards, which are built as a check.
 const OTHER_BOARDS: [(&str, &str); 1] = [("stm32f446", "firmware/memory/stm32f446.x")];
 
 /// Images of the main board.
 pub struct Images {
-    /// With sensors and valves.
+    /// Image with sensors and valves.
     pub board: PathBuf,
-    /// With a plant on a serial line in their place.
+    /// Image with a plant on a serial line in their place.
     pub hil: PathBuf,
-    /// The emulator's helper.
+    /// The shim, for QEMU.
     pub shim: PathBuf,
 }
 
 impl Images {
-    /// Where all images lie.
+    /// Folder of all images.
     pub fn folder(&self) -> &Path {
         self.board.parent().unwrap_or(Path::new("."))
     }
 }
 
-/// Bytes of an image.
+/// Size of an image, bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
     /// In flash.
@@ -57,7 +57,7 @@ pub fn run(shell: &Shell) -> Result<()> {
         println!("{}", image.display());
         print!("{}", report(&sections(&read(image)?)?, &regions)?);
     }
-    println!("{}: for the emulator", images.shim.display());
+    println!("{}: for QEMU", images.shim.display());
     for (board, map) in OTHER_BOARDS {
         let image = compile(shell, board, &["--no-default-features", "--features", board])?;
         let Size { flash, ram } = size(&image, Path::new(map))?;
@@ -66,7 +66,7 @@ pub fn run(shell: &Shell) -> Result<()> {
     Ok(())
 }
 
-/// Builds the images of the main board, and the shim that lets them run in the emulator.
+/// Builds the images of the main board, and the shim with which they run in QEMU.
 pub fn build(shell: &Shell) -> Result<Images> {
     let hil = compile(shell, "hil", &["--features", "hil"])?;
     let board = compile(shell, "board", &[])?;
@@ -75,20 +75,20 @@ pub fn build(shell: &Shell) -> Result<Images> {
     Ok(Images { board, hil, shim })
 }
 
-/// Builds the firmware that tests the emulator, to lie beside the other images.
+/// Builds the probe, a firmware that tests the emulation, next to the other images.
 pub fn build_probe(shell: &Shell) -> Result<()> {
     build_for_chip(shell, &["-p", "shim", "--example", "probe"])?;
     keep(shell, "examples/probe", "probe")?;
     Ok(())
 }
 
-/// Builds the program that counts instructions; gives its file.
+/// Builds the program that counts instructions; returns its path.
 pub fn build_cost(shell: &Shell) -> Result<PathBuf> {
     build_for_chip(shell, &["-p", "firmware", "--bin", "cost", "--features", "cost"])?;
     Ok(chip_folder(shell).join("cost"))
 }
 
-/// Builds the firmware with some features and keeps the image under a name of its own.
+/// Builds the firmware with some features and keeps the image under its own name.
 fn compile(shell: &Shell, name: &str, features: &[&str]) -> Result<PathBuf> {
     build_for_chip(shell, &[&["-p", "firmware", "--bin", "firmware"], features].concat())?;
     keep(shell, "firmware", name)
@@ -99,11 +99,11 @@ fn build_for_chip(shell: &Shell, program: &[&str]) -> Result<()> {
     cmd!(shell, "cargo build --profile {CHIP_PROFILE} --target {CHIP_TARGET} {program...}")
         .quiet()
         .run()
-        .context("if the toolchain lacks the chip's core library, run: cargo xtask setup")
+        .context("cannot build for the chip; if its core library is missing, run: cargo xtask setup")
 }
 
-/// Copies what cargo built to where it is not overwritten by a build with other features; leaves an equal file alone, so
-/// that its age tells when the image changed.
+/// Copies a built program to a folder where no build with other features overwrites it. An identical file is not
+/// overwritten, so that its age shows when the image changed.
 fn keep(shell: &Shell, built: &str, name: &str) -> Result<PathBuf> {
     let folder = cargo_folder(shell).join("firmware");
     shell.create_dir(&folder)?;
@@ -115,12 +115,12 @@ fn keep(shell: &Shell, built: &str, name: &str) -> Result<PathBuf> {
     Ok(to)
 }
 
-/// Where cargo leaves programs for the chip.
+/// Cargo's output folder for the chip.
 fn chip_folder(shell: &Shell) -> PathBuf {
     cargo_folder(shell).join(CHIP_TARGET).join(CHIP_PROFILE)
 }
 
-/// Where cargo builds.
+/// Cargo's target folder.
 pub fn cargo_folder(shell: &Shell) -> PathBuf {
     let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
     shell.current_dir().join(target)
@@ -130,7 +130,7 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Bytes that an image takes of a linker map's regions.
+/// Flash and RAM that an image uses, with the regions of a linker map.
 pub fn size(image: &Path, map: &Path) -> Result<Size> {
     let map = String::from_utf8(read(map)?)?;
     let ram = memory::find(&memory::regions(&map)?, "RAM")?.clone();
@@ -143,9 +143,9 @@ fn taken(sections: &[Section], ram: &Region) -> Size {
     Size { flash: bytes(&|s| s.stored), ram: bytes(&|s| ram.contains(s.address)) }
 }
 
-/// The sections that take room on the chip.
+/// The sections that use memory on the chip.
 fn sections(file: &[u8]) -> Result<Vec<Section>> {
-    let elf: ElfFile32 = ElfFile32::parse(file).context("the image is no 32-bit ELF file")?;
+    let elf: ElfFile32 = ElfFile32::parse(file).context("the image is not a 32-bit ELF file")?;
     let endian = elf.elf_header().endian()?;
     let mut sections = Vec::new();
     for section in elf.sections() {
@@ -162,7 +162,7 @@ fn sections(file: &[u8]) -> Result<Vec<Section>> {
     Ok(sections)
 }
 
-/// A table of sections, then what flash and RAM have left.
+/// A table of sections, and the use of flash and RAM.
 fn report(sections: &[Section], regions: &[Region]) -> Result<String> {
     let flash = memory::find(regions, "FLASH")?;
     let ram = memory::find(regions, "RAM")?;
@@ -173,7 +173,7 @@ fn report(sections: &[Section], regions: &[Region]) -> Result<String> {
     };
     let lines: String = sections.iter().map(line).collect();
     let Size { flash: in_flash, ram: in_ram } = taken(sections, ram);
-    let note = "RAM does not count the stack, which takes what is left.\n";
+    let note = "RAM is without the stack, which uses the rest.\n";
     Ok([head, lines, used("flash", in_flash, flash), used("RAM", in_ram, ram), note.into()].concat())
 }
 

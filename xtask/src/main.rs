@@ -20,7 +20,7 @@ use xshell::Shell;
 
 /// The chip's instruction set: Cortex-M4 with a hardware unit for f32.
 const CHIP_TARGET: &str = "thumbv7em-none-eabihf";
-/// The profile of the chip's programs, and of tests that must see the same optimisation.
+/// The profile of the chip's programs, and of tests that need the same optimisation.
 const CHIP_PROFILE: &str = "chip";
 
 /// Build and check automation of Eupnea.
@@ -33,22 +33,22 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Prepare the toolchain to build for the chip, and QEMU to run it; does nothing that is done
+    /// Prepare the toolchain to build for the chip, and install QEMU; skips what is present
     Setup(setup::Arguments),
-    /// Build the firmware's images and show how much flash and RAM they take
+    /// Build the firmware's images and show how much flash and RAM they use
     Firmware,
-    /// Run all tests on the real image in QEMU
+    /// Run all tests of the real image in QEMU
     QemuTest {
-        /// Run only tests whose names hold one of these words
+        /// Run only tests whose names contain one of these texts
         filters: Vec<String>,
     },
-    /// Count the instructions of the control tick in QEMU and compare them with their ceilings
+    /// Count the instructions of the control tick in QEMU and compare them with the ceilings
     Cost(cost::Arguments),
-    /// Break things on the virtual bench, breathe without a fault, and torture: what SAFETY.md claims
+    /// Check SAFETY.md's claims: run the fault matrix, breaths without a fault, and a torture test
     Faults,
-    /// Prove every safety monitor: without it the fault matrix must fail
+    /// Prove that every safety monitor is needed: without it the fault matrix must fail
     MutateMonitors,
-    /// Run the examples in Python, with a plant that exists in Python alone
+    /// Run the Python examples, with a plant written in Python
     Python,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
@@ -58,7 +58,7 @@ fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // The chain of causes alone: a backtrace would push the command to repeat out of sight.
+            // Without a backtrace, which would hide the command that repeats the step.
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }
@@ -67,8 +67,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     let shell = Shell::new()?;
-    let root =
-        Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask lies in the root of the workspace")?;
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().context("xtask has no parent folder")?;
     shell.change_dir(root);
     match &arguments.command {
         Command::Setup(arguments) => setup::run(&shell, arguments),

@@ -1,4 +1,4 @@
-//! Reads the regions of `memory.x`, so that their sizes stand in the linker map alone.
+//! Reads the regions of `memory.x`, so that the linker map is the only place that defines their sizes.
 
 use anyhow::{Context, Result, bail};
 
@@ -14,13 +14,13 @@ pub struct Region {
 }
 
 impl Region {
-    /// Whether an address lies inside.
+    /// Whether an address is in the region.
     pub fn contains(&self, address: u64) -> bool {
         (self.origin..self.origin + self.length).contains(&address)
     }
 }
 
-/// All regions of a linker map, in its order.
+/// All regions of a linker map, in order.
 pub fn regions(linker_map: &str) -> Result<Vec<Region>> {
     let lines = linker_map.lines().filter(|line| line.contains("ORIGIN =") && line.contains("LENGTH ="));
     lines
@@ -28,22 +28,22 @@ pub fn regions(linker_map: &str) -> Result<Vec<Region>> {
         .collect()
 }
 
-/// The region of this name.
+/// The region with this name.
 pub fn find<'a>(regions: &'a [Region], name: &str) -> Result<&'a Region> {
     let found = regions.iter().find(|region| region.name == name);
-    found.with_context(|| format!("memory.x names no region {name}"))
+    found.with_context(|| format!("the linker map has no region {name}; add it to the MEMORY block"))
 }
 
 fn region(line: &str) -> Result<Region> {
     let words = line.split(|character: char| !(character.is_ascii_alphanumeric() || character == '_'));
     let words: Vec<&str> = words.filter(|word| !word.is_empty()).collect();
     let [name, "ORIGIN", origin, "LENGTH", length, ..] = words[..] else {
-        bail!("it is not of the form `NAME : ORIGIN = number, LENGTH = number`");
+        bail!("expected `NAME : ORIGIN = number, LENGTH = number`");
     };
     Ok(Region { name: name.to_owned(), origin: number(origin)?, length: number(length)? })
 }
 
-/// A linker's number: decimal or hexadecimal, with K or M.
+/// A number of a linker map: decimal or hexadecimal, optionally with K or M.
 fn number(text: &str) -> Result<u64> {
     let (digits, unit) = match text.strip_suffix(['K', 'M']) {
         Some(digits) if text.ends_with('K') => (digits, 1024),
@@ -56,7 +56,7 @@ fn number(text: &str) -> Result<u64> {
     };
     match parsed.ok().and_then(|value| value.checked_mul(unit)) {
         Some(value) => Ok(value),
-        None => bail!("`{text}` is no number that a linker map may hold"),
+        None => bail!("`{text}` is not a number in the format of a linker map"),
     }
 }
 
@@ -64,7 +64,7 @@ fn number(text: &str) -> Result<u64> {
 mod tests {
     use super::*;
 
-    /// The map of each board, and the bytes of its flash.
+    /// The map of each board, and the size of its flash, bytes.
     const CHIPS: [(&str, u64); 2] = [
         (include_str!("../../memory.x"), 1024 * 1024),
         (include_str!("../../firmware/memory/stm32f446.x"), 512 * 1024),

@@ -1,5 +1,5 @@
-//! `cargo xtask python`: the examples in Python as a user would run them, on files that the trainer has just written and on a
-//! plant that exists in Python alone.
+//! `cargo xtask python`: runs the Python examples as a user would, on files that the trainer has just written and on a plant
+//! written in Python.
 
 use std::path::{Path, PathBuf};
 
@@ -8,25 +8,25 @@ use xshell::{Shell, cmd};
 
 use crate::trainer::Trainer;
 
-/// Where the examples are.
+/// Folder of the examples.
 const EXAMPLES: &str = "examples/python";
-/// What the example for files needs, as one would import it.
+/// Imports of the example for files, to check that its packages are installed.
 const PACKAGES: &str = "import numpy, pandas, pyarrow, safetensors";
 
-/// The plant in Python on a pipe, as it stands for in command lines.
+/// Placeholder in command lines, and the plant that replaces it: the Python plant on a pipe.
 const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
 
 /// Runs both examples.
 pub fn run(shell: &Shell) -> Result<()> {
     let python = with_packages(shell)?;
-    // What an earlier run has left would be found and not made again.
+    // The pipeline would reuse the results of an earlier run.
     shell.remove_path("target/python/run")?;
     let trainer = Trainer::build(shell)?;
     pipeline_on_a_plant(&trainer)?;
     open_files(shell, &trainer, &python)
 }
 
-/// Python with the packages: the machine's own, or a virtual environment that is made for it.
+/// Python with the packages: the machine's own, or a virtual environment that is created here.
 fn with_packages(shell: &Shell) -> Result<PathBuf> {
     let complete = |python: &Path| {
         let probe = cmd!(shell, "{python} -c {PACKAGES}").quiet().ignore_stdout().ignore_stderr();
@@ -49,11 +49,11 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
     if complete(&python) {
         Ok(python)
     } else {
-        bail!("pip installed packages that {PACKAGES:?} does not find")
+        bail!("the packages are installed, but Python fails on: {PACKAGES}")
     }
 }
 
-/// Python that can make virtual environments.
+/// Ensures that Python can create virtual environments.
 fn ensure_python(shell: &Shell) -> Result<()> {
     if cmd!(shell, "python3 -c 'import ensurepip, venv'").quiet().ignore_stderr().run().is_err() {
         cmd!(shell, "bash .ci/setup/python-venv").quiet().run()?;
@@ -61,7 +61,7 @@ fn ensure_python(shell: &Shell) -> Result<()> {
     Ok(())
 }
 
-/// Tune, collect, fit, train and evaluate on the plant in Python, over a pipe; sizes are just large enough to run.
+/// Tunes, collects, fits, trains and evaluates on the Python plant over a pipe, with the smallest useful sizes.
 fn pipeline_on_a_plant(trainer: &Trainer<'_>) -> Result<()> {
     for line in [
         "tune-pid --plant PLANT --authors-grid --breaths 1 --pips 20",
@@ -75,7 +75,7 @@ fn pipeline_on_a_plant(trainer: &Trainer<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The files of the pipeline, opened in Python.
+/// Opens the files of the pipeline in Python.
 fn open_files(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let controller = "target/python/run/controller.safetensors";
     let replay = format!("--controller {controller} --no-exploration --breaths 12");

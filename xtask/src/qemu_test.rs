@@ -1,4 +1,4 @@
-//! `cargo xtask qemu-test`: every test on the real image in QEMU.
+//! `cargo xtask qemu-test`: runs every test of the real image in QEMU.
 
 use anyhow::{Context, Result};
 use serde::Deserialize;
@@ -6,17 +6,17 @@ use xshell::{Shell, cmd};
 
 use crate::firmware;
 
-/// Where the golden test leaves what it found.
+/// File with the results of the golden test.
 const GOLDEN: &str = "golden.json";
-/// Names the folder of the images to the tests.
+/// Environment variable that gives the tests the folder of the images.
 const IMAGES: &str = "EUPNEA_IMAGES";
 
-/// What the golden test on the image found.
+/// Results of the golden test on the image.
 #[derive(Debug, Deserialize)]
 pub struct Golden {
-    /// Hash of all commands, on this computer.
+    /// Hash of all commands on this computer.
     pub hash_host: String,
-    /// The same on the image.
+    /// Hash of all commands on the image.
     pub hash_qemu: String,
     /// Mean work of a tick, instructions.
     pub tick_mean: u32,
@@ -24,12 +24,12 @@ pub struct Golden {
     pub tick_worst: u32,
 }
 
-/// Builds the images and runs the tests that need QEMU; arguments are filters of their names.
+/// Builds the images and runs the tests that need QEMU; `filters` select them by name.
 pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     let images = firmware::build(shell)?;
     firmware::build_probe(shell)?;
     let folder = images.folder();
-    // Of the same packages as all other tests, lest their dependencies be built again.
+    // The same packages as for all other tests, so that their dependencies are not built again.
     let packages = ["--workspace", "--exclude", "firmware", "--features", "tests/board"];
     cmd!(shell, "cargo test {packages...} --test emulator --test qemu -- {filters...}")
         .env(IMAGES, folder)
@@ -38,7 +38,7 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// The golden test's findings; runs it unless they are newer than the image.
+/// Results of the golden test; runs it if the image is newer than they are.
 pub fn golden(shell: &Shell) -> Result<Golden> {
     let images = firmware::build(shell)?;
     let path = images.folder().join(GOLDEN);

@@ -1,6 +1,6 @@
-//! `cargo xtask setup`: makes the toolchain able to build for the chip, and installs QEMU for the virtual board.
+//! `cargo xtask setup`: prepares the toolchain to build for the chip, and installs QEMU for the virtual board.
 //!
-//! The scripts in `.ci/setup` do it, since what they change is the machine's, not the project's.
+//! Scripts in `.ci/setup` do this, since they change the machine and not the project.
 
 use anyhow::Result;
 use xshell::{Shell, cmd};
@@ -10,12 +10,12 @@ use crate::CHIP_TARGET;
 /// Arguments of `cargo xtask setup`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Leave QEMU out: enough to build the firmware
+    /// Omit QEMU, which building the firmware does not need
     #[arg(long)]
     target_only: bool,
 }
 
-/// Prepares whatever is missing.
+/// Installs the missing parts.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     cmd!(shell, "bash .ci/setup/chip-target {CHIP_TARGET}").quiet().run()?;
     if !arguments.target_only {
@@ -28,7 +28,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// What a function of the scripts makes of its input.
+    /// Runs a function of the scripts on an input; returns its output.
     fn filtered(function: &str, input: &str) -> String {
         let shell = Shell::new().unwrap();
         shell.change_dir("..");

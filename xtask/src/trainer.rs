@@ -1,5 +1,5 @@
-//! The trainer as the tests have built it: another selection of packages would build its dependencies again, and another profile
-//! everything.
+//! The trainer, built with the same packages and profile as the tests: another selection of packages would build its
+//! dependencies again, and another profile everything.
 
 use std::path::PathBuf;
 
@@ -8,14 +8,14 @@ use xshell::{Shell, cmd};
 
 use crate::firmware::cargo_folder;
 
-/// A trainer that can be run.
+/// A built trainer.
 pub struct Trainer<'a> {
     shell: &'a Shell,
     program: PathBuf,
 }
 
 impl<'a> Trainer<'a> {
-    /// Builds it, unless the tests have.
+    /// Builds the trainer, unless a test run has built it.
     pub fn build(shell: &'a Shell) -> Result<Self> {
         cmd!(shell, "cargo test --quiet --workspace --exclude firmware --test command_line --no-run")
             .quiet()
@@ -23,7 +23,7 @@ impl<'a> Trainer<'a> {
         Ok(Self { shell, program: cargo_folder(shell).join("debug/trainer") })
     }
 
-    /// Runs a command line, in which `words` stand for what holds spaces.
+    /// Runs a command line, split at spaces; `words` replaces placeholders by arguments that contain spaces.
     pub fn run(&self, line: &str, words: &[(&str, &str)]) -> Result<()> {
         let program = &self.program;
         let arguments = line
