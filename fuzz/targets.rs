@@ -1,5 +1,5 @@
-//! What must hold for any bytes from outside: one function per target, for the fuzzer and for the ordinary test in
-//! `tests/tests/fuzz.rs`, which runs the same functions on seeds and their mutations.
+//! Properties that must be true for any external input: one function per target, for the fuzzer and for the test in
+//! `tests/tests/fuzz.rs`, which runs the same functions on seeds and mutations.
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::checksum::{CHECKSUM_BYTES, crc32, verified};
@@ -14,11 +14,11 @@ use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, decode, encode};
 
-/// Clock of the device, Hz.
+/// Core clock of the device, Hz.
 const CORE_HZ: u32 = 168_000_000;
 
-/// Every run of bytes between zeros is counted once, as good or as what is wrong with it; a good one carries its checksum,
-/// and framed again it comes back.
+/// Every run of bytes between zeros is counted once, as a good or a corrupt frame; a content and its checksum are verified
+/// again.
 pub fn frames(data: &[u8]) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
     let (mut good, mut bad) = (0, 0);
@@ -41,7 +41,7 @@ pub fn frames(data: &[u8]) {
     plant_frames(data);
 }
 
-/// A frame of the plant link is accepted only with the very bytes that it is written with.
+/// A frame of the plant link is accepted only if encoding it again gives the same bytes.
 fn plant_frames(data: &[u8]) {
     let (mut decoder, mut found) = (plant_link::PlantDecoder::default(), 0);
     for (index, byte) in data.iter().enumerate() {
@@ -54,7 +54,7 @@ fn plant_frames(data: &[u8]) {
     assert!(found * plant_link::FRAME_BYTES + decoder.skipped() as usize <= data.len());
 }
 
-/// What is understood says the same when it is sent again, and fits into a frame.
+/// Every decoded message fits into a frame and is unchanged after encoding and decoding it again.
 pub fn messages(data: &[u8]) {
     if let Ok(request) = read_request(data) {
         let again = through(&request);
@@ -75,7 +75,7 @@ pub fn messages(data: &[u8]) {
     }
 }
 
-/// Sends a message through a frame; gives the content that arrives. Bits are compared, since no NaN equals itself.
+/// Encodes and decodes a message as a frame; returns the content. Callers compare bytes, since NaN does not equal itself.
 fn through<M: serde::Serialize>(message: &M) -> Vec<u8> {
     let (mut buffer, mut decoder) = ([0; FRAME_BYTES], FrameDecoder::<DECODER_BYTES>::new());
     let frame = encode_frame(message, &mut buffer).expect("every message fits into a frame");
@@ -88,8 +88,8 @@ fn through<M: serde::Serialize>(message: &M) -> Vec<u8> {
     content
 }
 
-/// An image is accepted only if packing it again gives the same bytes; so is one whose checksum was mended, since a damaged
-/// image with a right checksum is what an attacker or a broken trainer would send.
+/// An image is accepted only if packing it again gives the same bytes. This is also checked with a corrected checksum, since
+/// an attacker or a faulty trainer could send a damaged image with the right checksum.
 pub fn weights(data: &[u8]) {
     accept(data);
     if let Some(image) = data.get(..IMAGE_BYTES) {
@@ -107,20 +107,19 @@ fn accept(data: &[u8]) {
     assert_eq!(data.get(..IMAGE_BYTES), Some(&again[..]));
 }
 
-/// A device that is told anything: each request is answered once, under its number, and whatever it is told the valves are
-/// safe unless a breath runs.
+/// With any input each request is answered once with its sequence number, and the valves are safe unless a breath runs.
 pub fn device(data: &[u8]) {
     conversation(data);
 }
 
-/// All that a device says to a stream of bytes.
+/// All messages that a device sends in response to a stream of bytes.
 pub fn conversation(data: &[u8]) -> Vec<ToHost> {
     let (memory, mut said) = (Box::new(RecorderMemory::new()), Vec::new());
     let mut rig = Rig::new(&memory);
     for (number, byte) in data.iter().enumerate() {
         said.extend(rig.hear(*byte));
         if number % 16 == 0 {
-            // A reading that any byte can spoil.
+            // A pressure reading that depends on the byte.
             said.extend(rig.tick(if *byte == 0xEE { f32::NAN } else { f32::from(*byte) / 4.0 }));
         }
     }

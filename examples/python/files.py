@@ -1,9 +1,9 @@
-"""Opens what the trainer writes, and runs a learned controller in numpy as the chip does (docs/FILES.md).
+"""Opens the trainer's files, and runs a learned controller in numpy as the chip does (docs/FILES.md).
 
   python3 files.py recording.parquet simulator.safetensors controller.safetensors [weights.bin]
 
-The recording must be one of that controller without exploration (trainer collect --controller F --no-exploration).
-Its pressures go through the controller again; the commands must be the recorded ones to 1e-6 percent.
+The recording must be of that controller without exploration (trainer collect --controller F --no-exploration).
+The script computes the commands again from the recorded pressures; they must match the recorded ones to 1e-6 percent.
 """
 import json, struct, sys, zlib
 
@@ -12,12 +12,12 @@ import pandas as pd
 import pyarrow.parquet as pq
 from safetensors import safe_open
 
-F = np.float32  # everything is calculated in single precision, in the order of the documentation
+F = np.float32  # all calculations are in single precision and in the documented order
 TOLERANCE = 1e-6  # percent of the valve
 
 
 def opened(path, kind):
-    """A safetensors file of the trainer: its description and its only vector."""
+    """The description and the only vector in a safetensors file of the trainer."""
     with safe_open(path, framework="np") as file:
         (name,) = file.keys()
         return json.loads(file.metadata()["eupnea-" + kind]), file.get_tensor(name)
@@ -49,19 +49,19 @@ class Controller:
             at += weights.size
             self.layers.append((weights, parameters[at : at + outputs]))
             at += outputs
-        assert at == parameters.size, "a network of another shape"
+        assert at == parameters.size, f"the network must have the shape {self.SHAPE}"
 
     def start_breath(self, command):
-        """A breath begins; the valve stands at `command` percent."""
+        """Starts a breath; the last command was `command` percent."""
         self.errors, self.commands = [], []
-        self.before = F(command) / F(50)  # what the commands were before the breath
+        self.before = F(command) / F(50)  # the commands before the breath
         self.error_averages, self.command_averages = [F(0)] * 2, [self.before] * 2
         self.integral, self.derivative, self.last, self.tick = F(0), F(0), None, 0
 
     def network(self, values):
         for number, (weights, bias) in enumerate(self.layers):
             sums = bias.copy()
-            for column, value in zip(weights.T, values):  # input by input: the order of the roundings
+            for column, value in zip(weights.T, values):  # input by input, for the same roundings
                 sums += column * value
             hidden = number < len(self.layers) - 1
             values = sums / (F(1) + np.abs(sums)) if hidden else sums
@@ -99,7 +99,7 @@ class Controller:
         return limit(wanted, F(0), F(100))
 
     def applied(self, command):
-        """What the valve was told in the end; the tick is over."""
+        """Records the applied command and ends the tick."""
         self.commands.append(command / F(50))
         self.command_averages = averaged(self.command_averages, self.command_factors, command / F(50))
         self.tick += 1
@@ -110,7 +110,7 @@ def averaged(averages, factors, value):
 
 
 def replayed(controller, recording):
-    """Largest difference to the recorded commands over all inspirations, and the number of ticks."""
+    """Largest difference from the recorded commands over all inspirations, and the number of ticks."""
     worst, ticks, command = 0.0, 0, 0.0
     for _, breath in recording.groupby("breath"):
         controller.start_breath(command)
@@ -123,7 +123,7 @@ def replayed(controller, recording):
 
 
 def exercised(controller):
-    """Last command and CRC-32 of all commands of the weights image's exercise."""
+    """Last command, and CRC-32 of all commands, in the exercise of the weights image."""
     controller.start_breath(5)
     commands = b""
     for tick in range(160):
@@ -144,17 +144,17 @@ def main(recording_path, simulator_path, controller_path, image_path=None):
     print(f"simulator: {simulator['architecture']}, {parameters.size} parameters, of {simulator['plant']}")
     spec, network = opened(controller_path, "controller")
     controller = Controller(spec, network)
-    assert spec["period_us"] == origin["period_us"], "a recording of another controller"
+    assert spec["period_us"] == origin["period_us"], "recording and controller have different control periods"
     worst, ticks = replayed(controller, recording)
     print(f"controller: {ticks} commands replayed, the largest difference is {worst:.1e} percent")
     if not (ticks > 0 and worst <= TOLERANCE):
-        sys.exit(f"the commands differ by more than {TOLERANCE} percent")
+        sys.exit(f"the commands differ by more than {TOLERANCE} percent; use a recording of this controller without exploration")
     if image_path:
         with open(image_path, "rb") as file:
             image = file.read()
         golden = image[114:118], struct.unpack("<I", image[118:122])[0]
         if exercised(controller) != golden:
-            sys.exit("the exercise of the weights image gives other bits")
+            sys.exit("the exercise gives other bits than the weights image; pack the image from this controller")
         print("weights image: all 160 commands of its exercise are the same, bit for bit")
 
 

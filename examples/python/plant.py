@@ -1,11 +1,11 @@
-"""A lung behind Eupnea's plant link (docs/PLANT_LINK.md) at a control period of 30 ms; standard library only.
+"""A lung model on Eupnea's plant link (docs/PLANT_LINK.md) with a control period of 30 ms; standard library only.
 As a server: python3 plant.py 7000, then trainer collect --plant tcp:localhost:7000 --out a.parquet
 On a pipe: trainer collect --plant 'pipe:python3 plant.py' --out a.parquet"""
 import random, socket, struct, sys, zlib
 
-VERSION, HIGHEST_CMH2O, PERIOD_US, PIECE = 1, 150, 30_000, 0.006  # the model steps in pieces of 6 ms
+VERSION, HIGHEST_CMH2O, PERIOD_US, PIECE = 1, 150, 30_000, 0.006  # the model's time step is 6 ms
 RESISTANCE, COMPLIANCE, FULL_FLOW = 20.0, 0.02, 1.5  # cmH2O/(L/s), L/cmH2O, L/s
-LATE, LAG, DEAD_ZONE, NOISE = 2, 0.025, 4.0, 0.1  # of the valve: pieces, s, percent; of the sensor: cmH2O
+LATE, LAG, DEAD_ZONE, NOISE = 2, 0.025, 4.0, 0.1  # valve: steps, s, percent; sensor: cmH2O
 
 
 class Lung:
@@ -31,7 +31,7 @@ def serve(reader, writer):
     lung = Lung()
     while len(frame := reader.read(16)) == 16:
         _, kind, tick, payload, crc = struct.unpack("<BBH8sI", frame)
-        assert crc == zlib.crc32(frame[:12]), "no frame of the plant link"
+        assert crc == zlib.crc32(frame[:12]), "damaged frame of the plant link"
         if kind == 1:  # Reset
             lung.reset()
         elif kind == 2:  # Step

@@ -1,4 +1,4 @@
-//! A whole device on any stream of bytes, between control ticks.
+//! Fuzzes a whole device with a stream of bytes and control ticks.
 #![no_main]
 
 #[allow(dead_code, reason = "each target is a program of its own")]

@@ -1,4 +1,4 @@
-//! The frame decoder, and that of the plant link, on any stream of bytes.
+//! Fuzzes the frame decoders of link and plant link with a stream of bytes.
 #![no_main]
 
 #[allow(dead_code, reason = "each target is a program of its own")]

@@ -1,4 +1,4 @@
-//! Every message: the bytes of a frame that arrived whole.
+//! Fuzzes the message decoders with the content of an undamaged frame.
 #![no_main]
 
 #[allow(dead_code, reason = "each target is a program of its own")]

@@ -1,4 +1,4 @@
-//! The weights image, with its checksum mended so that what lies behind it is reached.
+//! Fuzzes the weights image, also with a corrected checksum so that the later checks are reached.
 #![no_main]
 
 #[allow(dead_code, reason = "each target is a program of its own")]

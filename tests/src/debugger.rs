@@ -1,6 +1,7 @@
-//! A minimal client of the GDB remote protocol: memory and registers of the board in QEMU, for tests that inject faults.
+//! A minimal client of the GDB remote protocol that accesses memory and registers of the board in QEMU, for tests that
+//! inject faults.
 //!
-//! Changes to the program in flash outlive a reset of the board.
+//! Changes to the program in flash survive a reset of the board.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -11,21 +12,21 @@ use object::{Object, ObjectSymbol};
 use shim::record::{self, Record};
 use thiserror::Error;
 
-/// Longest time that QEMU may take for an answer.
+/// Longest wait for an answer of QEMU.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Bytes of memory in one packet.
+/// Most bytes of memory in one packet.
 const PIECE: usize = 1024;
-/// Core registers in a packet: r0 to r12, stack pointer, link register, program counter, status.
+/// Number of core registers in a packet: r0 to r12, stack pointer, link register, program counter, status.
 pub const REGISTERS: usize = 17;
 
-/// Why the debugger could not do what it was asked for.
+/// Reason why a debugger's operation failed.
 #[derive(Debug, Error)]
 pub enum DebuggerError {
     /// The connection failed.
-    #[error("the debugger's connection failed: {0}")]
+    #[error("connection to QEMU's debugger port failed: {0}")]
     Io(#[from] io::Error),
-    /// QEMU refused.
-    #[error("QEMU answered {answer:?} to the debugger's {request:?}")]
+    /// QEMU refused a request.
+    #[error("QEMU answered {answer:?} to the debugger's request {request:?}")]
     Refused {
         /// The request.
         request: String,
@@ -33,29 +34,29 @@ pub enum DebuggerError {
         answer: String,
     },
     /// The image cannot be read.
-    #[error("{path} is no image with symbols: {reason}")]
+    #[error("{path} is not an image with symbols: {reason}")]
     Image {
-        /// The image.
+        /// Path of the image.
         path: String,
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// Not exactly one symbol has the name.
+    /// No symbol or several symbols have the name.
     #[error(
-        "{count} symbols are called {name}, one was expected; it may have been inlined, or give more of its path"
+        "{count} symbols are named {name}, expected one; if 0, the function may be inlined; if several, give more of its path"
     )]
     Symbol {
         /// The name.
         name: String,
-        /// Symbols of that name.
+        /// Number of symbols with that name.
         count: usize,
     },
     /// No shim has run.
-    #[error("the shim has left no record: is this board started with it?")]
+    #[error("the board's memory contains no record of the shim; start the board with the shim")]
     NoRecord,
 }
 
-/// A connection to a board, which stands still until it is resumed.
+/// A connection to a halted board.
 #[derive(Debug)]
 pub struct Debugger {
     input: BufReader<TcpStream>,
@@ -66,13 +67,13 @@ impl Debugger {
     /// Connects; the board halts.
     ///
     /// # Errors
-    /// No debugger may connect there.
+    /// There is no debugger port at the address.
     pub fn connect(address: SocketAddr) -> Result<Self, DebuggerError> {
         let output = TcpStream::connect(address)?;
         output.set_nodelay(true)?;
         output.set_read_timeout(Some(PATIENCE))?;
         let mut debugger = Self { input: BufReader::new(output.try_clone()?), output };
-        // The answer to this also says that the board stands still.
+        // The answer also confirms that the board has halted.
         debugger.ask("?")?;
         Ok(debugger)
     }
@@ -80,7 +81,7 @@ impl Debugger {
     /// Reads memory.
     ///
     /// # Errors
-    /// There is none at the address, or the protection forbids it: of the parts that the shim models only the shim knows.
+    /// There is no memory at the address, or it is protected: only the shim can read the parts that it models.
     pub fn read(&mut self, address: u32, length: usize) -> Result<Vec<u8>, DebuggerError> {
         let mut bytes = Vec::with_capacity(length);
         while bytes.len() < length {
@@ -96,7 +97,7 @@ impl Debugger {
     /// Writes memory, flash included.
     ///
     /// # Errors
-    /// There is none at the address.
+    /// There is no memory at the address.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), DebuggerError> {
         for (piece, at) in bytes.chunks(PIECE).zip((address..).step_by(PIECE)) {
             self.command(&format!("M{at:x},{:x}:{}", piece.len(), to_hex(piece)))?;
@@ -107,7 +108,7 @@ impl Debugger {
     /// The core's registers: r0 to r12, stack pointer, link register, program counter, status.
     ///
     /// # Errors
-    /// The board runs, or the connection failed.
+    /// The board is running, or the connection failed.
     pub fn registers(&mut self) -> Result<[u32; REGISTERS], DebuggerError> {
         let answer = self.ask("g")?;
         let words = from_hex(&answer).map(|bytes| words(&bytes));
@@ -115,7 +116,7 @@ impl Debugger {
         registers.ok_or(DebuggerError::Refused { request: "g".into(), answer })
     }
 
-    /// What the shim has counted, and the pins.
+    /// The shim's record: counters and pins.
     ///
     /// # Errors
     /// No shim has run, or the connection failed.
@@ -124,7 +125,7 @@ impl Debugger {
         words.first_chunk().and_then(Record::from_words).ok_or(DebuggerError::NoRecord)
     }
 
-    /// Lets the power be cut right after one of the changes of the flash, counted from power-on.
+    /// Lets the shim cut the power after this number of flash operations, counted from power-on, and detaches.
     ///
     /// # Errors
     /// The connection failed.
@@ -133,17 +134,17 @@ impl Debugger {
         self.detach()
     }
 
-    /// Lets the board run until it is about to execute the instruction at an address.
+    /// Runs the board until it is about to execute the instruction at an address.
     ///
     /// # Errors
-    /// It does not get there in half a minute, or the connection failed.
+    /// It does not reach the address within 30 s, or the connection failed.
     pub fn run_to(&mut self, address: u32) -> Result<(), DebuggerError> {
         self.command(&format!("Z0,{address:x},2"))?;
         self.ask("c")?;
         self.command(&format!("z0,{address:x},2"))
     }
 
-    /// Leaves; the board runs on.
+    /// Detaches; the board continues.
     ///
     /// # Errors
     /// The connection failed.
@@ -168,7 +169,7 @@ impl Debugger {
         Ok(())
     }
 
-    /// The next packet. TCP loses nothing, so acknowledgements are passed over.
+    /// Receives the next packet. TCP loses no bytes, so acknowledgements are ignored.
     fn receive(&mut self) -> Result<String, DebuggerError> {
         let mut text = Vec::new();
         self.input.read_until(b'$', &mut text)?;
@@ -202,11 +203,11 @@ fn words(bytes: &[u8]) -> Vec<u32> {
     words.iter().copied().map(u32::from_le_bytes).collect()
 }
 
-/// Address of the one symbol of an image that has this name, or whose path ends in it (`task::run` for
-/// `firmware::chip::task::run`). Of a function, the address of its first instruction.
+/// Address of the symbol of an image whose name or path ends in `name` (`task::run` for `firmware::chip::task::run`). For a
+/// function it is the address of the first instruction.
 ///
 /// # Errors
-/// The image cannot be read, or not exactly one symbol is called so.
+/// The image cannot be read, or the number of such symbols is not one.
 pub fn symbol(image: &Path, name: &str) -> Result<u32, DebuggerError> {
     let wrong = |reason: String| DebuggerError::Image { path: image.display().to_string(), reason };
     let bytes = std::fs::read(image).map_err(|error| wrong(error.to_string()))?;
@@ -214,15 +215,15 @@ pub fn symbol(image: &Path, name: &str) -> Result<u32, DebuggerError> {
     let called = file.symbols().filter(|symbol| symbol.name().is_ok_and(|symbol| is_called(symbol, name)));
     let addresses: Vec<u64> = called.map(|symbol| symbol.address()).collect();
     match addresses[..] {
-        // The lowest bit only says that it is a Thumb function.
+        // The lowest bit only marks a Thumb function.
         [address] => Ok(address as u32 & !1),
         _ => Err(DebuggerError::Symbol { name: name.into(), count: addresses.len() }),
     }
 }
 
-/// Whether a symbol has a name, or its path ends in it.
+/// Whether `name` is a symbol's name or the end of its path.
 fn is_called(symbol: &str, name: &str) -> bool {
-    // Without the hash.
+    // The alternate format omits the hash.
     let path = format!("{:#}", rustc_demangle::demangle(symbol));
     symbol == name || path == name || path.strip_suffix(name).is_some_and(|before| before.ends_with("::"))
 }

@@ -1,8 +1,8 @@
-//! A lung on a circuit in additions, multiplications and comparisons of f32, which IEEE 754 defines to the last bit.
+//! A lung with a circuit, computed from additions, multiplications and comparisons of f32 only, whose results IEEE 754
+//! defines to the last bit.
 //!
-//! The virtual bench of `host` is the better model, but it uses powers and roots that differ between platforms, so
-//! its traces have no hash that holds everywhere. This lung is as simple as one can be that still makes a controller
-//! work:
+//! The virtual bench of the host side is a better model, but it uses powers and roots that differ between platforms, so
+//! the hashes of its traces differ too. This lung is the simplest one that is still a task for a controller:
 //!
 //! ```text
 //! valve:    x' = (u_in / 100 - x) / tau                 opening, follows its command
@@ -11,11 +11,11 @@
 //! outlet:   q_out = (p - PEEP) / R_out, only while open and above PEEP
 //! ```
 
-/// Step, s.
+/// Time step, s.
 const STEP: f32 = 0.001;
-/// Part of the way to its command that the valve goes in a step: a lag of 25 ms.
+/// Fraction of the way to its command that the valve moves per step: a lag of 25 ms.
 const VALVE_STEP: f32 = STEP * 40.0;
-/// Flow of the open valve, L/s.
+/// Flow of the fully open valve, L/s.
 const FLOW_MAX: f32 = 1.2;
 /// Conductance of the airway, L/s/cmH2O: a resistance of 20 cmH2O/(L/s).
 const AIRWAY: f32 = 0.05;
@@ -36,12 +36,12 @@ pub struct ExactLung {
 }
 
 impl ExactLung {
-    /// At rest at a PEEP in cmH2O.
+    /// A lung at rest at a PEEP in cmH2O.
     pub fn new(peep: f32) -> Self {
         Self { opening: 0.0, pressure: peep, lung_pressure: peep, peep }
     }
 
-    /// Turns the knob of the mechanical PEEP valve, cmH2O.
+    /// Sets the mechanical PEEP valve, cmH2O.
     pub fn set_peep(&mut self, peep: f32) {
         self.peep = peep;
     }
@@ -51,7 +51,7 @@ impl ExactLung {
         self.pressure
     }
 
-    /// One millisecond with the inspiratory valve at `u_in` percent, the expiratory valve open or not.
+    /// Simulates 1 ms with the inspiratory valve at `u_in` percent and the expiratory valve open (`u_out`) or closed.
     pub fn step(&mut self, u_in: f32, u_out: bool) {
         self.opening += VALVE_STEP * (u_in * 0.01 - self.opening);
         let into_lung = AIRWAY * (self.pressure - self.lung_pressure);

@@ -1,5 +1,5 @@
-//! What the whole-system tests in `tests/tests` share: a plant whose results are the same on every machine, the trace of a
-//! ventilator that runs on it, and a debugger for the board in QEMU.
+//! Helpers of the whole-system tests in `tests/tests`: a plant whose results are the same on every machine, the trace of a
+//! ventilator on that plant, and a debugger for the board in QEMU.
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "host")]

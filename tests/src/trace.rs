@@ -1,4 +1,4 @@
-//! A long closed-loop run reduced to the hashes of its valve commands.
+//! Golden traces: hashes of the valve commands of a long closed-loop run.
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
@@ -17,13 +17,13 @@ use crate::exact_lung::ExactLung;
 
 /// Weights of `cargo trainer demo --seed 1`.
 pub const LEARNED: &[u8] = include_bytes!("../golden/learned.bin");
-/// Breaths of a trace.
+/// Number of breaths of a trace.
 pub const BREATHS: u32 = 100;
 /// Breaths between two entries of a trace.
 pub const ENTRY_BREATHS: u32 = 10;
-/// Breaths that run on the same settings.
+/// Number of breaths with the same settings.
 const BREATHS_PER_SETTING: u32 = 4;
-/// Tick of a breath in which the settings of the next one are sent, to see that they wait.
+/// Tick of a breath in which the next breath's settings are sent, to test that they wait.
 const SETTINGS_TICK: u32 = 700;
 
 const GAINS: PidGains = PidGains { p: 2.0, i: 30.0, d: 0.01 };
@@ -31,33 +31,33 @@ const GAINS: PidGains = PidGains { p: 2.0, i: 30.0, d: 0.01 };
 /// Hash of all commands up to the end of a breath.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// Breaths done.
+    /// Number of completed breaths.
     pub breaths: u32,
     /// FNV-1a of every command so far.
     pub hash: u64,
 }
 
-/// What a run left behind.
+/// Result of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GoldenTrace {
-    /// Hashes in order; the first that differs tells where two runs parted.
+    /// Hashes in order; the first different one shows where two runs diverged.
     pub entries: Vec<Entry>,
-    /// Mean magnitude of the error in the last tenth of every inspiration of a second or more, cmH2O; tells that the
-    /// loop controlled at all. Shorter ones end before a plain PID has settled.
+    /// Mean absolute error in the last tenth of every inspiration of 1 s or more, cmH2O, to check that the loop controls
+    /// the pressure. Shorter inspirations end before a plain PID has settled.
     pub plateau_error: f32,
 }
 
-/// A PID.
+/// A PID controller.
 pub fn pid() -> Controller {
     Controller::Pid(Pid::new(GAINS, DEFAULT_PERIOD_US).expect("the gains are in bounds"))
 }
 
-/// A learned controller whose network was drawn from a seed: untrained, but every weight counts.
+/// A learned controller with random weights from a seed: untrained, but every weight affects the commands.
 pub fn residual(seed: u64) -> Controller {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut network = Network::zero();
     for weight in network.parameters_mut() {
-        // 24 bits are exact in f32; the result lies in -0.25..0.25.
+        // 24 bits are exact in f32; the result is in -0.25..0.25.
         *weight = ((rng.next_u32() >> 8) as f32 / 16_777_216.0 - 0.5) * 0.5;
     }
     let spec = ResidualSpec {
@@ -70,7 +70,7 @@ pub fn residual(seed: u64) -> Controller {
     Controller::Residual(Residual::new(spec, network).expect("the specification is in bounds"))
 }
 
-/// The controller of the committed weights, trained on the virtual bench: what a user would flash.
+/// The controller with the committed weights, trained on the virtual bench like one that a user would flash.
 pub fn learned() -> Controller {
     Controller::Residual(decode(LEARNED).expect("the committed image is sound").residual)
 }
@@ -78,7 +78,7 @@ pub fn learned() -> Controller {
 /// Runs [`BREATHS`] breaths of changing settings on the [`ExactLung`], exploring.
 ///
 /// # Errors
-/// The mode that the ventilator fell into, if it stopped ventilating: a trace of safe commands would prove nothing.
+/// The ventilator's mode if it stopped ventilating: a trace of safe commands would prove nothing.
 pub fn run(controller: Controller) -> Result<GoldenTrace, Mode> {
     let ventilator = Ventilator::new(DEFAULT_PERIOD_US, controller).with_exploration(Some(exploration()));
     let mut state = ventilator.standby(&settings(0)).expect("all settings of the protocol are in bounds");
@@ -113,12 +113,12 @@ pub fn run(controller: Controller) -> Result<GoldenTrace, Mode> {
     Ok(GoldenTrace { entries, plateau_error: error / ticks as f32 })
 }
 
-/// How the device explores in a trace.
+/// Exploration in a trace.
 pub fn exploration() -> Exploration {
     Exploration { seed: 7, ..Exploration::default() }
 }
 
-/// Settings of a breath: the paper's waveforms, then the rows of the test standard, around and around.
+/// Settings of a breath: the paper's waveforms, then the rows of the test standard, repeated.
 pub fn settings(breath: u32) -> Settings {
     let index = (breath / BREATHS_PER_SETTING) as usize % (PAPER_PIPS.len() + ISO_ROWS.len());
     match PAPER_PIPS.get(index) {
@@ -137,7 +137,7 @@ impl Default for Fnv {
 }
 
 impl Fnv {
-    /// Takes in a command: inspiratory valve in percent, expiratory valve open?
+    /// Adds a command: inspiratory valve in percent, and whether the expiratory valve is open.
     pub fn command(&mut self, u_in: f32, u_out: bool) {
         for byte in u_in.to_bits().to_le_bytes() {
             self.byte(byte);

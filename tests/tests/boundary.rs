@@ -1,7 +1,7 @@
-//! The boundary of the core: `shared` stays free of std and of float functions that differ between platforms.
+//! The boundary of the core: `shared` must not use std or float functions that differ between platforms.
 //!
-//! The compiler refuses most of this already, since without std these functions do not exist on `f32`. But a
-//! dependency's trait can bring them back, and `core` gains functions with each release, so the source is read too.
+//! The compiler rejects most uses, since without std these functions do not exist on `f32`. But a dependency's trait
+//! can bring them back, and `core` gets new functions with each release, so this test also reads the source.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,13 +12,13 @@ const FUNCTIONS: &[&str] = &[
     "exp_m1", "hypot", "ln", "ln_1p", "log", "log10", "log2", "mul_add", "powf", "powi", "sin", "sin_cos",
     "sinh", "sqrt", "tan", "tanh",
 ];
-/// Modules and traits that offer such functions under the same or other names.
+/// Modules and traits that provide such functions under the same or other names.
 const PROVIDERS: &[&str] = &["libm::", "micromath::", "f32::math", "f64::math", "intrinsics::"];
 
 #[test]
 fn float_functions_of_the_platform_stand_nowhere_in_the_core() {
     let files = core_files();
-    assert!(files.len() > 10, "the core was not found: {files:?}");
+    assert!(files.len() > 10, "too few source files of the core found: {files:?}");
     let found: Vec<String> = files
         .iter()
         .filter(|path| !path.ends_with("shared/src/math.rs"))
@@ -31,7 +31,7 @@ fn float_functions_of_the_platform_stand_nowhere_in_the_core() {
         .collect();
     assert!(
         found.is_empty(),
-        "functions that differ between platforms; define them in shared/src/math.rs:\n{}",
+        "these functions differ between platforms; define them in shared/src/math.rs:\n{}",
         found.join("\n")
     );
 }
@@ -40,7 +40,7 @@ fn float_functions_of_the_platform_stand_nowhere_in_the_core() {
 fn the_core_is_unconditionally_without_std() {
     let root = fs::read_to_string(core().join("lib.rs")).expect("the core has a root");
     let lines: Vec<&str> = root.lines().collect();
-    assert!(lines.contains(&"#![no_std]"), "no_std must not hang on a condition");
+    assert!(lines.contains(&"#![no_std]"), "no_std must be unconditional");
     assert!(lines.contains(&"#![forbid(unsafe_code)]"));
     for (above, line) in lines.iter().zip(&lines[1..]) {
         let brings_std = line.contains("extern crate std") || line.contains("extern crate alloc");
@@ -76,9 +76,9 @@ fn comments_tests_and_other_names_are_no_offence() {
     }
 }
 
-/// Lines outside of comments and tests that name a function of the platform, counted from 1.
+/// Numbers of lines (from 1) that name a platform function outside comments and tests.
 fn offences(source: &str) -> Vec<(usize, String)> {
-    // The tests of a file stand at its end.
+    // The tests of a file are at its end.
     let code = source.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
     let mut found = Vec::new();
     for (index, line) in code.lines().enumerate() {
@@ -90,7 +90,7 @@ fn offences(source: &str) -> Vec<(usize, String)> {
     found
 }
 
-/// Whether `name` stands in the line as a method or at the end of a path.
+/// Whether the line contains `name` as a method or at the end of a path.
 fn names_function(line: &str, name: &str) -> bool {
     line.match_indices(name).any(|(start, _)| {
         let (before, after) = (&line[..start], &line[start + name.len()..]);
@@ -103,7 +103,7 @@ fn core() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/src")
 }
 
-/// Every source file of the core but those that hold tests alone.
+/// All source files of the core except those that contain only tests.
 fn core_files() -> Vec<PathBuf> {
     let (mut files, mut folders) = (Vec::new(), vec![core()]);
     while let Some(folder) = folders.pop() {

@@ -1,9 +1,9 @@
-//! The documents name files that exist.
+//! Checks that the paths in the documents exist.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders at the top level; what starts with one of them in a document is a path.
+/// Top-level folders; a quoted word that starts with one of them is a path.
 const FOLDERS: [&str; 9] =
     [".ci/", "docs/", "examples/", "firmware/", "fuzz/", "host/", "shared/", "tests/", "xtask/"];
 
@@ -11,7 +11,7 @@ fn top() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// All documents: those at the top level and those in `docs`.
+/// All documents, at the top level and in `docs`.
 fn documents() -> Vec<PathBuf> {
     let entries =
         [top(), top().join("docs")].into_iter().flat_map(|folder| fs::read_dir(folder).expect("it is there"));
@@ -19,8 +19,8 @@ fn documents() -> Vec<PathBuf> {
     paths.filter(|path| path.extension().is_some_and(|extension| extension == "md")).collect()
 }
 
-/// Paths of the repository in a text: words in backquotes that start with a top-level folder. What users make (`out/`) and
-/// patterns in angle brackets are none.
+/// Paths of the repository in a text: words in backquotes that start with a top-level folder, except patterns (`<target>`,
+/// `*`).
 fn named_paths(text: &str) -> Vec<&str> {
     let quoted = text.split('`').skip(1).step_by(2);
     quoted
@@ -40,11 +40,11 @@ fn every_path_in_the_documents_exists() {
             assert!(top().join(path).exists(), "{} names {path}, which does not exist", document.display());
         }
     }
-    assert!(count > 50, "the documents were not read: {count} paths");
+    assert!(count > 50, "too few paths found in the documents: {count}");
 }
 
 #[test]
-fn paths_are_told_from_commands_and_patterns() {
+fn paths_are_distinguished_from_commands_and_patterns() {
     let text = "See `host/src/lib.rs` and `docs/LINK.md::x`, not `cargo xtask ci`, `out/demo` or `fuzz/seeds/<target>`.";
     assert_eq!(named_paths(text), ["host/src/lib.rs", "docs/LINK.md"]);
 }

@@ -1,6 +1,6 @@
-//! The virtual board itself: what QEMU's machine and the shim do for a firmware, with a small probe in its place.
+//! Tests of the virtual board (QEMU and the shim), with a small probe as its firmware.
 //!
-//! The probe is the example of the same name in `firmware/shim`; its head lists the requests.
+//! The probe is the example `probe` of `firmware/shim`; its module documentation lists the requests.
 #![cfg(unix)]
 
 use std::fs;
@@ -14,19 +14,19 @@ use emulator::{Emulator, EmulatorConfig, EmulatorError, FLASH_BYTES, PlantEnd};
 use shim::rcc::ResetCause;
 use tests::debugger::{Debugger, symbol};
 
-/// Names the folder of the images.
+/// Environment variable with the folder of the images.
 const IMAGES: &str = "EUPNEA_IMAGES";
-/// Offset of the weights slots from the start of the flash, where addresses of the flash driver begin.
+/// Offset of the weights slots from the start of the flash, for the flash driver.
 const SLOT_A: u32 = 0x000C_0000;
 const SLOT_B: u32 = 0x000E_0000;
 const SECTOR: u32 = 0x0002_0000;
 /// A branch to itself.
 const BRANCH_TO_SELF: [u8; 2] = [0xFE, 0xE7];
-/// Longest time that an answer may take.
+/// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Bytes from here on are a hello, which the probe sends back.
+/// Bytes from this value on are a hello, which the probe sends back.
 const FIRST_HELLO: u8 = 0x80;
-/// When to say hello again: the probe may not have opened its port yet.
+/// Time until the next hello, since the probe may not have opened its port yet.
 const AGAIN: Duration = Duration::from_millis(50);
 
 fn image(name: &str) -> PathBuf {
@@ -38,7 +38,7 @@ fn config() -> EmulatorConfig {
     EmulatorConfig { firmware: image("probe"), shim: image("shim"), ..EmulatorConfig::default() }
 }
 
-/// Answers every request with itself.
+/// A plant that echoes every request.
 struct Echo;
 
 impl PlantEnd for Echo {
@@ -47,7 +47,7 @@ impl PlantEnd for Echo {
     }
 }
 
-/// Never answers.
+/// A plant that never answers.
 struct Silence;
 
 impl PlantEnd for Silence {
@@ -56,7 +56,7 @@ impl PlantEnd for Silence {
     }
 }
 
-/// A probe on a board.
+/// A board with the probe.
 struct Probe {
     board: Emulator,
     link: TcpStream,
@@ -76,7 +76,7 @@ impl Probe {
         probe
     }
 
-    /// Sends one hello after the other until the probe answers the last one: then all of it has been read.
+    /// Sends hellos until the probe answers the latest one, so that no answer is left unread.
     fn await_start(&mut self) {
         self.link.set_read_timeout(Some(AGAIN)).unwrap();
         let begun = Instant::now();
@@ -114,7 +114,7 @@ impl Probe {
         [first, second]
     }
 
-    /// Makes the board start anew, and waits until it has.
+    /// Makes the board restart, and waits until it has restarted.
     fn restart_by(&mut self, letter: u8, a: u32) {
         self.send(letter, a, 0);
         self.await_start();
@@ -214,7 +214,7 @@ fn a_hung_image_is_reset_and_can_read_the_cause() {
     assert_eq!(
         probe.reset_flags() & 0xFE00_0000,
         ResetCause::Software.flags(),
-        "the cause holds for one start"
+        "the cause is reported for one start"
     );
 }
 
@@ -228,7 +228,7 @@ fn a_debugger_hangs_the_image_and_the_watchdog_frees_it() {
     assert_eq!(debugger.registers().unwrap()[15], feed);
     let kept = debugger.read(feed, 2).unwrap();
     debugger.write(feed, &BRANCH_TO_SELF).unwrap();
-    // The change outlives the reset, so it is taken back at the start of the next run.
+    // The change survives the reset, so undo it at the start of the next run.
     debugger.run_to(main).unwrap();
     debugger.write(feed, &kept).unwrap();
     let record = debugger.record().unwrap();
@@ -288,7 +288,7 @@ fn a_plant_that_breaks_ends_the_board() {
     struct Broken;
     impl PlantEnd for Broken {
         fn answer(&mut self, _: &[u8]) -> Vec<u8> {
-            panic!("as the test wants it")
+            panic!("this test lets the plant fail")
         }
     }
     let mut probe = Probe::with(config(), Broken);
@@ -308,7 +308,7 @@ fn a_dropped_board_leaves_nothing_behind() {
     assert_eq!(processes_in(&mark), 0);
 }
 
-/// Running QEMUs that work in a folder.
+/// Number of QEMU processes with this working folder.
 fn processes_in(folder: &str) -> usize {
     let processes = fs::read_dir("/proc").unwrap().flatten();
     let works_there = |entry: &fs::DirEntry| {
@@ -319,7 +319,7 @@ fn processes_in(folder: &str) -> usize {
     processes.filter(works_there).count()
 }
 
-/// Runs in a process of its own, which the test below kills.
+/// Runs in a separate process, which the test below kills.
 #[test]
 fn a_killed_parent_child_process() {
     let Some(folder) = std::env::var_os("EUPNEA_PARENT_FOLDER") else { return };

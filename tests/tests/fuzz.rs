@@ -1,8 +1,8 @@
-//! The fuzz targets on an ordinary compiler: each on its committed seeds and on mutations of them, the same on every machine;
-//! and ten million damaged frames, of which none may get through.
+//! Runs the fuzz targets with the stable compiler, on the committed seeds and on mutations that are the same on every
+//! machine; and decodes ten million damaged frames, of which none may be accepted as another one.
 //!
-//! A fuzzer that found something leaves its bytes here: put the file into `fuzz/seeds/<target>`, and it is tried for ever.
-//! `EUPNEA_BLESS=1` writes the seeds that stand for every message anew.
+//! If a fuzzer finds a failing input, put the file into `fuzz/seeds/<target>`, so that this test always runs it.
+//! `EUPNEA_BLESS=1` regenerates the seeds that cover every message.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -24,14 +24,14 @@ use tests::trace::LEARNED;
 #[path = "../../fuzz/targets.rs"]
 mod targets;
 
-/// Frames of the great run.
+/// Number of frames of the long run.
 const FRAMES: u32 = 10_000_000;
 
 fn folder(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds").join(target)
 }
 
-/// Seeds of a target, by name.
+/// Seeds of a target, sorted by name.
 fn seeds(target: &str) -> Vec<Vec<u8>> {
     let entries = fs::read_dir(folder(target)).expect("the target has seeds");
     let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("a seed").path()).collect();
@@ -53,7 +53,7 @@ impl Dice {
     }
 
     fn byte(&mut self) -> u8 {
-        // Zeros and ones are what lengths, signs and delimiters are made of.
+        // More zeros and 0xFF, since lengths, signs and delimiters often contain them.
         match self.below(4) {
             0 => 0,
             1 => 0xFF,
@@ -61,7 +61,7 @@ impl Dice {
         }
     }
 
-    /// Damages bytes in one of the ways in which lines, memories and programs do.
+    /// Damages bytes in a way that is typical of lines, memories or programs.
     fn mutate(&mut self, bytes: &mut Vec<u8>, other: &[u8]) {
         let at = self.below(bytes.len());
         match (self.below(7), bytes.is_empty()) {
@@ -83,7 +83,7 @@ impl Dice {
     }
 }
 
-/// Runs a target on its seeds as they are and on so many mutations.
+/// Runs a target on its seeds, unchanged and with `mutations` mutations.
 fn run(target: &str, function: fn(&[u8]), mutations: u64) {
     let seeds = seeds(target);
     for seed in &seeds {
@@ -159,7 +159,7 @@ fn framed<M: Serialize>(message: &M) -> Vec<u8> {
     encode_frame(message, &mut buffer).expect("every message fits").to_vec()
 }
 
-/// What a device says to these frames, and the events that take it longer.
+/// The device's replies to these frames, and the events that take longer.
 fn replies(frames: &[u8]) -> Vec<ToHost> {
     let breath =
         BreathSummary { breath: 7, mean_absolute_error: 1.5, peak_pressure: 21.0, end_pressure: 5.0 };
@@ -195,7 +195,7 @@ fn content(frame: &[u8]) -> Vec<u8> {
     content
 }
 
-/// Seeds that a change of a message makes stale, as pairs of a file and its bytes.
+/// Files and content of the seeds that a change of a message makes outdated.
 fn fresh_seeds() -> Vec<(PathBuf, Vec<u8>)> {
     let frames: Vec<_> = (0..).zip(requests()).map(|(number, request)| frame(number, request)).collect();
     let mut seeds = vec![
@@ -214,7 +214,7 @@ fn fresh_seeds() -> Vec<(PathBuf, Vec<u8>)> {
     seeds
 }
 
-/// Frames with bytes in between that are no frame, in which control ticks pass.
+/// Frames separated by bytes outside frames, during which control ticks pass.
 fn with_time(frames: &[Vec<u8>]) -> Vec<u8> {
     frames.iter().flat_map(|frame| [&frame[..], &[0; 64]].concat()).collect()
 }
@@ -230,13 +230,13 @@ fn the_seeds_hold_every_message() {
         let found = fs::read(&file).unwrap_or_default();
         assert!(
             found == bytes,
-            "{} is stale: EUPNEA_BLESS=1 cargo test -p tests --test fuzz",
+            "{} is outdated; run: EUPNEA_BLESS=1 cargo test -p tests --test fuzz",
             file.display()
         );
     }
 }
 
-/// Ten million frames, damaged or random, in one stream: none of them is taken for another one, and each is counted.
+/// Ten million damaged or random frames in one stream: none is accepted as another frame, and each is counted.
 #[test]
 #[ignore = "takes half a minute, and needs an optimiser: cargo xtask ci --only frames"]
 fn of_ten_million_damaged_frames_none_gets_through_as_another() {
@@ -257,7 +257,7 @@ fn of_ten_million_damaged_frames_none_gets_through_as_another() {
             for _ in 0..dice.below(3) {
                 dice.mutate(&mut bytes, &frames[chosen]);
             }
-            // What a frame lost at its end must not hang on the next one.
+            // The missing end of a frame must not affect the next one.
             bytes.push(0);
         }
         runs += bytes.split(|byte| *byte == 0).filter(|run| !run.is_empty()).count();
@@ -266,7 +266,7 @@ fn of_ten_million_damaged_frames_none_gets_through_as_another() {
                 Poll::Pending => {}
                 Poll::Frame(arrived) => {
                     good += 1;
-                    // Eight bytes of 0xFF are a right checksum behind its content: they must be no request.
+                    // Eight bytes of 0xFF are a content with its right checksum, but must not be a request.
                     let sent = contents.iter().any(|content| content == arrived);
                     assert_eq!(read_request(arrived).is_ok(), sent, "{arrived:02x?}");
                 }

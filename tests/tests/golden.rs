@@ -1,7 +1,7 @@
-//! Golden traces: a hundred breaths in closed loop must give the committed commands, bit for bit, in debug and in
-//! release, on every machine.
+//! Golden traces: 100 breaths in closed loop must give the committed commands, bit for bit, with any optimisation, on
+//! every machine.
 //!
-//! A change that is meant to alter commands renews them with `EUPNEA_BLESS=1 cargo test -p tests golden`.
+//! After an intended change of commands, update them with `EUPNEA_BLESS=1 cargo test -p tests golden`.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -27,10 +27,10 @@ fn golden_learned_commands_keep_every_bit() {
 
 fn compare(name: &str, controller: Controller) {
     let trace = trace::run(controller).expect("the ventilator must not leave ventilation");
-    // Exploration alone leaves 1.5 cmH2O.
+    // Exploration alone causes an error of 1.5 cmH2O.
     assert!(
         trace.plateau_error < 2.0,
-        "the loop does not reach its target, off by {} cmH2O: its trace would prove little",
+        "the loop misses its target by {} cmH2O, so its trace would prove little",
         trace.plateau_error
     );
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("golden").join(name).with_extension("txt");

@@ -1,7 +1,7 @@
-//! The order of layers: ARCHITECTURE.md lists them from the top down, and every path in the code points down that list.
+//! The order of layers: ARCHITECTURE.md lists them from the top down, and every path in the code must point down the list.
 //!
-//! A *place* is a module at the root of a crate, or the crate's root file (`lib`). A place may name places further down in
-//! its crate, and crates further down in the list. Tests may name anything that compiles.
+//! A *place* is a module at the root of a crate, or the crate's root file (`lib`). A place may use places further down in
+//! its crate, and crates further down the list. Tests may use anything that compiles.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -14,7 +14,7 @@ use syn::{Attribute, Item, ItemUse, UseTree, Visibility};
 
 /// Heading of the list in ARCHITECTURE.md.
 const HEADING: &str = "## Layers";
-/// A crate's root file, as the list names it.
+/// Name of a crate's root file in the list.
 const ROOT: &str = "lib";
 
 /// A module at the root of a crate.
@@ -30,11 +30,11 @@ impl fmt::Display for Place {
     }
 }
 
-/// The places in their order, from the top down.
+/// The places in order, from the top down.
 struct Layers(Vec<Place>);
 
 impl Layers {
-    /// Reads the code block below the heading: a line per crate, its modules behind a colon.
+    /// Reads the code block below the heading: one line per crate, with its modules after a colon.
     fn parse(document: &str) -> Self {
         let (_, section) = document.split_once(HEADING).expect("the document has the heading");
         let block = section.split("```").nth(1).expect("a code block follows the heading");
@@ -50,34 +50,34 @@ impl Layers {
         self.0.iter().map(|place| place.krate.as_str()).collect()
     }
 
-    /// How far from the top a place stands.
+    /// Position of a place in the list.
     fn depth(&self, place: &Place) -> Option<usize> {
         self.0.iter().position(|listed| listed == place)
     }
 
-    /// How far from the top the first place of a crate stands.
+    /// Position of the first place of a crate in the list.
     fn crate_depth(&self, krate: &str) -> Option<usize> {
         self.0.iter().position(|listed| listed.krate == krate)
     }
 
-    /// Why `from` must not name `to`, if it must not.
+    /// Reason why `from` must not use `to`, if there is one.
     fn offence(&self, from: &Place, to: &Place) -> Option<String> {
         let points_down = if from.krate == to.krate {
             from == to || self.depth(from) < self.depth(to)
         } else {
             self.crate_depth(&from.krate) < self.crate_depth(&to.krate)
         };
-        (!points_down).then(|| format!("{from} names {to}, which stands above it"))
+        (!points_down).then(|| format!("{from} uses {to}, which is above it"))
     }
 }
 
-/// The sources of a crate: file by file, with the place that each belongs to.
+/// The source files of a crate, each with its place.
 struct Sources {
     krate: String,
     files: Vec<(Place, PathBuf)>,
-    /// Items that the root file passes on, with the module that defines them.
+    /// Items that the root file re-exports, with the module that defines them.
     passed_on: BTreeMap<String, String>,
-    /// The manifest, for what the crate depends on.
+    /// The manifest, which lists the crate's dependencies.
     manifest: String,
 }
 
@@ -85,9 +85,9 @@ impl Sources {
     fn read(krate: &str, folder: &Path) -> Self {
         let files = files_below(folder)
             .into_iter()
-            .filter(|path| !is_test_file(path.strip_prefix(folder).expect("it lies below")))
+            .filter(|path| !is_test_file(path.strip_prefix(folder).expect("the file is in the folder")))
             .map(|path| {
-                let first = path.strip_prefix(folder).expect("it lies below").iter().next();
+                let first = path.strip_prefix(folder).expect("the file is in the folder").iter().next();
                 let name = Path::new(first.expect("a file has a name")).with_extension("");
                 (Place { krate: krate.to_owned(), module: name.display().to_string() }, path)
             })
@@ -106,7 +106,7 @@ impl Sources {
         self.files.iter().map(|(place, _)| place).collect()
     }
 
-    /// The place behind a path that starts at the crate's root.
+    /// The place of a path that starts at the crate's root.
     fn resolve(&self, name: &str) -> Place {
         let is_module = self.files.iter().any(|(place, _)| place.module == name);
         let passed_on = || self.passed_on.get(name).map_or(ROOT, String::as_str);
@@ -115,7 +115,7 @@ impl Sources {
     }
 }
 
-/// Whether a file holds tests alone.
+/// Whether a file contains only tests.
 fn is_test_file(path: &Path) -> bool {
     path.iter().any(|part| part == "tests" || part == "tests.rs" || part == "tests_support.rs")
 }
@@ -133,7 +133,7 @@ fn files_below(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Names that `pub use module::name` passes on.
+/// Names that `pub use module::name` re-exports, with their module.
 fn passed_on(root: &str) -> BTreeMap<String, String> {
     let file = syn::parse_file(root).expect("the root file is Rust");
     let mut names = BTreeMap::new();
@@ -146,7 +146,7 @@ fn passed_on(root: &str) -> BTreeMap<String, String> {
     names
 }
 
-/// The paths of a use, name by name.
+/// All paths of a `use` item, as names.
 fn leaves(tree: &UseTree) -> Vec<Vec<String>> {
     let below = |name: String, tree: &UseTree| {
         leaves(tree).into_iter().map(|path| [vec![name.clone()], path].concat()).collect()
@@ -160,7 +160,7 @@ fn leaves(tree: &UseTree) -> Vec<Vec<String>> {
     }
 }
 
-/// Collects every path of a file that is not test code: two names each, as far as there are two.
+/// Collects the first two names of every path outside test code.
 #[derive(Default)]
 struct Paths(BTreeSet<(String, String)>);
 
@@ -171,7 +171,7 @@ impl Paths {
         }
     }
 
-    /// Paths in the arguments of a macro, which are no syntax tree yet.
+    /// Adds the paths in the arguments of a macro, which are not parsed.
     fn add_tokens(&mut self, tokens: TokenStream) {
         let tokens: Vec<TokenTree> = tokens.into_iter().collect();
         for (index, token) in tokens.iter().enumerate() {
@@ -213,7 +213,7 @@ impl<'ast> Visit<'ast> for Paths {
     }
 
     fn visit_item_use(&mut self, item: &'ast ItemUse) {
-        // To pass a name on is no use of it.
+        // A re-export is not a use.
         if !matches!(item.vis, Visibility::Public(_)) {
             for path in leaves(&item.tree) {
                 self.add(&path);
@@ -232,7 +232,7 @@ impl<'ast> Visit<'ast> for Paths {
     }
 }
 
-/// What a file of `place` must not name, each once. `at_root` says that `super` is the crate's root.
+/// Forbidden uses in a file of `place`, without duplicates. `at_root`: `super` is the crate's root.
 fn offences(layers: &Layers, crates: &[Sources], place: &Place, at_root: bool, source: &str) -> Vec<String> {
     let own = crates.iter().find(|sources| sources.krate == place.krate).expect("the crate is read");
     let mut paths = Paths::default();
@@ -275,13 +275,13 @@ fn the_list_names_every_place_once() {
     let layers = Layers::parse(&document());
     let crates = crates();
     let listed: BTreeSet<&Place> = layers.0.iter().collect();
-    assert_eq!(listed.len(), layers.0.len(), "a place stands twice in the list");
+    assert_eq!(listed.len(), layers.0.len(), "a place is in the list twice");
     let found: BTreeSet<&Place> = crates.iter().flat_map(Sources::modules).collect();
     let missing: Vec<String> = found.difference(&listed).map(ToString::to_string).collect();
     let gone: Vec<String> = listed.difference(&found).map(ToString::to_string).collect();
     assert!(missing.is_empty(), "add to the list under `{HEADING}` in ARCHITECTURE.md: {missing:?}");
-    assert!(gone.is_empty(), "no such place any more, remove it from the list: {gone:?}");
-    assert!(layers.crates().len() > 10, "the crates were not found: {:?}", layers.crates());
+    assert!(gone.is_empty(), "these places do not exist, remove them from the list: {gone:?}");
+    assert!(layers.crates().len() > 10, "too few crates found: {:?}", layers.crates());
 }
 
 #[test]
@@ -297,7 +297,7 @@ fn every_path_points_down_the_list() {
         let above = offences(&layers, &crates, place, at_root, &source);
         found.extend(above.into_iter().map(|offence| format!("{}: {offence}", path.display())));
     }
-    assert!(found.is_empty(), "move the code down, or its user up:\n{}", found.join("\n"));
+    assert!(found.is_empty(), "move the used code down, or its user up:\n{}", found.join("\n"));
 }
 
 #[test]

@@ -1,7 +1,7 @@
-//! The real firmware image in QEMU: boot, ventilation, golden trace, weights in flash, faults, a host that misbehaves.
+//! Tests of the real firmware image in QEMU: boot, ventilation, golden trace, weights in flash, faults, a misbehaving host.
 //!
-//! Run with `cargo xtask qemu-test`, which builds the images. Nothing here depends on how fast the machine is: time on the
-//! board is virtual and stands still while the plant computes.
+//! Run them with `cargo xtask qemu-test`, which builds the images. The results do not depend on the machine's speed: time on
+//! the board is virtual and stops while the plant computes.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -41,15 +41,15 @@ use tests::trace::{self, Fnv};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, PortSource, Source};
 
-/// Cycles of a control tick.
+/// Length of a control tick, cycles.
 const TICK_CYCLES: u32 = 168_000;
-/// Cycles of a microsecond.
+/// Cycles per microsecond.
 const MICROSECOND: u32 = 168;
-/// Clock cycles of an instruction in QEMU: 8 ns of virtual time at 168 MHz.
+/// Clock cycles per instruction in QEMU: 8 ns of virtual time at 168 MHz.
 const CYCLES_PER_INSTRUCTION: f32 = 1.344;
-/// When a test gives up, lest it hang: nothing else depends on it.
+/// Longest wait before a test fails; no result depends on it.
 const DEADLINE: Duration = Duration::from_mins(5);
-/// Bytes of one weights slot.
+/// Length of a weights slot, bytes.
 const SLOT: usize = 128 * 1024;
 
 /// Where `cargo xtask firmware` puts the images.
@@ -90,7 +90,7 @@ fn pid(gains: PidGains) -> Controller {
     Controller::Pid(Pid::new(gains, 1000).unwrap())
 }
 
-/// An image that differs from the committed weights by its name alone.
+/// An image that differs from the committed weights only in its training id.
 fn renamed(training: u8) -> ([u8; IMAGE_BYTES], u32) {
     let image = decode(trace::LEARNED).unwrap();
     let mut bytes = [0; IMAGE_BYTES];
@@ -104,7 +104,7 @@ fn upload(device: &mut Device, training: u8) -> (u32, Slot) {
     (uploaded.id, uploaded.slot)
 }
 
-/// Id of the weights that a device has loaded.
+/// Id of the weights that a device has loaded at its start.
 fn running(device: &mut Device) -> Option<u32> {
     let identity = device.identify().unwrap();
     match identity.slots[identity.running? as usize] {
@@ -113,10 +113,10 @@ fn running(device: &mut Device) -> Option<u32> {
     }
 }
 
-/// What happens to a slot, and in words.
+/// Description of a damage, and a function that applies it to a slot.
 type Damage = (&'static str, fn(&mut [u8]));
 
-/// A plant line where nobody answers.
+/// A plant that never answers.
 struct Silence;
 
 impl PlantEnd for Silence {
@@ -125,7 +125,7 @@ impl PlantEnd for Silence {
     }
 }
 
-/// The lung of the golden traces at the end of the plant line.
+/// The lung of the golden traces as a plant on the plant line.
 struct GoldenPlant(ExactLung);
 
 impl GoldenPlant {
@@ -203,7 +203,7 @@ fn golden_trace_of_learned_weights_is_the_hosts_bit_for_bit() {
 
 #[test]
 fn it_ventilates_all_lungs_of_the_paper() {
-    // No PID suits them all; the resistance decides.
+    // No PID suits all lungs; the resistance determines the gains.
     let gains = |p, i| PidGains { p, i, d: 0.0 };
     let tuned = [(5.0, gains(20.0, 100.0)), (20.0, gains(5.0, 100.0)), (50.0, gains(3.5, 25.0))];
     for ((resistance, gains), compliance) in
@@ -259,7 +259,7 @@ fn weights_are_stored_survive_a_reset_and_a_power_cut_and_alternate() {
     assert_eq!((identity.reset, identity.running), (ResetCause::Software, Some(Slot::A)));
     assert_eq!(identity.controller, ControllerChoice::Learned);
     assert_eq!(upload(&mut device, 2), (renamed(2).1, Slot::B));
-    // Dropped, the board loses its power.
+    // A dropped board loses its power.
     drop((device, board));
     let (_board, mut device) = breathing(config(), &lung());
     assert_eq!(
@@ -304,7 +304,7 @@ fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
         || EmulatorConfig { folder: Some(folder.path().to_owned()), debugger: true, ..config("hil") };
     let (board, mut device) = breathing(config(), &lung());
     upload(&mut device, 1);
-    // An erased sector, then word after word; the first of the last unit commits.
+    // The sector erase, then the words in order; the first word of the last unit is the commit word.
     let operations = debugger(&board).record().unwrap().flash_operations;
     let commit = operations + 1 - UNIT as u32 / 4;
     assert!(commit as usize > IMAGE_BYTES / 4, "{commit}");
@@ -314,7 +314,7 @@ fn a_cut_in_the_middle_of_a_store_leaves_the_old_or_the_new_weights() {
         let (mut board, mut device) = breathing(config(), &lung());
         debugger(&board).cut_power_at(cut).unwrap();
         let (image, new) = renamed(training);
-        assert!(device.upload(&image, &Progress::silent()).is_err(), "the line ends with the power");
+        assert!(device.upload(&image, &Progress::silent()).is_err(), "the line closes when the power is cut");
         board.wait().unwrap();
         assert!(board.log().ends_with("power cut"), "{}", board.log());
         drop((device, board));
@@ -346,7 +346,7 @@ fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason()
     assert_eq!((pips[0], pips.last()), (15.0, Some(&30.0)));
 }
 
-/// Samples as they come, each accounted for.
+/// Received samples, checked for gaps.
 #[derive(Default)]
 struct Samples {
     all: Vec<Sample>,
@@ -355,7 +355,7 @@ struct Samples {
 }
 
 impl Samples {
-    /// Takes samples in until one is as wished.
+    /// Receives samples until one meets a condition.
     fn until(&mut self, device: &Device, wished: impl Fn(&Sample) -> bool) {
         let deadline = Instant::now() + DEADLINE;
         loop {
@@ -388,7 +388,7 @@ fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample()
     device.timing(true).unwrap();
     let mut samples = Samples::default();
     for breath in 0..20 {
-        // Requests without pause, bytes that are no frame, and a frame that is cut short, all through the breath.
+        // Continuous requests, bytes outside frames and a truncated frame, throughout the breath.
         for _ in 0..10 {
             device.settings().unwrap();
             device.send_raw(&[0x55; 300]).unwrap();
@@ -413,7 +413,7 @@ fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample()
     println!("{times:?}");
 }
 
-/// Exchanges with a plant, of which each control tick has one.
+/// Number of exchanges with a plant, one per control tick.
 #[derive(Default)]
 struct Ticks {
     count: Mutex<u64>,
@@ -421,16 +421,16 @@ struct Ticks {
 }
 
 impl Ticks {
-    /// Waits until so many more have passed.
+    /// Waits for `ticks` more exchanges.
     fn wait_for(&self, ticks: u64) {
         let count = self.count.lock().unwrap();
         let end = *count + ticks;
         let (count, _) = self.more.wait_timeout_while(count, DEADLINE, |count| *count < end).unwrap();
-        assert!(*count >= end, "the board stands still");
+        assert!(*count >= end, "the board has stopped");
     }
 }
 
-/// The function of the image that runs in every tick of a breath.
+/// Function of the image that runs in every tick of a breath.
 const CONTROL_STEP: &str = "shared::ventilator::Ventilator<C>::breathe";
 
 /// A plant whose exchanges are counted.
@@ -454,7 +454,7 @@ fn a_host_that_falls_silent_and_comes_back_finds_the_device_ventilating() {
     device.start().unwrap();
     drop(device);
     ticks.wait_for(300);
-    // Another program, which knows nothing of frames.
+    // Another program, which sends no frames.
     let mut stranger = TcpStream::connect(board.address()).unwrap();
     stranger.write_all(&[0xFF; 5000]).unwrap();
     ticks.wait_for(300);
@@ -473,7 +473,7 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     let mut debugger = debugger(&board);
     let step = symbol(&image("hil"), CONTROL_STEP).unwrap();
     let whole = debugger.read(step, 2).unwrap();
-    // A branch to itself in the place of the step's first instruction.
+    // A branch to itself in place of the step's first instruction.
     debugger.write(step, &[0xFE, 0xE7]).unwrap();
     debugger.detach().unwrap();
     let _ = device.start();
@@ -481,7 +481,7 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     let identity = loop {
         match device.identify() {
             Ok(identity) if identity.reset == ResetCause::Watchdog => break identity,
-            other => assert!(Instant::now() < deadline, "the watchdog does not bite: {other:?}"),
+            other => assert!(Instant::now() < deadline, "the watchdog does not reset the board: {other:?}"),
         }
     };
     assert_eq!(identity.mode, Mode::Standby, "nothing moves by itself");
@@ -493,7 +493,7 @@ fn a_program_that_fails_tells_the_reason_after_its_restart() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     let mut debugger = debugger(&board);
     let step = symbol(&image("hil"), CONTROL_STEP).unwrap();
-    // An instruction that is defined to be undefined.
+    // An instruction that is permanently undefined.
     debugger.write(step, &[0x00, 0xDE]).unwrap();
     debugger.detach().unwrap();
     let _ = device.start();
@@ -501,14 +501,14 @@ fn a_program_that_fails_tells_the_reason_after_its_restart() {
     let failure = loop {
         match device.identify() {
             Ok(identity) if identity.failure.is_some() => break identity.failure.unwrap(),
-            other => assert!(Instant::now() < deadline, "no reason is told: {other:?}"),
+            other => assert!(Instant::now() < deadline, "the greeting contains no reason: {other:?}"),
         }
     };
     assert!(failure.contains(&format!("hard fault at {step:#010x}")), "{failure}");
     assert_eq!(device.identify().unwrap().mode, Mode::Standby);
 }
 
-/// A plant whose cable someone can pull.
+/// A plant that can be disconnected.
 struct Unplugged<P>(P, Arc<AtomicBool>);
 
 impl<P: PlantEnd> PlantEnd for Unplugged<P> {
@@ -533,7 +533,7 @@ fn a_plant_that_vanishes_is_a_sensor_fault() {
     assert_eq!(device.identify().unwrap().mode, Mode::Fault(Fault::ReadingNotANumber));
 }
 
-/// Waits until the device greets after a start by this cause.
+/// Waits for a greeting after a start with this cause.
 fn restarted_by(device: &mut Device, cause: ResetCause) {
     let deadline = Instant::now() + DEADLINE;
     loop {
@@ -562,10 +562,10 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     let alarm = |event: &Event| matches!(event, Event::Alarm { .. });
     let deadline = Instant::now() + DEADLINE;
     while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
-    // The recording goes on for its tail.
+    // Recording continues for its tail.
     let ended = |status: &RecorderStatus| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
     while !ended(&device.recorder().unwrap()) {
-        assert!(Instant::now() < deadline, "the recording goes on and on");
+        assert!(Instant::now() < deadline, "recording does not stop");
     }
     let before = device.blackbox(&Progress::silent()).unwrap();
     let fault = Fault::ReadingNotANumber;
@@ -576,7 +576,7 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     assert!(
         before.fast.ticks().all(|tick| tick.activity != Activity::Fault || (tick.u_out && tick.u_in <= 0.0))
     );
-    assert!(before.slow.ticks().any(|tick| tick.pressure > 20.0), "the breaths before are in it");
+    assert!(before.slow.ticks().any(|tick| tick.pressure > 20.0), "the breaths before are recorded");
     device.restart().unwrap();
     let after = device.blackbox(&Progress::silent()).unwrap();
     assert_eq!(
@@ -584,8 +584,8 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
         (before.status.boot + 1, before.status.recording)
     );
     let bits = |ticks: &RecordedTicks| ticks.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
-    assert!(bits(&after.fast) == bits(&before.fast), "the ticks are those of before");
-    assert!(bits(&after.slow).starts_with(&bits(&before.slow)), "the last minute had its tail to go on with");
+    assert!(bits(&after.fast) == bits(&before.fast), "the recorded ticks have changed");
+    assert!(bits(&after.slow).starts_with(&bits(&before.slow)), "the slow recording has changed");
     assert!(after.log.starts_with(&before.log) && after.unread == 0);
     assert!(happened(&after, Happening::Fault(fault)) && happened(&after, Happening::Start));
     assert!(happened(&after, Happening::Boot { cause: ResetCause::Software, failed: false }));
@@ -609,7 +609,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
     assert_eq!(blackbox.status.tick_boot, 1);
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
-    // The newest ticks that came over the link before it hung are the recorder's, to its resolution.
+    // The last ticks received before the hang must be in the recorder, to its resolution.
     let recorded: Vec<_> = blackbox.fast.ticks().collect();
     assert_eq!(recorded.len(), FAST_ENTRIES);
     let mut sent = samples.all;
@@ -624,7 +624,7 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     };
     let found =
         recorded.windows(sent.len()).any(|part| part.iter().zip(sent).all(|(kept, sent)| same(kept, sent)));
-    assert!(found, "what was sent last is not what was recorded");
+    assert!(found, "the last received ticks are not in the recorder");
 }
 
 #[test]

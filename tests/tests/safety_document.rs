@@ -1,6 +1,6 @@
-//! SAFETY.md says what the code does: its tables are made from the table of alarms and from the fault matrix.
+//! Checks that SAFETY.md's tables match the code: they are generated from the table of alarms and from the fault matrix.
 //!
-//! `UPDATE_SAFETY=1 cargo test -p tests --test safety_document` writes them anew.
+//! `UPDATE_SAFETY=1 cargo test -p tests --test safety_document` regenerates them.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ fn document() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../SAFETY.md"))
 }
 
-/// Every alarm with priority, action, entry and exit.
+/// Table of alarms.
 fn alarms() -> String {
     let mut table =
         "| alarm | priority | action | entry | exit | text |\n|---|---|---|---|---|---|\n".to_owned();
@@ -34,7 +34,7 @@ fn alarms() -> String {
     table
 }
 
-/// Every fault of the matrix with the monitors that must find it.
+/// Table of the fault matrix, with the monitors that must detect each fault.
 fn faults() -> String {
     let mut table =
         "| fault | monitors that must fire | highest true pressure allowed |\n|---|---|---|\n".to_owned();
@@ -51,11 +51,11 @@ fn faults() -> String {
     table
 }
 
-/// The text with what stands between the marks of a table replaced.
+/// Replaces the text between the marks of a table.
 fn with_table(text: &str, name: &str, table: &str) -> String {
     let (begin, end) = (format!("<!-- {name}: begin -->\n"), format!("<!-- {name}: end -->"));
-    let (before, rest) = text.split_once(&begin).expect("the table's first mark");
-    let (_, after) = rest.split_once(&end).expect("the table's last mark");
+    let (before, rest) = text.split_once(&begin).expect("SAFETY.md has the table's begin mark");
+    let (_, after) = rest.split_once(&end).expect("SAFETY.md has the table's end mark");
     format!("{before}{begin}{table}{end}{after}")
 }
 
@@ -69,7 +69,7 @@ fn the_tables_are_those_of_the_code() {
     let now = std::fs::read_to_string(document()).unwrap();
     assert!(
         now == wanted,
-        "SAFETY.md is behind the code: UPDATE_SAFETY=1 cargo test -p tests --test safety_document"
+        "SAFETY.md's tables are outdated; run: UPDATE_SAFETY=1 cargo test -p tests --test safety_document"
     );
 }
 
