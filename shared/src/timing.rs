@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Nominal timeout of the chip's watchdog, us. Its RC oscillator runs at 17 to 47 kHz (data sheet; nominal 32), so the real
+/// timeout is 34 to 94 ms.
+pub const WATCHDOG_US: u32 = 50_000;
+/// Upper bound of the watchdog's real timeout, us.
+pub const WATCHDOG_MAX_US: u32 = 2 * WATCHDOG_US;
 /// Bins of the histogram: below 1 us, below 2 us, below 4 us and so on; the last one is open-ended.
 pub const BINS: usize = 12;
 

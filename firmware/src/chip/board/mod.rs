@@ -17,12 +17,13 @@ use embassy_stm32::{Config, Peri};
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
+use shared::timing::WATCHDOG_US;
 
 pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
 
 use super::drivers::flash::WeightsFlash;
 use super::drivers::taken_once;
-use super::drivers::watchdog::{TIMEOUT_US, Watchdog};
+use super::drivers::watchdog::Watchdog;
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
@@ -57,7 +58,7 @@ impl Board {
     fn new(plant: SelectedPlant, watchdog: Peri<'static, IWDG>, flash: Peri<'static, FLASH>) -> Self {
         Self {
             plant,
-            watchdog: Watchdog::new(watchdog, TIMEOUT_US),
+            watchdog: Watchdog::new(watchdog, WATCHDOG_US),
             flash: WeightsFlash::new_blocking(flash),
             core: taken_once(cortex_m::Peripherals::take()),
         }

@@ -5,9 +5,6 @@ use embassy_stm32::pac::iwdg::vals::{Key, Pr};
 use embassy_stm32::peripherals;
 use embassy_stm32::wdg::IndependentWatchdog;
 
-/// Nominal time without feeding after which the chip restarts, microseconds. The watchdog's oscillator runs at 17 to 47 kHz
-/// (data sheet; nominal 32), so the real time is 34 to 94 ms.
-pub const TIMEOUT_US: u32 = 50_000;
 /// Nominal frequency of the watchdog's oscillator, Hz.
 const OSCILLATOR: u32 = 32_000;
 /// Prescaler of the long timeout.

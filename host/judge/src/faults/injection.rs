@@ -6,13 +6,14 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use shared::reset::ResetCause;
+use shared::timing::WATCHDOG_MAX_US;
 
 use plant::bench::Failure;
 
 /// Units of the word in which a sensor's reading travels, per cmH2O, and the pressure of the word zero, cmH2O.
 const WORD: (f32, f32) = (600.0, -25.0);
-/// The valve controller is reset so long after its task hangs, ms: the watchdog's period.
-const WATCHDOG_MS: u32 = 20;
+/// Time from the hang of the control task to the reset by the watchdog, ms: the longest of any chip.
+const WATCHDOG_MS: u32 = WATCHDOG_MAX_US / 1000;
 /// A host takes so long to start the device again after a reset, ms.
 pub(super) const RESTART_MS: u32 = 500;
 
