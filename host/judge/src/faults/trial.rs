@@ -53,7 +53,7 @@ pub struct TrialOutcome {
     pub alarms: Vec<(Fault, u32)>,
     /// When the valves were first told to vent in an inspiration.
     pub vented_ms: Option<u32>,
-    /// From the first reading above the limit to the command to vent.
+    /// Longest time for which readings were above the limit without a command to vent.
     pub limit_to_vent_ms: Option<u32>,
     /// When the safe state was latched.
     pub latched_ms: Option<u32>,
@@ -199,10 +199,10 @@ impl Run<'_> {
         } else if !vents {
             self.above_limit.get_or_insert(since);
         }
-        if let (Some(from), true) = (self.above_limit, vents) {
+        // Counted from tick to tick, so that a command that never comes counts as well.
+        outcome.limit_to_vent_ms = outcome.limit_to_vent_ms.max(self.above_limit.map(|from| since - from));
+        if vents {
             self.above_limit = None;
-            let waited = outcome.limit_to_vent_ms.unwrap_or(0);
-            outcome.limit_to_vent_ms = Some(waited.max(since - from));
         }
         let near_peep = pressure < f64::from(breath.settings().peep) + BACK;
         if let (Some(vented), true, None) = (outcome.vented_ms, near_peep, outcome.back_at_peep_ms) {
