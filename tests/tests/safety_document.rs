@@ -1,4 +1,4 @@
-//! Checks that SAFETY.md's tables match the code: they are generated from the table of alarms and from the fault matrix.
+//! The tables of SAFETY.md are generated from the table of alarms and from the fault matrix.
 //!
 //! `UPDATE_SAFETY=1 cargo test -p tests --test safety_document` regenerates them.
 
@@ -23,7 +23,7 @@ fn alarms() -> String {
             Priority::High => "high",
         };
         let action = match alarm.action {
-            Action::Tell => "tell",
+            Action::Tell => "report",
             Action::Pid => "PID",
             Action::CappedPid => "capped PID",
             Action::Vent => "vent, latched",
@@ -34,24 +34,25 @@ fn alarms() -> String {
     table
 }
 
-/// Table of the fault matrix, with the monitors that must detect each fault.
+/// Every fault of the matrix with the monitors that must detect it.
 fn faults() -> String {
     let mut table =
-        "| fault | monitors that must fire | highest true pressure allowed |\n|---|---|---|\n".to_owned();
+        "| fault | monitors that must fire | highest true pressure allowed, cmH2O |\n|---|---|---|\n"
+            .to_owned();
     for case in cases() {
         let monitors: Vec<String> =
             case.monitors.iter().map(|monitor| format!("`{}`", monitor.alarm().id)).collect();
         let monitors = if monitors.is_empty() {
-            "none: the pressure alone is judged".to_owned()
+            "none; only the pressure is judged".to_owned()
         } else {
             monitors.join(", ")
         };
-        writeln!(table, "| {} | {monitors} | {:.0} cmH2O |", case.name, case.peak_allowed).unwrap();
+        writeln!(table, "| {} | {monitors} | {:.0} |", case.name, case.peak_allowed).unwrap();
     }
     table
 }
 
-/// Replaces the text between the marks of a table.
+/// The text with the content between the marks of a table replaced.
 fn with_table(text: &str, name: &str, table: &str) -> String {
     let (begin, end) = (format!("<!-- {name}: begin -->\n"), format!("<!-- {name}: end -->"));
     let (before, rest) = text.split_once(&begin).expect("SAFETY.md has the table's begin mark");

@@ -128,7 +128,7 @@ fn table(rows: &[FaultRow]) -> Table {
     for row in rows {
         let action = match row.action {
             None => "none",
-            Some(Action::Tell) => "tell",
+            Some(Action::Tell) => "report",
             Some(Action::Pid) => "PID",
             Some(Action::CappedPid) => "capped PID",
             Some(Action::Vent) => "vent",

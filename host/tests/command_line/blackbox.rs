@@ -47,7 +47,7 @@ fn a_fault_is_read_drawn_and_cleared() {
     assert!(csv.lines().any(|line| line.contains(",fault,")) && csv.contains("inspiration"));
     assert!(fs::read_to_string(place.path("page.html")).unwrap().contains("<svg"));
     let text = place.ok(&format!("blackbox --port {name} --out all.json --clear"));
-    assert!(text.contains("fault: PEEP is lost") && text.contains("emptied"), "{text}");
+    assert!(text.contains("fault: pressure below PEEP") && text.contains("emptied"), "{text}");
     let saved: serde_json::Value =
         serde_json::from_slice(&fs::read(place.path("all.json")).unwrap()).unwrap();
     assert_eq!(saved["status"]["recording"], json["status"]["recording"]);

@@ -12,7 +12,7 @@ pub const CAP: f32 = 40.0;
 const LEARNED_STRIKES: u32 = 2;
 /// Consecutive clean breaths that lead one level up.
 const CLEAN_BREATHS: u32 = 5;
-/// Steps up that are allowed until ventilation is started again.
+/// Steps up that a run of ventilation may take; after them only a new start of ventilation leads up.
 const RETURNS: u32 = 3;
 
 /// Level of the ladder: the controller that commands the inspiratory valve.

@@ -166,18 +166,18 @@ const SENSOR: [FaultCase; 13] = [
     case("reading stuck at its last value", StuckAtLast, &[Fault::ReadingFrozen]),
     case("reading stuck at PEEP", StuckAt(5.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
     case("reading stuck at 0", StuckAt(0.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
-    case("reading stuck at PEEP, with noise", NoisyAt(5.0), &[Fault::NoResponse])
+    case("reading stuck at PEEP with normal noise", NoisyAt(5.0), &[Fault::NoResponse])
         .at(BEFORE_MS)
         .within_a_breath(),
-    case("reading is no number", Reads(f32::NAN), &[Fault::ReadingNotANumber]),
+    case("reading is not a number", Reads(f32::NAN), &[Fault::ReadingNotANumber]),
     case("reading is infinite", Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
     case("reading drifts up by 1 cmH2O/s", Drift(1.0), &[Fault::BaselineHigh]),
     case("reading drifts down by 1 cmH2O/s", Drift(-1.0), &[Fault::BaselineLow]),
     case("reading is 5 cmH2O too high", Offset(5.0), &[Fault::BaselineHigh]),
     case("reading is 5 cmH2O too low", Offset(-5.0), &[Fault::BaselineLow]),
-    case("noise of the reading times 10", Noise(1.0), &[Fault::ReadingNoisy]),
-    case("a third of the readings dropped", Dropped(0.33), &[Fault::ReadingNotANumber]),
-    case("bytes of a third of the readings swapped", SwappedBytes(0.33), &[Fault::ReadingJumps]),
+    case("sensor noise ten times higher", Noise(1.0), &[Fault::ReadingNoisy]),
+    case("one third of the readings lost", Dropped(0.33), &[Fault::ReadingNotANumber]),
+    case("bytes swapped in one third of the readings", SwappedBytes(0.33), &[Fault::ReadingJumps]),
 ];
 
 /// What a cough may do on one lung or another.
@@ -194,7 +194,7 @@ const MACHINE: [FaultCase; 14] = [
     stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse]),
     stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh]),
     stuck(
-        "expiratory valve stuck closed, 4 breaths a minute",
+        "expiratory valve stuck closed at 4 breaths/min",
         Failure::ExpiratoryValveClosed,
         &[Fault::SustainedPressure],
     )
@@ -203,24 +203,25 @@ const MACHINE: [FaultCase; 14] = [
     stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]),
     stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
     stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]),
-    part("supply lost", Failure::SupplyLost, &[Fault::NoResponse]),
-    case("coughs in every breath", Coughs(25.0), &COUGH).with(tight),
+    part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]),
+    case("cough in every breath", Coughs(25.0), &COUGH).with(tight),
 ];
 
 /// Faults of chip and controller.
 const CONTROL: [FaultCase; 10] = [
-    case("every tenth tick missed", MissedTicks(10), &[Fault::MissedTicks]),
+    case("10 of every 100 control ticks missed", MissedTicks(10), &[Fault::MissedTicks]),
     case("control task hangs", Hang, &[Fault::Restarted]),
-    case("supply dips in mid-inspiration", BrownOut, &[Fault::Restarted]),
-    case("host falls silent while exploring", HostSilent, &[Fault::HostSilent]),
-    case("another host sends settings and gains of its own", OtherHost, &[]),
-    case("a bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
+    case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]),
+    case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
+    case("a second host sends other settings and gains", OtherHost, &[]),
+    case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
         .run_by(Greedy),
-    case("supply cut while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
+    case("power lost while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
         .run_by(Greedy),
-    case("weights that ask for more", Injection::Controller, &[]).run_by(Greedy),
-    case("weights that ask for all and nothing in turn", Injection::Controller, &[]).run_by(Alternating),
-    case("PID that rings", Injection::Controller, &[]).run_by(Ringing),
+    case("network that always requests 100 % more", Injection::Controller, &[]).run_by(Greedy),
+    case("network that alternates between fully open and closed", Injection::Controller, &[])
+        .run_by(Alternating),
+    case("oscillating PID", Injection::Controller, &[]).run_by(Ringing),
 ];
 
 /// All faults.
