@@ -23,7 +23,7 @@ pub struct Settings {
     pub fall_time: f32,
     /// Command of the inspiratory valve while the expiratory valve is open, percent.
     pub expiratory_bias: f32,
-    /// Airway pressure above which the running inspiration is ended (expiratory valve open), cmH2O.
+    /// Airway pressure above which the inspiration is cut, cmH2O.
     pub pressure_limit: f32,
 }
 

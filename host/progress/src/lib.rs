@@ -3,6 +3,7 @@
 //! Work takes a [`Progress`] and opens a [`Task`] in it for each of its stages. What observes it gets an [`Event`] whenever
 //! a task has advanced. Work that is made of other work hands down [`Task::part`]: steps of the parts, which may run side
 //! by side, count in the whole.
+#![forbid(unsafe_code)]
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 

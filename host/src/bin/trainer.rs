@@ -1,4 +1,5 @@
 //! The `trainer` command line; everything is in `host::cli`.
+#![forbid(unsafe_code)]
 
 fn main() -> std::process::ExitCode {
     host::cli::run()

@@ -50,7 +50,7 @@ pub enum Key {
 /// An alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AlarmEntry {
-    /// Which fault latched.
+    /// Fault that raised it; it may have latched or not, see its row in the table of alarms.
     pub fault: Fault,
     /// Control tick since power-up.
     pub tick: u64,
