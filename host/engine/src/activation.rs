@@ -1,7 +1,7 @@
-//! Hidden layers' activations on lanes: softsign as on the chip, and the two of the authors' networks.
+//! Activations of hidden layers on lanes: softsign as on the chip, and the two of the authors' networks.
 #![expect(
     clippy::inline_always,
-    reason = "vector operations are compiled for the unit found at run time only where they are inlined there"
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
 )]
 
 use pulp::{Arch, Simd, WithSimd};
@@ -36,7 +36,7 @@ impl Activation {
         }
     }
 
-    /// Multiplies each gradient by the slope, found from the activation's *output*.
+    /// Multiplies each gradient by the slope, computed from the activation's *output*.
     pub fn backward(self, outputs: &[Lane], gradients: &mut [Lane]) {
         match self {
             Self::Softsign => scale(outputs, gradients, |y| {

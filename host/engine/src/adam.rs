@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AdamConfig {
-    /// Learning rate at the start.
+    /// Initial learning rate.
     pub rate: f32,
-    /// Share of the learning rate left at the end of the schedule.
+    /// Share of the learning rate at the end of the schedule.
     pub final_share: f32,
-    /// Decay of the weights per unit of learning rate.
+    /// Weight decay per unit of learning rate.
     pub weight_decay: f32,
-    /// Largest norm of a gradient; longer ones are shortened.
+    /// Largest norm of a gradient; longer ones are scaled down.
     pub clip: f32,
 }
 
@@ -35,13 +35,13 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// An optimiser of `parameters` numbers.
+    /// An optimiser of `parameters` parameters.
     pub fn new(config: AdamConfig, parameters: usize) -> Self {
         Self { config, mean: vec![0.0; parameters], square: vec![0.0; parameters], steps: 0 }
     }
 
-    /// One step along the gradient; `progress` is the share of the schedule done, 0 to 1. Gives the gradient's
-    /// norm. A gradient that is not finite is skipped: it would destroy parameters and state alike.
+    /// One step along the gradient; `progress` is the completed share of the schedule, 0 to 1. Returns the gradient's
+    /// norm. A gradient that is not finite is skipped, because it would ruin parameters and state.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], progress: f32) -> f32 {
         let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
         if !norm.is_finite() {

@@ -1,4 +1,4 @@
-//! A fully connected layer over lanes: `y = W x + b`, forward, backward and its gradient.
+//! A fully connected layer over lanes: `y = W x + b`, with forward pass, backward pass and gradient.
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Uniform};
@@ -6,22 +6,22 @@ use rand_distr::{Distribution, Uniform};
 use super::Lane;
 use super::lane::{Start, multiply, outer_add};
 
-/// Steps of which a gradient is summed in one go: few enough to stay in the first cache.
+/// Number of steps whose gradient is summed at once: few enough to stay in the first-level cache.
 const CHUNK: usize = 16;
 
-/// Shape and place of a layer's parameters within a flat parameter vector: weights row by row (one row per
+/// Shape of a layer, and position of its parameters within a flat parameter vector: weights row by row (one row per
 /// output), then biases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DenseLayer {
-    /// Inputs.
+    /// Number of inputs.
     pub inputs: usize,
-    /// Outputs.
+    /// Number of outputs.
     pub outputs: usize,
     /// Index of the first parameter.
     pub offset: usize,
 }
 
-/// Parameters of a layer, ready for both directions.
+/// Parameters of a layer, ready for the forward and backward pass.
 #[derive(Clone, Debug)]
 pub struct DenseWeights {
     shape: DenseLayer,
@@ -33,7 +33,7 @@ pub struct DenseWeights {
 }
 
 impl DenseLayer {
-    /// Lays out layers one after the other: `(inputs, outputs)` each. Gives the layers and the total length.
+    /// Lays out layers one after the other, each given as `(inputs, outputs)`. Returns the layers and the total length.
     pub fn layout<const N: usize>(shapes: [(usize, usize); N]) -> ([Self; N], usize) {
         let mut offset = 0;
         let layers = shapes.map(|(inputs, outputs)| {
@@ -49,7 +49,7 @@ impl DenseLayer {
         (self.inputs + 1) * self.outputs
     }
 
-    /// Draws weights uniformly, scaled by `gain / sqrt(inputs)`; biases zero.
+    /// Draws weights uniformly, scaled by `gain / sqrt(inputs)`; biases are zero.
     pub fn initialise(&self, parameters: &mut [f32], gain: f32, rng: &mut ChaCha8Rng) {
         let bound = gain * (3.0 / self.inputs as f32).sqrt();
         let (weights, bias) = self.slice_mut(parameters).split_at_mut(self.inputs * self.outputs);
@@ -65,12 +65,12 @@ impl DenseLayer {
         &parameters[self.offset..self.offset + self.parameters()]
     }
 
-    /// This layer's part of the parameter vector, to be written.
+    /// Mutable access to this layer's part of the parameter vector.
     pub fn slice_mut<'a>(&self, parameters: &'a mut [f32]) -> &'a mut [f32] {
         &mut parameters[self.offset..self.offset + self.parameters()]
     }
 
-    /// Takes this layer's parameters out of the vector.
+    /// Loads this layer's parameters from the vector.
     pub fn load(&self, parameters: &[f32]) -> DenseWeights {
         let (by_output, bias) = self.slice(parameters).split_at(self.inputs * self.outputs);
         let by_input =
@@ -78,7 +78,7 @@ impl DenseLayer {
         DenseWeights { shape: *self, by_output: by_output.to_vec(), by_input, bias: bias.to_vec() }
     }
 
-    /// Adds the gradient by the parameters, summed over rollouts and steps.
+    /// Adds the gradient with respect to the parameters, summed over rollouts and steps.
     ///
     /// Shapes: `dy` steps times outputs, `x` steps times inputs.
     pub fn gradient(&self, dy: &[Lane], x: &[Lane], gradient: &mut [f32]) {

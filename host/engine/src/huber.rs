@@ -1,4 +1,4 @@
-//! Huber's loss: a parabola up to a bound, a straight line of slope one beyond it.
+//! Huber loss: a parabola up to a bound, a straight line of slope one beyond it.
 
 /// The loss of an error.
 #[inline]
@@ -7,7 +7,7 @@ pub fn value(error: f32, bound: f32) -> f32 {
     if size < bound { 0.5 * size * size / bound } else { size - 0.5 * bound }
 }
 
-/// The derivative of [`value`] by the error.
+/// The derivative of [`value`] with respect to the error.
 #[inline]
 pub fn slope(error: f32, bound: f32) -> f32 {
     (error / bound).clamp(-1.0, 1.0)

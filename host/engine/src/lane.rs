@@ -1,26 +1,26 @@
-//! Lanes, and the three matrix kernels that all layers are made of.
+//! Lanes, and the three matrix kernels used by all layers.
 //!
-//! The kernels pick the widest vector unit at run time. They are exact per element (a fused multiply-add per
-//! term, in the order of the inputs) on every machine that has such a unit.
+//! The kernels select the widest vector unit at run time. Results are identical per element (a fused multiply-add per
+//! term, in the order of the inputs) on every machine with such a unit.
 #![expect(
     clippy::inline_always,
-    reason = "vector operations are compiled for the unit found at run time only where they are inlined there"
+    reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
 )]
 
 use std::ops::{Index, IndexMut};
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Rollouts per shard.
+/// Number of rollouts per shard.
 pub const LANES: usize = 16;
 
-/// One quantity of all rollouts of a shard.
+/// One quantity for all rollouts of a shard.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub struct Lane(pub [f32; LANES]);
 
 impl Lane {
-    /// All zero.
+    /// A lane of zeros.
     pub const ZERO: Self = Self([0.0; LANES]);
 
     /// The same value for all rollouts.
@@ -29,20 +29,20 @@ impl Lane {
         Self([value; LANES])
     }
 
-    /// Values by rollout.
+    /// A lane with the value `f(l)` for rollout `l`.
     #[inline]
     pub fn from_fn(f: impl FnMut(usize) -> f32) -> Self {
         Self(std::array::from_fn(f))
     }
 
-    /// `f` of each value.
+    /// Applies `f` to each value.
     #[inline(always)]
     #[must_use]
     pub fn map(self, f: impl FnMut(f32) -> f32) -> Self {
         Self(self.0.map(f))
     }
 
-    /// `f` of both values of each rollout.
+    /// Applies `f` to the two values of each rollout.
     #[inline(always)]
     #[must_use]
     pub fn zip(self, other: &Self, mut f: impl FnMut(f32, f32) -> f32) -> Self {
@@ -86,17 +86,17 @@ impl IndexMut<usize> for Lane {
     }
 }
 
-/// Outputs that one pass over the inputs keeps in registers.
+/// Number of outputs kept in registers during one pass over the inputs.
 const TILE: usize = 8;
 
-/// What a matrix product is added to.
+/// The value that a matrix product is added to.
 #[derive(Clone, Copy, Debug)]
 pub enum Start<'a> {
     /// Nothing: the outputs are overwritten.
     Zero,
     /// A constant for each output; the outputs are overwritten.
     Bias(&'a [f32]),
-    /// The outputs as they are.
+    /// The present outputs.
     Outputs,
 }
 
@@ -205,7 +205,7 @@ impl WithSimd for OuterAdd<'_> {
     }
 }
 
-/// Gradient of outputs `first_o..+O` by inputs `first_i..+I`.
+/// Gradient of outputs `first_o..+O` with respect to inputs `first_i..+I`.
 #[inline(always)]
 fn outer_tile<S: Simd, const O: usize, const I: usize>(
     simd: S,
@@ -237,7 +237,7 @@ fn outer_tile<S: Simd, const O: usize, const I: usize>(
 mod tests {
     use super::*;
 
-    /// Numbers without a pattern that tiles could hide.
+    /// Numbers without a pattern that could hide tiling errors.
     fn number(seed: usize) -> f32 {
         ((seed * 7919 + 13) % 101) as f32 / 50.0 - 1.0
     }

@@ -1,25 +1,25 @@
-//! Linear least squares with confidence intervals that know that residuals of a breath hang together.
+//! Linear least squares with confidence intervals that account for correlated residuals within a breath.
 
 use nalgebra::{SMatrix, SVector};
 
-/// Half-width of a 95 % interval in standard errors, by degrees of freedom from 1 (Student's t); 1.96 beyond.
+/// Half-width of a 95 % interval in standard errors, by degrees of freedom from 1 (Student's t); 1.96 beyond the table.
 const STUDENT: [f64; 30] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
     2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
 ];
-/// Below this share of its length a column is a combination of the others.
+/// Share of its length below which a column counts as a combination of the others.
 const LEAST_INDEPENDENCE: f64 = 1e-6;
-/// Residuals are never taken to hang together more than this, from one row to the next.
+/// Upper limit of the correlation between residuals of neighbouring rows.
 const MOST_CORRELATION: f64 = 0.999;
 
-/// A linear model with its uncertainty.
+/// Solution of a linear model, with its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Solution<const N: usize> {
     /// Coefficients of the columns.
     pub coefficients: [f64; N],
     /// Half-widths of their 95 % intervals.
     pub half_widths: [f64; N],
-    /// Root mean square of what is left.
+    /// Root mean square of the residuals.
     pub residual: f64,
 }
 
@@ -28,17 +28,17 @@ pub fn student(degrees: usize) -> f64 {
     STUDENT.get(degrees.wrapping_sub(1)).copied().unwrap_or(1.96)
 }
 
-/// The coefficients that bring `rows` (columns of each row) nearest to `values`.
+/// The coefficients that fit `rows` (the columns of each row) to `values` with the least squared error.
 ///
-/// The rows of a recording are no independent draws: the residual of one row is much like that of the next. Rows are
-/// therefore counted as `n (1 - r) / (1 + r)` draws, `r` being the correlation of neighbouring residuals.
+/// The rows of a recording are not independent draws: the residuals of neighbouring rows are correlated. Rows are
+/// therefore counted as `n (1 - r) / (1 + r)` draws, where `r` is the correlation of neighbouring residuals.
 ///
-/// None if there are too few rows, a number is not finite, or columns cannot be told apart.
+/// `None` if there are too few rows, a number is not finite, or columns are linearly dependent.
 pub fn solve<const N: usize>(rows: &[[f64; N]], values: &[f64]) -> Option<Solution<N>> {
     if rows.len() != values.len() || rows.len() <= N {
         return None;
     }
-    // Columns of length one, so that litres and cmH2O weigh alike in the test for independence.
+    // Scale columns to length one, so that the test for independence does not depend on units.
     let mut lengths = SVector::<f64, N>::zeros();
     for row in rows {
         lengths += SVector::from(*row).component_mul(&SVector::from(*row));
@@ -75,7 +75,7 @@ pub fn solve<const N: usize>(rows: &[[f64; N]], values: &[f64]) -> Option<Soluti
     solution.coefficients.iter().all(|c| c.is_finite()).then_some(solution)
 }
 
-/// Rows as independent draws, less the `used` coefficients; at least one.
+/// Effective number of independent draws, minus the `used` coefficients; at least one.
 fn independent(left: &[f64], used: usize) -> f64 {
     let product: f64 = left.windows(2).map(|pair| pair[0] * pair[1]).sum();
     let square: f64 = left.iter().map(|e| e * e).sum();
@@ -112,7 +112,7 @@ mod tests {
         }
     }
 
-    /// Share of 400 data sets whose interval holds the true coefficient; noise with this correlation from row to row.
+    /// Share of 400 data sets whose interval contains the true coefficient, with this correlation of the noise.
     fn coverage(correlation: f64) -> f64 {
         let normal = Normal::new(0.0, 1.0).unwrap();
         let mut random = ChaCha8Rng::seed_from_u64(3);

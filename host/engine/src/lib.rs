@@ -1,8 +1,8 @@
 //! The gradient engine: hand-written forward and backward passes over batches.
 //!
-//! A batch is cut into *shards* of [`LANES`] rollouts. Within a shard everything is a structure of arrays: one
-//! [`Lane`] holds one quantity of all its rollouts, so every operation is a vector operation. Shards share
-//! nothing and are reduced in their order, so results do not depend on the number of threads.
+//! A batch is divided into *shards* of [`LANES`] rollouts. Within a shard all data is a structure of arrays: one
+//! [`Lane`] contains one quantity of all its rollouts, so every operation is a vector operation. Shards are independent
+//! and are reduced in their order, so results do not depend on the number of threads.
 
 #![forbid(unsafe_code)]
 

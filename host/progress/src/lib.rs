@@ -1,13 +1,13 @@
-//! How long work reports its progress and learns that it should stop.
+//! Progress reports of long work, and requests to stop it.
 //!
-//! Work takes a [`Progress`] and opens a [`Task`] in it for each of its stages. What observes it gets an [`Event`] whenever
-//! a task has advanced. Work that is made of other work hands down [`Task::part`]: steps of the parts, which may run side
-//! by side, count in the whole.
+//! Work takes a [`Progress`] and opens a [`Task`] in it for each of its stages. The observer receives an [`Event`]
+//! whenever a task has advanced. Work that consists of other work passes down [`Task::part`]: the steps of the parts,
+//! which may run in parallel, count in the whole.
 #![forbid(unsafe_code)]
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// A sort of work, with what its steps are.
+/// A kind of work, with the unit of its steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Stage {
     /// Searching gains of a PID: simulated breaths.
@@ -24,7 +24,7 @@ pub enum Stage {
     Evaluate,
     /// Searching the reference bound: stages of the search.
     Bound,
-    /// Trying faults: cells of the matrix.
+    /// Injecting faults: cells of the matrix.
     Faults,
     /// Hostile controllers: breaths.
     Torture,
@@ -36,18 +36,18 @@ pub enum Stage {
     Import,
 }
 
-/// How far a task is.
+/// Progress of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Event<'a> {
-    /// What the work is for, as a lung's name; empty if there is only one.
+    /// Subject of the work, such as a lung's name; empty if there is only one.
     pub subject: &'a str,
     /// Round of a run, from 0.
     pub round: Option<usize>,
-    /// What is under way.
+    /// The current stage.
     pub stage: Stage,
-    /// Steps done. Events of tasks whose parts run in parallel may come out of order.
+    /// Number of steps done. Events of tasks whose parts run in parallel may arrive out of order.
     pub done: usize,
-    /// Steps in all, as far as is known; it may grow.
+    /// Total number of steps as far as known; it may grow.
     pub total: usize,
 }
 
@@ -69,12 +69,12 @@ enum Receiver<'a> {
 static NEVER: AtomicBool = AtomicBool::new(false);
 
 impl<'a> Progress<'a> {
-    /// Reports to `observer`; work stops at the next good moment once `stop` is set.
+    /// Reports to `observer`; work stops at the next suitable point once `stop` is set.
     pub fn new(observer: &'a (dyn Fn(&Event<'_>) + Sync), stop: &'a AtomicBool) -> Self {
         Self { receiver: Receiver::Observer(observer), stop, subject: "", round: None }
     }
 
-    /// Reports nothing; stops as [`Self::new`].
+    /// Reports nothing; stops like [`Self::new`].
     pub fn quiet(stop: &'a AtomicBool) -> Self {
         Self::new(&|_| (), stop)
     }
@@ -89,19 +89,19 @@ impl<'a> Progress<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The same, for work on `subject`.
+    /// A copy for work on `subject`.
     #[must_use]
     pub fn of(&self, subject: &'a str) -> Self {
         Self { subject, ..*self }
     }
 
-    /// The same, for a round (from 0).
+    /// A copy for a round (from 0).
     #[must_use]
     pub fn round(&self, round: usize) -> Self {
         Self { round: Some(round), ..*self }
     }
 
-    /// Begins a stage of so many steps.
+    /// Begins a stage of `total` steps.
     pub fn task(&self, stage: Stage, total: usize) -> Task<'a> {
         let task = Task { progress: *self, stage, done: AtomicUsize::new(0), total: AtomicUsize::new(total) };
         task.report(0);
@@ -109,7 +109,7 @@ impl<'a> Progress<'a> {
     }
 }
 
-/// A stage under way; shared by all threads that work on it.
+/// A stage in progress, shared by all threads that work on it.
 pub struct Task<'a> {
     progress: Progress<'a>,
     stage: Stage,
@@ -118,7 +118,7 @@ pub struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// More steps are done.
+    /// Adds completed steps.
     pub fn advance(&self, steps: usize) {
         let done = self.done.fetch_add(steps, Ordering::Relaxed) + steps;
         match self.progress.receiver {
@@ -127,17 +127,17 @@ impl Task<'_> {
         }
     }
 
-    /// So many steps are done in all; fewer than before change nothing.
+    /// Sets the number of completed steps; a smaller number than before has no effect.
     pub fn reach(&self, done: usize) {
         self.advance(done.saturating_sub(self.done.load(Ordering::Relaxed)));
     }
 
-    /// There turn out to be at least so many steps in all.
+    /// Raises the total number of steps, if it is smaller.
     pub fn expect(&self, total: usize) {
         self.total.fetch_max(total, Ordering::Relaxed);
     }
 
-    /// All is done, in fewer steps than were expected.
+    /// Completes the stage, possibly in fewer steps than expected.
     pub fn finish(&self) {
         let done = self.done.load(Ordering::Relaxed);
         self.total.store(done, Ordering::Relaxed);
@@ -149,7 +149,7 @@ impl Task<'_> {
         self.progress.stopped()
     }
 
-    /// For work that is a part of this: its steps count here, in the same units.
+    /// Progress for a part of this work: its steps count here, in the same units.
     pub fn part(&self) -> Progress<'_> {
         Progress { receiver: Receiver::Whole(self), ..self.progress }
     }
