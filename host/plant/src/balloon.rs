@@ -1,4 +1,4 @@
-//! The plant: a valve that saturates and a balloon whose recoil falls off as it grows.
+//! The balloon plant: a valve that saturates, and a balloon whose recoil falls as it grows.
 
 use std::f64::consts::PI;
 
@@ -9,21 +9,21 @@ use crate::{Plant, Reading, TickTruth};
 
 /// Control period, microseconds.
 pub const PERIOD_US: u32 = 30_000;
-/// Samples of an inspiration.
+/// Number of samples of an inspiration.
 pub const SAMPLES: usize = 29;
-/// Ticks after the inspiration in which the balloon rests at its first volume.
+/// Ticks after the inspiration in which the balloon rests at its initial volume.
 const REST_TICKS: usize = 4;
 /// Duration of a step, s.
 const STEP_S: f64 = PERIOD_US as f64 * 1e-6;
-/// Volume at the start of a breath; the balloon's pressure there is zero.
+/// Volume at the start of a breath, at which the balloon's pressure is zero.
 const FIRST_VOLUME: f64 = 1.5;
 /// Scale of the recoil.
 const RECOIL: f64 = 40.0;
 /// Largest flow through the inspiratory valve.
 const FULL_FLOW: f64 = 2.0;
 
-/// A breath on the balloon at one PIP, cmH2O: PEEP 0, no bias, no fall, and a limit that its highest pressures stay
-/// below.
+/// A breath on the balloon at one PIP, cmH2O: PEEP 0, no bias flow, no fall, and a pressure limit above its highest
+/// pressures.
 pub fn settings(pip: f32) -> Settings {
     let period_s = shared::breath::period_s(PERIOD_US);
     Settings {
@@ -51,7 +51,7 @@ impl Default for Balloon {
 }
 
 impl Balloon {
-    /// Volume above the one at which a breath starts, in the authors' unit.
+    /// Volume above that at the start of a breath, in the authors' unit.
     pub fn volume(&self) -> f64 {
         self.volume - FIRST_VOLUME
     }
@@ -67,8 +67,8 @@ impl Balloon {
         self.volume += STEP_S * flow(u_in);
     }
 
-    /// One control period of an inspiration with just the flow that brings the pressure to `target` cmH2O, or as close to it as the valve
-    /// can if it could also shut tightly. Pressure rises with volume as long as the recoil does.
+    /// One control period of an inspiration with exactly the flow that brings the pressure to `target` cmH2O, or as
+    /// close as a valve that could also close fully gets it. Pressure rises with volume as long as the recoil does.
     pub fn inspire_towards(&mut self, target: f64) {
         let full = Self { volume: self.volume + STEP_S * FULL_FLOW };
         if full.pressure() <= target {
@@ -90,8 +90,8 @@ impl Balloon {
     }
 }
 
-/// Expiration is no part of the balloon: once the expiratory valve opens, it is back at the volume at which a breath
-/// starts. It has no PEEP valve and no noise.
+/// The balloon has no expiration: once the expiratory valve opens, it returns to the volume at the start of a breath.
+/// It has no PEEP valve and no noise.
 impl Plant for Balloon {
     type Error = PlantError;
 

@@ -1,4 +1,4 @@
-//! What stands in for the ventilator's hardware and the lung.
+//! Plants: the ventilator's hardware and the lung, simulated or remote.
 //!
 //! A [`Plant`] is a lung with valves, circuit and sensor. [`mod@bench`] is the virtual bench, [`balloon`] the plant of the
 //! paper's authors, [`link`] a plant in another process.
@@ -12,19 +12,19 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A lung with valves, circuit and sensor, driven one control period at a time.
 pub trait Plant {
-    /// Why it cannot run.
+    /// The error of a plant that cannot run.
     type Error: std::error::Error;
 
-    /// Its name, for recordings.
+    /// The plant's name, for recordings.
     fn name(&self) -> String;
 
-    /// Its parameters as TOML, empty where they are unknown.
+    /// The plant's parameters as TOML; empty if unknown.
     fn parameters(&self) -> String {
         String::new()
     }
 
-    /// Brings it to rest at `peep` cmH2O, valves safe, with control periods of `period_us` microseconds and this seed
-    /// for its random numbers. From here on the same commands give the same readings.
+    /// Brings it to rest at `peep` cmH2O, with valves in the safe state, control periods of `period_us` microseconds
+    /// and this seed for its random numbers. From here on, the same commands give the same readings.
     ///
     /// # Errors
     /// A control period or PEEP that it cannot run, or a plant that cannot be reached.
@@ -36,24 +36,24 @@ pub trait Plant {
     /// A plant that cannot be reached.
     fn set_peep(&mut self, peep: f32) -> Result<(), Self::Error>;
 
-    /// One control period with the inspiratory valve at `u_in` percent and the expiratory valve open if `u_out`; the
-    /// reading at its end.
+    /// Runs one control period with the inspiratory valve at `u_in` percent and the expiratory valve open if `u_out`;
+    /// returns the reading at its end.
     ///
     /// # Errors
     /// A plant that cannot be reached.
     fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, Self::Error>;
 }
 
-/// What a plant tells at one instant.
+/// The pressures of a plant at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// Airway pressure as the sensor gives it, cmH2O.
+    /// Airway pressure as measured by the sensor, cmH2O.
     pub pressure: f32,
-    /// What lies behind the sensor, from a plant that knows it; no controller sees it.
+    /// The true state, if the plant reports it; no controller sees it.
     pub truth: Option<TickTruth>,
 }
 
-/// What only a virtual plant knows of an instant. NaN stands for what it does not tell.
+/// The true state at one instant, known only to a virtual plant. NaN marks values that it does not report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickTruth {
     /// Pressure at the airway, cmH2O.
@@ -64,7 +64,7 @@ pub struct TickTruth {
     pub lung_volume: f32,
 }
 
-/// A plant that several ventilators use one after the other.
+/// A plant shared by several ventilators, used one after the other.
 impl<P: Plant> Plant for Arc<Mutex<P>> {
     type Error = P::Error;
 
@@ -89,7 +89,7 @@ impl<P: Plant> Plant for Arc<Mutex<P>> {
     }
 }
 
-/// Locks what every user leaves whole, so that a panic elsewhere has not harmed it.
+/// Locks data that every user leaves in a valid state, so that a panic elsewhere does no harm.
 pub fn locked<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,16 +1,16 @@
-//! The bench as a plant, in control periods.
+//! The bench as a plant, driven in control periods.
 
 use shared::settings::Settings;
 
 use super::{Bench, BenchConfig, BenchError, end_stops, steps_per_period};
 use crate::{Plant, Reading};
 
-/// A bench behind a sensor and two valves. It steps in whole milliseconds; for other periods it reads NaN.
+/// A bench behind a sensor and two valves. It steps in whole milliseconds; at other periods it reads NaN.
 #[derive(Clone, Debug)]
 pub struct BenchPlant {
     config: BenchConfig,
     bench: Bench,
-    /// Steps of the bench in a control period; none if the last reset failed.
+    /// Number of bench steps in a control period; `None` if the last reset failed.
     steps: u32,
 }
 

@@ -1,9 +1,9 @@
-//! Branches of the pneumatic circuit and the implicit solution for the pressure where they meet.
+//! Branches of the pneumatic circuit and the implicit solution for the pressure at their junction.
 //!
-//! Every branch is written as `flow = conductance * (source - pressure)`: the conductance is taken from the
-//! state before the sub-step, the pressure from after it. The result is a mean of pressures with positive
-//! weights, so it cannot overshoot or oscillate however stiff a branch is, and the same flows move the
-//! volumes, so that no gas is lost. The square root near PEEP is no special case.
+//! Every branch is written as `flow = conductance * (source - pressure)`: the conductance comes from the state before
+//! the sub-step, the pressure from after it. The result is a mean of pressures with positive weights, so it cannot
+//! overshoot or oscillate however stiff a branch is. The same flows move the volumes, so that no gas is lost. The
+//! square root near PEEP needs no special case.
 
 /// Conductance in L/(s cmH2O) at the pressure difference `difference`, in cmH2O, of a branch that obeys
 /// `difference = linear * flow + quadratic * flow * |flow|`.
@@ -48,8 +48,8 @@ pub(super) struct Junction {
 }
 
 impl Junction {
-    /// Pressure after the sub-step, in cmH2O, at which all flows add up to zero. A one-way branch that
-    /// would carry flow backwards is closed.
+    /// Pressure after the sub-step, in cmH2O, at which all flows sum to zero. A one-way branch that would carry flow
+    /// backwards is closed.
     #[inline]
     pub(super) fn solve(&mut self) -> f64 {
         let mut pressure = self.balance();
@@ -71,7 +71,7 @@ impl Junction {
     #[inline]
     fn balance(&self) -> f64 {
         let Self { storage, valve, expiratory, relief, leak, lung: [first, second] } = self;
-        // In pairs, so that the processor need not wait for one sum before it begins the next.
+        // In pairs, so that the processor can start one sum before the other is complete.
         let total = |value: fn(&Branch) -> f64| {
             let valves = (value(valve) + value(expiratory)) + (value(relief) + value(leak));
             valves + (value(storage) + (value(first) + value(second)))
@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn one_way_branches_never_carry_flow_backwards() {
         let mut j = junction();
-        // A patient who pulls hard takes the circuit below PEEP: nothing may come back through the PEEP valve.
+        // A patient who inhales strongly takes the circuit below PEEP: no gas may return through the PEEP valve.
         j.lung[0] = Branch { conductance: 10.0, source: -40.0 };
         let pressure = j.solve();
         assert!(pressure < 5.0);

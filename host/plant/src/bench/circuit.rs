@@ -3,18 +3,18 @@
 use super::branch::{Branch, parabolic_conductance};
 use super::config::CircuitConfig;
 
-/// Pressure at which the leak is stated, cmH2O.
+/// Pressure at which the leak is specified, cmH2O.
 const LEAK_STATED_AT_CMH2O: f64 = 30.0;
-/// Share of the leak's stated pressure that is lost in laminar flow; it keeps the leak's slope finite at zero.
+/// Share of the leak's specified pressure that is lost in laminar flow; it keeps the leak's slope finite at zero.
 const LEAK_LAMINAR_SHARE: f64 = 0.02;
 
-/// The tubing with its state, the airway pressure.
+/// The tubing and its state, the airway pressure.
 #[derive(Clone, Debug)]
 pub(super) struct Circuit {
     pressure: f64,
     /// Compliance over the duration of a sub-step, L/(s cmH2O).
     storage: f64,
-    /// Leak at the stated pressure, L/s.
+    /// Leak at the specified pressure, L/s.
     leak: f64,
     relief_opening: f64,
     relief_conductance: f64,
@@ -40,7 +40,7 @@ impl Circuit {
         self.pressure = pressure;
     }
 
-    /// Another leak to the room, L/s at 30 cmH2O.
+    /// Changes the leak to the room, L/s at 30 cmH2O.
     pub(super) fn set_leak(&mut self, flow: f64) {
         self.leak = flow;
     }
@@ -52,7 +52,7 @@ impl Circuit {
 
     /// The leak as a branch to the room.
     pub(super) fn leak(&self) -> Branch {
-        // A parabola through one unit of flow at the stated pressure; the leak scales it, down to none.
+        // A parabola through unit flow at the specified pressure; the leak scales it, down to zero.
         let linear = LEAK_LAMINAR_SHARE * LEAK_STATED_AT_CMH2O;
         let quadratic = (1.0 - LEAK_LAMINAR_SHARE) * LEAK_STATED_AT_CMH2O;
         let unit = parabolic_conductance(linear, quadratic, self.pressure);

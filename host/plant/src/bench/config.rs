@@ -25,29 +25,27 @@ pub enum BenchError {
         /// Highest allowed value.
         high: f64,
     },
-    /// It steps in milliseconds.
-    #[error(
-        "the bench runs in steps of {STEP_US} us: a control period of {period_us} us is no multiple of that"
-    )]
+    /// The control period is not a multiple of the bench's step.
+    #[error("the control period must be a multiple of the bench's step of {STEP_US} us, not {period_us} us")]
     Period {
-        /// Control period asked for, microseconds.
+        /// Requested control period, microseconds.
         period_us: u32,
     },
-    /// No lung or preset of that name.
+    /// There is no lung or preset of that name.
     #[error(
-        "no lung is called \"{0}\": use R<cmH2O/(L/s)>C<mL/cmH2O> (such as R20C20), iso-01 to iso-21, \
+        "unknown lung \"{0}\": use R<cmH2O/(L/s)>C<mL/cmH2O> (such as R20C20), iso-01 to iso-21, \
          or for several lungs paper or iso"
     )]
     UnknownName(String),
     /// The file is not a bench description.
-    #[error("the bench description cannot be read: {0}")]
+    #[error("the bench description is not valid: {0}")]
     Syntax(#[from] toml::de::Error),
-    /// The file cannot be opened.
+    /// The file cannot be read.
     #[error("cannot read the bench description {}: {source}; check the path", path.display())]
     File {
         /// The path tried.
         path: PathBuf,
-        /// What the system answered.
+        /// The system's error.
         source: std::io::Error,
     },
 }
@@ -56,11 +54,11 @@ pub enum BenchError {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ValveConfig {
-    /// Time in which a command has no effect at all, ms; resolved to a sub-step.
+    /// Time in which a command has no effect, ms; resolved to a sub-step.
     pub dead_time_ms: f64,
     /// Time constant of the actuator, ms.
     pub lag_ms: f64,
-    /// Play between actuator and stem, percent of the full command.
+    /// Backlash between actuator and stem, percent of the full command.
     pub backlash_percent: f64,
     /// Travel without flow, percent of the full command.
     pub dead_zone_percent: f64,
@@ -68,7 +66,7 @@ pub struct ValveConfig {
     pub curve_exponent: f64,
     /// Flow at 100 % against the pressure of the room, L/s.
     pub max_flow_l_per_s: f64,
-    /// Pressure before the valve, cmH2O: the flow falls with the square root of what is left of it.
+    /// Supply pressure, cmH2O: the flow falls with the square root of its difference to the circuit's pressure.
     pub supply_pressure_cmh2o: f64,
 }
 
@@ -161,7 +159,7 @@ impl Default for CompartmentConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LungConfig {
-    /// The compartment that is always there.
+    /// The compartment that is always present.
     pub first: CompartmentConfig,
     /// A second one in parallel.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -186,7 +184,7 @@ impl Default for SensorConfig {
     }
 }
 
-/// Which unit of the build this is, and how far units differ.
+/// The unit of the machine type, and the spread between units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct UnitConfig {
@@ -214,7 +212,7 @@ impl Default for UnitConfig {
     }
 }
 
-/// The patient's own activity, and a change of the lung; all off by default.
+/// The patient's activity, and a change of the lung; all off by default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PatientConfig {
@@ -230,11 +228,11 @@ pub struct PatientConfig {
     pub cough_at_s: f64,
     /// Duration of the cough, s.
     pub cough_duration_s: f64,
-    /// Breath from which the lung is another one (the first breath is 1); 0 for never.
+    /// Breath from which the lung is changed (the first breath is 1); 0 for never.
     pub change_at_breath: u32,
-    /// Factor on every resistance from then on.
+    /// Factor on every resistance from that breath on.
     pub resistance_factor: f64,
-    /// Factor on every compliance from then on.
+    /// Factor on every compliance from that breath on.
     pub compliance_factor: f64,
 }
 
@@ -254,7 +252,7 @@ impl Default for PatientConfig {
     }
 }
 
-/// A whole bench: every part of ventilator, circuit, lung and patient. The default is R 20, C 20.
+/// A complete bench: all parts of ventilator, circuit, lung and patient. The default is R 20, C 20.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BenchConfig {
@@ -272,7 +270,7 @@ pub struct BenchConfig {
     pub lung: LungConfig,
     /// Pressure sensor.
     pub sensor: SensorConfig,
-    /// Unit of the build.
+    /// Unit of the machine type.
     pub unit: UnitConfig,
     /// Patient.
     pub patient: PatientConfig,
@@ -295,18 +293,18 @@ impl Default for BenchConfig {
 }
 
 impl BenchConfig {
-    /// Reads and validates a description; a field that is absent has its default.
+    /// Reads and validates a description; absent fields have their defaults.
     ///
     /// # Errors
-    /// [`BenchError::Syntax`] for what is not TOML, an unknown field or a wrong type;
-    /// [`BenchError::OutOfRange`] for a value outside its range.
+    /// [`BenchError::Syntax`] for text that is not TOML, an unknown field or a wrong type; [`BenchError::OutOfRange`]
+    /// for a value outside its range.
     pub fn from_toml(text: &str) -> Result<Self, BenchError> {
         let config: Self = toml::from_str(text)?;
         config.validate()?;
         Ok(config)
     }
 
-    /// The whole description, defaults included, as TOML.
+    /// The complete description, including defaults, as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("numbers, a string and tables always have a TOML form")
     }
@@ -314,7 +312,7 @@ impl BenchConfig {
     /// Reads and validates the file at `path`.
     ///
     /// # Errors
-    /// [`BenchError::File`] if it cannot be read, otherwise as [`BenchConfig::from_toml`].
+    /// [`BenchError::File`] if it cannot be read; otherwise see [`BenchConfig::from_toml`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self, BenchError> {
         let path = path.as_ref();
         let text = std::fs::read_to_string(path)
@@ -322,10 +320,10 @@ impl BenchConfig {
         Self::from_toml(&text)
     }
 
-    /// Checks that every value is finite and within the range in which the physics hold.
+    /// Checks that every value is finite and within the range in which the physics are valid.
     ///
     /// # Errors
-    /// [`BenchError::OutOfRange`] for the first field that is not.
+    /// [`BenchError::OutOfRange`] for the first field that violates this.
     pub fn validate(&self) -> Result<(), BenchError> {
         let Self { name: _, sub_steps, valve, expiratory, circuit, lung, sensor, unit, patient } = self;
         check("sub_steps", f64::from(*sub_steps), f64::from(super::LEAST_SUB_STEPS)..=64.0)?;
@@ -379,7 +377,7 @@ impl BenchConfig {
     }
 }
 
-/// Refuses a value outside `range`, and one that is not a number.
+/// Refuses a value that is outside `range` or not a number.
 pub(super) fn check(field: &str, value: f64, range: RangeInclusive<f64>) -> Result<(), BenchError> {
     if range.contains(&value) {
         return Ok(());

@@ -4,16 +4,16 @@ use super::branch::{Branch, parabolic_conductance};
 use super::config::ExpiratoryConfig;
 use super::lag::Lag;
 
-/// The two valves with their state.
+/// The two valves and their state.
 #[derive(Clone, Debug)]
 pub(super) struct Expiratory {
     opening: Lag,
     linear: f64,
     quadratic: f64,
     peep: f64,
-    /// It does not open any more.
+    /// Whether the valve is stuck closed.
     shut: bool,
-    /// The PEEP valve does not turn any more.
+    /// Whether the PEEP valve is stuck.
     held: bool,
 }
 
@@ -36,17 +36,17 @@ impl Expiratory {
         }
     }
 
-    /// From now on the PEEP valve holds this pressure, cmH2O.
+    /// Makes the PEEP valve stick at this pressure, cmH2O.
     pub(super) fn stick_at(&mut self, peep: f64) {
         (self.peep, self.held) = (peep, true);
     }
 
-    /// From now on the valve is closed.
+    /// Makes the valve stay closed.
     pub(super) fn stay_closed(&mut self) {
         self.shut = true;
     }
 
-    /// From now on only this part of the flow gets through.
+    /// Reduces the flow to this share.
     pub(super) fn clog(&mut self, part: f64) {
         (self.linear, self.quadratic) = (self.linear / part, self.quadratic / (part * part));
     }

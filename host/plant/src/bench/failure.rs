@@ -1,42 +1,42 @@
-//! What can break in the middle of a breath: the ways in which parts of the bench fail.
+//! Failures of the bench's parts in the middle of a breath.
 
 use serde::{Deserialize, Serialize};
 
 use super::Bench;
 
-/// Flow of an open end at 30 cmH2O, L/s: the tube has come off.
+/// Flow of an open end at 30 cmH2O, L/s: the tube is disconnected.
 const OPEN_END_L_PER_S: f64 = 20.0;
-/// Factor on the lung's resistance when nothing passes the tube any more.
+/// Factor on the lung's resistance when the tube is occluded.
 const OCCLUDED: f64 = 1e4;
-/// Part of the expiratory flow that a clogged filter lets through.
+/// Share of the expiratory flow that a clogged filter lets through.
 const CLOGGED: f64 = 0.01;
 
-/// A part that fails; it stays so.
+/// A permanent failure of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Failure {
-    /// Nothing passes between machine and lung.
+    /// Occluded tube: no flow between machine and lung.
     TubeOccluded,
-    /// Next to nothing passes the expiratory filter.
+    /// Clogged expiratory filter: almost no flow.
     FilterClogged,
-    /// The tube has come off.
+    /// Disconnected tube.
     Disconnected,
-    /// A leak of so many L/s at 30 cmH2O.
+    /// A leak of this flow in L/s at 30 cmH2O.
     Leak(f64),
-    /// The stem of the inspiratory valve stands still at so many percent.
+    /// The stem of the inspiratory valve is stuck at this percentage.
     InspiratoryValveStuck(f64),
-    /// The same, and the expiratory valve stays closed.
+    /// The stem of the inspiratory valve is stuck at this percentage, and the expiratory valve stays closed.
     BothValvesStuck(f64),
     /// The expiratory valve stays closed.
     ExpiratoryValveClosed,
-    /// The PEEP valve holds another pressure, cmH2O.
+    /// The PEEP valve is stuck at this pressure, cmH2O.
     PeepValveStuck(f64),
-    /// No gas comes from the wall.
+    /// The gas supply is lost.
     SupplyLost,
 }
 
 impl Bench {
-    /// Breaks a part.
+    /// Makes a part fail.
     pub fn fail(&mut self, failure: Failure) {
         match failure {
             Failure::TubeOccluded => self.lung.change(OCCLUDED, 1.0),
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
     use crate::bench::BenchConfig;
 
-    /// Pressure after a second of inspiration at 20 %, then after a second of expiration, with a part broken at the start.
+    /// Pressure after 1 s of inspiration at 20 %, then after 1 s of expiration, with a failure at the start.
     fn breathe(failure: Option<Failure>) -> (f64, f64) {
         let mut bench = Bench::new(&BenchConfig::paper(20.0, 20.0), 5.0, 1).unwrap();
         if let Some(failure) = failure {

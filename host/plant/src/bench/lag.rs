@@ -1,7 +1,7 @@
 //! First-order lag, solved exactly for an input that is constant over one sub-step.
 
-/// Closer than this to its input, the output takes the input's value: the tail would otherwise decay
-/// into denormal numbers, which are slow.
+/// Distance to the input below which the output takes the input's value: the tail would otherwise decay into denormal
+/// numbers, which are slow.
 const SETTLED: f64 = 1e-12;
 
 /// `time_constant * dy/dt = input - y`.
@@ -13,9 +13,9 @@ pub(super) struct Lag {
 }
 
 impl Lag {
-    /// A lag at rest at `output`; a time constant of zero follows the input at once.
+    /// A lag at rest at `output`; with a time constant of zero it follows the input immediately.
     pub(super) fn new(time_constant_s: f64, sub_step_s: f64, output: f64) -> Self {
-        // Division by zero gives exp(-inf) = 0, so the share is 1, as it should be.
+        // Division by zero gives exp(-inf) = 0, so the share is 1, as required.
         Self { share: 1.0 - (-sub_step_s / time_constant_s).exp(), output }
     }
 

@@ -3,12 +3,12 @@
 use super::branch::{Branch, parabolic_conductance};
 use super::config::{CompartmentConfig, LungConfig};
 
-/// One compartment with its state, the volume above the volume at rest.
+/// One compartment and its state, the volume above the volume at rest.
 #[derive(Clone, Debug)]
 struct Compartment {
     resistance: f64,
     turbulence: f64,
-    /// Pressure per volume below the inflection, cmH2O/mL: divisions are what the sub-steps spend time on.
+    /// Pressure per volume below the inflection, cmH2O/mL; stored because divisions dominate the sub-steps' time.
     stiffness: f64,
     inflection: f64,
     /// Relative rise of the elastance per cmH2O beyond the inflection.
@@ -32,8 +32,7 @@ impl Compartment {
         compartment
     }
 
-    /// Recoil in cmH2O and its slope, the elastance, in cmH2O/L: `V / C` is linear, and above the inflection
-    /// a parabola comes on top.
+    /// Recoil in cmH2O and its slope, the elastance, in cmH2O/L: `V / C`, plus a parabola above the inflection.
     fn recoil(&self) -> (f64, f64) {
         let linear = self.volume_ml * self.stiffness;
         let beyond = (linear - self.inflection).max(0.0);
@@ -53,7 +52,7 @@ impl Compartment {
         linear / self.stiffness
     }
 
-    /// Resistance with the rise of the recoil during the sub-step folded in, so that the volume is implicit too.
+    /// The compartment as a branch; its resistance includes the recoil's rise during the sub-step (implicit volume).
     fn branch(&self, airway_pressure: f64, muscle_pressure: f64) -> Branch {
         let (recoil, elastance) = self.recoil();
         let source = recoil - muscle_pressure;
@@ -63,7 +62,7 @@ impl Compartment {
     }
 }
 
-/// The lung with its state.
+/// The lung and its state.
 #[derive(Clone, Debug)]
 pub(super) struct Lung {
     first: Compartment,
@@ -79,7 +78,7 @@ impl Lung {
         }
     }
 
-    /// Compartments as branches towards their alveolar pressure; one that is absent has no conductance.
+    /// Compartments as branches towards their alveolar pressure; an absent one has zero conductance.
     #[inline]
     pub(super) fn branches(&self, airway_pressure: f64, muscle_pressure: f64) -> [Branch; 2] {
         let second = self.second.as_ref();
@@ -97,8 +96,8 @@ impl Lung {
         }
     }
 
-    /// Multiplies resistance and compliance. The volumes are counted anew so that the recoil does not jump:
-    /// a stiffer lung at the same pressure, not gas squeezed out of it.
+    /// Multiplies resistance and compliance. The volumes are recomputed so that the recoil does not jump: this models a
+    /// stiffer lung at the same pressure, not expelled gas.
     pub(super) fn change(&mut self, resistance_factor: f64, compliance_factor: f64) {
         for compartment in std::iter::once(&mut self.first).chain(&mut self.second) {
             compartment.resistance *= resistance_factor;
@@ -112,7 +111,7 @@ impl Lung {
         self.first.volume_ml + self.second.as_ref().map_or(0.0, |second| second.volume_ml)
     }
 
-    /// Recoil less muscle pressure, weighted by compliance, cmH2O.
+    /// Recoil minus muscle pressure, weighted by compliance, cmH2O.
     pub(super) fn alveolar_pressure(&self, muscle_pressure: f64) -> f64 {
         let (mut weighted, mut compliance) = (0.0, 0.0);
         for compartment in std::iter::once(&self.first).chain(&self.second) {

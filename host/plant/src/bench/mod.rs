@@ -1,11 +1,11 @@
-//! The virtual bench: ventilator, circuit, test lung and patient in place of real ones.
+//! The virtual bench: a simulated ventilator, circuit, test lung and patient.
 //!
-//! [`BenchConfig`] describes a bench (TOML file or preset), [`Bench`] runs it: one [`Bench::step`] is 1 ms,
-//! commands in, what the pressure sensor says out. [`Bench::truth`] shows what no ventilator can see. One
-//! file per part of the machine; `branch` holds the solution for the pressure where the parts meet.
+//! [`BenchConfig`] describes a bench (TOML file or preset), [`Bench`] runs it: one [`Bench::step`] takes the commands
+//! for 1 ms and returns the sensor's reading. [`Bench::truth`] shows what no ventilator can see. There is one file per
+//! part of the machine; `branch` solves for the pressure where the parts meet.
 //!
-//! It is made to be as hard to control as a real ventilator, not as any particular one: dead time, play,
-//! dead zone, a curved valve, sensor noise and units that differ are all there by default.
+//! It is designed to be as hard to control as a real ventilator, but does not model a particular one: dead time,
+//! backlash, dead zone, a curved valve characteristic, sensor noise and unit differences are on by default.
 
 mod bench_plant;
 mod branch;
@@ -48,13 +48,13 @@ use valve::Valve;
 pub const STEP_US: u32 = 1000;
 /// Duration of one [`Bench::step`], s.
 pub const STEP_S: f64 = STEP_US as f64 * 1e-6;
-/// Fewest sub-steps of a step, and the default: the error of the implicit solution grows with their length.
+/// Minimum and default number of sub-steps of a step: the error of the implicit solution grows with their length.
 pub const LEAST_SUB_STEPS: u32 = 4;
 
-/// Steps of the bench in a control period of `period_us` microseconds.
+/// Number of bench steps in a control period of `period_us` microseconds.
 ///
 /// # Errors
-/// [`BenchError::Period`] for a period that is no multiple of [`STEP_US`].
+/// [`BenchError::Period`] for a period that is not a multiple of [`STEP_US`].
 pub fn steps_per_period(period_us: u32) -> Result<u32, BenchError> {
     if period_us == 0 || !period_us.is_multiple_of(STEP_US) {
         return Err(BenchError::Period { period_us });
@@ -62,22 +62,22 @@ pub fn steps_per_period(period_us: u32) -> Result<u32, BenchError> {
     Ok(period_us / STEP_US)
 }
 
-/// Where the end stops of the PEEP valve leave it, cmH2O.
+/// The PEEP setting limited by the valve's end stops, cmH2O.
 fn end_stops(peep: f32) -> f64 {
     f64::from(peep).clamp(*PEEP_RANGE_CMH2O.start(), *PEEP_RANGE_CMH2O.end())
 }
 
-/// What really goes on. Pressures, volume and positions are those at the end of the step, flows are means
-/// over it: times the duration of the step, they are the volumes moved.
+/// The true state. Pressures, volume and positions are those at the end of the step; flows are means over it, so that
+/// flow times duration is the volume moved.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
     /// Pressure at the airway opening, cmH2O.
     pub airway_pressure: f64,
-    /// Pressure behind the sensor's lag, before offset, noise and quantum, cmH2O.
+    /// Pressure after the sensor's lag, before offset, noise and quantum, cmH2O.
     pub sensor_pressure: f64,
-    /// Pressure in the lung (of two compartments, the mean weighted by compliance), cmH2O.
+    /// Pressure in the lung, cmH2O; with two compartments, the mean weighted by compliance.
     pub alveolar_pressure: f64,
-    /// Pressure of the breathing muscles, positive drawing gas in, cmH2O.
+    /// Pressure of the respiratory muscles, cmH2O; positive draws gas in.
     pub muscle_pressure: f64,
     /// Flow through the inspiratory valve, L/s.
     pub flow_valve: f64,
@@ -114,7 +114,7 @@ pub struct Bench {
     flows: Flows,
 }
 
-/// Flows of one step, in L/s, as sums over the sub-steps.
+/// Flows of one step, in L/s, summed over the sub-steps.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flows {
     valve: f64,
@@ -125,12 +125,12 @@ struct Flows {
 }
 
 impl Bench {
-    /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`,
-    /// `peep`, `seed` (of the sensor noise) and commands give the same bits on the same platform (the effort's
-    /// sine and the valve's power come from the platform's mathematical library).
+    /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`, `peep`,
+    /// `seed` (of the sensor noise) and commands give the same bits on the same platform (the effort's sine and the
+    /// valve's power use the platform's math library).
     ///
     /// # Errors
-    /// [`BenchError::OutOfRange`] as [`BenchConfig::validate`], and for `peep` outside [`PEEP_RANGE_CMH2O`].
+    /// [`BenchError::OutOfRange`] as in [`BenchConfig::validate`], and for `peep` outside [`PEEP_RANGE_CMH2O`].
     pub fn new(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
         config.validate()?;
         let peep = f64::from(peep);
@@ -153,23 +153,23 @@ impl Bench {
         })
     }
 
-    /// Turns the mechanical PEEP valve to `peep` cmH2O. Its end stops limit it to [`PEEP_RANGE_CMH2O`]; what
-    /// is no number leaves it where it is.
+    /// Turns the mechanical PEEP valve to `peep` cmH2O. Its end stops limit it to [`PEEP_RANGE_CMH2O`]; a value that is
+    /// not a number leaves it unchanged.
     pub fn set_peep(&mut self, peep: f32) {
         if !peep.is_nan() {
             self.expiratory.set_peep(end_stops(peep));
         }
     }
 
-    /// The patient coughs now, cmH2O.
+    /// Makes the patient cough now, with this peak pressure, cmH2O.
     pub fn cough(&mut self, peak: f64) {
         let now = self.time_s();
         self.patient.cough(peak, now);
     }
 
-    /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if
-    /// `u_out`; returns the pressure that the sensor gives at its end, cmH2O. A command outside 0 to 100 is
-    /// limited, one that is not finite closes the valve.
+    /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if `u_out`;
+    /// returns the sensor's pressure at its end, cmH2O. A command outside 0 to 100 is limited; one that is not finite
+    /// closes the valve.
     pub fn step(&mut self, u_in: f32, u_out: bool) -> f32 {
         if let Some((resistance_factor, compliance_factor)) = self.patient.observe(u_out) {
             self.lung.change(resistance_factor, compliance_factor);
@@ -199,7 +199,7 @@ impl Bench {
             lung: self.lung.branches(pressure, muscle_pressure),
         };
         let pressure = junction.solve();
-        // Into the lung is out of the junction.
+        // Flow into the lung is flow out of the junction.
         let into_lung = junction.lung.map(|compartment| -compartment.flow(pressure));
         self.circuit.set_pressure(pressure);
         self.lung.advance(into_lung);
@@ -210,7 +210,7 @@ impl Bench {
         self.flows.relief -= junction.relief.flow(pressure);
     }
 
-    /// The state behind the sensor.
+    /// The true state.
     pub fn truth(&self) -> Truth {
         let share = 1.0 / f64::from(self.sub_steps);
         let muscle_pressure = self.patient.muscle_pressure(self.time_s());
@@ -231,7 +231,7 @@ impl Bench {
         }
     }
 
-    /// What a recording keeps of the truth.
+    /// The part of the true state that recordings store.
     pub fn pressures(&self) -> TickTruth {
         let truth = self.truth();
         TickTruth {
@@ -241,7 +241,7 @@ impl Bench {
         }
     }
 
-    /// Pressure at the airway opening, cmH2O: what [`Bench::truth`] says of it, for those who need nothing else.
+    /// Airway pressure only, cmH2O, as in [`Bench::truth`].
     pub fn airway_pressure(&self) -> f64 {
         self.circuit.pressure()
     }

@@ -9,7 +9,7 @@ fn pulse(since_start_s: f64, duration_s: f64) -> f64 {
     if (0.0..duration_s).contains(&since_start_s) { (PI * since_start_s / duration_s).sin() } else { 0.0 }
 }
 
-/// The patient; its only state is the number of breaths received.
+/// The patient; the only state is the number of breaths received.
 #[derive(Clone, Debug)]
 pub(super) struct Patient {
     config: PatientConfig,
@@ -18,12 +18,12 @@ pub(super) struct Patient {
 }
 
 impl Patient {
-    /// A patient who has not been ventilated yet, at a circuit that vents.
+    /// A patient who has not been ventilated yet, on a venting circuit.
     pub(super) fn new(config: PatientConfig) -> Self {
         Self { config, venting: true, breath: 0 }
     }
 
-    /// Coughs at this time, s.
+    /// Adds a cough at this time, s.
     pub(super) fn cough(&mut self, peak: f64, at_s: f64) {
         (self.config.cough_cmh2o, self.config.cough_at_s) = (peak, at_s);
     }
@@ -41,7 +41,7 @@ impl Patient {
             .then_some((config.resistance_factor, config.compliance_factor))
     }
 
-    /// Pressure of the breathing muscles in cmH2O: positive draws gas in, a cough is negative.
+    /// Pressure of the respiratory muscles in cmH2O: positive draws gas in; a cough is negative.
     pub(super) fn muscle_pressure(&self, time_s: f64) -> f64 {
         let config = &self.config;
         let mut pressure = 0.0;

@@ -30,7 +30,7 @@ impl BenchConfig {
         ISO_ROWS.iter().map(lung).collect()
     }
 
-    /// The lung called `name`: `R<resistance>C<compliance>` with any allowed numbers, or `iso-01` to `iso-21`.
+    /// The lung named `name`: `R<resistance>C<compliance>` with any allowed numbers, or `iso-01` to `iso-21`.
     ///
     /// # Errors
     /// [`BenchError::UnknownName`], or [`BenchError::OutOfRange`] for numbers that are not allowed.
@@ -47,10 +47,10 @@ impl BenchConfig {
         Ok(lung)
     }
 
-    /// The lungs called `name`: `paper` (9), `iso` (21), or one by its own name.
+    /// The lungs named `name`: `paper` (9), `iso` (21), or a single lung by its name.
     ///
     /// # Errors
-    /// As [`BenchConfig::from_name`].
+    /// See [`BenchConfig::from_name`].
     pub fn preset(name: &str) -> Result<Vec<Self>, BenchError> {
         match name {
             "paper" => Ok(Self::paper_lungs()),

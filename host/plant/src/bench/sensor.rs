@@ -1,4 +1,4 @@
-//! Pressure sensor: lag, offset with drift, Gaussian noise, converter of 12 bits, or of more where its quantum is finer.
+//! Pressure sensor: lag, offset with drift, Gaussian noise, converter of 12 bits (more if its quantum is finer).
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -6,26 +6,26 @@ use rand_distr::{Distribution, StandardNormal};
 use super::config::SensorConfig;
 use super::lag::Lag;
 
-/// Readings of a converter of 12 bits.
+/// Number of readings of a 12-bit converter.
 const CODES: f64 = 4096.0;
-/// Share of the readings that is left for pressures below that of the room.
+/// Share of the readings below zero (room pressure).
 const BELOW_ZERO: f64 = 0.25;
-/// Range that a converter has at least, cmH2O: that of the default quantum in 12 bits.
+/// Minimum range of a converter, cmH2O: that of the default quantum in 12 bits.
 const LEAST_RANGE: f64 = 0.07 * CODES;
 
-/// The sensor with its state.
+/// The sensor and its state.
 #[derive(Clone, Debug)]
 pub(super) struct Sensor {
     lag: Lag,
     noise_sd: f64,
     quantum: f64,
-    /// Readings of the converter.
+    /// Number of readings of the converter.
     codes: f64,
     rng: ChaCha8Rng,
 }
 
 impl Sensor {
-    /// A sensor at rest at `pressure`, whose noise comes from `rng`.
+    /// A sensor at rest at `pressure`; its noise comes from `rng`.
     pub(super) fn new(config: &SensorConfig, pressure: f64, sub_step_s: f64, rng: ChaCha8Rng) -> Self {
         Self {
             lag: Lag::new(config.lag_ms * 1e-3, sub_step_s, pressure),
@@ -46,15 +46,15 @@ impl Sensor {
         self.lag.output()
     }
 
-    /// One sample in cmH2O of a sensor that is off by `offset`.
+    /// One sample in cmH2O from a sensor with this `offset`.
     pub(super) fn sample(&mut self, offset: f64) -> f32 {
         let normal: f64 = StandardNormal.sample(&mut self.rng);
         let analogue = self.lag.output() + offset + self.noise_sd * normal;
-        // Zero is the only step that the configuration allows outside the positive numbers.
+        // Zero is the only non-positive step that the configuration allows.
         if self.quantum <= 0.0 {
             return analogue as f32;
         }
-        // Adding a half and cutting off rounds as a converter does, and is quicker than `round`.
+        // Adding a half and truncating rounds like a converter, and is faster than `round`.
         let zero = BELOW_ZERO * self.codes;
         let code = (analogue / self.quantum + zero + 0.5).clamp(0.0, self.codes - 1.0) as u32;
         ((f64::from(code) - zero) * self.quantum) as f32

@@ -1,4 +1,4 @@
-//! Spread between units of the same build, and the drift of one.
+//! Spread between units of a machine type, and the drift of a unit.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -6,29 +6,29 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::config::UnitConfig;
 
-/// `ChaCha` stream of the units; noise uses stream 0, so that unit 7 and noise seed 7 have nothing in common.
+/// `ChaCha` stream of the units; noise uses stream 0, so that unit 7 and noise seed 7 are independent.
 const UNIT_STREAM: u64 = 1;
-/// Least share of the nominal flow that a unit can have.
+/// Smallest share of the nominal flow that a unit can have.
 const LEAST_GAIN: f64 = 0.2;
 
-/// How one unit differs from the nominal one.
+/// Deviations of a unit from the nominal one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Unit {
     /// Factor on the flow of the inspiratory valve.
     pub(super) flow_gain: f64,
     /// Offset of the sensor at the start, cmH2O.
     pub(super) sensor_offset: f64,
-    /// What the dead time of the valve is longer by, ms; a negative dead time is cut off by the user of it.
+    /// Deviation of the valve's dead time, ms; the user limits a negative dead time to zero.
     pub(super) dead_time_ms: f64,
     drift_per_step: f64,
 }
 
 impl Unit {
-    /// Draws the unit that `config` names; unit 0 is the nominal one.
+    /// Draws the unit given by `config`; unit 0 is the nominal one.
     pub(super) fn draw(config: &UnitConfig, step_s: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(u64::from(config.number));
         rng.set_stream(UNIT_STREAM);
-        // All three are always drawn, in this order: changing one spread leaves the others' draws alone.
+        // All three are always drawn, in this order, so that changing one spread does not affect the others' draws.
         let mut deviation = |sd: f64| {
             let normal: f64 = StandardNormal.sample(&mut rng);
             if config.number == 0 { 0.0 } else { sd * normal }

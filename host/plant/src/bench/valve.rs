@@ -1,21 +1,21 @@
-//! Inspiratory proportional valve: dead time, lag, play of the stem, dead zone, curved characteristic,
+//! Inspiratory proportional valve: dead time, lag, backlash of the stem, dead zone, curved characteristic,
 //! back-pressure.
 
 use super::branch::Branch;
 use super::config::ValveConfig;
 use super::lag::Lag;
 
-/// Intervals of the tabulated characteristic: `x^1.3` between the points is then off by less than 1e-5.
+/// Intervals of the tabulated characteristic: the error of `x^1.3` between the points is below 1e-5.
 const CURVE_INTERVALS: usize = 1024;
-/// Below this difference to the supply, in cmH2O, the square root of the flow gives way to a straight line.
+/// Pressure difference to the supply, in cmH2O, below which a straight line replaces the square root of the flow.
 const LEAST_DRIVE_CMH2O: f64 = 1.0;
 
-/// Commands under way, newest last: a ring as long as the dead time.
+/// Delayed commands, newest last: a ring as long as the dead time.
 #[derive(Clone, Debug)]
 struct DeadTime {
     ring: Vec<f64>,
     newest: usize,
-    /// The two commands whose turn it is in this step, the older one first.
+    /// The two commands that take effect in this step, the older one first.
     due: [f64; 2],
     /// Sub-steps of a step in which the older of the two commands is still in force.
     remainder: u32,
@@ -29,7 +29,7 @@ impl DeadTime {
     }
 
     fn push(&mut self, command: f64) {
-        // The ring is two steps longer than the dead time: what comes after the newest is due.
+        // The ring is two steps longer than the dead time: the entry after the newest is due.
         let after = |place: usize| if place + 1 < self.ring.len() { place + 1 } else { 0 };
         self.newest = after(self.newest);
         let older = after(self.newest);
@@ -43,9 +43,8 @@ impl DeadTime {
     }
 }
 
-/// Where the play between actuator and stem leaves the stem, in percent. Opening, the actuator carries the
-/// stem; closing, the stem stays behind by the play. Near the seat the closing spring takes the play up, so
-/// that no command means no flow.
+/// Position of the stem after backlash, in percent. Opening, the actuator carries the stem; closing, the stem lags by
+/// the backlash. Near the seat the closing spring takes up the backlash, so that no command means no flow.
 fn follow_with_play(stem: f64, actuator: f64, play: f64) -> f64 {
     stem.max(actuator).min(actuator + play.min(actuator))
 }
@@ -54,7 +53,7 @@ fn follow_with_play(stem: f64, actuator: f64, play: f64) -> f64 {
 #[derive(Clone, Debug)]
 struct Characteristic {
     dead_zone: f64,
-    /// Table places per percent of travel beyond the dead zone.
+    /// Table entries per percent of travel beyond the dead zone.
     scale: f64,
     table: Vec<f64>,
 }
@@ -62,7 +61,7 @@ struct Characteristic {
 impl Characteristic {
     fn new(dead_zone_percent: f64, exponent: f64) -> Self {
         let intervals = CURVE_INTERVALS as f64;
-        // One point more than needed, so that interpolation at full travel has a right neighbour.
+        // One extra point, so that interpolation at full travel has a right neighbour.
         let table = (0..=CURVE_INTERVALS + 1).map(|i| (i as f64 / intervals).powf(exponent)).collect();
         Self { dead_zone: dead_zone_percent, scale: intervals / (100.0 - dead_zone_percent), table }
     }
@@ -75,7 +74,7 @@ impl Characteristic {
     }
 }
 
-/// The valve with its state.
+/// The valve and its state.
 #[derive(Clone, Debug)]
 pub(super) struct Valve {
     dead_time: DeadTime,
@@ -85,12 +84,12 @@ pub(super) struct Valve {
     characteristic: Characteristic,
     full_flow_l_s: f64,
     supply: f64,
-    /// The stem does not move any more.
+    /// Whether the stem is stuck.
     stuck: bool,
 }
 
 impl Valve {
-    /// A closed valve. `dead_time_ms` and `gain` (on the flow) are those of the unit.
+    /// A closed valve with the unit's `dead_time_ms` and `gain` (on the flow).
     pub(super) fn new(
         config: &ValveConfig,
         dead_time_ms: f64,
@@ -110,17 +109,17 @@ impl Valve {
         }
     }
 
-    /// From now on the stem stands still at so many percent of its travel.
+    /// Makes the stem stick at this percentage of its travel.
     pub(super) fn stick_at(&mut self, percent: f64) {
         (self.stem, self.stuck) = (percent, true);
     }
 
-    /// From now on no gas comes to the valve.
+    /// Cuts off the gas supply.
     pub(super) fn lose_supply(&mut self) {
         self.full_flow_l_s = 0.0;
     }
 
-    /// Takes the command of a new step, in percent. What no driver can output is limited; what is no
+    /// Takes the command of a new step, in percent. A command outside the driver's range is limited; one that is not a
     /// number leaves the valve without current.
     pub(super) fn command(&mut self, u_in: f32) {
         let percent = if u_in.is_finite() { u_in.clamp(0.0, 100.0) } else { 0.0 };
@@ -228,7 +227,7 @@ mod tests {
         run(&mut valve, 80.0, 1_000);
         run(&mut valve, 40.0, 1_000);
         assert!((valve.stem() - opening - 4.0).abs() < 1e-6, "{opening} {}", valve.stem());
-        // Within the play the stem stays where it is.
+        // Within the backlash the stem does not move.
         run(&mut valve, 43.0, 1_000);
         assert!((valve.stem() - 44.0).abs() < 1e-6);
     }

@@ -1,22 +1,22 @@
-//! Where a plant is.
+//! The address of a plant.
 
 use std::fmt;
 use std::str::FromStr;
 
 use thiserror::Error;
 
-/// A plant that listens, or a command that is one.
+/// A plant that listens, or a command that starts one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlantAddress {
     /// `host:port`.
     Tcp(String),
-    /// A command, word by word, that speaks over its standard input and output.
+    /// A command, split into words, that communicates over its standard input and output.
     Pipe(Vec<String>),
 }
 
-/// An address that makes no sense.
+/// The address is not valid.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("'{0}' is no plant; write tcp:HOST:PORT, or 'pipe:COMMAND' as in 'pipe:python3 plant.py'")]
+#[error("'{0}' is not a plant: write tcp:HOST:PORT, or 'pipe:COMMAND', such as 'pipe:python3 plant.py'")]
 pub struct AddressError(String);
 
 /// Whether an address is `host:port`.
@@ -53,7 +53,7 @@ impl fmt::Display for PlantAddress {
     }
 }
 
-/// A command's words: separated by blanks, which quotes of either kind keep together. None if a quote stays open.
+/// Splits a command into words at blanks outside quotes of either kind. `None` if a quote is not closed.
 fn words(text: &str) -> Option<Vec<String>> {
     let mut words = Vec::new();
     let mut word: Option<String> = None;

@@ -1,4 +1,4 @@
-//! The line to a plant: a TCP connection, or the standard input and output of a command that is started here.
+//! The line to a plant: a TCP connection, or the standard input and output of a command started here.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -12,9 +12,9 @@ use shared::link::plant_link::FRAME_BYTES;
 
 use super::{PlantAddress, PlantError};
 
-/// How long a plant's command may take to end once its input is closed.
+/// Longest time for a plant's command to end after its input is closed.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// Pieces of output that may wait to be read; a plant in lockstep never has more than one.
+/// Largest number of unread pieces of output; a plant in lockstep never has more than one.
 const PIECES: usize = 16;
 
 /// An open line.
@@ -41,7 +41,7 @@ impl Line {
         Ok(Self { ends: ends?, patience })
     }
 
-    /// Sends a frame, which asks `question`, and waits for as many bytes.
+    /// Sends a frame, named `question` in errors, and waits for an answer of the same length.
     pub(super) fn exchange(
         &mut self,
         question: &'static str,
@@ -62,7 +62,7 @@ impl Line {
         Ok(answer)
     }
 
-    /// Sends a request and fills the answer; `bytes` counts what has come of it.
+    /// Sends a request and reads the answer; `bytes` counts the bytes received.
     fn talk(&mut self, request: &[u8], answer: &mut [u8], bytes: &mut usize) -> io::Result<()> {
         let deadline = Instant::now() + self.patience;
         self.ends.send(request)?;
@@ -76,7 +76,7 @@ impl Line {
         Ok(())
     }
 
-    /// How the plant ended, where that can be known.
+    /// How the plant ended, if known.
     fn status(&mut self) -> String {
         match &mut self.ends {
             Ends::Tcp(_) => String::new(),
@@ -97,7 +97,7 @@ impl Ends {
         }
     }
 
-    /// Waits for bytes as long as `time` and takes those that fit; their number.
+    /// Waits for bytes for at most `time`, reads those that fit, and returns their number.
     fn receive(&mut self, buffer: &mut [u8], time: Duration) -> io::Result<usize> {
         match self {
             Self::Tcp(stream) => {
@@ -122,7 +122,7 @@ impl Ends {
     }
 }
 
-/// Tries every address of a name.
+/// Tries every address of a host name.
 fn connect(name: &str, patience: Duration) -> io::Result<TcpStream> {
     let mut failure = io::Error::new(ErrorKind::NotFound, "the name has no address");
     for address in name.to_socket_addrs()? {
@@ -138,13 +138,13 @@ fn connect(name: &str, patience: Duration) -> io::Result<TcpStream> {
     Err(failure)
 }
 
-/// A plant's process. What it writes to standard error appears on ours.
+/// A plant's process. Its standard error is passed through.
 struct Pipe {
     child: Child,
-    /// None once it is closed, which tells the plant to end.
+    /// `None` once it is closed, which makes the plant end.
     input: Option<ChildStdin>,
     output: Receiver<Vec<u8>>,
-    /// What has come and was not yet taken.
+    /// Bytes received but not yet read.
     rest: VecDeque<u8>,
 }
 
@@ -153,14 +153,14 @@ impl Pipe {
         let (program, arguments) = words.split_first().ok_or(ErrorKind::InvalidInput)?;
         let mut command = Command::new(program);
         command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // A Ctrl-C is for the trainer, which ends the plant once it is done with it.
+        // A Ctrl-C is meant for the trainer, which ends the plant when it no longer needs it.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn()?;
         let input = child.stdin.take();
         let mut stdout = child.stdout.take().ok_or(ErrorKind::BrokenPipe)?;
         let (pieces, output) = sync_channel(PIECES);
-        // A pipe's reads know no time limit, a channel's do.
+        // Reads from a pipe have no timeout; reads from a channel do.
         thread::spawn(move || {
             let mut buffer = [0; 4 * FRAME_BYTES];
             while let Ok(count @ 1..) = stdout.read(&mut buffer) {
@@ -172,7 +172,7 @@ impl Pipe {
         Ok(Self { child, input, output, rest: VecDeque::new() })
     }
 
-    /// Closes its input and waits for a moment, so that it can end by itself.
+    /// Closes its input and waits briefly, so that it can end by itself.
     fn farewell(&mut self) -> Option<std::process::ExitStatus> {
         self.input = None;
         let deadline = Instant::now() + FAREWELL;

@@ -1,8 +1,8 @@
-//! A third-party plant, in any language, behind the lockstep plant link (`docs/PLANT_LINK.md`): where it is,
-//! who it is, and one exchange at a time.
+//! A third-party plant, in any language, behind the lockstep plant link (`docs/PLANT_LINK.md`): its address, its
+//! greeting, and single exchanges.
 //!
-//! Nothing that comes from a plant is believed unseen: a late, missing, torn or impossible answer ends the link with an error
-//! that says what was wrong, and every later exchange gives the same error.
+//! All answers are checked: a late, missing, damaged or impossible answer ends the link with an error that describes
+//! the problem, and every later exchange returns the same error.
 
 mod address;
 mod line;
@@ -16,22 +16,22 @@ use crate::{Plant, Reading, TickTruth};
 pub use address::{AddressError, PlantAddress, is_host_and_port};
 use line::Line;
 
-/// How long an answer may take unless told otherwise.
+/// Default for the longest time that an answer may take.
 pub const PATIENCE: Duration = Duration::from_secs(10);
-/// Highest pressure that a plant may claim, cmH2O.
+/// Largest pressure limit that a plant may report in its greeting, cmH2O.
 const HIGHEST_MAX: u16 = 1000;
 
-/// Why a plant cannot be used, or no longer.
+/// Why a plant cannot be used, or can no longer be used.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PlantError {
-    /// Nobody listens there.
+    /// No plant listens at the address.
     #[error(
-        "cannot connect to the plant at {address}: {reason}; start it first, as in `python3 plant.py 7000`"
+        "cannot connect to the plant at {address}: {reason}; start it first, for example with `python3 plant.py 7000`"
     )]
     Connect {
         /// The address.
         address: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
     /// The command cannot be started.
@@ -39,115 +39,115 @@ pub enum PlantError {
     Start {
         /// The command.
         command: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
-    /// No answer in time.
+    /// The answer did not arrive in time.
     #[error(
-        "the plant sent {bytes} of {FRAME_BYTES} bytes in {seconds} s after {question}; does it read its line? One that is only slow needs a longer --plant-timeout"
+        "the plant sent {bytes} of {FRAME_BYTES} bytes in {seconds} s after {question}: check that it reads its line; if it is only slow, raise --plant-timeout"
     )]
     Late {
-        /// What it was asked.
+        /// The request.
         question: &'static str,
-        /// Bytes that came.
+        /// Number of bytes received.
         bytes: usize,
-        /// How long it had, s.
+        /// The time limit, s.
         seconds: f64,
     },
     /// The line is closed.
     #[error("the plant is gone{status}: it closed its line after {question}; start it again")]
     Gone {
-        /// What it was asked.
+        /// The request.
         question: &'static str,
-        /// How it ended, where that is known.
+        /// How the plant ended, if known.
         status: String,
     },
-    /// The line fails otherwise.
+    /// The line failed in another way.
     #[error("the plant's line failed after {question}: {reason}")]
     Line {
-        /// What it was asked.
+        /// The request.
         question: &'static str,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
-    /// Bytes that are no frame.
+    /// The answer is not a frame.
     #[error(
-        "the plant answered {question} with bytes that are no frame ({bytes}): check start byte, byte order and CRC; a plant on a pipe may print to standard error alone"
+        "the plant answered {question} with bytes that are not a frame ({bytes}): check start byte, byte order and CRC; a plant on a pipe may print only to standard error"
     )]
     NoFrame {
-        /// What it was asked.
+        /// The request.
         question: &'static str,
-        /// The bytes.
+        /// The bytes received.
         bytes: String,
     },
-    /// Another version of the protocol.
+    /// The plant uses another version of the protocol.
     #[error(
-        "the plant speaks version {0} of the plant link, this program version {VERSION}: take the one that fits"
+        "the plant uses version {0} of the plant link, but this program uses version {VERSION}: use matching versions"
     )]
     Version(u16),
-    /// A greeting whose limit makes no sense.
-    #[error("the plant greets with a highest pressure of {0} cmH2O; it must be 1 to {HIGHEST_MAX}")]
+    /// The pressure limit in the greeting is not valid.
+    #[error("the plant's greeting gives a highest pressure of {0} cmH2O; it must be 1 to {HIGHEST_MAX}")]
     Limit(u16),
-    /// A control period that it does not run.
-    #[error("the plant does not run at a control period of {asked} us{own}; say so with --period-us")]
+    /// The plant does not support the control period.
+    #[error("the plant does not support a period of {asked} us{own}: set a supported one with --period-us")]
     Period {
-        /// Period asked for, microseconds.
+        /// Requested period, microseconds.
         asked: u32,
-        /// What it runs, where that is known.
+        /// The supported period as text, if known.
         own: String,
     },
-    /// An answer to something else.
+    /// The answer belongs to another request.
     #[error(
-        "the plant is out of step: it answered tick {told} where {asked} was asked; it must answer every frame once, with its tick"
+        "the plant is out of step: it answered tick {told} to a request with tick {asked}; it must answer every frame once, with its tick"
     )]
     Tick {
-        /// Tick asked.
+        /// Tick of the request.
         asked: u16,
-        /// Tick told.
+        /// Tick of the answer.
         told: u16,
     },
-    /// An answer of the wrong kind.
+    /// The answer is of the wrong kind.
     #[error("the plant answered {question} with {answer}")]
     Kind {
-        /// What it was asked.
+        /// The request.
         question: &'static str,
-        /// What it said.
+        /// The answer.
         answer: &'static str,
     },
-    /// A pressure that cannot be.
+    /// An impossible pressure.
     #[error(
-        "the plant tells {what} of {value} cmH2O after {question}; by its greeting at most {highest} cmH2O"
+        "the plant reports {what} of {value} cmH2O after {question}; its greeting allows at most {highest} cmH2O"
     )]
     Pressure {
-        /// Which pressure.
+        /// The kind of pressure.
         what: &'static str,
         /// Its value.
         value: String,
-        /// What it was asked.
+        /// The request.
         question: &'static str,
-        /// Highest magnitude by its greeting, cmH2O.
+        /// Highest magnitude allowed by its greeting, cmH2O.
         highest: u16,
     },
-    /// The truth is told now and then.
+    /// The true pressure is reported only sometimes.
     #[error(
-        "the plant tells the true pressure only now and then; it must do so after every Reset and Step, or never"
+        "the plant reports the true pressure only sometimes; it must report it after every Reset and Step, or never"
     )]
     Truth,
 }
 
 impl PlantError {
-    /// For a plant with a control period of its own, both in microseconds.
+    /// For a plant with its own control period, both in microseconds.
     pub fn other_period(asked: u32, own: u32) -> Self {
-        Self::Period { asked, own: format!(", but at {own} us") }
+        Self::Period { asked, own: format!(", but {own} us") }
     }
 }
 
-/// What a plant says of itself.
+/// A plant's description of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Greeting {
     /// Highest magnitude of its pressures, cmH2O.
     pub highest: u16,
-    /// Control period that it is made for, microseconds; none if it runs any.
+    /// The only control period that it supports, microseconds; `None` if it supports any.
     pub period_us: Option<u32>,
 }
 
@@ -157,17 +157,17 @@ pub struct PlantLink {
     address: PlantAddress,
     greeting: Greeting,
     tick: u16,
-    /// Whether the last Reset was answered with the truth.
+    /// Whether the last Reset was answered with the true pressure.
     truthful: bool,
-    /// Why nothing more can be asked.
+    /// The error that ended the link.
     broken: Option<PlantError>,
 }
 
 impl PlantLink {
-    /// Connects to a plant, or starts it, and greets it; every answer may take as long as `patience`.
+    /// Connects to a plant, or starts it, and exchanges greetings; every answer may take up to `patience`.
     ///
     /// # Errors
-    /// A plant that is not there, does not answer or speaks another version.
+    /// A plant that cannot be reached, does not answer or uses another version.
     pub fn open(address: &PlantAddress, patience: Duration) -> Result<Self, PlantError> {
         let line = Line::open(address, patience)?;
         let greeting = Greeting { highest: HIGHEST_MAX, period_us: None };
@@ -177,12 +177,12 @@ impl PlantLink {
         Ok(link)
     }
 
-    /// Where the plant is.
+    /// The plant's address.
     pub fn address(&self) -> &PlantAddress {
         &self.address
     }
 
-    /// What it said of itself.
+    /// The plant's greeting.
     pub fn greeting(&self) -> Greeting {
         self.greeting
     }
@@ -200,7 +200,7 @@ impl PlantLink {
         }
     }
 
-    /// One exchange. Whatever goes wrong is remembered.
+    /// One exchange. An error is stored.
     fn ask(&mut self, message: PlantMessage) -> Result<PlantMessage, PlantError> {
         if let Some(error) = &self.broken {
             return Err(error.clone());
@@ -233,7 +233,7 @@ impl PlantLink {
         }
     }
 
-    /// The pressures of an answer, if they can be.
+    /// The pressures of an answer, if they are possible.
     fn reading(&mut self, answer: PlantMessage, question: &'static str) -> Result<Reading, PlantError> {
         let (pressure, airway) = match answer {
             PlantMessage::Truth { pressure, airway } => (pressure, Some(airway)),
@@ -242,7 +242,7 @@ impl PlantLink {
         };
         let highest = self.greeting.highest;
         let lie = |what, value: f32| {
-            // A NaN is not possible either.
+            // NaN is not possible either.
             let possible = value.abs() <= f32::from(highest);
             let error = || PlantError::Pressure { what, value: value.to_string(), question, highest };
             (!possible).then(error)
@@ -252,7 +252,7 @@ impl PlantLink {
             Some(error) => error,
             None if airway.is_some() != self.truthful => PlantError::Truth,
             None => {
-                // A plant tells the airway's pressure and nothing else.
+                // A plant reports only the airway pressure.
                 let unknown = f32::NAN;
                 let truth = airway.map(|airway_pressure| TickTruth {
                     airway_pressure,
@@ -267,8 +267,8 @@ impl PlantLink {
     }
 }
 
-/// A plant over the link is driven as any other. Beside what the link itself can meet, [`Plant::reset`] refuses a control
-/// period that the plant does not run.
+/// A plant over the link is driven like any other. In addition to the link's errors, [`Plant::reset`] refuses a control
+/// period that the plant does not support.
 impl Plant for PlantLink {
     type Error = PlantError;
 
@@ -303,7 +303,7 @@ impl Plant for PlantLink {
     }
 }
 
-/// A message as errors name it.
+/// Name of a message in errors.
 fn name(message: PlantMessage) -> &'static str {
     match message {
         PlantMessage::Reset { .. } => "Reset",

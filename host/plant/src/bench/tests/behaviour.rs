@@ -1,4 +1,4 @@
-//! Patient, units, noise: what differs from run to run, and what must not.
+//! Patient, units, noise: differences between runs, and what must stay the same.
 
 use super::{BIAS, PEEP, bench, plain, run};
 use crate::bench::unit::Unit;
@@ -7,7 +7,7 @@ use crate::bench::{Bench, BenchConfig, PatientConfig, STEP_S};
 mod patient_activity {
     use super::*;
 
-    /// Largest difference in airway pressure to the same bench with a passive patient, by ms.
+    /// Largest difference in airway pressure from the same bench with a passive patient, by ms.
     fn differences(config: &BenchConfig, steps: u32) -> Vec<f64> {
         let passive = BenchConfig { patient: PatientConfig::default(), ..config.clone() };
         let (mut active, mut passive) = (bench(config), bench(&passive));
@@ -39,7 +39,7 @@ mod patient_activity {
         assert!(differences[650] > 20.0, "{}", differences[650]);
     }
 
-    /// Fall of pressure across the resistor per flow, and rise of volume per pressure, in one breath.
+    /// Pressure drop across the resistor per flow, and rise of volume per pressure, in one breath.
     fn breath(bench: &mut Bench) -> (f64, f64) {
         let start = bench.truth();
         let inspired = run(bench, 15.0, false, 800);
@@ -107,7 +107,7 @@ mod units {
         let flow = |number| run(&mut bench(&unit(number)), 50.0, true, 500).flow_valve;
         for number in 1..20 {
             let gain = Unit::draw(&unit(number).unit, STEP_S).flow_gain;
-            // Back-pressure takes back a little of what the gain gives.
+            // Back-pressure cancels a little of the gain.
             assert!((flow(number) / flow(0) - gain).abs() < 0.02 * (gain - 1.0).abs() + 1e-6, "{number}");
         }
     }

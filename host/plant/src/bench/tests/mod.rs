@@ -7,7 +7,7 @@ mod physics;
 use super::{Bench, BenchConfig, Truth};
 
 const PEEP: f32 = 5.0;
-/// Command that keeps a trickle of flow through the circuit in expiration, percent.
+/// Command that keeps a small flow through the circuit in expiration, percent.
 const BIAS: f32 = 5.0;
 
 fn bench(config: &BenchConfig) -> Bench {
@@ -19,7 +19,7 @@ fn all_lungs() -> Vec<BenchConfig> {
     [BenchConfig::paper_lungs(), BenchConfig::iso_lungs()].concat()
 }
 
-/// A bench whose sensor shows the truth and whose circuit and patient add nothing.
+/// A bench whose sensor shows the true pressure and whose circuit and patient add nothing.
 fn plain(resistance: f64, compliance: f64) -> BenchConfig {
     let mut config = BenchConfig::paper(resistance, compliance);
     config.lung.first.turbulence_s_per_l = 0.0;

@@ -1,4 +1,4 @@
-//! What gas does on the bench.
+//! Behaviour of the gas on the bench.
 
 use super::{BIAS, PEEP, all_lungs, bench, plain, run, stored_ml};
 use crate::bench::{Bench, BenchConfig, CompartmentConfig, STEP_S};
@@ -46,7 +46,7 @@ mod flow {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
-        /// What flows in and does not flow out is in the circuit or in the lung.
+        /// Inflow minus outflow equals the change of volume in circuit and lung.
         #[test]
         fn volume_is_conserved(
             lung in 0..30_usize,
@@ -100,7 +100,7 @@ mod flow {
 
     #[test]
     fn circuit_takes_its_share_of_a_fast_rise() {
-        // Nothing enters a lung behind 1000 cmH2O/(L/s) within 30 ms: the circuit's compliance takes it all.
+        // No gas enters a lung behind 1000 cmH2O/(L/s) within 30 ms: the circuit's compliance takes it all.
         let config = plain(1000.0, 20.0);
         let mut bench = bench(&config);
         let mut valve_ml = 0.0;
@@ -119,7 +119,7 @@ mod flow {
         config.lung.second = Some(slow);
         let mut bench = bench(&config);
         run(&mut bench, 40.0, false, 300);
-        // With the valve shut, gas still moves from the quick one to the slow one: the pressure falls.
+        // With the valve closed, gas still moves from the fast compartment to the slow one, so the pressure falls.
         let shut = run(&mut bench, 0.0, false, 200);
         let settled = run(&mut bench, 0.0, false, 20_000);
         assert!(shut.airway_pressure - settled.airway_pressure > 1.0);
@@ -186,8 +186,8 @@ mod limits {
         assert!(truth.airway_pressure > 140.0 && truth.airway_pressure <= 150.0);
     }
 
-    /// Nothing in the bench can swing by itself: with valves that stand still the pressure turns at most twice
-    /// (once for the circuit, once for the lung) on its way to rest.
+    /// The bench cannot oscillate by itself: with constant valves the pressure turns at most twice (once for the
+    /// circuit, once for the lung) before it settles.
     #[test]
     fn every_lung_is_stable_at_every_command() {
         let commands = [
