@@ -1,4 +1,4 @@
-//! Writing files so that a reader sees the old content or the new, never a part.
+//! Writes files so that a reader sees either the old content or the new, never a part.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -7,23 +7,23 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Replaces `path` by `bytes` in one step: a temporary file beside it, synced, then renamed.
+/// Atomically replaces `path` by `bytes`: a temporary file beside it is synced, then renamed.
 ///
 /// Missing parent folders are created.
 ///
 /// # Errors
-/// Whatever the file system answers; the old file is untouched and no temporary file stays behind.
+/// The file system's error; the old file is unchanged and no temporary file is left.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let temporary = temporary(path)?;
     let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
     if written.is_err() {
-        // The first error is the one worth telling; a leftover temporary file is only untidy.
+        // Report the first error; a leftover temporary file is harmless.
         let _ = fs::remove_file(&temporary);
     }
     written
 }
 
-/// A file beside `path` to be renamed to it once it is whole. Missing parent folders are created.
+/// The path of a temporary file beside `path`, to be renamed once complete. Missing parent folders are created.
 ///
 /// # Errors
 /// `path` names no file, or its folder cannot be created.
@@ -35,31 +35,31 @@ pub fn temporary(path: &Path) -> io::Result<PathBuf> {
     if let Some(folder) = folder {
         fs::create_dir_all(folder)?;
     }
-    // The process id keeps two processes that write the same file from sharing the temporary one.
+    // The process id prevents two processes that write the same file from sharing the temporary file.
     Ok(path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())))
 }
 
-/// Writes a value as JSON in one line, all or nothing.
+/// Writes a value atomically as one line of JSON.
 ///
 /// # Errors
-/// A value that JSON cannot hold, else as [`write_atomically`].
+/// A value that JSON cannot represent; otherwise see [`write_atomically`].
 pub fn write_json(path: &Path, value: &impl Serialize) -> io::Result<()> {
     write_atomically(path, serde_json::to_string(value)?.as_bytes())
 }
 
-/// As [`write_json`], for people: indented.
+/// Like [`write_json`], but indented for readability.
 ///
 /// # Errors
-/// As [`write_json`].
+/// See [`write_json`].
 pub fn write_json_indented(path: &Path, value: &impl Serialize) -> io::Result<()> {
     let text = serde_json::to_string_pretty(value)? + "\n";
     write_atomically(path, text.as_bytes())
 }
 
-/// Reads what [`write_json`] wrote; none if there is no such file.
+/// Reads a file written by [`write_json`]; `None` if it does not exist.
 ///
 /// # Errors
-/// The file cannot be read, or holds something else.
+/// The file cannot be read, or contains something else.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
     match fs::read_to_string(path) {
         Ok(text) => serde_json::from_str(&text).map(Some).map_err(|error| {
@@ -70,7 +70,7 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
     }
 }
 
-/// Marks a folder as that of one configuration, in its `run.json`; false if it belongs to another.
+/// Marks a folder as belonging to one configuration, in its `run.json`; false if it belongs to another.
 ///
 /// # Errors
 /// A file that cannot be read or written.
@@ -80,7 +80,7 @@ pub fn claim<T: PartialEq + Serialize + DeserializeOwned>(
 ) -> io::Result<bool> {
     let path = folder.join("run.json");
     match fs::read_to_string(&path) {
-        // A configuration of another shape is another one.
+        // A configuration of another shape is a different configuration.
         Ok(text) => Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             write_json_indented(&path, configuration).map(|()| true)

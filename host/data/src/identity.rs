@@ -1,4 +1,4 @@
-//! Which ventilator, test run and lung a row of a recording is of: the one parser and printer of each.
+//! Ventilator, test run and lung of a row: their types, with the only parser and formatter of each.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,16 +6,16 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// What stands between the two parts of a test run, and between R and C of a lung.
+/// Separates the two parts of a test run, and R from C of a lung.
 const SEPARATOR: char = ':';
 
-/// A test run of a ventilator, written `CT_AIR:5`. Files hold it as text.
+/// A test run of a ventilator, written `CT_AIR:5`. Files store it as text.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub struct TestRun {
     /// Name of the ventilator.
     pub ventilator: String,
-    /// Name of the run among those of its ventilator; none if the ventilator has this one alone.
+    /// Name of the run among those of its ventilator; `None` if the ventilator has only one run.
     pub run: Option<String>,
 }
 
@@ -56,7 +56,7 @@ impl fmt::Display for TestRun {
     }
 }
 
-/// Nominal R and C of a lung, written `50:20`. Two lungs are the same if both numbers are.
+/// Nominal R and C of a lung, written `50:20`. Two lungs are equal if both numbers are.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LungParameters {
     /// Airway resistance, cmH2O/(L/s).
@@ -65,9 +65,9 @@ pub struct LungParameters {
     pub compliance: f32,
 }
 
-/// A text that names no lung.
+/// The text is not a lung.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("write R:C in cmH2O/(L/s) and mL/cmH2O, as in 50:20")]
+#[error("write R:C in cmH2O/(L/s) and mL/cmH2O, such as 50:20")]
 pub struct NoLung;
 
 impl FromStr for LungParameters {

@@ -1,4 +1,4 @@
-//! Everything that is kept in files: recordings, tables measured elsewhere, tensors, and where each came from.
+//! Files and their origin: recordings, third-party tables, and tensors.
 #![forbid(unsafe_code)]
 
 pub mod files;

@@ -1,4 +1,4 @@
-//! Where a recording, a simulator or a report comes from: enough to make it again.
+//! Origin of a recording, a simulator or a report, with enough detail to reproduce it.
 
 use std::process::Command;
 use std::sync::OnceLock;
@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::identity::TestRun;
 
-/// Version of the recording format that this program writes, and the only one it reads.
+/// Version of the recording format; this program writes and reads only this one.
 pub const FORMAT: u32 = 1;
 
-/// Origin of a recording. Stored as JSON beside the data.
+/// Origin of a recording, stored as JSON beside the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Version of the recording format, [`FORMAT`].
@@ -19,19 +19,19 @@ pub struct Provenance {
     pub period_us: u32,
     /// Revision of the program, see [`git_revision`].
     pub git_revision: String,
-    /// Seed of every random draw.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Name of the plant: a bench preset, a ventilator, a data set.
     pub plant: String,
-    /// Parameters of the plant as TOML; empty if they are unknown.
+    /// Parameters of the plant as TOML; empty if unknown.
     pub plant_parameters: String,
-    /// Settings in force, as the command that recorded them understood them.
+    /// Settings in force, as the recording command interpreted them.
     pub settings: serde_json::Value,
-    /// Identity of the controller weights; empty if a PID ran alone.
+    /// Id of the controller's weights; empty if a PID ran alone.
     pub weights_id: String,
-    /// What delivered the rows: a bench, a port, an imported table.
+    /// Source of the rows: a bench, a port, an imported table.
     pub source: String,
-    /// Test runs that the column `group` points into, such as `CT_AIR:3`.
+    /// Test runs, indexed by the column `group`, such as `CT_AIR:3`.
     #[serde(default)]
     pub groups: Vec<TestRun>,
     /// Remarks for people.
@@ -39,7 +39,7 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    /// Origin with the revision of this program filled in and everything else empty; `period_us` is the control period.
+    /// Origin with only this program's revision, the control period and the source filled in.
     pub fn new(period_us: u32, source: impl Into<String>) -> Self {
         Self {
             format: FORMAT,
@@ -62,10 +62,10 @@ impl Provenance {
     }
 }
 
-/// Revision of the program: twelve digits of the commit of its source tree, `-dirty` if a tracked file has changed.
+/// Revision of the program: twelve digits of its source tree's commit, with `-dirty` if a tracked file has changed.
 ///
-/// Without the tree or without git it is the value of `EUPNEA_GIT_REVISION` at build time, else `unknown`. Asked once
-/// per process, so that all files of one run agree.
+/// Without the tree or without git it is the value of `EUPNEA_GIT_REVISION` at build time, else `unknown`. It is
+/// determined once per process, so that all files of one run agree.
 pub fn git_revision() -> String {
     static REVISION: OnceLock<String> = OnceLock::new();
     REVISION
@@ -77,7 +77,7 @@ pub fn git_revision() -> String {
         .clone()
 }
 
-/// Asks git about the source tree, not about the current folder, which may be someone's own repository.
+/// Asks git about the source tree, not about the current folder, which may be another repository.
 fn from_git() -> Option<String> {
     let tree = env!("CARGO_MANIFEST_DIR");
     let revision = git(tree, &["rev-parse", "--short=12", "HEAD"])?;

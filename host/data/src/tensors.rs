@@ -1,6 +1,6 @@
-//! Vectors of numbers with a description, as safetensors files that Python opens too.
+//! Vectors of numbers with a description, as safetensors files that Python can open too.
 //!
-//! The description is JSON in the file's metadata, under a key that says what the file is (`eupnea-simulator`).
+//! The description is JSON in the file's metadata, under a key that names the kind of file (`eupnea-simulator`).
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -16,16 +16,16 @@ use crate::files::write_atomically;
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the message names every field")]
 pub enum TensorError {
-    /// The file system refuses.
+    /// The file system failed.
     #[error("cannot access {path}: {source}")]
     File { path: PathBuf, source: io::Error },
-    /// The file is torn, or something else.
-    #[error("{path} is no {kind}: {reason}")]
+    /// The file is incomplete, or something else.
+    #[error("{path} is not a valid {kind}: {reason}")]
     Format { path: PathBuf, kind: &'static str, reason: String },
 }
 
 impl TensorError {
-    /// A file that is not what it should be.
+    /// An error for a file that is not of the expected kind.
     pub fn format(path: &Path, kind: &'static str, reason: &impl ToString) -> Self {
         Self::Format { path: path.to_owned(), kind, reason: reason.to_string() }
     }
@@ -36,27 +36,27 @@ impl TensorError {
     }
 }
 
-/// What stands before the kind in the metadata's key.
+/// Prefix of the metadata's key, before the kind.
 const KEY: &str = "eupnea-";
 
 fn key(kind: &str) -> String {
     format!("{KEY}{kind}")
 }
 
-/// The kind of a file that [`save`] wrote.
+/// The kind of a file written by [`save`].
 ///
 /// # Errors
-/// The file cannot be read, is torn or of another program.
+/// The file cannot be read, is incomplete or comes from another program.
 pub fn kind(path: &Path) -> Result<String, TensorError> {
     let bytes = fs::read(path).map_err(TensorError::file(path))?;
-    let foreign = |reason: String| TensorError::format(path, "file of the trainer", &reason);
+    let foreign = |reason: String| TensorError::format(path, "trainer file", &reason);
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| foreign(e.to_string()))?;
     let mut keys = header.metadata().iter().flat_map(HashMap::keys);
     let kind = keys.find_map(|key| key.strip_prefix(KEY));
-    kind.map(str::to_owned).ok_or_else(|| foreign("its metadata do not say what it is".to_owned()))
+    kind.map(str::to_owned).ok_or_else(|| foreign("its metadata does not name its kind".to_owned()))
 }
 
-/// Writes named vectors and their description, all or nothing.
+/// Writes named vectors and their description atomically.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -81,10 +81,10 @@ pub fn save(
     write_atomically(path, &file).map_err(TensorError::file(path))
 }
 
-/// Reads what [`save`] wrote: the description, and the vectors in the order of `names`.
+/// Reads a file written by [`save`]: the description, and the vectors in the order of `names`.
 ///
 /// # Errors
-/// The file cannot be read, is torn, is of another kind, or holds a number that is not finite.
+/// The file cannot be read, is incomplete, is of another kind, or contains a number that is not finite.
 pub fn load<D: for<'de> Deserialize<'de>>(
     path: &Path,
     kind: &'static str,
@@ -101,7 +101,7 @@ fn parse<D: for<'de> Deserialize<'de>>(
 ) -> Result<(D, Vec<Vec<f32>>), String> {
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
     let json = header.metadata().as_ref().and_then(|metadata| metadata.get(&key(kind)));
-    let json = json.ok_or_else(|| format!("it has no metadata of the name {}", key(kind)))?;
+    let json = json.ok_or_else(|| format!("it has no metadata key {}", key(kind)))?;
     let description = serde_json::from_str(json).map_err(|e| e.to_string())?;
     let tensors = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
     let vectors = names.iter().map(|name| vector(&tensors, name)).collect::<Result<_, _>>()?;
@@ -111,7 +111,7 @@ fn parse<D: for<'de> Deserialize<'de>>(
 fn vector(tensors: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, String> {
     let view = tensors.tensor(name).map_err(|e| e.to_string())?;
     if view.dtype() != Dtype::F32 {
-        return Err(format!("{name} is not of 32-bit floats"));
+        return Err(format!("{name} does not contain 32-bit floats"));
     }
     let (words, _) = view.data().as_chunks::<4>();
     let values: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();

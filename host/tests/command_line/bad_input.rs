@@ -1,4 +1,4 @@
-//! Whatever is wrong with the input is said in one line that names it, and nothing is written.
+//! Bad input gives a one-line error that names it, and nothing is written.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -28,8 +28,8 @@ fn a_torn_recording() {
     let path = place.path(place.collected());
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-    assert!(place.refused("fit --data first.parquet --out a.safetensors").contains("torn"));
-    assert!(place.refused("inspect first.parquet").contains("torn"));
+    assert!(place.refused("fit --data first.parquet --out a.safetensors").contains("incomplete or damaged"));
+    assert!(place.refused("inspect first.parquet").contains("incomplete or damaged"));
     assert!(!place.path("a.safetensors").exists());
 }
 
@@ -48,7 +48,7 @@ fn a_weights_image_with_a_flipped_bit() {
     }
 }
 
-/// Copies the recording with one pressure that is no number, as another program would write it: without a checksum.
+/// Copies the recording with one pressure that is not a number, as another program would write it: without a checksum.
 fn spoil(path: &Path) {
     let reader = SerializedFileReader::new(File::open(path).unwrap()).unwrap();
     let about = reader.metadata().file_metadata();
@@ -123,7 +123,7 @@ fn files_of_another_kind() {
     assert!(
         place.refused("fit --data controller.safetensors --out a.safetensors").contains("not a Parquet file")
     );
-    assert!(place.refused(&format!("pack {data} --out a.bin")).contains("is no controller"));
+    assert!(place.refused(&format!("pack {data} --out a.bin")).contains("is not a valid controller"));
     fs::write(place.path("notes.txt"), "a note").unwrap();
     assert!(place.refused("inspect notes.txt").contains("notes.txt"));
     let stitched = "fit --data first.parquet --out a.safetensors --architecture stitched";

@@ -1,4 +1,4 @@
-//! What an import found: counts, and the properties of the measurement that a model must respect.
+//! Summary of an import: counts, and the properties of the measurement that a model must respect.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,12 +11,12 @@ use super::saturation::Saturation;
 use crate::recording::quality::{noise_of_second_differences, quantum};
 use crate::recording::{INSPIRATION, Row};
 
-/// Rows from which quantum and noise are estimated: the first of them, so that memory has a bound.
+/// Number of rows from which quantum and noise are estimated: the first ones, so that memory is bounded.
 const JUDGED: usize = 500_000;
-/// A command this near to 0 or 100 percent is at the end of the valve's range.
+/// Distance from 0 or 100 percent below which a command counts as at the end of the valve's range.
 const AT_END: f64 = 1e-6;
 
-/// Valves whose saturation is told.
+/// Valves whose saturation is reported.
 const VALVES: [Quantity; 3] = [Quantity::UIn, Quantity::UOut, Quantity::UPsol];
 
 /// Lowest and highest value.
@@ -29,7 +29,7 @@ pub struct Extremes {
 }
 
 impl Default for Extremes {
-    /// Of no values.
+    /// The extremes of an empty set.
     fn default() -> Self {
         Self { low: f64::INFINITY, high: f64::NEG_INFINITY }
     }
@@ -42,22 +42,22 @@ impl Extremes {
     }
 }
 
-/// Gathers the account while samples stream by.
+/// Collects the summary while samples stream by.
 #[derive(Debug, Default)]
 pub(super) struct Account {
-    /// What is counted; the rest of it follows with [`Self::finish`].
+    /// The counts; [`Self::finish`] adds the rest.
     pub(super) counts: ImportSummary,
     /// Rows at an end of the inspiratory valve's range while the expiratory valve is not open, and all such rows.
     saturated: (usize, usize),
     valves: [Saturation; 3],
     pressures: Vec<f32>,
     second_differences: Vec<f32>,
-    /// Pressures of the two rows before that follow on.
+    /// Pressures of the two preceding rows without a gap.
     before: [Option<f32>; 2],
 }
 
 impl Account {
-    /// Notes a row, and the one before if it follows on.
+    /// Counts a row; `last` is the row before it, if there is no gap between them.
     pub(super) fn sample(&mut self, sample: &TableRow, last: Option<&TableRow>) {
         self.counts.rows += 1;
         let pressure = sample.get(Quantity::Pressure);
@@ -81,7 +81,7 @@ impl Account {
         }
     }
 
-    /// Notes a breath: its samples, and the rows that it became.
+    /// Counts a breath: its samples, and the rows written for it.
     pub(super) fn breath(&mut self, samples: &[TableRow], rows: &[Row]) {
         let inspires = |row: &Row| row.phase == INSPIRATION;
         self.counts.breaths += 1;
@@ -102,7 +102,7 @@ impl Account {
         self.valves.iter_mut().for_each(Saturation::end_of_table);
     }
 
-    /// The account of so many test runs.
+    /// The summary of an import of this number of test runs.
     pub(super) fn finish(mut self, period_us: u32, tests: usize) -> ImportSummary {
         let [saturated_inhale, saturated_exhale, saturated_psol] =
             self.valves.each_ref().map(Saturation::share);
@@ -120,55 +120,55 @@ impl Account {
     }
 }
 
-/// Account of an import.
+/// Summary of an import.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ImportSummary {
-    /// Rows read.
+    /// Number of rows read.
     pub rows: usize,
-    /// Rows written; a breath that was put on an even grid may have a few more or less than were read.
+    /// Number of rows written; resampling a breath can change its number of rows slightly.
     pub kept: usize,
-    /// Rows before the first breath of a table or group.
+    /// Number of rows before the first breath of a table or group.
     pub dropped_before_first_breath: usize,
-    /// Rows between a gap in time and the next breath.
+    /// Number of rows between a gap in time and the next breath.
     pub dropped_after_gap: usize,
-    /// Test runs; a table without groups is one.
+    /// Number of test runs; a table without groups is one.
     pub tests: usize,
-    /// Breaths, complete or not.
+    /// Number of breaths, complete or not.
     pub breaths: usize,
-    /// Breaths with a complete inspiration.
+    /// Number of breaths with a complete inspiration.
     pub complete_breaths: usize,
-    /// Breaths whose time steps were uneven and that were put on an even grid.
+    /// Number of breaths with uneven time steps that were resampled to an even grid.
     pub resampled_breaths: usize,
-    /// Furthest that a row was from the grid, ms.
+    /// Largest distance of a row from the grid, ms.
     pub furthest_from_grid_ms: f64,
-    /// Gaps in time within breaths or between them.
+    /// Number of gaps in time within or between breaths.
     pub gaps: usize,
     /// Sample period of the recording, microseconds.
     pub period_us: u32,
-    /// Shortest and longest time step between rows that follow on, ms.
+    /// Shortest and longest time step between consecutive rows without a gap, ms.
     pub step_ms: Extremes,
     /// Pressures, cmH2O.
     pub pressure: Extremes,
     /// Commands of the inspiratory valve, percent.
     pub u_in: Extremes,
-    /// Smallest step of the pressure column, cmH2O; 0 if there is none.
+    /// Smallest step of the pressure column, cmH2O; 0 if all pressures are equal.
     pub quantum: f64,
     /// Standard deviation of the pressure noise, cmH2O.
     pub noise: f64,
-    /// Share of rows before the expiratory valve opens with the inspiratory valve shut or fully open, 0..1.
+    /// Share of rows before the expiratory valve opens in which the inspiratory valve is closed or fully open, 0..1.
     pub saturated: f64,
-    /// Share of all rows with the inspiratory valve at an end of the range that it uses, 0..1.
+    /// Share of all rows with the inspiratory valve at an end of the range in use, 0..1.
     pub saturated_inhale: f64,
-    /// The same of the expiratory valve.
+    /// The same for the expiratory valve.
     pub saturated_exhale: f64,
-    /// The same of the second inspiratory valve (oxygen).
+    /// The same for the second inspiratory valve (oxygen).
     pub saturated_psol: f64,
-    /// Breaths by nominal `R:C`, if the table has them.
+    /// Number of breaths by nominal `R:C`, if the table has them.
     pub lungs: BTreeMap<String, usize>,
 }
 
 impl ImportSummary {
-    /// The whole in a line, for the recording.
+    /// The summary in one line, stored in the recording.
     pub(super) fn note(&self) -> String {
         format!(
             "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid, {:.1} % of inspiratory rows with the \
@@ -199,9 +199,9 @@ impl fmt::Display for ImportSummary {
             ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
             ("time steps", format!("{} ms", range(&self.step_ms, 2))),
             (
-                "put on an even grid",
+                "resampled to even grid",
                 format!(
-                    "{} breaths, rows up to {:.2} ms off it",
+                    "{} breaths, rows up to {:.2} ms off the grid",
                     self.resampled_breaths, self.furthest_from_grid_ms
                 ),
             ),
@@ -209,8 +209,8 @@ impl fmt::Display for ImportSummary {
             ("pressure quantum", format!("{:.4} cmH2O", self.quantum)),
             ("pressure noise (sd)", format!("{:.3} cmH2O", self.noise)),
             ("inspiratory valve", format!("{} %", range(&self.u_in, 1))),
-            ("  shut or fully open", format!("{:.1} % of inspiratory rows", 100.0 * self.saturated)),
-            ("  at an end of its use", percent(self.saturated_inhale)),
+            ("  closed or fully open", format!("{:.1} % of inspiratory rows", 100.0 * self.saturated)),
+            ("  at an end of its range", percent(self.saturated_inhale)),
             ("expiratory valve at an end", percent(self.saturated_exhale)),
             ("oxygen valve at an end", percent(self.saturated_psol)),
         ];

@@ -1,4 +1,4 @@
-//! From a stream of samples to breaths on an even grid of time.
+//! Turns a stream of samples into breaths on an even grid of time.
 
 use super::account::{Account, ImportSummary};
 use super::map::{EndBy, Quantity, StartBy, TableLayout};
@@ -6,25 +6,25 @@ use super::reader::TableRow;
 use super::rises::{Rises, is_up};
 use crate::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, RecordingWriter, Row};
 
-/// Opening of the expiratory valve from which it counts as open, percent.
+/// Position of the expiratory valve from which it counts as open, percent.
 const OPEN: f64 = 50.0;
-/// A row follows the one before if it comes after at most so many periods.
+/// Longest step between consecutive rows, in periods; a longer one is a gap.
 const MOST_PERIODS: f64 = 1.75;
-/// A breath stays as it is if none of its rows is further than this share of a period from the grid.
+/// A breath is not resampled if all of its rows are within this share of a period from the grid.
 const UNEVEN: f64 = 0.05;
-/// Time before the end of an inspiration over which its plateau is averaged where no set-point says it, seconds.
+/// Time before the end of an inspiration over which its plateau is averaged if there is no set-point, seconds.
 const PLATEAU_S: f64 = 0.05;
-/// Rows after which a breath that does not end is no breath.
+/// Number of rows after which a breath without an end is discarded.
 const MOST_ROWS: usize = 200_000;
 
-/// Gathers samples into breaths and writes their rows, one breath at a time.
+/// Collects samples into breaths and writes their rows, one breath at a time.
 pub(super) struct Assembler<'a> {
     pub(super) account: Account,
     pub(super) writer: RecordingWriter,
     layout: &'a TableLayout,
     period_s: f64,
     rises: Rises,
-    /// The samples of the running breath, and the set-point before it.
+    /// The samples of the current breath, and the set-point before it.
     breath: Vec<TableRow>,
     target_before: f64,
     last: Option<TableRow>,
@@ -52,7 +52,7 @@ impl<'a> Assembler<'a> {
         }
     }
 
-    /// Takes the next sample; a breath that ends with it is written.
+    /// Takes the next sample; writes a breath that ends with it.
     pub(super) fn push(&mut self, sample: TableRow) -> Result<(), DatasetError> {
         if self.last.is_some_and(|last| last.group != sample.group) {
             self.end_of_stretch()?;
@@ -89,7 +89,7 @@ impl<'a> Assembler<'a> {
         Ok(())
     }
 
-    /// Ends the running breath: what comes next does not follow on.
+    /// Ends the current breath before a gap.
     pub(super) fn end_of_stretch(&mut self) -> Result<(), DatasetError> {
         self.finish()?;
         (self.last, self.within, self.after_gap) = (None, false, false);
@@ -112,13 +112,13 @@ impl<'a> Assembler<'a> {
         self.account.breath(&samples, &self.rows);
         self.rows.iter().try_for_each(|row| self.writer.push(*row))?;
         self.number += 1;
-        // The memory is used again.
+        // Reuse the memory.
         self.breath = samples;
         self.breath.clear();
         Ok(())
     }
 
-    /// The rows of a breath whose samples are on the grid.
+    /// Writes the rows of a breath whose samples are on the grid.
     fn fill_rows(&mut self, samples: &[TableRow]) {
         let has = |quantity: Quantity| self.layout.origins[quantity as usize].is_some();
         let has_target = has(Quantity::Target);
@@ -162,7 +162,7 @@ impl<'a> Assembler<'a> {
         }
     }
 
-    /// Rows of the inspiration.
+    /// Number of rows of the inspiration.
     fn inspiration(&self, samples: &[TableRow], peep: f32) -> usize {
         let until = |ends: &dyn Fn(&TableRow) -> bool| samples.iter().position(ends).unwrap_or(samples.len());
         match self.layout.end {
@@ -179,12 +179,12 @@ impl<'a> Assembler<'a> {
     }
 }
 
-/// A pressure setting, cmH2O, without the rounding noise of its transmission.
+/// A pressure setting, cmH2O, without the rounding error of its transmission.
 fn setting(target: f64) -> f32 {
     ((target * 100.0).round() / 100.0) as f32
 }
 
-/// The samples on the grid; none if they are on it already. Measured values are interpolated on straight lines, valve
+/// The samples on the grid; `None` if they are on it already. Measured values are interpolated linearly; valve commands
 /// and set-points hold until the next row.
 fn evened(samples: &[TableRow], period_s: f64, counts: &mut ImportSummary) -> Option<Vec<TableRow>> {
     let time = |n: usize| samples[n].get(Quantity::Time) - samples[0].get(Quantity::Time);

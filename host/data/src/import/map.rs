@@ -1,14 +1,14 @@
-//! Which column of a table is what, in which unit: as typed in TOML, and as checked.
+//! The column map: which column contains which quantity, in which unit; as typed in TOML, and as checked.
 
 use std::path::Path;
 
 use serde::Deserialize;
 use thiserror::Error;
 
-/// Quantities that a row may have, in the order of `Fields` of the reader.
+/// Quantities that a row can have, in the order of the reader's `Fields`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
-    /// Seconds from any zero.
+    /// Time in seconds from any origin.
     Time,
     /// Airway pressure, cmH2O.
     Pressure,
@@ -16,7 +16,7 @@ pub enum Quantity {
     UIn,
     /// Command of the expiratory valve, percent from closed to open.
     UOut,
-    /// Pressure asked for, cmH2O.
+    /// Requested pressure, cmH2O.
     Target,
     /// Flow into the patient circuit, L/s.
     FlowIn,
@@ -30,7 +30,7 @@ pub enum Quantity {
     UPsol,
 }
 
-/// How many quantities there are.
+/// Number of quantities.
 pub const QUANTITIES: usize = 10;
 
 /// The unit of a command from 0 to 1.
@@ -47,7 +47,7 @@ const PRESSURES: &[(&str, f64)] = &[
 ];
 
 impl Quantity {
-    /// All of them.
+    /// All quantities.
     pub const ALL: [Self; QUANTITIES] = [
         Self::Time,
         Self::Pressure,
@@ -61,7 +61,7 @@ impl Quantity {
         Self::UPsol,
     ];
 
-    /// Its table in the column map.
+    /// Name of its table in the column map.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Time => "time",
@@ -77,7 +77,7 @@ impl Quantity {
         }
     }
 
-    /// Units that it may come in, with their factors; the first is the default and our own.
+    /// Accepted units with their factors; the first is the default and our own.
     pub const fn units(self) -> &'static [(&'static str, f64)] {
         match self {
             Self::Time => &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)],
@@ -101,36 +101,36 @@ pub enum MapError {
     /// The file cannot be opened.
     #[error("cannot read the column map {path}: {source}; check the path")]
     Read { path: String, source: std::io::Error },
-    /// Not TOML, or a name that nothing has.
-    #[error("the column map cannot be read: {0}")]
+    /// Not TOML, or an unknown name.
+    #[error("the column map is not valid: {0}")]
     Syntax(#[from] toml::de::Error),
-    /// Neither column nor value, or both.
-    #[error("[{0}] of the column map needs a `column` or a `value`, one of the two")]
+    /// A quantity has neither column nor value, or both.
+    #[error("[{0}] of the column map needs either a `column` or a `value`")]
     Source(&'static str),
-    /// A unit that is not known.
-    #[error("[{quantity}] of the column map: no unit `{unit}`; write one of {known}")]
+    /// Unknown unit.
+    #[error("[{quantity}] of the column map: unknown unit `{unit}`: write one of {known}")]
     Unit { quantity: &'static str, unit: String, known: String },
-    /// A number that makes no sense.
+    /// A number out of range.
     #[error("{0} of the column map must be a number above 0")]
     Number(&'static str),
-    /// A quantity that comes as a column only.
+    /// A quantity that must be a column has a value.
     #[error("[{0}] of the column map must be a column, not a value: it changes from row to row")]
     NotConstant(&'static str),
-    /// Nothing says where breaths start.
+    /// The start of a breath is not defined.
     #[error(
-        "nothing in the column map says where a breath starts: give a [breath] column, a [target] that rises, or a \
+        "the column map does not define where a breath starts: give a [breath] column, a [target] that rises, or a \
          [u_out] that closes"
     )]
     NoStart,
-    /// Nothing says where an inspiration ends.
+    /// The end of an inspiration is not defined.
     #[error(
-        "nothing in the column map says where an inspiration ends: give a [u_out] that opens, a [target] that falls, \
+        "the column map does not define where an inspiration ends: give a [u_out] that opens, a [target] that falls, \
          or inspiration_s"
     )]
     NoEnd,
 }
 
-/// One quantity as typed.
+/// A quantity as typed.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
@@ -149,13 +149,13 @@ struct Label {
     column: String,
 }
 
-/// The columns of test runs.
+/// The columns that identify test runs.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Group {
     /// The ventilator's name, or the name of the whole.
     column: String,
-    /// The name of the run among the ventilator's.
+    /// The name of the run among those of the ventilator.
     run: Option<String>,
 }
 
@@ -182,28 +182,28 @@ pub struct ColumnMap {
     u_psol: Option<Entry>,
 }
 
-/// Where a quantity comes from.
+/// The source of a quantity.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ColumnSource {
-    /// A column, times a factor, plus an offset: our unit.
+    /// A column, times a factor, plus an offset, in our unit.
     Column {
-        /// Its head.
+        /// Header of the column.
         name: String,
         /// Factor to our unit.
         factor: f64,
-        /// What is added then, in our unit.
+        /// Offset added after scaling, in our unit.
         offset: f64,
-        /// Whether it is a command from 0 to 1, beyond which it makes no sense.
+        /// Whether it is a command from 0 to 1; values outside are errors.
         share: bool,
     },
-    /// The same for all rows, in our unit.
+    /// A constant for all rows, in our unit.
     Value(f64),
 }
 
-/// What starts a breath.
+/// The event that starts a breath.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StartBy {
-    /// Another value in the column of breaths.
+    /// A new value in the breath column.
     Number,
     /// A rise of the set-point after a rest.
     Target,
@@ -211,10 +211,10 @@ pub enum StartBy {
     Valve,
 }
 
-/// What ends an inspiration.
+/// The event that ends an inspiration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EndBy {
-    /// So many seconds.
+    /// A fixed time, seconds.
     Time(f64),
     /// The expiratory valve opens.
     Valve,
@@ -222,46 +222,46 @@ pub enum EndBy {
     Target,
 }
 
-/// A column map that has been checked.
+/// A checked column map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TableLayout {
-    /// What was recorded.
+    /// Name of the recorded plant.
     pub plant: String,
-    /// Remark for people.
+    /// A remark for the recording.
     pub note: Option<String>,
-    /// Sample period in seconds, where the map gives it.
+    /// Sample period in seconds, if the map gives it.
     pub period_s: Option<f64>,
     /// Column separator.
     pub separator: u8,
-    /// Head of the column of breaths.
+    /// Header of the breath column.
     pub breath: Option<String>,
-    /// Head of the column of groups.
+    /// Header of the group column.
     pub group: Option<String>,
-    /// Head of the column of runs within a group.
+    /// Header of the column of runs within a group.
     pub run: Option<String>,
     /// Quantities, in the order of [`Quantity::ALL`].
     pub origins: [Option<ColumnSource>; QUANTITIES],
-    /// What starts a breath.
+    /// The event that starts a breath.
     pub start: StartBy,
-    /// What ends an inspiration.
+    /// The event that ends an inspiration.
     pub end: EndBy,
 }
 
 impl ColumnMap {
-    /// Reads a map.
+    /// Reads a column map.
     ///
     /// # Errors
-    /// The file cannot be read or is no column map.
+    /// The file cannot be read or is not a column map.
     pub fn load(path: &Path) -> Result<Self, MapError> {
         let text = std::fs::read_to_string(path)
             .map_err(|source| MapError::Read { path: path.display().to_string(), source })?;
         Self::from_toml(&text)
     }
 
-    /// Reads a map from text.
+    /// Reads a column map from text.
     ///
     /// # Errors
-    /// It is no column map.
+    /// The text is not a column map.
     pub fn from_toml(text: &str) -> Result<Self, MapError> {
         Ok(toml::from_str(text)?)
     }
@@ -269,7 +269,7 @@ impl ColumnMap {
     /// The layout of the Kaggle competition "Ventilator Pressure Prediction" (Google Brain, 2021).
     ///
     /// # Errors
-    /// As [`Self::from_toml`], which a test rules out.
+    /// See [`Self::from_toml`]; a test rules this out.
     pub fn kaggle() -> Result<Self, MapError> {
         Self::from_toml(include_str!("kaggle.toml"))
     }
@@ -277,7 +277,7 @@ impl ColumnMap {
     /// The layout of the measured tables of the `RespiraWorks` ventilator.
     ///
     /// # Errors
-    /// As [`Self::from_toml`], which a test rules out.
+    /// See [`Self::from_toml`]; a test rules this out.
     pub fn respiraworks() -> Result<Self, MapError> {
         Self::from_toml(include_str!("respiraworks.toml"))
     }
@@ -297,10 +297,10 @@ impl ColumnMap {
         }
     }
 
-    /// The map, checked.
+    /// Checks the map.
     ///
     /// # Errors
-    /// The first thing in it that makes no sense.
+    /// The first problem found.
     pub fn layout(&self) -> Result<TableLayout, MapError> {
         let positive = |value: Option<f64>, what| match value {
             Some(value) if !(value > 0.0 && value.is_finite()) => Err(MapError::Number(what)),

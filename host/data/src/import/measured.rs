@@ -1,4 +1,4 @@
-//! What the tests of every crate share: where the measured tables are, and their recording.
+//! Shared by the tests of all crates: the location of the measured tables, and their recording.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use super::import;
 use super::map::ColumnMap;
 use crate::recording::Recording;
 
-/// The three measured tables, if they are at hand: in the folder that `EUPNEA_DATA` names, else beside the project.
+/// The three measured tables, if available: in the folder given by `EUPNEA_DATA`, else beside the project.
 pub fn measured() -> Option<Vec<PathBuf>> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let folder = std::env::var_os("EUPNEA_DATA").map_or_else(beside, PathBuf::from).join("respiraworks");
@@ -20,7 +20,7 @@ pub fn measured() -> Option<Vec<PathBuf>> {
     None
 }
 
-/// Imports measured tables into a file of `folder` and reads it; panics where that fails.
+/// Imports measured tables into a file of `folder` and reads it; panics if that fails.
 pub fn measured_recording(tables: &[PathBuf], folder: &Path) -> Recording {
     let layout = ColumnMap::respiraworks().and_then(|map| map.layout()).expect("the map is sound");
     let out = folder.join("measured.parquet");

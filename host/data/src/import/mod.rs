@@ -1,7 +1,7 @@
-//! Import of tables measured elsewhere, in any layout: a stream of rows in, a recording in Parquet out, in bounded memory.
+//! Imports third-party tables in any layout: a stream of rows in, a recording in Parquet out, in bounded memory.
 //!
-//! A [`map::ColumnMap`] says which column is what, in which unit. Time may be uneven: breaths are put on an even grid.
-//! No row disappears without being counted in the [`account::ImportSummary`].
+//! A [`map::ColumnMap`] gives the quantity and unit of each column. Time may be uneven: breaths are put on an even
+//! grid. Every dropped row is counted in the [`account::ImportSummary`].
 
 pub mod account;
 mod breaths;
@@ -27,12 +27,12 @@ use self::reader::TableReader;
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter};
 
-/// Rows from whose time steps the sample period is taken.
+/// Number of rows whose time steps determine the sample period.
 const PERIOD_ROWS: usize = 20_000;
-/// Rows between two reports of progress.
+/// Number of rows between two progress reports.
 const PROGRESS_ROWS: usize = 1 << 16;
 
-/// Optional columns of a recording, and the quantities that they come from.
+/// Optional columns of a recording, and the quantities that fill them.
 const EXTRAS: [(Extra, Quantity); 5] = [
     (Extra::FlowIn, Quantity::FlowIn),
     (Extra::FlowOut, Quantity::FlowOut),
@@ -40,14 +40,14 @@ const EXTRAS: [(Extra, Quantity); 5] = [
     (Extra::Compliance, Quantity::Compliance),
     (Extra::UPsol, Quantity::UPsol),
 ];
-/// Part of the first table's period by which another's may differ.
+/// Largest difference of a table's sample period from the first table's, as a share of it.
 const SAME_PERIOD: f64 = 0.05;
 
-/// Makes one recording of tables, in the order given.
+/// Converts tables, in the given order, into one recording.
 ///
 /// # Errors
-/// A table that cannot be read, lacks a column or has a cell that is no number (with line and column), no breath at
-/// all, a recording that cannot be written, or a request to stop. The recording is written whole or not at all.
+/// A table that cannot be read, lacks a column or has a cell that is not a number (with line and column), no breath at
+/// all, a recording that cannot be written, or a request to stop. The recording is written atomically.
 pub fn import(
     paths: &[PathBuf],
     layout: &TableLayout,
@@ -90,7 +90,7 @@ pub fn import(
     Ok(summary)
 }
 
-/// Whether nobody asked to stop. A writer that is dropped leaves no file behind.
+/// Fails if the user asked to stop. A dropped writer leaves no file behind.
 fn goes_on(task: &Task<'_>) -> Result<(), DatasetError> {
     if task.stopped() { Err(DatasetError::Stopped) } else { Ok(()) }
 }
@@ -114,7 +114,7 @@ fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Proven
     }
 }
 
-/// The sample period of the first table, which the others must have too.
+/// The sample period of the first table, which the others must share.
 fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, DatasetError> {
     let (first, others) = paths.split_first().ok_or(DatasetError::NoBreath(0))?;
     let expected_us = period_us(first, layout)?;

@@ -1,4 +1,4 @@
-//! Rows of a foreign table as numbers in our units.
+//! Reads rows of a third-party table as numbers in our units.
 
 use std::fs::File;
 use std::io::ErrorKind;
@@ -10,27 +10,27 @@ use super::map::{ColumnSource, QUANTITIES, Quantity, TableLayout};
 use crate::identity::TestRun;
 use crate::recording::DatasetError;
 
-/// One value per [`Quantity`], in its order and our units.
+/// One value per [`Quantity`], in its order and in our units.
 pub type Fields = [f64; QUANTITIES];
 
-/// A command may lie this far outside 0..100 %, by rounding.
+/// Tolerance of a command outside 0..100 %, for rounding.
 const PERCENT_SLACK: f64 = 0.1;
-/// Bytes read from the file at a time.
+/// Number of bytes read from the file at a time.
 const BUFFER: usize = 1 << 20;
 
-/// One row.
+/// A row of a table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TableRow {
-    /// Values; those that the table has not are 0.
+    /// Values; 0 for quantities that the table does not have.
     pub fields: Fields,
-    /// Whether the column of breaths has another value than in the row before.
+    /// Whether the breath column's value differs from the previous row's.
     pub next_breath: bool,
     /// Index of the group.
     pub group: u32,
 }
 
 impl TableRow {
-    /// One of its values.
+    /// The value of a quantity.
     pub fn get(&self, quantity: Quantity) -> f64 {
         self.fields[quantity as usize]
     }
@@ -43,14 +43,14 @@ pub struct TableReader<'a> {
     layout: &'a TableLayout,
     table: csv::Reader<File>,
     line: ByteRecord,
-    /// Where each quantity stands in a line.
+    /// Index of each quantity's column.
     places: [Option<usize>; QUANTITIES],
     breath: Option<usize>,
     group: Option<usize>,
     run: Option<usize>,
-    /// The cell of the breath in the row before.
+    /// The breath column's cell in the previous row.
     last_breath: Option<Vec<u8>>,
-    /// Cells of the group and its run in the row before.
+    /// The cells of the group and its run in the previous row.
     last_group: Option<[Vec<u8>; 2]>,
     current_group: u32,
 }
@@ -99,15 +99,15 @@ impl<'a> TableReader<'a> {
         })
     }
 
-    /// Bytes read so far.
+    /// Number of bytes read so far.
     pub fn position(&self) -> u64 {
         self.line.position().map_or(0, csv::Position::byte)
     }
 
-    /// The next row; none at the end. `groups` grows by the names that are new.
+    /// The next row; `None` at the end. New names are added to `groups`.
     ///
     /// # Errors
-    /// A line that cannot be split into cells, or a cell that is no finite number.
+    /// A line that cannot be split into cells, or a cell that is not a finite number.
     pub fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
         let more = self
             .table
@@ -139,7 +139,7 @@ impl<'a> TableReader<'a> {
         Ok(Some(TableRow { fields, next_breath, group }))
     }
 
-    /// Index of the row's group; a table without groups is one, named after its file.
+    /// Index of the row's group; a table without groups is one group, named after its file.
     fn group(&mut self, groups: &mut Vec<TestRun>) -> u32 {
         let cell = |index: Option<usize>| index.and_then(|index| self.line.get(index)).unwrap_or_default();
         let cells = [cell(self.group), cell(self.run)];
@@ -161,7 +161,7 @@ impl<'a> TableReader<'a> {
         self.current_group
     }
 
-    /// The cell of a quantity that comes from a column.
+    /// The cell of a quantity that has a column.
     fn cell(&self, quantity: usize) -> &[u8] {
         let cell = self.places[quantity].and_then(|place| self.line.get(place));
         cell.unwrap_or_default().trim_ascii()
@@ -176,7 +176,7 @@ impl<'a> TableReader<'a> {
         }
     }
 
-    /// A command within its range, give or take rounding.
+    /// Checks that a command is within its range, with a tolerance for rounding.
     fn percent(&self, quantity: usize, value: f64) -> Result<f64, DatasetError> {
         if (-PERCENT_SLACK..=100.0 + PERCENT_SLACK).contains(&value) {
             return Ok(value.clamp(0.0, 100.0));

@@ -1,10 +1,10 @@
-//! Where breaths start in a series of set-points.
+//! Detects the starts of breaths in a series of set-points.
 
-/// A set-point this far above PEEP is on its way to PIP, cmH2O.
+/// Distance above PEEP from which a set-point counts as rising to PIP, cmH2O.
 const RISE: f32 = 0.5;
-/// The set-point rests while it moves less than this, cmH2O; its transmission rounds to 0.001.
+/// Change below which the set-point counts as resting, cmH2O; its transmission rounds to 0.001.
 const REST: f32 = 0.05;
-/// How long the set-point rests before a rise counts, seconds: a table that starts within a rise starts no breath.
+/// Rest required before a rise, seconds: a table that starts within a rise starts no breath.
 const REST_S: f64 = 0.05;
 
 /// Whether a set-point is above PEEP, cmH2O.
@@ -12,7 +12,7 @@ pub(super) fn is_up(setpoint: f32, peep: f32) -> bool {
     setpoint > peep + RISE
 }
 
-/// Finds rises in a stream of set-points.
+/// Detects rises in a stream of set-points.
 #[derive(Debug, Clone)]
 pub(super) struct Rises {
     rest_rows: usize,
@@ -21,9 +21,9 @@ pub(super) struct Rises {
 
 #[derive(Debug, Clone, Copy)]
 enum State {
-    /// At `level` since `rows` rows.
+    /// At `level` for `rows` rows.
     Low { level: f32, rows: usize },
-    /// Within a breath, highest at `peak`.
+    /// Within a breath; the highest set-point is `peak`.
     High { peak: f32 },
 }
 
@@ -32,12 +32,12 @@ impl Rises {
         Self { rest_rows: (REST_S / period_s).ceil().max(1.0) as usize, state: None }
     }
 
-    /// Forgets everything, as after a gap.
+    /// Resets the state, as after a gap.
     pub(super) fn reset(&mut self) {
         self.state = None;
     }
 
-    /// Whether a breath starts with the next set-point; never with the first, because a rise has a row before it.
+    /// Whether a breath starts with the next set-point; never with the first, because a rise needs a preceding row.
     pub(super) fn starts(&mut self, setpoint: f32) -> bool {
         let mut starts = false;
         self.state = Some(match self.state {
@@ -55,7 +55,7 @@ impl Rises {
         starts
     }
 
-    /// A set-point that has rested may creep up, which a slow rise does in small steps.
+    /// A resting set-point may creep up: a slow rise does so in small steps.
     fn rests(&self, above: f32, rows: usize) -> bool {
         above.abs() <= REST || (above > 0.0 && rows >= self.rest_rows)
     }

@@ -1,12 +1,12 @@
-//! How often a valve is at an end of the range that it uses.
+//! Measures how often a valve is at an end of the range in use.
 
-/// Counts one valve, table by table: tables may be of different ventilators.
+/// Counts for one valve, table by table, because tables may come from different ventilators.
 #[derive(Debug, Default)]
 pub(super) struct Saturation {
     low: RangeEnd,
     high: RangeEnd,
     rows: usize,
-    /// Over the tables before this one.
+    /// Totals over the previous tables.
     past_saturated: usize,
     past_rows: usize,
 }
@@ -39,7 +39,7 @@ impl Saturation {
         self.rows = 0;
     }
 
-    /// Share of the rows at either end, over the tables that use the valve, 0..1.
+    /// Share of the rows at either end, over the tables in which the valve is used, 0..1.
     pub(super) fn share(&self) -> f64 {
         self.past_saturated as f64 / self.past_rows.max(1) as f64
     }

@@ -1,4 +1,4 @@
-//! Generated tables in layouts of others.
+//! Generated tables in third-party layouts.
 
 mod respiraworks;
 
@@ -27,7 +27,7 @@ fn kaggle(breaths: usize) -> String {
         for row in 0..80 {
             let inspires = row < 30;
             let rise = 10.0 * (1.0 - (-time / 0.2_f64).exp());
-            // The pressure falls after the valve has opened, not with it.
+            // The pressure falls after the valve has opened, not at the same time.
             let pressure = ((if row <= 30 { 6.0 + rise } else { 6.5 }) / QUANTUM).round() * QUANTUM;
             let u_in = if inspires { 25.0 * (1.0 - time) } else { 5.0 };
             let id = 80 * breath + row + 1;
@@ -69,7 +69,7 @@ fn the_kaggle_layout_becomes_breaths_on_an_even_grid() {
     let period = f64::from(summary.period_us) * 1e-6;
     for rows in recording.inspirations() {
         assert!((29..=31).contains(&rows.len()), "{rows:?}");
-        // On the grid the pressure is the curve that was sampled off the grid.
+        // On the grid the pressure equals the curve that was sampled off the grid.
         for (tick, row) in rows.clone().enumerate().take(28) {
             let expected = 16.0 - 10.0 * (-(tick as f64) * period / 0.2).exp();
             assert!((f64::from(recording.pressure[row]) - expected).abs() < 0.11, "tick {tick}");
@@ -117,7 +117,7 @@ unit = "L/cmH2O"
 column = "lung"
 "#;
 
-/// Rows at 100 Hz: rest for 0.2 s, then breaths of a second between 5 and 20 with 0.6 s up.
+/// Rows at 100 Hz: 0.2 s of rest, then breaths of one second between 5 and 20, with 0.6 s at the top.
 fn mapped(rows: usize) -> Vec<String> {
     let row = |n: usize| {
         let tick = (n + 100 - 20) % 100;
@@ -166,7 +166,7 @@ fn a_gap_ends_a_breath_and_every_row_is_accounted_for() {
     assert_eq!((summary.dropped_before_first_breath, summary.dropped_after_gap), (20, 60));
     assert_eq!(summary.kept + 20 + 60, summary.rows);
     assert!(summary.to_string().contains("  after a gap               60\n"), "{summary}");
-    // Time that runs backwards is a gap too.
+    // Time that runs backwards is also a gap.
     let mut rows = mapped(420);
     rows.swap(150, 151);
     assert!(from_rows(&rows).unwrap().1.gaps >= 1);

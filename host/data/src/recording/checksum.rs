@@ -1,6 +1,6 @@
-//! A checksum that stands inside the bytes that it covers.
+//! A checksum stored inside the bytes that it covers.
 //!
-//! It is taken while its own digits are zeros, then written over them.
+//! It is computed while its own digits are zeros, then written over them.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -11,20 +11,20 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 
 /// Key of the checksum in the metadata of a Parquet file.
 pub(super) const KEY: &str = "eupnea_checksum";
-/// What stands before the digits.
+/// Text before the digits.
 const MARK: &str = "eupnea-crc32:";
 const DIGITS: usize = 8;
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// The text to put into the file, to be filled in by [`seal`].
+/// The placeholder to write into the file, for [`seal`] to fill in.
 pub(super) fn blank() -> String {
     format!("{MARK}{}", "0".repeat(DIGITS))
 }
 
-/// Bytes at the end of a file among which its last [`blank`] is looked for.
+/// Number of bytes at the end of a file that are searched for its last [`blank`].
 const TAIL: u64 = 1 << 16;
 
-/// Fills in the checksum at the last [`blank`] of a file, which may be larger than memory.
+/// Writes the checksum over the last [`blank`] of a file, which may be larger than memory.
 pub(super) fn seal(path: &Path) -> io::Result<()> {
     let mut file = File::options().read(true).write(true).open(path)?;
     let length = file.seek(SeekFrom::End(0))?;
@@ -47,8 +47,8 @@ pub(super) fn seal(path: &Path) -> io::Result<()> {
     file.sync_all()
 }
 
-/// Whether the last checksum is right; also true where there is none, as in files of other programs. Leaves zeros in
-/// its place.
+/// Whether the last checksum is correct; also true without a checksum, as in files of other programs. Replaces its
+/// digits by zeros.
 pub(super) fn matches(bytes: &mut [u8]) -> bool {
     let Some(place) = find(bytes) else { return true };
     let stored = bytes[place.clone()].to_vec();

@@ -1,13 +1,13 @@
-//! The columns of a recording by name, so that files, checks and joins treat them alike.
+//! The columns of a recording by name, so that files, checks and joins treat them the same.
 
 use std::fmt;
 
 use super::table::Recording;
 
-/// A column that a recording may or may not have.
+/// An optional column of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extra {
-    /// Airway pressure without sensor, cmH2O.
+    /// True airway pressure, without sensor, cmH2O.
     PressureTrue,
     /// Pressure after the sensor's lag, before noise and rounding, cmH2O.
     PressureSensorTrue,
@@ -38,7 +38,7 @@ impl Extra {
         Self::Group,
     ];
 
-    /// What only a bench knows.
+    /// The columns that only a bench knows.
     pub const TRUTH: [Self; 6] = [
         Self::PressureTrue,
         Self::PressureSensorTrue,
@@ -48,7 +48,7 @@ impl Extra {
         Self::Compliance,
     ];
 
-    /// Name of the column in files, the same as the field of [`Recording`].
+    /// Name of the column in files, equal to the field of [`Recording`].
     pub const fn name(self) -> &'static str {
         match self {
             Self::PressureTrue => "pressure_true",
@@ -92,7 +92,7 @@ pub(super) enum Column<A, B, C> {
 
 /// Values of one column.
 pub(super) type Values<'a> = Column<&'a [u8], &'a [u32], &'a [f32]>;
-/// Values of one column, to be filled.
+/// Mutable access to the values of one column.
 pub(super) type ValuesMut<'a> = Column<&'a mut Vec<u8>, &'a mut Vec<u32>, &'a mut Vec<f32>>;
 
 impl Values<'_> {
@@ -146,7 +146,7 @@ impl Recording {
         columns
     }
 
-    /// As [`Self::columns`], to be filled.
+    /// Like [`Self::columns`], with mutable access.
     pub(super) fn columns_mut(&mut self) -> Vec<(&'static str, ValuesMut<'_>)> {
         let mut columns = vec![
             ("breath", ValuesMut::U32(&mut self.breath)),

@@ -1,8 +1,8 @@
-//! Recordings of a ventilator: what was asked, what was commanded, what was measured, tick by tick.
+//! Recordings of a ventilator: requested, commanded and measured values, tick by tick.
 //!
-//! [`Recording`] is the one table that every later step reads. [`Recording::save`] and [`Recording::load`] keep it as
-//! Parquet with its [`crate::provenance::Provenance`], [`RecordingWriter`] writes one that is longer than memory.
-//! [`crate::import`] makes them from tables measured elsewhere.
+//! [`Recording`] is the one table that all later steps read. [`Recording::save`] and [`Recording::load`] store it as
+//! Parquet with its [`crate::provenance::Provenance`]; [`RecordingWriter`] writes one that is larger than memory.
+//! [`crate::import`] converts third-party tables.
 
 mod checksum;
 mod columns;

@@ -1,7 +1,7 @@
 //! Recordings as Parquet files, readable by pandas and polars, with the provenance in the metadata.
 //!
 //! Equal recordings give equal bytes: no time stamp, no library version. A checksum over the whole file is verified
-//! before anything is decoded, because Parquet decoders trust the bytes: damage gives other numbers or a panic.
+//! before decoding, because Parquet decoders trust the bytes: damage would give wrong numbers or a panic.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, Write};
@@ -28,11 +28,11 @@ pub const PROVENANCE_KEY: &str = "eupnea";
 
 /// First and last bytes of every Parquet file.
 const MAGIC: &[u8; 4] = b"PAR1";
-/// Rows that are encoded and compressed together.
+/// Number of rows that are encoded and compressed together.
 pub(super) const GROUP_ROWS: usize = 1 << 18;
 
 impl Recording {
-    /// Writes the recording, replacing an older file in one step.
+    /// Writes the recording, atomically replacing an existing file.
     ///
     /// # Errors
     /// If the recording is not valid, cannot be encoded or cannot be written.
@@ -43,11 +43,11 @@ impl Recording {
         RecordingWriter::create(path.as_ref(), self.provenance.clone(), &extras)?.finish_with(self)
     }
 
-    /// Reads a recording and checks it. Columns that this program does not know are left out.
+    /// Reads and checks a recording. Unknown columns are ignored.
     ///
     /// # Errors
-    /// One that names the file and what is wrong with it: absent, not Parquet, torn, a column missing or of the wrong
-    /// type, no provenance, another format, or content that [`Self::validate`] refuses.
+    /// An error that names the file and the problem: missing, not Parquet, incomplete, a column missing or of the wrong
+    /// type, no provenance, another format, or content that violates [`Self::validate`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self, DatasetError> {
         let path = path.as_ref();
         let torn = |detail: String| DatasetError::Torn { path: path.to_owned(), detail };
@@ -78,7 +78,7 @@ impl Recording {
     }
 }
 
-/// What stands in the metadata. The checksum is the last pair, so that no text within the provenance can be taken for it.
+/// The metadata. The checksum is the last pair, so that no text within the provenance can be mistaken for it.
 pub(super) fn metadata(provenance: String) -> Vec<KeyValue> {
     let pairs = [(PROVENANCE_KEY, provenance), (checksum::KEY, checksum::blank())];
     pairs.map(|(key, value)| KeyValue::new(key.to_owned(), value)).to_vec()
@@ -133,7 +133,7 @@ pub(super) fn write_rows<W: Write + Send>(
     Ok(())
 }
 
-/// Opens the file, tells the common mistakes apart, which a Parquet decoder would report alike, and verifies the bytes.
+/// Opens the file, distinguishes common mistakes that a Parquet decoder would report alike, and verifies the bytes.
 fn open(path: &Path) -> Result<File, DatasetError> {
     let read = |source: std::io::Error| match source.kind() {
         ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
@@ -146,7 +146,7 @@ fn open(path: &Path) -> Result<File, DatasetError> {
     if bytes.len() >= MAGIC.len() && !bytes.starts_with(MAGIC) {
         return Err(DatasetError::NotParquet(path.to_owned()));
     }
-    // Twelve bytes are the two magics and the footer's length.
+    // The two magics and the footer's length take twelve bytes.
     if bytes.len() < 12 || !bytes.ends_with(MAGIC) {
         return Err(torn(format!("it ends after {} bytes", bytes.len())));
     }
@@ -174,7 +174,7 @@ fn read_provenance(path: &Path, text: &str) -> Result<Provenance, DatasetError> 
     Ok(provenance)
 }
 
-/// How a file holds a column's numbers: by their Parquet types.
+/// Parquet types of a column's numbers.
 fn types(number: Number) -> (Physical, Option<LogicalType>) {
     match number {
         Number::U8 => (Physical::INT32, Some(LogicalType::integer(8, false))),
@@ -183,7 +183,7 @@ fn types(number: Number) -> (Physical, Option<LogicalType>) {
     }
 }
 
-/// Refuses a column whose numbers are of another type than `expected`.
+/// Refuses a column whose numbers are not of type `expected`.
 fn check_type(
     found: &ColumnDescriptor,
     expected: Number,
@@ -203,7 +203,7 @@ fn check_type(
     })
 }
 
-/// Appends a column of the file, whose type has been checked; gives how many of its cells are empty.
+/// Appends a column of the file, whose type has been checked; returns the number of empty cells.
 fn fill(
     reader: &SerializedFileReader<File>,
     place: usize,
@@ -229,7 +229,7 @@ fn fill(
     Ok(nulls)
 }
 
-/// Hands on each value of a group's column; gives how many cells are empty.
+/// Passes on each value of a group's column; returns the number of empty cells.
 fn read<T: DataType>(
     mut column: ColumnReaderImpl<T>,
     rows: usize,
@@ -238,7 +238,7 @@ fn read<T: DataType>(
     let (mut values, mut levels, mut done) = (Vec::with_capacity(rows), Vec::new(), 0);
     while done < rows {
         match column.read_records(rows - done, Some(&mut levels), None, &mut values)? {
-            (0, ..) => return Err(ParquetError::General(format!("{done} of {rows} rows are there"))),
+            (0, ..) => return Err(ParquetError::General(format!("only {done} of {rows} rows are present"))),
             (records, ..) => done += records,
         }
     }

@@ -1,9 +1,9 @@
-//! What a series of measured numbers tells of the instrument: its quantum and its noise.
+//! Properties of an instrument, estimated from a series of its readings: quantum and noise.
 
-/// Smallest step between values: the most frequent distance of neighbours in size, refined over all distances. 0 if all
-/// are equal.
+/// Smallest step between values: the most frequent distance between neighbours in size, refined over all distances. 0
+/// if all values are equal.
 pub fn quantum(values: &[f32]) -> f64 {
-    /// Distances below this are rounding of the text, which has four decimals.
+    /// Distances below this are rounding errors of the text, which has four decimals.
     const TEXT_STEP: f64 = 2e-4;
     let mut sorted = values.to_vec();
     sorted.sort_by(f32::total_cmp);
@@ -32,13 +32,13 @@ pub fn noise(values: &[f32]) -> f64 {
     noise_of_second_differences(&mut bends)
 }
 
-/// Standard deviation of white noise whose second differences have these absolute values.
+/// Standard deviation of white noise, from the absolute values of its second differences.
 ///
 /// Second differences ignore slopes; the median ignores the rises.
 pub fn noise_of_second_differences(second_differences: &mut [f32]) -> f64 {
-    /// Standard deviation over median absolute value of a normal variable.
+    /// Ratio of standard deviation to median absolute value of a normal variable.
     const NORMAL: f64 = 1.482_602;
-    /// Standard deviation of a second difference over that of the noise, 1 + 4 + 1 under the root.
+    /// Ratio of a second difference's standard deviation to the noise's: root of 1 + 4 + 1.
     const SECOND_DIFFERENCE: f64 = 2.449_490;
     second_differences.sort_by(f32::total_cmp);
     let median = second_differences.get(second_differences.len() / 2).copied().unwrap_or(0.0);

@@ -14,37 +14,37 @@ pub const FALL: u8 = 1;
 /// Phase of the rows at PEEP.
 pub const EXPIRATION: u8 = 2;
 
-/// The lowest and the highest value of a column; none if it is empty.
+/// The lowest and the highest value of a column; `None` if it is empty.
 pub fn range(values: &[f32]) -> Option<(f32, f32)> {
     values.iter().copied().reduce(f32::min).zip(values.iter().copied().reduce(f32::max))
 }
 
-/// One recording. All columns have the same length; [`Self::validate`] says what else holds.
+/// A recording. All columns have the same length; see [`Self::validate`] for the other rules.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Where the rows come from.
+    /// Origin of the rows.
     pub provenance: Provenance,
-    /// Number of the breath, growing.
+    /// Number of the breath, ascending.
     pub breath: Vec<u32>,
     /// Control ticks since the start of the breath.
     pub tick: Vec<u32>,
     /// [`INSPIRATION`], [`FALL`] or [`EXPIRATION`].
     pub phase: Vec<u8>,
-    /// Pressure asked for, cmH2O.
+    /// Requested pressure, cmH2O.
     pub target: Vec<f32>,
-    /// Pressure measured, cmH2O.
+    /// Measured pressure, cmH2O.
     pub pressure: Vec<f32>,
-    /// Inspiratory valve as applied, percent.
+    /// Applied command of the inspiratory valve, percent.
     pub u_in: Vec<f32>,
-    /// Expiratory valve, percent from closed to open; on/off valves use 0 and 100.
+    /// Command of the expiratory valve, percent from closed to open; on/off valves use 0 and 100.
     pub u_out: Vec<f32>,
-    /// Part of `u_in` that exploration added, percent.
+    /// Part of `u_in` added by exploration, percent.
     pub explore: Vec<f32>,
-    /// Peak inspiratory pressure setting, cmH2O.
+    /// PIP (peak inspiratory pressure) setting, cmH2O.
     pub pip: Vec<f32>,
-    /// Positive end-expiratory pressure setting, cmH2O.
+    /// PEEP (positive end-expiratory pressure) setting, cmH2O.
     pub peep: Vec<f32>,
-    /// Airway pressure without sensor, cmH2O. Benches only.
+    /// True airway pressure, without sensor, cmH2O. Benches only.
     pub pressure_true: Option<Vec<f32>>,
     /// Pressure after the sensor's lag, before noise and rounding, cmH2O. Benches only.
     pub pressure_sensor_true: Option<Vec<f32>>,
@@ -56,7 +56,7 @@ pub struct Recording {
     pub resistance: Option<Vec<f32>>,
     /// Lung compliance, mL/cmH2O.
     pub compliance: Option<Vec<f32>>,
-    /// Second inspiratory valve (oxygen), percent.
+    /// Command of the second inspiratory valve (oxygen), percent.
     pub u_psol: Option<Vec<f32>>,
     /// Index into `provenance.groups`.
     pub group: Option<Vec<u32>>,
@@ -87,19 +87,19 @@ pub struct Row {
 }
 
 impl Row {
-    /// The lung, where the row names R and C.
+    /// The lung, if the row gives R and C.
     pub fn lung(&self) -> Option<LungParameters> {
         Some(LungParameters { resistance: self.resistance?, compliance: self.compliance? })
     }
 }
 
 impl Recording {
-    /// Empty recording, with the columns of [`Extra::TRUTH`] or without any optional column.
+    /// An empty recording, with the columns of [`Extra::TRUTH`] or without any optional column.
     pub fn new(provenance: Provenance, with_truth: bool) -> Self {
         Self::with_extras(provenance, if with_truth { &Extra::TRUTH } else { &[] })
     }
 
-    /// Empty recording with the given optional columns.
+    /// An empty recording with the given optional columns.
     pub fn with_extras(provenance: Provenance, extras: &[Extra]) -> Self {
         let column = |extra: Extra| extras.contains(&extra).then(Vec::new);
         Self {
@@ -125,8 +125,8 @@ impl Recording {
         }
     }
 
-    /// Adds one tick. Values for columns that this recording does not have are left out; a value that it needs and the
-    /// row lacks is stored as missing, which [`Self::validate`] refuses.
+    /// Adds one tick. Values for columns that this recording does not have are ignored; a required value that the row
+    /// lacks is stored as missing, which [`Self::validate`] refuses.
     pub fn push(&mut self, row: Row) {
         self.breath.push(row.breath);
         self.tick.push(row.tick);
@@ -150,7 +150,7 @@ impl Recording {
         }
     }
 
-    /// Leaves the columns of the truth out that nobody filled.
+    /// Removes the columns of the truth that were never filled.
     pub fn leave_out_unknown(&mut self) {
         for column in [&mut self.pressure_true, &mut self.pressure_sensor_true] {
             let unknown = |values: &Vec<f32>| !values.is_empty() && values.iter().all(|value| value.is_nan());
@@ -165,16 +165,16 @@ impl Recording {
         self.breath.len()
     }
 
-    /// Whether there is no row.
+    /// Whether the recording has no rows.
     pub fn is_empty(&self) -> bool {
         self.breath.is_empty()
     }
 
-    /// Adds the rows of another recording behind this one. Its breaths are renumbered to follow on, its groups and
-    /// notes are added, and a note says where its rows come from.
+    /// Appends the rows of another recording. Its breaths are renumbered to continue this one's, its groups and notes
+    /// are added, and a note gives the origin of its rows.
     ///
     /// # Errors
-    /// [`DatasetError::Different`] if period or columns differ or the breath numbers run out; `self` is unchanged then.
+    /// [`DatasetError::Different`] if periods or columns differ, or breath numbers run out; `self` is then unchanged.
     pub fn append(&mut self, other: &Self) -> Result<(), DatasetError> {
         if self.provenance.period_us != other.provenance.period_us {
             return Err(DatasetError::Different("the control period"));
@@ -223,18 +223,18 @@ impl Recording {
         mine.notes.extend_from_slice(&other.notes);
     }
 
-    /// The test run that a row belongs to.
+    /// The test run of a row.
     pub fn test_run(&self, row: usize) -> Option<&TestRun> {
         let index = self.group.as_ref()?.get(row)?;
         self.provenance.groups.get(*index as usize)
     }
 
-    /// Whether the rows name R and C of their lungs.
+    /// Whether the rows give R and C of their lungs.
     pub fn names_lungs(&self) -> bool {
         self.resistance.is_some() && self.compliance.is_some()
     }
 
-    /// The lung that a row names.
+    /// The lung given in a row.
     pub fn lung(&self, row: usize) -> Option<LungParameters> {
         let [resistance, compliance] = [&self.resistance, &self.compliance].map(Option::as_ref);
         Some(LungParameters { resistance: *resistance?.get(row)?, compliance: *compliance?.get(row)? })
@@ -259,24 +259,24 @@ impl Recording {
         perturbed as f64 / all.max(1) as f64
     }
 
-    /// Rows of the inspiratory phase of each breath whose inspiration is complete: recorded from tick 0, without a
+    /// Rows of the inspiratory phase of each breath with a complete inspiration: recorded from tick 0, without a
     /// missing tick, and followed by a later phase of the same breath.
     pub fn inspirations(&self) -> Vec<Range<usize>> {
         self.breaths().into_iter().filter_map(|breath| self.inspiration(breath)).collect()
     }
 
-    /// Rows of the inspiratory phase of the breath in these rows, if it is complete as in [`Self::inspirations`].
+    /// Rows of the inspiratory phase of the breath in these rows, if complete as in [`Self::inspirations`].
     pub fn inspiration(&self, breath: Range<usize>) -> Option<Range<usize>> {
         let length = self.phase[breath.clone()].iter().position(|&phase| phase != INSPIRATION)?;
         let whole = self.tick[breath.start..breath.start + length].iter().copied().eq(0..length as u32);
         (whole && length > 0).then_some(breath.start..breath.start + length)
     }
 
-    /// Checks that all columns are equally long, every number is finite, phases and groups exist, and rows are in order:
-    /// breath numbers never fall, ticks grow within a breath (they may skip where a link lost rows).
+    /// Checks that all columns are equally long, every number is finite, phases and groups exist, and rows are in
+    /// order: breath numbers never decrease, and ticks increase within a breath (with skips where a link lost rows).
     ///
     /// # Errors
-    /// The first rule that is broken, with column and row.
+    /// The first violated rule, with column and row.
     pub fn validate(&self) -> Result<(), DatasetError> {
         self.validate_rows()?;
         match &self.group {
@@ -290,7 +290,7 @@ impl Recording {
         Some((*self.breath.get(row)?, *self.tick.get(row)?))
     }
 
-    /// As [`Self::validate`], but for the groups.
+    /// Like [`Self::validate`], without the groups.
     pub(super) fn validate_rows(&self) -> Result<(), DatasetError> {
         for (column, values) in self.columns() {
             if values.len() != self.len() {

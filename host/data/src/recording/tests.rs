@@ -1,4 +1,4 @@
-//! Recordings in memory and on disk: what is kept, what is refused.
+//! Recordings in memory and on disk.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ fn provenance(extras: &[Extra]) -> Provenance {
     Provenance { groups, plant: "bench".to_owned(), ..Provenance::new(1_000, "test") }
 }
 
-/// Breaths of 20 inspiratory, 10 falling and 30 expiratory ticks.
+/// Breaths with 20 inspiratory, 10 falling and 30 expiratory ticks.
 fn recording(extras: &[Extra], breaths: u32) -> Recording {
     let mut recording = Recording::with_extras(provenance(extras), extras);
     for row in 0..breaths * 60 {
@@ -59,7 +59,7 @@ fn saved(recording: &Recording) -> (TempDir, std::path::PathBuf) {
 }
 
 prop_compose! {
-    /// Any valid recording: odd values, skipped ticks, any optional columns.
+    /// Any valid recording: unusual values, skipped ticks, any optional columns.
     fn any_recording()(
         chosen in prop::sample::subsequence(Extra::ALL.to_vec(), 0..=8),
         rows in prop::collection::vec((any::<bool>(), 1..4_u32, 0..3_u8, prop::array::uniform8(-1e6_f32..1e6)), 0..200),
@@ -167,7 +167,7 @@ fn an_invalid_recording_is_not_written_over_a_good_one() {
     assert_eq!(Recording::load(&path).unwrap(), good);
 }
 
-/// Breaks one recording in one way and returns what the check says.
+/// Damages one recording in one way and returns the validation error.
 fn refused(spoil: impl FnOnce(&mut Recording)) -> String {
     let mut recording = recording(&Extra::ALL, 2);
     spoil(&mut recording);
@@ -247,7 +247,7 @@ fn recordings_that_differ_in_period_or_columns_do_not_join() {
 }
 
 mod foreign_files {
-    //! Parquet files that another program has written.
+    //! Parquet files written by another program.
 
     use std::sync::Arc;
 
@@ -287,7 +287,7 @@ mod foreign_files {
         Recording::load(path)
     }
 
-    /// As pandas writes: every column may have empty cells.
+    /// Like pandas: every column may have empty cells.
     fn field(name: &str, cells: &Cells) -> Type {
         let (physical, logical) = match cells {
             Cells::Whole { bits, .. } => (Physical::INT32, Some(LogicalType::integer(*bits, false))),

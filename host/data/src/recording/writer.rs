@@ -1,4 +1,4 @@
-//! A recording written row by row, in bounded memory.
+//! Writes a recording row by row, in bounded memory.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
@@ -12,14 +12,14 @@ use super::{DatasetError, Recording, Row, checksum};
 use crate::files::temporary;
 use crate::provenance::Provenance;
 
-/// A recording that is being written. The file appears, whole, with [`Self::finish`]; without it nothing is left.
+/// A recording that is being written. [`Self::finish`] makes the complete file appear; otherwise no file is left.
 #[derive(Debug)]
 pub struct RecordingWriter {
     path: PathBuf,
     temporary: PathBuf,
     chunk: Recording,
     extras: Vec<Extra>,
-    /// None once it is finished.
+    /// `None` once it is finished.
     writer: Option<SerializedFileWriter<BufWriter<File>>>,
     last: Option<(u32, u32)>,
     rows: usize,
@@ -47,7 +47,7 @@ impl RecordingWriter {
         })
     }
 
-    /// Where the rows come from; may be completed until the end.
+    /// The origin of the rows, which may be completed until the end.
     pub fn provenance(&mut self) -> &mut Provenance {
         &mut self.chunk.provenance
     }
@@ -55,7 +55,7 @@ impl RecordingWriter {
     /// Adds one tick.
     ///
     /// # Errors
-    /// A rule of [`Recording::validate`] is broken (rows are checked in bundles), or the file cannot be written.
+    /// A rule of [`Recording::validate`] is violated (rows are checked in chunks), or the file cannot be written.
     pub fn push(&mut self, row: Row) -> Result<(), DatasetError> {
         self.chunk.push(row);
         if self.chunk.len() >= GROUP_ROWS { self.flush() } else { Ok(()) }
@@ -80,7 +80,7 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// Writes a valid recording as the whole of it.
+    /// Writes a valid recording and finishes the file.
     pub(super) fn finish_with(mut self, recording: &Recording) -> Result<(), DatasetError> {
         if let Some(writer) = &mut self.writer {
             write_rows(writer, recording).map_err(|e| encode(&self.path, &e))?;
@@ -92,10 +92,10 @@ impl RecordingWriter {
         DatasetError::Invalid { path: self.path.clone(), source: Box::new(source) }
     }
 
-    /// Writes what is left, the provenance and the checksum, and replaces an older file in one step.
+    /// Writes the remaining rows, the provenance and the checksum, and atomically replaces an existing file.
     ///
     /// # Errors
-    /// As [`Self::push`].
+    /// See [`Self::push`].
     pub fn finish(mut self) -> Result<(), DatasetError> {
         self.flush()?;
         let write = |source| DatasetError::Write { path: self.path.clone(), source };
@@ -115,7 +115,7 @@ impl RecordingWriter {
 
 impl Drop for RecordingWriter {
     fn drop(&mut self) {
-        // Gone already after a rename; a leftover temporary file is only untidy.
+        // After a rename the file no longer exists; a leftover temporary file is harmless.
         let _: io::Result<()> = fs::remove_file(&self.temporary);
     }
 }
@@ -156,7 +156,7 @@ mod tests {
     fn a_recording_written_row_by_row_is_the_one_written_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/streamed.parquet");
-        // More than one bundle, and not a multiple of it.
+        // More than one chunk, and not a multiple of it.
         written(&path, GROUP_ROWS as u32 + 1_234).unwrap();
         let mut whole = Recording::with_extras(provenance(), &EXTRAS);
         rows(GROUP_ROWS as u32 + 1_234).for_each(|row| whole.push(row));

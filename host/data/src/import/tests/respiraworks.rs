@@ -1,4 +1,4 @@
-//! Import of generated tables in the measured layout, and of the measured tables where they are at hand.
+//! Imports generated tables in the measured layout, and the measured tables if available.
 
 use rand_distr::{Distribution, Normal};
 
@@ -113,12 +113,12 @@ fn quantum_noise_and_saturation_are_estimated() {
     assert!((summary.quantum - QUANTUM).abs() < 2e-5, "{}", summary.quantum);
     assert!((summary.noise - 0.08).abs() < 0.008, "{}", summary.noise);
     assert!(summary.pressure.low < 5.0 && summary.pressure.high > 15.0);
-    // The generated valves only ever stand at an end of their range; the oxygen valve is not in use.
+    // The generated valves are always at an end of their range; the oxygen valve is not in use.
     assert_eq!((summary.saturated_inhale, summary.saturated_exhale, summary.saturated_psol), (1.0, 1.0, 0.0));
     assert!(summary.to_string().contains("rows read                   3040\n"), "{summary}");
 }
 
-/// The error for a table whose line 52 has `cell` in place of `column`.
+/// The error for a table whose line 52 has `cell` in the given column.
 fn error_for(column: usize, cell: &str) -> DatasetError {
     let mut table = lines("AIR", 1, 100, 0.1);
     let mut cells: Vec<_> = table[50].trim_end().split(',').collect();
@@ -197,7 +197,7 @@ fn the_measured_tables_import_whole() {
     assert_eq!(summary.dropped_after_gap, 0);
     assert!((summary.quantum - 0.010_197).abs() < 2e-5, "one pascal is expected: {}", summary.quantum);
 
-    // Each test holds its row of the lung table, whole breaths at one pair of settings.
+    // Each test contains its row of the lung table, whole breaths at one pair of settings.
     let settings = [(15, 5), (25, 10), (30, 5), (35, 10), (20, 5), (35, 10), (35, 5), (35, 10)];
     for inspiration in recording.inspirations() {
         let row = inspiration.start;
