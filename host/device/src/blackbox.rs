@@ -1,4 +1,4 @@
-//! Reading a device's flight recorder, while it ventilates or after it was reset.
+//! Reads a device's flight recorder, while it ventilates or after it was reset.
 
 use progress::{Progress, Stage, Task};
 use serde::Serialize;
@@ -8,10 +8,10 @@ use shared::recorder::{Held, LogEntry, RecorderPart, RecorderStatus, SLOW_STRIDE
 
 use super::{Device, DeviceError};
 
-/// What a flight recorder held.
+/// Content of a flight recorder.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Blackbox {
-    /// What its recording is about.
+    /// State of its recording.
     pub status: RecorderStatus,
     /// Control period, microseconds.
     pub period_us: u32,
@@ -19,29 +19,29 @@ pub struct Blackbox {
     pub fast: RecordedTicks,
     /// Every 20th of the last 60 s, each with the highest pressure of the 20.
     pub slow: RecordedTicks,
-    /// What happened, oldest first.
+    /// Events, oldest first.
     pub log: Vec<LogEntry>,
-    /// Events that were damaged, or are of a kind that this program does not know.
+    /// Number of events that were damaged or of an unknown kind.
     pub unread: usize,
 }
 
-/// Ticks in order.
+/// Recorded ticks, oldest first.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RecordedTicks {
-    /// Seconds from one entry to the next.
+    /// Time between entries, s.
     pub step_s: f64,
-    /// Entries; none marks a gap, where the recording had stood still.
+    /// Entries; `None` marks a gap, during which the recording was paused.
     pub entries: Vec<Option<TickEntry>>,
 }
 
 impl RecordedTicks {
-    /// Entries of a part, with their distance in seconds.
+    /// Entries of a part, `step_s` seconds apart.
     fn of(bytes: &[u8], step_s: f64) -> Self {
         let entries = bytes.as_chunks::<TICK_BYTES>().0.iter().map(|entry| TickEntry::read(*entry)).collect();
         Self { step_s, entries }
     }
 
-    /// Entries with their time, s: the newest is at 0, gaps take no time.
+    /// Entries with their time, s: the newest is at 0; gaps take no time.
     pub fn timed(&self) -> impl Iterator<Item = (f64, Option<&TickEntry>)> {
         let ticks = self.entries.iter().flatten().count() as f64;
         let mut passed = 0.0;
@@ -51,14 +51,14 @@ impl RecordedTicks {
         })
     }
 
-    /// Ticks without the gaps.
+    /// The ticks, without gaps.
     pub fn ticks(&self) -> impl Iterator<Item = &TickEntry> {
         self.entries.iter().flatten()
     }
 }
 
 impl Device {
-    /// What the flight recorder is about.
+    /// State of the flight recorder.
     ///
     /// # Errors
     /// [`DeviceError`].
@@ -69,15 +69,15 @@ impl Device {
         }
     }
 
-    /// Reads all that the flight recorder holds. A device that ventilates goes on; what it records meanwhile is left for
-    /// the next time.
+    /// Reads the whole flight recorder. A ventilating device continues; ticks that it records meanwhile are not
+    /// included.
     ///
     /// # Errors
     /// [`DeviceError`]; a request to stop is [`DeviceError::Stopped`].
     pub fn blackbox(&mut self, progress: &Progress<'_>) -> Result<Blackbox, DeviceError> {
         let period_us = self.identify()?.period_us;
         let status = self.recorder()?;
-        // The ring that turns fastest first.
+        // Read the fastest ring first.
         let held = [status.fast, status.slow, status.log].map(|held| (held.next - held.first) as usize);
         let task = progress.task(Stage::ReadRecorder, held.iter().sum());
         let fast = self.part(RecorderPart::Fast, status.fast, &task)?;
@@ -98,7 +98,7 @@ impl Device {
         })
     }
 
-    /// Bytes of the entries that a part held, as far as they are still there.
+    /// Bytes of the entries that a part contained, as far as they are still available.
     fn part(&mut self, part: RecorderPart, held: Held, task: &Task<'_>) -> Result<Vec<u8>, DeviceError> {
         let length = if part == RecorderPart::Log { EVENT_BYTES } else { TICK_BYTES };
         let (mut from, mut bytes) = (held.first, Vec::new());
@@ -111,7 +111,7 @@ impl Device {
                 _ => return Err(DeviceError::Unexpected),
             };
             if page.first != from {
-                // The oldest were overwritten meanwhile, and what came before them does not join on.
+                // The oldest entries were overwritten meanwhile, so the earlier bytes are no longer contiguous.
                 bytes.clear();
             }
             let count = (page.bytes.len() / length) as u32;
@@ -126,7 +126,7 @@ impl Device {
         Ok(bytes)
     }
 
-    /// Empties the recording of ticks; the log stays. A recording that runs goes on.
+    /// Clears the recorded ticks; the event log stays. A running recording continues.
     ///
     /// # Errors
     /// [`DeviceError`].

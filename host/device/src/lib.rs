@@ -1,7 +1,7 @@
-//! A device at the other end of a port: requests and answers, events, uploads.
+//! A device at a port: requests and answers, events, uploads.
 //!
-//! A thread reads the line and sorts what comes. A request is sent again under the same sequence number while its answer
-//! is missing; the device does nothing twice. After a connection the host only reads; nothing is pushed unasked.
+//! A thread reads the line and sorts incoming messages. A request without an answer is repeated with the same sequence
+//! number; the device executes it only once. After connecting, the host only reads; it pushes nothing by itself.
 
 #![forbid(unsafe_code)]
 
@@ -28,36 +28,36 @@ pub use line::LineCounters;
 use line::{Answer, Line};
 use port::{Address, Port, PortError};
 
-/// How long an answer may take before the request is sent again.
+/// Longest time for an answer before the request is repeated.
 const ANSWER_TIME: Duration = Duration::from_millis(1500);
-/// How often a request is sent.
+/// Number of times that a request is sent.
 const ATTEMPTS: usize = 4;
-/// How long a device may take to come back after a restart.
+/// Longest time for a device to return after a restart.
 const RESTART_TIME: Duration = Duration::from_secs(20);
 
-/// Why a device did not do what was asked.
+/// Why a device did not carry out a request.
 #[derive(Debug, Error)]
 pub enum DeviceError {
     /// The port cannot be opened.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// No answer.
-    #[error("{0} does not answer; check cable, power and firmware (`trainer flash --firmware` loads it)")]
+    /// The device does not answer.
+    #[error("{0} does not answer: check cable, power and firmware (`trainer flash --firmware` loads it)")]
     Silent(Address),
     /// The line broke.
-    #[error("the connection to {0} is lost; plug it in again and repeat the command")]
+    #[error("the connection to {0} was lost: reconnect the device and repeat the command")]
     Gone(Address),
-    /// Another version.
-    #[error("the device speaks protocol {0}, this program {PROTOCOL}; update the older side")]
+    /// The device uses another version of the protocol.
+    #[error("the device uses protocol {0}, but this program uses {PROTOCOL}: update the older side")]
     Protocol(u16),
-    /// It says no.
+    /// The device refused the request.
     #[error("the device refused: {0}")]
     Refused(#[from] Refusal),
-    /// The caller's progress asked to stop.
-    #[error("stopped; nothing on the device has changed: repeat the command")]
+    /// The user asked to stop.
+    #[error("stopped; nothing on the device has changed: repeat the command to continue")]
     Stopped,
-    /// It answered something else.
-    #[error("the device gave an answer that does not belong to the request; update the older side")]
+    /// The answer does not belong to the request.
+    #[error("the device's answer does not belong to the request: update the older side")]
     Unexpected,
 }
 
@@ -69,7 +69,7 @@ pub struct Device {
 }
 
 impl Device {
-    /// Opens a port. Nothing is sent.
+    /// Opens a port. Sends nothing.
     ///
     /// # Errors
     /// [`DeviceError::Port`].
@@ -78,33 +78,33 @@ impl Device {
         Ok(Self { address: address.clone(), line, sequence: 0 })
     }
 
-    /// Where it is.
+    /// The device's address.
     pub fn address(&self) -> &Address {
         &self.address
     }
 
-    /// Opens the port again after the line broke.
+    /// Reopens the port after the line broke.
     ///
     /// # Errors
     /// [`DeviceError::Port`].
     pub fn reconnect(&mut self) -> Result<(), DeviceError> {
-        // The old line first: a serial port can be open once.
+        // Close the old line first: a serial port can be open only once.
         self.line.end();
         self.line = Line::start(Port::open(&self.address)?);
         Ok(())
     }
 
-    /// What came over the line so far.
+    /// Counters of the line so far.
     pub fn counters(&self) -> LineCounters {
         self.line.counters()
     }
 
-    /// What the device tells unasked.
+    /// Events that the device sends on its own.
     pub fn events(&self) -> &Receiver<Event> {
         &self.line.events
     }
 
-    /// Sends bytes as they are, sound or not: for tests of what a device does with them.
+    /// Sends raw bytes, valid or not, to test the device's reaction.
     ///
     /// # Errors
     /// [`DeviceError::Gone`].
@@ -112,7 +112,7 @@ impl Device {
         self.line.send_raw(bytes).map_err(|_| DeviceError::Gone(self.address.clone()))
     }
 
-    /// Asks and waits for the answer.
+    /// Sends a request and waits for the answer.
     ///
     /// # Errors
     /// [`DeviceError`]; a refusal is [`DeviceError::Refused`].
@@ -130,7 +130,7 @@ impl Device {
         Err(DeviceError::Silent(self.address.clone()))
     }
 
-    /// The answer to the last request; none if it does not come in time.
+    /// The answer to the last request; `None` if it does not arrive in time.
     fn answer(&self) -> Result<Option<Response>, DeviceError> {
         let deadline = Instant::now() + ANSWER_TIME;
         loop {
@@ -139,7 +139,7 @@ impl Device {
                 Ok(Answer::Response { sequence, response }) if sequence == self.sequence => {
                     return Ok(Some(*response));
                 }
-                // An answer that was given up on.
+                // A late answer to an abandoned request.
                 Ok(Answer::Response { .. }) => {}
                 Ok(Answer::OtherProtocol(device)) => return Err(DeviceError::Protocol(device)),
                 Err(RecvTimeoutError::Timeout) => return Ok(None),
@@ -149,10 +149,10 @@ impl Device {
     }
 }
 
-/// What a device can be asked. Each of these fails as [`Device::request`] does, or with [`DeviceError::Unexpected`].
-#[expect(clippy::missing_errors_doc, reason = "said once for all of them")]
+/// The requests of a device. Each fails like [`Device::request`], or with [`DeviceError::Unexpected`].
+#[expect(clippy::missing_errors_doc, reason = "documented once for all of them")]
 impl Device {
-    /// Who are you?
+    /// The device's identity.
     pub fn identify(&mut self) -> Result<DeviceIdentity, DeviceError> {
         match self.request(&Request::Identify)? {
             Response::Identity(identity) if identity.protocol == PROTOCOL => Ok(identity),
@@ -161,12 +161,12 @@ impl Device {
         }
     }
 
-    /// Settings in force, and those that wait.
+    /// Settings in force, and those that are pending.
     pub fn settings(&mut self) -> Result<(Settings, Option<Settings>), DeviceError> {
         self.expect_settings(&Request::GetSettings)
     }
 
-    /// Settings for the next breath.
+    /// Sets the settings for the next breath.
     pub fn apply(&mut self, settings: Settings) -> Result<(Settings, Option<Settings>), DeviceError> {
         self.expect_settings(&Request::ApplySettings(settings))
     }
@@ -178,7 +178,7 @@ impl Device {
         }
     }
 
-    /// Settings for one of the next breaths; gives how many more find room.
+    /// Queues settings for a later breath; returns how many more the queue can take.
     pub fn queue(&mut self, settings: Settings) -> Result<usize, DeviceError> {
         match self.request(&Request::QueueSettings(settings))? {
             Response::Queued { free } => Ok(free.into()),
@@ -196,7 +196,7 @@ impl Device {
         self.expect_mode(&Request::Stop)
     }
 
-    /// Leaves the latched safe state.
+    /// Acknowledges a fault, to leave the latched safe state.
     pub fn acknowledge(&mut self) -> Result<Mode, DeviceError> {
         self.expect_mode(&Request::Acknowledge)
     }
@@ -208,29 +208,29 @@ impl Device {
         }
     }
 
-    /// For requests whose answer says no more than that it was done.
+    /// For requests whose answer only confirms them.
     fn expect(&mut self, request: &Request, done: impl Fn(&Response) -> bool) -> Result<(), DeviceError> {
         if done(&self.request(request)?) { Ok(()) } else { Err(DeviceError::Unexpected) }
     }
 
-    /// Another controller from the next breath on.
+    /// Selects another controller from the next breath on.
     pub fn choose(&mut self, choice: ControllerChoice) -> Result<(), DeviceError> {
         self.expect(&Request::SetController(choice), |answer| matches!(answer, Response::Controller(_)))
     }
 
-    /// Other exploration from the next breath on.
+    /// Sets the exploration from the next breath on.
     pub fn explore(&mut self, exploration: Option<Exploration>) -> Result<(), DeviceError> {
         self.expect(&Request::SetExploration(exploration), |answer| {
             matches!(answer, Response::Exploration(_))
         })
     }
 
-    /// Switches telemetry.
+    /// Switches telemetry on or off.
     pub fn telemetry(&mut self, on: bool) -> Result<(), DeviceError> {
         self.expect(&Request::Telemetry { on }, |answer| matches!(answer, Response::Telemetry { .. }))
     }
 
-    /// Statistics of the control ticks; counts anew if asked to.
+    /// Statistics of the control ticks; resets them if `clear`.
     pub fn timing(&mut self, clear: bool) -> Result<TickTimes, DeviceError> {
         match self.request(&Request::GetTiming { clear })? {
             Response::Timing(times) => Ok(times),
@@ -238,17 +238,17 @@ impl Device {
         }
     }
 
-    /// At the next start the plant starts anew with this seed.
+    /// Makes the plant restart with this seed at the next start.
     pub fn reset_plant(&mut self, seed: u64) -> Result<(), DeviceError> {
         self.expect(&Request::ResetPlant { seed }, |answer| matches!(answer, Response::Done))
     }
 
-    /// Restarts the device and waits until it greets again.
+    /// Restarts the device and waits until it identifies itself again.
     pub fn restart(&mut self) -> Result<DeviceIdentity, DeviceError> {
         self.expect(&Request::Reset, |answer| matches!(answer, Response::Done))?;
         let deadline = Instant::now() + RESTART_TIME;
         loop {
-            // The line may break with the device, as that of a USB port does.
+            // The line may break with the device, as with a USB port.
             let gone = self.line.broken.load(Ordering::Relaxed);
             let greeting =
                 if gone { self.reconnect().and_then(|()| self.identify()) } else { self.identify() };

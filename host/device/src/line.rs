@@ -14,31 +14,31 @@ use shared::link::telemetry::{Counters, LossCounter};
 
 use crate::port::Port;
 
-/// Bytes read at once.
+/// Number of bytes read at once.
 const CHUNK: usize = 4096;
-/// Pause after what has come, for more to come.
+/// Pause after a read, to let more bytes arrive.
 const LULL: Duration = Duration::from_millis(1);
 
-/// An answer as it came.
+/// A received answer.
 pub(super) enum Answer {
     Response { sequence: u16, response: Box<Response> },
     OtherProtocol(u16),
 }
 
-/// What came over a line.
+/// Counters of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LineCounters {
-    /// Good frames.
+    /// Valid frames received.
     pub frames: u64,
-    /// Frames that were damaged on the way here.
+    /// Received frames that were damaged.
     pub corrupt: u64,
-    /// Telemetry batches that are missing.
+    /// Number of missing telemetry batches.
     pub lost_batches: u64,
-    /// What the device counts.
+    /// The device's counters.
     pub device: Counters,
 }
 
-/// A line that is being read.
+/// A line with its reading thread.
 pub(super) struct Line {
     writer: Box<dyn Write + Send>,
     pub(super) answers: Receiver<Answer>,
@@ -50,7 +50,7 @@ pub(super) struct Line {
 }
 
 impl Line {
-    /// Starts the thread.
+    /// Starts the reading thread.
     pub(super) fn start(port: Port) -> Self {
         let (answers, answered) = channel();
         let (events, happened) = channel();
@@ -92,7 +92,7 @@ impl Line {
     pub(super) fn end(&mut self) {
         self.closing.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // Until it has ended the port is in use. A thread that panicked has said so already.
+            // The port is in use until the thread has ended. A thread that panicked has already reported it.
             let _ = thread.join();
         }
         self.writer = Box::new(io::sink());
@@ -114,7 +114,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Reads until the line breaks or nobody wants it any more.
+    /// Reads until the line breaks or is closed.
     fn run(mut self, mut from: impl Read, closing: &AtomicBool) {
         let mut chunk = [0; CHUNK];
         while !closing.load(Ordering::Relaxed) {
@@ -126,7 +126,7 @@ impl Reader {
                             return;
                         }
                     }
-                    // A virtual board sends byte by byte; who wakes for each of them slows it down.
+                    // A virtual board sends byte by byte; waking up for each of them would slow it down.
                     thread::sleep(LULL);
                 }
                 Err(error) if patient(error.kind()) => {}
@@ -138,7 +138,7 @@ impl Reader {
         }
     }
 
-    /// Takes in a byte; false when nobody listens any more.
+    /// Processes a byte; false when the receiver has gone.
     fn take(&mut self, byte: u8) -> bool {
         let message = match self.decoder.push(byte) {
             Poll::Pending => return true,
@@ -164,7 +164,7 @@ impl Reader {
 
     fn count_batch(&mut self, event: &Event) {
         if let Event::Telemetry(batch) = event {
-            // A device that has started anew counts from zero again; what it lost while it was away are no batches.
+            // A restarted device counts from zero again; that is not a loss of batches.
             if batch.sequence == 0 {
                 self.losses = self.losses.restarted();
             }
@@ -175,7 +175,7 @@ impl Reader {
     }
 }
 
-/// Whether a read that failed so may succeed later.
+/// Whether a failed read may succeed later.
 fn patient(kind: ErrorKind) -> bool {
     matches!(kind, ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }

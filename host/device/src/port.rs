@@ -12,26 +12,26 @@ use thiserror::Error;
 
 /// Speed of the device's link, baud.
 pub const BAUD: u32 = 1_000_000;
-/// How long a read waits before it looks whether it is still wanted.
+/// Time that a read waits before it checks whether to stop.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// Where a device is.
+/// The address of a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// A serial port or a pseudo-terminal, at a speed in baud.
     Serial {
         /// The port's name, such as `/dev/ttyACM0` or `COM3`.
         name: String,
-        /// Speed.
+        /// Speed, baud.
         baud: u32,
     },
     /// `host:port`.
     Tcp(String),
 }
 
-/// An address that makes no sense.
+/// The address is not valid.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("'{0}' is no port; write /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT")]
+#[error("'{0}' is not a device's address: write /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT")]
 pub struct AddressError(String);
 
 impl FromStr for Address {
@@ -61,34 +61,34 @@ impl fmt::Display for Address {
     }
 }
 
-/// A port that cannot be opened.
+/// Why a port cannot be opened.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the message names every field")]
 pub enum PortError {
-    /// No such port.
+    /// The port does not exist.
     #[error("there is no port {name}; {found}")]
     Missing { name: String, found: String },
-    /// Another program has it.
-    #[error("{0} is in use by another program; end that one first")]
+    /// Another program uses the port.
+    #[error("{0} is in use by another program: end that program first")]
     Busy(String),
-    /// Not allowed.
+    /// The user lacks permission.
     #[error(
-        "no permission to open {0}; on Linux join the group that owns it, usually dialout, and log in again"
+        "no permission to open {0}: on Linux, join the group that owns it, usually dialout, and log in again"
     )]
     Permission(String),
-    /// Nobody listens there.
-    #[error("cannot connect to {address}: {reason}; is the device or `trainer qemu` running?")]
+    /// No program listens at the address.
+    #[error("cannot connect to {address}: {reason}; check that the device or `trainer qemu` is running")]
     Connect { address: String, reason: io::Error },
-    /// Anything else.
+    /// Any other error.
     #[error("cannot open {name}: {reason}")]
     Open { name: String, reason: String },
 }
 
-/// An open line. Reads end with [`io::ErrorKind::TimedOut`] or [`io::ErrorKind::WouldBlock`] after a moment of silence.
+/// An open line. Reads end with [`io::ErrorKind::TimedOut`] or [`io::ErrorKind::WouldBlock`] after a short silence.
 pub struct Port {
-    /// From the device.
+    /// Bytes from the device.
     pub reader: Box<dyn Read + Send>,
-    /// To the device.
+    /// Bytes to the device.
     pub writer: Box<dyn Write + Send>,
 }
 
@@ -96,7 +96,7 @@ impl Port {
     /// Opens a line.
     ///
     /// # Errors
-    /// [`PortError`], with what to do.
+    /// [`PortError`], with advice.
     pub fn open(address: &Address) -> Result<Self, PortError> {
         match address {
             Address::Serial { name, baud } => serial(name, *baud),
@@ -121,14 +121,14 @@ fn serial(name: &str, baud: u32) -> Result<Port, PortError> {
     Ok(Port { reader: Box::new(reader), writer: Box::new(port) })
 }
 
-/// The serial ports of this computer, as a sentence.
+/// The serial ports of this computer, as a clause of an error message.
 fn found() -> String {
     let names: Vec<String> =
         serialport::available_ports().unwrap_or_default().into_iter().map(|port| port.port_name).collect();
     if names.is_empty() {
-        "this computer has no serial port now; is the device plugged in?".to_owned()
+        "this computer has no serial port: check that the device is plugged in".to_owned()
     } else {
-        format!("there are: {}", names.join(", "))
+        format!("available ports: {}", names.join(", "))
     }
 }
 

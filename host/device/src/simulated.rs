@@ -1,5 +1,5 @@
-//! A device without a chip: both halves of [`shared::device`] on the virtual bench, at the end of any line. It stands in
-//! for the firmware where there is no emulator, and shows in tests what the line does to a device.
+//! A device without a chip: both halves of [`shared::device`] on the virtual bench, at the end of any line. It replaces
+//! the firmware where there is no emulator, and lets tests examine the line's effect on a device.
 
 use std::io::{ErrorKind, Read, Write};
 use std::sync::Arc;
@@ -26,34 +26,34 @@ use crate::port::Port;
 use plant::Plant;
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 
-/// Control ticks between two looks at the line.
+/// Number of control ticks between two checks of the line.
 const TICKS_AT_ONCE: usize = 16;
-/// Pause between looks in standby.
+/// Pause between checks in standby.
 const STANDBY_PAUSE: Duration = Duration::from_millis(1);
-/// Least time between looks while it ventilates.
+/// Minimum time between checks while it ventilates.
 const TICKS_TIME: Duration = Duration::from_micros(10 * TICKS_AT_ONCE as u64);
-/// The clock that a simulated device pretends to have, Hz; its ticks take no time.
+/// Clock rate that a simulated device reports, Hz; its ticks take no time.
 const CORE_HZ: u32 = 1_000_000;
 
-/// A running simulated device; ends when it is dropped.
+/// A running simulated device; ends when dropped.
 pub struct Simulated {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Simulated {
-    /// Runs a device on a bench at the end of a line, at most a hundred times as fast as a chip: a host that reads what the
-    /// flight recorder holds must not be lapped.
+    /// Runs a device on a bench at the end of a line, at most a hundred times as fast as a chip, so that the flight
+    /// recorder does not overwrite entries faster than a host can read them.
     ///
     /// # Errors
     /// A bench that cannot be built.
     pub fn start(bench: &BenchConfig, port: Port) -> Result<Self, BenchError> {
-        // A bench that cannot be built is told here, not in the thread.
+        // Report a bench that cannot be built here, not in the thread.
         let bench = BenchPlant::new(bench)?;
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let thread = thread::spawn(move || {
-            // It survives the device's resets, as the chip's does.
+            // It survives the device's resets, like the chip's memory.
             let memory = Box::new(RecorderMemory::new());
             Chip::new(bench, &memory).run(port, &stopped);
         });
@@ -65,13 +65,13 @@ impl Drop for Simulated {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A device that panicked has said so already.
+            // A device that panicked has already reported it.
             let _ = thread.join();
         }
     }
 }
 
-/// What a chip would hold.
+/// The state of a simulated chip.
 struct Chip<'a> {
     memory: &'a RecorderMemory,
     recorder: Recorder<'a>,
@@ -82,7 +82,7 @@ struct Chip<'a> {
     decoder: FrameDecoder<DECODER_BYTES>,
     reading: f32,
     command: ValveCommand,
-    /// The weights slots.
+    /// The weight slots.
     flash: [Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
     out: Vec<u8>,
@@ -108,7 +108,7 @@ impl<'a> Chip<'a> {
         }
     }
 
-    /// Ticks, listens and talks until the line ends.
+    /// Runs ticks and handles the line until it ends.
     fn run(&mut self, port: Port, stop: &Arc<AtomicBool>) {
         let (mut writer, heard) = (port.writer, listen(port.reader, Arc::clone(stop)));
         while !stop.load(Ordering::Relaxed) {
@@ -116,7 +116,7 @@ impl<'a> Chip<'a> {
             for _ in 0..TICKS_AT_ONCE {
                 self.tick();
             }
-            // Nothing is measured in standby: no need to be fast.
+            // Nothing is measured in standby, so there is no hurry.
             let patience = match self.control.mode() {
                 Mode::Ventilating => TICKS_TIME.saturating_sub(begun.elapsed()),
                 _ => STANDBY_PAUSE,
@@ -141,7 +141,7 @@ impl<'a> Chip<'a> {
             Some(seed) => self.bench.reset(DEFAULT_PERIOD_US, seed, self.peep),
             None => self.bench.step(self.command.u_in(), self.command.u_out()),
         };
-        // The bench was built once from this configuration, and never fails.
+        // A bench of this configuration was built before, so this never fails.
         self.reading = reading.map_or(f32::NAN, |reading| reading.pressure);
         if let Some(peep) = change.peep {
             let _ = self.bench.set_peep(peep);
@@ -215,7 +215,7 @@ impl<'a> Chip<'a> {
     }
 }
 
-/// Reads a line in a thread of its own.
+/// Reads a line in its own thread.
 fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<Vec<u8>> {
     let (bytes, heard) = channel();
     thread::spawn(move || {
@@ -233,7 +233,7 @@ fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<V
     heard
 }
 
-/// What the slots hold.
+/// The states of the slots.
 fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
     flash.map(|bytes| match bytes.and_then(|bytes| decode(&bytes).ok()) {
         Some(image) => SlotState::Valid { generation: 0, id: image.id },

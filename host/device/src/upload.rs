@@ -1,4 +1,4 @@
-//! Uploading a weights image.
+//! Uploads a weights image.
 
 use progress::{Progress, Stage};
 use shared::link::messages::{CHUNK_BYTES, Request, Response};
@@ -9,32 +9,32 @@ use thiserror::Error;
 
 use super::{Device, DeviceError};
 
-/// Why weights are not on the device.
+/// Why an upload failed.
 #[derive(Debug, Error)]
 pub enum UploadError {
-    /// The image is no good; nothing was sent.
+    /// The image is not valid; nothing was sent.
     #[error(transparent)]
     Image(#[from] WeightsError),
-    /// The device did not take it.
+    /// The device did not accept the image.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }
 
-/// Weights on a device.
+/// Weights stored on a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Uploaded {
     /// The image's id.
     pub id: u32,
-    /// Where it lies.
+    /// The slot that contains it.
     pub slot: Slot,
 }
 
 impl Device {
-    /// Uploads an image and has it stored; it runs after the next restart. An upload that was broken off or stopped goes
-    /// on where it was: the device collects the bytes in memory and writes a slot once it has all of them.
+    /// Uploads and stores an image; it runs after the next restart. An upload that was interrupted or stopped continues
+    /// where it stopped: the device collects the bytes in memory and writes a slot only when it has all of them.
     ///
     /// # Errors
-    /// [`UploadError`]; the weights that run stay. A request to stop is [`DeviceError::Stopped`].
+    /// [`UploadError`]; the running weights stay. A request to stop is [`DeviceError::Stopped`].
     pub fn upload(&mut self, image: &[u8], progress: &Progress<'_>) -> Result<Uploaded, UploadError> {
         let id = decode(image)?.id;
         let image = &image[..IMAGE_BYTES];
@@ -49,7 +49,7 @@ impl Device {
             let bytes = image[offset..end].iter().copied().collect();
             let chunk = Request::WeightsChunk { offset: offset as u32, bytes };
             offset = match self.progress_of(&chunk) {
-                // The device knows better what it has, for instance after it was connected anew.
+                // The device knows what it has received, for example after a reconnection.
                 Err(DeviceError::Refused(Refusal::WrongOffset { expected })) => expected as usize,
                 other => other?,
             };

@@ -1,4 +1,4 @@
-//! Why a virtual board does not run.
+//! Errors of the virtual board.
 
 use std::io;
 use std::path::PathBuf;
@@ -6,47 +6,47 @@ use std::process::ExitStatus;
 
 use thiserror::Error;
 
-/// Bytes of both weights slots together.
+/// Number of bytes of both weight slots together.
 pub const FLASH_BYTES: usize = shim::flash::SLOTS_BYTES as usize;
 /// Name of the program.
 pub(crate) const PROGRAM: &str = "qemu-system-arm";
-/// Older ones lack the core-coupled memory and the serial port's interrupts.
+/// Older versions lack the core-coupled memory and the serial port's interrupts.
 pub(crate) const LEAST_VERSION: u32 = 10;
 
 /// Why a virtual board does not run.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the message names every field")]
 pub enum EmulatorError {
-    /// QEMU is not there.
-    #[error("{program} is missing; run: cargo xtask setup", program = PROGRAM)]
+    /// QEMU is not installed.
+    #[error("{program} is not installed; run: cargo xtask setup", program = PROGRAM)]
     QemuMissing,
     /// QEMU is too old.
-    #[error("{program} is {0}, it must be {least} or newer; run: cargo xtask setup", program = PROGRAM, least = LEAST_VERSION)]
+    #[error("{program} has version {0} but must be {least} or newer; run: cargo xtask setup", program = PROGRAM, least = LEAST_VERSION)]
     QemuTooOld(String),
-    /// An image is not there, or is none.
-    #[error("{} is no ELF image; run: cargo xtask firmware", .0.display())]
+    /// An image is missing, or not an ELF file.
+    #[error("{} is missing or not an ELF image; run: cargo xtask firmware", .0.display())]
     ImageMissing(PathBuf),
-    /// The flash has the wrong size.
-    #[error("the initial flash has {0} bytes; both slots together have {FLASH_BYTES}")]
+    /// The flash content has the wrong size.
+    #[error("the initial flash has {0} bytes; it must have {FLASH_BYTES}, both slots together")]
     FlashSize(usize),
     /// Another board runs in the folder.
-    #[error("a board is running in {} already; give each its own folder", .0.display())]
+    #[error("a board is already running in {}: give each board its own folder", .0.display())]
     FolderInUse(PathBuf),
-    /// The link's port is taken.
-    #[error("port {port} cannot be opened for the link ({error}); choose another, or 0 for any")]
+    /// The link's port is in use.
+    #[error("port {port} cannot be opened for the link ({error}): choose another, or 0 for any free port")]
     Port { port: u16, error: io::Error },
     /// QEMU ended before the firmware was started.
-    #[error("QEMU ended at its start, {status}:\n{log}")]
+    #[error("QEMU ended during its start with {status}:\n{log}")]
     Ended { status: ExitStatus, log: String },
-    /// The shim did not report.
-    #[error("the shim did not start; are {} and {} made for each other? QEMU said:\n{log}", firmware.display(), shim.display())]
+    /// The shim did not report its start.
+    #[error("the shim did not start: check that {} and {} were built together. QEMU's output:\n{log}", firmware.display(), shim.display())]
     Silent { firmware: PathBuf, shim: PathBuf, log: String },
-    /// Files, pipes or processes.
+    /// An operation on files, pipes or processes failed.
     #[error("{what}: {error}")]
     Io { what: &'static str, error: io::Error },
 }
 
-/// Names what was tried when it failed.
+/// Wraps an I/O error with the operation that failed.
 pub(crate) fn tried(what: &'static str) -> impl FnOnce(io::Error) -> EmulatorError {
     move |error| EmulatorError::Io { what, error }
 }

@@ -1,8 +1,8 @@
-//! QEMU never outlives the process that started it, however that ends.
+//! Ensures that QEMU never outlives the process that started it, however that process ends.
 //!
-//! A shell starts QEMU and waits for it; beside it, it waits at a pipe whose other end this process alone holds. The end of
-//! the pipe means that this process has ended or wants QEMU to: then the shell kills it. The pipe is there before QEMU is,
-//! so that there is no instant at which nobody would.
+//! A shell starts QEMU and waits for it. In parallel it waits at a pipe whose other end only this process holds. The
+//! pipe closes when this process ends or wants QEMU to end; then the shell kills QEMU. The pipe exists before QEMU, so
+//! QEMU is never unguarded.
 
 use std::fs::File;
 use std::io::{self, PipeWriter, Write};
@@ -12,8 +12,8 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 
-/// Arguments: the log, the program, its arguments. The pipe comes as standard error, for no other number can be chosen.
-/// A line in it means that the program has ended already.
+/// Arguments: the log, the program, its arguments. The pipe is passed as standard error, because no other descriptor
+/// number can be chosen. A line in it means that the program has already ended.
 const SCRIPT: &str = r#"
 log=$1
 shift
@@ -25,19 +25,19 @@ exec </dev/null >/dev/null 3<&-
 wait "$program"
 "#;
 
-/// A running program, its guard, and this end of the pipe.
+/// A running program, its guard, and this process's end of the pipe.
 #[derive(Debug)]
 pub(super) struct Guarded {
     shell: Child,
     pipe: Option<PipeWriter>,
 }
 
-/// What a program gets.
+/// The environment of a guarded program.
 #[derive(Debug)]
 pub(super) struct Surroundings<'a> {
     /// Its working directory.
     pub(super) folder: &'a Path,
-    /// Takes its standard error; from the working directory, unless the path is absolute.
+    /// File for its standard error; relative to the working directory, unless the path is absolute.
     pub(super) log: &'a Path,
     /// Its standard input.
     pub(super) input: Option<TcpListener>,
@@ -48,7 +48,7 @@ pub(super) struct Surroundings<'a> {
 impl Guarded {
     /// Starts a program with its arguments.
     pub(super) fn start(program: &Command, surroundings: Surroundings) -> io::Result<Self> {
-        // The log is there from the beginning, whoever reads it first.
+        // Create the log first, so that it exists for any reader.
         File::create(surroundings.folder.join(surroundings.log))?;
         let (theirs, ours) = io::pipe()?;
         let port =
@@ -62,13 +62,13 @@ impl Guarded {
             .stdin(port(surroundings.input))
             .stdout(port(surroundings.output))
             .stderr(theirs)
-            // Ctrl-C is for the program that started it, which may want to end in order.
+            // Ctrl-C is meant for the starting program, which may want to shut down in order.
             .process_group(0)
             .spawn()?;
         Ok(Self { shell, pipe: Some(ours) })
     }
 
-    /// How the program ended; none while it runs. A signal that ended it counts as 128 and its number.
+    /// How the program ended; `None` while it runs. A terminating signal counts as 128 plus its number.
     pub(super) fn exit_status(&mut self) -> io::Result<Option<ExitStatus>> {
         let status = self.shell.try_wait()?;
         if status.is_some() {
@@ -77,27 +77,27 @@ impl Guarded {
         Ok(status)
     }
 
-    /// Waits until it ends by itself.
+    /// Waits until the program ends by itself.
     pub(super) fn wait(&mut self) -> io::Result<ExitStatus> {
         let status = self.shell.wait()?;
         self.dismiss();
         Ok(status)
     }
 
-    /// Once the program has ended, the guard must not kill whoever has its number by then.
+    /// Releases the guard after the program has ended, so that it cannot kill a new process with the same id.
     fn dismiss(&mut self) {
         if let Some(mut pipe) = self.pipe.take() {
-            // A guard that has gone needs no word.
+            // A guard that has ended needs no message.
             let _ = pipe.write_all(b"\n");
         }
     }
 
-    /// Kills the program and waits until it has gone. Nothing happens the second time.
+    /// Kills the program and waits until it has ended. Further calls have no effect.
     pub(super) fn kill(&mut self) {
         if let Ok(None) = self.exit_status() {
             drop(self.pipe.take());
         }
-        // It fails only if there is nothing to wait for.
+        // This fails only if there is nothing to wait for.
         let _ = self.shell.wait();
     }
 }
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    /// A shell's script under guard.
+    /// Runs a shell script under guard.
     fn start(folder: &Path, script: &str) -> Guarded {
         let mut program = Command::new("sh");
         program.args(["-c", script]);

@@ -1,8 +1,8 @@
 //! The virtual board: the unchanged firmware image in QEMU, with a plant on its plant line and a link to connect to.
 //!
-//! QEMU models the core and some of the chip; the package `shim` stands in for the rest. Time on the board is virtual: it
-//! passes with the instructions executed and stands still while the plant computes an answer, so that a run does not
-//! depend on how fast the machine is.
+//! QEMU models the core and some of the chip; the package `shim` models the rest. Time on the board is virtual: it
+//! passes with the instructions executed and stops while the plant computes an answer, so a run does not depend on the
+//! speed of the machine.
 
 #![forbid(unsafe_code)]
 #![cfg(unix)]
@@ -29,27 +29,27 @@ use error::tried;
 use guardian::{Guarded, Surroundings};
 use pipes::{PlantThread, name};
 
-/// What QEMU and the shim have to say.
+/// File with the output of QEMU and the shim.
 const LOG_FILE: &str = "qemu.log";
-/// Held while a board runs in a folder.
+/// File locked while a board runs in a folder.
 const LOCK_FILE: &str = "running.lock";
-/// Longest time that the shim may take to start, even on a machine with much else to do.
+/// Longest time for the shim to start, even on a busy machine.
 const START_PATIENCE: Duration = Duration::from_mins(1);
-/// How often it is looked whether QEMU still lives while it starts.
+/// Interval of the checks whether QEMU is alive while it starts.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// What a virtual board is made of.
+/// Configuration of a virtual board.
 #[derive(Clone, Debug, Default)]
 pub struct EmulatorConfig {
     /// The firmware's ELF file.
     pub firmware: PathBuf,
     /// The shim's ELF file.
     pub shim: PathBuf,
-    /// Folder of the board, for one board at a time; its flash is kept there from run to run. None: a temporary one.
+    /// Folder of the board, for one board at a time; it keeps the flash between runs. `None`: a temporary folder.
     pub folder: Option<PathBuf>,
-    /// TCP port of the link on this machine; 0 takes any that is free.
+    /// TCP port of the link on this machine; 0 picks a free port.
     pub link: u16,
-    /// Both weights slots, [`FLASH_BYTES`] bytes. None: as the folder has them, erased in a new one.
+    /// Content of both weight slots, [`FLASH_BYTES`] bytes. `None`: the folder's content; erased in a new folder.
     pub flash: Option<Vec<u8>>,
     /// Whether a debugger can connect.
     pub debugger: bool,
@@ -66,8 +66,8 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// Starts a board with a plant on its line; the firmware begins to run. Bytes that reach the link before the firmware
-    /// has opened its port are lost.
+    /// Starts a board with a plant on its line; the firmware starts running. Bytes that reach the link before the
+    /// firmware has opened its port are lost.
     ///
     /// # Errors
     /// QEMU or an image is missing, or they do not start together.
@@ -109,7 +109,7 @@ impl Emulator {
                 self.plant.release();
                 return Ok(());
             }
-            let ended = self.qemu.exit_status().map_err(tried("cannot look after QEMU"))?;
+            let ended = self.qemu.exit_status().map_err(tried("cannot check whether QEMU runs"))?;
             if let Some(status) = ended {
                 return Err(EmulatorError::Ended { status, log: self.log() });
             }
@@ -120,17 +120,17 @@ impl Emulator {
         }
     }
 
-    /// Where the link is; one connection at a time.
+    /// Address of the link; it serves one connection at a time.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Where a debugger connects, if one may.
+    /// Address for a debugger, if enabled.
     pub fn debugger_address(&self) -> Option<SocketAddr> {
         self.debugger
     }
 
-    /// Both weights slots as they are stored now, [`FLASH_BYTES`] bytes.
+    /// The present content of both weight slots, [`FLASH_BYTES`] bytes.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -138,29 +138,29 @@ impl Emulator {
         fs::read(self.folder.flash()).map_err(tried("cannot read the board's flash"))
     }
 
-    /// What QEMU and the shim have said.
+    /// The output of QEMU and the shim so far.
     pub fn log(&self) -> String {
         let log = fs::read(self.folder.path.join(LOG_FILE)).unwrap_or_default();
         String::from_utf8_lossy(&log).trim_end().to_owned()
     }
 
-    /// How QEMU ended; none while it runs.
+    /// How QEMU ended; `None` while it runs.
     ///
     /// # Errors
-    /// The system does not tell.
+    /// The system cannot report it.
     pub fn exit_status(&mut self) -> Result<Option<ExitStatus>, EmulatorError> {
-        self.qemu.exit_status().map_err(tried("cannot look after QEMU"))
+        self.qemu.exit_status().map_err(tried("cannot check whether QEMU runs"))
     }
 
     /// Waits until QEMU ends by itself.
     ///
     /// # Errors
-    /// The system does not tell.
+    /// The system cannot report it.
     pub fn wait(&mut self) -> Result<ExitStatus, EmulatorError> {
         self.qemu.wait().map_err(tried("cannot wait for QEMU"))
     }
 
-    /// Takes the power away, at any instant; what was stored in flash remains. Nothing happens the second time.
+    /// Cuts the power, at any instant; data stored in flash remains. Further calls have no effect.
     pub fn kill(&mut self) {
         self.qemu.kill();
         self.plant.end();
@@ -173,19 +173,19 @@ impl Drop for Emulator {
     }
 }
 
-/// Whether a file begins as an ELF file does; QEMU would load any other as it is.
+/// Whether a file starts like an ELF file; QEMU would load any other file as raw data.
 fn is_elf(path: &Path) -> bool {
     let mut start = [0; 4];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut start));
     read.is_ok() && start == *b"\x7fELF"
 }
 
-/// The folder of a board, locked.
+/// The locked folder of a board.
 #[derive(Debug)]
 struct Folder {
     path: PathBuf,
     _lock: File,
-    /// Removes the folder in the end.
+    /// Removes the folder when dropped.
     _temporary: Option<TempDir>,
 }
 
@@ -253,6 +253,6 @@ mod tests {
     fn errors_say_what_to_do() {
         assert!(EmulatorError::QemuMissing.to_string().ends_with("run: cargo xtask setup"));
         let missing = EmulatorError::ImageMissing("a/firmware".into()).to_string();
-        assert_eq!(missing, "a/firmware is no ELF image; run: cargo xtask firmware");
+        assert_eq!(missing, "a/firmware is missing or not an ELF image; run: cargo xtask firmware");
     }
 }

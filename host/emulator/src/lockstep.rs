@@ -7,38 +7,38 @@ use plant::{Plant, Reading};
 use shared::link::plant_link::{FRAME_BYTES, PlantDecoder, PlantFrame, PlantMessage, VERSION};
 use shared::settings::Settings;
 
-/// How far virtual time may have fallen behind before it stops catching up.
+/// Largest delay of virtual time that is caught up.
 const SLACK: Duration = Duration::from_millis(100);
 
-/// Pressure that no plant exceeds, cmH2O: far above what a sensor can read.
+/// Pressure that no plant exceeds, cmH2O: far above a sensor's range.
 const HIGHEST: u16 = 1000;
-/// A plant in a greeting that runs at any control period; one that it cannot run reads NaN.
+/// Period in the greeting of a plant that supports any control period; one that it cannot run reads NaN.
 const ANY_PERIOD: u32 = 0;
 
-/// Whatever is at the other end of the board's plant line.
+/// The other end of the board's plant line.
 pub trait PlantEnd {
-    /// What comes back for the bytes sent; none for silence. Virtual time stands still meanwhile.
+    /// The answer to the bytes sent; empty for silence. Virtual time stops meanwhile.
     fn answer(&mut self, request: &[u8]) -> Vec<u8>;
 }
 
-/// A plant behind the frames of the plant link. A frame that comes again gets the same answer again, and nothing moves. Where
-/// the plant fails, the answer is NaN.
+/// A plant that speaks the frames of the plant link. A repeated frame gets the same answer without a step. If the plant
+/// fails, the answer is NaN.
 #[derive(Clone, Debug)]
 pub struct LockstepPlant<P> {
     plant: P,
     decoder: PlantDecoder,
-    /// Seed of the resets to come.
+    /// Seed of the next resets.
     seed: u64,
-    /// Setting of the mechanical PEEP valve, cmH2O, which resets leave alone.
+    /// Setting of the mechanical PEEP valve, cmH2O, unaffected by resets.
     peep: f32,
-    /// What the plant read last, cmH2O.
+    /// The plant's last reading, cmH2O.
     pressure: f32,
-    /// The frame answered last, and its answer.
+    /// The last frame answered, and its answer.
     last: Option<[[u8; FRAME_BYTES]; 2]>,
 }
 
 impl<P: Plant> LockstepPlant<P> {
-    /// Puts a plant at the end of the line.
+    /// Connects a plant to the end of the line.
     pub fn new(plant: P) -> Self {
         let peep = Settings::default().peep;
         Self { plant, decoder: PlantDecoder::default(), seed: 0, peep, pressure: 0.0, last: None }
@@ -64,7 +64,7 @@ impl<P: Plant> LockstepPlant<P> {
             }
             PlantMessage::Seed { seed } => self.seed = seed,
             PlantMessage::Peep { .. } | PlantMessage::Hello { .. } => {}
-            // A plant's own words.
+            // Messages that only a plant sends.
             PlantMessage::Ready { .. }
             | PlantMessage::Pressure { .. }
             | PlantMessage::Greeting { .. }
@@ -101,7 +101,7 @@ impl<P: Plant> PlantEnd for LockstepPlant<P> {
     }
 }
 
-/// Holds virtual time back to real time, for people who watch: each exchange takes at least its period.
+/// Slows virtual time to real time, for human observers: each exchange takes at least its period.
 #[derive(Clone, Debug)]
 pub struct Paced<E> {
     end: E,
@@ -110,7 +110,7 @@ pub struct Paced<E> {
 }
 
 impl<E: PlantEnd> Paced<E> {
-    /// Paces an end of the line to one exchange per `period`.
+    /// Limits an end of the line to one exchange per `period`.
     pub fn new(end: E, period: Duration) -> Self {
         Self { end, period, due: None }
     }
@@ -120,7 +120,7 @@ impl<E: PlantEnd> PlantEnd for Paced<E> {
     fn answer(&mut self, request: &[u8]) -> Vec<u8> {
         let answer = self.end.answer(request);
         let now = Instant::now();
-        // Who is a little late catches up; who slept for long does not hurry.
+        // A small delay is caught up; a long one is not.
         let due = self.due.filter(|due| now.saturating_duration_since(*due) < SLACK).unwrap_or(now);
         sleep(due.saturating_duration_since(now));
         self.due = Some(due + self.period);
@@ -134,7 +134,7 @@ mod tests {
     use proptest::prelude::*;
     use std::convert::Infallible;
 
-    /// Counts what is asked of it.
+    /// A plant that counts its requests.
     #[derive(Default)]
     struct Counter {
         steps: u32,

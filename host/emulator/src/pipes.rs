@@ -1,7 +1,7 @@
 //! The plant line between shim and host: two pipes in the board's folder, and the thread that answers.
 //!
-//! Each way carries a length, u16 little endian, and so many bytes. Every request gets one answer; no bytes mean silence.
-//! The shim's first request has no bytes: it says that the shim has started.
+//! Each message is a length (u16, little endian) and that number of bytes. Every request gets one answer; an empty one
+//! means silence. The shim's first request is empty and reports that the shim has started.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -19,12 +19,12 @@ use crate::lockstep::PlantEnd;
 pub(super) struct PlantThread {
     started: Receiver<()>,
     thread: Option<JoinHandle<()>>,
-    /// Both pipes held open until QEMU has opened them, so that nobody who opens one waits for the other.
+    /// Both pipes, held open until QEMU has opened them, so that neither side blocks while opening.
     held: Vec<File>,
 }
 
 impl PlantThread {
-    /// Makes the pipes and starts to answer.
+    /// Creates the pipes and starts to answer.
     pub(super) fn start(folder: &Path, plant: impl PlantEnd + Send + 'static) -> io::Result<Self> {
         let pipes = [shim::REQUEST_PIPE, shim::ANSWER_PIPE].map(|pipe| folder.join(name(pipe)));
         let held = pipes.iter().map(make).collect::<io::Result<_>>()?;
@@ -33,17 +33,17 @@ impl PlantThread {
         let (sender, started) = channel();
         let thread = std::thread::Builder::new()
             .name("plant".into())
-            // The line ends when QEMU does, which is for its owner to tell.
+            // The line ends when QEMU does, which its owner reports.
             .spawn(move || drop(serve(requests, answers, plant, &sender)))?;
         Ok(Self { started, thread: Some(thread), held })
     }
 
-    /// Waits for the shim to start; false if it has not by then.
+    /// Waits for the shim to start; false after `patience`.
     pub(super) fn started(&self, patience: Duration) -> bool {
         self.started.recv_timeout(patience).is_ok()
     }
 
-    /// From here on the line ends when either side does.
+    /// Releases the pipes: from now on the line ends when either side does.
     pub(super) fn release(&mut self) {
         self.held.clear();
     }
@@ -52,20 +52,20 @@ impl PlantThread {
     pub(super) fn end(&mut self) {
         self.release();
         if let Some(thread) = self.thread.take() {
-            // A plant that panicked has said so.
+            // A plant that panicked has already reported it.
             let _ = thread.join();
         }
     }
 }
 
-/// Makes a pipe in the place of what an earlier board may have left, and holds it open.
+/// Creates a pipe in place of any leftover of an earlier board, and holds it open.
 fn make(path: &PathBuf) -> io::Result<File> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
     }
     nix::unistd::mkfifo(path, Mode::S_IRUSR | Mode::S_IWUSR)?;
-    // For both ways: this does not wait for the other end.
+    // Opened for both directions, so that this does not wait for the other end.
     File::options().read(true).write(true).open(path)
 }
 
@@ -83,7 +83,7 @@ fn serve(
         let mut request = vec![0; u16::from_le_bytes(length).into()];
         requests.read_exact(&mut request)?;
         let answer = if request.is_empty() {
-            // Nobody may be waiting any more.
+            // The receiver may have gone.
             let _ = started.send(());
             Vec::new()
         } else {
@@ -97,7 +97,7 @@ fn serve(
     }
 }
 
-/// A file's name as the shim has it.
+/// A file's name as the shim defines it.
 pub(crate) fn name(name: &std::ffi::CStr) -> &Path {
     use std::os::unix::ffi::OsStrExt;
     Path::new(std::ffi::OsStr::from_bytes(name.to_bytes()))
@@ -107,7 +107,7 @@ pub(crate) fn name(name: &std::ffi::CStr) -> &Path {
 mod tests {
     use super::*;
 
-    /// Says what it heard twice.
+    /// Answers with the request, twice.
     struct Echo;
 
     impl PlantEnd for Echo {

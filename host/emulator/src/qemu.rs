@@ -1,4 +1,4 @@
-//! QEMU: whether it is there, and the command line of a board.
+//! QEMU: the check of its presence and version, and the command line of a board.
 
 use std::io;
 use std::path::Path;
@@ -6,10 +6,10 @@ use std::process::Command;
 
 use crate::error::{EmulatorError, LEAST_VERSION, PROGRAM, tried};
 
-/// Virtual time: 2^3 ns per instruction, and no waiting for real time while the core sleeps.
+/// Virtual time: 2^3 ns per instruction, without waiting for real time while the core sleeps.
 const CLOCK: &str = "shift=3,sleep=off";
 
-/// Whether QEMU can run the board.
+/// Checks that QEMU can run the board.
 pub(super) fn check() -> Result<(), EmulatorError> {
     let output = Command::new(PROGRAM).arg("--version").output().map_err(|error| match error.kind() {
         io::ErrorKind::NotFound => EmulatorError::QemuMissing,
@@ -22,14 +22,14 @@ pub(super) fn check() -> Result<(), EmulatorError> {
     }
 }
 
-/// The first number of the version.
+/// The major version.
 fn major(text: &str) -> Option<u32> {
     let (_, after) = text.split_once("version ")?;
     after.split('.').next()?.parse().ok()
 }
 
-/// The command that runs a board. The link's listening port is its standard input and the debugger's its standard output, so
-/// that no other program can take them in between.
+/// The command that runs a board. The link's listening socket is its standard input and the debugger's its standard
+/// output, so that no other program can take the ports in between.
 pub(super) fn command(firmware: &Path, shim: &Path, debugger: bool) -> Command {
     let mut command = Command::new(PROGRAM);
     command
@@ -48,7 +48,7 @@ pub(super) fn command(firmware: &Path, shim: &Path, debugger: bool) -> Command {
     command
 }
 
-/// A path in a list of options, where a comma is written twice.
+/// A path in a list of options, where a comma is doubled.
 fn escaped(path: &Path) -> String {
     path.display().to_string().replace(',', ",,")
 }
