@@ -1,5 +1,5 @@
-//! Safe data collection: a known-good controller, the paper's random perturbations, a pressure limit that ends
-//! the breath (Suo et al. 2021, section 4).
+//! Safe data collection: a known-good controller, the paper's random perturbations, and a pressure limit that ends the
+//! breath (Suo et al. 2021, section 4).
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -16,24 +16,24 @@ use data::provenance::Provenance;
 use data::recording::{EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
 use progress::{Progress, Stage};
 
-/// What only a bench knows; what a source does not know is left out at the end.
+/// Columns that only a bench fills; unused ones are removed at the end.
 const TRUTH: [Extra; 2] = [Extra::PressureTrue, Extra::PressureSensorTrue];
 
-/// What to collect.
+/// Configuration of a collection.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CollectConfig {
-    /// Breaths to record.
+    /// Number of breaths to record.
     pub breaths: usize,
-    /// Every second breath has one of these PIPs, cmH2O.
+    /// PIPs of every second breath, in turn, cmH2O.
     pub pips: Vec<f32>,
-    /// The others have a PIP drawn uniformly from this range, cmH2O.
+    /// Range from which the PIPs of the other breaths are drawn uniformly, cmH2O.
     pub pip_range: (f32, f32),
-    /// Template of all settings but PIP.
+    /// Template of all settings except PIP.
     pub settings: Settings,
-    /// Perturbations; none records the controller alone.
+    /// Perturbations; `None` records the controller alone.
     pub exploration: Option<Exploration>,
-    /// Breaths ended by the pressure limit after which collection gives up.
+    /// Number of breaths ended by the pressure limit after which collection gives up.
     pub aborts: usize,
     /// Seed of PIPs and perturbations.
     pub seed: u64,
@@ -53,55 +53,55 @@ impl Default for CollectConfig {
     }
 }
 
-/// Why collection cannot go on.
+/// Why a collection cannot continue.
 #[derive(Debug, Error)]
 pub enum CollectError {
-    /// The exploration makes no sense.
+    /// The exploration is not valid.
     #[error(transparent)]
     Exploration(#[from] ExplorationError),
-    /// No PIP to breathe at.
-    #[error("the list of PIPs is empty; give at least one with --pips")]
+    /// The list of PIPs is empty.
+    #[error("the list of PIPs is empty: give at least one with --pips")]
     NoPips,
-    /// The range of random PIPs cannot be breathed.
+    /// The range of random PIPs does not fit PEEP and the pressure limit.
     #[error(
         "random PIPs from {0} to {1} cmH2O: the range must rise from PEEP and stay {LIMIT_MARGIN} cmH2O below the pressure limit"
     )]
     PipRange(f32, f32),
-    /// The settings cannot be written down beside the recording.
-    #[error("cannot write down the settings of the collection: {0}")]
+    /// The settings cannot be stored in the recording.
+    #[error("cannot store the settings of the collection: {0}")]
     Provenance(serde_json::Error),
     /// The source failed before anything was recorded.
     #[error(transparent)]
     Source(#[from] SourceError),
-    /// The source failed on the way.
+    /// The source failed during the recording.
     #[error("{reason}")]
     Interrupted {
-        /// How.
+        /// The failure.
         reason: SourceError,
-        /// What was recorded up to then.
+        /// The recording up to the failure.
         collected: Box<Collected>,
     },
 }
 
-/// A recording, and how collection went.
+/// A recording, with its counts of breaths.
 #[derive(Clone, Debug)]
 pub struct Collected {
-    /// Everything recorded, breaths that were ended early included.
+    /// The recording, including breaths that were ended early.
     pub recording: Recording,
-    /// Complete breaths.
+    /// Number of complete breaths.
     pub breaths: usize,
-    /// Breaths ended by the pressure limit.
+    /// Number of breaths ended by the pressure limit.
     pub aborts: usize,
 }
 
 /// Records breaths from a source.
 ///
-/// A breath in which the ventilator goes to its safe state stays in the recording as far as it came; collection
-/// goes on after the fault is acknowledged, until there were too many. A wish to stop ends it after a breath.
+/// If the ventilator enters its safe state, the part of the breath so far is kept, and collection continues after an
+/// acknowledgement, up to the limit on such breaths. A request to stop takes effect after a breath.
 ///
 /// # Errors
-/// A configuration that makes no sense, or a source that fails for another reason than a fault; what was recorded up to
-/// then is in the error.
+/// An invalid configuration, or a source that fails for a reason other than a ventilator fault; the error contains the
+/// recording up to then.
 pub fn collect(
     source: &mut dyn Source,
     controller: &Controller,
@@ -125,7 +125,7 @@ pub fn collect(
     }
 }
 
-/// Adds breaths to what is collected until it is all, or the source fails.
+/// Records breaths until the collection is complete or the source fails.
 fn record(
     source: &mut dyn Source,
     controller: &Controller,
@@ -174,7 +174,7 @@ fn check(config: &CollectConfig) -> Result<(), CollectError> {
     Ok(())
 }
 
-/// Settings of every breath. A breath that the pressure limit ended is repeated.
+/// Settings of every breath. A breath ended by the pressure limit is repeated.
 fn plan(config: &CollectConfig) -> Vec<Settings> {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     (0..config.breaths)
@@ -182,7 +182,7 @@ fn plan(config: &CollectConfig) -> Vec<Settings> {
         .collect()
 }
 
-/// Every second breath one of the listed waveforms in turn, the others anywhere in between.
+/// Every second breath has a listed PIP, in turn; the others a random one.
 fn pip(config: &CollectConfig, breath: usize, rng: &mut ChaCha8Rng) -> f32 {
     if breath.is_multiple_of(2) {
         config.pips[breath / 2 % config.pips.len()]
@@ -191,7 +191,7 @@ fn pip(config: &CollectConfig, breath: usize, rng: &mut ChaCha8Rng) -> f32 {
     }
 }
 
-/// A ventilator counts its breaths anew after a fault; another seed keeps the perturbations from repeating.
+/// The exploration after restarts, which reset the count of breaths: another seed avoids repeated perturbations.
 fn exploration(config: &CollectConfig, restart: u64) -> Option<Exploration> {
     config.exploration.map(|exploration| Exploration {
         seed: exploration.seed ^ config.seed.rotate_left(20) ^ restart.rotate_left(48),

@@ -1,4 +1,4 @@
-//! The ventilator core of `shared` in this process, on any plant: the one loop that reads, decides and moves the valves.
+//! The ventilator core of `shared` in this process, on any plant: the loop that reads, decides and moves the valves.
 
 use std::sync::{Arc, Mutex};
 
@@ -23,11 +23,11 @@ pub struct InProcess<P, C: ControlLaw = Controller> {
     ventilator: Ventilator<C>,
     /// Seed of the plant's random numbers.
     seed: u64,
-    /// None until the first breath, which brings settings, and after a new seed.
+    /// `None` before the first breath, which brings the settings, and after a new seed.
     run: Option<Run<C::State>>,
 }
 
-/// A plant that breathes.
+/// A running plant and ventilator.
 #[derive(Clone, Debug)]
 struct Run<S> {
     state: VentilatorState<S>,
@@ -38,7 +38,7 @@ struct Run<S> {
 
 /// A ventilator on the virtual bench.
 pub type BenchSource<C = Controller> = InProcess<BenchPlant, C>;
-/// A link that several sources use one after the other.
+/// A link used by several sources, one after the other.
 pub type SharedLink = Arc<Mutex<PlantLink>>;
 /// A ventilator on a third-party plant.
 pub type PlantSource = InProcess<SharedLink>;
@@ -46,10 +46,10 @@ pub type PlantSource = InProcess<SharedLink>;
 pub type BalloonSource = InProcess<Balloon>;
 
 impl<C: ControlLaw> InProcess<BenchPlant, C> {
-    /// A ventilator at rest on a bench; `seed` is that of the sensor's noise.
+    /// A ventilator at rest on a bench; `seed` is that of the sensor noise.
     ///
     /// # Errors
-    /// A bench that cannot be built, settings that are refused, a period that is no multiple of the bench's step.
+    /// A bench that cannot be built, settings that are refused, or a period that is not a multiple of the bench's step.
     pub fn new(
         config: &BenchConfig,
         controller: C,
@@ -65,7 +65,7 @@ impl<C: ControlLaw> InProcess<BenchPlant, C> {
 }
 
 impl InProcess<SharedLink> {
-    /// A ventilator on a plant, which starts again with `seed` before the first breath.
+    /// A ventilator on a plant, which is reset with `seed` before the first breath.
     pub fn new(link: SharedLink, controller: Controller, period_us: u32, seed: u64) -> Self {
         Self::on_any_plant(link, controller, period_us, seed)
     }
@@ -79,7 +79,7 @@ impl InProcess<Balloon> {
 }
 
 impl<P> InProcess<P> {
-    /// With the monitors that ask nothing of a plant but a bearable pressure: its valve and sensor may be of any kind.
+    /// With only the monitors that suit any plant's valve and sensor: those of excessive pressure.
     fn on_any_plant(plant: P, controller: Controller, period_us: u32, seed: u64) -> Self {
         let ventilator = Ventilator::new(period_us, controller).with_monitors(Monitors::ANY_PLANT);
         Self { plant, ventilator, seed, run: None }
@@ -90,7 +90,7 @@ impl<P: Plant, C: ControlLaw> InProcess<P, C>
 where
     SourceError: From<P::Error>,
 {
-    /// Runs one whole breath, as [`Source::breath`] does.
+    /// Runs one whole breath; see [`Source::breath`].
     ///
     /// # Errors
     /// Refused settings, a fault of the ventilator or of the plant.
@@ -104,14 +104,14 @@ where
         outcome
     }
 
-    /// Brings the plant to rest, with these settings.
+    /// Resets the plant with these settings.
     fn start(&mut self, settings: &Settings) -> Result<Run<C::State>, SourceError> {
         let state = self.ventilator.standby(settings)?;
         let reading = self.plant.reset(self.ventilator.period_us(), self.seed, settings.peep)?;
         Ok(Run { state, reading, peep: settings.peep })
     }
 
-    /// All ticks of a breath.
+    /// Runs all ticks of a breath.
     fn run_breath(
         &mut self,
         run: &mut Run<C::State>,
@@ -131,8 +131,9 @@ where
         }
     }
 
-    /// One control tick: the ventilator reads and decides, the plant runs one control period. The tick is known before the
-    /// plant answers, and is not lost with it. Gives whether the breath has moved on: without a reading to believe it waits.
+    /// One control tick: the ventilator reads and decides, then the plant runs one control period. The tick is recorded
+    /// before the plant answers, in case it fails. Returns whether the breath advanced; without a valid reading it
+    /// waits.
     #[inline]
     fn tick(&mut self, run: &mut Run<C::State>, sink: &mut dyn FnMut(&Tick)) -> Result<bool, SourceError> {
         let Reading { pressure, truth } = run.reading;
@@ -151,7 +152,7 @@ where
     }
 }
 
-/// Why a tick ends its breath before its time, if it does: a latched fault, or the pressure limit.
+/// Why a tick ends its breath early, if it does: a latched fault, or the pressure limit.
 fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<Fault> {
     match output.mode {
         Mode::Fault(fault) => Some(fault),

@@ -1,7 +1,7 @@
-//! Where samples come from: one trait for the ventilator in this process, on any plant, and for devices at a port.
+//! Sources of samples: one trait for the ventilator in this process, on any plant, and for devices at a port.
 //!
-//! A [`Source`] is a whole *ventilator*: it takes settings and a controller and breathes by its own clock. What
-//! it does reaches the host as one sample per control tick.
+//! A [`Source`] is a complete *ventilator*: it takes settings and a controller and runs breaths on its own clock. The
+//! host receives one sample per control tick.
 
 #![forbid(unsafe_code)]
 
@@ -30,31 +30,31 @@ use plant::TickTruth;
 use plant::bench::BenchError;
 use plant::link::PlantError;
 
-/// How long a fault's vented lung rests before the next breath, s.
+/// Time that the lung rests after a fault vented it, before the next breath, s.
 const REST_TIME: f32 = 3.0;
 
-/// One control tick as the host sees it.
+/// One control tick as seen by the host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tick {
-    /// What the ventilator reports.
+    /// The ventilator's sample.
     pub sample: Sample,
-    /// What the plant knows, if it is a bench.
+    /// The true state of the plant, if it reports one.
     pub truth: Option<TickTruth>,
 }
 
-/// Why a source stopped giving samples.
+/// Why a source stopped delivering samples.
 #[derive(Debug, Error)]
 pub enum SourceError {
-    /// The ventilator went to its safe state.
+    /// The ventilator entered its safe state.
     #[error(
-        "the ventilator went to its safe state ({fault:?}) in breath {breath} at tick {tick}; check lung, limit and controller"
+        "the ventilator entered its safe state ({fault:?}) in breath {breath} at tick {tick}: check lung, pressure limit and controller"
     )]
     Fault {
-        /// Why.
+        /// The fault.
         fault: Fault,
-        /// Breath in which it happened.
+        /// Number of the breath.
         breath: u32,
-        /// Tick of that breath.
+        /// Tick within the breath.
         tick: u32,
     },
     /// Settings were refused.
@@ -63,52 +63,52 @@ pub enum SourceError {
     /// The bench cannot be built or run.
     #[error(transparent)]
     Bench(#[from] BenchError),
-    /// The device.
+    /// The device failed.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The plant behind the plant link.
+    /// The plant behind the plant link failed.
     #[error(transparent)]
     Plant(#[from] PlantError),
-    /// The virtual board.
+    /// The virtual board failed.
     #[cfg(unix)]
     #[error(transparent)]
     Emulator(#[from] emulator::EmulatorError),
-    /// The device does not take the weights.
+    /// The weights could not be uploaded.
     #[error(transparent)]
     Upload(#[from] UploadError),
     /// Samples are missing.
     #[error(
-        "samples are missing on the line at breath {breath}, tick {tick}; the recording up to there is sound: try a shorter cable or another port"
+        "samples were lost on the line at breath {breath}, tick {tick}; the recording up to there is valid: try a shorter cable or another port"
     )]
     Lost {
         /// Breath of the first missing sample.
         breath: u32,
-        /// Its tick.
+        /// Tick of the first missing sample.
         tick: u32,
     },
-    /// The device sends nothing more.
-    #[error("the device stopped sending samples in breath {breath}; look at it with `trainer identify`")]
+    /// The device stopped sending.
+    #[error("the device stopped sending samples in breath {breath}: check it with `trainer identify`")]
     Silent {
-        /// Breath that was running.
+        /// The current breath.
         breath: u32,
     },
-    /// Ctrl-C.
+    /// The user asked to stop.
     #[error("stopped before all breaths were run")]
     Stopped,
 }
 
-/// A ventilator that can be run from here.
+/// A ventilator that the host can run.
 pub trait Source {
     /// Control period, microseconds.
     fn period_us(&self) -> u32;
 
-    /// Name of the plant behind it.
+    /// Name of its plant.
     fn plant(&self) -> String;
 
-    /// The plant's parameters as TOML, empty where they are unknown.
+    /// The plant's parameters as TOML; empty if unknown.
     fn plant_parameters(&self) -> String;
 
-    /// Chooses controller and exploration; the next breath starts with them.
+    /// Selects controller and exploration from the next breath on.
     ///
     /// # Errors
     /// A source that cannot be reached or cannot run the controller.
@@ -118,8 +118,8 @@ pub trait Source {
         exploration: Option<Exploration>,
     ) -> Result<(), SourceError>;
 
-    /// What the next breaths will be asked to run. A source that breathes by a clock of its own has to know before a
-    /// breath ends what comes after it.
+    /// Announces the settings of the next breaths. A source with its own clock must know them before the current breath
+    /// ends.
     ///
     /// # Errors
     /// A source that cannot be reached.
@@ -128,21 +128,21 @@ pub trait Source {
         Ok(())
     }
 
-    /// Runs one whole breath with these settings and hands each tick to `sink`.
+    /// Runs one whole breath with these settings and passes each tick to `sink`.
     ///
     /// # Errors
-    /// Refused settings or a fault of the ventilator; ticks up to then have reached the sink.
+    /// Refused settings or a fault of the ventilator; the sink has received the ticks up to then.
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError>;
 
-    /// After a fault: waits until the pressure is back at PEEP and acknowledges.
+    /// After a fault: waits until the pressure has returned to PEEP, then acknowledges.
     ///
     /// # Errors
     /// A source that cannot be reached.
     fn acknowledge(&mut self) -> Result<(), SourceError>;
 }
 
-/// A source whose plant can be brought back to rest.
+/// A source whose plant can be reset to rest.
 pub trait Reseed: Source {
-    /// The plant starts from rest with this seed for its noise before the next breath.
+    /// Makes the plant start from rest with this noise seed before the next breath.
     fn reseed(&mut self, seed: u64);
 }

@@ -1,8 +1,8 @@
-//! A device at a port as a source: it breathes by its own clock, explores by itself, and sends every tick.
+//! A device at a port as a source: it runs breaths on its own clock, explores by itself, and sends every tick.
 //!
-//! The device knows the settings of the breaths to come before it needs them, so that what it does depends neither on how
-//! fast this computer answers nor on how fast the line is: with the plant's seed the same run gives the same samples, bit
-//! for bit, as [`super::BenchSource`] does.
+//! The device receives the settings of the next breaths before it needs them, so its behaviour does not depend on the
+//! speed of this computer or of the line: with the plant's seed, the same run gives the same samples as
+//! [`super::BenchSource`], bit for bit.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::RecvTimeoutError;
@@ -24,15 +24,15 @@ use device::upload::UploadError;
 use device::{Device, DeviceError};
 use progress::Progress;
 
-/// Samples between two signs of life for the device.
+/// Number of samples between two keep-alive requests to the device.
 const HEARD_EVERY: usize = 2000;
-/// How long no sample may come while the device breathes.
+/// Time without samples after which a ventilating device counts as silent.
 const SILENCE: Duration = Duration::from_secs(20);
 
-/// What only the plant behind a device knows of the numbered tick since the start of ventilation.
+/// The true state at a tick, numbered from the start of ventilation, known only to the plant behind a device.
 pub(super) type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
 
-/// A device that breathes.
+/// A ventilating device as a source.
 pub struct PortSource {
     device: Device,
     identity: DeviceIdentity,
@@ -40,32 +40,32 @@ pub struct PortSource {
     plant_parameters: String,
     /// Seed for the plant at the next start.
     seed: Option<u64>,
-    /// Settings of the breaths to come; the first `sent` are on the device.
+    /// Settings of the next breaths; the first `sent` are on the device.
     plan: VecDeque<Settings>,
     sent: usize,
     running: bool,
     samples: VecDeque<Sample>,
-    /// Whether the first sample since the start has come; what comes before it is left over from the run before.
+    /// Whether the first sample since the start has arrived; earlier ones belong to the previous run.
     begun: bool,
-    /// Samples handed out since the start.
+    /// Number of samples passed on since the start.
     handed: usize,
     alarm: Option<Fault>,
-    /// Samples that came since the device last heard of this host.
+    /// Number of samples since the last request to the device.
     unheard: usize,
     truth: Option<Truth>,
-    /// Images whose bytes, and so their names, are known.
+    /// Images whose bytes, and therefore ids, are known.
     images: Vec<Vec<u8>>,
-    /// The virtual board, where the device is one; it goes last, since the device is stopped before.
+    /// The virtual board, if the device is one; dropped last, because the device is stopped first.
     #[cfg(unix)]
     board: Option<emulator::Emulator>,
 }
 
 impl PortSource {
-    /// A connected device as a source; stops it if it ventilates. With hardware in the loop its plant starts anew with
+    /// A connected device as a source; stops it if it ventilates. With hardware in the loop, its plant restarts with
     /// `seed`.
     ///
     /// # Errors
-    /// A device that cannot be reached or stands in a fault that cannot be acknowledged.
+    /// A device that cannot be reached, or has a fault that cannot be acknowledged.
     pub fn new(mut device: Device, seed: u64) -> Result<Self, SourceError> {
         let identity = device.identify()?;
         device.stop()?;
@@ -96,7 +96,7 @@ impl PortSource {
         })
     }
 
-    /// Keeps the virtual board that the device is, and tells what its plant is.
+    /// Keeps the virtual board that is the device, and sets the description of its plant.
     #[cfg(unix)]
     pub(super) fn with_board(
         mut self,
@@ -110,17 +110,17 @@ impl PortSource {
         self
     }
 
-    /// An image to upload as it is when its controller is chosen, so that it keeps its name.
+    /// Registers an image to upload unchanged when its controller is selected, so that its id stays the same.
     pub fn know(&mut self, image: Vec<u8>) {
         self.images.push(image);
     }
 
-    /// Who the device is.
+    /// The device's identity.
     pub fn identity(&self) -> &DeviceIdentity {
         &self.identity
     }
 
-    /// Stops the device and forgets what it still sends.
+    /// Stops the device and discards the samples still in transit.
     fn halt(&mut self) -> Result<(), SourceError> {
         if self.running {
             self.device.stop()?;
@@ -132,7 +132,7 @@ impl PortSource {
         Ok(())
     }
 
-    /// Sends as many settings as the device takes.
+    /// Sends as many settings as the device accepts.
     fn fill(&mut self) -> Result<(), SourceError> {
         while let Some(settings) = self.plan.get(self.sent) {
             match self.device.queue(*settings) {
@@ -154,7 +154,7 @@ impl PortSource {
         Ok(())
     }
 
-    /// Asks for something every now and then, as the device's clock goes: it explores only for a host that is there.
+    /// Sends a keep-alive request at intervals on the device's clock: it explores only while a host is present.
     fn be_heard(&mut self, samples: usize) -> Result<(), SourceError> {
         self.unheard += samples;
         if self.unheard >= HEARD_EVERY {
@@ -164,7 +164,7 @@ impl PortSource {
         Ok(())
     }
 
-    /// The next sample, or the fault that came in its place.
+    /// The next sample, or the fault that occurred instead.
     fn sample(&mut self, breath: u32) -> Result<Option<Sample>, SourceError> {
         let deadline = Instant::now() + SILENCE;
         loop {
@@ -182,7 +182,7 @@ impl PortSource {
                     self.samples.extend(batch.samples.iter().map(PackedSample::unpack));
                     self.be_heard(batch.samples.len())?;
                 }
-                // What does not end ventilation does not end a recording.
+                // An alarm that does not end ventilation does not end a recording.
                 Ok(Event::Alarm { fault, .. }) if fault.alarm().action == Action::Vent => {
                     self.alarm = Some(fault);
                 }
@@ -195,7 +195,7 @@ impl PortSource {
         }
     }
 
-    /// Brings a learned controller onto the device, unless it runs already.
+    /// Uploads a learned controller to the device, unless it already runs there.
     fn install(&mut self, controller: &Controller) -> Result<ControllerChoice, SourceError> {
         let Controller::Residual(residual) = controller else {
             return Ok(ControllerChoice::Pid(controller.pid().gains()));
@@ -273,7 +273,7 @@ impl Source for PortSource {
                 return Err(self.fault(breath.unwrap_or(0), tick));
             };
             if sample.u_out && tick < inspiration {
-                // The inspiration was ended at the pressure limit: not the breath that was asked for.
+                // The pressure limit ended the inspiration, so this is not the requested breath.
                 self.device.stop()?;
                 self.alarm = Some(Fault::HighPressure);
                 return Err(self.fault(sample.breath, tick));
@@ -303,21 +303,21 @@ impl Source for PortSource {
         if let Mode::Fault(_) = self.device.identify()?.mode {
             self.device.acknowledge()?;
         }
-        // The plant goes on where it was, as a patient would.
+        // The plant continues from its present state, like a patient.
         self.seed = None;
         self.halt()
     }
 }
 
 impl Reseed for PortSource {
-    /// A real ventilator's plant goes on as it is; the simulated one of hardware in the loop starts anew.
+    /// A real ventilator's plant is unaffected; the simulated plant of hardware in the loop restarts.
     fn reseed(&mut self, seed: u64) {
         self.seed = (self.identity.device != DeviceKind::Ventilator).then_some(seed);
     }
 }
 
 impl Drop for PortSource {
-    /// What it started it stops; a device that cannot be reached any more goes on by itself.
+    /// Stops the ventilation that it started; a device that cannot be reached continues by itself.
     fn drop(&mut self) {
         if self.running {
             let _ = self.device.stop();

@@ -1,14 +1,14 @@
-//! Families of random seeds, one per purpose, all derived from the one seed that the user gives.
+//! Families of random seeds, one per purpose, all derived from the user's single seed.
 //!
-//! A controller must not be judged on noise that it was tuned or trained on. Each family therefore carries a
-//! tag of its own in its highest bits: no two families ever share a seed, whatever the user's seeds are.
+//! A controller must not be judged on noise that it was tuned or trained on. Each family therefore has its own tag in
+//! the highest bits: no two families ever share a seed, whatever the user's seeds.
 
-/// Bits below the tag. With three bits of tag every seed stays below 2^53, so that any JSON reader keeps it whole.
+/// Number of bits below the tag. With three tag bits every seed is below 2^53, which any JSON reader keeps exactly.
 const TAG_SHIFT: u32 = 50;
-/// How many noise sequences an evaluation averages over.
+/// Number of noise sequences that an evaluation averages over.
 pub const EVALUATIONS: u64 = 5;
 
-/// What a seed is for; the number is the tag.
+/// The purpose of a seed; the number is the tag.
 #[derive(Clone, Copy)]
 enum Purpose {
     Tuning = 1,
@@ -33,12 +33,12 @@ pub fn training(seed: u64, round: u64) -> u64 {
     derive(Purpose::Training, seed, round)
 }
 
-/// Data and weights of the simulator that checks a controller but never trains it.
+/// Data and weights of the simulator that validates a controller but never trains it.
 pub fn held_out_simulator(seed: u64) -> u64 {
     derive(Purpose::HeldOutSimulator, seed, 0)
 }
 
-/// The [`EVALUATIONS`] noise sequences of the reported figures.
+/// The [`EVALUATIONS`] noise sequences of reported scores.
 pub fn evaluation(seed: u64) -> Vec<u64> {
     (0..EVALUATIONS).map(|index| derive(Purpose::Evaluation, seed, index)).collect()
 }
@@ -48,7 +48,7 @@ fn derive(purpose: Purpose, seed: u64, index: u64) -> u64 {
     (purpose as u64) << TAG_SHIFT | low
 }
 
-/// The output function of `SplitMix64` (Steele, Lea, Flood 2014): neighbours become unrelated.
+/// The output function of `SplitMix64` (Steele, Lea, Flood 2014), which makes neighbouring seeds unrelated.
 fn scramble(seed: u64) -> u64 {
     let mut z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -62,7 +62,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::HashSet;
 
-    /// One list per family, of the seeds it gives for a user's seed.
+    /// One list per family of the seeds derived from a user's seed.
     fn families(seed: u64, round: u64) -> [Vec<u64>; 5] {
         [
             vec![tuning(seed)],

@@ -1,6 +1,6 @@
-//! The virtual board as a source: the real image in QEMU, the bench as its lung, the link in between.
+//! The virtual board as a source: the real firmware image in QEMU, the bench as its lung, and the link between them.
 //!
-//! It gives the samples of [`super::BenchSource`] under the same seed, bit for bit.
+//! It gives the same samples as [`super::BenchSource`] with the same seed, bit for bit.
 
 use std::sync::{Arc, Mutex};
 
@@ -12,10 +12,10 @@ use plant::bench::{BenchConfig, BenchPlant};
 use plant::{Plant, Reading, locked};
 
 impl PortSource {
-    /// Switches on a board whose plant is this bench with the noise of `seed`; it runs as long as the source lives.
+    /// Switches on a board whose plant is this bench with the noise of `seed`; it runs while the source lives.
     ///
     /// # Errors
-    /// A bench that cannot be built, QEMU or images that are missing, a device that does not answer.
+    /// A bench that cannot be built, missing QEMU or images, or a device that does not answer.
     pub fn virtual_board(
         config: EmulatorConfig,
         bench: &BenchConfig,
@@ -31,11 +31,11 @@ impl PortSource {
     }
 }
 
-/// The truths since the last reset: entry `n` is from the instant of the `n`-th reading, which is that of tick `n` since
-/// then. It is there before the board has the reading.
+/// The true states since the last reset: entry `n` belongs to the `n`-th reading, at tick `n`. It is logged before the
+/// board receives the reading.
 type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
 
-/// A plant that logs its truths.
+/// A plant that logs its true states.
 struct Logged<P> {
     plant: P,
     truths: TruthLog,

@@ -1,4 +1,4 @@
-//! A device at a real pseudo-terminal: what the line does to requests, uploads and recordings.
+//! A device at a real pseudo-terminal: the line's effect on requests, uploads and recordings.
 
 use std::io::{self, Read, Write};
 use std::sync::Mutex;
@@ -31,18 +31,18 @@ use shared::link::messages::Request;
 use shared::link::refusal::Refusal;
 use shared::settings::Settings;
 
-/// Both ends of a pseudo-terminal: the device's as a line, the host's as an address.
+/// Both ends of a pseudo-terminal: the device's end as a line, the host's as an address.
 fn terminal() -> (Port, Address, TTYPort) {
     let (mut master, slave) = TTYPort::pair().unwrap();
     master.set_timeout(Duration::from_millis(2)).unwrap();
     let address = Address::Serial { name: slave.name().unwrap(), baud: BAUD };
     let reader = Box::new(master.try_clone_native().unwrap());
-    // Writes wait as long as it takes: the host may be busy.
+    // A long timeout for writes, because the host may be busy.
     master.set_timeout(Duration::from_mins(1)).unwrap();
     (Port { reader, writer: Box::new(master) }, address, slave)
 }
 
-/// A simulated device and a connection to it; the terminal stays open as long as the last part lives.
+/// A simulated device and a connection to it; the terminal stays open while the last part lives.
 fn connected() -> (Device, Simulated, TTYPort) {
     let (port, address, slave) = terminal();
     let simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
@@ -68,7 +68,7 @@ fn residual(p: f32) -> Residual {
     Residual::new(spec, network).unwrap()
 }
 
-/// Some work's outcome with its progress: steps done and in all.
+/// The result of some work, and its progress as steps done and total steps.
 fn observed<T>(work: impl FnOnce(&Progress<'_>) -> T) -> (T, Vec<(usize, usize)>) {
     let steps = Mutex::new(Vec::new());
     let note = |event: &Event<'_>| steps.lock().unwrap().push((event.done, event.total));
@@ -181,7 +181,7 @@ fn a_fault_ends_the_breath_and_can_be_acknowledged() {
     port.breath(&paper_settings(15.0), &mut |_| ()).unwrap();
 }
 
-/// Passes bytes on, but for every so-manieth which it damages.
+/// Passes bytes on, but damages one in every given number.
 struct Noisy<T> {
     line: T,
     count: usize,

@@ -1,4 +1,4 @@
-//! Sources against what they stand for: devices, plants in other processes, the bench behind the plant line.
+//! Tests of sources: devices, plants in other processes, the bench behind the plant line.
 
 mod device;
 mod plant_link;

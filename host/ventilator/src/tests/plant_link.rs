@@ -1,4 +1,4 @@
-//! Plants over real TCP: a bench that keeps to the protocol, and plants that do not.
+//! Plants over real TCP: a bench that follows the protocol, and plants that do not.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -20,13 +20,13 @@ use plant::bench::{BenchConfig, BenchPlant};
 use plant::link::{Greeting, PlantAddress, PlantError, PlantLink};
 use progress::Progress;
 
-/// For plants that answer, however busy the machine is.
+/// Timeout for plants that answer, however busy the machine.
 const LONG: Duration = Duration::from_mins(2);
-/// For plants that do not: long enough for what comes before on a busy machine, short enough to wait for.
+/// Timeout for plants that do not answer: long enough for the steps before on a busy machine, else short.
 const SHORT: Duration = Duration::from_secs(1);
 const PERIOD_US: u32 = 30_000;
 
-/// Listens, and serves whoever connects first.
+/// Listens, and serves the first connection.
 fn served(serve: impl FnOnce(TcpStream) + Send + 'static) -> PlantAddress {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = PlantAddress::Tcp(listener.local_addr().unwrap().to_string());
@@ -34,7 +34,7 @@ fn served(serve: impl FnOnce(TcpStream) + Send + 'static) -> PlantAddress {
     address
 }
 
-/// A bench that keeps to the protocol.
+/// A bench that follows the protocol.
 fn bench_plant() -> PlantAddress {
     let mut plant = LockstepPlant::new(BenchPlant::new(&BenchConfig::paper(20.0, 20.0)).unwrap());
     served(move |mut stream| {
@@ -46,7 +46,7 @@ fn bench_plant() -> PlantAddress {
     })
 }
 
-/// What a scripted plant does about a request.
+/// A scripted plant's reaction to a request.
 enum Act {
     Say(PlantMessage),
     Bytes(Vec<u8>),
@@ -54,7 +54,7 @@ enum Act {
     HangUp,
 }
 
-/// A lung that holds 5 cmH2O and does what `act` says about each request, counted from 0.
+/// A lung that holds 5 cmH2O and reacts to each request, counted from 0, as `act` returns.
 fn scripted(mut act: impl FnMut(usize, PlantFrame) -> Option<Act> + Send + 'static) -> PlantAddress {
     served(move |mut stream| {
         let mut request = [0; FRAME_BYTES];
@@ -89,7 +89,7 @@ fn open(address: &PlantAddress) -> Result<PlantLink, PlantError> {
     PlantLink::open(address, LONG)
 }
 
-/// Opens, resets and steps a few times until something goes wrong.
+/// Opens, resets and makes a few steps until an error occurs.
 fn error(act: impl FnMut(usize, PlantFrame) -> Option<Act> + Send + 'static) -> PlantError {
     error_within(LONG, act)
 }
@@ -110,7 +110,7 @@ fn error_within(
     error
 }
 
-/// Does something on the sixth step, after Hello, Seed, Peep and Reset.
+/// Reacts to the sixth step, after Hello, Seed, Peep and Reset.
 fn on_step(act: impl Fn(PlantFrame) -> Act + Send + 'static) -> PlantError {
     error(move |number, frame| (number == 9).then(|| act(frame)))
 }
@@ -302,7 +302,7 @@ fn a_period_that_the_plant_does_not_run_is_refused() {
 
 #[test]
 fn what_was_recorded_before_a_plant_vanished_is_kept() {
-    // Hello, Seed, Peep, Reset, two whole breaths of 100 steps and 40 of the third.
+    // Hello, Seed, Peep, Reset, two whole breaths of 100 steps, and 40 steps of the third.
     let address = scripted(|number, _| (number == 4 + 240).then_some(Act::HangUp));
     let outcome = collect(&mut source(&address), &controller(), &config(10), &Progress::silent());
     let Err(CollectError::Interrupted { reason, collected }) = outcome else { panic!("{outcome:?}") };
