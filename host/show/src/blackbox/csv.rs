@@ -9,7 +9,7 @@ use device::blackbox::{Blackbox, RecordedTicks};
 const HEAD: &str =
     "part,time_s,pressure_cmH2O,target_cmH2O,u_in_percent,u_out,phase,explored,activity,breath_mod_16";
 
-/// Both parts, one line per tick; a line with the part's name alone marks a gap, an empty field no number.
+/// Both parts, one line per tick. A line with only the part's name marks a gap; an empty field is a missing number.
 pub fn csv(blackbox: &Blackbox) -> String {
     let mut text = format!("{HEAD}\n");
     for (name, trace) in [("fast", &blackbox.fast), ("slow", &blackbox.slow)] {

@@ -1,4 +1,4 @@
-//! The recorded ticks in pictures: pressure and target above, the valve below, for both parts.
+//! Plots of the recorded ticks: pressure and target above, the valve below, for both parts.
 
 use shared::recorder::{Activity, TickEntry};
 
@@ -11,7 +11,7 @@ const TARGET: (u8, u8, u8) = (34, 34, 34);
 const VALVE: (u8, u8, u8) = (213, 94, 0);
 const END: (u8, u8, u8) = (204, 121, 167);
 
-/// A page with pictures, summary and the whole log; `device` says whose it is.
+/// A page with plots, summary and the whole log; `device` identifies the device.
 pub fn report(blackbox: &Blackbox, device: &str) -> Report {
     let mut sections = vec![Section {
         heading: "What happened".to_owned(),
@@ -33,7 +33,7 @@ pub fn report(blackbox: &Blackbox, device: &str) -> Report {
     Report { title: "Flight recorder".to_owned(), subtitle: device.to_owned(), sections, ..Report::default() }
 }
 
-/// Both plots of a trace; none of an empty one.
+/// Both plots of a trace; `None` for an empty one.
 fn section(heading: &str, trace: &RecordedTicks) -> Option<Section> {
     let pressure = curves(trace, "pressure", Style::Line, PRESSURE, |tick| Some(tick.pressure));
     let target = curves(trace, "target", Style::Dashed, TARGET, |tick| tick.target);
@@ -57,7 +57,7 @@ fn section(heading: &str, trace: &RecordedTicks) -> Option<Section> {
     (!plots.is_empty()).then(|| Section { heading: heading.to_owned(), text: String::new(), blocks: plots })
 }
 
-/// A curve in as many pieces as gaps and missing numbers make of it; the first piece carries the name.
+/// A curve, split at gaps and missing numbers; only the first piece has the name.
 fn curves(
     trace: &RecordedTicks,
     name: &str,
@@ -82,7 +82,7 @@ fn curves(
     drawn.enumerate().map(named).collect()
 }
 
-/// A line where ventilation ended, as high as the other curves.
+/// A vertical line where ventilation ended, as high as the other curves.
 fn end(trace: &RecordedTicks, others: &[Series]) -> Option<Series> {
     let ticks: Vec<_> = trace.timed().filter_map(|(time, tick)| Some((time, tick?))).collect();
     let ended = ticks.windows(2).rev().find(|pair| {

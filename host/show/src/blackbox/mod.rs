@@ -1,4 +1,4 @@
-//! What a device's flight recorder held, for people: in words, as tables, as a CSV file, in pictures.
+//! The content of a device's flight recorder as text, tables, a CSV file and plots.
 
 mod csv;
 mod figures;
@@ -13,21 +13,21 @@ use crate::monitor::words;
 use crate::report::{Cell, Table};
 use device::blackbox::{Blackbox, RecordedTicks};
 
-/// What the recording is about, in a sentence.
+/// A sentence that describes the recording.
 pub fn story(blackbox: &Blackbox) -> String {
     let status = &blackbox.status;
     let moment = words::moment(status.tick.into(), blackbox.period_us);
     let when = format!("{moment} after start {}", status.tick_boot);
     match status.recording {
-        RecordingState::Nothing => "nothing: it was emptied, or the device has not ventilated yet".to_owned(),
-        RecordingState::Running => format!("goes on: the device ventilates, begun {when}"),
+        RecordingState::Nothing => "nothing: it was cleared, or the device has not ventilated yet".to_owned(),
+        RecordingState::Running => format!("in progress: the device ventilates, started {when}"),
         RecordingState::Stopped => format!("ended by a stop, {when}"),
         RecordingState::Fault(fault) => format!("ended by a fault, {when}: {}", words::fault(fault)),
         RecordingState::Reset => format!("ended by a reset while ventilating, {when}"),
     }
 }
 
-/// The whole in a few lines; `device` says whose it is.
+/// A summary in a few lines; `device` identifies the device.
 pub fn summary(blackbox: &Blackbox, device: &str) -> Table {
     let mut table = Table::new("", &["flight recorder", device]);
     let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
@@ -35,14 +35,14 @@ pub fn summary(blackbox: &Blackbox, device: &str) -> Table {
     row("every tick", extent(&blackbox.fast));
     row("every 20th tick", extent(&blackbox.slow));
     let (events, starts) = (blackbox.log.len(), blackbox.status.boot);
-    row("events", format!("{events}, of {starts} starts since the memory was without power"));
+    row("events", format!("{events}, from {starts} starts since the memory lost power"));
     if blackbox.unread > 0 {
-        row("events left out", format!("{}, damaged or of a newer device", blackbox.unread));
+        row("unreadable events", format!("{}, damaged or from a newer device", blackbox.unread));
     }
     table
 }
 
-/// How long a trace is, and its pressures.
+/// Duration of a trace, and its range of pressures.
 fn extent(trace: &RecordedTicks) -> String {
     let (count, seconds) = (trace.ticks().count(), trace.ticks().count() as f64 * trace.step_s);
     let numbers = || trace.ticks().map(|tick| tick.pressure).filter(|pressure| !pressure.is_nan());
@@ -54,10 +54,10 @@ fn extent(trace: &RecordedTicks) -> String {
     }
 }
 
-/// The newest events of the log, oldest first; `limit` says how many.
+/// The newest `limit` events of the log, oldest first.
 pub fn events(blackbox: &Blackbox, limit: usize) -> Table {
     let left_out = blackbox.log.len().saturating_sub(limit);
-    let title = if left_out > 0 { format!("events, {left_out} older ones left out") } else { String::new() };
+    let title = if left_out > 0 { format!("events, {left_out} older ones omitted") } else { String::new() };
     let mut table = Table::new(title, &["start", "s", "event"]);
     for LogEntry { tick, boot, happening } in &blackbox.log[left_out..] {
         let seconds = f64::from(*tick) * f64::from(blackbox.period_us) * 1e-6;
@@ -66,11 +66,11 @@ pub fn events(blackbox: &Blackbox, limit: usize) -> Table {
     table
 }
 
-/// What happened, in words.
+/// Description of an event.
 pub fn event(happening: Happening) -> String {
     match happening {
         Happening::Boot { cause, failed } => {
-            let after = if failed { ", after the program had failed" } else { "" };
+            let after = if failed { ", after the program failed" } else { "" };
             format!("started by: {}{after}", words::reset(cause))
         }
         Happening::Weights(id) => format!("loaded weights {id:08x}"),
@@ -86,6 +86,6 @@ pub fn event(happening: Happening) -> String {
         }
         Happening::Missed { ticks } => format!("{ticks} ticks missed so far"),
         Happening::Alarm(fault) => format!("alarm: {}", words::fault(fault)),
-        Happening::Cleared => "recording emptied by a host".to_owned(),
+        Happening::Cleared => "recording cleared by a host".to_owned(),
     }
 }

@@ -1,6 +1,6 @@
-//! A view on a terminal: charts to the left, numbers to the right, what to press at the bottom.
+//! Draws a view on a terminal: charts on the left, numbers on the right, keys at the bottom.
 //!
-//! Drawing looks at the view alone and fits any size; where there is no room, the least important parts go first.
+//! Drawing uses only the view and fits any size; when space is short, the least important parts are omitted.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -15,15 +15,15 @@ use super::view::{Notice, View};
 use super::window::Points;
 use super::words;
 
-/// Dots of the charts' marker in a character's width.
+/// Number of chart dots per character width.
 const DOTS: usize = 2;
-/// Width of the numbers, characters.
+/// Width of the column of numbers, characters.
 const NUMBERS_WIDTH: u16 = 46;
-/// A chart narrower than this tells less than the numbers beside it.
+/// Width below which a chart is omitted, characters.
 const LEAST_CHART: u16 = 30;
-/// What the keys do.
+/// Help line for the keys.
 const KEYS: &str =
-    "space start/stop  a acknowledge  ↑↓ PIP  ←→ rate  p PID/learned  q leave (ventilation goes on)";
+    "space start/stop  a acknowledge  ↑↓ PIP  ←→ rate  p PID/learned  q quit (ventilation continues)";
 
 /// Draws a view on the whole terminal.
 pub fn draw(frame: &mut Frame, view: &View) {
@@ -50,12 +50,12 @@ fn headline(view: &View) -> Line<'static> {
     line
 }
 
-/// What the device is doing, as loud as it deserves.
+/// The device's mode, highlighted according to its urgency.
 fn state(view: &View) -> Span<'static> {
     let known = view.mode.map_or_else(|| "waiting for the device".to_owned(), words::mode);
     let loud = Style::new().fg(Color::White).bg(Color::Red).add_modifier(Modifier::BOLD);
     match (&view.lost, view.mode) {
-        (Some(_), _) => Span::styled(format!(" no connection; before: {known} "), loud),
+        (Some(_), _) => Span::styled(format!(" no connection; last mode: {known} "), loud),
         (None, Some(Mode::Fault(_))) => Span::styled(format!(" {known} "), loud),
         (None, Some(Mode::Ventilating)) => Span::from(known).green().bold(),
         (None, _) => Span::from(known).yellow().bold(),
@@ -131,7 +131,7 @@ fn chart<'a>(datasets: Vec<Dataset<'a>>, block: Block<'a>, bounds: [f64; 2], vie
     Chart::new(datasets).block(block).x_axis(time).y_axis(value).legend_position(None)
 }
 
-/// Bounds of the pressure axis: whole tens around every value, 0 to 30 at least.
+/// Bounds of the pressure axis: multiples of ten around all values, at least 0 to 30.
 fn bounds<'a>(pieces: impl Iterator<Item = &'a Points>) -> [f64; 2] {
     let values = pieces.flatten().map(|(_, value)| *value);
     let (low, high) =
@@ -166,7 +166,7 @@ fn settings(view: &View) -> Vec<Line<'static>> {
     };
     let mut lines: Vec<Line<'static>> = vec![match view.controller {
         Some(choice) => Line::from(words::controller(choice)),
-        None => Line::from("not told yet"),
+        None => Line::from("not reported yet"),
     }];
     lines.extend(view.in_force.as_ref().map(|settings| line("now", settings)));
     lines.extend(view.pending.as_ref().map(|settings| line("next", settings).yellow()));
@@ -175,7 +175,7 @@ fn settings(view: &View) -> Vec<Line<'static>> {
 
 fn ticks(view: &View) -> Vec<Line<'static>> {
     let Some(times) = &view.times else {
-        return vec![Line::from("not told yet")];
+        return vec![Line::from("not reported yet")];
     };
     let us = |cycles: f32| times.microseconds(cycles);
     let span = |name: &str, span: &shared::timing::CycleStats| {
@@ -201,14 +201,14 @@ fn losses(view: &View) -> Vec<Line<'static>> {
     };
     vec![
         Line::from(format!("{:<26}{:>10}", "frames received", traffic.frames)),
-        line("damaged on the way here", traffic.corrupt),
-        line("damaged on the way there", counters.corrupt_frames.into()),
+        line("damaged, device to host", traffic.corrupt),
+        line("damaged, host to device", counters.corrupt_frames.into()),
         line("batches lost", traffic.lost_batches),
         line("samples dropped on device", counters.dropped.into()),
     ]
 }
 
-/// Alarms that have a line; older ones are not forgotten, only not shown.
+/// Number of alarms shown; older ones stay in memory.
 const ALARM_LINES: usize = 3;
 
 fn alarms(view: &View) -> Vec<Line<'static>> {
@@ -219,7 +219,7 @@ fn alarms(view: &View) -> Vec<Line<'static>> {
     };
     let mut lines: Vec<_> = view.alarms.iter().take(ALARM_LINES).map(line).collect();
     if lines.is_empty() {
-        lines.push(Line::from("none since this monitor runs"));
+        lines.push(Line::from("none since this monitor started"));
     }
     lines
 }

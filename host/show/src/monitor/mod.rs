@@ -1,7 +1,7 @@
-//! `trainer monitor`: what an operator sees of a device that runs, and what a key asks of it.
+//! `trainer monitor`: shows an operator the state of a running device, and turns keys into requests.
 //!
-//! A view never talks to a device and knows no clock: it takes in [`News`] and gives requests. So it shows the
-//! same for the same news, and each picture can be tested.
+//! A view neither talks to a device nor reads a clock: it takes [`News`] and returns requests. The same news always
+//! give the same picture, so pictures can be tested.
 
 pub mod draw;
 pub mod plain;
@@ -18,20 +18,20 @@ use shared::link::messages::{Event, Request, Response};
 
 use device::LineCounters;
 
-/// What reaches a monitor from its device.
+/// Information from the device for a monitor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum News {
-    /// The device told it unasked.
+    /// An event that the device sent on its own.
     Event(Event),
-    /// A request was answered; a refusal and a failure are text.
+    /// The answer to a request; a refusal or failure is text.
     Answer {
-        /// What was asked.
+        /// The request.
         request: Request,
-        /// What came.
+        /// Its result.
         result: Result<Response, String>,
     },
     /// State of the line's counters.
     Traffic(LineCounters),
-    /// There is no connection, and why; it is tried again.
+    /// The connection was lost, with the reason; it is retried.
     Lost(String),
 }

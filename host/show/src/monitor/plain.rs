@@ -1,6 +1,6 @@
-//! A device's news as lines, for a file, a pipe or a terminal that cannot be drawn on.
+//! A device's news as lines, for a file, a pipe or a terminal without charts.
 //!
-//! A line is written when something changed, not when it was looked at.
+//! A line is written when something changes, not at every poll.
 
 use shared::link::messages::{ControllerChoice, Event, Request, Response};
 use shared::safety::alarms::Action;
@@ -11,7 +11,7 @@ use super::News;
 use super::words;
 use device::LineCounters;
 
-/// What was written last.
+/// The state that was written last.
 #[derive(Clone, Debug, Default)]
 pub struct Lines {
     greeted: bool,
@@ -22,11 +22,11 @@ pub struct Lines {
     losses: Losses,
 }
 
-/// Everything that should stay zero.
+/// Counters that should stay zero.
 type Losses = [u64; 5];
 
 impl Lines {
-    /// The lines that a piece of news is worth.
+    /// The lines for a piece of news.
     pub fn take(&mut self, news: &News) -> Vec<String> {
         match news {
             News::Event(event) => self.happened(event).into_iter().collect(),
@@ -89,7 +89,7 @@ impl Lines {
         let losses = [corrupt, lost_batches, dropped, refused, missed];
         (std::mem::replace(&mut self.losses, losses) != losses).then(|| {
             format!(
-                "losses: {corrupt} frames damaged on the way here, {refused} on the way there, \
+                "losses: {corrupt} frames to the host damaged, {refused} to the device, \
                  {lost_batches} batches lost, {dropped} samples dropped, {missed} ticks missed"
             )
         })
@@ -108,7 +108,7 @@ fn controller(now: ControllerChoice) -> String {
     format!("controller: {}", words::controller(now))
 }
 
-/// What a refused request was.
+/// Name of a refused request.
 fn name(request: &Request) -> &'static str {
     match request {
         Request::Identify => "identify",

@@ -1,8 +1,8 @@
-//! A device that is watched: a thread that owns the connection, passes on what comes, asks what it is told to, and looks
-//! at the device once a second.
+//! A session with a device: a thread that owns the connection, forwards news, sends requests, and polls the device once
+//! a second.
 //!
-//! It only reads and switches telemetry on, again and again, since a device that was restarted has it off. When the line
-//! breaks it opens it again; requests from the meantime are answered as not sent, so that nothing late reaches a device.
+//! By itself it only reads, and repeatedly switches telemetry on, because a restarted device has it off. If the line
+//! breaks, the thread reopens it; requests meanwhile are answered as not sent, so that none reaches a device late.
 
 use std::convert::Infallible;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -14,17 +14,17 @@ use shared::link::messages::Request;
 use super::News;
 use device::{Device, DeviceError};
 
-/// How often the device is looked at.
+/// Interval between polls of the device.
 const POLL_EVERY: Duration = Duration::from_secs(1);
-/// How often what came is passed on.
+/// Interval at which news are forwarded.
 const PASS_EVERY: Duration = Duration::from_millis(10);
-/// How often a broken line is tried again.
+/// Interval between attempts to reopen a broken line.
 const TRY_EVERY: Duration = Duration::from_millis(500);
-/// How long an operator who leaves waits for the telemetry to be switched off.
+/// Longest time that quitting waits for the telemetry to be switched off.
 const LEAVE_TIME: Duration = Duration::from_secs(1);
-/// Most events passed on between two looks at the requests.
+/// Largest number of events forwarded between two checks for requests.
 const EVENTS_AT_ONCE: usize = 1000;
-/// What a look at the device asks. Its answers tell of restarts too; the greeting comes first and names the cause.
+/// Requests of a poll. Their answers also reveal restarts; the greeting comes first and gives the cause.
 const POLLED: [Request; 4] = [
     Request::Identify,
     Request::Telemetry { on: true },
@@ -32,7 +32,7 @@ const POLLED: [Request; 4] = [
     Request::GetTiming { clear: false },
 ];
 
-/// The watching side's end.
+/// The monitor's end of a session.
 #[derive(Debug)]
 pub struct Session {
     requests: Sender<Request>,
@@ -40,7 +40,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// Watches a device from a thread of its own.
+    /// Starts a session with a device in its own thread.
     pub fn start(device: Device) -> Self {
         let (requests, requested) = channel();
         let (told, news) = channel();
@@ -48,13 +48,13 @@ impl Session {
         Self { requests, news }
     }
 
-    /// Has the device asked; the answer comes as news.
+    /// Sends a request to the device; the answer arrives as news.
     pub fn ask(&self, request: Request) {
-        // The thread lives as long as this end does.
+        // The thread lives as long as this end.
         let _ = self.requests.send(request);
     }
 
-    /// What came so far.
+    /// The news received so far.
     pub fn news(&self) -> impl Iterator<Item = News> + '_ {
         self.news.try_iter()
     }
@@ -64,21 +64,21 @@ impl Session {
         self.news.recv_timeout(patience).ok()
     }
 
-    /// Switches the telemetry off, if the device answers at once, and nothing else.
+    /// Switches the telemetry off, if the device answers immediately, and changes nothing else.
     pub fn leave(self) {
         let Self { requests, news } = self;
         drop(requests);
         let deadline = Instant::now() + LEAVE_TIME;
-        // The thread ends by letting go of its end of the channel.
+        // The thread ends by dropping its end of the channel.
         while news.recv_timeout(deadline.saturating_duration_since(Instant::now())).is_ok() {}
     }
 }
 
-/// Why a line is watched no longer.
+/// Why a session's line is no longer used.
 enum End {
-    /// The monitor has gone.
+    /// The monitor has ended.
     Gone,
-    /// The line must be opened again.
+    /// The line must be reopened.
     Broken(DeviceError),
 }
 
@@ -97,12 +97,12 @@ impl Watcher {
                 _ => break,
             }
         }
-        // If it does not answer, it goes on sending to nobody, which does it no harm.
+        // If the device does not answer, it keeps sending telemetry without a reader, which is harmless.
         let _ = self.device.telemetry(false);
     }
 
-    /// Refuses the requests that were waiting, since a key pressed before the reconnection referred to the state at that
-    /// time, and tries until the line is open again.
+    /// Refuses waiting requests, because a key pressed before the reconnection referred to the state at that time, and
+    /// tries until the line is open again.
     fn reopen(&mut self, reason: &DeviceError) -> Result<(), End> {
         while let Ok(request) = self.requested.try_recv() {
             self.refuse(request)?;
@@ -117,7 +117,7 @@ impl Watcher {
         }
     }
 
-    /// Refuses requests for a moment.
+    /// Refuses requests for one retry interval.
     fn wait_without_line(&mut self) -> Result<(), End> {
         let deadline = Instant::now() + TRY_EVERY;
         loop {
@@ -150,12 +150,12 @@ impl Watcher {
         }
     }
 
-    /// Asks and tells the answer.
+    /// Sends a request and forwards the answer.
     fn ask(&mut self, request: Request) -> Result<(), End> {
         let answer = self.device.request(&request);
         let result = answer.as_ref().cloned().map_err(ToString::to_string);
         self.tell(News::Answer { request, result })?;
-        // After the answer, which may be older than an alarm that came meanwhile.
+        // After the answer, which may be older than an alarm that arrived in the meantime.
         self.pass_events()?;
         match answer {
             Ok(_) | Err(DeviceError::Refused(_) | DeviceError::Unexpected) => Ok(()),

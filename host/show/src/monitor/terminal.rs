@@ -1,4 +1,4 @@
-//! The monitor on a terminal: draws a view a few times a second and turns keys into requests.
+//! The monitor on a terminal: redraws a view several times a second and turns keys into requests.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,21 +11,21 @@ use super::draw::draw;
 use super::session::Session;
 use super::view::{Key, View};
 
-/// Time between two pictures.
+/// Interval between redraws.
 const PICTURE_EVERY: Duration = Duration::from_millis(50);
 
-/// What was pressed.
+/// A key press.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pressed {
-    /// Something that is asked of the device.
+    /// A key that requests something from the device.
     Key(Key),
-    /// Leave.
+    /// Quit the monitor.
     Leave,
-    /// Ctrl-C, which a terminal in this mode gives as a key.
+    /// Ctrl-C, which a terminal in raw mode reports as a key.
     Interrupt,
 }
 
-/// What a key means; none if nothing.
+/// Meaning of a key; `None` if it has none.
 pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
     if event.kind == KeyEventKind::Release {
         return None;
@@ -44,15 +44,15 @@ pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
         KeyCode::Char('q') | KeyCode::Esc => return Some(Pressed::Leave),
         _ => return None,
     };
-    // A key that is held down must not start and stop a ventilator in turns.
+    // A key held down must not start and stop a ventilator alternately.
     let once = matches!(key, Key::StartStop | Key::Acknowledge | Key::Controller);
     (event.kind == KeyEventKind::Press || !once).then_some(Pressed::Key(key))
 }
 
-/// Shows a device until someone leaves; Ctrl-C sets `stop`, which ends it too. The terminal is as before afterwards.
+/// Shows a device until the operator quits; Ctrl-C sets `stop` and also ends it. Restores the terminal afterwards.
 ///
 /// # Errors
-/// A terminal that cannot be drawn on.
+/// The terminal cannot be drawn on.
 pub fn run(session: &Session, view: &mut View, stop: &AtomicBool) -> io::Result<()> {
     let mut terminal = ratatui::try_init()?;
     let result = show(&mut terminal, session, view, stop);

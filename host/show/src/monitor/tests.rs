@@ -1,4 +1,4 @@
-//! What an operator sees, what a key asks, and the whole against a device at a pseudo-terminal.
+//! The monitor's pictures, the effect of keys, and the whole against a device at a pseudo-terminal.
 
 use proptest::prelude::*;
 use ratatui::Terminal;
@@ -31,7 +31,7 @@ mod connected;
 
 const PERIOD_US: u32 = 1000;
 
-/// A ventilator with weights that a watchdog restarted.
+/// A ventilator with weights, restarted by its watchdog.
 fn identity(mode: Mode) -> DeviceIdentity {
     DeviceIdentity {
         protocol: PROTOCOL,
@@ -77,7 +77,7 @@ fn timing(ticks: u32) -> News {
     answer(Request::GetTiming { clear: false }, Response::Timing(times(ticks)))
 }
 
-/// A batch from this tick of a breath of 3000 ticks on, with a pressure that follows the target.
+/// A batch starting at this tick of a 3000-tick breath, with a pressure that follows the target.
 fn batch(first_tick: u64, pressures: &[f32]) -> TelemetryBatch {
     let sample = |(tick, pressure): (u64, &f32)| {
         let tick = (tick % 3000) as u32;
@@ -288,11 +288,11 @@ mod state {
     #[test]
     fn whoever_leaves_learns_whether_ventilation_goes_on() {
         let mut view = ventilating();
-        assert!(view.farewell().contains("goes on ventilating"));
+        assert!(view.farewell().contains("continues to ventilate"));
         view.take(&News::Lost("cable".into()));
         assert!(view.farewell().contains("when the connection broke"));
         assert!(view_after([greeting(Mode::Standby)]).farewell().ends_with("standby"));
-        assert!(view_after([]).farewell().contains("never told"));
+        assert!(view_after([]).farewell().contains("never reported"));
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! What a monitor knows of its device, and what a key asks of it.
+//! A monitor's knowledge of its device, and the requests of keys.
 //!
-//! Everything shown was told by the device. A key gives a request and changes nothing here: what is in force is what the
-//! answer says. Settings that a key changes are the ones the device named last, so nothing is ever pushed that the
-//! device did not hold before.
+//! Everything shown was reported by the device. A key creates a request and changes nothing here: only the device's
+//! answer changes the settings in force. A key changes the settings that the device reported last, so the monitor never
+//! pushes settings that the device did not have.
 
 use std::collections::VecDeque;
 
@@ -25,13 +25,13 @@ pub const SECONDS: f64 = 9.0;
 pub const PIP_STEP: f32 = 1.0;
 /// Change of the rate by one key, 1/min.
 pub const RATE_STEP: f32 = 1.0;
-/// Breaths and alarms that are remembered.
+/// Number of breaths and alarms kept.
 const REMEMBERED: usize = 100;
 
-/// What an operator can press.
+/// The keys that an operator can press.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Key {
-    /// Start, or stop.
+    /// Start or stop ventilation.
     StartStop,
     /// Leave the latched safe state.
     Acknowledge,
@@ -43,7 +43,7 @@ pub enum Key {
     RateUp,
     /// Slower breaths.
     RateDown,
-    /// PID in place of the learned controller, or the other way round.
+    /// Switch between the PID and the learned controller.
     Controller,
 }
 
@@ -52,20 +52,20 @@ pub enum Key {
 pub struct AlarmEntry {
     /// Fault that raised it; it may have latched or not, see its row in the table of alarms.
     pub fault: Fault,
-    /// Control tick since power-up.
+    /// Control tick since the device started.
     pub tick: u64,
 }
 
-/// The line below the charts.
+/// The message line below the charts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// Something was done.
+    /// A request was carried out.
     Note(String),
-    /// Something was not done.
+    /// A request was not carried out.
     Warning(String),
 }
 
-/// What is known of a device.
+/// The known state of a device.
 #[derive(Clone, Debug, Default)]
 pub struct View {
     pub(super) address: String,
@@ -78,21 +78,21 @@ pub struct View {
     pub(super) times: Option<TickTimes>,
     pub(super) traffic: LineCounters,
     pub(super) window: TelemetryWindow,
-    /// The newest first.
+    /// Breaths, newest first.
     pub(super) breaths: VecDeque<BreathSummary>,
-    /// The newest first.
+    /// Alarms, newest first.
     pub(super) alarms: VecDeque<AlarmEntry>,
     pub(super) message: Option<Notice>,
-    /// Gains for a device that runs learned weights and is to run a PID.
+    /// PID gains for a device that runs learned weights, when switched to a PID.
     gains: PidGains,
-    /// Settings asked for that are not answered yet, and how many such requests are under way.
+    /// Requested settings that are not answered yet, and the number of such requests in progress.
     asked: Option<Settings>,
     under_way: usize,
 }
 
 impl View {
-    /// Nothing is known yet of the device at `address`; `gains` are those of the PID that replaces a learned controller,
-    /// unless the device names others.
+    /// An empty view of the device at `address`; `gains` are those of the PID that replaces a learned controller,
+    /// unless the device reports others.
     pub fn new(address: impl Into<String>, gains: PidGains) -> Self {
         Self {
             address: address.into(),
@@ -102,7 +102,7 @@ impl View {
         }
     }
 
-    /// Takes in a piece of news.
+    /// Processes a piece of news.
     pub fn take(&mut self, news: &News) {
         match news {
             News::Event(event) => self.happened(event),
@@ -120,7 +120,7 @@ impl View {
             Event::Telemetry(batch) => self.window.take(batch),
             Event::Breath(breath) => {
                 if self.breaths.front().is_some_and(|last| last.breath >= breath.breath) {
-                    // Ventilation was started again.
+                    // Ventilation was restarted.
                     self.breaths.clear();
                 }
                 remember(&mut self.breaths, *breath);
@@ -152,7 +152,7 @@ impl View {
         }
     }
 
-    /// Takes in what the device says is in force.
+    /// Records the state that the device reports as in force.
     fn learn(&mut self, response: &Response) {
         match response {
             Response::Identity(identity) => self.greeted(identity),
@@ -190,7 +190,7 @@ impl View {
         self.controller = Some(choice);
     }
 
-    /// The tick counter went back: the device was restarted between two looks at it.
+    /// Handles a restart of the device between two polls, seen by its tick counter.
     fn started_anew(&mut self) {
         let cause = self.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
         self.message = Some(Notice::Warning(format!("the device restarted: {cause}")));
@@ -199,12 +199,12 @@ impl View {
         self.breaths.clear();
     }
 
-    /// What a key asks of the device; none, with a message, if it can ask nothing now.
+    /// The request of a key; `None`, with a message, if nothing can be requested now.
     pub fn press(&mut self, key: Key) -> Option<Request> {
         let request = match (&self.lost, self.request(key)) {
             (None, Some(request)) => request,
             (Some(_), _) => return self.hold_back("no connection: nothing was sent"),
-            (None, None) => return self.hold_back("the device has not told its state yet: nothing was sent"),
+            (None, None) => return self.hold_back("the device's state is not known yet: nothing was sent"),
         };
         if let Request::ApplySettings(settings) = request {
             self.asked = Some(settings);
@@ -222,7 +222,7 @@ impl View {
         match key {
             Key::StartStop => self.mode.map(|mode| match mode {
                 Mode::Ventilating => Request::Stop,
-                // The device refuses to start with a fault latched and says what to do.
+                // The device refuses to start with a latched fault and reports what to do.
                 Mode::Standby | Mode::Fault(_) => Request::Start,
             }),
             Key::Acknowledge => self.mode.map(|_| Request::Acknowledge),
@@ -239,25 +239,25 @@ impl View {
         }
     }
 
-    /// The settings that would come next, changed; they are the device's to check.
+    /// The settings that apply next, with a change; the device checks them.
     fn changed(&self, change: impl Fn(&mut Settings)) -> Option<Request> {
         let mut settings = self.asked.or(self.pending).or(self.in_force)?;
         change(&mut settings);
         Some(Request::ApplySettings(settings))
     }
 
-    /// What an operator who leaves should know.
+    /// A message for an operator who quits.
     pub fn farewell(&self) -> String {
         let Self { address, .. } = self;
         match (self.mode, &self.lost) {
-            (None, _) => format!("{address} never told what it is doing"),
+            (None, _) => format!("{address} never reported its state"),
             (Some(Mode::Ventilating), None) => {
                 format!(
-                    "{address} goes on ventilating; `trainer monitor --port {address}` shows it, space stops it"
+                    "{address} continues to ventilate; `trainer monitor --port {address}` shows it, space stops it"
                 )
             }
             (Some(Mode::Ventilating), Some(_)) => {
-                format!("{address} was ventilating when the connection broke, and goes on if it has power")
+                format!("{address} was ventilating when the connection broke, and continues if it has power")
             }
             (Some(mode), _) => format!("{address}: {}", words::mode(mode)),
         }
@@ -269,13 +269,13 @@ fn remember<T>(list: &mut VecDeque<T>, newest: T) {
     list.truncate(REMEMBERED);
 }
 
-/// Whether the monitor asks this by itself, again and again.
+/// Whether the monitor polls this itself.
 fn asked_by_itself(request: &Request) -> bool {
     use Request::{GetSettings, GetTiming, Identify, Telemetry};
     matches!(request, Identify | GetSettings | GetTiming { .. } | Telemetry { .. })
 }
 
-/// What to say about a request that was carried out; nothing where the change shows elsewhere.
+/// A message for a completed request; `None` if the change shows elsewhere.
 fn note(response: &Response) -> Option<Notice> {
     let text = match response {
         Response::Settings { in_force, pending } => {

@@ -1,19 +1,19 @@
 //! The last seconds of telemetry, reduced to what a chart can show.
 //!
-//! Lost samples leave a gap: nothing is drawn where nothing was measured. A column of the chart that stands for several
-//! ticks shows the lowest and the highest of them, so that no spike is hidden.
+//! Lost samples leave a gap: nothing is drawn where nothing was measured. A chart column that covers several ticks
+//! shows the lowest and the highest of them, so that no spike is hidden.
 
 use std::collections::VecDeque;
 
 use shared::link::telemetry::TelemetryBatch;
 use shared::ventilator::Sample;
 
-/// A tick and what it did.
+/// A tick and its sample.
 type Taken = (u64, Sample);
-/// What a chart draws: seconds before now (negative), value.
+/// Points of a chart: seconds before now (negative), value.
 pub type Points = Vec<(f64, f64)>;
 
-/// Samples of the last seconds; by default of none.
+/// Samples of the last seconds; the default window is empty.
 #[derive(Clone, Debug, Default)]
 pub struct TelemetryWindow {
     samples: VecDeque<Taken>,
@@ -22,7 +22,7 @@ pub struct TelemetryWindow {
 }
 
 impl TelemetryWindow {
-    /// An empty window over so many seconds at a control period.
+    /// An empty window of `seconds` at a control period.
     pub fn new(seconds: f64, period_us: u32) -> Self {
         let period_us = period_us.max(1);
         let ticks = (seconds * 1e6 / f64::from(period_us)) as u64;
@@ -34,7 +34,7 @@ impl TelemetryWindow {
         self.age(self.ticks)
     }
 
-    /// Takes in a batch. Ticks that go back are those of a device that started anew: what was before is forgotten.
+    /// Adds a batch. If the ticks go back, the device was restarted, and all older samples are dropped.
     pub fn take(&mut self, batch: &TelemetryBatch) {
         for (tick, packed) in (batch.first_tick..).zip(&batch.samples) {
             if self.samples.back().is_some_and(|(last, _)| tick <= *last) {
@@ -92,7 +92,7 @@ struct Column {
 }
 
 impl Column {
-    /// A value that is no number is not drawn.
+    /// A value that is not a number is not drawn.
     fn add(&mut self, point: (f64, f64)) {
         if !point.1.is_finite() {
             return;
@@ -106,7 +106,7 @@ impl Column {
         }
     }
 
-    /// Puts both in order of time into a piece.
+    /// Appends both to a piece, in order of time.
     fn put(&self, piece: Option<&mut Points>) {
         if let (Some((low, high)), Some(piece)) = (self.ends, piece) {
             let (first, second) = if low.0 <= high.0 { (low, high) } else { (high, low) };

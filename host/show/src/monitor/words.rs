@@ -6,7 +6,7 @@ use shared::safety::alarms::Fault;
 use shared::settings::{FIELDS, Field, Settings};
 use shared::ventilator::Mode;
 
-/// What the ventilator is doing.
+/// The ventilator's mode.
 pub fn mode(mode: Mode) -> String {
     match mode {
         Mode::Standby => "standby".to_owned(),
@@ -15,12 +15,12 @@ pub fn mode(mode: Mode) -> String {
     }
 }
 
-/// What a monitor has found.
+/// The fault detected by a monitor.
 pub fn fault(fault: Fault) -> &'static str {
     fault.alarm().text
 }
 
-/// Which controller runs.
+/// The running controller.
 pub fn controller(choice: ControllerChoice) -> String {
     match choice {
         ControllerChoice::Pid(gains) => format!("PID {},{},{}", gains.p, gains.i, gains.d),
@@ -28,7 +28,7 @@ pub fn controller(choice: ControllerChoice) -> String {
     }
 }
 
-/// What a device is.
+/// The kind of a device.
 pub fn device(kind: DeviceKind) -> &'static str {
     match kind {
         DeviceKind::Ventilator => "ventilator",
@@ -37,7 +37,7 @@ pub fn device(kind: DeviceKind) -> &'static str {
     }
 }
 
-/// Why a device started.
+/// The cause of a device's start.
 pub fn reset(cause: ResetCause) -> &'static str {
     match cause {
         ResetCause::PowerOn => "power on",
@@ -49,19 +49,19 @@ pub fn reset(cause: ResetCause) -> &'static str {
     }
 }
 
-/// A device in a line.
+/// A device in one line.
 pub fn identity(identity: &DeviceIdentity) -> String {
     let [major, minor, patch] = identity.firmware;
     let period = identity.period_us;
     format!("{}, firmware {major}.{minor}.{patch}, tick {period} us", device(identity.device))
 }
 
-/// A setting's name.
+/// The name of a setting.
 pub fn name(field: &Field) -> String {
     field.name.replace('_', " ")
 }
 
-/// A setting in force with its unit, and its next value where that is another.
+/// A setting in force with its unit, and its next value if that differs.
 pub fn setting(field: &Field, in_force: &Settings, pending: Option<&Settings>) -> String {
     let now = field.value(in_force);
     let next = pending.map(|pending| field.value(pending)).filter(|next| next.total_cmp(&now).is_ne());
@@ -69,7 +69,7 @@ pub fn setting(field: &Field, in_force: &Settings, pending: Option<&Settings>) -
     format!("{now} {}{next}", field.unit)
 }
 
-/// Every setting with its unit.
+/// All settings with their units.
 pub fn settings(settings: &Settings) -> String {
     let one = |field: &Field| format!("{} {}", name(field), setting(field, settings, None));
     FIELDS.iter().map(one).collect::<Vec<_>>().join(", ")

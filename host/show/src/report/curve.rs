@@ -1,4 +1,4 @@
-//! Points of a curve on their way to the paper: fewer of them, as steps, and cut at the frame.
+//! Prepares the points of a curve for drawing: fewer points, steps, and clipping at the frame.
 
 /// A point in data units.
 pub(super) type Point = (f64, f64);
@@ -6,7 +6,7 @@ pub(super) type Point = (f64, f64);
 /// Lower and upper end of an axis.
 pub(super) type Limits = (f64, f64);
 
-/// At most `limit` points that look the same: first, lowest, highest and last of each of `limit / 4` equal parts.
+/// At most `limit` points with the same appearance: first, lowest, highest and last of each of `limit / 4` equal parts.
 pub(super) fn decimate(points: &[Point], limit: usize) -> Vec<Point> {
     if points.len() <= limit {
         return points.to_vec();
@@ -36,12 +36,12 @@ pub(super) fn steps(points: &[Point]) -> Vec<Point> {
     stairs
 }
 
-/// Whether a point lies inside the frame or on it.
+/// Whether a point is inside the frame or on it.
 pub(super) fn inside(point: Point, x: Limits, y: Limits) -> bool {
     (x.0..=x.1).contains(&point.0) && (y.0..=y.1).contains(&point.1)
 }
 
-/// The parts of a curve within the frame, cut where it crosses it.
+/// The parts of a curve within the frame, clipped where it crosses the frame.
 pub(super) fn clip(points: &[Point], x: Limits, y: Limits) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     for pair in points.windows(2) {
@@ -57,7 +57,7 @@ pub(super) fn clip(points: &[Point], x: Limits, y: Limits) -> Vec<Vec<Point>> {
     parts
 }
 
-/// Liang and Barsky: the share of a segment within each pair of parallel edges.
+/// Liang-Barsky clipping: the share of a segment between each pair of parallel edges.
 fn clip_segment(from: Point, to: Point, x: Limits, y: Limits) -> Option<(Point, Point)> {
     let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
     for (start, step, (low, high)) in [(from.0, to.0 - from.0, x), (from.1, to.1 - from.1, y)] {

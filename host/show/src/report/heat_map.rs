@@ -1,4 +1,4 @@
-//! Maps of a value over two lists, as SVG: one coloured cell per pair, the lowest one framed.
+//! Maps of a value over two lists, as SVG: one coloured cell per pair; the lowest one is framed.
 
 use std::fmt::Write;
 
@@ -6,27 +6,27 @@ use super::ReportError;
 use super::html::escape;
 use super::svg::Svg;
 
-/// A map. Colours go by the logarithm of the value, from the lowest to `SPAN` times as much, beyond which
-/// everything looks alike.
+/// A map. The colour depends on the logarithm of the value, from the lowest value to `SPAN` times it; all higher values
+/// look alike.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct HeatMap {
-    /// Line above the map.
+    /// Title above the map.
     pub title: String,
-    /// What runs from left to right, with the unit.
+    /// Quantity from left to right, with the unit.
     pub x_label: String,
-    /// What runs from bottom to top, with the unit.
+    /// Quantity from bottom to top, with the unit.
     pub y_label: String,
     /// Values from left to right, evenly spaced whatever their distance.
     pub x: Vec<f64>,
     /// Values from bottom to top.
     pub y: Vec<f64>,
-    /// A row for each `y`, a column for each `x`; `None` leaves a cell blank. Low is good.
+    /// A row for each `y`, a column for each `x`; `None` leaves a cell blank. Lower is better.
     pub values: Vec<Vec<Option<f64>>>,
 }
 
-/// Highest value that has a colour of its own, as a multiple of the lowest.
+/// Highest value with a distinct colour, as a multiple of the lowest.
 const SPAN: f64 = 4.0;
-/// Dark for low, pale for high: samples of Matplotlib's viridis (CC0), which stays in order without colours too.
+/// Dark for low, pale for high: samples of Matplotlib's viridis (CC0), whose brightness is monotonic.
 const COLORS: [[f64; 3]; 5] =
     [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
 
@@ -37,16 +37,16 @@ const RIGHT: f64 = 110.0;
 const TOP: f64 = 36.0;
 const BOTTOM: f64 = 56.0;
 const TEXT: &str = "font-family=\"sans-serif\" font-size=\"12\" fill=\"#222\"";
-/// Most marks on an axis.
+/// Largest number of marks on an axis.
 const MARKS: usize = 12;
-/// Colour samples of the legend.
+/// Number of colour samples in the legend.
 const LEGEND: usize = 24;
 
 impl HeatMap {
     /// The map as an SVG document.
     ///
     /// # Errors
-    /// If there is no value, or one that is not a positive number.
+    /// If there is no value, or if a value is not a positive number.
     pub fn to_svg(&self) -> Result<String, ReportError> {
         Ok(self.drawing()?.to_document())
     }
@@ -80,7 +80,7 @@ impl HeatMap {
         values().reduce(f64::min).ok_or_else(|| ReportError::Empty(self.title.clone()))
     }
 
-    /// Left upper corner of a cell.
+    /// Upper left corner of a cell.
     fn corner(&self, (column, row): (usize, usize), (width, height): (f64, f64)) -> (f64, f64) {
         (LEFT + column as f64 * width, TOP + (self.y.len() - 1 - row) as f64 * height)
     }
@@ -119,7 +119,7 @@ impl HeatMap {
     }
 }
 
-/// The scale of the colours, beside the map.
+/// The colour scale beside the map.
 fn legend(lowest: f64, height: f64) -> String {
     let (x, sample) = (WIDTH - RIGHT + 24.0, height / LEGEND as f64);
     let mut svg = String::new();
@@ -140,7 +140,7 @@ fn text((x, y): (f64, f64), anchor: &str, text: &str) -> String {
     format!("<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" {TEXT}>{}</text>\n", escape(text))
 }
 
-/// Three digits that count.
+/// A number with three significant digits.
 fn number(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();
@@ -150,7 +150,7 @@ fn number(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// Where a value lies between the lowest and the highest that has a colour, 0 to 1.
+/// Position of a value between the lowest value and the highest with a distinct colour, 0 to 1.
 fn share(value: f64, lowest: f64) -> f64 {
     ((value / lowest).ln() / SPAN.ln()).clamp(0.0, 1.0)
 }

@@ -1,4 +1,4 @@
-//! One HTML file with everything inside: style, tables, plots, origin. No script, nothing fetched.
+//! One self-contained HTML file with style, tables, plots and provenance. It has no script and loads nothing.
 
 use std::path::Path;
 
@@ -9,26 +9,26 @@ use data::provenance::Provenance;
 
 const STYLE: &str = include_str!("style.css");
 
-/// Plots in a row are drawn this much narrower and lower, so that their text does not shrink with them.
+/// Scale of width and height of plots in a row, so that their text stays readable.
 const ROW_SHARE: (f64, f64) = (0.65, 0.8);
 
 /// A report.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Report {
-    /// Head line, also the title of the window.
+    /// Heading, also the title of the window.
     pub title: String,
-    /// Line below it; may be empty.
+    /// Line below the heading; may be empty.
     pub subtitle: String,
-    /// Parts in order.
+    /// Sections in order.
     pub sections: Vec<Section>,
-    /// Origin, shown at the foot.
+    /// Provenance, shown at the foot.
     pub provenance: Option<Provenance>,
 }
 
-/// One part of a report.
+/// One section of a report.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Section {
-    /// Its head line.
+    /// Heading of the section.
     pub heading: String,
     /// Introduction; an empty line starts a paragraph.
     pub text: String,
@@ -37,7 +37,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// A part with its introduction.
+    /// A section with its introduction.
     pub fn new(heading: impl Into<String>, text: impl Into<String>, blocks: Vec<Block>) -> Self {
         Self { heading: heading.into(), text: text.into(), blocks }
     }
@@ -48,13 +48,13 @@ impl Section {
 pub enum Block {
     /// A table.
     Table(Table),
-    /// A plot over the whole width.
+    /// A plot of full width.
     Plot(Plot),
-    /// Plots side by side, below each other on a narrow screen.
+    /// Plots side by side, or stacked on a narrow screen.
     PlotRow(Vec<Plot>),
-    /// A map over the whole width.
+    /// A map of full width.
     HeatMap(HeatMap),
-    /// Paragraphs, parted by empty lines.
+    /// Paragraphs, separated by empty lines.
     Text(String),
 }
 
@@ -62,7 +62,7 @@ impl Report {
     /// The whole file as text.
     ///
     /// # Errors
-    /// Of the first plot that cannot be drawn.
+    /// The error of the first plot that cannot be drawn.
     pub fn to_html(&self) -> Result<String, ReportError> {
         let title = escape(&self.title);
         let mut html = format!(
@@ -83,10 +83,10 @@ impl Report {
         Ok(html + "</body>\n</html>\n")
     }
 
-    /// Writes the file, replacing an older one in one step.
+    /// Writes the file, atomically replacing an older one.
     ///
     /// # Errors
-    /// As [`Self::to_html`], or if the file cannot be written.
+    /// See [`Self::to_html`]; also if the file cannot be written.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), ReportError> {
         let path = path.as_ref();
         write_atomically(path, self.to_html()?.as_bytes())
@@ -172,7 +172,7 @@ fn details(summary: &str, text: &str) -> String {
     format!("<details><summary>{summary}</summary><pre>{}</pre></details>\n", escape(text.trim_end()))
 }
 
-/// Text that HTML takes as text.
+/// Escapes text for HTML.
 pub(super) fn escape(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     text.replace('"', "&quot;").replace('\'', "&#39;")

@@ -1,4 +1,4 @@
-//! A report as Markdown with its plots as files beside it: for places where a page of HTML is not shown.
+//! A report as Markdown, with its plots in separate files, for places that do not show HTML.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::{Block, Cell, Plot, Report, ReportError, Section, Table};
 use data::files::write_atomically;
 
 impl Report {
-    /// Writes `name.md` to a folder, and each plot to `figures` in it.
+    /// Writes `name.md` to a folder, and each plot to its subfolder `figures`.
     ///
     /// # Errors
     /// A plot that cannot be drawn, or a file that cannot be written.
@@ -49,7 +49,7 @@ impl Section {
             Block::Plot(plot) => format!("\n{}", image(plot)),
             Block::PlotRow(plots) => format!("\n{}", plots.iter().map(image).collect::<String>()),
             Block::Text(words) => format!("\n{words}\n"),
-            // Drawn by the page of HTML alone.
+            // Only the HTML page shows maps.
             Block::HeatMap(_) => String::new(),
         };
         let blocks: String = self.blocks.iter().map(block).collect();
@@ -73,7 +73,7 @@ fn image(plot: &Plot) -> String {
     format!("![{}]({})\n", plot.title, figure(plot))
 }
 
-/// The plot's file, named after its title.
+/// Name of a plot's file, made from its title.
 fn figure(plot: &Plot) -> String {
     let title = plot.title.to_lowercase();
     let words = title.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty());

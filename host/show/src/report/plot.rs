@@ -1,4 +1,4 @@
-//! Line plots as SVG, by plotters' SVG backend alone: no font library, the same bytes every time.
+//! Line plots as SVG, using only plotters' SVG backend: no font library, and the same bytes every time.
 
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, Ranged, ValueFormatter};
@@ -16,26 +16,26 @@ pub enum Style {
     /// Straight lines between the points.
     #[default]
     Line,
-    /// Broken line; dark unless a colour is given, as targets are.
+    /// Dashed line, for targets; dark unless a colour is given.
     Dashed,
     /// Each value holds until the next point.
     Step,
     /// Dots.
     Points,
-    /// Bars from zero upwards; those of several series stand side by side around each whole number.
+    /// Bars from zero upwards; those of several series are side by side around each whole number.
     Bars,
 }
 
 /// One curve.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Series {
-    /// Name in the legend; an empty one stays out of it.
+    /// Name in the legend; an empty name is omitted.
     pub name: String,
     /// Points in the order in which they are joined.
     pub points: Vec<(f64, f64)>,
     /// How it is drawn.
     pub style: Style,
-    /// Red, green, blue; `None` takes the next colour of the palette.
+    /// Red, green, blue; `None` uses the next colour of the palette.
     pub color: Option<(u8, u8, u8)>,
 }
 
@@ -49,17 +49,17 @@ impl Series {
 /// A plot with two axes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Plot {
-    /// Line above the plot.
+    /// Title above the plot.
     pub title: String,
-    /// What the horizontal axis shows, with the unit.
+    /// Label of the horizontal axis, with the unit.
     pub x_label: String,
-    /// What the vertical axis shows, with the unit.
+    /// Label of the vertical axis, with the unit.
     pub y_label: String,
-    /// Curves, the last on top.
+    /// Curves; the last is drawn on top.
     pub series: Vec<Series>,
     /// Ends of the vertical axis; `None` fits the points.
     pub y_range: Option<(f64, f64)>,
-    /// Names of 1, 2 and so on along the horizontal axis; empty for numbers.
+    /// Labels of 1, 2 and so on along the horizontal axis; empty for numbers.
     pub x_names: Vec<String>,
     /// Ends of the horizontal axis; `None` fits the points.
     pub x_range: Option<(f64, f64)>,
@@ -69,7 +69,7 @@ pub struct Plot {
     pub size: Option<(u32, u32)>,
 }
 
-/// Okabe and Ito's colours, which stay apart for colour-blind readers; yellow is left out, being too pale on white.
+/// Okabe and Ito's colours, distinguishable for colour-blind readers; without yellow, which is too pale on white.
 const PALETTE: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -78,22 +78,22 @@ const PALETTE: [RGBColor; 6] = [
     RGBColor(86, 180, 233),
     RGBColor(230, 159, 0),
 ];
-/// Width and height of most plots, pixels.
+/// Default width and height of a plot, pixels.
 const SIZE: (u32, u32) = (800, 400);
 const INK: RGBColor = RGBColor(34, 34, 34);
 const FAINT: RGBColor = RGBColor(228, 228, 228);
 
-/// Longer series are thinned to this many points.
+/// Longer series are reduced to this number of points.
 const MAX_POINTS: usize = 1_500;
-/// The drawing library rounds to whole pixels; on a canvas this much larger the rounding does not show.
+/// Scale of the canvas: the drawing library rounds to whole pixels, which does not show on a canvas this much larger.
 const FINE: u32 = 4;
 const TITLE_SIZE: u32 = 17;
 const TEXT_SIZE: u32 = 14;
 const LINE_HEIGHT: u32 = 20;
 const MARGIN: u32 = 8;
-/// Part of the distance from one whole number to the next that its bars fill.
+/// Share of the distance between whole numbers that the bars of a number fill.
 const BARS_SHARE: f64 = 0.8;
-/// Line sample of a legend entry, pixels.
+/// Length of a legend entry's line sample, pixels.
 const SAMPLE: u32 = 26;
 /// Mean width of a character as a share of the text size.
 const CHARACTER: f64 = 0.52;
@@ -101,7 +101,7 @@ const CHARACTER: f64 = 0.52;
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 /// A panel with its axes.
 type Chart<'a, 'b, Y> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, Y>>;
-/// Failure of the drawing library as text; the plot's title is added further out.
+/// Failure of the drawing library as text; the caller adds the plot's title.
 type Drawn = Result<(), String>;
 /// Height in pixels, or why drawing failed.
 type Height = Result<u32, String>;
@@ -113,7 +113,7 @@ impl Plot {
         Self { title: title.into(), x_label, y_label, series, ..Self::default() }
     }
 
-    /// Curves over seconds.
+    /// A plot of curves over time in seconds.
     pub fn over_time(title: impl Into<String>, y_label: &str, series: Vec<Series>) -> Self {
         Self::new(title, "time, s", y_label, series)
     }
@@ -121,7 +121,7 @@ impl Plot {
     /// The plot as an SVG document.
     ///
     /// # Errors
-    /// If there is no point, a point is not finite, a value on a logarithmic axis is not positive, or a range is none.
+    /// If there is no point, a point is not finite, a logarithmic value is not positive, or a range is not valid.
     pub fn to_svg(&self) -> Result<String, ReportError> {
         Ok(self.drawing()?.to_document())
     }
@@ -137,7 +137,8 @@ impl Plot {
         let mut document = String::new();
         let failed = |detail: String| ReportError::Draw { plot: self.title.clone(), detail };
         self.draw(&mut document, x, y).map_err(failed)?;
-        let elements = svg::elements(&document).ok_or_else(|| failed("no SVG document came".to_owned()))?;
+        let elements = svg::elements(&document)
+            .ok_or_else(|| failed("the drawing library returned no SVG document".to_owned()))?;
         let (width, height) = (f64::from(self.size().0), f64::from(self.size().1));
         let fine = f64::from(FINE);
         Ok(Svg {
@@ -165,7 +166,7 @@ impl Plot {
         }
     }
 
-    /// Ends of an axis: as given, or around the points with a margin as a share of their spread.
+    /// Ends of an axis: as given, or around the points with a margin as a share of their range.
     fn limits(
         &self,
         given: Option<Limits>,
@@ -211,7 +212,7 @@ impl Plot {
         root.present().map_err(text)
     }
 
-    /// Title and legend; answers their height in pixels.
+    /// Draws title and legend; returns their height in pixels.
     fn draw_header(&self, root: &Area) -> Height {
         let mut top = MARGIN;
         if !self.title.is_empty() {
@@ -236,7 +237,7 @@ impl Plot {
         Ok(if any { top + LINE_HEIGHT } else { top })
     }
 
-    /// Colour of each series; only those that ask for none take from the palette.
+    /// Colour of each series; only those without a given colour use the palette.
     fn colors(&self) -> Vec<RGBColor> {
         let mut taken = 0;
         let mut color = |series: &Series| match (series.color, series.style) {
@@ -250,12 +251,12 @@ impl Plot {
         self.series.iter().map(&mut color).collect()
     }
 
-    /// How many marks the vertical axis has room for.
+    /// Number of marks that fit on the vertical axis.
     fn y_marks(&self) -> usize {
         (self.size().1 / 45).max(3) as usize
     }
 
-    /// How many marks the horizontal axis has room for.
+    /// Number of marks that fit on the horizontal axis.
     fn x_marks(&self) -> usize {
         match self.x_names.len() {
             0 => (self.size().0 / 75).max(3) as usize,
@@ -271,7 +272,7 @@ impl Plot {
         name.cloned().unwrap_or_default()
     }
 
-    /// Opposite corners of a series' bars, beside those of the other series with bars.
+    /// Opposite corners of a series' bars, beside those of other series with bars.
     fn bars(&self, series: &Series, floor: f64) -> impl Iterator<Item = [Point; 2]> {
         let beside: Vec<&Series> = self.series.iter().filter(|other| other.style == Style::Bars).collect();
         let place = beside.iter().position(|other| std::ptr::eq(*other, series)).unwrap_or(0);
@@ -357,7 +358,7 @@ fn draw_line<Y: Ranged<ValueType = f64>>(
     Ok(())
 }
 
-/// A short piece of the curve for the legend.
+/// Draws a short sample of the curve for the legend.
 fn draw_sample(root: &Area, style: Style, color: RGBColor, left: u32, middle: u32) -> Drawn {
     let at = |x: u32| ((x * FINE) as i32, (middle * FINE) as i32);
     let pieces: &[(u32, u32)] = match style {
@@ -385,7 +386,7 @@ fn put_text(root: &Area, words: &str, at: (u32, u32), size: u32, weight: FontSty
     root.draw_text(words, &style, ((at.0 * FINE) as i32, (at.1 * FINE) as i32)).map_err(text)
 }
 
-/// The palette, then the palette again in ever darker shades.
+/// The palette, repeated in ever darker shades.
 fn palette(index: usize) -> RGBColor {
     let shade = 0.6_f64.powi((index / PALETTE.len()) as i32);
     let RGBColor(red, green, blue) = PALETTE[index % PALETTE.len()];
@@ -393,17 +394,17 @@ fn palette(index: usize) -> RGBColor {
     RGBColor(darker(red), darker(green), darker(blue))
 }
 
-/// Text style on the fine canvas.
+/// Text style on the enlarged canvas.
 fn font(size: u32, style: FontStyle) -> TextStyle<'static> {
     TextStyle::from(FontDesc::new(FontFamily::SansSerif, f64::from(size * FINE), style)).color(&INK)
 }
 
-/// Estimated, because measuring needs a font library.
+/// Estimated text width, because measuring needs a font library.
 fn text_width(words: &str) -> u32 {
     (CHARACTER * f64::from(TEXT_SIZE) * words.chars().count() as f64).ceil() as u32
 }
 
-/// A mark of an axis without the digits that binary fractions leave behind.
+/// Label of an axis mark, without the extra digits of binary fractions.
 fn number(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
         return format!("{value:.0e}");

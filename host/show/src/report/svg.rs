@@ -1,25 +1,25 @@
-//! A drawing, as a file of its own or as a part of a page.
+//! A drawing, as a separate file or as part of a page.
 
 use super::html::escape;
 
-/// Elements of SVG, and the frame that they stand in.
+/// SVG elements and their frame.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Svg {
     /// Width and height on the page, pixels.
     pub size: (f64, f64),
     /// Width and height of the canvas, in the units of the elements.
     pub canvas: (f64, f64),
-    /// What is drawn.
+    /// The SVG elements.
     pub elements: String,
 }
 
 impl Svg {
-    /// A document that stands alone.
+    /// A standalone document.
     pub fn to_document(&self) -> String {
         self.element("", " xmlns=\"http://www.w3.org/2000/svg\"")
     }
 
-    /// A part of a page of HTML, where the name space is superfluous; `label` is read to those who do not see it.
+    /// A part of an HTML page, which needs no namespace; screen readers read `label`.
     pub fn to_html(&self, label: &str) -> String {
         self.element(&format!(" role=\"img\" aria-label=\"{}\"", escape(label)), "")
     }

@@ -1,4 +1,4 @@
-//! Tables for the terminal and for HTML from one description.
+//! Tables for the terminal, HTML and Markdown from one description.
 
 use std::io::IsTerminal;
 
@@ -6,7 +6,7 @@ use comfy_table::{Attribute, CellAlignment, LineStyle, TableStyle};
 
 use super::html::escape;
 
-/// One rule, below the heads.
+/// A single rule below the header.
 const RULED: TableStyle = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
 
 /// One cell.
@@ -18,18 +18,18 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Words, to the left.
+    /// Left-aligned text.
     pub fn text(text: impl Into<String>) -> Self {
         Self { text: text.into(), ..Self::default() }
     }
 
-    /// For Markdown: the best of its kind is bold.
+    /// For Markdown: a marked cell is bold.
     pub(super) fn to_markdown(&self) -> String {
         let text = self.text.replace('|', "\\|");
         if self.best { format!("**{text}**") } else { text }
     }
 
-    /// A number with so many decimals, to the right. NaN shows as `NaN`.
+    /// A right-aligned number with `decimals` decimals. NaN shows as `NaN`.
     pub fn number(value: f64, decimals: usize) -> Self {
         Self { text: format!("{value:.decimals$}"), numeric: true, best: false }
     }
@@ -39,45 +39,45 @@ impl Cell {
         value.map_or_else(|| Self::right("-"), |value| Self::number(value, decimals))
     }
 
-    /// A whole number, to the right.
+    /// A right-aligned whole number.
     pub fn count(value: usize) -> Self {
         Self { text: value.to_string(), numeric: true, best: false }
     }
 
-    /// A number that is written already, with its unit perhaps, to the right.
+    /// Right-aligned text, for example a number with its unit.
     pub fn right(text: impl Into<String>) -> Self {
         Self { text: text.into(), numeric: true, best: false }
     }
 
-    /// Marks the best of its kind, if it is that: a star, bold where there is bold.
+    /// Marks the cell if it is the best of its kind: with a star, and in bold where available.
     #[must_use]
     pub fn best_if(self, best: bool) -> Self {
         Self { best, ..self }
     }
 }
 
-/// Head of a column, with the unit, and its cell for an item.
+/// Header of a column, with the unit, and its cell for an item.
 pub type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> Cell);
 
-/// A table. A column stands to the right if its first row holds a number there.
+/// A table. A column is right-aligned if its first row has a number there.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Table {
-    /// Line above the table; may be empty.
+    /// Title above the table; may be empty.
     pub title: String,
-    /// Heads of the columns, with units.
+    /// Headers of the columns, with units.
     pub header: Vec<String>,
-    /// Cells; short rows are filled with empty ones.
+    /// Cells; short rows are padded with empty cells.
     pub rows: Vec<Vec<Cell>>,
 }
 
 impl Table {
-    /// Table without rows.
+    /// A table without rows.
     pub fn new(title: impl Into<String>, header: &[&str]) -> Self {
         let header = header.iter().map(|&head| head.to_owned()).collect();
         Self { title: title.into(), header, rows: Vec::new() }
     }
 
-    /// Table with a row for each item; a column is its head and what stands in it.
+    /// A table with a row for each item; a column is its header and a function that makes its cell.
     pub fn of<T>(title: impl Into<String>, items: &[T], columns: &[Column<'_, T>]) -> Self {
         let row = |item: &T| columns.iter().map(|(_, cell)| cell(item)).collect();
         Self {
@@ -92,13 +92,13 @@ impl Table {
         self.rows.push(cells);
     }
 
-    /// For standard output: bold marks only on a terminal and unless `NO_COLOR` is set.
+    /// Text for standard output: uses bold only on a terminal and if `NO_COLOR` is not set.
     pub fn to_terminal(&self) -> String {
         let wanted = std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
         self.render(wanted && std::io::stdout().is_terminal())
     }
 
-    /// As text without any escape sequence, the same everywhere.
+    /// Text without escape sequences, the same everywhere.
     pub fn to_plain(&self) -> String {
         self.render(false)
     }
@@ -128,7 +128,7 @@ impl Table {
         format!("{title}{}", body.join("\n"))
     }
 
-    /// Right-aligned columns with a star keep a blank in its place, so that digits stay in line.
+    /// The text of a cell; right-aligned columns with a star get a blank in its place elsewhere, so that digits align.
     fn starred(&self, index: usize, cell: &Cell) -> String {
         let stars = self.rows.iter().any(|row| row.get(index).is_some_and(|cell| cell.best));
         match (cell.best, stars && self.is_numeric(index)) {
@@ -138,7 +138,7 @@ impl Table {
         }
     }
 
-    /// Columns of the longest row.
+    /// Number of columns of the longest row.
     fn columns(&self) -> usize {
         self.rows.iter().map(Vec::len).chain([self.header.len()]).max().unwrap_or(0)
     }

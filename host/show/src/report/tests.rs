@@ -1,4 +1,4 @@
-//! What reports look like, and that they stand alone.
+//! Appearance of reports, and that they are self-contained.
 
 use super::*;
 use data::provenance::Provenance;

@@ -1,4 +1,4 @@
-//! Marks of a logarithmic axis; the drawing library has too few for a range of less than some decades.
+//! Marks of a logarithmic axis; the drawing library has too few for a range of less than a few decades.
 
 use super::curve::Limits;
 
@@ -20,7 +20,7 @@ pub(super) fn logarithmic((low, high): Limits, wanted: usize) -> Vec<f64> {
     (start..=last).step_by(every).map(|power| 10_f64.powi(power)).filter(within).collect()
 }
 
-/// Even steps of 1, 2 or 5: never wider than half of the range, so that at least two marks fall into it.
+/// Even steps of 1, 2 or 5, at most half the range wide, so that at least two marks are inside.
 fn linear((low, high): Limits, wanted: f64) -> Vec<f64> {
     let widest = 2.0 * (high - low) / wanted.max(4.0);
     let power = 10_f64.powf(widest.log10().floor());

@@ -1,4 +1,4 @@
-//! The session against a simulated device: keys reach it, its news come back, a broken line is opened again.
+//! The session against a simulated device: keys reach it, its news arrive, and a broken line is reopened.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -13,10 +13,10 @@ use device::port::{Address, BAUD, Port};
 use device::simulated::Simulated;
 use plant::bench::BenchConfig;
 
-/// Longest time that anything here may take.
+/// Longest time that any step here may take.
 const LONG: Duration = Duration::from_mins(1);
 
-/// A place that a monitor can connect to, again and again, whoever stands behind it.
+/// A socket that a monitor can connect to repeatedly.
 struct Socket(TcpListener);
 
 impl Socket {
@@ -26,7 +26,7 @@ impl Socket {
         (Self(listener), address)
     }
 
-    /// Connects a new simulated device with the next caller; the second part breaks that line.
+    /// Connects a new simulated device to the next caller; dropping the second part breaks that line.
     fn plug_in(&self) -> (Simulated, TcpStream) {
         let (stream, _) = self.0.accept().unwrap();
         stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
@@ -37,7 +37,7 @@ impl Socket {
     }
 }
 
-/// Takes in news until the view is as wished.
+/// Takes news until the view satisfies `wished`.
 fn watch(session: &Session, view: &mut View, what: &str, wished: impl Fn(&View) -> bool) {
     let deadline = Instant::now() + LONG;
     while !wished(view) {
@@ -102,12 +102,12 @@ fn a_broken_line_is_told_and_opened_again_and_nothing_is_pushed() {
 
 #[test]
 fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
-    // A pseudo-terminal lasts as long as someone holds its end, as a cable that stays plugged in.
+    // A pseudo-terminal lasts as long as its end is held open, like a cable that stays plugged in.
     let (mut master, cable) = TTYPort::pair().unwrap();
     master.set_timeout(Duration::from_millis(2)).unwrap();
     let address = Address::Serial { name: cable.name().unwrap(), baud: BAUD };
     let reader = Box::new(master.try_clone_native().unwrap());
-    // A device that cannot send for so long gives up; on a busy machine a reader may well be late.
+    // A device that cannot send for this long gives up; on a busy machine the reader may be late.
     master.set_timeout(LONG).unwrap();
     let port = Port { reader, writer: Box::new(master) };
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
@@ -121,7 +121,7 @@ fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
 
     let mut device = Device::connect(&address).unwrap();
     assert_eq!(device.identify().unwrap().mode, Mode::Ventilating);
-    // What was on its way before is behind the greeting now.
+    // News sent before the greeting have arrived by now.
     let _ = device.events().try_iter().count();
     device.identify().unwrap();
     let telemetry = device.events().try_iter().filter(|event| matches!(event, Event::Telemetry(_))).count();
