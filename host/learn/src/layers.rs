@@ -1,4 +1,4 @@
-//! Dense layers in a row with one activation between them, forward and backward over the steps of a rollout.
+//! A stack of dense layers with one activation between them, forward and backward over the steps of a rollout.
 
 use engine::Lane;
 use engine::activation::Activation;
@@ -9,29 +9,29 @@ pub(crate) fn piece(lanes: &[Lane], n: usize, width: usize) -> &[Lane] {
     &lanes[n * width..(n + 1) * width]
 }
 
-/// The same, to be written.
+/// Mutable access to the `n`-th piece of `width` lanes.
 pub(crate) fn piece_mut(lanes: &mut [Lane], n: usize, width: usize) -> &mut [Lane] {
     &mut lanes[n * width..(n + 1) * width]
 }
 
-/// The layers with their parameters, ready for both directions.
+/// The layers with their parameters, ready to run forward and backward.
 #[derive(Clone, Debug)]
 pub struct Layers {
     layers: Vec<DenseWeights>,
     activation: Activation,
 }
 
-/// Values and gradients of so many steps.
+/// Values and gradients of a number of steps.
 #[derive(Clone, Debug)]
 pub struct LayersTape {
     /// Inputs of all steps, then the outputs of each layer.
     values: Vec<Vec<Lane>>,
-    /// Gradients by the inputs of one step, then those by the outputs of each layer in all steps.
+    /// Gradients with respect to the inputs of one step, then with respect to the outputs of each layer in all steps.
     gradients: Vec<Vec<Lane>>,
 }
 
 impl LayersTape {
-    /// Inputs of a step, to be written.
+    /// Mutable access to the inputs of a step.
     pub fn inputs(&mut self, step: usize) -> &mut [Lane] {
         let width = self.gradients[0].len();
         piece_mut(&mut self.values[0], step, width)
@@ -39,12 +39,12 @@ impl LayersTape {
 }
 
 impl Layers {
-    /// These layers of a parameter vector.
+    /// The layers of a parameter vector.
     pub fn new(shapes: &[DenseLayer], activation: Activation, parameters: &[f32]) -> Self {
         Self { layers: shapes.iter().map(|layer| layer.load(parameters)).collect(), activation }
     }
 
-    /// Memory for so many steps.
+    /// Memory for `steps` steps.
     pub fn tape(&self, steps: usize) -> LayersTape {
         let inputs = self.layers[0].shape().inputs;
         let outputs = self.layers.iter().map(|layer| vec![Lane::ZERO; steps * layer.shape().outputs]);
@@ -52,7 +52,7 @@ impl Layers {
         LayersTape { values: after(steps * inputs), gradients: after(inputs) }
     }
 
-    /// The only output of a step whose inputs have been written.
+    /// Computes the single output of a step from its inputs.
     pub fn forward(&self, tape: &mut LayersTape, step: usize) -> Lane {
         let mut output = Lane::ZERO;
         for (n, layer) in self.layers.iter().enumerate() {
@@ -68,7 +68,7 @@ impl Layers {
         output
     }
 
-    /// Gradient by a step's inputs, given that by its output.
+    /// Gradient with respect to a step's inputs, given that with respect to its output.
     pub fn backward<'a>(&self, tape: &'a mut LayersTape, step: usize, d_output: Lane) -> &'a [Lane] {
         let LayersTape { values, gradients } = tape;
         gradients[self.layers.len()][step] = d_output;
@@ -84,7 +84,7 @@ impl Layers {
         &gradients[0]
     }
 
-    /// Adds the gradient by the parameters over all steps.
+    /// Adds the gradient with respect to the parameters over all steps.
     pub fn finish(&self, tape: &LayersTape, gradient: &mut [f32]) {
         for (n, layer) in self.layers.iter().enumerate() {
             layer.shape().gradient(&tape.gradients[n + 1], &tape.values[n], gradient);

@@ -1,5 +1,5 @@
-//! The recipe of a fit: which architecture makes the most of a recording, which of its breaths are held out, and for how
-//! long it is fitted.
+//! The recipe of a fit: which architecture suits a recording, which of its breaths are held out, and how long the fit
+//! runs.
 
 #[cfg(test)]
 mod tests;
@@ -18,24 +18,24 @@ use data::recording::Recording;
 use progress::{Progress, Stage};
 use ventilator::seeds;
 
-/// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 in place of 64 bring the
+/// Breaths per gradient step of the state-space model: on 160 breaths of the default lung, 16 instead of 64 reduce the
 /// open-loop distance from 0.26 to 0.18 cmH2O in the same number of epochs.
 const BATCH: usize = 16;
-/// Decay of the hybrid's weights: of 0.005, 0.02 and 0.05 it did best on lungs left out one by one.
+/// Weight decay of the hybrid: of 0.005, 0.02 and 0.05 it was best on lungs held out one by one.
 const HYBRID_DECAY: f32 = 0.005;
-/// Gradient steps by which that distance has stopped falling fast.
+/// Number of gradient steps after which that distance falls only slowly.
 const STEPS: usize = 10_000;
-/// The same for the hybrid: a fifth of them for the physics, the others for what test runs have of their own.
+/// The same for the hybrid: a fifth of the steps for the physics, the rest for the deviations of each test run.
 const HYBRID_STEPS: usize = 15_000;
-/// Least passes over a recording, however large.
+/// Minimum number of passes over a recording, however large.
 const LEAST_EPOCHS: usize = 300;
-/// Most passes over a recording, however small.
+/// Maximum number of passes over a recording, however small.
 const MOST_EPOCHS: usize = 3_000;
-/// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its
-/// history of five has to reach beyond the valve's dead time.
+/// Shortest control period of the stitched architecture, microseconds: it steps one tick at a time, and its history of
+/// five ticks must be longer than the valve's dead time.
 const STITCHED_LEAST_US: u32 = 5_000;
 
-/// Kinds of models.
+/// The kinds of models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Our state-space model.
@@ -46,7 +46,7 @@ pub enum Kind {
     Stitched,
 }
 
-/// How to fit a recording; whatever is left open follows from it.
+/// How to fit a recording; options left at `None` follow from the recording.
 #[derive(Clone, Debug)]
 pub struct Recipe {
     /// Kind of model [default: hybrid if the recording names R and C, else state-space].
@@ -55,17 +55,17 @@ pub struct Recipe {
     pub epochs: Option<usize>,
     /// Breaths per gradient step.
     pub batch: Option<usize>,
-    /// State-space, hybrid: states.
+    /// State-space and hybrid: number of states.
     pub states: Option<usize>,
-    /// State-space, hybrid: hidden units.
+    /// State-space and hybrid: number of hidden units.
     pub hidden: Option<usize>,
-    /// State-space, hybrid: blocks of past commands that a step sees.
+    /// State-space and hybrid: number of past command blocks that a step sees.
     pub history: Option<usize>,
-    /// Every so-many-th breath of each lung or test run is held out.
+    /// One in this number of breaths of each lung or test run is held out.
     pub hold_out: usize,
-    /// Lungs that are held out altogether.
+    /// Lungs held out altogether.
     pub hold_out_lungs: Vec<LungParameters>,
-    /// Seed of initial parameters and order.
+    /// Seed of the initial parameters and the order of breaths.
     pub seed: u64,
 }
 
@@ -88,52 +88,52 @@ impl Default for Recipe {
 /// Why a recording cannot be fitted.
 #[derive(Debug, Error)]
 pub enum RecipeError {
-    /// A lung to hold out that is not there.
+    /// A lung to hold out is not in the recording.
     #[error("no breath of the lung {lung} (R:C): the recording has {names}")]
     NoSuchLung {
-        /// The lung.
+        /// The lung to hold out.
         lung: LungParameters,
-        /// Those that are.
+        /// The lungs in the recording.
         names: String,
     },
-    /// Nothing to fit, or nothing to hold out.
+    /// Too few breaths to fit and to hold out some.
     #[error(
         "{breaths} complete inspirations are too few to fit and to hold out every {hold_out}th: record more, or lower \
          --hold-out"
     )]
     TooFewBreaths {
-        /// Complete inspirations of the lungs to fit.
+        /// Number of complete inspirations of the lungs to fit.
         breaths: usize,
         /// See [`Recipe::hold_out`].
         hold_out: usize,
     },
-    /// Ticks too fast for the stitched architecture.
+    /// The control period is too short for the stitched architecture, microseconds.
     #[error(
-        "the stitched architecture steps one control tick at a time, and this recording's are {0} us: collect one with \
+        "the stitched architecture needs a longer control period than this recording's {0} us: collect one with \
          --period-us {PAPER_PERIOD_US}, or fit state-space"
     )]
     FastTicks(u32),
-    /// A hybrid of unknown lungs.
-    #[error("the hybrid needs R and C of every lung, which this recording does not name: fit state-space")]
+    /// The hybrid needs R and C, which the recording does not name.
+    #[error("the hybrid needs R and C of every lung, not in this recording: use --architecture state-space")]
     UnknownLungs,
-    /// Another control period than that of the paper's authors, microseconds.
+    /// The control period differs from that of the paper's authors, microseconds.
     #[error(
-        "the recording's control period is {0} us, that of paper-30ms {PAPER_PERIOD_US}: collect one with --period-us \
-         {PAPER_PERIOD_US}, or leave --preset out"
+        "the recording's control period is {0} us, but paper-30ms needs {PAPER_PERIOD_US}: collect one with --period-us \
+         {PAPER_PERIOD_US}, or omit --preset"
     )]
     NotPaperPeriod(u32),
-    /// A PEEP that the paper's authors do not have, cmH2O.
-    #[error("the recording has breaths at PEEP {0} cmH2O, paper-30ms has {PAPER_PEEP}")]
+    /// The PEEP differs from that of the paper's authors, cmH2O.
+    #[error("the recording has breaths at PEEP {0} cmH2O: paper-30ms needs {PAPER_PEEP}, or omit --preset")]
     NotPaperPeep(f32),
-    /// A loss that is no number.
+    /// The loss became NaN or infinite.
     #[error("the fit diverged in epoch {0}: check the recording for jumps, or try another --seed")]
     Diverged(usize),
 }
 
-/// Whether a recording was made in the setting of the paper's authors, as far as it tells.
+/// Checks whether a recording was made with the settings of the paper's authors, as far as it shows.
 ///
 /// # Errors
-/// What differs.
+/// The setting that differs.
 pub fn check_paper_setting(recording: &Recording) -> Result<(), RecipeError> {
     let period_us = recording.provenance.period_us;
     if period_us != PAPER_PERIOD_US {
@@ -145,14 +145,14 @@ pub fn check_paper_setting(recording: &Recording) -> Result<(), RecipeError> {
     }
 }
 
-/// Breaths by what they are for.
+/// Breaths by their use.
 #[derive(Clone, Debug)]
 pub struct Parts<'a> {
-    /// To fit.
+    /// Breaths to fit.
     pub training: Vec<&'a Episode>,
-    /// To judge.
+    /// Breaths to score with.
     pub held_out: Vec<&'a Episode>,
-    /// Of lungs that are held out altogether.
+    /// Breaths of lungs held out altogether.
     pub other_lungs: Vec<&'a Episode>,
 }
 
@@ -168,7 +168,7 @@ pub struct Fitted {
 }
 
 impl Recipe {
-    /// The kind asked for, or the one that makes the most of what the recording says.
+    /// The requested kind, or the one that best uses the information in the recording.
     pub fn kind(&self, recording: &Recording) -> Kind {
         self.kind.unwrap_or(if recording.names_lungs() { Kind::Hybrid } else { Kind::StateSpace })
     }
@@ -176,7 +176,7 @@ impl Recipe {
     /// The architecture for a recording.
     ///
     /// # Errors
-    /// A kind that the recording does not suit.
+    /// A kind that does not suit the recording.
     pub fn architecture(&self, recording: &Recording) -> Result<Architecture, RecipeError> {
         let period_us = recording.provenance.period_us;
         match self.kind(recording) {
@@ -207,10 +207,10 @@ impl Recipe {
         }
     }
 
-    /// Splits breaths into those to fit and those to judge by.
+    /// Splits breaths into those to fit and those to score with.
     ///
     /// # Errors
-    /// A lung to hold out that is not there, or too few breaths.
+    /// A lung to hold out that is not in the recording, or too few breaths.
     pub fn parts<'a>(&self, all: &'a [Episode]) -> Result<Parts<'a>, RecipeError> {
         for lung in &self.hold_out_lungs {
             if !all.iter().any(|episode| episode.lung == Some(*lung)) {
@@ -218,7 +218,7 @@ impl Recipe {
             }
         }
         let other_lung = |e: &&Episode| e.lung.is_some_and(|lung| self.hold_out_lungs.contains(&lung));
-        // Every breath's place in its group is counted, whether or not its lung is held out.
+        // Counts every breath in its group, whether or not its lung is held out.
         let (mut training, mut held_out) = split(all, self.hold_out);
         training.retain(|episode| !other_lung(episode));
         held_out.retain(|episode| !other_lung(episode));
@@ -230,7 +230,7 @@ impl Recipe {
         Ok(parts)
     }
 
-    /// How to fit so many breaths: a small recording takes more passes, since it is gradient steps that count.
+    /// The configuration for this number of breaths: a small recording needs more passes, because gradient steps count.
     pub fn config(&self, architecture: &Architecture, breaths: usize) -> FitConfig {
         let mut base = match architecture {
             Architecture::Stitched(_) => FitConfig::authors(),
@@ -250,10 +250,10 @@ impl Recipe {
         FitConfig { epochs, batch, seed: seeds::training(self.seed, 0), ..base }
     }
 
-    /// Fits an architecture to the training breaths of a recording; a fit that is stopped gives the simulator as it is.
+    /// Fits an architecture to the training breaths of a recording; a stopped fit returns the simulator trained so far.
     ///
     /// # Errors
-    /// A fit that diverges.
+    /// The fit diverges.
     pub fn fit(
         &self,
         architecture: Architecture,
@@ -279,9 +279,9 @@ impl Recipe {
     }
 }
 
-/// What the model is trained on. The hybrid gets whole breaths, since in expiration, too, lung and ventilator show what
-/// they are; and each of them twice, once without its group, so that what a group has of its own stays a deviation from
-/// a model that is right without it.
+/// The training episodes. The hybrid gets whole breaths, because expirations too contain information about lung and
+/// ventilator. It gets each of them twice, once without its group, so that the parameters of a group remain deviations
+/// from a model that is correct without them.
 fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Episode]) -> Vec<Episode> {
     if !matches!(architecture, Architecture::Hybrid(_)) {
         return training.iter().map(|episode| (*episode).clone()).collect();
@@ -293,7 +293,7 @@ fn lessons(architecture: &Architecture, recording: &Recording, training: &[&Epis
     lessons
 }
 
-/// The lungs of some breaths.
+/// The lungs of these breaths, as text.
 fn lungs(episodes: &[Episode]) -> String {
     let mut names: Vec<_> = episodes.iter().filter_map(|e| e.lung).map(|lung| lung.to_string()).collect();
     names.sort();

@@ -1,6 +1,6 @@
-//! What tests of gradients share.
+//! Shared by tests of gradients.
 
-/// Compares the gradient of a function with central differences over `step` by each of its arguments.
+/// Compares the gradient of a function with central differences of width `step` in each of its arguments.
 pub fn check_slopes(what: &str, at: &[f32], step: f32, gradient: &[f32], function: impl Fn(&[f32]) -> f64) {
     assert!(gradient.iter().any(|slope| slope.abs() > 0.1), "{what}: nothing to tell slopes from");
     let mut varied = at.to_vec();

@@ -145,6 +145,6 @@ fn a_controller_is_trained_on_simulators_already_fitted() {
     assert_eq!(place.json(line), summary, "a second call finds it done");
     for other in ["--seed 2", "--lambda 0.5"] {
         let refused = place.refused(&format!("{line} {other}"));
-        assert!(refused.contains("another seed or configuration; choose another folder"), "{refused}");
+        assert!(refused.contains("another seed or configuration: choose another folder"), "{refused}");
     }
 }

@@ -1,22 +1,22 @@
-//! How to train a controller.
+//! Configuration of a controller's training.
 
 use engine::adam::AdamConfig;
 use serde::{Deserialize, Serialize};
 use shared::breath::PAPER_PIPS;
 
-/// How to train.
+/// Configuration of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {
-    /// Gradient steps.
+    /// Number of gradient steps.
     pub iterations: usize,
-    /// Inspirations per step (rounded up to whole shards).
+    /// Inspirations per gradient step (rounded up to whole shards).
     pub batch: usize,
-    /// PIPs of the waveforms that every shard breathes, cmH2O; also those of the validation.
+    /// PIPs of the waveforms in every shard and in the validation, cmH2O.
     pub pips: Vec<f32>,
     /// Range of the random PIPs that fill up a shard, cmH2O.
     pub pip_range: (f32, f32),
-    /// Positive end-expiratory pressure, cmH2O.
+    /// PEEP (positive end-expiratory pressure), cmH2O.
     pub peep: f32,
     /// Command before the inspiration, percent.
     pub rest: f32,
@@ -24,21 +24,21 @@ pub struct TrainConfig {
     pub inspiratory_time: f32,
     /// Factor on errors above the target.
     pub overshoot_weight: f32,
-    /// Standard deviation of how far the starting pressure strays from its mean, cmH2O.
+    /// Standard deviation of the starting pressure, cmH2O.
     pub start_spread: f32,
-    /// Standard deviation of the sensor's noise, cmH2O; none takes what the simulators' recordings let estimate, which
-    /// needs a control period far shorter than the changes of the pressure.
+    /// Standard deviation of the sensor noise, cmH2O; `None` uses the estimate from the simulators' recordings, which
+    /// requires a control period far shorter than the changes of the pressure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor_noise: Option<f32>,
-    /// How much each plant counts, where there are several.
+    /// Weight of each plant, if there are several.
     pub weighting: Weighting,
-    /// Features that the network does not get to see, by their index in [`shared::control::features`]; tells what a
-    /// feature is worth.
+    /// Features hidden from the network, by their index in [`shared::control::features`], to measure what a feature
+    /// contributes.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub blind_to: Vec<usize>,
-    /// Steps between validations.
+    /// Gradient steps between validations.
     pub validate_every: usize,
-    /// Optimiser.
+    /// Settings of the optimiser.
     pub adam: AdamConfig,
     /// Seed of initial weights, PIPs and noise.
     pub seed: u64,
@@ -66,20 +66,19 @@ impl Default for TrainConfig {
     }
 }
 
-/// How much each plant's error counts in the loss.
+/// How each plant's error is weighted in the loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Weighting {
-    /// All the same: the mean score becomes small.
+    /// Equal weights: minimises the mean score.
     #[default]
     Sum,
-    /// By the softmax of the scores over this temperature, cmH2O, as the paper's authors do: the worst score becomes
-    /// small.
+    /// By the softmax of the scores over this temperature, cmH2O, as in the paper: emphasises the worst score.
     Softmax(f64),
 }
 
 impl Weighting {
-    /// Factors with mean one, from the plants' last scores.
+    /// Factors with a mean of one, from the plants' last scores.
     pub(super) fn factors(self, scores: &[f64]) -> Vec<f32> {
         let Self::Softmax(temperature) = self else { return vec![1.0; scores.len()] };
         let highest = scores.iter().copied().fold(f64::MIN, f64::max);

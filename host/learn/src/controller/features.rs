@@ -1,4 +1,4 @@
-//! The residual's features over lanes, forward and backward: what [`shared::control::features`] computes on the chip.
+//! The residual's features over lanes, forward and backward: the same as [`shared::control::features`] on the chip.
 
 use engine::Lane;
 use shared::control::features::{
@@ -8,13 +8,13 @@ use shared::control::features::{
 
 use super::scenario::Scenario;
 
-/// Where the leaky averages of the command begin.
+/// Index of the first leaky average of the command.
 const COMMAND_AVERAGES_AT: usize = LEAKY.start + AVERAGES;
-/// Places of PIP and PEEP.
+/// Index of PIP; PEEP follows.
 const PIP_AT: usize = CLOCK.end;
 const PEEP_AT: usize = PIP_AT + 1;
 
-/// Measured error (cmH2O) and applied command (percent) of every tick; going back, the gradients by them.
+/// Measured error (cmH2O) and applied command (percent) of every tick; in the backward pass, their gradients.
 #[derive(Debug)]
 pub(super) struct Signals {
     pub error: Vec<Lane>,
@@ -22,19 +22,19 @@ pub(super) struct Signals {
 }
 
 impl Signals {
-    /// Memory for so many ticks.
+    /// Memory for `ticks` ticks.
     pub fn new(ticks: usize) -> Self {
         Self { error: vec![Lane::ZERO; ticks], command: vec![Lane::ZERO; ticks] }
     }
 
-    /// Sets all to zero.
+    /// Sets all values to zero.
     pub fn clear(&mut self) {
         self.error.fill(Lane::ZERO);
         self.command.fill(Lane::ZERO);
     }
 }
 
-/// Leaky averages of error and command, scaled; going back, the gradients by them.
+/// Scaled leaky averages of error and command; in the backward pass, the gradients with respect to them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Averages {
     error: [Lane; AVERAGES],
@@ -67,7 +67,7 @@ impl<'a> LaneFeatures<'a> {
         Averages { error: [Lane::ZERO; AVERAGES], command: [self.rest; AVERAGES] }
     }
 
-    /// Takes in the error of a tick and writes the features, beside them the PID's integral (percent).
+    /// Processes the error of a tick; writes the features, including the PID's integral (percent).
     pub fn forward(
         &self,
         averages: &mut Averages,
@@ -102,14 +102,14 @@ impl<'a> LaneFeatures<'a> {
         [out[PIP_AT], out[PEEP_AT]] = self.pressures;
     }
 
-    /// Takes in the command applied in the tick, percent.
+    /// Records the command applied in the tick, percent.
     pub fn applied(&self, averages: &mut Averages, command: &Lane) {
         for (average, factor) in averages.command.iter_mut().zip(self.features.command_factors()) {
             *average = average.zip(command, |a, u| a + factor * (u / COMMAND_SCALE - a));
         }
     }
 
-    /// The way back through [`Self::applied`]: adds the gradient by the command.
+    /// Backward pass of [`Self::applied`]: adds the gradient with respect to the command.
     pub fn applied_back(&self, back: &mut Averages, d_command: &mut Lane) {
         for (d, factor) in back.command.iter_mut().zip(self.features.command_factors()) {
             d_command.add_scaled(factor / COMMAND_SCALE, d);
@@ -117,7 +117,7 @@ impl<'a> LaneFeatures<'a> {
         }
     }
 
-    /// The way back through [`Self::forward`]: adds the gradients by signals and integral.
+    /// Backward pass of [`Self::forward`]: adds the gradients with respect to signals and integral.
     pub fn backward(
         &self,
         back: &mut Averages,
@@ -163,7 +163,7 @@ mod tests {
         10.0 * ((7 * tick + 3 * feature) as f32).cos()
     }
 
-    /// Sum of all features of all ticks, each with a weight of its own, where every lane has the same signals.
+    /// Weighted sum of all features of all ticks, with different weights; every lane has the same signals.
     fn run(built: &LaneFeatures<'_>, errors: &[f32], commands: &[f32]) -> f64 {
         let mut averages = built.start();
         let signals = Signals {

@@ -1,4 +1,4 @@
-//! A learned controller as a file: safetensors for people and Python, the weights image for the chip.
+//! A learned controller as a file: safetensors for analysis and Python, the weights image for the chip.
 
 use std::path::Path;
 
@@ -16,18 +16,18 @@ use data::tensors::{self, TensorError};
 pub struct Learned {
     /// The controller.
     pub controller: Residual,
-    /// Where it comes from.
+    /// Its origin.
     pub origin: Origin,
 }
 
-/// Where a controller comes from and how good its training thought it was.
+/// Origin of a controller, and its scores in training.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Origin {
-    /// Plant that its simulators were learned from.
+    /// The plant that its simulators were learned from.
     pub plant: String,
     /// Seed of the training.
     pub seed: u64,
-    /// Revision of the program.
+    /// Git revision of the program.
     pub git_revision: String,
     /// Score on the held-out simulator, cmH2O.
     pub validation: f64,
@@ -38,13 +38,13 @@ pub struct Origin {
 /// Why a controller cannot be loaded or packed.
 #[derive(Debug, Error)]
 pub enum LearnedError {
-    /// The file.
+    /// The file could not be read or written.
     #[error(transparent)]
     Tensors(#[from] TensorError),
-    /// The controller in it.
+    /// The controller in the file is not valid.
     #[error(transparent)]
     Residual(#[from] ResidualError),
-    /// The image.
+    /// The image is not valid.
     #[error(transparent)]
     Weights(#[from] WeightsError),
 }
@@ -56,7 +56,7 @@ struct Description {
     origin: Origin,
 }
 
-/// What the file says it is.
+/// The kind recorded in the file.
 pub const KIND: &str = "controller";
 /// Name of the parameter vector: layer by layer, weights row by row, then biases.
 const NETWORK: &str = "network";
@@ -72,15 +72,15 @@ impl Learned {
         Ok(tensors::save(path, KIND, &description, &[(NETWORK, &network)])?)
     }
 
-    /// Reads what [`Self::save`] wrote.
+    /// Reads a file written by [`Self::save`].
     ///
     /// # Errors
-    /// The file cannot be read, is torn or holds something else, or its controller is out of range.
+    /// The file cannot be read, is damaged or contains something else, or its controller is out of range.
     pub fn load(path: &Path) -> Result<Self, LearnedError> {
         let (description, vectors): (Description, _) = tensors::load(path, KIND, &[NETWORK])?;
         let network = &vectors[0];
         if network.len() != Network::PARAMETERS {
-            let reason = format!("{} weights where {} belong", network.len(), Network::PARAMETERS);
+            let reason = format!("{} weights, expected {}", network.len(), Network::PARAMETERS);
             return Err(TensorError::format(path, KIND, &reason).into());
         }
         let controller = Residual::new(description.spec, chip_network(network))?;
@@ -90,7 +90,7 @@ impl Learned {
     /// The weights image for the chip.
     ///
     /// # Errors
-    /// A controller that the image cannot hold.
+    /// A controller that does not fit the image format.
     pub fn image(&self) -> Result<Vec<u8>, LearnedError> {
         let identity = Identity {
             training: label(&format!("seed {}", self.origin.seed)),
@@ -103,7 +103,7 @@ impl Learned {
     }
 }
 
-/// A text as the image's fixed field: cut or filled with zeros.
+/// Text as a fixed-length field of the image: cut, or padded with zeros.
 fn label(text: &str) -> [u8; 16] {
     let mut field = [0; 16];
     for (place, byte) in field.iter_mut().zip(text.bytes()) {
@@ -157,6 +157,6 @@ mod tests {
         let path = folder.path().join("simulator.safetensors");
         tensors::save(&path, "simulator", &1, &[("parameters", &[0.0])]).unwrap();
         let text = Learned::load(&path).unwrap_err().to_string();
-        assert!(text.contains("is no controller"), "{text}");
+        assert!(text.contains("is not a valid controller"), "{text}");
     }
 }

@@ -3,14 +3,14 @@
 use engine::Lane;
 use shared::math;
 
-/// Each value within the limits, as on the chip.
+/// Limits each value as on the chip.
 #[inline]
 pub(super) fn limit(value: &Lane, lo: f32, hi: f32) -> Lane {
     value.map(|value| math::limit(value, lo, hi))
 }
 
-/// Gradient through a limit. Beyond it, only what would lead back is let through, so that a saturated command
-/// can learn to leave its limit.
+/// Gradient through a limit. Outside the limits, only the direction back inside passes, so that a saturated command can
+/// learn to leave its limit.
 #[inline]
 pub(super) fn limit_back(d: &Lane, value: &Lane, lo: f32, hi: f32) -> Lane {
     d.zip(value, |d, value| if (value > hi && d < 0.0) || (value < lo && d > 0.0) { 0.0 } else { d })

@@ -4,11 +4,11 @@ use engine::{Lane, huber};
 
 use super::scenario::Scenario;
 
-/// Error below which the L1 loss is rounded off, cmH2O: its kink would make the last steps of training rattle.
+/// Error below which the L1 loss is smoothed, cmH2O: its kink would make the last training steps oscillate.
 const ROUNDING: f32 = 0.02;
 
-/// Loss of a shard: the weighted mean of |p - target| over ticks and rollouts (with its factor on overshoot),
-/// and the plain mean of each rollout.
+/// Loss of a shard: the weighted mean of |p - target| over ticks and rollouts (with its factor on overshoot), and the
+/// unweighted mean of each rollout.
 #[derive(Clone, Debug)]
 pub struct Loss {
     /// Weighted sum over rollouts of the mean over ticks.
@@ -18,7 +18,7 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// The loss of the pressures (cmH2O) of all ticks.
+    /// The loss from the pressures (cmH2O) of all ticks.
     pub fn of(scenario: &Scenario, pressure: &[Lane]) -> Self {
         let (mut score, mut weighted) = (Lane::ZERO, 0.0);
         let share = 1.0 / scenario.ticks as f32;
@@ -40,7 +40,7 @@ impl Loss {
     }
 }
 
-/// Gradient of [`Loss::weighted`] by the pressures of one tick.
+/// Gradient of [`Loss::weighted`] with respect to the pressures of one tick.
 pub(super) fn slope(scenario: &Scenario, pressure: &Lane) -> Lane {
     let above = scenario.overshoot_weight;
     let share = 1.0 / scenario.ticks as f32;
@@ -62,7 +62,7 @@ mod tests {
             overshoot_weight: 1.5,
             ..Scenario::plain(2, Lane::splat(20.0))
         };
-        // Errors from -7.5 to 7.5, none of them at the kink.
+        // Errors from -7.5 to 7.5; none is at the kink.
         let pressure = Lane::from_fn(|l| 12.5 + l as f32);
         let slope = slope(&scenario, &pressure);
         let step = 0.25;

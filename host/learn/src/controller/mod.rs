@@ -1,8 +1,8 @@
 //! Training the residual controller by back-propagation through learned simulators.
 //!
-//! From the bottom up: what the chip computes, over lanes and with gradients (`limit`, `pid`, `features`,
-//! [`network`]), the [`loss`], the closed loop of all of them with a simulator ([`rollout`]), the [`scenario`]s that it
-//! breathes, the `training` on them, and what comes of it as a file ([`learned`]).
+//! From the bottom up: the chip's arithmetic over lanes with gradients (`limit`, `pid`, `features`, [`network`]), the
+//! [`loss`], the closed loop of all of them with a simulator ([`rollout`]), the [`scenario`]s of its breaths, the
+//! `training` on them, and the resulting file ([`learned`]).
 
 pub mod config;
 mod features;

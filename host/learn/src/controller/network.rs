@@ -1,4 +1,4 @@
-//! The residual's network as it is trained: the same numbers in the same order as [`shared::control::network`].
+//! The residual's network for training: the same parameters in the same order as [`shared::control::network`].
 
 use rand_chacha::ChaCha8Rng;
 use shared::control::features::FEATURES;
@@ -20,7 +20,7 @@ pub(super) fn lane_network(parameters: &[f32]) -> Layers {
 /// The chip's network of a parameter vector.
 ///
 /// # Panics
-/// If there are not exactly [`Network::PARAMETERS`].
+/// If the number of parameters is not [`Network::PARAMETERS`].
 pub fn chip_network(parameters: &[f32]) -> Network {
     assert_eq!(parameters.len(), Network::PARAMETERS, "parameters of another shape");
     let mut network = Network::zero();
@@ -30,7 +30,7 @@ pub fn chip_network(parameters: &[f32]) -> Network {
     network
 }
 
-/// A parameter vector to start training from: random hidden layers, an output of zero, so that the controller
+/// A parameter vector to start training from: random hidden layers and a zero output layer, so that the controller
 /// starts as its PID.
 pub fn initial_parameters(rng: &mut ChaCha8Rng) -> Vec<f32> {
     let mut parameters = vec![0.0; Network::PARAMETERS];
@@ -40,11 +40,11 @@ pub fn initial_parameters(rng: &mut ChaCha8Rng) -> Vec<f32> {
     parameters
 }
 
-/// Takes features out of a parameter vector, or out of a gradient: a network whose weights of a feature are zero and stay
-/// zero does not see it.
+/// Zeroes the weights of features in a parameter vector or a gradient: while they stay zero, the network does not use
+/// these features.
 ///
 /// # Panics
-/// If there is no such feature.
+/// If a feature does not exist.
 pub fn blind_to(features: &[usize], parameters: &mut [f32]) {
     let [first, ..] = layout();
     for row in first.slice_mut(parameters)[..first.inputs * first.outputs].chunks_exact_mut(first.inputs) {

@@ -1,4 +1,4 @@
-//! The PID under the residual over lanes, forward and backward: what [`shared::control::pid`] computes on the chip, for a
+//! The PID under the residual over lanes, forward and backward: the same as [`shared::control::pid`] on the chip, for a
 //! target that is constant within an inspiration.
 
 use engine::{LANES, Lane};
@@ -8,24 +8,24 @@ use shared::math;
 
 use super::limit::limit_back;
 
-/// Integral and derivative part of the command, percent; going back, the gradients by them.
+/// Integral and derivative part of the command, percent; in the backward pass, the gradients with respect to them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PidLanes {
     pub integral: Lane,
     pub derivative: Lane,
 }
 
-/// What the forward pass leaves behind for the backward pass.
+/// Values of the forward pass that the backward pass needs.
 #[derive(Debug)]
 pub(super) struct PidTape {
-    /// Command wanted before the limits at each tick, percent.
+    /// Command before the limits at each tick, percent.
     wanted: Vec<Lane>,
-    /// One where the integral took the error in, zero where it was frozen.
+    /// One where the integral was updated, zero where it was frozen.
     integrates: Vec<Lane>,
 }
 
 impl PidTape {
-    /// Memory for so many ticks.
+    /// Memory for `ticks` ticks.
     pub fn new(ticks: usize) -> Self {
         Self { wanted: vec![Lane::ZERO; ticks], integrates: vec![Lane::ZERO; ticks] }
     }
@@ -41,7 +41,7 @@ pub(super) fn forward(
     tick: usize,
 ) -> Lane {
     let error = errors[tick];
-    // The pressure rises by what the error falls.
+    // A rise of the pressure is a fall of the error.
     let change = if tick == 0 { Lane::ZERO } else { errors[tick - 1].zip(&error, |a, b| a - b) };
     let (factor, scale) = (pid.derivative_factor(), pid.derivative_scale());
     state.derivative = state.derivative.zip(&change, |d, c| d + factor * (-scale * c - d));
@@ -63,7 +63,7 @@ pub(super) fn forward(
     command
 }
 
-/// One tick back: adds the gradient by the errors, and gives that by the residual.
+/// Backward pass of one tick: adds the gradient with respect to the errors; returns that with respect to the residual.
 pub(super) fn backward(
     pid: &Pid,
     back: &mut PidLanes,
@@ -97,7 +97,7 @@ mod tests {
 
     const TICKS: usize = 20;
 
-    /// Sum of all commands, each with a weight of its own; errors and residuals of the ticks differ from lane to lane.
+    /// Weighted sum of all commands, with different weights; errors and residuals of the ticks differ between lanes.
     fn run(pid: &Pid, errors: &[Lane], residuals: &[Lane], tape: &mut PidTape) -> f64 {
         let mut state = PidLanes::default();
         (0..TICKS)

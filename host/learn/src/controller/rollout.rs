@@ -1,9 +1,9 @@
-//! A whole inspiration in closed loop, forward and backward: learned simulator, sensor noise, features, network,
-//! PID and valve limits, for the rollouts of one shard.
+//! A whole inspiration in closed loop, forward and backward, for the rollouts of one shard: learned simulator, sensor
+//! noise, features, network, PID and valve limits.
 //!
-//! The forward pass computes what [`shared::control::residual`] computes on the chip, tick by tick; the backward
-//! pass walks the ticks in reverse and carries the gradients of everything that reaches from tick to tick:
-//! pressure, integral, derivative, leaky averages, taps, and the simulator's states.
+//! The forward pass computes the same as [`shared::control::residual`] on the chip, tick by tick. The backward pass
+//! runs through the ticks in reverse and carries the gradients of all state: pressure, integral, derivative, leaky
+//! averages, taps, and the simulator's states.
 
 use engine::Lane;
 use shared::control::COMMAND_MAX;
@@ -20,7 +20,7 @@ use crate::layers::{Layers, LayersTape};
 use crate::simulator::model::Model;
 use crate::simulator::rollout::Rollout;
 
-/// Memory of a closed loop; one per shard, used again and again.
+/// Memory of a closed loop; one per shard, reused.
 #[derive(Debug)]
 pub struct ClosedLoopTape {
     simulator: Rollout,
@@ -30,12 +30,12 @@ pub struct ClosedLoopTape {
     d_signals: Signals,
     /// True (simulated) pressure at each tick, cmH2O.
     pressure: Vec<Lane>,
-    /// Residual wanted before its authority at each tick, percent.
+    /// Residual before the limit by its authority at each tick, percent.
     correction: Vec<Lane>,
 }
 
 impl ClosedLoopTape {
-    /// Memory for inspirations of so many ticks on a model.
+    /// Memory for inspirations of `ticks` ticks on a model.
     pub fn new(model: &Model, ticks: usize) -> Self {
         Self {
             simulator: Rollout::new(model, ticks),
@@ -49,14 +49,14 @@ impl ClosedLoopTape {
     }
 }
 
-/// The controller as it is trained: fixed parts and current network.
+/// The controller in training: fixed parts and the current network.
 #[derive(Clone, Debug)]
 pub struct LaneController<'a> {
     controller: &'a Residual,
     network: Layers,
 }
 
-/// What is carried from tick to tick; going back, the gradients by it.
+/// State carried from tick to tick; in the backward pass, the gradients with respect to it.
 struct Carried {
     pid: PidLanes,
     averages: Averages,
@@ -68,7 +68,7 @@ impl<'a> LaneController<'a> {
         Self { controller, network: lane_network(parameters) }
     }
 
-    /// Runs the inspiration; the tape then holds everything that [`Self::backward`] needs.
+    /// Runs the inspiration; afterwards the tape contains everything that [`Self::backward`] needs.
     pub fn forward(&self, model: &Model, scenario: &Scenario, tape: &mut ClosedLoopTape) -> Loss {
         let features = LaneFeatures::new(self.controller.features(), scenario);
         let mut carried = Carried { pid: PidLanes::default(), averages: features.start() };
@@ -108,7 +108,7 @@ impl<'a> LaneController<'a> {
         tape.simulator.advance(&command);
     }
 
-    /// Adds the gradient of the weighted loss by the network's parameters.
+    /// Adds the gradient of the weighted loss with respect to the network's parameters.
     pub fn backward(&self, scenario: &Scenario, tape: &mut ClosedLoopTape, gradient: &mut [f32]) {
         let features = LaneFeatures::new(self.controller.features(), scenario);
         let mut back = Carried { pid: PidLanes::default(), averages: Averages::default() };
@@ -283,7 +283,7 @@ mod tests {
                 let seen = Observation { pressure, target, pip, peep: 5.0, tick: tick as u32 };
                 let command = chip.step(&mut state, &seen).command;
                 chip.applied(&mut state, command);
-                // The chip follows the lanes' pressures, so a difference cannot build up through the plant.
+                // The chip gets the pressures of the lanes, so differences cannot accumulate through the plant.
                 assert!((command - tape.signals.command[tick][l]).abs() < 1e-2, "tick {tick}");
             }
         }

@@ -1,4 +1,4 @@
-//! What a shard breathes in training: PIPs, starts of the breaths, sensor noise.
+//! The breaths of a shard in training: PIPs, starting states, sensor noise.
 
 use engine::Lane;
 use rand::RngExt;
@@ -9,16 +9,16 @@ use rand_distr::StandardNormal;
 use super::config::TrainConfig;
 use crate::simulator::BreathStart;
 
-/// What a shard breathes.
+/// The breaths of a shard.
 #[derive(Clone, Debug)]
 pub struct Scenario {
-    /// Ticks of the inspiration.
+    /// Number of ticks of the inspiration.
     pub ticks: usize,
     /// PIP of each rollout, cmH2O.
     pub pip: Lane,
     /// PEEP, cmH2O.
     pub peep: f32,
-    /// How the breaths start.
+    /// Starting states of the breaths.
     pub start: BreathStart,
     /// Command before the inspiration, percent.
     pub rest: f32,
@@ -46,8 +46,8 @@ impl Scenario {
         }
     }
 
-    /// Draws a shard's inspirations, with starting pressures around `start` and sensor noise of this standard
-    /// deviation, cmH2O.
+    /// Draws a shard's inspirations, with starting pressures around `start`, and sensor noise with the standard
+    /// deviation `noise`, cmH2O.
     pub(super) fn draw(config: &TrainConfig, ticks: usize, start: f32, noise: f32, stream: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
         rng.set_stream(stream);

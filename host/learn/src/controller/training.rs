@@ -1,9 +1,9 @@
 //! Training the residual controller: gradient steps, validation, checkpoints.
 //!
-//! One step draws a batch of inspirations (the six waveforms of the paper and random PIPs, fresh sensor noise),
-//! runs them in closed loop on the simulators, and follows the gradient of the L1 error. Every few steps the
-//! controller is validated on a simulator, PIPs and noise that training never sees; the best one is kept, and
-//! never one that is worse there than the PID it is built on.
+//! One step draws a batch of inspirations (the paper's six waveforms and random PIPs, new sensor noise), runs them in
+//! closed loop on the simulators, and follows the gradient of the L1 error. At intervals the controller is validated on
+//! a simulator, PIPs and noise not used in training; the best one is kept. A controller that is worse there than its
+//! PID is never kept.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -23,9 +23,9 @@ use engine::{LANES, Lane};
 /// The learned simulators of one plant.
 #[derive(Clone, Copy, Debug)]
 pub struct PlantModels<'a> {
-    /// Those to train on.
+    /// The simulators to train on.
     pub trained_on: &'a [Simulator],
-    /// The one that judges.
+    /// The held-out simulator, used for validation.
     pub held_out: &'a Simulator,
 }
 
@@ -67,7 +67,7 @@ impl Ensemble {
 /// A point of the training curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CurvePoint {
-    /// Gradient steps done.
+    /// Number of gradient steps done.
     pub iteration: usize,
     /// Score of the last training batch, cmH2O.
     pub training: f64,
@@ -75,10 +75,10 @@ pub struct CurvePoint {
     pub validation: f64,
 }
 
-/// Outcome of a training.
+/// Result of a training.
 #[derive(Clone, Debug)]
 pub struct Trained {
-    /// The best controller found: at worst the one that training started from, or the PID alone.
+    /// The best controller found; at worst, the initial one or the PID alone.
     pub controller: Residual,
     /// Its score on the held-out simulator, cmH2O.
     pub validation: f64,
@@ -88,7 +88,7 @@ pub struct Trained {
     pub improved: bool,
 }
 
-/// A training that can be advanced step by step, watched, stopped and resumed.
+/// A training that can be advanced step by step, observed, stopped and resumed.
 #[derive(Debug)]
 pub struct Training {
     config: TrainConfig,
@@ -97,18 +97,18 @@ pub struct Training {
     ticks: usize,
     tapes: Vec<ClosedLoopTape>,
     base_score: f64,
-    /// All that changes from step to step.
+    /// Everything that changes from step to step.
     state: Checkpoint,
 }
 
-/// What a training needs to go on later.
+/// The state needed to resume a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Checkpoint {
-    /// Gradient steps done.
+    /// Number of gradient steps done.
     pub iteration: usize,
     /// Network parameters.
     pub parameters: Vec<f32>,
-    /// Optimiser.
+    /// State of the optimiser.
     pub adam: Adam,
     /// Best validation score and its parameters.
     pub best: (f64, Vec<f32>),
@@ -116,18 +116,18 @@ pub struct Checkpoint {
     pub factors: Vec<f32>,
 }
 
-/// Number of the validation's random stream; training uses those of its steps.
+/// Number of the random stream for validation; training uses the numbers of its steps.
 const VALIDATION_STREAM: u64 = u64::MAX;
 
 impl Training {
-    /// Prepares a training of the residual of `spec` on the simulators of one or several plants, from `warm` parameters
-    /// or from scratch.
+    /// Prepares the training of the residual of `spec` on the simulators of one or several plants, from `warm`
+    /// parameters or from scratch.
     ///
     /// # Errors
     /// A specification that cannot be built.
     ///
     /// # Panics
-    /// Without a plant, with one that has no simulator to train on, or blind to a feature that does not exist.
+    /// Without a plant, with a plant without simulators to train on, or with a hidden feature that does not exist.
     pub fn new(
         spec: ResidualSpec,
         plants: &[PlantModels<'_>],
@@ -143,7 +143,7 @@ impl Training {
         blind_to(&config.blind_to, &mut parameters);
         let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
         let plants: Vec<Ensemble> = plants.iter().map(|plant| Ensemble::new(plant, &config)).collect();
-        // Each plant has as many shards as any other.
+        // All plants have the same number of shards.
         let shards = config.batch.div_ceil(LANES).max(1).next_multiple_of(plants.len());
         let tapes = (0..shards)
             .map(|shard| ClosedLoopTape::new(&plants[shard % plants.len()].trained_on[0].model, ticks))
@@ -161,22 +161,22 @@ impl Training {
         Ok(training)
     }
 
-    /// Goes on from a checkpoint.
+    /// Continues from a checkpoint.
     pub fn resume(&mut self, checkpoint: Checkpoint) {
         self.state = checkpoint;
     }
 
-    /// What to keep so that training can go on later.
+    /// The state to keep for resuming the training later.
     pub fn checkpoint(&self) -> &Checkpoint {
         &self.state
     }
 
-    /// Gradient steps done.
+    /// Number of gradient steps done.
     pub fn iteration(&self) -> usize {
         self.state.iteration
     }
 
-    /// Steps until the next validation; none when training is done.
+    /// Trains until the next validation; `None` when training is done.
     pub fn advance(&mut self) -> Option<CurvePoint> {
         if self.state.iteration >= self.config.iterations {
             return None;
@@ -190,7 +190,7 @@ impl Training {
         Some(CurvePoint { iteration: self.state.iteration, training, validation })
     }
 
-    /// Validates the present parameters and keeps them if they are the best so far; the mean score over the plants.
+    /// Validates the present parameters and keeps the best so far; returns the mean score over the plants.
     fn keep_best(&mut self) -> f64 {
         let scores = self.validate(&self.state.parameters);
         self.state.factors = self.config.weighting.factors(&scores);
@@ -201,7 +201,7 @@ impl Training {
         validation
     }
 
-    /// One gradient step; the batch's mean score.
+    /// Makes one gradient step; returns the batch's mean score.
     pub fn step(&mut self) -> f64 {
         let size = self.state.parameters.len();
         let parts = self.on_shards(|controller, model, scenario, tape| {
@@ -225,7 +225,7 @@ impl Training {
         score
     }
 
-    /// The next step's batch in closed loop, without learning from it; its mean score.
+    /// Runs the next step's batch in closed loop without learning from it; returns its mean score.
     pub fn rehearse(&mut self) -> f64 {
         let scores = self.on_shards(|controller, model, scenario, tape| {
             controller.forward(model, scenario, tape).mean_score()
@@ -233,7 +233,7 @@ impl Training {
         scores.iter().sum::<f64>() / scores.len() as f64
     }
 
-    /// Draws the next step's batch and gives each shard to `work`, in parallel; results in the shards' order.
+    /// Draws the next step's batch and passes each shard to `work`, in parallel; results keep the shards' order.
     fn on_shards<T: Send>(
         &mut self,
         work: impl Fn(&LaneController<'_>, &Model, &Scenario, &mut ClosedLoopTape) -> T + Sync,
@@ -248,7 +248,7 @@ impl Training {
             .map(|(shard, tape)| {
                 let (plant, turn) = (shard % plants.len(), shard / plants.len());
                 let members = &plants[plant].trained_on;
-                // With fewer shards than members these take turns.
+                // If there are fewer shards than members, the members take turns.
                 let turn = if shards_each < members.len() { turn + iteration } else { turn };
                 let member = &members[turn % members.len()];
                 let stream = (iteration as u64).wrapping_mul(1 << 16) + shard as u64;
@@ -283,7 +283,7 @@ impl Training {
     /// Ends the training with the best controller.
     ///
     /// # Errors
-    /// Weights that outgrew their bound.
+    /// Weights that exceed their bound.
     pub fn finish(&self) -> Result<Trained, ResidualError> {
         let (validation, parameters) = &self.state.best;
         let improved = *validation < self.base_score;
@@ -296,7 +296,7 @@ impl Training {
         Ok(Trained { controller, validation, base: self.base_score, improved })
     }
 
-    /// Parameters as they are now.
+    /// The present parameters.
     pub fn parameters(&self) -> &[f32] {
         &self.state.parameters
     }

@@ -1,9 +1,9 @@
-//! The folder of a run: what each stage leaves so that a stopped run can go on.
+//! The folder of a run: the results of each stage, from which a stopped run continues.
 //!
 //! ```text
-//! run.json                     configuration: another one is refused
+//! run.json                     configuration; a run with a different one is refused
 //! round-0/recording-P.parquet  breaths of the round, from plant P
-//! round-0/recording-P.partial.parquet  what there was of them when the plant failed
+//! round-0/recording-P.partial.parquet  the breaths before the plant failed
 //! round-0/simulator-P-N.safetensors, round-0/fit.json
 //! round-0/training.json        checkpoint of the training
 //! round-0/controller.safetensors, round-0/round.json
@@ -18,27 +18,27 @@ use serde::de::DeserializeOwned;
 use super::PipelineError;
 use data::files::{claim, read_json, write_json};
 
-/// A run's folder.
+/// The folder of a run.
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
-    /// A folder that may or may not exist yet.
+    /// A folder, which need not exist yet.
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }
     }
 
-    /// A file of a round.
+    /// Path of a file of a round.
     pub fn file(&self, round: usize, name: &str) -> PathBuf {
         self.path.join(format!("round-{round}")).join(name)
     }
 
-    /// Takes the folder for this configuration.
+    /// Claims the folder for this configuration.
     ///
     /// # Errors
-    /// The folder holds a run with another one.
+    /// The folder contains a run with another configuration.
     pub(super) fn claim<T: PartialEq + Serialize + DeserializeOwned>(
         &self,
         configuration: &T,
@@ -50,7 +50,7 @@ impl Folder {
         }
     }
 
-    /// What a stage left, if it did.
+    /// The result that a stage saved, if it did.
     pub(super) fn load<T: DeserializeOwned>(
         &self,
         round: usize,
@@ -60,7 +60,7 @@ impl Folder {
         read_json(&path).map_err(failure(&path))
     }
 
-    /// Leaves something.
+    /// Saves the result of a stage.
     pub(super) fn save(&self, round: usize, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
         let path = self.file(round, name);
         write_json(&path, value).map_err(failure(&path))

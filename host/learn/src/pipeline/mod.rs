@@ -1,11 +1,11 @@
 //! Rounds of collect, fit and train: from one or several ventilators to one learned controller.
 //!
-//! In the first round a known-good PID explores, in later ones the controller learned so far. Each round adds to
-//! the recording, fits an ensemble of simulators to all of it (the last member is held out of training and
-//! judges the controller), and trains the controller further.
+//! A known-good PID explores in the first round, the controller learned so far in later ones. Each round adds to the
+//! recording, fits an ensemble of simulators to all of it (the last member is held out of training and judges the
+//! controller), and trains the controller further.
 //!
-//! With a folder, every stage leaves its result there and a run that was stopped goes on where it was; it then
-//! gives the same files as one that was not.
+//! With a folder, every stage saves its result there, and a stopped run continues where it stopped; it then gives the
+//! same files as an uninterrupted run.
 
 mod folder;
 mod stages;
@@ -42,49 +42,49 @@ pub use training::{TrainedOnce, train, train_on_simulators};
 
 /// Control period of the paper's authors, microseconds.
 pub const PAPER_PERIOD_US: u32 = 30_000;
-/// Time constant of the authors' leaky integral with its sample, s: their integral gain of 1 acts, at first,
-/// like 1/0.53 %/(cmH2O s) of ours.
+/// Time constant of the authors' leaky integral with its sample, s: their integral gain of 1 initially acts like 1/0.53
+/// %/(cmH2O s) of ours.
 pub const AUTHORS_INTEGRAL_S: f32 = 0.53;
-/// Their PEEP, cmH2O.
+/// The authors' PEEP, cmH2O.
 pub const PAPER_PEEP: f32 = 5.0;
-/// Gains of the PID with which they record: percent per cmH2O, and percent per cmH2O of a leaky integral.
+/// Gains of the authors' recording PID: percent per cmH2O, and percent per cmH2O of a leaky integral.
 const PAPER_GAINS: (f32, f32) = (3.0, 4.0);
 
-/// What to run.
+/// Configuration of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PipelineConfig {
     /// Control period, microseconds.
     pub period_us: u32,
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Rounds of collect, fit, train.
+    /// Number of rounds of collect, fit and train.
     pub rounds: usize,
     /// Gains of the PID that collects first and lies under the residual.
     pub gains: PidGains,
-    /// Gains of the PID that collects first, if not that under the residual.
+    /// Gains of the PID that collects first, if they differ from those under the residual.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collector: Option<PidGains>,
-    /// What the network sees, if not what suits the control period.
+    /// The network's features, if not the defaults for the control period.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub features: Option<FeatureSpec>,
     /// Scale of the residual.
     pub lambda: f32,
-    /// Largest residual, percent.
+    /// Largest residual, percent of the valve.
     pub authority: f32,
-    /// Simulators that the controller trains on; one more is fitted and held out.
+    /// Number of simulators that the controller trains on; one more is fitted and held out.
     pub ensemble: usize,
-    /// One in so many breaths is held out of fitting.
+    /// One in this number of breaths is held out of fitting.
     pub hold_out: usize,
-    /// Simulator's architecture.
+    /// Architecture of the simulators.
     pub architecture: Architecture,
-    /// Collection of each round.
+    /// Configuration of each round's collection.
     pub collect: CollectConfig,
-    /// Fit of the first round.
+    /// Configuration of the first round's fit.
     pub fit: FitConfig,
-    /// Share of the first fit's epochs and learning rate that a later one takes, starting from its result.
+    /// Share of the first fit's epochs and learning rate used by later fits, which start from its result.
     pub refit_share: f32,
-    /// Training of each round.
+    /// Configuration of each round's training.
     pub train: TrainConfig,
 }
 
@@ -116,10 +116,10 @@ impl PipelineConfig {
         }
     }
 
-    /// The setting of the paper's authors (Suo et al. 2021, and the constants of their code): a control period of 30 ms,
-    /// PEEP 5 cmH2O, 20 breaths a minute with an inspiration of 1 s, PIPs of 10 to 35 cmH2O, their exploration around
-    /// their PID, their stitched simulator with their optimiser. Residual and training are ours; their integral leaks, ours
-    /// starts as steeply.
+    /// The settings of the paper's authors (Suo et al. 2021, and the constants of their code): a control period of 30
+    /// ms, PEEP 5 cmH2O, 20 breaths a minute with an inspiration of 1 s, PIPs of 10 to 35 cmH2O, their exploration
+    /// around their PID, and their stitched simulator with their optimiser. Residual and training are ours. Their
+    /// integral leaks; ours has the same initial slope.
     pub fn paper_30ms() -> Self {
         let (p, leaky) = PAPER_GAINS;
         let gains = PidGains { p, i: leaky / AUTHORS_INTEGRAL_S, d: 0.0 };
@@ -155,7 +155,7 @@ impl PipelineConfig {
         Ok(Controller::Pid(Pid::new(self.gains, self.period_us)?))
     }
 
-    /// The PID that collects first.
+    /// The PID that collects in the first round.
     fn collector(&self) -> Result<Controller, PipelineError> {
         let gains = self.collector.unwrap_or(self.gains);
         Ok(Controller::Pid(Pid::new(gains, self.period_us).map_err(ResidualError::from)?))
@@ -166,129 +166,129 @@ impl PipelineConfig {
     }
 }
 
-/// Why the pipeline cannot go on.
+/// Why the pipeline cannot continue.
 #[derive(Debug, Error)]
 pub enum PipelineError {
-    /// Nothing to learn from.
+    /// Too few breaths were recorded to learn from.
     #[error(
-        "only {found} complete breaths were recorded, at least {needed} are needed; raise --breaths or check the plant"
+        "only {found} complete breaths were recorded, but at least {needed} are needed: raise --breaths or check the plant"
     )]
     TooFewBreaths {
-        /// Complete breaths.
+        /// Number of complete breaths.
         found: usize,
-        /// Least number.
+        /// Number of breaths needed.
         needed: usize,
     },
     /// The folder belongs to another run.
-    #[error("{0} holds a run with another seed or configuration; choose another folder or remove it")]
+    #[error("{0} contains a run with another seed or configuration: choose another folder or remove it")]
     OtherRun(String),
-    /// The folder's bookkeeping cannot be read or written.
+    /// A state file of the folder cannot be read or written.
     #[error("{path}: {reason}")]
     Folder {
-        /// File.
+        /// Path of the file.
         path: String,
-        /// What is wrong.
+        /// The problem.
         reason: String,
     },
-    /// Nothing to train on.
+    /// No simulator to train on was given.
     #[error("name at least one simulator to train on")]
     NoSimulator,
-    /// A simulator that no such controller can be trained on.
+    /// A simulator is unsuitable for this controller.
     #[error("simulator {number} {reason}")]
     Simulator {
-        /// Which, from 1.
+        /// Number of the simulator, from 1.
         number: usize,
-        /// Why not.
+        /// Why it is unsuitable.
         reason: String,
     },
-    /// Stopped before there was a controller.
-    #[error("stopped before the first controller was trained; the same command goes on from here")]
+    /// Stopped before the first controller was trained.
+    #[error("stopped before the first controller was trained; run the same command again to continue")]
     Stopped,
-    /// A plant failed while it was recorded.
+    /// A plant failed during recording.
     #[error(
-        "{reason}; {breaths} whole breaths of this round are saved in {file}, and the same command records it anew"
+        "{reason}; {breaths} complete breaths of this round are saved in {file}; run the same command again to repeat the round"
     )]
     Interrupted {
-        /// How.
+        /// The failure.
         reason: SourceError,
-        /// Complete breaths.
+        /// Number of complete breaths.
         breaths: usize,
-        /// Where they are.
+        /// Path of the file that contains them.
         file: String,
     },
-    /// Collection.
+    /// The collection failed.
     #[error(transparent)]
     Collect(#[from] CollectError),
-    /// The source.
+    /// The source failed.
     #[error(transparent)]
     Source(#[from] SourceError),
-    /// A recording.
+    /// A recording could not be read or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// A simulator's file.
+    /// A simulator's file could not be read or written.
     #[error(transparent)]
     Tensors(#[from] TensorError),
-    /// The controller.
+    /// The controller is not valid.
     #[error(transparent)]
     Residual(#[from] ResidualError),
-    /// A controller's file.
+    /// A controller's file could not be read or written.
     #[error(transparent)]
     Learned(#[from] LearnedError),
 }
 
-/// What a round found out.
+/// Results of a round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Round {
     /// Complete breaths recorded in this round.
     pub breaths: usize,
-    /// Breaths that the pressure limit ended.
+    /// Number of breaths ended early by the pressure limit.
     pub aborts: usize,
     /// Mean loss of each epoch, first ensemble member.
     pub fit_curve: Vec<f64>,
-    /// Errors of each ensemble member (held-out member last) on held-out breaths, plant after plant.
+    /// Errors of each ensemble member on held-out breaths, plant by plant; the held-out member is last.
     pub open_loop: Vec<OpenLoop>,
     /// Training curve.
     pub train_curve: Vec<CurvePoint>,
-    /// Controller's score on the held-out simulator, cmH2O.
+    /// Score of the controller on the held-out simulator, cmH2O.
     pub validation: f64,
-    /// PID's score on the held-out simulator, cmH2O.
+    /// Score of the PID on the held-out simulator, cmH2O.
     pub base: f64,
     /// Whether the residual beats its PID there.
     pub improved: bool,
 }
 
-/// What is known of a plant after a run.
+/// The recording and simulators of a plant after a run.
 #[derive(Clone, Debug)]
 pub struct Studied {
-    /// Everything recorded.
+    /// All recorded breaths.
     pub recording: Recording,
     /// Simulators of the last round; the last one was held out.
     pub simulators: Vec<Simulator>,
 }
 
-/// What a run leaves.
+/// Results of a run.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Each plant, as the sources were given.
+    /// The plants, in the order of the sources.
     pub plants: Vec<Studied>,
     /// The controller.
     pub learned: Learned,
-    /// Round by round.
+    /// Results of each round.
     pub rounds: Vec<Round>,
-    /// One in so many breaths was held out of fitting.
+    /// One in this number of breaths was held out of fitting.
     pub hold_out: usize,
     /// Whether all rounds were run.
     pub complete: bool,
 }
 
-/// Makes the source of a round from its seed.
+/// Creates the source of a round from its seed.
 pub type MakeSource<'a> = &'a (dyn Fn(u64) -> Result<Box<dyn Source>, SourceError> + Sync);
 
-/// Runs the rounds on one or several plants, in memory or with a folder to go on from. Each plant has its own recording
-/// and its own simulators; the controller is trained on all of them at once.
+/// Runs the rounds on one or several plants, in memory or with a folder to continue from. Each plant has its own
+/// recording and simulators; the controller is trained on all of them at once.
 ///
 /// # Errors
-/// The first stage that fails; files of earlier stages stay.
+/// The error of the first stage that fails; files of earlier stages stay.
 pub fn run(
     config: &PipelineConfig,
     sources: &[MakeSource<'_>],
@@ -307,10 +307,10 @@ pub fn run(
     run.outcome()
 }
 
-/// [`run`] on benches: a ventilator in this process on each.
+/// Like [`run`], on benches: a ventilator in this process on each.
 ///
 /// # Errors
-/// As [`run`], or a bench that is refused.
+/// See [`run`]; also a bench that is refused.
 pub fn run_on_benches(
     config: &PipelineConfig,
     benches: &[BenchConfig],
@@ -330,10 +330,10 @@ pub fn run_on_benches(
     run(config, &sources, folder, progress)
 }
 
-/// [`run`] on a plant behind the plant link. All rounds use one link: a plant need not know that there are several.
+/// Like [`run`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
 ///
 /// # Errors
-/// As [`run`].
+/// See [`run`].
 pub fn run_on_plant(
     config: &PipelineConfig,
     link: &SharedLink,

@@ -1,4 +1,4 @@
-//! The three stages of a round, each of which first looks for what an earlier, stopped run has left.
+//! The three stages of a round; each first looks for the results of an earlier, stopped run.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -17,24 +17,24 @@ use progress::{Progress, Stage, Task};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
 
-/// Least number of complete breaths worth a fit.
+/// Minimum number of complete breaths for a fit.
 const BREATHS_NEEDED: usize = 8;
 
-/// A run under way.
+/// A run in progress.
 pub(super) struct Run<'a> {
     config: &'a PipelineConfig,
     sources: &'a [MakeSource<'a>],
     folder: Option<&'a Folder>,
     progress: Progress<'a>,
     recordings: Vec<Recording>,
-    /// Of each plant, the held-out one last.
+    /// Simulators of each plant, the held-out one last.
     simulators: Vec<Vec<Simulator>>,
     learned: Option<Learned>,
     rounds: Vec<Round>,
     complete: bool,
 }
 
-/// What the fit of a round leaves beside the simulators.
+/// Results of a round's fit besides the simulators.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Fitted {
     curve: Vec<f64>,
@@ -61,7 +61,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// One round; false when it was stopped.
+    /// Runs one round; false if it was stopped.
     pub(super) fn round(&mut self, round: usize) -> Result<bool, PipelineError> {
         let (breaths, aborts) = self.collect(round)?;
         if self.stopped() {
@@ -88,7 +88,7 @@ impl<'a> Run<'a> {
         stopped
     }
 
-    /// What there is at the end.
+    /// The results at the end of the run.
     pub(super) fn outcome(self) -> Result<Outcome, PipelineError> {
         let learned = self.learned.ok_or(PipelineError::Stopped)?;
         let plants = self.recordings.into_iter().zip(self.simulators);
@@ -101,7 +101,7 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Records the round's breaths on every plant, or takes those already recorded; complete and aborted breaths.
+    /// Records or loads the round's breaths on every plant; returns the numbers of complete and aborted breaths.
     fn collect(&mut self, round: usize) -> Result<(usize, usize), PipelineError> {
         let breaths = self.config.collect.breaths;
         let task = self.progress.round(round).task(Stage::Collect, breaths * self.sources.len());
@@ -154,7 +154,7 @@ impl<'a> Run<'a> {
         Ok(collect(source.as_mut(), &controller, &config, &task.part())?)
     }
 
-    /// Fits each plant's ensemble to everything recorded from it; none when stopped.
+    /// Fits each plant's ensemble to all of its recordings; `None` if stopped.
     fn fit(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
         if let Some(fitted) = self.fitted(round)? {
             return Ok(Some(fitted));
@@ -199,7 +199,7 @@ impl<'a> Run<'a> {
         Ok(Some(fitted))
     }
 
-    /// The round's simulators, if an earlier run has left them.
+    /// The round's simulators, if an earlier run has saved them.
     fn fitted(&mut self, round: usize) -> Result<Option<Fitted>, PipelineError> {
         let Some(folder) = self.folder else { return Ok(None) };
         let Some(fitted) = folder.load::<Fitted>(round, "fit.json")? else { return Ok(None) };
@@ -214,7 +214,7 @@ impl<'a> Run<'a> {
         Ok(Some(fitted))
     }
 
-    /// One member of a plant's ensemble; none when stopped.
+    /// Fits one member of a plant's ensemble; `None` if stopped.
     fn fit_member(
         &self,
         round: usize,
@@ -237,7 +237,7 @@ impl<'a> Run<'a> {
         Some((fit.simulator(&self.recordings[plant].provenance.plant), curve))
     }
 
-    /// Members differ by their seed alone; a warm start takes fewer, smaller steps.
+    /// Members differ only by their seed; a warm start uses fewer, smaller steps.
     fn fit_config(&self, round: usize, plant: usize, member: usize, warm: bool) -> FitConfig {
         let seed = if member == self.config.ensemble.max(1) {
             seeds::held_out_simulator(self.config.seed)
@@ -246,7 +246,7 @@ impl<'a> Run<'a> {
         };
         let mut config = FitConfig { seed: seed.wrapping_add(round as u64), ..self.config.fit };
         if warm {
-            // The recording has grown, so that an epoch takes more steps than it did.
+            // The recording has grown, so an epoch has more steps than before.
             let share = self.config.refit_share / (round + 1) as f32;
             config.epochs = ((config.epochs as f32 * share) as usize).max(1);
             config.adam.rate *= self.config.refit_share;
@@ -254,7 +254,7 @@ impl<'a> Run<'a> {
         config
     }
 
-    /// Trains the controller on all members but the last.
+    /// Trains the controller on all members except the last.
     fn train(&mut self, round: usize) -> Result<(Trained, Vec<CurvePoint>), PipelineError> {
         let training = self.training(round)?;
         let folder = self.folder.map(|folder| (folder, round));
@@ -300,7 +300,7 @@ fn simulator_name(plant: usize, member: usize) -> String {
     format!("simulator-{plant}-{member}.safetensors")
 }
 
-/// A number that differs from plant to plant and is itself for the first.
+/// A number that differs between plants; the first plant keeps `number`.
 fn of_plant(number: u64, plant: usize) -> u64 {
     number + ((plant as u64) << 32)
 }

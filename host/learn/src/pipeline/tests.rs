@@ -1,4 +1,4 @@
-//! The whole pipeline at a small size: it learns, repeats, and goes on after a stop as if there had been none.
+//! The whole pipeline at a small size: it learns, is reproducible, and continues after a stop.
 
 use std::fs;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, 
     run(&config, &[&source(&config)], folder.as_ref(), progress)
 }
 
-/// Mean of |p - target| over the inspirations of the paper's waveforms, true pressure, under noise that learning never saw.
+/// Mean true |p - target| over the inspirations of the paper's waveforms, under noise not used in learning.
 fn score(lung: &BenchConfig, controller: &Controller) -> f32 {
     let mut errors = Vec::new();
     for seed in ventilator::seeds::evaluation(3) {
@@ -151,7 +151,7 @@ fn a_folder_of_another_run_is_refused() {
 #[test]
 fn a_training_that_does_not_help_ends_with_the_pid() {
     let mut config = PipelineConfig { rounds: 1, ..small() };
-    // Steps so large that the network is ruined at once.
+    // Steps large enough to ruin the network immediately.
     config.train.adam.rate = 1.0e2;
     config.train.iterations = 4;
     config.train.validate_every = 4;

@@ -1,5 +1,4 @@
-//! A training that leaves a checkpoint after every validation and goes on from there, and training on simulators
-//! that were fitted before.
+//! Training that saves a checkpoint after every validation and continues from it, and training on existing simulators.
 
 use serde::{Deserialize, Serialize};
 use shared::checksum::crc32;
@@ -13,15 +12,15 @@ use data::provenance::git_revision;
 use progress::{Progress, Stage};
 use ventilator::seeds;
 
-/// A checkpoint with the curve up to there.
+/// A checkpoint with the training curve up to it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Pause {
     checkpoint: Checkpoint,
     curve: Vec<CurvePoint>,
 }
 
-/// Trains for so many gradient steps or until stopped; goes on from what a round of the folder holds and leaves
-/// checkpoints there.
+/// Trains for the configured number of gradient steps or until stopped; continues from the checkpoint of a round in the
+/// folder and saves checkpoints there.
 ///
 /// # Errors
 /// A checkpoint that cannot be read or written.
@@ -53,7 +52,7 @@ pub fn train(
     Ok((training.finish()?, curve))
 }
 
-/// What a training on given simulators leaves.
+/// Results of a training on given simulators.
 #[derive(Clone, Debug)]
 pub struct TrainedOnce {
     /// The controller.
@@ -62,11 +61,11 @@ pub struct TrainedOnce {
     pub improved: bool,
     /// Training curve.
     pub curve: Vec<CurvePoint>,
-    /// Whether it was trained to the end.
+    /// Whether the training was completed.
     pub complete: bool,
 }
 
-/// What makes a stopped training the same as another.
+/// The settings that must match to continue a stopped training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Claim {
     seed: u64,
@@ -76,10 +75,10 @@ struct Claim {
     simulators: Vec<u32>,
 }
 
-/// Trains on simulators that were fitted before; the last of several is held out and judges the controller.
+/// Trains on existing simulators; the last of several is held out and judges the controller.
 ///
 /// # Errors
-/// No simulator, one that no controller can be trained on, or a folder with another seed, configuration or
+/// No simulator, one that is unsuitable for this controller, or a folder with another seed, configuration or
 /// simulators.
 pub fn train_on_simulators(
     config: &PipelineConfig,
@@ -92,7 +91,7 @@ pub fn train_on_simulators(
             .map_err(|reason| PipelineError::Simulator { number: number + 1, reason })?;
     }
     let Some((held_out, rest)) = simulators.split_last() else { return Err(PipelineError::NoSimulator) };
-    // A single simulator judges too, under noise that training does not see.
+    // A single simulator is also used for validation, under noise not used in training.
     let trained_on = if rest.is_empty() { simulators } else { rest };
     let train = TrainConfig { seed: seeds::training(config.seed, 0), ..config.train.clone() };
     folder.claim(&Claim {
@@ -114,7 +113,7 @@ pub fn train_on_simulators(
     })
 }
 
-/// A trained controller with where it comes from.
+/// A trained controller with its origin.
 pub(super) fn learned(trained: Trained, plant: String, seed: u64) -> Learned {
     let Trained { controller, validation, base, .. } = trained;
     Learned { controller, origin: Origin { plant, seed, git_revision: git_revision(), validation, base } }
@@ -125,12 +124,12 @@ fn checksum(simulator: &Simulator) -> u32 {
     crc32(&numbers.flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
 }
 
-/// Whether a controller of this period can be trained on a simulator; if not, why.
+/// Checks whether a controller of this period can be trained on a simulator; the error is the reason.
 fn suits(simulator: &Simulator, period_us: u32) -> Result<(), String> {
     let timing = simulator.architecture.timing();
     if timing.period_us != period_us {
         return Err(format!(
-            "was fitted at a control period of {} us, not {period_us}: a controller takes simulators of one",
+            "was fitted at a control period of {} us, not {period_us}: a controller needs simulators of its own period",
             timing.period_us
         ));
     }
@@ -141,13 +140,13 @@ fn suits(simulator: &Simulator, period_us: u32) -> Result<(), String> {
     };
     if many_lungs {
         return Err(
-            "is a simulator of many lungs, a controller is trained on one: fit a recording of one lung \
+            "is a simulator of many lungs, but a controller is trained on one lung: fit a recording of one lung \
                     with --architecture state-space"
                 .to_owned(),
         );
     }
     if timing.channels != 1 {
-        return Err(format!("has {} valves to command; a controller commands one", timing.channels));
+        return Err(format!("has {} valves to command, but a controller commands only one", timing.channels));
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! What follows from a recording, and what is held out of the fit.
+//! Choices made from a recording, and the breaths held out of the fit.
 
 use super::*;
 use data::provenance::Provenance;

@@ -1,36 +1,36 @@
-//! What a simulator is told when a breath starts.
+//! The state in which a breath starts, as a simulator sees it.
 
 use super::PRESSURE_SCALE;
 use data::identity::LungParameters;
 use engine::{LANES, Lane};
 
-/// Pressure before a breath that counts as zero, cmH2O.
+/// Pressure before a breath that is scaled to zero, cmH2O.
 const USUAL_PEEP: f32 = 5.0;
 
-/// The lung where nothing is known of it: the middle of the paper's.
+/// The lung assumed if nothing is known: the middle of the paper's.
 pub const USUAL_LUNG: LungParameters = LungParameters { resistance: 20.0, compliance: 20.0 };
 
-/// Which member of a family (test runs, ventilators) each lane is of; none for one that no simulator knows.
+/// The member of a family (test runs, ventilators) in each lane; `None` for one unknown to the simulator.
 pub type Members = [Option<u32>; LANES];
 
-/// What a simulator is told of the state in which a breath starts, and of the lung that it is for.
+/// The state in which a breath starts, and its lung, as a simulator sees them.
 #[derive(Clone, Copy, Debug)]
 pub struct BreathStart {
     /// Pressure just before the breath, cmH2O.
     pub pressure: Lane,
-    /// Pressure at the end of the last inspiration, cmH2O: what may still be in the lung.
+    /// Pressure at the end of the last inspiration, cmH2O, which indicates the volume still in the lung.
     pub plateau: Lane,
-    /// Scaled command of the inspiratory valve just before the breath; only [`hybrid`](super::hybrid) looks at it.
+    /// Scaled command of the inspiratory valve just before the breath; used only by [`hybrid`](super::hybrid).
     pub rest: Lane,
-    /// The same at the end of the last inspiration.
+    /// Scaled command of the inspiratory valve at the end of the last inspiration.
     pub plateau_command: Lane,
-    /// Group (test run) of the recording that a breath is of.
+    /// Group (test run) of the breath in the recording.
     pub group: Members,
-    /// Ventilator of the recording that a breath is of.
+    /// Ventilator of the breath in the recording.
     pub ventilator: Members,
-    /// Nominal resistance of the lung, cmH2O/(L/s); only [`hybrid`](super::hybrid) looks at it.
+    /// Nominal resistance of the lung, cmH2O/(L/s); used only by [`hybrid`](super::hybrid).
     pub resistance: Lane,
-    /// Nominal compliance of the lung, mL/cmH2O; only [`hybrid`](super::hybrid) looks at it.
+    /// Nominal compliance of the lung, mL/cmH2O; used only by [`hybrid`](super::hybrid).
     pub compliance: Lane,
 }
 
@@ -54,7 +54,7 @@ impl BreathStart {
     /// Number of quantities in [`Self::known`].
     pub(crate) const KNOWN: usize = 4;
 
-    /// What pressures and commands before the breath were, scaled for a network.
+    /// Pressures and commands before the breath, scaled for a network.
     pub(crate) fn known(&self) -> [Lane; Self::KNOWN] {
         let (mean, scale) = PRESSURE_SCALE;
         [

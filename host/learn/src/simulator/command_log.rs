@@ -1,8 +1,8 @@
-//! The commands that a simulator sees, as means over the parts of past blocks.
+//! The commands that a simulator sees, averaged over the parts of past blocks.
 
 use engine::Lane;
 
-/// Scaled commands of a shard, averaged over the parts of each block; before the breath they are at rest.
+/// Scaled commands of a shard, averaged over the parts of each block; before the breath they have their rest values.
 #[derive(Clone, Debug)]
 pub struct CommandLog {
     width: usize,
@@ -11,13 +11,13 @@ pub struct CommandLog {
 }
 
 impl CommandLog {
-    /// An empty log of `blocks` blocks; `rest` holds the values before the breath, one per place of a block.
+    /// An empty log of `blocks` blocks; `rest` contains the values before the breath, one per place in a block.
     pub fn new(blocks: usize, rest: Vec<Lane>) -> Self {
         let width = rest.len();
         Self { width, rest, values: vec![Lane::ZERO; blocks * width] }
     }
 
-    /// Values of a block; those at rest for blocks before the breath.
+    /// Values of a block; the rest values for blocks before the breath.
     pub fn block(&self, block: Option<usize>) -> &[Lane] {
         match block {
             Some(block) => &self.values[block * self.width..(block + 1) * self.width],
@@ -25,25 +25,25 @@ impl CommandLog {
         }
     }
 
-    /// Values of a block, to be written.
+    /// Mutable access to the values of a block.
     pub fn block_mut(&mut self, block: usize) -> &mut [Lane] {
         &mut self.values[block * self.width..(block + 1) * self.width]
     }
 
-    /// Empties the log, for a breath before which all commands were `rest`.
+    /// Clears the log for a breath before which all commands were `rest`.
     pub fn reset(&mut self, rest: Lane) {
         self.rest.fill(rest);
         self.values.fill(Lane::ZERO);
     }
 
-    /// Copies the newest `history` blocks before and including `newest` into `out`, newest first.
+    /// Copies the `history` blocks up to and including `newest` into `out`, newest first.
     pub(crate) fn gather(&self, newest: Option<usize>, history: usize, out: &mut [Lane]) {
         for (age, out) in out.chunks_exact_mut(self.width).take(history).enumerate() {
             out.copy_from_slice(self.block(newest.and_then(|block| block.checked_sub(age))));
         }
     }
 
-    /// The reverse of [`Self::gather`] for gradients: adds `d` to the blocks it came from.
+    /// The reverse of [`Self::gather`] for gradients: adds `d` to the blocks from which it was gathered.
     pub(crate) fn scatter(&mut self, newest: Option<usize>, d: &[Lane]) {
         for (age, d) in d.chunks_exact(self.width).enumerate() {
             let Some(block) = newest.and_then(|block| block.checked_sub(age)) else {

@@ -8,8 +8,8 @@ use data::identity::{LungParameters, TestRun};
 use data::recording::Recording;
 use engine::least_squares::solve;
 
-/// Time before the inspiration over which its starting pressure is averaged, s; also the time before the end of
-/// the last inspiration over which its plateau is.
+/// Time before the inspiration over which its starting pressure is averaged, and time before the end of the last
+/// inspiration over which its plateau is averaged, s.
 const AVERAGE_TIME: f32 = 0.05;
 
 /// One inspiration.
@@ -17,17 +17,17 @@ const AVERAGE_TIME: f32 = 0.05;
 pub struct Episode {
     /// Measured pressure at each control tick, cmH2O.
     pub pressure: Vec<f32>,
-    /// True airway pressure at each control tick, where a bench knows it, cmH2O.
+    /// True airway pressure at each control tick, if the recording contains it, cmH2O.
     pub truth: Option<Vec<f32>>,
-    /// Scaled commands: mean of each part of each block, all channels of a part together.
+    /// Scaled commands: mean of each part of each block; all channels of a part are adjacent.
     pub commands: Vec<f32>,
     /// Scaled commands before the inspiration, per place of a block.
     pub rest: Vec<f32>,
     /// Pressure before the inspiration, cmH2O.
     pub start: f32,
-    /// Pressure at the end of the inspiration before, cmH2O.
+    /// Pressure at the end of the previous inspiration, cmH2O.
     pub plateau: f32,
-    /// Scaled command of the inspiratory valve there.
+    /// Scaled command of the inspiratory valve at the end of the previous inspiration.
     pub plateau_command: f32,
     /// PIP of the breath, cmH2O.
     pub pip: f32,
@@ -37,14 +37,14 @@ pub struct Episode {
     pub group: Option<u32>,
     /// Ventilator of the group, if it has groups: see [`ventilators`].
     pub ventilator: Option<u32>,
-    /// Its rows in the recording.
+    /// Rows of the episode in the recording.
     pub rows: Range<usize>,
-    /// Its lung, where the recording names it.
+    /// The lung, if the recording names it.
     pub lung: Option<LungParameters>,
 }
 
 impl Episode {
-    /// Control ticks.
+    /// Number of control ticks.
     pub fn ticks(&self) -> usize {
         self.pressure.len()
     }
@@ -55,12 +55,12 @@ pub fn episodes(recording: &Recording, timing: &Timing) -> Vec<Episode> {
     cut(recording, timing, |inspiration| inspiration)
 }
 
-/// The same breaths with all that follows their inspirations: in expiration, too, a plant shows what it is.
+/// The complete breaths of a recording, including expirations, which also contain information about the plant.
 pub fn whole_breaths(recording: &Recording, timing: &Timing) -> Vec<Episode> {
     cut(recording, timing, |inspiration| {
         let rest = &recording.breath[inspiration.start..];
         let length = rest.iter().take_while(|breath| **breath == rest[0]).count();
-        // A lost tick ends what can be replayed.
+        // Replay ends at a missing tick.
         let ticks = &recording.tick[inspiration.start..inspiration.start + length];
         let whole = ticks.iter().enumerate().take_while(|(n, tick)| *n == **tick as usize).count();
         inspiration.start..inspiration.start + whole
@@ -128,13 +128,13 @@ fn mean(values: &[f32]) -> f32 {
     values.iter().sum::<f32>() / values.len().max(1) as f32
 }
 
-/// Furthest that a valve may be from a line over another's commands and still say nothing of its own, percent. The
-/// `RespiraWorks` ventilator's are 1.9 apart where one of them is at an end of its range.
+/// Largest distance of a valve's command from a linear function of another's at which it is redundant, percent. The
+/// `RespiraWorks` ventilator's commands are 1.9 apart where one of them is at an end of its range.
 const FOLLOWS: f64 = 2.5;
 
-/// Command channels that matter in a recording: the inspiratory valve; the expiratory one too if it moves during
-/// inspirations otherwise than on a line over the inspiratory one's command, which no fit could tell apart; the
-/// oxygen valve too if it moves at all.
+/// Number of relevant command channels in a recording: the inspiratory valve; also the expiratory valve, unless during
+/// inspirations its command is a linear function of the inspiratory one, which no fit could separate; also the oxygen
+/// valve, if it moves at all.
 pub fn channels(recording: &Recording) -> usize {
     let moves = |values: &[f32]| values.windows(2).any(|pair| pair[0].total_cmp(&pair[1]).is_ne());
     if recording.u_psol.as_deref().is_some_and(moves) {
@@ -148,7 +148,7 @@ pub fn channels(recording: &Recording) -> usize {
     }
 }
 
-/// Whether the expiratory valve's commands in inspirations lie on a line over the inspiratory valve's.
+/// Whether the expiratory valve's commands in inspirations are a linear function of the inspiratory valve's.
 fn follows(recording: &Recording) -> bool {
     let rows: Vec<usize> = recording.inspirations().into_iter().flatten().collect();
     let columns: Vec<_> = rows.iter().map(|row| [1.0, f64::from(recording.u_in[*row])]).collect();
@@ -159,7 +159,7 @@ fn follows(recording: &Recording) -> bool {
     })
 }
 
-/// Scaled command of a channel: the inspiratory valve, then the expiratory one, then the oxygen valve.
+/// Scaled command of a channel: 0 is the inspiratory valve, 1 the expiratory one, 2 the oxygen valve.
 fn channel(recording: &Recording, row: usize, channel: usize) -> f32 {
     let percent = match channel {
         0 => recording.u_in[row],
@@ -185,7 +185,7 @@ fn commands(recording: &Recording, rows: &Range<usize>, timing: &Timing) -> Vec<
     sums.iter().zip(&counts).map(|(sum, count)| sum / count.max(1.0)).collect()
 }
 
-/// Splits episodes into those to train on and every `every`-th of each group, held out.
+/// Splits episodes into training episodes and held-out ones, which are every `every`-th of each group.
 pub fn split(episodes: &[Episode], every: usize) -> (Vec<&Episode>, Vec<&Episode>) {
     let mut before: BTreeMap<Option<u32>, usize> = BTreeMap::new();
     episodes.iter().partition(|episode| {
@@ -201,7 +201,7 @@ mod tests {
     use data::provenance::Provenance;
     use data::recording::Row;
 
-    /// Two breaths of 25 ms inspiration and 10 ms rest; the command equals ten times the tick.
+    /// Two breaths with 25 ms of inspiration and 10 ms of rest; the command equals ten times the tick.
     fn recording() -> Recording {
         let mut recording = Recording::new(Provenance::new(1000, "test"), true);
         for (breath, tick) in (0..2).flat_map(|breath| (0..35).map(move |tick| (breath, tick))) {

@@ -1,4 +1,4 @@
-//! A simulator made by hand, whose response is known: for tests of what runs on simulators.
+//! A handmade simulator with a known response, to test code that runs on simulators.
 
 use super::Timing;
 use super::model::{Architecture, Simulator};
@@ -9,7 +9,7 @@ pub fn first_order(gain: f32) -> Simulator {
     let timing = Timing::for_period(1000, 1);
     let config = StateSpaceConfig { timing, states: 1, hidden: 1, history: 1, lungs: false };
     let (hidden, start) = ([0.0; 4], [0.0; 3]);
-    // The state goes to the mean of the two scaled commands; it keeps five sixths of itself in 10 ms.
+    // The state moves to the mean of the two scaled commands; it keeps five sixths of its value in 10 ms.
     let (drive, decay) = ([0.0, 0.5, 0.5, 0.0], [5.0_f32.ln()]);
     let readout = [3.0 * gain, 0.0, 3.0 * gain, 0.0, -1.5, -1.5];
     let parameters = [&hidden[..], &drive, &readout, &start, &decay].concat();

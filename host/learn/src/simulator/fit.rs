@@ -1,8 +1,8 @@
 //! Fitting a simulator to a recording.
 //!
-//! Our architectures are trained on what they are used for: open-loop rollouts over whole inspirations, the start of
-//! the breath and the recorded commands in, every pressure out. The authors' is trained as they do, on one step
-//! at a time from measured pressures.
+//! Our architectures are trained on the task that they are used for: open-loop rollouts over whole inspirations, with
+//! the start of the breath and the recorded commands as inputs and every pressure as output. The authors' architecture
+//! is trained in their way, on single steps from measured pressures.
 
 use std::ops::Range;
 
@@ -20,19 +20,19 @@ use super::shard::Shard;
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, huber};
 
-/// How to fit.
+/// Configuration of a fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FitConfig {
-    /// Passes over the training episodes.
+    /// Number of passes over the training episodes.
     pub epochs: usize,
     /// Episodes per gradient step (rounded up to whole shards).
     pub batch: usize,
-    /// Error beyond which the loss grows linearly, cmH2O; below it is a parabola, which averages the noise out.
+    /// Error above which the loss grows linearly, cmH2O; below, it is a parabola, which averages noise.
     pub huber: f32,
-    /// Optimiser.
+    /// Settings of the optimiser.
     pub adam: AdamConfig,
-    /// Seed of initial parameters and shuffling.
+    /// Seed of the initial parameters and of shuffling.
     pub seed: u64,
 }
 
@@ -49,23 +49,23 @@ impl Default for FitConfig {
 }
 
 impl FitConfig {
-    /// The authors' optimiser for their architecture.
+    /// The authors' optimiser settings for their architecture.
     pub fn authors() -> Self {
         let adam = AdamConfig { rate: 1e-3, final_share: 1.0, weight_decay: 1e-4, clip: 1e9 };
         Self { epochs: 500, batch: 64, huber: 0.01, adam, seed: 0 }
     }
 }
 
-/// Share of the epochs after which a simulator of many lungs keeps its physics and only goes on with what they leave over.
-/// With longer physics the measured lungs that were held out came out worse (docs/RECORDINGS.md).
+/// Share of the epochs after which a simulator of many lungs freezes its physics and trains only its deviations. With a
+/// larger share, held-out measured lungs scored worse (docs/RECORDINGS.md).
 const SETTLED: f32 = 0.2;
 
-/// Parameters that learn together.
+/// Parameters that are trained together.
 #[derive(Debug)]
 struct ParameterGroup {
     range: Range<usize>,
     adam: Adam,
-    /// Share of the epochs in which they learn.
+    /// Share of the epochs in which they are trained.
     share: f32,
 }
 
@@ -83,7 +83,7 @@ impl ParameterGroup {
         }
     }
 
-    /// One step of those that still learn.
+    /// One optimiser step, if the group is still being trained.
     fn step(&mut self, parameters: &mut [f32], gradient: &[f32], progress: f32) {
         if progress < self.share {
             let range = self.range.clone();
@@ -100,7 +100,7 @@ struct Gradient {
     by_parameter: Vec<f32>,
 }
 
-/// State of a fit that can be advanced, watched and stopped at every epoch.
+/// State of a fit that can be advanced, observed and stopped at every epoch.
 #[derive(Debug)]
 pub struct Fit<'a> {
     architecture: Architecture,
@@ -129,7 +129,7 @@ impl<'a> Fit<'a> {
         Self { architecture, config, episodes: episodes.to_vec(), parameters, groups, rng, epoch: 0 }
     }
 
-    /// One pass over the episodes; the mean loss, or none when all epochs are done.
+    /// Runs one pass over the episodes; returns the mean loss, or `None` when all epochs are done.
     pub fn epoch(&mut self) -> Option<f64> {
         if self.epoch >= self.config.epochs || self.episodes.is_empty() {
             return None;
@@ -154,7 +154,7 @@ impl<'a> Fit<'a> {
         Some(loss / count.max(1.0))
     }
 
-    /// The simulator as it is now, with what else its users need to know of the recording.
+    /// The present simulator, with the properties of the recording that its users need.
     pub fn simulator(&self, plant: &str) -> Simulator {
         let starts = self.episodes.iter().map(|e| f64::from(e.start));
         Simulator {
@@ -167,7 +167,7 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// Loss and gradient of a batch; shards in parallel, summed in their order.
+/// Loss and gradient of a batch; shards run in parallel and are summed in their order.
 fn batch_gradient(model: &Model, episodes: &[&Episode], bound: f32) -> Gradient {
     sum(Shard::cut(episodes).par_iter().map(|shard| shard_gradient(model, shard, bound)).collect())
 }
@@ -187,7 +187,7 @@ fn sum(parts: Vec<Gradient>) -> Gradient {
     total
 }
 
-/// Huber's loss against the measured pressure at every tick but the first, and its gradient.
+/// Huber loss against the measured pressure at every tick except the first, and its gradient.
 fn shard_gradient(model: &Model, shard: &Shard<'_>, bound: f32) -> Gradient {
     let mut rollout = Rollout::replay(model, shard, true);
     let (mut loss, mut count) = (0.0, 0.0);
@@ -203,11 +203,11 @@ fn shard_gradient(model: &Model, shard: &Shard<'_>, bound: f32) -> Gradient {
     Gradient { loss, count, by_parameter }
 }
 
-/// Standard deviation of the sensor's noise: from third differences, which a smooth pressure hardly has.
+/// Standard deviation of the sensor noise, from third differences, which are small for a smooth pressure.
 pub fn noise(episodes: &[&Episode]) -> f32 {
     let third = |p: &[f32]| f64::from(p[3] - 3.0 * p[2] + 3.0 * p[1] - p[0]);
     let square = mean(episodes.iter().flat_map(|e| e.pressure.windows(4).map(third)).map(|d| d * d));
-    // Binomial coefficients 1, 3, 3, 1: variances add up to 20.
+    // Binomial coefficients 1, 3, 3, 1: the variances add up to 20.
     (square / 20.0).sqrt() as f32
 }
 

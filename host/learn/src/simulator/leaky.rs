@@ -1,12 +1,12 @@
-//! Leaky states with a time constant each, driven by an affine map of their inputs: `c' = a c + (1 - a) (W v + b)` with
-//! `a = sigmoid(decay)`. The start of a breath sets them by an affine map of what is known there.
+//! Leaky states, each with a time constant, driven by an affine map of their inputs: `c' = a c + (1 - a) (W v + b)`
+//! with `a = sigmoid(decay)`. At the start of a breath they are set by an affine map of the known quantities.
 
 use engine::Lane;
 use engine::dense::{DenseLayer, DenseWeights};
 
 use super::{piece, piece_mut};
 
-/// The states' parameters.
+/// Parameters of the states.
 #[derive(Clone, Debug)]
 pub(super) struct LeakyStates {
     start: DenseWeights,
@@ -16,7 +16,7 @@ pub(super) struct LeakyStates {
     keep: Vec<f32>,
 }
 
-/// Forward values and backward gradients of a rollout, block after block.
+/// Forward values and backward gradients of a rollout, block by block.
 #[derive(Clone, Debug)]
 pub(super) struct LeakyTape {
     known: Vec<Lane>,
@@ -24,12 +24,12 @@ pub(super) struct LeakyTape {
     drive: Vec<Lane>,
     d_drive: Vec<Lane>,
     d_decay: Vec<Lane>,
-    /// Gradient by the states after the block that goes back next.
+    /// Gradient with respect to the states after the block that the backward pass visits next.
     pub d_state: Vec<Lane>,
 }
 
 impl LeakyStates {
-    /// From their parameters: layers, and the index of the first decay.
+    /// From a parameter vector: layers, and the index of the first decay.
     pub fn new(start: &DenseLayer, drive: &DenseLayer, decay_offset: usize, parameters: &[f32]) -> Self {
         let decays = &parameters[decay_offset..decay_offset + drive.outputs];
         Self {
@@ -40,7 +40,7 @@ impl LeakyStates {
         }
     }
 
-    /// Memory for a rollout of so many blocks.
+    /// Memory for a rollout of `blocks` blocks.
     pub fn tape(&self, blocks: usize) -> LeakyTape {
         let zeros = |length: usize| vec![Lane::ZERO; length];
         let states = self.keep.len();
@@ -53,7 +53,7 @@ impl LeakyStates {
         }
     }
 
-    /// Starts a breath: sets `states` by what is known.
+    /// Starts a breath: sets `states` from the known quantities.
     pub fn begin(&self, tape: &mut LeakyTape, known: &[Lane], states: &mut [Lane]) {
         tape.known.copy_from_slice(known);
         self.start.forward(known, states);
@@ -61,7 +61,7 @@ impl LeakyStates {
         tape.d_decay.fill(Lane::ZERO);
     }
 
-    /// States after a block, from those before it and its inputs.
+    /// States after a block, from the states before it and its inputs.
     pub fn step(
         &self,
         tape: &mut LeakyTape,
@@ -77,8 +77,8 @@ impl LeakyStates {
         }
     }
 
-    /// The way back: takes what the block's outputs add to the gradient by the states after it, sets the gradient by the
-    /// inputs, and leaves that by the states before it in the tape.
+    /// Backward pass: takes the outputs' part of the gradient of the states after the block, sets the inputs' gradient,
+    /// and leaves that of the states before the block in the tape.
     pub fn step_back(
         &self,
         tape: &mut LeakyTape,
@@ -100,7 +100,7 @@ impl LeakyStates {
         self.drive.backward(d_drive, d_inputs);
     }
 
-    /// Adds the gradient by the parameters, given the inputs of all blocks, once all of them have gone back.
+    /// Adds the parameters' gradient, given the inputs of all blocks, after the backward pass of all blocks.
     pub fn finish(&self, tape: &LeakyTape, inputs: &[Lane], gradient: &mut [f32]) {
         self.drive.shape().gradient(&tape.d_drive, inputs, gradient);
         self.start.shape().gradient(&tape.d_state, &tape.known, gradient);
@@ -123,7 +123,7 @@ mod tests {
     const BLOCKS: usize = 3;
     const WEIGHTS: [f32; 2] = [2.0, -3.0];
 
-    /// Two states driven by one input, started by one known number; the sum of all states, each with its weight.
+    /// Two states driven by one input, started from one known number; the weighted sum of all states.
     fn run(at: &[f32]) -> (LeakyStates, LeakyTape, Vec<Lane>, f64) {
         let ([drive, start], decay) = DenseLayer::layout([(1, 2), (1, 2)]);
         let leaky = LeakyStates::new(&start, &drive, decay, at);
@@ -146,7 +146,7 @@ mod tests {
     fn gradients_agree_with_finite_differences() {
         let at = [0.5, -0.9, 0.2, 0.1, -0.3, 0.8, 0.6, -0.2, -0.5, 1.5];
         let (leaky, mut tape, states, _) = run(&at);
-        // All lanes do the same; the sum over them counts one.
+        // All lanes are equal; the sum over them counts once.
         let d_after = WEIGHTS.map(|weight| Lane::splat(weight / engine::LANES as f32));
         for block in (0..BLOCKS).rev() {
             leaky.step_back(&mut tape, block, &states[2 * block..], &d_after, &mut [Lane::ZERO]);

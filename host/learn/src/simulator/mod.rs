@@ -1,14 +1,13 @@
 //! Learned simulators: differentiable models that predict the next pressures from past commands.
 //!
-//! A simulator goes forward in *blocks* of control ticks. In a block it gives the pressure at a few *points*
-//! (the block's middle and end, or its end alone); pressures in between are interpolated. Commands reach it as
-//! means over the *parts* of past blocks, kept in a [`CommandLog`]. Blocks of 10 ms hide within the dead time
-//! of valve and tube: what is commanded in a block cannot be felt before the next one, so one network step
-//! serves ten control ticks.
+//! A simulator advances in *blocks* of control ticks. In a block it outputs the pressure at a few *points* (the block's
+//! middle and end, or only its end); pressures in between are interpolated. Its inputs are commands averaged over the
+//! *parts* of past blocks, kept in a [`CommandLog`]. Blocks of 10 ms fit within the dead time of valve and tube: a
+//! command given in a block has no effect before the next block, so one network step covers ten control ticks.
 //!
-//! [`state_space`] and [`hybrid`] are ours, one for one plant, one for many lungs whose nominal R and C are known;
-//! [`stitched`] is the architecture of Suo et al. 2021. All implement `Dynamics`; whatever runs a simulator (its own
-//! fit, a controller in training, an agent) does so through a [`rollout::Rollout`], which alone tells them apart.
+//! [`state_space`] (one plant) and [`hybrid`] (many lungs with known nominal R and C) are ours; [`stitched`] is the
+//! architecture of Suo et al. 2021. All implement `Dynamics`. All users of a simulator (its own fit, the training of a
+//! controller, an agent) run it through a [`rollout::Rollout`], which dispatches between architectures.
 
 mod breath_start;
 mod command_log;
@@ -39,17 +38,17 @@ use std::fmt::Debug;
 use crate::layers::{piece, piece_mut};
 use engine::Lane;
 
-/// Pressure that counts as zero, and the distance that counts as one, inside of a simulator, cmH2O.
+/// Pressure scaled to zero, and pressure difference scaled to one, inside a simulator, cmH2O.
 pub const PRESSURE_SCALE: (f32, f32) = (20.0, 10.0);
-/// Command that counts as one inside of a simulator, percent.
+/// Command scaled to one inside a simulator, percent.
 pub const COMMAND_SCALE: f32 = 50.0;
 
 /// A differentiable architecture with its parameters, run on the lanes of one shard.
 trait Dynamics: Debug + Send + Sync {
-    /// What the forward pass leaves behind for the backward pass.
+    /// Values of the forward pass that the backward pass needs.
     type Tape: Send + Sync + 'static;
 
-    /// Memory for a rollout of so many blocks.
+    /// Memory for a rollout of `blocks` blocks.
     fn tape(&self, blocks: usize) -> Self::Tape;
 
     /// Starts a breath.
@@ -58,15 +57,15 @@ trait Dynamics: Debug + Send + Sync {
     /// Predicts the pressure at the points of a block, cmH2O.
     fn step(&self, tape: &mut Self::Tape, block: usize, log: &CommandLog, points: &mut [Lane]);
 
-    /// The gradient of what [`Self::step`] did, blocks in reverse order: takes the gradient by the points, adds
-    /// the gradient by the commands.
+    /// Backward pass of [`Self::step`], blocks in reverse order: takes the gradient with respect to the points and adds
+    /// that with respect to the commands.
     fn step_back(&self, tape: &mut Self::Tape, block: usize, d_points: &[Lane], d_log: &mut CommandLog);
 
-    /// Starts the next block from this measured pressure (cmH2O) and not from the prediction, where an architecture is
-    /// trained so (teacher forcing); no gradient then flows from block to block.
+    /// Starts the next block from this measured pressure (cmH2O) instead of the prediction, in architectures trained
+    /// this way (teacher forcing); no gradient then flows between blocks.
     fn teach(&self, _tape: &mut Self::Tape, _block: usize, _measured: &Lane) {}
 
-    /// Adds the gradient by the parameters of the whole rollout, after the last step back.
+    /// Adds the gradient with respect to the parameters of the whole rollout, after the last step back.
     fn finish(&self, tape: &mut Self::Tape, gradient: &mut [f32]);
 }
 
@@ -80,7 +79,7 @@ trait AnyDynamics: Debug + Send + Sync {
     fn finish(&self, tape: &mut AnyTape, gradient: &mut [f32]);
 }
 
-/// The tape of some architecture.
+/// The tape of any architecture.
 type AnyTape = Box<dyn Any + Send + Sync>;
 
 fn own<T: 'static>(tape: &mut AnyTape) -> &mut T {

@@ -1,4 +1,4 @@
-//! A learned simulator as a value: architecture, parameters, origin, and the safetensors file that holds them.
+//! A learned simulator as a value: architecture, parameters, origin, and the safetensors file that contains them.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,20 +12,20 @@ use super::stitched::{Stitched, StitchedConfig};
 use super::{AnyDynamics, Timing};
 use data::tensors::{self, TensorError};
 
-/// Which architecture, with its shape.
+/// An architecture and its shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "architecture", rename_all = "snake_case")]
 pub enum Architecture {
-    /// Ours.
+    /// Our model of one plant.
     StateSpace(StateSpaceConfig),
-    /// Ours for many lungs.
+    /// Our model of many lungs.
     Hybrid(HybridConfig),
-    /// The authors'.
+    /// The authors' stitched networks.
     Stitched(StitchedConfig),
 }
 
 impl Architecture {
-    /// How time is cut.
+    /// Division of time into blocks.
     pub fn timing(&self) -> &Timing {
         match self {
             Self::StateSpace(config) => &config.timing,
@@ -43,7 +43,7 @@ impl Architecture {
         }
     }
 
-    /// Draws parameters.
+    /// Draws initial parameters.
     pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         match self {
             Self::StateSpace(config) => config.initialise(rng),
@@ -53,7 +53,7 @@ impl Architecture {
     }
 }
 
-/// A learned simulator. All but its parameters stands as JSON in its file's metadata.
+/// A learned simulator. In its file, everything except the parameters is JSON in the metadata.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Simulator {
     /// Architecture and shape.
@@ -62,7 +62,7 @@ pub struct Simulator {
     /// Its parameters, in the architecture's order.
     #[serde(skip)]
     pub parameters: Vec<f32>,
-    /// Standard deviation of the sensor's noise, estimated from the recording, cmH2O.
+    /// Standard deviation of the sensor noise, estimated from the recording, cmH2O.
     pub noise: f32,
     /// Mean pressure before an inspiration in the recording, cmH2O.
     pub start_pressure: f32,
@@ -70,7 +70,7 @@ pub struct Simulator {
     pub plant: String,
 }
 
-/// A simulator ready to run, to be shared by any number of rollouts.
+/// A simulator ready to run; any number of rollouts can share it.
 #[derive(Clone, Debug)]
 pub struct Model {
     architecture: Architecture,
@@ -97,9 +97,9 @@ impl Model {
     }
 }
 
-/// What the file says it is.
+/// The kind recorded in the file.
 pub const KIND: &str = "simulator";
-/// Name of the parameter vector.
+/// Name of the parameter vector in the file.
 const PARAMETERS: &str = "parameters";
 
 impl Simulator {
@@ -116,16 +116,16 @@ impl Simulator {
         tensors::save(path, KIND, self, &[(PARAMETERS, &self.parameters)])
     }
 
-    /// Reads what [`Self::save`] wrote.
+    /// Reads a file written by [`Self::save`].
     ///
     /// # Errors
-    /// The file cannot be read, is torn, or holds something else.
+    /// The file cannot be read, is damaged, or contains something else.
     pub fn load(path: &Path) -> Result<Self, TensorError> {
         let (mut simulator, mut vectors): (Self, _) = tensors::load(path, KIND, &[PARAMETERS])?;
         simulator.parameters = vectors.swap_remove(0);
         let (found, expected) = (simulator.parameters.len(), simulator.architecture.parameters());
         if found != expected {
-            let reason = format!("{found} parameters where {expected} belong");
+            let reason = format!("{found} parameters, expected {expected}");
             return Err(TensorError::format(path, KIND, &reason));
         }
         Ok(simulator)

@@ -1,4 +1,4 @@
-//! Judging a simulator open loop: the start of a breath and the recorded commands in, every pressure out.
+//! Open-loop errors of a simulator: its inputs are the start of a breath and the recorded commands.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -10,23 +10,23 @@ use super::shard::Shard;
 use super::{COMMAND_SCALE, Timing};
 use engine::Lane;
 
-/// How a simulator does on episodes it has not seen; mean absolute errors in cmH2O.
+/// Errors of a simulator on held-out episodes: mean absolute errors in cmH2O.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OpenLoop {
     /// Error of the predicted change of pressure over one simulator step, against the measured change.
     pub one_step: f64,
     /// Open-loop distance to the measured pressure, noise included.
     pub measured: f64,
-    /// Open-loop distance to the true airway pressure, where a bench knows it.
+    /// Open-loop distance to the true airway pressure, if the recording contains it.
     pub truth: Option<f64>,
 }
 
-/// Open-loop distance by waveform.
+/// Open-loop errors of one waveform.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ByWaveform {
     /// PIP, cmH2O.
     pub pip: f32,
-    /// Episodes with this PIP.
+    /// Number of episodes with this PIP.
     pub episodes: usize,
     /// Errors on them.
     pub open_loop: OpenLoop,
@@ -64,14 +64,14 @@ pub fn open_loop(simulator: &Simulator, episodes: &[&Episode]) -> OpenLoop {
     }
 }
 
-/// A command this much higher asks a simulator whether it is a plant, percent.
+/// Increase of the command that tests whether a simulator responds like a plant, percent.
 const PROBE: f32 = 5.0;
 
-/// Mean rise of the predicted pressure at these times (s) where every command of the inspiratory valve is five percent
-/// of full opening higher, and what the valve had before the breath is as it was; cmH2O.
+/// Mean rise of the predicted pressure at these times (s) when every command of the inspiratory valve is higher by five
+/// percent of full opening and the commands before the breath are unchanged; cmH2O.
 ///
-/// A plant answers with a rise. A simulator that has learned to read the pressure from the commands of the recording's
-/// controller answers with a fall, because that controller opens the valve where the pressure is low.
+/// A plant responds with a rise. A simulator that infers the pressure from the commands of the recording's controller
+/// responds with a fall, because that controller opens the valve when the pressure is low.
 pub fn response(simulator: &Simulator, episodes: &[&Episode], times: &[f32]) -> Vec<f64> {
     let timing = simulator.architecture.timing();
     let raised: Vec<Episode> = episodes
@@ -95,7 +95,7 @@ pub fn response(simulator: &Simulator, episodes: &[&Episode], times: &[f32]) -> 
     times.iter().map(rise).collect()
 }
 
-/// Errors by PIP, PIPs rising.
+/// Errors by PIP, in ascending order.
 pub fn by_waveform(simulator: &Simulator, episodes: &[&Episode]) -> Vec<ByWaveform> {
     let mut pips: Vec<f32> = episodes.iter().map(|e| e.pip).collect();
     pips.sort_by(f32::total_cmp);

@@ -1,5 +1,5 @@
-//! A network of leaky states driven by commands: all of [`state_space`](super::state_space), and in
-//! [`hybrid`](super::hybrid) what a test run has beyond a lung's physics.
+//! A network of leaky states driven by commands: the whole of [`state_space`](super::state_space), and in
+//! [`hybrid`](super::hybrid) the part of a test run that a lung's physics does not explain.
 //!
 //! ```text
 //! z  = softsign(W1 [c, v, k] + b1)       hidden layer
@@ -8,8 +8,8 @@
 //! y  = W3 [c', z] + b3                   outputs
 //! ```
 //!
-//! `v` are the scaled commands of the last blocks, `k` constants of a breath. The start of a breath sets the states by an
-//! affine map of what is known there.
+//! `v` are the scaled commands of the last blocks, `k` are constants of a breath. At the start of a breath the states
+//! are set by an affine map of the known quantities.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -19,25 +19,25 @@ use engine::Lane;
 use engine::activation::Activation;
 use engine::dense::{DenseLayer, DenseWeights};
 
-/// Scales of the layers' first weights: two in a row, the one that is read out, and the start.
+/// Scales of the layers' initial weights: the two stacked layers, the readout, and the start.
 pub(super) const GAINS: [f32; 4] = [1.0, 1.0, 0.5, 0.3];
 
 /// Shape of the network.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RecurrentShape {
-    /// How time is cut.
+    /// Division of time into blocks.
     pub timing: Timing,
-    /// States.
+    /// Number of states.
     pub states: usize,
-    /// Hidden units.
+    /// Number of hidden units.
     pub hidden: usize,
-    /// Blocks of past commands that a step sees.
+    /// Number of past command blocks that a step sees.
     pub history: usize,
-    /// Quantities known at the start of a breath.
+    /// Number of quantities known at the start of a breath.
     pub known: usize,
-    /// Inputs that stay the same during a breath.
+    /// Number of inputs that are constant during a breath.
     pub constants: usize,
-    /// Outputs of each block.
+    /// Number of outputs of each block.
     pub outputs: usize,
 }
 
@@ -46,7 +46,7 @@ impl RecurrentShape {
         self.history * self.timing.width()
     }
 
-    /// Inputs of the hidden layer: states, commands, constants.
+    /// Number of inputs of the hidden layer: states, commands, constants.
     fn inputs(&self) -> usize {
         self.states + self.commands() + self.constants
     }
@@ -68,7 +68,7 @@ impl RecurrentShape {
         self.layout().2
     }
 
-    /// Draws parameters: time constants from one block to `slowest_s`, evenly spaced on a logarithmic scale.
+    /// Draws initial parameters: time constants from one block to `slowest_s`, evenly spaced on a logarithmic scale.
     pub fn initialise(&self, slowest_s: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let (layers, decay, total) = self.layout();
         let mut parameters = vec![0.0; total];
@@ -94,7 +94,7 @@ pub(super) struct RecurrentNetwork {
     readout: DenseWeights,
 }
 
-/// Forward values and backward gradients of a rollout, block after block.
+/// Forward values and backward gradients of a rollout, block by block.
 #[derive(Clone, Debug)]
 pub(super) struct RecurrentTape {
     /// `[c, v, k]` before each block.
@@ -126,12 +126,12 @@ impl RecurrentNetwork {
         }
     }
 
-    /// Index of the newest block whose commands step `block` may see.
+    /// Index of the newest block whose commands step `block` may use.
     fn newest(&self, block: usize) -> Option<usize> {
         block.checked_sub(self.shape.timing.lag())
     }
 
-    /// Memory for a rollout of so many blocks.
+    /// Memory for a rollout of `blocks` blocks.
     pub fn tape(&self, blocks: usize) -> RecurrentTape {
         let RecurrentShape { states, hidden, constants, outputs, .. } = self.shape;
         let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
@@ -154,7 +154,7 @@ impl RecurrentNetwork {
         self.states.begin(&mut tape.states, known, &mut tape.state[..self.shape.states]);
     }
 
-    /// One block forward.
+    /// Runs one block forward.
     pub fn step(&self, tape: &mut RecurrentTape, block: usize, log: &CommandLog, outputs: &mut [Lane]) {
         let RecurrentShape { states, hidden, history, .. } = self.shape;
         let (commands, inputs) = (self.shape.commands(), self.shape.inputs());
@@ -176,7 +176,7 @@ impl RecurrentNetwork {
         self.readout.forward(readout, outputs);
     }
 
-    /// One block back, from `d_outputs(n)`, the gradient by its n-th output.
+    /// Backward pass of one block, from `d_outputs(n)`, the gradient with respect to its n-th output.
     pub fn step_back(
         &self,
         tape: &mut RecurrentTape,
@@ -212,7 +212,7 @@ impl RecurrentNetwork {
         d_log.scatter(self.newest(block), &d_cv[states..states + commands]);
     }
 
-    /// Adds the gradient by the parameters, once all blocks have gone back.
+    /// Adds the gradient with respect to the parameters, after the backward pass of all blocks.
     pub fn finish(&self, tape: &RecurrentTape, gradient: &mut [f32]) {
         let used = tape.state.len() - self.shape.inputs();
         self.hidden.shape().gradient(&tape.d_hidden, &tape.state[..used], gradient);
@@ -234,7 +234,7 @@ mod tests {
         Lane::from_fn(|l| ((7 * block + 3 * output + l) as f32).cos())
     }
 
-    /// A breath; sum of all outputs, each with a weight of its own.
+    /// Runs a breath; returns the weighted sum of all outputs, with different weights.
     fn breathe(shape: RecurrentShape, parameters: &[f32]) -> (RecurrentNetwork, RecurrentTape, f64) {
         let network = RecurrentNetwork::new(shape, parameters);
         let mut tape = network.tape(BLOCKS);

@@ -1,17 +1,17 @@
-//! One rollout of a simulator over a shard: commands in, pressures out, and the gradients back.
+//! One rollout of a simulator over a shard: commands in, pressures out, and the gradients backward.
 //!
-//! It runs in closed loop, where each pressure is looked at before the next command is chosen ([`Rollout::begin`],
-//! [`Rollout::pressure`], [`Rollout::advance`], and for the way back [`Rollout::start_back`],
-//! [`Rollout::command_gradient`], [`Rollout::add_pressure_gradient`]), or over the commands of a recording
-//! ([`Rollout::replay`], [`Rollout::replay_back`]). Nothing of a breath is left in the next one, so that a rollout's
-//! memory is used again and again.
+//! It runs either in closed loop, where each command is chosen from the pressure before it ([`Rollout::begin`],
+//! [`Rollout::pressure`], [`Rollout::advance`]; backward: [`Rollout::start_back`], [`Rollout::command_gradient`],
+//! [`Rollout::add_pressure_gradient`]), or over the commands of a recording ([`Rollout::replay`],
+//! [`Rollout::replay_back`]). No state of a breath is carried into the next one, so the memory of a rollout can be
+//! reused.
 
 use super::model::Model;
 use super::shard::Shard;
 use super::{AnyTape, BreathStart, COMMAND_SCALE, CommandLog, Timing, piece, piece_mut};
 use engine::Lane;
 
-/// A simulator at work on one shard, with the memory for breaths of a given length.
+/// A simulator running on one shard, with the memory for breaths of a given length.
 #[derive(Debug)]
 pub struct Rollout {
     model: Model,
@@ -27,7 +27,7 @@ pub struct Rollout {
 }
 
 impl Rollout {
-    /// Memory for breaths of at most so many ticks on a model.
+    /// Memory for breaths of at most `ticks` ticks on a model.
     pub fn new(model: &Model, ticks: usize) -> Self {
         let timing = *model.architecture().timing();
         let blocks = timing.blocks(ticks);
@@ -46,7 +46,7 @@ impl Rollout {
         }
     }
 
-    /// Starts a breath of a model from a command of `rest` percent; the tick is 0.
+    /// Starts a breath of a model from a command of `rest` percent, at tick 0.
     pub fn begin(&mut self, model: &Model, start: &BreathStart, rest: f32) {
         if self.model.architecture() == model.architecture() {
             self.model = model.clone();
@@ -75,7 +75,7 @@ impl Rollout {
         pressure
     }
 
-    /// Applies a command in percent for the present tick and goes on to the next one.
+    /// Applies a command in percent for the present tick and advances to the next one.
     pub fn advance(&mut self, command: &Lane) {
         let (block, place, share) = self.entry(self.tick);
         self.log.block_mut(block)[place].add_scaled(share, command);
@@ -85,14 +85,14 @@ impl Rollout {
         }
     }
 
-    /// Starts the way back through a breath. Ticks follow from the last one to the first: each is asked for its
-    /// [`Self::command_gradient`] and then told its [`Self::add_pressure_gradient`].
+    /// Starts the backward pass through a breath. Ticks follow from last to first: for each, call
+    /// [`Self::command_gradient`], then [`Self::add_pressure_gradient`].
     pub fn start_back(&mut self) {
         self.d_log.reset(Lane::ZERO);
         self.d_points.fill(Lane::ZERO);
     }
 
-    /// Gradient by the command of a tick, percent, from those by the pressures of all later ones.
+    /// Gradient with respect to the command of a tick, percent, from those of the pressures of all later ticks.
     pub fn command_gradient(&mut self, tick: usize) -> Lane {
         let (block, place, share) = self.entry(tick);
         if (tick + 1).is_multiple_of(self.timing.block_ticks) {
@@ -101,7 +101,7 @@ impl Rollout {
         self.d_log.block(Some(block))[place].map(|d| share * d)
     }
 
-    /// Adds the gradient by the pressure at a tick.
+    /// Adds the gradient with respect to the pressure at a tick.
     pub fn add_pressure_gradient(&mut self, tick: usize, d_pressure: &Lane) {
         let (first, weights) = self.around(tick);
         for (d, weight) in self.d_points[first..].iter_mut().zip(&weights[..=self.timing.points]) {
@@ -109,8 +109,8 @@ impl Rollout {
         }
     }
 
-    /// Runs the breaths of a shard with the commands that were recorded; with `teacher_forcing`, an architecture that is
-    /// trained so starts every block from a measured pressure.
+    /// Runs the breaths of a shard with the recorded commands. With `teacher_forcing`, architectures trained this way
+    /// start every block from a measured pressure.
     pub fn replay(model: &Model, shard: &Shard<'_>, teacher_forcing: bool) -> Self {
         let mut rollout = Self::new(model, shard.ticks());
         let timing = rollout.timing;
@@ -129,8 +129,8 @@ impl Rollout {
         rollout
     }
 
-    /// The way back through [`Self::replay`], once all ticks have had their [`Self::add_pressure_gradient`]: adds the
-    /// gradient by the model's parameters.
+    /// Backward pass of [`Self::replay`], after [`Self::add_pressure_gradient`] for all ticks: adds the gradient with
+    /// respect to the model's parameters.
     pub fn replay_back(&mut self, gradient: &mut [f32]) {
         for block in (0..self.timing.blocks(self.ticks)).rev() {
             self.predict_back(block);
@@ -144,7 +144,7 @@ impl Rollout {
         self.model.dynamics.begin(&mut self.tape, start);
     }
 
-    /// The model's step of a block; none beyond the end of the breath.
+    /// Runs the model's step of a block; no effect after the end of the breath.
     fn predict(&mut self, block: usize) {
         if block < self.timing.blocks(self.ticks) {
             let points = piece_mut(&mut self.points[1..], block, self.timing.points);
@@ -152,7 +152,7 @@ impl Rollout {
         }
     }
 
-    /// The way back through [`Self::predict`].
+    /// Backward pass of [`Self::predict`].
     fn predict_back(&mut self, block: usize) {
         if block < self.timing.blocks(self.ticks) {
             let d_points = piece(&self.d_points[1..], block, self.timing.points);
@@ -160,13 +160,13 @@ impl Rollout {
         }
     }
 
-    /// Index of the first point around a tick, and the weights of it and the next ones.
+    /// Index of the first point around a tick, and the weights of this point and the next ones.
     fn around(&self, tick: usize) -> (usize, [f32; 3]) {
         let Timing { block_ticks, points, .. } = self.timing;
         (tick / block_ticks * points, self.timing.interpolation(tick % block_ticks))
     }
 
-    /// Where the log has the command of a tick: block, place, and what a percent counts there.
+    /// Position of a tick's command in the log: block, place, and weight of one percent.
     fn entry(&self, tick: usize) -> (usize, usize, f32) {
         let place = self.timing.part(tick % self.timing.block_ticks);
         let share = 1.0 / (COMMAND_SCALE * self.timing.part_ticks(place) as f32);
@@ -201,7 +201,7 @@ mod tests {
     fn all() -> [(Model, usize); 3] {
         let hybrid = Architecture::Hybrid(HybridConfig::for_period(1000, 1));
         let stitched = Architecture::Stitched(StitchedConfig::for_period(30_000));
-        // As drawn, the authors' networks are so steep that their rounding errors grow from tick to tick.
+        // As initialised, the authors' networks are so steep that rounding errors grow from tick to tick.
         let wild = stitched.initialise(&mut ChaCha8Rng::seed_from_u64(8));
         let tame: Vec<f32> = wild.iter().map(|w| 0.5 * w).collect();
         [(model(state_space(16)), 123), (model(hybrid), 123), (Model::new(stitched, &tame), 33)]
@@ -232,7 +232,7 @@ mod tests {
         (0..ticks).map(step).collect()
     }
 
-    /// The same breath as recorded: one episode per lane, with means of the commands over parts.
+    /// The same breath as a recording: one episode per lane, with commands averaged over parts.
     fn recorded(timing: &Timing, ticks: usize, l: usize) -> Episode {
         let mut commands = vec![0.0; timing.blocks(ticks) * timing.parts];
         for tick in 0..ticks {
@@ -275,7 +275,7 @@ mod tests {
         20.0 + 10.0 * (0.7 * tick as f32).cos()
     }
 
-    /// Sum of the pressures of all ticks under these commands, each with a weight of its own.
+    /// Sum of the pressures of all ticks under these commands, with different weights.
     fn weighted(rollout: &mut Rollout, model: &Model, commands: &[f32]) -> f64 {
         rollout.begin(model, &start(), REST);
         let mut total = 0.0;

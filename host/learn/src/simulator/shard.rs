@@ -1,21 +1,21 @@
-//! Episodes of a recording side by side, as the lanes of a rollout.
+//! Episodes of a recording in parallel, as the lanes of a rollout.
 
 use super::episode::Episode;
 use super::{BreathStart, CommandLog, Timing, USUAL_LUNG};
 use engine::{LANES, Lane};
 
-/// What an error in an expiration weighs, against one in an inspiration: there the simulator is not used.
+/// Weight of an error in an expiration, relative to an inspiration: simulators are not used in expirations.
 const EXPIRATION_WEIGHT: f32 = 0.5;
 
-/// Up to [`LANES`] episodes side by side.
+/// Up to [`LANES`] episodes in parallel.
 #[derive(Clone, Debug)]
 pub struct Shard<'a> {
-    /// The episodes; rollouts beyond them repeat the last one with weight zero.
+    /// The episodes; excess lanes repeat the last one with weight zero.
     pub episodes: Vec<&'a Episode>,
 }
 
 impl<'a> Shard<'a> {
-    /// Cuts episodes into shards.
+    /// Divides episodes into shards.
     pub fn cut(episodes: &[&'a Episode]) -> Vec<Self> {
         episodes.chunks(LANES).map(|chunk| Self { episodes: chunk.to_vec() }).collect()
     }
@@ -34,7 +34,7 @@ impl<'a> Shard<'a> {
         Lane::from_fn(|l| value(self.episode(l)))
     }
 
-    /// How the breaths start.
+    /// The starts of the breaths.
     pub fn start(&self) -> BreathStart {
         BreathStart {
             pressure: self.lane(|episode| episode.start),
@@ -48,7 +48,7 @@ impl<'a> Shard<'a> {
         }
     }
 
-    /// What was commanded.
+    /// The recorded commands.
     pub fn log(&self, timing: &Timing) -> CommandLog {
         let width = timing.width();
         let rest = (0..width).map(|place| self.lane(|episode| episode.rest[place])).collect();
@@ -62,12 +62,12 @@ impl<'a> Shard<'a> {
         log
     }
 
-    /// Measured pressure at a tick, cmH2O; the last one beyond an episode's end.
+    /// Measured pressure at a tick, cmH2O; after an episode's end, its last pressure.
     pub fn pressure(&self, tick: usize) -> Lane {
         self.lane(|episode| episode.pressure[tick.min(episode.ticks() - 1)])
     }
 
-    /// What an error at this tick weighs: one in an inspiration, less in what follows, zero where an episode has no such tick.
+    /// Weight of an error at this tick: one in an inspiration, less after it, zero where an episode has no such tick.
     pub fn weight(&self, tick: usize) -> Lane {
         let weight = |episode: &Episode| match tick {
             tick if tick < episode.rows.len() => 1.0,

@@ -1,8 +1,8 @@
 //! Our simulator: a nonlinear state-space model.
 //!
-//! States are leaky integrators with learned time constants, driven by past commands and by a hidden layer that
-//! sees states and commands (`recurrent.rs`); outputs are pressures at the block's points, `20 + 10 y`.
-//! Slow linear states carry the lung's volume without loss, fast ones the valve's lag; the hidden layer bends them.
+//! States are leaky integrators with learned time constants, driven by past commands and by a hidden layer that sees
+//! states and commands (`recurrent.rs`); outputs are pressures at the block's points, `20 + 10 y`. Slow linear states
+//! represent the lung's volume, fast ones the valve's lag; the hidden layer adds the nonlinearity.
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -12,33 +12,33 @@ use super::{BreathStart, CommandLog, Dynamics, PRESSURE_SCALE, Timing, USUAL_LUN
 use data::identity::LungParameters;
 use engine::Lane;
 
-/// Quantities known at the start of a breath: pressure and last plateau; of a model of many lungs, the commands there too.
+/// Quantities known at the start of a breath: pressure, last plateau; in a model of many lungs also their commands.
 const START_INPUTS: usize = 2;
 const START_INPUTS_OF_LUNGS: usize = 4;
-/// What a model of many lungs is told of each: logarithms of R and C over 20.
+/// Inputs that describe the lung in a model of many lungs: logarithms of R and C over 20.
 const LUNG_INPUTS: usize = 2;
-/// Slowest state to start with, s.
+/// Initial time constant of the slowest state, s.
 const LONGEST_S: f32 = 3.0;
 
 /// Shape of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StateSpaceConfig {
-    /// How time is cut.
+    /// Division of time into blocks.
     pub timing: Timing,
-    /// States.
+    /// Number of states.
     pub states: usize,
-    /// Hidden units.
+    /// Number of hidden units.
     pub hidden: usize,
-    /// Blocks of past commands that a step sees.
+    /// Number of past command blocks that a step sees.
     pub history: usize,
-    /// Whether it is one model of many lungs, told the nominal R and C of each.
+    /// Whether the model covers many lungs, with the nominal R and C of each as inputs.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lungs: bool,
 }
 
 impl StateSpaceConfig {
-    /// The default shape for a control period in microseconds and so many command channels.
+    /// The default shape for a control period in microseconds and this number of command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
         Self {
             timing: Timing::for_period(period_us, channels),
@@ -67,7 +67,7 @@ impl StateSpaceConfig {
         self.shape().parameters()
     }
 
-    /// Draws parameters.
+    /// Draws initial parameters.
     pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         self.shape().initialise(LONGEST_S, rng)
     }

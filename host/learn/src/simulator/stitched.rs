@@ -1,9 +1,9 @@
 //! The authors' simulator: networks stitched together in time (Suo et al. 2021; constants of their code).
 //!
-//! The last five commands (the present one included) and the last pressures give the next pressure. The first
-//! five steps of a breath have a *boundary* network each (tanh, five pressures); all later ones share a deep
-//! network (SELU, three pressures). A history shorter than that is filled with scaled zeros. It goes one control
-//! tick at a time, 30 ms in the paper.
+//! The last five commands (including the present one) and the last pressures give the next pressure. Each of the first
+//! five steps of a breath has its own *boundary* network (tanh, five pressures); all later steps share a deep network
+//! (SELU, three pressures). Missing history is filled with scaled zeros. The simulator advances one control tick at a
+//! time, 30 ms in the paper.
 
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -15,28 +15,28 @@ use engine::Lane;
 use engine::activation::Activation;
 use engine::dense::DenseLayer;
 
-/// Commands that a step sees.
+/// Number of commands that a step sees.
 const COMMANDS: usize = 5;
-/// Pressures that a boundary network sees.
+/// Number of pressures that a boundary network sees.
 const PRESSURES: usize = 5;
-/// Pressures that the shared network sees.
+/// Number of pressures that the shared network sees.
 const PRESSURES_SHARED: usize = 3;
-/// Steps with a network of their own.
+/// Number of steps with their own network.
 const BOUNDARIES: usize = 5;
-/// Inputs of every network.
+/// Number of inputs of every network.
 const INPUTS: usize = COMMANDS + PRESSURES;
-/// Units of every hidden layer.
+/// Number of units of every hidden layer.
 const HIDDEN: usize = 100;
-/// Hidden layers of the shared network.
+/// Number of hidden layers of the shared network.
 const DEPTH: usize = 3;
-/// Layers in all: two per boundary network, those of the shared one and its output.
+/// Total number of layers: two per boundary network, and those of the shared one with its output.
 const LAYERS: usize = 2 * BOUNDARIES + DEPTH + 1;
 
-/// Shape of the model; everything but time is fixed.
+/// Shape of the model; everything except the timing is fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StitchedConfig {
-    /// How time is cut: one tick per block.
+    /// Division of time into blocks: one tick per block.
     pub timing: Timing,
 }
 
@@ -61,7 +61,7 @@ impl StitchedConfig {
         Self::layout().1
     }
 
-    /// Draws parameters.
+    /// Draws initial parameters.
     pub fn initialise(self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let (layers, total) = Self::layout();
         let mut parameters = vec![0.0; total];
@@ -75,17 +75,17 @@ impl StitchedConfig {
 /// The model with its parameters, ready to run.
 #[derive(Clone, Debug)]
 pub(super) struct Stitched {
-    /// Those of the boundaries, then the shared one.
+    /// The boundary networks, then the shared one.
     networks: Vec<Layers>,
 }
 
 /// Forward values and backward gradients of a rollout.
 #[derive(Clone, Debug)]
 pub(super) struct StitchedTape {
-    /// Scaled pressures at the start of each step, own predictions or, in one-step training, measured ones.
+    /// Scaled pressures at the start of each step: predictions or, in one-step training, measurements.
     pressures: Vec<Lane>,
     d_pressures: Vec<Lane>,
-    /// A tape of one step for each step.
+    /// One tape per step.
     steps: Vec<LayersTape>,
     measured: bool,
 }

@@ -1,11 +1,11 @@
-//! What the simulators' tests share: gradients against finite differences, and a breath.
+//! Shared by the simulators' tests: gradients against finite differences, and a breath.
 
 use super::episode::Episode;
 use super::model::{Architecture, Model};
 use super::{BreathStart, CommandLog, Timing, USUAL_LUNG};
 use engine::{LANES, Lane};
 
-/// An inspiration of a lung of R 20 and C 20, of a simulator with one command per block.
+/// An inspiration of a lung with R 20 and C 20, for a simulator with one command per block.
 pub(super) fn episode(ticks: usize) -> Episode {
     Episode {
         pressure: (0..ticks).map(|tick| 5.0 + 0.5 * tick as f32).collect(),
@@ -49,7 +49,7 @@ fn commands(width: usize) -> CommandLog {
     log
 }
 
-/// Sum over blocks, points and rollouts of `weight * pressure`, with weights that differ.
+/// Weights of the sum over blocks, points and rollouts of `weight * pressure`; all differ.
 fn weight(block: usize, point: usize, l: usize) -> f32 {
     0.1 * ((block * 31 + point * 17 + l * 7) as f32).cos()
 }
@@ -69,13 +69,13 @@ fn loss(model: &Model, log: &CommandLog) -> f64 {
     total
 }
 
-/// Compares analytic gradients by commands and by every few parameters with central differences.
+/// Compares analytic gradients with respect to commands and a sample of the parameters with central differences.
 pub(super) fn check_gradients(architecture: Architecture, parameters: &[f32]) {
     let some = (0..parameters.len()).step_by((parameters.len() / 150).max(1));
     check_gradients_by(some, architecture, parameters);
 }
 
-/// Compares analytic gradients by commands and by the parameters of these indices with central differences.
+/// Compares analytic gradients with respect to commands and the parameters of these indices with central differences.
 pub(super) fn check_gradients_by(
     indices: impl Iterator<Item = usize>,
     architecture: Architecture,

@@ -1,29 +1,29 @@
-//! How a simulator cuts time: control ticks into blocks, blocks into the parts that commands are averaged over and the
-//! points that pressures are given at.
+//! How a simulator divides time: control ticks into blocks; blocks into parts, over which commands are averaged, and
+//! points, at which pressures are given.
 
 use serde::{Deserialize, Serialize};
 
-/// How a simulator cuts time; in control ticks of the recording it was fitted to.
+/// How a simulator divides time, in control ticks of the recording that it was fitted to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Timing {
     /// Control period, microseconds.
     pub period_us: u32,
-    /// Control ticks per block.
+    /// Number of control ticks per block.
     pub block_ticks: usize,
-    /// Parts of a block over which commands are averaged.
+    /// Number of parts of a block over which commands are averaged.
     pub parts: usize,
-    /// Pressure points per block, the last one at its end.
+    /// Number of pressure points per block; the last one is at its end.
     pub points: usize,
-    /// Command channels: 1 for the inspiratory valve alone.
+    /// Number of command channels: 1 for only the inspiratory valve.
     pub channels: usize,
 }
 
-/// Longest block, seconds: the least dead time of the bench's valve.
+/// Longest block, seconds: the shortest dead time of the bench's valve.
 const BLOCK_TIME: f32 = 0.010;
 
 impl Timing {
-    /// The blocks for a control period: 10 ms, or one tick where that is longer.
+    /// The timing for a control period: blocks of 10 ms, or of one tick if that is longer.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
         let block_ticks = (shared::math::ticks(BLOCK_TIME, period_us) as usize).max(1);
         let (parts, points) = if block_ticks >= 2 { (2, 2) } else { (1, 1) };
@@ -35,23 +35,23 @@ impl Timing {
         self.block_ticks as f32 * self.period_us as f32 * 1e-6
     }
 
-    /// Values per block in a [`CommandLog`](super::CommandLog).
+    /// Number of values per block in a [`CommandLog`](super::CommandLog).
     pub fn width(&self) -> usize {
         self.parts * self.channels
     }
 
-    /// Blocks that cover `ticks` control ticks.
+    /// Number of blocks that cover `ticks` control ticks.
     pub fn blocks(&self, ticks: usize) -> usize {
         ticks.div_ceil(self.block_ticks)
     }
 
-    /// Age in blocks of the newest command that a step may use: the running block's where it is a single tick
-    /// (its command is known before its pressure), the previous one's otherwise.
+    /// Age in blocks of the newest command that a step may use: that of the running block if it is a single tick (its
+    /// command is known before its pressure), else of the previous block.
     pub fn lag(&self) -> usize {
         usize::from(self.block_ticks > 1)
     }
 
-    /// Part of its block in which a tick lies.
+    /// The part of its block that contains a tick.
     pub fn part(&self, tick_in_block: usize) -> usize {
         tick_in_block * self.parts / self.block_ticks
     }
@@ -61,8 +61,8 @@ impl Timing {
         (0..self.block_ticks).filter(|tick| self.part(*tick) == part).count()
     }
 
-    /// Weights of the block's start, and its points, in the pressure `tick` ticks after the start of the block:
-    /// the parabola (with two points) or line (with one) through them.
+    /// Weights of the block's start and its points in the pressure `tick` ticks after the start of the block, by
+    /// interpolation with a parabola (two points) or a line (one point).
     pub fn interpolation(&self, tick: usize) -> [f32; 3] {
         let s = tick as f32 / self.block_ticks as f32;
         if self.points == 1 {

@@ -1,4 +1,4 @@
-//! The lung of the hybrid: a parabolic resistor and a compliance behind the circuit's compliance, under a ventilator that is two
+//! The lung of the hybrid: a parabolic resistor and a compliance behind the circuit's compliance; the ventilator is two
 //! openings.
 //!
 //! ```text
@@ -11,32 +11,32 @@ use super::ventilator::{OPENINGS, Openings};
 use crate::simulator::{BreathStart, Timing};
 use engine::{LANES, Lane};
 
-/// Parameters of lungs and circuit: see [`Physics`].
+/// Number of parameters of lungs and circuit: see [`Physics`].
 pub(super) const PHYSICS: usize = 6;
-/// What a test run has of its own here, as logarithms: what R and C are multiplied by.
+/// Number of deviations of a test run, as logarithms: the factors on R and C.
 pub(super) const DEVIATIONS: usize = 2;
-/// R at which R1 and R2 are what they are, cmH2O/(L/s).
+/// Nominal R to which R1 and R2 refer, cmH2O/(L/s).
 const NOMINAL: f32 = 20.0;
-/// Pressure drop below which the resistor's root is rounded off, cmH2O.
+/// Pressure drop below which the resistor's root is smoothed, cmH2O.
 const ROUNDING: f32 = 0.05;
 const ML_PER_L: f32 = 1000.0;
 
-/// What is learned of lungs and circuit.
+/// Learned parameters of lungs and circuit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Physics {
     /// Duration of one step, s.
     step_s: f32,
-    /// Logarithms of R1 (cmH2O/(L/s)) and R2 (cmH2O/(L/s)^2) at the nominal R of 20. Both go with the nominal R; powers of
-    /// their own, learned from a handful of lungs, were no law that held for the next.
+    /// Logarithms of R1 (cmH2O/(L/s)) and R2 (cmH2O/(L/s)^2) at the nominal R of 20. Both are proportional to the
+    /// nominal R; separate exponents, learned from a handful of lungs, did not generalise.
     linear: f32,
     square: f32,
-    /// Logarithm of what the nominal C is multiplied by.
+    /// Logarithm of the factor on the nominal C.
     compliance: f32,
     /// Logarithm of the circuit's compliance, mL/cmH2O.
     circuit: f32,
-    /// Share of the last plateau that is still in the lung.
+    /// Share of the last plateau's pressure that is still in the lung.
     left: f32,
-    /// Logarithm of the supply's pressure, cmH2O.
+    /// Logarithm of the supply pressure, cmH2O.
     supply: f32,
 }
 
@@ -45,15 +45,15 @@ pub(super) struct Physics {
 struct Lungs {
     linear: Lane,
     square: Lane,
-    /// Pressure per flow and step: what one L/s for a step adds, cmH2O.
+    /// Pressure rise per flow and step: the effect of 1 L/s for one step, cmH2O.
     rise: Lane,
-    /// The circuit's conductance to its own past, (L/s)/cmH2O.
+    /// Conductance that represents the circuit's compliance, (L/s)/cmH2O.
     keep: f32,
-    /// Pressure of the supply, cmH2O.
+    /// Supply pressure, cmH2O.
     supply: f32,
 }
 
-/// Gradients by the logarithms of what [`Lungs`] holds.
+/// Gradients with respect to the logarithms of the values in [`Lungs`].
 #[derive(Clone, Copy, Debug, Default)]
 struct Gradients {
     linear: Lane,
@@ -63,7 +63,7 @@ struct Gradients {
     supply: Lane,
 }
 
-/// One step, kept for the way back.
+/// Values of one step that the backward pass needs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flow {
     pressure: Lane,
@@ -72,12 +72,12 @@ struct Flow {
     next: Lane,
 }
 
-/// Forward values and backward gradients of a rollout, step after step.
+/// Forward values and backward gradients of a rollout, step by step.
 #[derive(Clone, Debug)]
 pub(super) struct LungTape {
     flow: Vec<Flow>,
     lungs: Lungs,
-    /// Plateau less pressure at the start, cmH2O.
+    /// Plateau minus pressure at the start, cmH2O.
     fall: Lane,
     pressure: Lane,
     pub alveolar: Lane,
@@ -87,8 +87,8 @@ pub(super) struct LungTape {
 }
 
 impl Physics {
-    /// Half of the nominal drop linear, half turbulent at one litre per second; a circuit of 1.5 mL/cmH2O; a
-    /// supply of 60 cmH2O.
+    /// Half of the nominal drop is linear, half turbulent, at one litre per second; the circuit has 1.5 mL/cmH2O, the
+    /// supply 60 cmH2O.
     pub const PLAIN: [f32; PHYSICS] = [2.1, 2.3, 0.0, 0.4, 0.0, 4.1];
 
     /// From parameters, for steps of a block's points.
@@ -104,7 +104,7 @@ impl Physics {
         }
     }
 
-    /// Memory for a rollout of so many steps.
+    /// Memory for a rollout of `steps` steps.
     pub fn tape(steps: usize) -> LungTape {
         LungTape {
             flow: vec![Flow::default(); steps],
@@ -137,13 +137,13 @@ impl Physics {
         tape.d_lungs = Gradients::default();
     }
 
-    /// Adds the gradients by the parameters and by the deviations, once all steps have gone back.
+    /// Adds the parameters' gradient, after the backward pass of all steps; returns that of the deviations.
     pub fn finish(tape: &LungTape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
         let d = &tape.d_lungs;
         let by_physics = [
             d.linear.sum(),
             d.square.sum(),
-            // What a step adds falls as the compliance grows.
+            // The rise per step falls as the compliance grows.
             -d.rise.sum(),
             d.keep.sum(),
             tape.d_alveolar.zip(&tape.fall, |a, b| a * b).sum(),
@@ -157,7 +157,7 @@ impl Physics {
 }
 
 impl LungTape {
-    /// One implicit step under a ventilator; the airway pressure after it, cmH2O.
+    /// Runs one implicit step with a ventilator; returns the airway pressure after it, cmH2O.
     pub fn step(&mut self, step: usize, [inlet, outlet]: &Openings) -> Lane {
         let lungs = &self.lungs;
         let mut flow = Flow { pressure: self.pressure, alveolar: self.alveolar, ..Flow::default() };
@@ -175,7 +175,7 @@ impl LungTape {
         flow.next
     }
 
-    /// The way back through [`Self::step`], from the gradient by its pressure; adds the gradient by the openings.
+    /// Backward pass of [`Self::step`], from the gradient with respect to its pressure; adds that of the openings.
     pub fn step_back(&mut self, step: usize, openings: &Openings, d_next: &Lane, d_openings: &mut Openings) {
         self.d_pressure.add_scaled(1.0, d_next);
         for l in 0..LANES {
@@ -186,7 +186,7 @@ impl LungTape {
         }
     }
 
-    /// One lane of [`Self::step_back`]: takes the gradient by the next pressures and leaves that by the pressures before.
+    /// One lane of [`Self::step_back`]: turns the gradient of the pressures after the step into that before it.
     fn lane_back(&mut self, step: usize, l: usize, [inlet, outlet]: [f32; OPENINGS]) -> [f32; OPENINGS] {
         let (flow, lungs) = (&self.flow[step], &self.lungs);
         let (p, a, next, g) = (flow.pressure[l], flow.alveolar[l], flow.next[l], flow.conductance[l]);
@@ -221,14 +221,14 @@ impl LungTape {
     }
 }
 
-/// `sqrt(R1^2 + 4 R2 |drop|)`, and `|drop|`, rounded off around zero.
+/// `sqrt(R1^2 + 4 R2 |drop|)`, and `|drop|`, smoothed around zero.
 fn root(lungs: &Lungs, l: usize, drop: f32) -> (f32, f32) {
     let size = (drop * drop + ROUNDING * ROUNDING).sqrt();
     ((lungs.linear[l] * lungs.linear[l] + 4.0 * lungs.square[l] * size).sqrt(), size)
 }
 
-/// Conductance of an opening of one under a pressure drop, and its slope: flow goes with the root of the drop, which is
-/// rounded off around zero.
+/// Conductance of a unit opening under a pressure drop, and its slope: flow is proportional to the root of the drop,
+/// smoothed around zero.
 fn orifice(drop: f32) -> (f32, f32) {
     let square = drop * drop + 1.0;
     let share = 1.0 / square.sqrt().sqrt();
@@ -246,7 +246,7 @@ mod tests {
         Lane::from_fn(|l| ((5 * step + l) as f32).cos())
     }
 
-    /// A breath under the same openings in every step and lane: `at` holds the physics, then the two openings.
+    /// A breath with the same openings in every step and lane: `at` contains the physics, then the two openings.
     fn breathe(at: &[f32]) -> (LungTape, Openings, f64) {
         let mut tape = Physics::tape(STEPS);
         let start = BreathStart {

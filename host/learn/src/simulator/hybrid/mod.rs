@@ -1,13 +1,13 @@
-//! One simulator for many lungs: a learned ventilator that blows into a lung known by its nominal R and C.
+//! One simulator for many lungs: a learned ventilator connected to a lung with known nominal R and C.
 //!
-//! The ventilator sees commands alone and gives two openings; the lung is physics with six numbers. Since nothing of the
-//! ventilator knows the lung and nothing of the lung knows the command, a lung that no breath of the recording had is a
-//! new pair of numbers, not a guess. Commands of a closed loop tell the pressure to anything that sees enough of them; a
-//! source that can only blow into a lung has little use for that.
+//! The ventilator sees only commands and outputs two openings; the lung is a physical model with six parameters. The
+//! ventilator has no information about the lung and the lung none about the commands, so a lung absent from the
+//! recording is just a new pair of numbers. The commands of a closed loop reveal the pressure to a model that sees
+//! enough of them; a source that can only drive a lung can hardly exploit this.
 //!
-//! What is peculiar to a test run stays with that run: the resistor and the compliance that it really had, how far its
-//! valves opened, and what physics leaves over, which is a mixture of a few modes that a network of leaky states makes of
-//! the commands. A breath of no known run gets none of it.
+//! Deviations of a test run are separate parameters: its actual resistor and compliance, how far its valves opened, and
+//! what the physics does not explain. The last is a mixture of a few modes, which a network of leaky states computes
+//! from the commands. A breath of an unknown run uses none of them.
 //!
 //! ```text
 //! A, B = ventilator(commands)
@@ -31,38 +31,38 @@ use super::recurrent::{RecurrentNetwork, RecurrentShape, RecurrentTape};
 use super::{BreathStart, CommandLog, Dynamics, Members, Timing, piece, piece_mut};
 use engine::{LANES, Lane};
 
-/// Deviations of a group from what all have in common, as logarithms: R, C, opening towards the supply, opening towards
-/// the room. A run whose resistor is not what its label says keeps that to itself; a lung that was never seen has none.
+/// Number of deviations of a group, as logarithms: R, C, opening towards the supply, opening towards the room. They
+/// absorb, for example, a mislabelled resistor; an unseen lung has none.
 const DEVIATIONS: usize = lung::DEVIATIONS + OPENINGS;
-/// States and hidden units of the network that makes the modes, and modes of each point.
+/// States and hidden units of the network that computes the modes; number of modes of each point.
 const REST: (usize, usize) = (16, 32);
 const MODES: usize = 8;
-/// Slowest state of that network to start with, s.
+/// Initial time constant of the network's slowest state, s.
 const LONGEST_REST_S: f32 = 1.0;
-/// Most that a test run may add to the physics, cmH2O: it corrects them and cannot replace them.
+/// Largest correction of a test run to the physics, cmH2O: it cannot replace them.
 const MOST_REST: f32 = 10.0;
 
 /// Shape of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HybridConfig {
-    /// How time is cut.
+    /// Division of time into blocks.
     pub timing: Timing,
-    /// Filters of the ventilator.
+    /// Number of filters in the ventilator.
     pub states: usize,
-    /// Static curves of the ventilator.
+    /// Number of static curves in the ventilator.
     pub hidden: usize,
-    /// Blocks of past commands that a step sees.
+    /// Number of past command blocks that a step sees.
     pub history: usize,
-    /// Ventilators of the recording, each with valves of its own.
+    /// Number of ventilators in the recording, each with its own valves.
     #[serde(default)]
     pub ventilators: usize,
-    /// Groups (test runs) of the recording, each with deviations of its own.
+    /// Number of groups (test runs) in the recording, each with its own deviations.
     #[serde(default)]
     pub groups: usize,
 }
 
-/// Where the parts of the parameter vector are.
+/// Positions of the parts in the parameter vector.
 struct HybridLayout {
     ventilator: Range<usize>,
     physics: Range<usize>,
@@ -72,13 +72,13 @@ struct HybridLayout {
 }
 
 impl HybridConfig {
-    /// The default shape for a control period in microseconds and so many command channels.
+    /// The default shape for a control period in microseconds and this number of command channels.
     pub fn for_period(period_us: u32, channels: usize) -> Self {
         let timing = Timing::for_period(period_us, channels);
         Self { timing, states: 8, hidden: 24, history: 8, ventilators: 0, groups: 0 }
     }
 
-    /// Modes of a block: each of its points has its own.
+    /// Number of modes of a block: each of its points has its own.
     fn modes(&self) -> usize {
         MODES * self.timing.points
     }
@@ -117,12 +117,12 @@ impl HybridConfig {
         self.layout().mixing.end
     }
 
-    /// Parameters of ventilator and lung, with what each ventilator and test run has of its own there: all but the modes.
+    /// Parameters of ventilator and lung, including the deviations of ventilators and test runs: all except the modes.
     pub fn physics(&self) -> Range<usize> {
         0..self.layout().deviations.end
     }
 
-    /// Draws parameters: a ventilator, a plain lung, and test runs that have nothing of their own.
+    /// Draws initial parameters: a ventilator, a plain lung, and test runs without deviations.
     pub fn initialise(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let layout = self.layout();
         let mut parameters = vec![0.0; layout.mixing.end];
@@ -144,7 +144,7 @@ pub(super) struct Hybrid {
     mixing: Own,
 }
 
-/// Forward values and backward gradients of a rollout, block after block.
+/// Forward values and backward gradients of a rollout, block by block.
 #[derive(Clone, Debug)]
 pub(super) struct HybridTape {
     /// Group of each lane.
@@ -277,7 +277,7 @@ mod tests {
         }
     }
 
-    /// Physics away from where they start, and test runs and ventilators that have something of their own.
+    /// Parameters with physics off their initial values, and with deviations of test runs and ventilators.
     fn varied(config: &HybridConfig, seed: u64) -> Vec<f32> {
         let layout = config.layout();
         let mut parameters = config.initialise(&mut ChaCha8Rng::seed_from_u64(seed));
@@ -313,12 +313,12 @@ mod tests {
             ..HybridConfig::for_period(30_000, 1)
         };
         let (parameters, layout) = (varied(&config, 5), config.layout());
-        // The network has a check of its own in the state space.
+        // The network has its own gradient check in `state_space`.
         let all_but_network = (0..layout.network.start).chain(layout.mixing);
         check_gradients_by(all_but_network, Architecture::Hybrid(config), &parameters);
     }
 
-    /// Pressure and volume (mL) in each lane after a long blow with a constant command.
+    /// Pressure and volume (mL) in each lane after a long inflation with a constant command.
     fn blown(resistance: Lane, compliance: Lane, blocks: usize) -> (Lane, Lane) {
         let config = config(10_000);
         let model = Hybrid::new(config, &config.initialise(&mut ChaCha8Rng::seed_from_u64(4)));
@@ -335,7 +335,7 @@ mod tests {
         (points[0], tape.lung.alveolar.zip(&compliance, |a, c| (a - 5.0) * c))
     }
 
-    /// Pressures of a rollout of these parameters.
+    /// Pressures of a rollout with these parameters.
     fn pressures(config: HybridConfig, parameters: &[f32], start: &BreathStart) -> Vec<Lane> {
         const BLOCKS: usize = 12;
         let model = Hybrid::new(config, parameters);

@@ -1,9 +1,9 @@
-//! Parameters that each member of a family (test runs, ventilators) has of its own. A member that nobody knows has zeros.
+//! Parameters of each member of a family (test runs, ventilators). An unknown member has zeros.
 
 use super::super::Members;
 use engine::{LANES, Lane};
 
-/// The family's parameters, one member after the other.
+/// The family's parameters, member by member.
 #[derive(Clone, Debug)]
 pub(super) struct Own {
     width: usize,
@@ -16,7 +16,7 @@ impl Own {
         Self { width, values: values.to_vec() }
     }
 
-    /// Index of the `n`-th parameter of a member; none where it is unknown or beyond the family.
+    /// Index of the `n`-th parameter of a member; `None` if it is unknown or outside the family.
     fn index(&self, member: Option<u32>, n: usize) -> Option<usize> {
         let index = member? as usize * self.width + n;
         (index < self.values.len()).then_some(index)
@@ -27,7 +27,7 @@ impl Own {
         Lane::from_fn(|l| self.index(members[l], n).map_or(0.0, |index| self.values[index]))
     }
 
-    /// Adds to the family's gradient what the `n`-th parameters have of it.
+    /// Adds the gradient with respect to the members' `n`-th parameters to the family's gradient.
     pub fn add_gradient(&self, members: &Members, n: usize, d: &Lane, gradient: &mut [f32]) {
         for l in 0..LANES {
             if let Some(index) = self.index(members[l], n) {

@@ -1,13 +1,13 @@
-//! The ventilator of the hybrid: commands in, two openings out, one towards a supply and one towards the room.
+//! The ventilator of the hybrid: commands in, two openings out, one towards the supply and one towards the room.
 //!
 //! ```text
 //! c'   = a c + (1 - a) (W1 v + b1)       valve: filters of past commands v, a = sigmoid(decay)
 //! z    = softsign(W2 c' + b2 + s)        their static curves, shifted by s for each ventilator
-//! A, B = m exp(o) sigmoid(W3 [c', z] + b3)   openings, up to a bound m that each ventilator stretches by o
+//! A, B = m exp(o) sigmoid(W3 [c', z] + b3)   openings, up to a bound m scaled by o for each ventilator
 //! ```
 //!
-//! It has no memory beyond its filters, and never learns of the pressure: one that does can tell a test run by its commands, and
-//! learns runs in place of a ventilator.
+//! It has no memory beyond its filters and no pressure input: with one, it could recognise a test run by its commands
+//! and would learn runs in place of a ventilator.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -20,15 +20,15 @@ use engine::activation::Activation;
 use engine::dense::{DenseLayer, DenseWeights};
 use engine::{LANES, Lane};
 
-/// Openings: towards the supply and towards the room.
+/// Number of openings: towards the supply and towards the room.
 pub(super) const OPENINGS: usize = 2;
 /// Openings of a shard, L/s per root of cmH2O.
 pub(super) type Openings = [Lane; OPENINGS];
 /// Bound of an opening, L/s per root of cmH2O.
 const MOST_OPENING: f32 = 0.6;
-/// Opening where the network says nothing, as the sigmoid's argument: a fifth of the bound.
+/// Opening for a zero network output, as the sigmoid's argument: a fifth of the bound.
 const USUAL_OPENING: f32 = -1.4;
-/// Slowest filter to start with, s.
+/// Initial time constant of the slowest filter, s.
 const LONGEST_FILTER_S: f32 = 0.2;
 
 impl HybridConfig {
@@ -36,12 +36,13 @@ impl HybridConfig {
         self.history * self.timing.width()
     }
 
-    /// What each ventilator has of its own: shifts of the curves, stretches of the openings.
+    /// Number of parameters of each ventilator: shifts of the curves, scales of the openings.
     fn own(&self) -> usize {
         self.hidden + OPENINGS
     }
 
-    /// Layers (filters, curves, source, start), index of the decays, and of what ventilators own, which is last.
+    /// Layers (filters, curves, source, start), index of the decays, and index of the ventilators' own parameters
+    /// (last).
     fn ventilator_layout(&self) -> ([DenseLayer; 4], usize, usize) {
         let (layers, decay) = DenseLayer::layout([
             (self.commands(), self.states),
@@ -57,7 +58,7 @@ impl HybridConfig {
         self.ventilator_layout().2 + self.ventilators * self.own()
     }
 
-    /// Draws them: time constants from one block to `LONGEST_FILTER_S`, all ventilators alike.
+    /// Draws initial parameters: time constants from one block to `LONGEST_FILTER_S`, the same for all ventilators.
     pub(super) fn initialise_ventilator(&self, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let (layers, decay, own) = self.ventilator_layout();
         let mut parameters = vec![0.0; self.ventilator_parameters()];
@@ -83,7 +84,7 @@ pub(super) struct VentilatorModel {
     own: Own,
 }
 
-/// Forward values and backward gradients of a rollout, block after block.
+/// Forward values and backward gradients of a rollout, block by block.
 #[derive(Clone, Debug)]
 pub(super) struct VentilatorTape {
     /// `v` of each block.
@@ -94,15 +95,15 @@ pub(super) struct VentilatorTape {
     after: Vec<Lane>,
     filters: LeakyTape,
     pub openings: Vec<Openings>,
-    /// Which ventilator it is in each lane.
+    /// The ventilator in each lane.
     members: Members,
-    /// Its shifts.
+    /// Shifts of its curves.
     shifts: Vec<Lane>,
-    /// What the openings are multiplied by.
+    /// Factors on the openings.
     stretch: Openings,
     d_hidden: Vec<Lane>,
     d_source: Vec<Lane>,
-    /// Gradient by the logarithms of the stretch.
+    /// Gradient with respect to the logarithms of the factors.
     pub d_stretch: Openings,
     scratch: Vec<Lane>,
 }
@@ -125,7 +126,7 @@ impl VentilatorModel {
         block.checked_sub(self.config.timing.lag())
     }
 
-    /// Memory for a rollout of so many blocks.
+    /// Memory for a rollout of `blocks` blocks.
     pub fn tape(&self, blocks: usize) -> VentilatorTape {
         let HybridConfig { states, hidden, .. } = self.config;
         let commands = self.config.commands();
@@ -146,7 +147,7 @@ impl VentilatorModel {
         }
     }
 
-    /// Starts a breath; `stretch` holds logarithms of what the test run multiplies its openings by.
+    /// Starts a breath; `stretch` contains the logarithms of the test run's factors on its openings.
     pub fn begin(&self, tape: &mut VentilatorTape, start: &BreathStart, stretch: &Openings) {
         tape.members = start.ventilator;
         self.filters.begin(&mut tape.filters, &start.known(), &mut tape.state[..self.config.states]);
@@ -183,7 +184,7 @@ impl VentilatorModel {
         }
     }
 
-    /// One block back, from the gradient by its openings.
+    /// Backward pass of one block, from the gradient with respect to its openings.
     pub fn step_back(
         &self,
         tape: &mut VentilatorTape,
@@ -213,7 +214,7 @@ impl VentilatorModel {
         d_log.scatter(self.newest(block), d_commands);
     }
 
-    /// Adds the gradient by the parameters, once all blocks have gone back.
+    /// Adds the gradient with respect to the parameters, after the backward pass of all blocks.
     pub fn finish(&self, tape: &VentilatorTape, gradient: &mut [f32]) {
         let HybridConfig { states, hidden, .. } = self.config;
         self.filters.finish(&tape.filters, &tape.commands, gradient);
@@ -245,7 +246,7 @@ mod tests {
         Lane::from_fn(|l| 10.0 * ((7 * block + 3 * opening + l) as f32).cos())
     }
 
-    /// A breath of a ventilator that every third lane does not know; sum of its openings, each with a weight.
+    /// A breath in which the ventilator of every third lane is unknown; returns the weighted sum of its openings.
     fn breathe(config: HybridConfig, parameters: &[f32]) -> (VentilatorModel, VentilatorTape, f64) {
         let model = VentilatorModel::new(config, parameters);
         let mut tape = model.tape(BLOCKS);
