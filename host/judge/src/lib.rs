@@ -1,4 +1,4 @@
-//! Judging: how well any controller does, what there is to beat, and what happens when something breaks.
+//! Evaluation: scores of any controller, baselines and bounds, and behaviour under faults.
 #![forbid(unsafe_code)]
 
 pub mod balloon;

@@ -1,4 +1,4 @@
-//! How good a fitted simulator is: errors on breaths that it has not seen, beside classical identification.
+//! Quality of a fitted simulator: errors on held-out breaths, beside classical identification.
 
 use serde::Serialize;
 
@@ -10,69 +10,69 @@ use learn::simulator::episode::Episode;
 use learn::simulator::model::{Architecture, Simulator};
 use learn::simulator::open_loop::{ByWaveform, OpenLoop, by_waveform, open_loop, response};
 
-/// Times after the start of the inspiration at which the response to a higher command is told, s.
+/// Times after the start of the inspiration at which the response to a higher command is reported, s.
 pub const RESPONSE_S: [f32; 3] = [0.1, 0.3, 0.8];
 
-/// What a fit is worth.
+/// Results of a fit.
 #[derive(Debug, Serialize)]
 pub struct FitSummary {
     /// Seed of the fit.
     pub seed: u64,
     /// Plant of the recording.
     pub plant: String,
-    /// Architecture with its shape.
+    /// Architecture, including its shape.
     #[serde(flatten)]
     pub architecture: Architecture,
     /// Number of parameters.
     pub parameters: usize,
-    /// Breaths fitted.
+    /// Number of training breaths.
     pub training_breaths: usize,
-    /// Breaths held out.
+    /// Number of held-out breaths.
     pub held_out_breaths: usize,
-    /// Breaths of lungs held out altogether.
+    /// Number of breaths of lungs that were held out altogether.
     pub held_out_lung_breaths: usize,
     /// Passes over the training breaths.
     pub epochs: usize,
-    /// Whether it was stopped before its end.
+    /// Whether the fit was stopped early.
     pub stopped: bool,
-    /// Loss of the last epoch, cmH2O; none if it was stopped before that.
+    /// Loss of the last epoch, cmH2O; `None` if stopped before its end.
     pub training_loss: Option<f64>,
-    /// Noise of the sensor, cmH2O.
+    /// Standard deviation of the sensor noise, cmH2O.
     pub noise: f32,
-    /// Mean absolute error of the change over one step on the held-out breaths, cmH2O.
+    /// Mean absolute error of the predicted change over one step on the held-out breaths, cmH2O.
     pub one_step: f64,
-    /// The same open loop.
+    /// Mean absolute error open loop on the held-out breaths, cmH2O.
     pub open_loop: f64,
-    /// Open loop, to the true airway pressure, where a bench knows it.
+    /// Like `open_loop`, against the true airway pressure if the recording contains it.
     pub open_loop_true: Option<f64>,
-    /// Open loop, on the lungs held out altogether.
+    /// Like `open_loop`, on the lungs that were held out altogether.
     pub open_loop_held_out_lung: Option<f64>,
     /// Classical identification on the same held-out breaths, from measured flows.
     pub classical_open_loop: Option<f64>,
-    /// Rise of the predicted pressure where every command is five percent higher, cmH2O: see [`RESPONSE_S`].
+    /// Rise of the predicted pressure when every command is 5 percentage points higher, cmH2O, at [`RESPONSE_S`].
     pub response: Vec<f64>,
-    /// By waveform.
+    /// Errors by waveform.
     pub waveforms: Vec<ByWaveform>,
-    /// By lung or test run.
+    /// Errors by lung or test run.
     pub groups: Vec<ByGroup>,
-    /// Lungs held out altogether.
+    /// Errors on the lungs that were held out altogether.
     pub held_out_lungs: Vec<ByGroup>,
 }
 
 /// Errors on the held-out breaths of one lung or test run.
 #[derive(Clone, Debug, Serialize)]
 pub struct ByGroup {
-    /// Its name.
+    /// Name of the lung or test run.
     pub group: String,
-    /// Breaths.
+    /// Number of breaths.
     pub episodes: usize,
-    /// Errors.
+    /// Open-loop errors.
     #[serde(flatten)]
     pub open_loop: OpenLoop,
 }
 
 impl FitSummary {
-    /// Judges a simulator on the parts of a recording.
+    /// Scores a simulator on the parts of a recording.
     pub fn new(seed: u64, fitted: &Fitted, parts: &Parts<'_>, recording: &Recording) -> Self {
         let Fitted { simulator, curve, stopped } = fitted;
         let names = &recording.provenance.groups;
@@ -108,7 +108,7 @@ impl FitSummary {
     }
 }
 
-/// Breaths whose PIP occurs more than once: waveforms, not the random PIPs between them.
+/// Breaths whose PIP occurs more than once: those of the waveforms, without random PIPs.
 fn repeated<'a>(episodes: &[&'a Episode]) -> Vec<&'a Episode> {
     let count = |pip: f32| episodes.iter().filter(|e| e.pip.total_cmp(&pip).is_eq()).count();
     episodes.iter().copied().filter(|episode| count(episode.pip) > 1).collect()
@@ -160,7 +160,7 @@ mod tests {
         assert!(found.iter().all(|e| e.pip.total_cmp(&10.0).is_eq()));
     }
 
-    /// A quarter of the default's training has to do; `docs/RECORDINGS.md` has the command for all of it.
+    /// Uses a quarter of the default's training; `docs/RECORDINGS.md` gives the command for the full training.
     #[test]
     fn one_simulator_of_measured_lungs_beats_classical_identification_and_holds_on_lungs_it_never_saw() {
         let Some(paths) = measured() else { return };

@@ -1,4 +1,4 @@
-//! What there is to beat on the balloon, the authors' best PI, and what nobody can, full flow and then an exact hold.
+//! Reference scores on the balloon: the authors' best PI, and a lower bound (full flow, then an exact hold).
 
 use shared::breath::PAPER_PIPS;
 use shared::control::COMMAND_MAX;
@@ -7,11 +7,11 @@ use plant::balloon::{Balloon, SAMPLES};
 
 use super::mean_error;
 
-/// The authors' leaky integral: share of the difference to the error that it takes in a control period of 0.03 s, with
-/// a time constant of 0.5 s.
+/// The authors' leaky integral: the share of its distance to the error that it closes in a control period of 0.03 s,
+/// with a time constant of 0.5 s.
 const INTEGRAL_SHARE: f64 = 0.03 / (0.03 + 0.5);
 
-/// Gains of the authors' PI with its score.
+/// Gains of the authors' PI, with its score.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridBest {
     /// Percent per cmH2O.
@@ -43,12 +43,12 @@ pub fn pi(p: f64, i: f64) -> f64 {
     })
 }
 
-/// Score of full flow up to the target and an exact hold from then on, cmH2O: below it lies nothing.
+/// Score of full flow up to the target and an exact hold from then on, cmH2O. No controller scores lower.
 pub fn floor() -> f64 {
     mean_over_pips(|pip| move |balloon: &mut Balloon| balloon.inspire_towards(pip))
 }
 
-/// Mean score over the PIPs of what `controller` makes of each.
+/// Mean score over the PIPs of the runs under `controller`.
 fn mean_over_pips<C: FnMut(&mut Balloon)>(controller: impl Fn(f64) -> C) -> f64 {
     let score = |pip: f64| {
         let (mut balloon, mut step) = (Balloon::default(), controller(pip));

@@ -1,10 +1,10 @@
 //! The balloon of the paper's authors: the analytic plant on which their published controllers were trained.
 //!
-//! It is here to compare with their figures, on their terms: a control period of 30 ms, 29 samples of an inspiration,
-//! each read before the command that follows it, and a breath that starts at 0 cmH2O. There is no dead time, no noise
-//! and no expiration; what remains is a valve that is all but shut below 15 % and fully open at 29 %, and a rise that
-//! takes a few periods at full flow. [`Balloon`](plant::balloon::Balloon) is the plant, [`score`] its score for any [`Controller`],
-//! [`baseline`] what there is to beat and what nobody can; [`ventilator::BalloonSource`] breathes on it.
+//! It allows a comparison with the authors' figures under their conditions: a control period of 30 ms, 29 samples of an
+//! inspiration, each read before the command that follows it, and a breath that starts at 0 cmH2O. It has no dead time,
+//! no noise and no expiration. Its valve is almost closed below 15 % and fully open at 29 %, and a rise takes a few
+//! periods at full flow. [`Balloon`](plant::balloon::Balloon) is the plant, [`score`] the score of any [`Controller`],
+//! [`baseline`] has reference scores, and [`ventilator::BalloonSource`] runs breaths on it.
 
 pub mod baseline;
 
@@ -18,7 +18,7 @@ use shared::settings::Settings;
 use learn::pipeline::PipelineConfig;
 use ventilator::{BalloonSource, Source, SourceError};
 
-/// Gains of the PI that collects and lies under the residual: cautious for the valve's steep middle.
+/// Gains of the PI that collects and that lies under the residual: cautious because of the valve's steep middle range.
 const GAINS: PidGains = PidGains { p: 1.0, i: 5.0, d: 0.0 };
 
 /// The authors' score of a controller with a period of [`PERIOD_US`]: the mean of |pressure - PIP| over the samples,
@@ -41,8 +41,8 @@ pub fn score(controller: &Controller) -> Result<f64, SourceError> {
     Ok(sum / PAPER_PIPS.len() as f64)
 }
 
-/// The pipeline for the balloon: its period, its breaths, and a training without the noise that it does not have.
-/// Inspirations of 29 ticks are cheap, so that fit and training can be longer than those at 1 kHz.
+/// The pipeline for the balloon: its period and breaths, and a training without noise, because the balloon has none.
+/// Inspirations of 29 ticks are cheap, so fit and training can be longer than at 1 kHz.
 pub fn pipeline(seed: u64) -> PipelineConfig {
     let breath = settings(Settings::default().pip);
     let mut config = PipelineConfig { seed, gains: GAINS, ..PipelineConfig::for_period(PERIOD_US) };

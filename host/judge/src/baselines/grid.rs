@@ -1,16 +1,16 @@
-//! Gains to search: the grid, and which of its points belong to which kind of controller.
+//! Gains to search: the grid, and the kinds of controllers that each point belongs to.
 
 use learn::pipeline::AUTHORS_INTEGRAL_S;
 use serde::{Deserialize, Serialize};
 use shared::control::pid::{GAINS_MAX, PidGains};
 
-/// Which parts of a PID may work.
+/// The parts of a PID that a kind of controller uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PidKind {
-    /// Proportional part alone.
+    /// Proportional part only.
     POnly,
-    /// Integral part alone.
+    /// Integral part only.
     IOnly,
     /// Proportional and integral part.
     Pi,
@@ -19,16 +19,16 @@ pub enum PidKind {
 }
 
 impl PidKind {
-    /// All of them; each comes after those that it includes.
+    /// All kinds; each comes after those that it includes.
     pub const ALL: [Self; 4] = [Self::POnly, Self::IOnly, Self::Pi, Self::Pid];
 
-    /// Does this kind include a PID with these gains? A part with a gain of zero is none.
+    /// Whether this kind includes a PID with these gains. A part with a gain of zero is unused.
     pub fn includes(self, gains: &PidGains) -> bool {
         let [p, i, d] = self.parts();
         (p || gains.p == 0.0) && (i || gains.i == 0.0) && (d || gains.d == 0.0)
     }
 
-    /// Name as printed.
+    /// Name for output.
     pub fn name(self) -> &'static str {
         match self {
             Self::POnly => "P",
@@ -38,7 +38,7 @@ impl PidKind {
         }
     }
 
-    /// May P, I, D be other than zero?
+    /// Which of P, I and D may be non-zero.
     pub(super) fn parts(self) -> [bool; 3] {
         match self {
             Self::POnly => [true, false, false],
@@ -49,7 +49,7 @@ impl PidKind {
     }
 }
 
-/// Values of each gain; every combination is searched. Zero is always among them.
+/// Values of each gain; every combination is searched. Zero is always included.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Grid {
@@ -62,33 +62,33 @@ pub struct Grid {
 }
 
 impl Default for Grid {
-    /// Wider than the optimum on any of the paper's lungs at 1 kHz, denser where gains are small. With R 20 and C 20
-    /// the best PID is near P 7, I 250, D 0.13; with a low resistance the best P alone is above 50.
+    /// Wider than the optimum of any of the paper's lungs at 1 kHz, and denser at small gains. With R 20 and C 20 the
+    /// best PID is near P 7, I 250, D 0.13; with a low resistance the best P-only gain is above 50.
     fn default() -> Self {
         Self::of(20, 24, 8)
     }
 }
 
 impl Grid {
-    /// The same range as the default with an eighth of its points.
+    /// The default's range with an eighth of its points.
     pub fn coarse() -> Self {
         Self::of(10, 12, 4)
     }
 
-    /// So many values of each gain over the default's range.
+    /// The default's range with this number of values for each gain.
     fn of(p: usize, i: usize, d: usize) -> Self {
         Self { p: geometric(0.1, 80.0, p), i: geometric(0.5, 5000.0, i), d: geometric(0.01, 0.5, d) }
     }
 
-    /// The authors' grid: P and I on 0, 0.1 .. 0.9, 1 .. 10, no D. Their integral leaks; the gains here are
-    /// those with which a plain one starts as steeply.
+    /// The authors' grid: P and I on 0, 0.1 .. 0.9, 1 .. 10, no D. Their integral leaks; these gains give a plain
+    /// integral the same initial slope.
     pub fn authors() -> Self {
         let fine = (0..10).map(|tenths| tenths as f32 / 10.0);
         let values: Vec<f32> = fine.chain((1..=10).map(|n| n as f32)).collect();
         Self { i: values.iter().map(|gain| gain / AUTHORS_INTEGRAL_S).collect(), p: values, d: vec![0.0] }
     }
 
-    /// The same with zeros, in ascending order and without doubles.
+    /// A copy with zeros added, in ascending order and without duplicates.
     pub(super) fn completed(&self) -> Self {
         let complete = |values: &[f32]| {
             let mut all: Vec<f32> = values.iter().copied().chain([0.0]).collect();
@@ -99,7 +99,7 @@ impl Grid {
         Self { p: complete(&self.p), i: complete(&self.i), d: complete(&self.d) }
     }
 
-    /// Every combination; D runs fastest.
+    /// Every combination; D varies fastest.
     pub(super) fn points(&self) -> Vec<PidGains> {
         let mut points = Vec::with_capacity(self.p.len() * self.i.len() * self.d.len());
         for p in &self.p {
@@ -110,26 +110,26 @@ impl Grid {
         points
     }
 
-    /// Distance from the gains to the grid's neighbours, the wider one of each axis.
+    /// Distance from the gains to their neighbours in the grid; on each axis, the wider one.
     pub(super) fn spacing(&self, gains: &PidGains) -> [f32; 3] {
         [spacing(&self.p, gains.p), spacing(&self.i, gains.i), spacing(&self.d, gains.d)]
     }
 }
 
-/// Zero and `count` values from `first` to `last`, each a constant factor above the one before.
+/// Zero, then `count` values from `first` to `last` in geometric progression.
 fn geometric(first: f32, last: f32, count: usize) -> Vec<f32> {
     let factor = (f64::from(last) / f64::from(first)).powf(1.0 / (count - 1) as f64);
     let values = (0..count).map(|n| (f64::from(first) * factor.powi(n as i32)) as f32);
     [0.0].into_iter().chain(values).collect()
 }
 
-/// Gap around a value in an ascending axis: the wider of both sides.
+/// Gap around a value on an ascending axis: the wider of both sides.
 fn spacing(axis: &[f32], value: f32) -> f32 {
     let gaps = axis.windows(2).filter(|pair| pair[0] <= value && value <= pair[1]);
     gaps.map(|pair| pair[1] - pair[0]).fold(0.0, f32::max)
 }
 
-/// The neighbours of `gains` at a distance of `step` in the parts of a kind, within what a PID accepts.
+/// The neighbours of `gains` at a distance of `step` in the parts of a kind, within the range that a PID accepts.
 pub(super) fn around(gains: &PidGains, step: [f32; 3], kind: PidKind) -> Vec<PidGains> {
     let values = |value: f32, step: f32, max: f32, may_move: bool| -> Vec<f32> {
         if !may_move || step == 0.0 {

@@ -1,4 +1,4 @@
-//! What is known so far: the scores of gains on lungs under one plan, each measured once.
+//! Known scores of gains on lungs under one plan; each is measured once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -13,10 +13,10 @@ use super::{Candidate, TuneError};
 use crate::evaluate::{Ground, Plan};
 use ventilator::SourceError;
 
-/// Score of gains with which the ventilator goes to its safe state, cmH2O: worse than any pressure, yet finite.
+/// Score of gains with which the ventilator enters its safe state, cmH2O: worse than any real score, yet finite.
 pub const FAULT_SCORE: f64 = 1000.0;
 
-/// The search under way, in simulated breaths; refining may turn out to take more than was planned.
+/// The running search, counted in simulated breaths; refinement may take more than planned.
 pub(super) struct Work<'a> {
     pub(super) task: Task<'a>,
     announced: AtomicUsize,
@@ -32,16 +32,16 @@ impl<'a> Work<'a> {
     }
 }
 
-/// May a measurement be left out when the user wants to stop?
+/// Whether a measurement may be skipped when the user wants to stop.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Patience {
-    /// Yes.
+    /// It may be skipped.
     Stoppable,
-    /// No: there is no result without it.
+    /// It must run: without it there is no result.
     Needed,
 }
 
-/// Gains as a key: bits of floats that are not negative sort like the floats.
+/// Gains as a key: the bits of non-negative floats sort like the floats.
 type Key = [u32; 3];
 
 /// Scores by gains and lung.
@@ -57,7 +57,7 @@ impl<'a, G: Ground> Ledger<'a, G> {
         Self { grounds, plan, work, scores: BTreeMap::new() }
     }
 
-    /// Measures what is not yet known of the candidates on the lungs of a group.
+    /// Measures all unknown scores of the candidates on the lungs of a group.
     pub fn measure(
         &mut self,
         group: &[usize],
@@ -92,12 +92,12 @@ impl<'a, G: Ground> Ledger<'a, G> {
         Ok(())
     }
 
-    /// Mean score over a group of lungs, cmH2O; none if one of them is not known.
+    /// Mean score over a group of lungs, cmH2O; `None` if one of them is unknown.
     pub fn score(&self, group: &[usize], gains: &PidGains) -> Option<f64> {
         mean(group, self.scores.get(&key(gains))?)
     }
 
-    /// The best gains of a kind that are known for every lung of a group; of equals, the smallest.
+    /// The best gains of a kind that are known for every lung of a group; among equals, the smallest.
     pub fn best(&self, group: &[usize], kind: PidKind) -> Option<Candidate> {
         let known = self.scores.iter().filter_map(|(key, lungs)| {
             let (gains, score) = (gains(*key), mean(group, lungs)?);
@@ -107,14 +107,14 @@ impl<'a, G: Ground> Ledger<'a, G> {
     }
 }
 
-/// Mean score over a group of lungs; none if one of them is not known.
+/// Mean score over a group of lungs; `None` if one of them is unknown.
 fn mean(group: &[usize], lungs: &[Option<f64>]) -> Option<f64> {
     let known: Option<Vec<f64>> = group.iter().map(|lung| lungs[*lung]).collect();
     Some(known?.iter().sum::<f64>() / group.len() as f64)
 }
 
 fn key(gains: &PidGains) -> Key {
-    // Adding zero makes a plain zero of a negative one.
+    // Adding zero turns a negative zero into a positive one.
     [gains.p, gains.i, gains.d].map(|gain| (gain + 0.0).to_bits())
 }
 
@@ -123,7 +123,7 @@ fn gains(key: Key) -> PidGains {
     PidGains { p, i, d }
 }
 
-/// Mean score of gains on a lung, cmH2O; [`FAULT_SCORE`] if the ventilator goes to its safe state.
+/// Mean score of gains on a lung, cmH2O; [`FAULT_SCORE`] if the ventilator enters its safe state.
 fn score(ground: &impl Ground, gains: PidGains, plan: &Plan) -> Result<f64, TuneError> {
     let controller = Controller::Pid(Pid::new(gains, plan.period_us)?);
     match ground.evaluate(&controller, plan, &Progress::silent()) {

@@ -1,8 +1,8 @@
-//! The rival: the best PID there is for a lung, and the best one for all lungs.
+//! The baselines: the best PID for each lung, and the best single PID for all lungs.
 //!
-//! A learned controller that beats a badly tuned PID shows nothing. [`tune_pid`] therefore searches a wide
-//! [`Grid`], then goes on between its points around the best of each [`PidKind`]. Unless told to be exhaustive, it
-//! first screens all points with a breath of a few waveforms and looks only at the best twentieth of each kind in full.
+//! Beating a badly tuned PID proves nothing. [`tune_pid`] therefore searches a wide [`Grid`], then refines between its
+//! points around the best of each [`PidKind`]. Unless the search is exhaustive, it first screens all points with one
+//! breath of a few waveforms and runs only the best twentieth of each kind in full.
 
 mod grid;
 mod ledger;
@@ -21,25 +21,25 @@ use crate::evaluate::{Ground, Plan};
 use ledger::{Ledger, Patience, Work};
 use ventilator::SourceError;
 
-/// Part of each kind's points that passes the screening.
+/// Share of each kind's points that passes the screening.
 const KEPT: f64 = 0.05;
-/// Fewest points of a kind that pass.
+/// Minimum number of points of a kind that pass.
 const KEPT_LEAST: usize = 8;
 /// Waveforms of the screening: the lowest, middle and highest PIP of the plan's order.
 const SCREENED: usize = 3;
-/// Most moves at one step width, should two points tell of each other that the other is better.
+/// Largest number of moves at one step width, in case two points each score the other as better.
 const MOVES: usize = 30;
 
-/// How to search.
+/// Configuration of a search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Search {
-    /// Gains to begin with.
+    /// The grid to start from.
     pub grid: Grid,
-    /// Halvings of the grid's spacing around the best of each kind; the walk may leave the grid's range. 0 keeps
-    /// to the grid.
+    /// Number of times the grid's spacing is halved around the best of each kind; the refinement may leave the grid's
+    /// range. 0 stays on the grid.
     pub refinements: usize,
-    /// Runs the whole plan for every point rather than screening first.
+    /// Run the whole plan for every point, without screening.
     pub exhaustive: bool,
 }
 
@@ -50,7 +50,7 @@ impl Default for Search {
 }
 
 impl Search {
-    /// The authors' grid and nothing else.
+    /// The authors' grid, without refinement.
     pub fn authors() -> Self {
         Self { grid: Grid::authors(), refinements: 0, exhaustive: true }
     }
@@ -61,16 +61,16 @@ impl Search {
 pub struct Candidate {
     /// Gains.
     pub gains: PidGains,
-    /// Mean absolute error under the plan of the search, cmH2O; [`FAULT_SCORE`] for gains that lead to a fault.
+    /// Mean absolute error under the search's plan, cmH2O; [`FAULT_SCORE`] for gains that cause a fault.
     pub score: f64,
 }
 
-/// The best of every kind. A kind that includes another never scores worse.
+/// The best gains of every kind. A kind that includes another never scores worse.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Best {
-    /// Proportional part alone.
+    /// Proportional part only.
     pub p_only: Candidate,
-    /// Integral part alone.
+    /// Integral part only.
     pub i_only: Candidate,
     /// PI.
     pub pi: Candidate,
@@ -90,18 +90,18 @@ impl Best {
     }
 }
 
-/// Scores over P and I at D = 0, for a heat map: of the screening, or of the plan in an exhaustive search.
+/// Scores over P and I at D = 0, for a heat map: from the screening, or from the full plan in an exhaustive search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScoreMap {
     /// Proportional gains, percent per cmH2O.
     pub p: Vec<f32>,
     /// Integral gains, percent per cmH2O and second.
     pub i: Vec<f32>,
-    /// A row for every P, a column for every I, cmH2O; none where a search was stopped.
+    /// A row for every P, a column for every I, cmH2O; `None` where the search was stopped first.
     pub score: Vec<Vec<Option<f64>>>,
 }
 
-/// Outcome for one lung.
+/// Result for one lung.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LungResult {
     /// Name of the bench.
@@ -110,19 +110,19 @@ pub struct LungResult {
     pub best: Best,
     /// Scores over the grid.
     pub map: ScoreMap,
-    /// False if the search was stopped before its end here.
+    /// False if the search was stopped before it finished this lung.
     pub complete: bool,
 }
 
-/// Outcome of a search.
+/// Result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TuneResult {
-    /// By lung, as given.
+    /// Results by lung, in the given order.
     pub lungs: Vec<LungResult>,
     /// The best single gains for all lungs together, by mean score over the lungs.
     pub over_all: Best,
-    /// False if the search was stopped: `lungs` and `over_all` are then the best found so far (at worst gains
-    /// of zero).
+    /// False if the search was stopped: `lungs` and `over_all` are then the best found so far (at worst, gains of
+    /// zero).
     pub complete: bool,
 }
 
@@ -130,9 +130,9 @@ pub struct TuneResult {
 #[derive(Debug, Error)]
 pub enum TuneError {
     /// There is no lung to tune for.
-    #[error("no lung to tune for; name at least one")]
+    #[error("no lung to tune for: name at least one")]
     NoLung,
-    /// The grid holds a gain that no PID accepts.
+    /// The grid contains a gain that no PID accepts.
     #[error(transparent)]
     Gain(#[from] GainError),
     /// A breath could not be run.
@@ -140,14 +140,14 @@ pub enum TuneError {
     Source(#[from] SourceError),
 }
 
-/// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads; the result
-/// does not depend on their number.
+/// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads. The result does not
+/// depend on the number of threads.
 ///
-/// A search that is stopped gives the best found so far, marked incomplete.
+/// A stopped search returns the best found so far, marked incomplete.
 ///
 /// # Errors
 /// No lung, a gain in the grid that is out of range, or a plan whose breaths cannot be run. Gains that make the
-/// ventilator go to its safe state are no error: they count as [`FAULT_SCORE`].
+/// ventilator enter its safe state are no error: they score [`FAULT_SCORE`].
 pub fn tune_pid<G: Ground>(
     lungs: &[G],
     search: &Search,
@@ -167,7 +167,7 @@ pub fn tune_pid<G: Ground>(
         search,
     };
     let all: Vec<usize> = (0..lungs.len()).collect();
-    // Gains of zero belong to every kind: with them, there is a result however early the search is stopped.
+    // Gains of zero belong to every kind: with them there is a result even if the search is stopped immediately.
     tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
     let mut results = Vec::with_capacity(lungs.len());
     for (index, lung) in lungs.iter().enumerate() {
@@ -185,7 +185,7 @@ pub fn tune_pid<G: Ground>(
     Ok(TuneResult { lungs: results, over_all, complete })
 }
 
-/// A search under way.
+/// A running search.
 struct Tuning<'a, G> {
     screen: Ledger<'a, G>,
     full: Ledger<'a, G>,
@@ -195,14 +195,14 @@ struct Tuning<'a, G> {
 }
 
 impl<G: Ground> Tuning<'_, G> {
-    /// The best of each kind for a group of lungs, by their mean.
+    /// The best of each kind for a group of lungs, by their mean score.
     fn best(&mut self, group: &[usize]) -> Result<Best, TuneError> {
         if self.search.exhaustive {
             self.full.measure(group, &self.points, Patience::Stoppable)?;
         } else {
             self.screen.measure(group, &self.points, Patience::Stoppable)?;
             let shortlists = PidKind::ALL.map(|kind| self.shortlist(group, kind));
-            // Stopped or not, the heads are scored in full: what has been found so far is not lost.
+            // Even when stopped, score the heads in full, so that the results so far are kept.
             let heads: Vec<PidGains> = shortlists.iter().filter_map(|list| list.first()).copied().collect();
             self.full.measure(group, &heads, Patience::Needed)?;
             self.full.measure(group, &shortlists.concat(), Patience::Stoppable)?;
@@ -228,7 +228,7 @@ impl<G: Ground> Tuning<'_, G> {
         scored.into_iter().map(|(_, gains)| gains).collect()
     }
 
-    /// Walks from the best of a kind to better neighbours, with steps of a half, a quarter .. of the grid's.
+    /// Walks from the best of a kind to better neighbours, with steps of a half, a quarter and so on of the grid's.
     fn refine(&mut self, group: &[usize], kind: PidKind) -> Result<(), TuneError> {
         let mut best = self.known(group, kind);
         let mut step = self.grid.spacing(&best.gains);
@@ -247,7 +247,7 @@ impl<G: Ground> Tuning<'_, G> {
         Ok(())
     }
 
-    /// The best known of a kind.
+    /// The best known gains of a kind.
     fn known(&self, group: &[usize], kind: PidKind) -> Candidate {
         let nothing = Candidate { gains: PidGains::default(), score: FAULT_SCORE };
         self.full.best(group, kind).unwrap_or(nothing)
@@ -263,12 +263,12 @@ impl<G: Ground> Tuning<'_, G> {
     }
 }
 
-/// How many of so many points pass the screening.
+/// Number of points that pass the screening.
 fn kept(points: usize) -> usize {
     ((points as f64 * KEPT).ceil() as usize).max(KEPT_LEAST)
 }
 
-/// One breath from rest of a few waveforms, under one seed.
+/// The screening's plan: one breath from rest of a few waveforms, under one seed.
 fn screening(plan: &Plan) -> Plan {
     let last = plan.pips.len().saturating_sub(1);
     let mut indices: Vec<usize> = (0..SCREENED).map(|n| n * last / (SCREENED - 1)).collect();
@@ -282,7 +282,7 @@ fn screening(plan: &Plan) -> Plan {
     }
 }
 
-/// Breaths that a search will run, without its refinement.
+/// Number of breaths that a search will run, without its refinement.
 fn planned(grid: &Grid, search: &Search, plan: &Plan, lungs: usize) -> usize {
     let points = grid.points();
     let full = plan.breaths_run();

@@ -17,12 +17,12 @@ fn lung(resistance: f64, compliance: f64) -> BenchConfig {
     BenchConfig::paper(resistance, compliance)
 }
 
-/// One scored breath of two waveforms.
+/// A plan with one scored breath of two waveforms.
 fn short() -> Plan {
     Plan { pips: vec![15.0, 30.0], breaths: 1, ..Plan::tuning(0) }
 }
 
-/// 8 x 8 x 2 points; more than pass the screening.
+/// A grid of 8 x 8 x 2 points, more than pass the screening.
 fn small() -> Search {
     Search {
         grid: Grid {
@@ -136,7 +136,7 @@ fn gains_that_lead_to_a_fault_score_worst_and_do_not_end_the_search() {
         exhaustive: true,
         ..small()
     };
-    // A late valve and a stiff lung: the pressure is far above the limit before the valve has closed.
+    // With a slow valve and a stiff lung, the pressure is far above the limit before the valve has closed.
     let mut stiff = lung(5.0, 3.0);
     stiff.valve.dead_time_ms = 60.0;
     let result = tune_pid(&[stiff], &search, &plan, &Progress::silent()).unwrap();

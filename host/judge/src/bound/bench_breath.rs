@@ -1,4 +1,4 @@
-//! The bench under a known command sequence: the state that breathing leads to, and the score of an inspiration.
+//! The bench under a known command sequence: its periodic state, and the score of an inspiration.
 
 use shared::breath::{Breath, Phase};
 use shared::settings::Settings;
@@ -8,9 +8,9 @@ use crate::evaluate::{Score, score_breath};
 use plant::bench::{Bench, BenchConfig, STEP_S, steps_per_period};
 use ventilator::SourceError;
 
-/// Largest change of the alveolar pressure from breath to breath that counts as none, cmH2O.
+/// Change of the alveolar pressure from breath to breath below which the bench counts as periodic, cmH2O.
 const PERIODIC_CMH2O: f64 = 1e-4;
-/// Most breaths until the bench counts as periodic: a lung that empties by a tenth in a breath gets there.
+/// Limit on the breaths until the bench counts as periodic; enough for a lung that empties by a tenth per breath.
 const MOST_BREATHS: usize = 100;
 
 /// One waveform on one bench.
@@ -28,13 +28,13 @@ impl BenchBreath {
     pub(super) fn new(config: &BenchConfig, settings: &Settings, period_us: u32) -> Result<Self, BoundError> {
         let steps_per_tick = steps_per_period(period_us).map_err(SourceError::from)?;
         let breath = Breath::new(settings, period_us).map_err(SourceError::from)?;
-        // The seed is that of the sensor's noise, and nobody looks at the sensor.
+        // The seed is irrelevant: it sets the sensor's noise, and the sensor is not used.
         let rest = Bench::new(config, settings.peep, 0).map_err(SourceError::from)?;
         let target = (0..breath.inspiration_ticks()).map(|tick| f64::from(breath.target(tick))).collect();
         Ok(Self { breath, steps_per_tick, rest, target })
     }
 
-    /// Control ticks of the inspiration.
+    /// Number of control ticks of the inspiration.
     pub(super) fn ticks(&self) -> usize {
         self.target.len()
     }
@@ -44,7 +44,7 @@ impl BenchBreath {
         f64::from(self.steps_per_tick) * STEP_S * 1e3
     }
 
-    /// One control tick of the inspiration; the true airway pressure at its beginning, cmH2O.
+    /// Runs one control tick of the inspiration; returns the true airway pressure at its beginning, cmH2O.
     pub(super) fn tick(&self, bench: &mut Bench, u_in: f32) -> f64 {
         let pressure = bench.airway_pressure();
         for _ in 0..self.steps_per_tick {
@@ -59,8 +59,8 @@ impl BenchBreath {
         commands.iter().map(|u_in| self.tick(&mut bench, *u_in)).collect()
     }
 
-    /// The bench at the beginning of an inspiration after so many breaths with `commands` that one more changes
-    /// nothing. Between inspirations the valves are as the ventilator has them.
+    /// The bench at the beginning of an inspiration, after enough breaths with `commands` to make it periodic. Between
+    /// inspirations the valves are set as the ventilator sets them.
     pub(super) fn periodic(&self, commands: &[f32]) -> Bench {
         let mut bench = self.rest.clone();
         for _ in 0..MOST_BREATHS {
@@ -86,7 +86,7 @@ impl BenchBreath {
         }
     }
 
-    /// The score that an evaluation gives this pressure.
+    /// The score that an evaluation gives to this pressure.
     pub(super) fn score(&self, pressure: &[f64]) -> Score {
         let period_s = f64::from(self.breath.period_s());
         score_breath(self.breath.settings(), period_s, pressure, &self.target)

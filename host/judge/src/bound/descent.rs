@@ -1,5 +1,5 @@
-//! Gauss-Newton steps for the mean absolute error: the response of the pressure to every node, measured on the bench
-//! itself, and the best step within the valve's range by reweighted least squares.
+//! Gauss-Newton steps for the mean absolute error: the response of the pressure to every node is measured on the bench
+//! itself, and reweighted least squares gives the best step within the valve's range.
 
 use std::ops::Range;
 
@@ -9,42 +9,42 @@ use super::bench_breath::BenchBreath;
 use super::shape::CommandShape;
 use plant::bench::Bench;
 
-/// How far a node is moved to measure its response, percent.
+/// Displacement of a node for measuring its response, percent.
 const PROBE_PERCENT: f64 = 1.0;
-/// Rounds of reweighting in a step.
+/// Rounds of reweighting per step.
 const REWEIGHTINGS: usize = 6;
-/// Sweeps over all nodes in a round.
+/// Sweeps over all nodes per round.
 const SWEEPS: usize = 60;
-/// Error below which a sample's weight grows no more, cmH2O: first and last round.
+/// Error below which a sample's weight stops growing, cmH2O: first and last round.
 const SOFTNESS_CMH2O: (f64, f64) = (0.3, 0.01);
-/// Weight of a node's own movement, relative to its response: keeps nodes of equal effect from running apart.
+/// Weight of a node's own movement relative to its response; keeps nodes of equal effect from drifting apart.
 const DAMPING: f64 = 1e-4;
 /// Shares of a step that are tried on the bench.
 const SHARES: [f64; 5] = [1.0, 0.6, 0.3, 0.1, 0.03];
-/// Factors on the reach after a step that gained nothing, and after one that was best in full.
+/// Factors on the reach after a step without gain, and after a step that was best in full.
 const SHRINK: f64 = 0.4;
 const GROW: f64 = 1.6;
-/// How far a first step may move a node, percent.
+/// Largest displacement of a node in the first step, percent.
 const FIRST_REACH_PERCENT: f64 = 20.0;
-/// Bounds of how far a step may move a node, percent.
+/// Bounds of the largest displacement of a node in a step, percent.
 const REACH_PERCENT: (f64, f64) = (0.05, 50.0);
 
-/// A sequence on its way down.
+/// A command sequence that is being improved.
 #[derive(Clone, Debug)]
 pub(super) struct Descent<'a> {
     breath: &'a BenchBreath,
     start: Bench,
-    /// The sequence.
+    /// The command sequence.
     pub(super) shape: CommandShape,
     /// Its score from `start`, cmH2O.
     pub(super) score: f64,
-    /// How far a step may move a node, percent.
+    /// Largest displacement of a node in a step, percent.
     reach: f64,
-    /// Direction in which the next responses are measured: play makes them differ.
+    /// Direction in which the next responses are measured; they differ because of the valve's backlash.
     probe: f64,
 }
 
-/// What the pressure does when a node moves by a percent: from a tick on, cmH2O per tick.
+/// Change of the pressure when a node moves by one percent: first tick, and cmH2O per tick.
 struct StepResponse {
     first: usize,
     change: Vec<f64>,
@@ -63,13 +63,13 @@ impl<'a> Descent<'a> {
         self.breath.score(&pressure).score
     }
 
-    /// Goes on with more nodes where the sequence bends.
+    /// Adds nodes where the sequence bends by more than `bend`.
     pub(super) fn refine(&mut self, bend: f64) {
         self.shape = self.shape.refined(bend);
         self.reach = FIRST_REACH_PERCENT;
     }
 
-    /// Goes on from the state that breathing with the present sequence leads to.
+    /// Continues from the periodic state of the present sequence.
     pub(super) fn settle(&mut self) {
         self.start = self.breath.periodic(&self.shape.commands());
         self.score = self.score_of(&self.shape);
@@ -83,7 +83,7 @@ impl<'a> Descent<'a> {
         self.reach = FIRST_REACH_PERCENT;
     }
 
-    /// One step; how much it gained, cmH2O.
+    /// Makes one step; returns its gain, cmH2O.
     pub(super) fn step(&mut self) -> f64 {
         let (errors, responses) = self.measure();
         let step = self.solve(&errors, &responses);
@@ -116,7 +116,7 @@ impl<'a> Descent<'a> {
         let commands = self.shape.commands();
         let mut bench = self.start.clone();
         let mut pressure = Vec::with_capacity(commands.len());
-        // The bench where each node begins to act.
+        // The bench at the tick where each node begins to act.
         let mut begins = Vec::with_capacity(self.shape.nodes.len());
         let firsts: Vec<usize> = (0..self.shape.nodes.len())
             .map(|node| self.shape.reach(node).next().map_or(0, |(tick, _)| tick))
@@ -154,7 +154,7 @@ impl<'a> Descent<'a> {
         StepResponse { first, change }
     }
 
-    /// The step that makes the mean absolute error least if responses add up.
+    /// The step that minimises the mean absolute error, if responses add up.
     fn solve(&self, errors: &[f64], responses: &[StepResponse]) -> Vec<f64> {
         let mut step = vec![0.0; responses.len()];
         let mut left = errors.to_vec();
@@ -183,7 +183,7 @@ impl<'a> Descent<'a> {
                 response.change.iter().zip(&weights[response.first..]).map(|(c, w)| c * w).collect();
             slope[row] = dot(&weighted, &errors[response.first..]);
             for (column, other) in responses[..=row].iter().enumerate() {
-                // Nodes are in the order of their ticks: an earlier one reaches at least as far back.
+                // Nodes are in the order of their ticks: an earlier node's response covers at least the later one's.
                 let overlap = &other.change[response.first - other.first..];
                 let product = dot(&weighted, overlap);
                 normal[row * count + column] = product;
@@ -202,14 +202,14 @@ impl<'a> Descent<'a> {
         }
     }
 
-    /// How far a node may go down and up.
+    /// How far a node may move down and up, percent.
     fn range(&self, node: usize) -> (f64, f64) {
         let value = self.shape.values[node];
         ((-value).max(-self.reach), (f64::from(COMMAND_MAX) - value).min(self.reach))
     }
 }
 
-/// Sum of products of two rows of the same length, in four sums side by side: one sum is four times as slow.
+/// Dot product of two rows of equal length, in four parallel sums: a single sum is four times as slow.
 fn dot(one: &[f64], other: &[f64]) -> f64 {
     let (ones, others) = (one.as_chunks::<4>(), other.as_chunks::<4>());
     let mut sums = [0.0; 4];

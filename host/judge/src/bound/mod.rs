@@ -1,11 +1,11 @@
-//! What no controller can beat: the best command sequence for a bench that is known in every detail.
+//! Reference bound: the best command sequence found for a bench that is known in every detail.
 //!
-//! A controller sees a noisy, late pressure; [`bounds`] sees the bench itself and may try a breath as often as it
-//! likes. It searches the commands of the inspiration freely, tick by tick, from the state that breathing with just
-//! these commands leads to, and scores the true airway pressure as an evaluation does. The search goes down from
-//! several starts by Gauss-Newton steps on responses measured on the bench, adds nodes where the command bends, then
-//! shakes the best and goes down again. It finds no proof: [`WaveformBound::spread`] tells how far apart the starts
-//! ended, and a greater [`BoundConfig::effort`] shows what more searching would gain.
+//! A controller sees a noisy, delayed pressure; [`bounds`] sees the bench itself and may repeat a breath as often as it
+//! needs. It searches the commands of the inspiration tick by tick, from the periodic state that these commands lead
+//! to, and scores the true airway pressure as an evaluation does. The search descends from several starts by
+//! Gauss-Newton steps on responses measured on the bench, adds nodes where the command bends, then perturbs the best
+//! sequence and descends again. It is a search, not a proof: [`WaveformBound::spread`] is the difference between the
+//! starts' results, and a larger [`BoundConfig::effort`] shows what a longer search would gain.
 
 mod bench_breath;
 mod descent;
@@ -26,13 +26,13 @@ use progress::{Progress, Stage};
 use search::Found;
 use ventilator::SourceError;
 
-/// How to search.
+/// Configuration of the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BoundConfig {
-    /// Seed of the shakes.
+    /// Seed of the perturbations.
     pub seed: u64,
-    /// Factor on steps and shakes; 1 is enough for the figures to stand within 1 %.
+    /// Factor on steps and perturbations; doubling it from 1 improves scores by less than 1 %.
     pub effort: u32,
     /// Keep pressure, target and command of every waveform.
     pub trace: bool,
@@ -57,28 +57,28 @@ pub struct BoundTrace {
     pub u_in: Vec<f32>,
 }
 
-/// Bound of one waveform.
+/// Reference bound of one waveform.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WaveformBound {
     /// PIP, cmH2O.
     pub pip: f32,
-    /// Figures of the best sequence found.
+    /// Score of the best sequence found.
     #[serde(flatten)]
     pub score: Score,
-    /// How much higher than the best start the next best one ended, cmH2O.
+    /// Score of the second-best start minus that of the best, cmH2O.
     pub spread: f64,
-    /// The inspiration, if it was asked for.
+    /// The inspiration, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trace: Option<BoundTrace>,
 }
 
-/// Bounds of all waveforms on one bench.
+/// Reference bounds of all waveforms on one bench.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bound {
     /// Name of the bench.
     pub lung: String,
-    /// By waveform, as in the plan; without those that were not finished when the search was stopped, as half a
-    /// search bounds nothing.
+    /// Bounds by waveform, in the plan's order. Waveforms that were not finished when the search was stopped are
+    /// omitted.
     pub waveforms: Vec<WaveformBound>,
     /// Mean over the waveforms.
     pub mean: Score,
@@ -86,22 +86,22 @@ pub struct Bound {
     pub complete: bool,
 }
 
-/// Why there is no bound.
+/// Why a bound cannot be computed.
 #[derive(Debug, Error)]
 pub enum BoundError {
-    /// Breaths differ, so there is no inspiration that stands for all.
+    /// Breaths differ, so no single inspiration represents them.
     #[error(
-        "the patient of bench {0} breathes, coughs or changes: no two breaths are alike, and a bound for one says nothing of the next; set effort_cmh2o, cough_cmh2o and change_at_breath to 0"
+        "the patient of bench {0} breathes, coughs or changes, so a bound for one breath does not apply to the next: set effort_cmh2o, cough_cmh2o and change_at_breath to 0"
     )]
     Patient(String),
-    /// A bench, settings or a period that cannot be run.
+    /// The bench, settings or period cannot be run.
     #[error(transparent)]
     Source(#[from] SourceError),
 }
 
-/// The best score that any commands reach on each bench, for each waveform of the plan. Of the plan only period,
-/// settings and PIPs count: what is searched has no noise, and is the breath that all later ones repeat. Runs in
-/// parallel over benches and waveforms; the result does not depend on the number of threads.
+/// The best score found on each bench for each waveform of the plan. Only the plan's period, settings and PIPs are
+/// used: the search has no noise and repeats one breath. Runs in parallel over benches and waveforms; the result does
+/// not depend on the number of threads.
 ///
 /// # Errors
 /// Before any search: a patient who is not passive, a bench or settings that are refused, or a period that the bench

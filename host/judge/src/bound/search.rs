@@ -1,4 +1,4 @@
-//! The search for one waveform: down from several starts, then from shaken copies of the best.
+//! The search for one waveform: descents from several starts, then from perturbed copies of the best.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -12,40 +12,40 @@ use super::start::look_ahead;
 use plant::bench::ValveConfig;
 use progress::Task;
 
-/// Horizons of the starts, relative to what the valve needs to act.
+/// Horizons of the starts, relative to the time that the valve needs to act.
 const HORIZONS: [f64; 3] = [0.8, 1.2, 1.6];
-/// Shortest horizon, ms: with a valve that acts at once.
+/// Shortest horizon, for a valve that acts immediately, ms.
 const LEAST_HORIZON_MS: f64 = 5.0;
-/// Blocks of the starts, ms.
+/// Block length of the starts, ms.
 const BLOCK_MS: f64 = 5.0;
 /// Spacing of the first nodes, ms; each level halves it where the command bends.
 const SPACING_MS: f64 = 8.0;
-/// Levels of refinement of every start, down to 2 ms; the best one gets another.
+/// Levels of refinement of every start, down to 2 ms; the best start gets one more.
 const LEVELS: usize = 3;
-/// Bend of the command that calls for more nodes, percent.
+/// Bend of the command above which nodes are added, percent.
 const BEND_PERCENT: f64 = 0.5;
-/// Most steps on a level.
+/// Largest number of steps on a level.
 const STEPS: usize = 15;
-/// Shaken copies of the best.
+/// Number of perturbed copies of the best.
 const SHAKES: usize = 4;
-/// How far a shake moves its nodes, percent.
+/// Displacement of the nodes in a perturbation, percent.
 const SHAKE_PERCENT: f64 = 40.0;
-/// Most neighbouring nodes that a shake moves.
+/// Largest number of neighbouring nodes that a perturbation moves.
 const SHAKEN_NODES: usize = 8;
-/// A level is done when both directions of probing gained less than this part of the score.
+/// A level is done when both probing directions gained less than this share of the score.
 const ENOUGH: f64 = 1e-4;
-/// Command of the breaths before the first start, percent: anything that fills the lung somewhat.
+/// Command of the breaths before the first start, percent: any value that fills the lung somewhat.
 const BEFORE_PERCENT: f32 = 20.0;
 
-/// The best sequence.
+/// The best sequence found.
 pub(super) struct Found {
     /// Command of every tick, percent.
     pub(super) commands: Vec<f32>,
-    /// How much higher the next best start ended, cmH2O.
+    /// Score of the second-best start minus that of the best, cmH2O.
     pub(super) spread: f64,
 }
 
-/// Stages of a search, for its progress.
+/// Number of progress stages of a search.
 pub(super) fn stages(config: &BoundConfig) -> usize {
     HORIZONS.len() * LEVELS + 1 + shakes(config)
 }
@@ -58,7 +58,7 @@ fn steps(config: &BoundConfig) -> usize {
     STEPS * config.effort.max(1) as usize
 }
 
-/// Searches the best sequence; none when it was stopped before its end. `number` keeps the waveforms' shakes apart.
+/// Searches the best sequence; `None` if stopped. `number` gives each waveform its own random perturbations.
 pub(super) fn search(
     breath: &BenchBreath,
     valve: &ValveConfig,
@@ -94,7 +94,7 @@ pub(super) fn search(
     Some(Found { commands: best.shape.commands(), spread })
 }
 
-/// Steps until they gain nothing more; the breaths before follow the sequence once in between.
+/// Steps until there is no further gain; the periodic state is updated once in between.
 fn go_down(descent: &mut Descent<'_>, steps: usize, task: &Task<'_>) -> Option<()> {
     descent.settle();
     let mut idle = 0;
@@ -112,7 +112,7 @@ fn go_down(descent: &mut Descent<'_>, steps: usize, task: &Task<'_>) -> Option<(
     Some(())
 }
 
-/// Moves a few neighbouring nodes of the best, goes down again and keeps what is better.
+/// Moves a few neighbouring nodes of the best sequence, descends again and keeps the better result.
 fn shake<'a>(
     mut best: Descent<'a>,
     config: &BoundConfig,
@@ -123,7 +123,7 @@ fn shake<'a>(
     rng.set_stream(number);
     for _ in 0..shakes(config) {
         let mut shaken = best.clone();
-        // Nodes are dense where the command bends, so most shakes fall there.
+        // Nodes are dense where the command bends, so most perturbations are there.
         let first = rng.random_range(0..shaken.shape.nodes.len());
         let moved = first..first + rng.random_range(1..=SHAKEN_NODES);
         shaken.displace(moved, SHAKE_PERCENT * rng.random_range(-1.0..1.0));

@@ -1,16 +1,16 @@
-//! A command sequence by its nodes: few numbers where the command hardly bends, one per tick where it does.
+//! A command sequence by its nodes: few where the command hardly bends, up to one per tick where it does.
 
-/// Commands in percent at nodes, with straight lines between them.
+/// Commands in percent at nodes, linear between them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct CommandShape {
-    /// Ticks of the nodes, rising; the first is 0, the last that of the inspiration's end.
+    /// Ticks of the nodes, ascending; the first is 0, the last the end of the inspiration.
     pub(super) nodes: Vec<usize>,
     /// Command at each node, percent.
     pub(super) values: Vec<f64>,
 }
 
 impl CommandShape {
-    /// The shape with nodes every `spacing` ticks that goes through `commands` there.
+    /// The shape with nodes every `spacing` ticks that passes through `commands` there.
     pub(super) fn through(commands: &[f32], spacing: usize) -> Self {
         let last = commands.len().saturating_sub(1);
         let mut nodes: Vec<usize> = (0..last).step_by(spacing.max(1)).collect();
@@ -33,7 +33,7 @@ impl CommandShape {
         commands
     }
 
-    /// Ticks that a node moves, and how far per percent of its own movement.
+    /// The ticks that a node affects, and their change per percent of the node's movement.
     pub(super) fn reach(&self, node: usize) -> impl Iterator<Item = (usize, f64)> {
         let here = self.nodes[node];
         let before = node.checked_sub(1).map(|n| self.nodes[n]);
@@ -45,7 +45,7 @@ impl CommandShape {
         rising.chain((here..after).map(move |tick| (tick, part(after - tick, after - here))))
     }
 
-    /// The same sequence with further nodes wherever it bends by more than `bend` percent at an end of an interval.
+    /// The same sequence with more nodes wherever it bends by more than `bend` percent at an end of an interval.
     pub(super) fn refined(&self, bend: f64) -> Self {
         let bends: Vec<bool> = (0..self.nodes.len()).map(|node| self.bend(node) > bend).collect();
         let mut refined = Self { nodes: Vec::new(), values: Vec::new() };
@@ -66,7 +66,7 @@ impl CommandShape {
         self.values.push(value);
     }
 
-    /// How far a node lies from the line between its neighbours, percent.
+    /// Distance of a node from the line between its neighbours, percent.
     fn bend(&self, node: usize) -> f64 {
         if node == 0 || node + 1 == self.nodes.len() {
             return 0.0;

@@ -1,14 +1,14 @@
-//! Where a search begins: the command that looks best over a short horizon, chosen block after block.
+//! The start of a search: block by block, the command with the smallest error over a short horizon.
 
 use super::bench_breath::BenchBreath;
 use plant::bench::Bench;
 
 /// Candidates on each level of the search for a block's command.
 const CANDIDATES: usize = 7;
-/// Levels; each narrows the range to a third around its best.
+/// Number of levels; each narrows the range to a third around its best candidate.
 const LEVELS: usize = 5;
 
-/// A sequence found by looking `horizon` ticks ahead with a command held, decided anew every `block` ticks.
+/// The sequence found by holding a command for `horizon` ticks ahead, chosen again every `block` ticks.
 pub(super) fn look_ahead(breath: &BenchBreath, start: &Bench, block: usize, horizon: usize) -> Vec<f32> {
     let ticks = breath.ticks();
     let mut bench = start.clone();
@@ -25,7 +25,7 @@ pub(super) fn look_ahead(breath: &BenchBreath, start: &Bench, block: usize, hori
     commands
 }
 
-/// The command that, held, keeps the pressure closest to `target`.
+/// The command that, when held, keeps the pressure closest to `target`.
 fn best_held(breath: &BenchBreath, bench: &Bench, target: &[f64]) -> f32 {
     let (mut low, mut high, mut best) = (0.0_f32, 100.0_f32, 0.0_f32);
     for _ in 0..LEVELS {

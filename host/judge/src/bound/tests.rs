@@ -1,4 +1,4 @@
-//! The bound holds, is tight, and is scored as an evaluation scores.
+//! The bound is reached, close to known optima, and scored like an evaluation.
 
 use std::sync::atomic::AtomicBool;
 
@@ -44,7 +44,7 @@ fn found(bench: &BenchConfig, pips: &[f32], search: &BoundConfig) -> Bound {
 
 #[test]
 fn a_sequence_is_scored_as_an_evaluation_scores_it() {
-    // A lung that does not empty in an expiration: the breaths before count.
+    // This lung does not empty in an expiration, so earlier breaths matter.
     let bench = quiet(BenchConfig::paper(50.0, 50.0));
     let gains = PidGains { p: 2.0, i: 30.0, d: 0.0 };
     let settings = paper_settings(25.0);
@@ -86,8 +86,8 @@ fn no_commands_beat_the_dead_time() {
         let bench = BenchConfig { valve, ..BenchConfig::paper(20.0, 20.0) };
         found(&bench, &[25.0], &BoundConfig::default()).mean.score
     };
-    // In the additional dead time the error is the step from PEEP to PIP, less what the bias lets through; the rise
-    // is then a little faster, as the expiratory valve has closed further.
+    // In the additional dead time the error is the step from PEEP to PIP, minus the effect of the bias flow; the rise
+    // is then a little faster, because the expiratory valve has closed further.
     let later = (of(32.0) - of(12.0)) / (0.020 * 20.0);
     assert!((0.85..1.0).contains(&later), "{later}");
 }

@@ -1,4 +1,4 @@
-//! A learned controller beside its PID, waveform by waveform, under the same noise.
+//! Compares a learned controller with its PID, waveform by waveform, under the same noise.
 
 use serde::Serialize;
 use thiserror::Error;
@@ -8,7 +8,7 @@ use progress::{Progress, Stage};
 use shared::control::Controller;
 use ventilator::SourceError;
 
-/// Figures under the same noise.
+/// Scores under the same noise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pair {
     /// The PID alone.
@@ -18,12 +18,12 @@ pub struct Pair {
     pub learned: Option<Score>,
 }
 
-/// One waveform's figures.
+/// Scores of one waveform.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WaveformPair {
     /// PIP, cmH2O.
     pub pip: f32,
-    /// Its figures.
+    /// Scores of PID and learned controller.
     #[serde(flatten)]
     pub pair: Pair,
 }
@@ -31,14 +31,14 @@ pub struct WaveformPair {
 /// A comparison over all waveforms.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// By waveform, as in the plan; those that are done, if it was stopped.
+    /// Scores by waveform, in the plan's order; only the completed ones if the comparison was stopped.
     pub waveforms: Vec<WaveformPair>,
     /// Mean over the waveforms.
     pub mean: Pair,
 }
 
 impl Comparison {
-    /// Adds the mean to figures by waveform; it has a learned controller if all waveforms have.
+    /// Adds the mean over the waveforms; it has a learned controller if all waveforms have one.
     pub fn new(waveforms: Vec<WaveformPair>) -> Self {
         let pid: Vec<Score> = waveforms.iter().map(|w| w.pair.pid).collect();
         let learned: Option<Vec<Score>> = waveforms.iter().map(|w| w.pair.learned).collect();
@@ -56,11 +56,11 @@ pub struct CompareError {
     source: SourceError,
 }
 
-/// Scores a PID and, if there is one, a learned controller waveform by waveform. A comparison that is stopped keeps the
-/// waveforms that are done.
+/// Scores a PID and, if given, a learned controller waveform by waveform. A stopped comparison keeps the completed
+/// waveforms.
 ///
 /// # Errors
-/// The first waveform that could not be run.
+/// The error of the first waveform that could not be run.
 pub fn compare(
     ground: &dyn Ground,
     pid: &Controller,

@@ -1,4 +1,4 @@
-//! What controllers can be evaluated on: a bench, or any ventilator whose plant can start again from a seed.
+//! Plants to evaluate controllers on: a bench, or any ventilator whose plant can restart from a seed.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -10,15 +10,15 @@ use ventilator::Reseed;
 
 use super::{Evaluated, Plan, evaluate_law, evaluate_source};
 
-/// What controllers can be evaluated on.
+/// A plant to evaluate controllers on.
 pub trait Ground: Sync {
     /// Name of the plant.
     fn name(&self) -> String;
 
-    /// Runs a controller as planned.
+    /// Evaluates a controller by a plan.
     ///
     /// # Errors
-    /// The first waveform's that could not be run; [`ventilator::SourceError::Stopped`] if it was stopped.
+    /// The error of the first waveform that could not be run; [`ventilator::SourceError::Stopped`] if stopped.
     fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated;
 }
 
@@ -32,7 +32,7 @@ impl Ground for BenchConfig {
     }
 }
 
-/// A ventilator to evaluate on, one evaluation after the other, each from rest.
+/// A ventilator to evaluate on; evaluations run one after the other, each from rest.
 pub struct SourceGround(Mutex<Box<dyn Reseed + Send>>);
 
 impl SourceGround {

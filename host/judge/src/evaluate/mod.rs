@@ -1,8 +1,8 @@
 //! Scores of any controller on any bench, by the paper's protocol (Suo et al. 2021, section 5).
 //!
-//! A [`Plan`] says which waveforms are run, how often and under which sensor noise; [`evaluate`] runs them with
-//! the same ventilator core as the chip and scores the *true* airway pressure, which only a bench knows.
-//! [`trace()`] gives the curves of a few breaths, [`seeds`] keeps the noise of tuning, training and judging apart.
+//! A [`Plan`] gives the waveforms, their number of breaths and the sensor noise. [`evaluate`] runs them with the same
+//! ventilator core as the chip and scores the *true* airway pressure, which only a bench knows. [`trace()`] records the
+//! curves of a few breaths; [`seeds`] keeps the noise of tuning, training and evaluation apart.
 
 mod comparison;
 mod ground;
@@ -27,7 +27,7 @@ use progress::{Progress, Stage, Task};
 use ventilator::seeds;
 use ventilator::{BenchSource, Reseed, SourceError, Tick};
 
-/// What an evaluation runs.
+/// The breaths of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Plan {
@@ -35,13 +35,13 @@ pub struct Plan {
     pub period_us: u32,
     /// PIP of every waveform, cmH2O.
     pub pips: Vec<f32>,
-    /// Scored breaths of every waveform.
+    /// Number of scored breaths of every waveform.
     pub breaths: usize,
-    /// Breaths before them that are not scored: the first one starts from rest, with the valve closed.
+    /// Number of unscored breaths before them; the first one starts from rest, with the valve closed.
     pub warm_up: usize,
-    /// Seeds of the sensor's noise; every waveform runs once with each.
+    /// Seeds of the sensor noise; every waveform runs once with each.
     pub seeds: Vec<u64>,
-    /// Everything else about the breaths; its PIP is replaced by each waveform's.
+    /// All other settings of the breaths; PIP is replaced by each waveform's.
     pub settings: Settings,
 }
 
@@ -60,12 +60,12 @@ impl Default for Plan {
 }
 
 impl Plan {
-    /// The default under the noise that tuning may see.
+    /// The default plan under the noise reserved for tuning.
     pub fn tuning(seed: u64) -> Self {
         Self { seeds: vec![seeds::tuning(seed)], ..Self::default() }
     }
 
-    /// The default under the noise that reported figures are measured with.
+    /// The default plan under the noise reserved for reported scores.
     pub fn evaluation(seed: u64) -> Self {
         Self { seeds: seeds::evaluation(seed), ..Self::default() }
     }
@@ -75,49 +75,49 @@ impl Plan {
         Settings { pip, ..self.settings }
     }
 
-    /// Breaths that one evaluation runs.
+    /// Number of breaths that one evaluation runs.
     pub fn breaths_run(&self) -> usize {
         self.pips.len() * self.seeds.len() * (self.warm_up + self.breaths)
     }
 }
 
-/// Score of one waveform, mean over seeds and breaths.
+/// Score of one waveform: mean over seeds and breaths.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WaveformScore {
     /// PIP, cmH2O.
     pub pip: f32,
-    /// Its score; the overshoot is the mean of every breath's highest.
+    /// Its score; the overshoot is the mean of every breath's maximum.
     #[serde(flatten)]
     pub score: Score,
 }
 
-/// Outcome of an evaluation.
+/// Result of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// By waveform, as in the plan.
+    /// Scores by waveform, in the plan's order.
     pub waveforms: Vec<WaveformScore>,
     /// Mean over the waveforms.
     pub mean: Score,
-    /// Mean score of every seed, as in the plan, cmH2O.
+    /// Mean score under each seed, in the plan's order, cmH2O.
     pub by_seed: Vec<f64>,
 }
 
-/// An evaluation, if all of it could be run.
+/// Result of an evaluation, or why it could not be run.
 pub type Evaluated = Result<Evaluation, SourceError>;
 
-/// Runs a controller on a bench as planned. The result does not depend on the number of threads.
+/// Runs a controller on a bench by a plan. The result does not depend on the number of threads.
 ///
 /// # Errors
-/// The first waveform's, in the plan's order, that could not be run: refused settings or a fault of the
+/// The error of the first waveform, in the plan's order, that could not be run: refused settings or a fault of the
 /// ventilator.
 pub fn evaluate(bench: &BenchConfig, controller: &Controller, plan: &Plan) -> Evaluated {
     evaluate_law(bench, controller, plan, &Progress::silent())
 }
 
-/// As [`evaluate`], with any other controller; it can be stopped.
+/// Like [`evaluate`], for any other controller; it can be stopped.
 ///
 /// # Errors
-/// See [`evaluate`]; [`SourceError::Stopped`].
+/// See [`evaluate`]; also [`SourceError::Stopped`].
 pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     bench: &BenchConfig,
     controller: &C,
@@ -135,7 +135,7 @@ pub fn evaluate_law<C: ControlLaw + Clone + Sync>(
     Ok(summarize(plan, &scores))
 }
 
-/// Does each job once on all threads, until the task is stopped; the first error in the jobs' order counts.
+/// Runs all jobs on all threads until the task is stopped; returns the first error in the order of the jobs.
 pub(crate) fn side_by_side<T: Sync, R: Send>(
     jobs: &[T],
     task: &Task<'_>,
@@ -155,11 +155,11 @@ pub(crate) fn side_by_side<T: Sync, R: Send>(
     outcomes.into_iter().collect()
 }
 
-/// Runs a controller on any other source as planned, one waveform after the other. Where nobody knows the true pressure, the
-/// measured one is scored.
+/// Runs a controller on any other source by a plan, one waveform after the other. Scores the measured pressure if the
+/// true pressure is unknown.
 ///
 /// # Errors
-/// The first waveform's that could not be run.
+/// The error of the first waveform that could not be run.
 pub fn evaluate_source(
     source: &mut dyn Reseed,
     controller: &Controller,
@@ -184,7 +184,7 @@ pub fn evaluate_source(
     Ok(summarize(plan, &scores))
 }
 
-/// Scores of all runs, waveform by waveform, each under every seed.
+/// Combines the scores of all runs, ordered by waveform, then by seed.
 fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
     let seeds = plan.seeds.len();
     let waveforms: Vec<WaveformScore> = plan
@@ -211,7 +211,7 @@ fn breaths(plan: &Plan, pip: f32) -> Vec<Settings> {
     breaths
 }
 
-/// Runs one breath with these settings and hands each tick to the sink.
+/// Runs one breath with these settings and passes each tick to the sink.
 type Breathe<'a> = dyn FnMut(&Settings, &mut dyn FnMut(&Tick)) -> Result<(), SourceError> + 'a;
 
 /// Runs and scores all breaths of one waveform.
@@ -227,12 +227,12 @@ fn run(plan: &Plan, breaths: &[Settings], breathe: &mut Breathe<'_>) -> Result<S
     Ok(Score::mean(&scores))
 }
 
-/// The same inspiration with nothing after it, where the schema's bounds allow that: what follows the last
-/// inspiration is not scored.
+/// The same inspiration with the shortest expiration that the schema's bounds allow: nothing after the last inspiration
+/// is scored.
 fn cut_short(settings: &Settings) -> Settings {
     let short = Settings {
         fall_time: 0.0,
-        // A hair below the fastest rate, which rounding could make too fast.
+        // Slightly below the fastest rate, because rounding could exceed it.
         rate: (59.99 / settings.inspiratory_time).max(settings.rate),
         ..*settings
     };

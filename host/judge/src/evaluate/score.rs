@@ -6,21 +6,21 @@ use shared::settings::Settings;
 
 use ventilator::Tick;
 
-/// Start of what counts as late, s: by then a good controller has done its rise.
+/// Start of the late part of the inspiration, s; by then a good controller has finished the rise.
 const LATE_FROM_S: f64 = 0.15;
-/// The end of the inspiration that counts as plateau, s.
+/// Length of the plateau at the end of the inspiration, s.
 const PLATEAU_S: f64 = 0.3;
-/// Parts of the way from PEEP to PIP between which the rise is timed.
+/// Shares of the way from PEEP to PIP between which the rise is timed.
 const RISE: (f64, f64) = (0.1, 0.9);
 
-/// How well an inspiration followed its target; of several breaths, the mean of every figure.
+/// How well an inspiration followed its target; for several breaths, the mean of every value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Mean absolute error over the inspiration, cmH2O (Suo et al. 2021, section 5).
     pub score: f64,
-    /// Time from 10 % to 90 % of the way from PEEP to PIP, ms; where 90 % is never reached, the whole inspiration.
+    /// Time from 10 % to 90 % of the way from PEEP to PIP, ms; if 90 % is never reached, the whole inspiration.
     pub rise_ms: f64,
-    /// How far the highest pressure lies above PIP, cmH2O, at least 0.
+    /// Highest pressure above PIP, cmH2O, at least 0.
     pub overshoot: f64,
     /// Mean distance from PIP over the last 0.3 s, cmH2O.
     pub plateau_error: f64,
@@ -28,7 +28,7 @@ pub struct Score {
     pub late_error: f64,
 }
 
-/// Pressure and target of an inspiration, a sample at the start of every control tick.
+/// Pressure and target of an inspiration, sampled at the start of every control tick.
 #[derive(Clone, Debug, Default)]
 pub struct InspirationRecord {
     pressure: Vec<f64>,
@@ -36,7 +36,7 @@ pub struct InspirationRecord {
 }
 
 impl InspirationRecord {
-    /// Takes in a tick if it is one of the inspiration: the true pressure, or the measured one where nobody knows that.
+    /// Adds a tick of the inspiration: the true pressure, or the measured one if the true one is unknown.
     pub fn add(&mut self, Tick { sample, truth, .. }: &Tick) {
         if sample.phase == Phase::Inspiration {
             let believed = truth.map_or(sample.pressure, |truth| truth.airway_pressure);
@@ -45,17 +45,17 @@ impl InspirationRecord {
         }
     }
 
-    /// Scores the breath, which had these settings.
+    /// Scores the breath with these settings.
     pub fn score(&self, breath: &Settings, period_us: u32) -> Score {
         score_breath(breath, f64::from(period_s(period_us)), &self.pressure, &self.target)
     }
 }
 
-/// Scores an inspiration of true airway pressures, cmH2O, against as many targets, cmH2O: samples every `period_s`
-/// seconds, the first at its very beginning. One without samples has the score of a default.
+/// Scores an inspiration of true airway pressures, cmH2O, against the same number of targets, cmH2O. Samples are
+/// `period_s` seconds apart, the first at the start of the inspiration. No samples give the default score.
 ///
-/// Means over time follow the trapezoidal rule: with a sum of samples, the first instant, when the error is
-/// largest, would weigh the more the longer the control period is.
+/// Means over time use the trapezoidal rule: in a plain sum the first instant, when the error is largest, would weigh
+/// more at a longer control period.
 pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: &[f64]) -> Score {
     let (peep, pip) = (f64::from(breath.peep), f64::from(breath.pip));
     let errors: Vec<f64> = pressure.iter().zip(target).map(|(p, target)| (p - target).abs()).collect();
@@ -89,7 +89,7 @@ fn mean_over_time(samples: &[f64]) -> f64 {
     }
 }
 
-/// When `level` is first reached, in samples, by linear interpolation between them.
+/// Index at which `level` is first reached, linearly interpolated between samples.
 fn reached_at(pressure: &[f64], level: f64) -> Option<f64> {
     let index = pressure.iter().position(|p| *p >= level)?;
     match index.checked_sub(1).map(|before| pressure[before]) {
@@ -99,7 +99,7 @@ fn reached_at(pressure: &[f64], level: f64) -> Option<f64> {
 }
 
 impl Score {
-    /// Mean of every figure; zeros for no scores.
+    /// Mean of every value; zeros without scores.
     pub fn mean(scores: &[Self]) -> Self {
         let share = 1.0 / scores.len().max(1) as f64;
         let mean = |figure: fn(&Self) -> f64| scores.iter().map(figure).sum::<f64>() * share;

@@ -1,4 +1,4 @@
-//! Evaluations and traces on real benches.
+//! Evaluations and traces on virtual benches.
 
 use rayon::ThreadPoolBuilder;
 use shared::breath::paper_settings;
@@ -85,7 +85,7 @@ fn a_fault_is_reported_as_such() {
         pips: vec![30.0],
         ..small()
     };
-    // A late valve and a stiff lung: the pressure is far above the limit before the valve has closed.
+    // With a slow valve and a stiff lung, the pressure is far above the limit before the valve has closed.
     let mut stiff = BenchConfig::paper(5.0, 3.0);
     stiff.valve.dead_time_ms = 60.0;
     let wild = evaluate(&stiff, &pid(80.0, 5000.0), &plan);

@@ -8,28 +8,28 @@ use shared::settings::Settings;
 use plant::bench::BenchConfig;
 use ventilator::{BenchSource, Source, SourceError};
 
-/// Breaths run before the recorded ones, so that those do not start from rest.
+/// Number of breaths before the recorded ones, so that those do not start from rest.
 const WARM_UP: usize = 1;
 
-/// Columns of equal length, a row for every control tick.
+/// Curves of some breaths: columns of equal length, a row for every control tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BreathTrace {
-    /// Time since the start of the first breath shown, s.
+    /// Time since the start of the first recorded breath, s.
     pub time_s: Vec<f64>,
     /// Target, cmH2O.
     pub target: Vec<f64>,
     /// True airway pressure, cmH2O.
     pub pressure: Vec<f64>,
-    /// Pressure as the sensor gives it, cmH2O.
+    /// Pressure as measured by the sensor, cmH2O.
     pub measured: Vec<f64>,
     /// Command of the inspiratory valve, percent.
     pub u_in: Vec<f64>,
-    /// Is the expiratory valve open?
+    /// Whether the expiratory valve is open.
     pub u_out: Vec<bool>,
 }
 
 impl BreathTrace {
-    /// Points of one of its columns up to a time in s.
+    /// Points of one of its columns up to the time `until` in s.
     pub fn points(&self, column: &[f64], until: f64) -> Vec<(f64, f64)> {
         let both = self.time_s.iter().copied().zip(column.iter().copied());
         both.take_while(|(time, _)| *time < until).collect()
@@ -41,7 +41,7 @@ impl BreathTrace {
     }
 }
 
-/// Runs one breath unseen and records `breaths` after it; `seed` is that of the sensor's noise.
+/// Runs one unrecorded breath, then records `breaths`; `seed` is that of the sensor noise.
 ///
 /// # Errors
 /// Refused settings, a control period that the bench cannot run or a fault of the ventilator.
@@ -57,10 +57,10 @@ pub fn trace(
     trace_source(&mut source, settings, breaths)
 }
 
-/// The same on whatever ventilator.
+/// Like [`trace`], on any ventilator.
 ///
 /// # Errors
-/// As [`trace`].
+/// See [`trace`].
 pub fn trace_source(
     source: &mut dyn Source,
     settings: &Settings,

@@ -4,26 +4,26 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNo
 use shared::weights::IMAGE_BYTES;
 use shared::weights::slots::Slots;
 
-/// Bytes of a sector, each of which holds a slot.
+/// Size of a sector in bytes; each contains one slot.
 const SECTOR: usize = 16 * 1024;
-/// What erased flash reads as.
+/// Value of an erased byte.
 const ERASED: u8 = 0xFF;
 
-/// Two sectors.
+/// Two sectors of flash.
 #[derive(Clone, Debug)]
 pub struct Flash {
     cells: Vec<u8>,
-    /// Bytes that can still be written until the supply fails.
+    /// Number of bytes that can still be written before the supply fails.
     pub supply: usize,
 }
 
 impl Flash {
-    /// Erased.
+    /// Erased flash.
     pub fn new() -> Self {
         Self { cells: vec![ERASED; 2 * SECTOR], supply: usize::MAX }
     }
 
-    /// The weights slots in it.
+    /// The weight slots in this flash.
     pub fn slots(&mut self) -> Slots<&mut Self> {
         Slots::new(self, [0, SECTOR as u32])
     }

@@ -1,4 +1,4 @@
-//! What can go wrong, and how it is brought about.
+//! Faults, and how they are injected.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -10,14 +10,14 @@ use shared::timing::WATCHDOG_MAX_US;
 
 use plant::bench::Failure;
 
-/// Units of the word in which a sensor's reading travels, per cmH2O, and the pressure of the word zero, cmH2O.
+/// Scale of a sensor's reading on the bus: units per cmH2O, and the pressure of the value zero, cmH2O.
 const WORD: (f32, f32) = (600.0, -25.0);
 /// Time from the hang of the control task to the reset by the watchdog, ms: the longest of any chip.
 const WATCHDOG_MS: u32 = WATCHDOG_MAX_US / 1000;
-/// A host takes so long to start the device again after a reset, ms.
+/// Time from a reset until the host starts the device again, ms.
 pub(super) const RESTART_MS: u32 = 500;
 
-/// A fault.
+/// A fault to inject.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Injection {
@@ -25,23 +25,23 @@ pub enum Injection {
     StuckAtLast,
     /// The reading stays at one value, cmH2O.
     StuckAt(f32),
-    /// The reading stays about one value, cmH2O, with the noise of a sound sensor.
+    /// The reading stays near one value, cmH2O, with the noise of an intact sensor.
     NoisyAt(f32),
-    /// The reading is this number, which may be none.
+    /// The reading is this number, possibly not a number (NaN).
     Reads(f32),
     /// The reading drifts, cmH2O/s.
     Drift(f32),
-    /// The reading is off by so much, cmH2O.
+    /// The reading has this offset, cmH2O.
     Offset(f32),
-    /// The reading gets noise of this standard deviation in addition, cmH2O.
+    /// The reading gets additional noise of this standard deviation, cmH2O.
     Noise(f32),
-    /// This part of the readings is missing.
+    /// This share of the readings is missing.
     Dropped(f32),
-    /// The two bytes of this part of the readings are swapped.
+    /// The two bytes are swapped in this share of the readings.
     SwappedBytes(f32),
     /// A part of the machine fails.
     Part(Failure),
-    /// So many control ticks in each hundred are missed.
+    /// This number of control ticks per hundred is missed.
     MissedTicks(u32),
     /// The control task hangs until the watchdog resets the chip.
     Hang,
@@ -49,27 +49,27 @@ pub enum Injection {
     BrownOut,
     /// The patient coughs with this peak, cmH2O, in the middle of every inspiration.
     Coughs(f64),
-    /// The host falls silent.
+    /// The host stops sending.
     HostSilent,
-    /// Another host comes and sends its own settings and gains.
+    /// Another host connects and sends its own settings and gains.
     OtherHost,
-    /// The supply dips, the chip finds its weights like this, and the host starts it again.
+    /// The supply dips, the chip finds its weights damaged, and the host starts it again.
     Weights(Damage),
-    /// Nothing: the controller itself is hostile from the start.
+    /// No injection: the controller itself is hostile from the start.
     Controller,
 }
 
-/// What has become of the weights in flash.
+/// Damage to the weights in flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Damage {
-    /// A bit of the newer image is flipped; the slot of the older one is empty.
+    /// One bit of the newer image is flipped; the other slot is empty.
     FlippedBit,
-    /// The supply was cut while the newer image was stored; the older one is whole.
+    /// The supply was cut while the newer image was being stored; the older one is intact.
     TornStore,
 }
 
-/// What a fault does to the readings.
+/// The effect of a fault on the readings.
 #[derive(Debug)]
 pub struct SensorFault {
     injection: Injection,
@@ -79,12 +79,12 @@ pub struct SensorFault {
 }
 
 impl SensorFault {
-    /// From now on.
+    /// A fault that starts now.
     pub fn new(injection: Injection, rng: ChaCha8Rng) -> Self {
         Self { injection, rng, last: None, ms: 0 }
     }
 
-    /// What the ventilator gets to read in place of a reading.
+    /// The reading that the ventilator gets in place of the true one.
     pub fn reading(&mut self, reading: f32) -> f32 {
         self.ms += 1;
         let last = *self.last.get_or_insert(reading);
@@ -103,25 +103,25 @@ impl SensorFault {
     }
 }
 
-/// A reading whose two bytes were swapped on the way.
+/// A reading whose two bytes were swapped in transmission.
 fn swapped(reading: f32) -> f32 {
     let word = ((reading - WORD.1) * WORD.0) as u16;
     f32::from(word.swap_bytes()) / WORD.0 + WORD.1
 }
 
-/// What a fault does to the control task.
+/// The effect of a fault on the control task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
     /// It runs.
     Runs,
-    /// It misses the tick: the valves stay as they were.
+    /// It misses the tick: the valves keep their state.
     Misses,
     /// The chip is reset at this tick.
     Reset(ResetCause),
 }
 
 impl Injection {
-    /// What the control task does so many ms after the fault.
+    /// The state of the control task `ms` milliseconds after the fault.
     pub fn task(self, ms: u32) -> Task {
         match self {
             Self::MissedTicks(part) if ms % 100 < part => Task::Misses,

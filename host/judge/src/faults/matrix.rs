@@ -26,9 +26,9 @@ use ventilator::SourceError;
 pub const LIMIT: f32 = 40.0;
 /// PIP of all trials, cmH2O.
 const PIP: f32 = 25.0;
-/// Longest time from crossing the limit to the command to vent, ms.
+/// Longest time from crossing the limit to the venting command, ms.
 pub const VENT_WITHIN_MS: u32 = 200;
-/// Highest true pressure where the valves obey, and where one of them is stuck, cmH2O.
+/// Highest true pressure if the valves obey, and if one of them is stuck, cmH2O.
 pub const PEAKS: (f64, f64) = (60.0, 75.0);
 /// In the middle of the third inspiration, ms.
 const MID_INSPIRATION_MS: u32 = 6400;
@@ -38,47 +38,47 @@ const BEFORE_MS: u32 = 8900;
 const SLOW_INSPIRATION_MS: u32 = 15_500;
 /// A breath at the usual rate, ms.
 const BREATH_MS: u32 = 3000;
-/// Longest time from the command to vent to a pressure near PEEP where the valves obey, ms: two breaths.
+/// Longest time from the venting command to a pressure near PEEP if the valves obey, ms: two breaths.
 const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
-/// Breaths of a run with nothing wrong.
+/// Number of breaths of a fault-free run.
 const NOMINAL_BREATHS: u32 = 10;
-/// How long a trial is watched after its fault, ms.
+/// Duration of a trial after its fault, ms.
 const WATCHED_MS: u32 = 21_000;
 
 use CaseController::{Alternating, Greedy, Ringing, Sound};
 
-/// Who is in command.
+/// The controller of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum CaseController {
     /// The PID that is best for all the paper's lungs.
     Sound,
     /// A PID that rings on every lung.
     Ringing,
-    /// A network that always asks for 100 % more.
+    /// A network that always requests 100 % more.
     Greedy,
-    /// A network that asks for 100 % more and 100 % less in turn.
+    /// A network that alternates between 100 % more and 100 % less.
     Alternating,
 }
 
-/// A fault and what must follow.
+/// A fault and the expected reaction.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultCase {
     /// Name in tables.
     pub name: &'static str,
-    /// What goes wrong.
+    /// The injected fault.
     pub injection: Injection,
-    /// The alarms that must come; none where the pressure alone is judged.
+    /// The alarms that must occur; if empty, only the pressure is judged.
     pub monitors: &'static [Fault],
     controller: CaseController,
     onset_ms: u32,
     settings: fn() -> Settings,
     /// Highest true airway pressure after it, cmH2O.
     pub peak_allowed: f64,
-    /// How long the first of the monitors may take, ms.
+    /// Longest time until the first of the monitors fires, ms.
     within_ms: u32,
 }
 
-/// A fault on a lung, and what came of it.
+/// Result of a fault on a lung.
 #[derive(Clone, Debug, Serialize)]
 pub struct FaultRow {
     /// The fault.
@@ -87,21 +87,21 @@ pub struct FaultRow {
     pub lung: String,
     /// The monitors that must fire.
     pub monitor: Vec<&'static str>,
-    /// Longest time to the first of their alarms, ms, over the seeds; none if not all came under every seed.
+    /// Longest time over the seeds to the first of these alarms, ms; `None` if an alarm was missing under any seed.
     pub detect_ms: Option<u32>,
-    /// What was done last.
+    /// The last action taken.
     pub action: Option<Action>,
     /// Highest true airway pressure after the fault, cmH2O.
     pub peak_true: f64,
-    /// The highest that is allowed, cmH2O.
+    /// Highest true airway pressure allowed, cmH2O.
     pub peak_allowed: f64,
     /// Longest time from venting to a pressure near PEEP, ms.
     pub back_at_peep_ms: Option<u32>,
     /// Longest time of readings above the limit without the command to vent, ms.
     pub limit_to_vent_ms: Option<u32>,
-    /// All alarms that came, in their order, under the first seed that shows a failure, else the last one.
+    /// All alarms in order, under the first seed that shows a failure, or else under the last seed.
     pub alarms: Vec<&'static str>,
-    /// Whether all is as it must be.
+    /// Whether all requirements are met.
     pub pass: bool,
 }
 
@@ -109,12 +109,12 @@ fn usual() -> Settings {
     Settings { pressure_limit: LIMIT, ..paper_settings(PIP) }
 }
 
-/// A limit that a cough exceeds on every lung.
+/// Settings with a pressure limit that a cough exceeds on every lung.
 fn tight() -> Settings {
     Settings { pressure_limit: PIP + 8.0, ..usual() }
 }
 
-/// Four breaths a minute.
+/// Settings with four breaths a minute.
 fn slow() -> Settings {
     Settings { rate: 4.0, ..usual() }
 }
@@ -137,7 +137,7 @@ const fn part(name: &'static str, failure: Failure, monitors: &'static [Fault]) 
     case(name, Injection::Part(failure), monitors)
 }
 
-/// A valve that does not obey any more.
+/// A valve that no longer obeys.
 const fn stuck(name: &'static str, failure: Failure, monitors: &'static [Fault]) -> FaultCase {
     FaultCase { peak_allowed: PEAKS.1, ..part(name, failure, monitors) }
 }
@@ -147,7 +147,7 @@ impl FaultCase {
         Self { onset_ms, ..self }
     }
 
-    /// It must be found before the next breath ends.
+    /// Requires detection before the next breath ends.
     const fn within_a_breath(self) -> Self {
         Self { within_ms: BREATH_MS, ..self }
     }
@@ -180,10 +180,10 @@ const SENSOR: [FaultCase; 13] = [
     case("bytes swapped in one third of the readings", SwappedBytes(0.33), &[Fault::ReadingJumps]),
 ];
 
-/// What a cough may do on one lung or another.
+/// Possible alarms of a cough, depending on the lung.
 const COUGH: [Fault; 3] = [Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure];
 
-/// Faults of machine and tube.
+/// Faults of machine and breathing circuit.
 const MACHINE: [FaultCase; 14] = [
     part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS),
     stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]),
@@ -231,7 +231,7 @@ pub fn cases() -> impl Iterator<Item = &'static FaultCase> {
 
 /// The PID that is best for all the paper's lungs.
 const SOUND: PidGains = PidGains { p: 6.098, i: 290.6, d: 0.2094 };
-/// The same without its integral, which would work against a greedy network.
+/// The same without its integral, which would counteract a greedy network.
 const WITHOUT_INTEGRAL: PidGains = PidGains { i: 0.0, ..SOUND };
 /// Gains that ring on every lung.
 const RINGING: PidGains = PidGains { p: 60.0, i: 3000.0, d: 0.0 };
@@ -267,7 +267,7 @@ fn greedy() -> Network {
     network
 }
 
-/// After a command above a half nothing, after one below all.
+/// Requests nothing after a command above 50 %, everything after one below.
 fn alternating() -> Network {
     let mut network = Network::zero();
     let last_command = shared::control::features::PAST_COMMANDS.start;
@@ -278,11 +278,11 @@ fn alternating() -> Network {
     network
 }
 
-/// Breathes so many breaths, shared by the lungs, with effort and coughs and nothing wrong, under the PID that is best for
-/// all the paper's lungs; the alarms that came.
+/// Runs this number of breaths, shared between the lungs, with effort and coughs but no fault, under the PID that is
+/// best for all the paper's lungs; returns the alarms.
 ///
 /// # Errors
-/// A bench that is refused; the wish to stop.
+/// A bench that is refused, or the request to stop.
 pub fn false_alarms(
     lungs: &[BenchConfig],
     breaths: u32,
@@ -311,7 +311,7 @@ pub fn false_alarms(
     Ok(found.concat())
 }
 
-/// A unit of the fleet, and a patient who breathes and coughs, each time otherwise.
+/// A random unit of the fleet, with a patient who breathes and coughs.
 fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
     let mut bench = lung.clone();
     bench.unit.number = seed as u32;
@@ -322,10 +322,11 @@ fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
     bench
 }
 
-/// Leaves out each monitor in turn: the faults whose rows then fail. A monitor without such a fault proves nothing.
+/// Switches off each monitor in turn; returns the faults whose rows then fail. Without such a fault, a monitor is
+/// unproven.
 ///
 /// # Errors
-/// As [`matrix`].
+/// See [`matrix`].
 pub fn without_each_monitor(
     lungs: &[BenchConfig],
     seeds: &[u64],
@@ -341,10 +342,10 @@ pub fn without_each_monitor(
     Fault::all().map(missed).collect()
 }
 
-/// Tries every case on every lung under every seed.
+/// Runs every case on every lung under every seed.
 ///
 /// # Errors
-/// A bench that is refused; the wish to stop.
+/// A bench that is refused, or the request to stop.
 pub fn matrix(
     lungs: &[BenchConfig],
     seeds: &[u64],

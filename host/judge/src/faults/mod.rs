@@ -1,4 +1,4 @@
-//! Faults on the virtual bench: does the right monitor fire, soon enough, and does the true pressure stay bearable?
+//! Faults on the virtual bench: does the right monitor fire in time, and does the true pressure stay within its bound?
 
 mod flash;
 pub mod injection;

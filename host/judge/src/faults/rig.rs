@@ -1,4 +1,4 @@
-//! The device of a trial: the control half as the chip runs it, its weights slots, and a host that asks now and then.
+//! The device of a trial: the control half as it runs on the chip, its weight slots, and a host that polls it.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -25,7 +25,7 @@ use ventilator::SourceError;
 
 /// Ticks between two requests of the host.
 const HOST_ASKS_EVERY: u32 = 1000;
-/// The clock that the device pretends to have, Hz.
+/// Clock rate of the simulated device, Hz.
 const CORE_HZ: u32 = 1_000_000;
 
 /// A device and its host.
@@ -34,13 +34,13 @@ pub struct Rig {
     learned: Option<Residual>,
     settings: Settings,
     monitors: Monitors,
-    /// Does the host still ask?
+    /// Whether the host still sends requests.
     pub host_speaks: bool,
     ticks: u32,
 }
 
 impl Rig {
-    /// A device that a host has just started.
+    /// A device just started by a host.
     pub fn started(
         controller: &Controller,
         settings: &Settings,
@@ -67,13 +67,13 @@ impl Rig {
         Ok(rig)
     }
 
-    /// The host starts it.
+    /// Starts the device as a host does.
     pub fn start(&mut self) {
         self.control.execute(&ControlRequest::Apply(self.settings));
         self.control.execute(&ControlRequest::Start);
     }
 
-    /// A tick.
+    /// Runs one tick.
     pub fn step(&mut self, reading: f32, missed: u32) -> Output {
         self.control.record(&TickTime { latency: 0, work: 0, period: None, missed });
         let output = self.control.step(reading);
@@ -89,7 +89,7 @@ impl Rig {
         self.control.state()
     }
 
-    /// Another host sends what it holds for right.
+    /// Another host sends its own settings and gains.
     pub fn other_host(&mut self) {
         let impossible = Settings { pip: f32::NAN, ..self.settings };
         let gains = ControllerChoice::Pid(shared::device::KNOWN_GOOD);
@@ -98,16 +98,16 @@ impl Rig {
         self.control.execute(&ControlRequest::Controller(gains));
     }
 
-    /// The chip starts again, with the weights that it has.
+    /// Restarts the chip with the weights it contains.
     pub fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
         self.boot(cause, self.learned.clone(), [SlotState::Empty; 2])
     }
 
-    /// The same, and the weights in flash are damaged.
+    /// Restarts the chip with damaged weights in flash.
     pub fn reset_with(&mut self, damage: Damage, rng: &mut ChaCha8Rng) -> Result<(), SourceError> {
         let mut flash = Flash::new();
         let image = self.image()?;
-        // Whether a store succeeds shows in what the slots hold after it.
+        // The slots show later whether the store succeeded.
         let _ = flash.slots().store(&image);
         match damage {
             Damage::FlippedBit => flash.flip(rng.random_range(0..8 * IMAGE_BYTES)),

@@ -1,8 +1,8 @@
-//! Torture: random lungs, random settings, random weights and, in every other breath or so, a random fault. No true airway
-//! pressure may exceed its bound, whatever the network says.
+//! Torture test: random lungs, settings and weights and, in about half of the runs, a random fault. No true airway
+//! pressure may exceed its bound, whatever the network computes.
 //!
-//! Runs of a few breaths each are drawn from one seed and are independent, so that the result depends neither on threads nor
-//! on where an earlier run was stopped.
+//! Runs of a few breaths each are drawn from one seed and are independent, so the result depends neither on the number
+//! of threads nor on where an earlier test was stopped.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -29,61 +29,61 @@ use plant::bench::{BenchConfig, Failure};
 use progress::{Progress, Stage};
 use ventilator::SourceError;
 
-/// Breaths of a run.
+/// Number of breaths per run.
 pub const BREATHS_PER_RUN: u64 = 10;
 /// Pressure limit, cmH2O.
 pub const LIMIT: f32 = 40.0;
 /// Highest true airway pressure, cmH2O.
 pub const BOUND: f64 = 60.0;
-/// No fault comes before the lung estimator has seen two breaths, ms.
+/// Earliest time of a fault, ms: the lung estimator needs two breaths first.
 const WARM_UP_MS: u32 = 6000;
-/// Runs between two looks at the wish to stop.
+/// Number of runs between two checks for a stop request.
 const BATCH: u64 = 500;
 /// Ranges of resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
 const LUNGS: [(f64, f64); 2] = [(5.0, 50.0), (10.0, 50.0)];
 
-/// Why a torture cannot go on.
+/// Why a torture test cannot continue.
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the messages name every field")]
 pub enum TortureError {
-    /// A run could not be breathed.
+    /// A run failed.
     #[error(transparent)]
     Source(#[from] SourceError),
-    /// The file that keeps how far it is.
+    /// The progress file could not be used.
     #[error("cannot use {}: {source}", path.display())]
     File { path: PathBuf, source: io::Error },
-    /// The file is of another torture.
-    #[error("{} belongs to seed {seed}; choose another file or that seed", path.display())]
+    /// The file belongs to a test with another seed.
+    #[error("{} belongs to seed {seed}: choose another file or that seed", path.display())]
     OtherSeed { path: PathBuf, seed: u64 },
 }
 
-/// How far a torture has come, and what it has found; written down, it can go on later.
+/// Progress and results of a torture test; when saved, the test can continue later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Torture {
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Breaths done.
+    /// Number of breaths done.
     pub breaths: u64,
     /// Highest true airway pressure, cmH2O.
     pub peak_true: f64,
-    /// The run in which it came.
+    /// Number of the run with the highest pressure.
     pub worst_run: u64,
-    /// Runs with a pressure above the bound.
+    /// Number of runs with a pressure above the bound.
     pub above_limit: u64,
-    /// Runs that ended in the latched safe state.
+    /// Number of runs that ended in the latched safe state.
     pub latched: u64,
 }
 
 impl Torture {
-    /// At the beginning.
+    /// A test at its beginning.
     pub fn new(seed: u64) -> Self {
         Self { seed, breaths: 0, peak_true: 0.0, worst_run: 0, above_limit: 0, latched: 0 }
     }
 
-    /// What an earlier torture of this seed has kept in a file, or a new one.
+    /// The progress that an earlier test with this seed saved in a file, or a new test.
     ///
     /// # Errors
-    /// A file that cannot be read, or of another seed.
+    /// A file that cannot be read, or that has another seed.
     pub fn resume(file: &Path, seed: u64) -> Result<Self, TortureError> {
         let kept: Self = read_json(file).map_err(failure(file))?.unwrap_or_else(|| Self::new(seed));
         if kept.seed == seed {
@@ -93,7 +93,7 @@ impl Torture {
         }
     }
 
-    /// Goes on until so many breaths are done or it is stopped, and keeps in a file, if one is given, how far it is.
+    /// Continues until this number of breaths is done or it is stopped, and saves the progress if a file is given.
     ///
     /// # Errors
     /// A run that fails, or a file that cannot be written.
@@ -132,7 +132,7 @@ fn failure(file: &Path) -> impl FnOnce(io::Error) -> TortureError {
     move |source| TortureError::File { path, source }
 }
 
-/// One run: its highest true pressure, and whether it ended in the safe state.
+/// Performs one run; returns its highest true pressure and whether it ended in the safe state.
 fn torment(seed: u64, number: u64) -> Result<(f64, bool), SourceError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(number);
@@ -158,7 +158,7 @@ fn torment(seed: u64, number: u64) -> Result<(f64, bool), SourceError> {
     Ok((outcome.peak_true, outcome.latched_ms.is_some()))
 }
 
-/// A network of random weights, from tame to wild, on a random PID.
+/// A network with random weights, from small to extreme, on a random PID.
 fn hostile(rng: &mut ChaCha8Rng) -> Option<Controller> {
     let size = 10.0_f32.powf(rng.random_range(-1.0..2.0));
     let mut network = Network::zero();
@@ -173,7 +173,7 @@ fn hostile(rng: &mut ChaCha8Rng) -> Option<Controller> {
     full_authority(gains, network).or_else(|| Pid::new(gains, DEFAULT_PERIOD_US).ok().map(Controller::Pid))
 }
 
-/// A fault after which the valves still obey; for half of the runs none.
+/// A fault that leaves the valves working; none for half of the runs.
 fn fault(rng: &mut ChaCha8Rng) -> Injection {
     let size = rng.random_range(0.1_f32..1.0);
     match rng.random_range(0..26) {

@@ -1,4 +1,4 @@
-//! One device on one lung, and one fault in the middle of a breath.
+//! A trial: one device on one lung, with one fault.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -19,59 +19,59 @@ use super::rig::Rig;
 use plant::bench::{Bench, BenchConfig};
 use ventilator::SourceError;
 
-/// Distance from PEEP at which the pressure counts as back, cmH2O.
+/// Distance from PEEP at which the pressure counts as returned, cmH2O.
 const BACK: f64 = 2.0;
 
-/// Tick of the breath in which coughing patients cough.
+/// Tick of the breath in which a coughing patient coughs.
 const COUGH_TICK: u32 = 700;
 
-/// What is tried.
+/// Configuration of a trial.
 #[derive(Clone, Debug)]
 pub struct Trial<'a> {
     /// The lung.
     pub bench: &'a BenchConfig,
-    /// Settings, the alarm limit among them.
+    /// Settings, including the alarm limit.
     pub settings: Settings,
     /// The controller.
     pub controller: &'a Controller,
-    /// Which monitors are at work.
+    /// The active monitors.
     pub monitors: Monitors,
-    /// What goes wrong.
+    /// The injected fault.
     pub injection: Injection,
-    /// When, ms.
+    /// Time of the fault, ms.
     pub onset_ms: u32,
-    /// How long it is watched, ms.
+    /// Duration of the trial after the fault, ms.
     pub watched_ms: u32,
     /// Seed of all noise.
     pub seed: u64,
 }
 
-/// What came of it. Times count from the fault, in ms.
+/// Result of a trial. Times count from the fault, in ms.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct TrialOutcome {
-    /// Alarms in their order, and when.
+    /// Alarms in order, with their times.
     pub alarms: Vec<(Fault, u32)>,
-    /// When the valves were first told to vent in an inspiration.
+    /// Time of the first venting command in an inspiration.
     pub vented_ms: Option<u32>,
     /// Longest time for which readings were above the limit without a command to vent.
     pub limit_to_vent_ms: Option<u32>,
-    /// When the safe state was latched.
+    /// Time when the safe state was latched.
     pub latched_ms: Option<u32>,
-    /// How far down the ladder it went.
+    /// Lowest level of control reached.
     pub level: Level,
     /// Highest true airway pressure, cmH2O.
     pub peak_true: f64,
-    /// From venting to a true pressure near PEEP.
+    /// Time from venting to a true pressure near PEEP.
     pub back_at_peep_ms: Option<u32>,
 }
 
 impl TrialOutcome {
-    /// When this alarm came.
+    /// Time of this alarm.
     pub fn time_to(&self, fault: Fault) -> Option<u32> {
         self.alarms.iter().find(|(found, _)| *found == fault).map(|(_, ms)| *ms)
     }
 
-    /// The last thing that was done.
+    /// The last action taken.
     pub fn action(&self) -> Option<Action> {
         match (self.latched_ms, self.level) {
             (Some(_), _) => Some(Action::Vent),
@@ -82,13 +82,13 @@ impl TrialOutcome {
     }
 }
 
-/// A trial under way.
+/// A running trial.
 struct Run<'a> {
     trial: &'a Trial<'a>,
     rig: Rig,
     bench: Bench,
     sensor: SensorFault,
-    /// For what happens to flash.
+    /// For damage to the flash.
     rng: ChaCha8Rng,
     reading: f32,
     command: ValveCommand,
@@ -102,7 +102,7 @@ struct Run<'a> {
 /// # Errors
 /// A bench or settings that are refused.
 pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
-    // Exploration is what must end without a host.
+    // Exploration is what must end when the host is silent.
     let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
     let rng = ChaCha8Rng::seed_from_u64(trial.seed);
     let mut run = Run {
@@ -148,7 +148,7 @@ impl Run<'_> {
                 None
             }
         };
-        // An alarm before there was anything to find is one too.
+        // An alarm before the fault counts too.
         self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
         self.reading = self.bench.step(self.command.u_in(), self.command.u_out());
         if let Some(since) = since {
@@ -157,7 +157,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Makes the fault go wrong.
+    /// Injects the fault.
     fn inject(&mut self, since: u32) {
         match (self.trial.injection, since) {
             (Injection::Part(failure), 0) => self.bench.fail(failure),
@@ -179,7 +179,7 @@ impl Run<'_> {
         }
     }
 
-    /// Notes what the fault has led to.
+    /// Records the effects of the fault.
     fn watch(&mut self, since: u32) {
         let (outcome, state) = (&mut self.outcome, self.rig.state());
         let pressure = self.bench.airway_pressure();

@@ -1,25 +1,25 @@
-//! A bench made from a lung that was identified, so that a real lung can be trained on.
+//! A bench description made from an identified lung, to train on a model of a real lung.
 
 use super::{BehindCircuit, Identified};
 use data::recording::Recording;
 use data::recording::quality;
 use plant::bench::{BenchConfig, BenchError};
 
-/// Least compliance of a bench's circuit, mL/cmH2O.
+/// Lowest compliance of a bench's circuit, mL/cmH2O.
 const LEAST_CIRCUIT: f64 = 0.1;
-/// Most `k` of a bench's parabolic resistor `R q (1 + k |q|)`, s/L.
+/// Highest `k` of a bench's parabolic resistor `R q (1 + k |q|)`, s/L.
 const MOST_TURBULENCE: f64 = 5.0;
-/// Pressures with less noise than this, cmH2O, come from no sensor but from somebody's model; the bench keeps its own sensor.
+/// Pressures with less noise than this, cmH2O, come from a model, not from a sensor; the bench keeps its own sensor.
 const LEAST_NOISE: f64 = 0.02;
-/// Rows over which quantum and noise of the pressure are estimated.
+/// Number of rows used to estimate quantum and noise of the pressure.
 const ROWS: usize = 200_000;
 
 /// The bench with this lung and circuit, and with the noise and quantum of the recording's pressure.
 ///
-/// Valves and everything else that the equation of motion says nothing about stay at the defaults.
+/// Valves, and everything else that the equation of motion does not determine, stay at the defaults.
 ///
 /// # Errors
-/// A value that no bench can have.
+/// A value outside the bench's limits.
 pub fn bench(lung: &Identified, recording: &Recording) -> Result<BenchConfig, BenchError> {
     let behind = &lung.behind_circuit;
     let mut bench = BenchConfig { name: lung.id.to_string(), ..BenchConfig::default() };
@@ -38,8 +38,8 @@ pub fn bench(lung: &Identified, recording: &Recording) -> Result<BenchConfig, Be
     Ok(bench)
 }
 
-/// `R` and `k` with the pressure drop that was measured at the flow of the inspirations. Where `k` would leave what a
-/// resistor can be, the nearest one takes its place and R makes up for it.
+/// `R` and `k` with the measured pressure drop at the flow of the inspirations. If `k` is outside a resistor's limits,
+/// the nearest allowed value is used and R compensates for it.
 fn resistor(behind: &BehindCircuit) -> (f64, f64) {
     let (linear, square) = (behind.resistance.value, behind.turbulence.value);
     let turbulence = if linear > 0.0 { square / linear } else { MOST_TURBULENCE };
@@ -51,15 +51,15 @@ fn resistor(behind: &BehindCircuit) -> (f64, f64) {
     ((linear + square * flow) / (1.0 + turbulence * flow), turbulence)
 }
 
-/// The bench as TOML, with what in it was measured and how surely.
+/// The bench as TOML, with comments on the measured values and their intervals.
 pub fn to_toml(bench: &BenchConfig, lung: &Identified) -> String {
     let behind = &lung.behind_circuit;
     let estimate = |e: &super::Estimate| format!("{:.2} ({:.2} to {:.2})", e.value, e.low, e.high);
     format!(
-        "# LungCycles {} as `trainer identify` found it in {} breaths; estimates with their 95 % intervals.\n\
+        "# Lung {}, identified by `trainer identify` from {} breaths; estimates with their 95 % intervals.\n\
          # C {} mL/cmH2O, R {} cmH2O/(L/s), R2 {} cmH2O/(L/s)^2, residual {:.2} cmH2O.\n\
-         # Measured: [lung.first] but for its inflection, the circuit's compliance, the sensor's noise and quantum.\n\
-         # Everything else is the default of the virtual bench.\n\n{}",
+         # Measured: [lung.first] except its inflection, the circuit's compliance, the sensor's noise and quantum.\n\
+         # All other values are the defaults of the virtual bench.\n\n{}",
         lung.id,
         lung.breaths,
         estimate(&behind.compliance),

@@ -8,44 +8,44 @@ use engine::least_squares::{Solution, solve};
 /// Coefficients of the equation of motion: P0, 1/C, R, R2.
 pub const COEFFICIENTS: usize = 4;
 const ML_PER_L: f64 = 1000.0;
-/// Rows on either side of a row over which the slope of the pressure is taken span this time, seconds.
+/// Time span of the rows from which a row's pressure slope is computed, s.
 const SLOPE_S: f64 = 0.02;
 
-/// A whole respiratory cycle: pressures, net flow less the drift of its sensors, and the pressure's slope.
+/// A whole respiratory cycle: pressures, net flow without the drift of its sensors, and the pressure's slope.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cycle {
     period_s: f64,
-    /// Rows of its inspiration.
+    /// Number of rows of its inspiration.
     inspiration: usize,
     pressure: Vec<f64>,
-    /// Measured flow in less flow out, L/s.
+    /// Measured inflow minus outflow, L/s.
     flow: Vec<f64>,
     /// Slope of the pressure, cmH2O/s.
     slope: Vec<f64>,
-    /// What the flow sensors show in the mean over the cycle though nothing stays in the lung, L/s.
+    /// Mean net flow over the cycle, which is the sensors' offset, L/s.
     pub offset: f64,
 }
 
-/// Which rows of a cycle count.
+/// The rows of a cycle that are fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FitSpan {
-    /// Its inspiration.
+    /// The inspiration only.
     Inspiration,
-    /// All of it.
+    /// The whole cycle.
     Cycle,
 }
 
-/// Whether the drift of the flow sensors is taken out.
+/// Whether the drift of the flow sensors is removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Drift {
     /// The flow as measured.
     Kept,
-    /// Less its mean over the cycle.
+    /// The flow minus its mean over the cycle.
     Corrected,
 }
 
 impl Cycle {
-    /// The cycle in these rows of a recording with flows; the slope looks into the rows around it where it can.
+    /// The cycle in these rows of a recording with flows; the slope also uses rows around the cycle where available.
     pub fn new(recording: &Recording, rows: &Range<usize>, inspiration: usize) -> Option<Self> {
         let (flow_in, flow_out) = (recording.flow_in.as_deref()?, recording.flow_out.as_deref()?);
         let flow: Vec<f64> =
@@ -66,8 +66,8 @@ impl Cycle {
         self.period_s
     }
 
-    /// The least-squares fit of `P = P0 + V/C + R q + R2 q|q|`, `q` being the net flow less what the circuit takes
-    /// (`circuit`, mL/cmH2O, times the slope of the pressure). Coefficients in that order, 1/C in cmH2O/mL.
+    /// The least-squares fit of `P = P0 + V/C + R q + R2 q|q|`, where `q` is the net flow minus the flow into the
+    /// circuit (`circuit`, mL/cmH2O, times the slope of the pressure). Coefficients in that order, 1/C in cmH2O/mL.
     pub fn fit(&self, span: FitSpan, drift: Drift, circuit: f64) -> Option<Solution<COEFFICIENTS>> {
         let rows = self.rows(drift, circuit);
         let count = match span {
@@ -85,14 +85,14 @@ impl Cycle {
         Some(self.rows(Drift::Corrected, circuit).into_iter().map(value).collect())
     }
 
-    /// One row per sample: 1, volume since the cycle's start (mL), flow, flow times its magnitude.
+    /// One row per sample: 1, volume since the start of the cycle (mL), flow, flow times its magnitude.
     pub fn rows(&self, drift: Drift, circuit: f64) -> Vec<[f64; COEFFICIENTS]> {
         let offset = if drift == Drift::Corrected { self.offset } else { 0.0 };
         let mut volume = 0.0;
         let mut before = None;
         let row = |(flow, slope): (&f64, &f64)| {
             let flow = flow - offset - circuit / ML_PER_L * slope;
-            // Trapezoids; the first row has none before it.
+            // Trapezoidal rule; the first row has no predecessor.
             volume +=
                 before.replace(flow).map_or(0.0, |last: f64| 0.5 * (last + flow)) * self.period_s * ML_PER_L;
             [1.0, volume, flow, flow * flow.abs()]
@@ -108,7 +108,7 @@ impl Cycle {
     }
 }
 
-/// Slope of a least-squares line through the rows around each.
+/// Slope of a least-squares line through the rows around each row.
 fn slopes(values: &[f64], period_s: f64) -> Vec<f64> {
     let reach = ((SLOPE_S / period_s).round() as usize).max(1);
     (0..values.len())

@@ -1,20 +1,20 @@
-//! Classical identification: what the lung of a recording is, by least squares of the equation of motion.
+//! Classical identification: the parameters of a recorded lung, by least squares of the equation of motion.
 //!
 //! ```text
 //! P = P0 + V/C + R q + R2 q |q|        q flow into the lung, V its integral
 //! ```
 //!
-//! Each respiratory cycle is fitted by itself; the spread from breath to breath gives the confidence intervals of a
-//! lung. Two things of a real ventilator would spoil the fit:
+//! Each respiratory cycle is fitted separately; the spread from breath to breath gives the confidence intervals of a
+//! lung. Two properties of a real ventilator would spoil the fit:
 //!
-//! * **Drift.** Flow sensors show a few hundredths of a litre per second too much, and the integral of that is more
-//!   than a breath of a stiff lung. What went in comes out again in a steady breath, so the mean of the net flow over a
-//!   cycle is the sensors' and is taken out.
-//! * **The circuit.** Tubes between the flow sensors and the airway take gas in proportion to the slope of the
-//!   pressure. At a high resistance that is more than the lung gets, and R comes out too small with a negative R2. The
-//!   compliance of the circuit is the one with the least residual over all breaths of a lung ([`BehindCircuit`]).
+//! * **Drift.** Flow sensors have an offset of a few hundredths of a litre per second, whose integral is more than a
+//! breath of a stiff lung. In a steady breath the inspired volume is expired again, so the mean of the net flow over a
+//! cycle is the sensors' offset and is removed.
+//! * **The circuit.** Tubes between the flow sensors and the airway take up gas in proportion to the slope of the
+//! pressure. At a high resistance that is more than the lung gets, and the fit gives too small an R with a negative R2.
+//! The compliance of the circuit is chosen for the smallest residual over all breaths of a lung ([`BehindCircuit`]).
 //!
-//! This is the honest rival of a learned simulator; it is told the measured flow, which a simulator is not.
+//! It is a strong baseline for a learned simulator: it uses the measured flow, which a simulator never sees.
 
 pub mod bench;
 pub mod cycle;
@@ -33,24 +33,24 @@ use data::identity::TestRun;
 use data::recording::Recording;
 use engine::least_squares::{Solution, student};
 
-/// A cycle counts if it is at least this share of its lung's longest: a shorter one was cut off by a gap.
+/// Length of a cycle as a share of its lung's longest, below which it counts as cut off by a gap.
 const LEAST_CYCLE: f64 = 0.9;
-/// Compliances of the circuit that are tried, mL/cmH2O: this many, this far apart.
+/// Compliances of the circuit that are tried, mL/cmH2O: their number and spacing.
 const CIRCUITS: (usize, f64) = (81, 0.05);
 
-/// Why nothing can be identified.
+/// Why identification failed.
 #[derive(Debug, Error)]
 pub enum IdentifyError {
-    /// The equation of motion needs the flow.
+    /// The recording has no flow, which the equation of motion needs.
     #[error(
-        "the recording has no flow (columns flow_in and flow_out): import one that has, or learn its plant from \
+        "the recording has no flow (columns flow_in and flow_out): import one with flows, or learn its plant from \
          commands with `trainer fit`"
     )]
     NoFlow,
-    /// No respiratory cycle of so many says anything.
+    /// None of this number of respiratory cycles could be fitted.
     #[error(
-        "none of {0} whole respiratory cycles can be fitted: a cycle needs an inspiration, flow that changes, \
-         and another breath behind it"
+        "none of the {0} whole respiratory cycles can be fitted: a cycle needs an inspiration, a changing flow \
+         and another breath after it"
     )]
     NoBreath(usize),
 }
@@ -58,29 +58,29 @@ pub enum IdentifyError {
 /// A value with its 95 % confidence interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Best value.
+    /// The estimated value.
     pub value: f64,
-    /// Lower end.
+    /// Lower end of the interval.
     pub low: f64,
-    /// Upper end.
+    /// Upper end of the interval.
     pub high: f64,
 }
 
-/// Which lung of a recording it is.
+/// Identifies a lung within a recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LungId {
-    /// Its test run, if the recording has any. Printed as `all` if not.
+    /// The test run, if the recording has any; printed as `all` if not.
     #[serde(rename = "lung", serialize_with = "serialize_run")]
     pub run: Option<TestRun>,
-    /// Resistance that the recording claims, cmH2O/(L/s).
+    /// Resistance stated in the recording, cmH2O/(L/s).
     pub nominal_resistance: Option<f64>,
-    /// Compliance that the recording claims, mL/cmH2O.
+    /// Compliance stated in the recording, mL/cmH2O.
     pub nominal_compliance: Option<f64>,
 }
 
 impl LungId {
-    /// The lung of a row. Two test runs with the same claims need not have had the same resistor, so they are two lungs;
-    /// without test runs the claims tell lungs apart.
+    /// The lung of a row. Two test runs with the same stated values need not have used the same resistor, so they count
+    /// as two lungs; without test runs the stated values distinguish lungs.
     fn of(recording: &Recording, row: usize) -> Self {
         let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
         Self {
@@ -101,7 +101,7 @@ fn run_name(run: Option<&TestRun>) -> String {
     run.map_or_else(|| "all".to_owned(), TestRun::to_string)
 }
 
-#[expect(clippy::ref_option, reason = "serde hands the field over like this")]
+#[expect(clippy::ref_option, reason = "serde passes the field this way")]
 fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&run_name(run.as_ref()))
 }
@@ -109,21 +109,21 @@ fn serialize_run<S: Serializer>(run: &Option<TestRun>, serializer: S) -> Result<
 /// Breaths of one lung that are whole cycles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LungCycles {
-    /// Which one.
+    /// The lung.
     pub id: LungId,
     /// Rows and fitted form of each cycle.
     pub breaths: Vec<(Range<usize>, Cycle)>,
 }
 
-/// What was found of one lung.
+/// Identification of one lung.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identified {
-    /// Which one.
+    /// The lung.
     #[serde(flatten)]
     pub id: LungId,
-    /// Cycles that were fitted.
+    /// Number of fitted cycles.
     pub breaths: usize,
-    /// Whole cycles that could not be fitted.
+    /// Number of whole cycles that could not be fitted.
     pub refused: usize,
     /// Compliance of circuit and lung, mL/cmH2O.
     pub compliance: Estimate,
@@ -131,17 +131,17 @@ pub struct Identified {
     pub resistance: Estimate,
     /// R2, cmH2O/(L/s)^2.
     pub turbulence: Estimate,
-    /// What the flow sensors show too much, L/s.
+    /// Offset of the flow sensors, L/s.
     pub offset: Estimate,
-    /// Root mean square of what the equation does not explain, cmH2O.
+    /// Root mean square of the fit's residual, cmH2O.
     pub residual: f64,
-    /// Compliance without the correction of drift, from inspirations alone, mL/cmH2O; none where their flow hardly changes.
+    /// Compliance without drift correction, from inspirations only, mL/cmH2O; `None` if their flow hardly changes.
     pub uncorrected_compliance: Option<f64>,
     /// The lung without the circuit.
     pub behind_circuit: BehindCircuit,
 }
 
-/// The lung with the circuit's share of the flow taken out.
+/// The lung with the circuit's share of the flow removed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BehindCircuit {
     /// Compliance of the circuit, mL/cmH2O.
@@ -152,16 +152,16 @@ pub struct BehindCircuit {
     pub resistance: Estimate,
     /// R2, cmH2O/(L/s)^2.
     pub turbulence: Estimate,
-    /// Root mean square of what the equation does not explain, cmH2O.
+    /// Root mean square of the fit's residual, cmH2O.
     pub residual: f64,
-    /// Root mean square of the flow in the inspirations, L/s: where R and R2 hold.
+    /// Root mean square of the flow in the inspirations, L/s: the flow at which R and R2 are valid.
     pub inspiratory_flow: f64,
 }
 
 /// Identifies every lung of a recording.
 ///
 /// # Errors
-/// The recording has no flow, or no lung of it has a cycle that can be fitted.
+/// The recording has no flow, or none of its lungs has a cycle that can be fitted.
 pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError> {
     let lungs = lungs(recording)?;
     let found: Vec<_> = lungs.iter().filter_map(LungCycles::identify).collect();
@@ -171,7 +171,7 @@ pub fn identify(recording: &Recording) -> Result<Vec<Identified>, IdentifyError>
     Ok(found)
 }
 
-/// The lungs of a recording in its order.
+/// The lungs of a recording, in its order.
 ///
 /// # Errors
 /// The recording has no flow.
@@ -187,7 +187,7 @@ pub fn lungs(recording: &Recording) -> Result<Vec<LungCycles>, IdentifyError> {
     Ok(lungs)
 }
 
-/// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath behind it.
+/// Whole cycles: an inspiration, no missing tick, as long as the others, and another breath after it.
 fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>, Cycle)> {
     let followed = &breaths[..breaths.len().saturating_sub(1)];
     let longest = followed.iter().map(ExactSizeIterator::len).max().unwrap_or(0) as f64;
@@ -201,7 +201,7 @@ fn cycles(recording: &Recording, breaths: &[Range<usize>]) -> Vec<(Range<usize>,
 }
 
 impl LungCycles {
-    /// What the lung is; none if no cycle can be fitted.
+    /// Identifies the lung; `None` if no cycle can be fitted.
     pub fn identify(&self) -> Option<Identified> {
         let corrected = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0);
         let raw = self.fits(FitSpan::Inspiration, Drift::Kept, 0.0);
@@ -230,13 +230,13 @@ impl LungCycles {
         })
     }
 
-    /// The fits of its cycles; those with a compliance below zero say nothing.
+    /// The fits of its cycles, without those with a negative compliance.
     fn fits(&self, span: FitSpan, drift: Drift, circuit: f64) -> Vec<Solution<COEFFICIENTS>> {
         let fits = self.breaths.iter().filter_map(|(_, breath)| breath.fit(span, drift, circuit));
         fits.filter(|fit| fit.coefficients[1] > 0.0).collect()
     }
 
-    /// Compliance of the circuit with the least residual over all cycles, mL/cmH2O.
+    /// Compliance of the circuit with the smallest residual over all cycles, mL/cmH2O.
     fn circuit(&self) -> f64 {
         let (count, step) = CIRCUITS;
         let fitted = self.fits(FitSpan::Cycle, Drift::Corrected, 0.0).len();
@@ -261,13 +261,13 @@ fn compliance(fits: &[Solution<COEFFICIENTS>]) -> Option<Estimate> {
     Some(Estimate { value: 1.0 / elastance.value, low: 1.0 / elastance.high, high: positive(elastance.low) })
 }
 
-/// A coefficient over breaths; a single breath has its own interval.
+/// Estimate of a coefficient over breaths; a single breath uses its own interval.
 fn coefficient(fits: &[Solution<COEFFICIENTS>], index: usize) -> Option<Estimate> {
     let values: Vec<f64> = fits.iter().map(|fit| fit.coefficients[index]).collect();
     estimate(&values, fits.first()?.half_widths[index])
 }
 
-/// Mean and 95 % interval from the spread of the values; `single` is the half-width where there is but one.
+/// Mean and 95 % interval from the spread of the values; `single` is the half-width for a single value.
 fn estimate(values: &[f64], single: f64) -> Option<Estimate> {
     let count = values.len() as f64;
     if values.is_empty() {

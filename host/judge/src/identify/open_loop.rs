@@ -1,7 +1,7 @@
 //! The open-loop distance of a classical identification, for comparison with a learned simulator's.
 //!
-//! The lung of the training breaths is identified; the pressure of a breath that was held out is then predicted from
-//! its *measured flow* and the pressure before it. That is more than a simulator is told, which sees commands alone.
+//! The lung is identified from the training breaths; the pressure of a held-out breath is then predicted from its
+//! *measured flow* and the pressure before it. A simulator has less information: it sees only commands.
 
 use std::ops::Range;
 
@@ -12,20 +12,20 @@ use engine::least_squares::solve;
 
 /// Time before an inspiration over which its starting pressure is averaged, s.
 const AVERAGE_S: f64 = 0.05;
-/// 1/C, R and R2: P0 is every breath's own.
+/// Number of shared coefficients, 1/C, R and R2: P0 is fitted per breath.
 const SHARED: usize = 3;
 
-/// A lung as its training breaths have it.
+/// The lung as identified from its training breaths.
 struct Motion {
     coefficients: [f64; SHARED],
-    /// What the flow sensors show too much, L/s.
+    /// Offset of the flow sensors, L/s.
     offset: f64,
 }
 
-/// Mean absolute error of the equation of motion on the inspirations `judged`, its coefficients fitted to the
+/// Mean absolute error of the equation of motion on the inspirations `judged`, with its coefficients fitted to the
 /// inspirations `training` of the same lung, cmH2O.
 ///
-/// None without flow, or where no judged inspiration has a lung that can be fitted.
+/// `None` without flow, or if no judged inspiration has a lung that can be fitted.
 pub fn open_loop(recording: &Recording, training: &[Range<usize>], judged: &[Range<usize>]) -> Option<f64> {
     let cycles = lungs(recording).ok()?;
     let (mut sum, mut count) = (0.0, 0);
@@ -59,7 +59,7 @@ fn motion(recording: &Recording, lungs: &[LungCycles], inspirations: &[Range<usi
         let cycle = cycle(recording, inspiration, offset)?;
         let columns = cycle.rows(Drift::Corrected, 0.0);
         let count = columns.len() as f64;
-        // P0 of each breath drops out with the means.
+        // Subtracting the means removes P0 of each breath.
         let mean: [f64; SHARED] =
             std::array::from_fn(|n| columns.iter().map(|row| row[n + 1]).sum::<f64>() / count);
         let level = cycle.pressure().iter().sum::<f64>() / count;
@@ -77,7 +77,7 @@ fn cycle(recording: &Recording, rows: &Range<usize>, offset: f64) -> Option<Cycl
 }
 
 impl Motion {
-    /// Pressures of an inspiration; it starts from the mean pressure and flow just before.
+    /// Pressures of an inspiration, starting from the mean pressure and flow just before it.
     fn predict(&self, recording: &Recording, rows: &Range<usize>) -> Option<Vec<f64>> {
         let columns = cycle(recording, rows, self.offset)?.rows(Drift::Corrected, 0.0);
         let average = ((AVERAGE_S / recording.provenance.period_s()).round() as usize).max(1);

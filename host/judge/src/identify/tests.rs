@@ -1,4 +1,4 @@
-//! Lungs of the virtual bench, whose truth is known, and the measured tables where they are at hand.
+//! Lungs of the virtual bench, whose parameters are known, and the measured tables if available.
 
 use proptest::prelude::*;
 
@@ -8,18 +8,18 @@ use data::provenance::Provenance;
 use data::recording::{EXPIRATION, Extra, INSPIRATION, Row};
 use plant::bench::{Bench, BenchConfig};
 
-/// Long enough to breathe out at the highest R C: only then nothing stays in the lung.
+/// Long enough to breathe out completely at the highest R C, so that no volume remains in the lung.
 const TICKS: u32 = 8_000;
 const INSPIRATION_TICKS: u32 = 1_000;
 
-/// Breaths with a constant command on a bench, with flow sensors at the ventilator that show `offset` (L/s) too much.
+/// Breaths with a constant command on a bench, with flow sensors at the ventilator that have an `offset` in L/s.
 fn record(config: &BenchConfig, breaths: u32, command: f32, offset: f32) -> Recording {
     let mut recording =
         Recording::with_extras(Provenance::new(1_000, "test"), &[Extra::FlowIn, Extra::FlowOut]);
     let mut bench = Bench::new(config, 5.0, 1).unwrap();
     for (breath, tick) in (0..breaths).flat_map(|breath| (0..TICKS).map(move |tick| (breath, tick))) {
         let inspires = tick < INSPIRATION_TICKS;
-        // Falling commands: a constant flow would leave R and R2 without contrast.
+        // Falling commands: a constant flow could not separate R from R2.
         let u_in =
             if inspires { command * (1.0 - 0.7 * tick as f32 / INSPIRATION_TICKS as f32) } else { 0.0 };
         let pressure = bench.step(u_in, !inspires);
@@ -40,7 +40,7 @@ fn record(config: &BenchConfig, breaths: u32, command: f32, offset: f32) -> Reco
 
 fn lung(resistance: f64, compliance: f64) -> BenchConfig {
     let mut config = BenchConfig::paper(resistance, compliance);
-    // Without its inflection the lung is the one of the equation of motion.
+    // Without its inflection the lung follows the equation of motion.
     config.lung.first.upper_inflection_cmh2o = 200.0;
     config
 }
@@ -59,11 +59,11 @@ proptest! {
         let found = identified(&lung(resistance, compliance), offset).behind_circuit;
         let sum = found.compliance.value + found.circuit_compliance;
         prop_assert!((sum / (compliance + 1.5) - 1.0).abs() < 0.08, "{found:?}");
-        // Behind a low resistance, nothing parts the lung from the circuit.
+        // Behind a low resistance, lung and circuit cannot be distinguished.
         if resistance > 15.0 {
             prop_assert!((found.circuit_compliance - 1.5).abs() < 0.7, "{found:?}");
         }
-        // The drop at the flow of the inspirations; R and R2 one by one are less sure.
+        // The drop at the flow of the inspirations; R and R2 individually are less certain.
         let q = found.inspiratory_flow;
         let drop = found.resistance.value * q + found.turbulence.value * q * q;
         let expected = resistance * q * (1.0 + 0.1 * q);
@@ -92,7 +92,7 @@ fn breaths_that_are_cut_off_and_the_last_are_left_out() {
     let mut recording = record(&lung(20.0, 20.0), 4, 35.0, 0.0);
     let whole = lungs(&recording).unwrap();
     assert_eq!(whole[0].breaths.iter().map(|(rows, _)| rows.start).collect::<Vec<_>>(), [0, 8_000, 16_000]);
-    // A lost tick in the second breath.
+    // A missing tick in the second breath.
     recording.tick[9_000..16_000].iter_mut().for_each(|tick| *tick += 1);
     assert_eq!(lungs(&recording).unwrap()[0].breaths.len(), 2);
 }
@@ -133,7 +133,7 @@ fn a_bench_made_from_an_identified_bench_is_that_bench() {
     assert!((bench.sensor.noise_sd_cmh2o - original.sensor.noise_sd_cmh2o).abs() < 0.03, "{bench:?}");
     let text = bench::to_toml(&bench, &found);
     assert_eq!(BenchConfig::from_toml(&text).unwrap(), bench);
-    // The same commands bring both to the same pressures.
+    // The same commands give the same pressures on both.
     let ours = record(&BenchConfig { unit: original.unit, ..bench }, 2, 35.0, 0.0);
     let error: f32 = ours.pressure.iter().zip(&recording.pressure).map(|(a, b)| (a - b).abs()).sum::<f32>()
         / ours.len() as f32;
@@ -158,14 +158,14 @@ fn measured_lungs_have_their_nominal_compliance_once_the_drift_is_corrected() {
                 lung.compliance.low < lung.compliance.value && lung.compliance.value < lung.compliance.high
             );
         }
-        // Resistors of 50 cmH2O/(L/s) come out parabolic only behind the circuit.
+        // Resistors of 50 cmH2O/(L/s) are parabolic only behind the circuit.
         if lung.id.nominal_resistance.is_some_and(|r| r > 40.0) {
             assert!(lung.turbulence.value < 0.0 && lung.behind_circuit.turbulence.value > 0.0, "{lung:?}");
             assert!(lung.behind_circuit.residual < 0.85 * lung.residual, "{lung:?}");
         }
         bench::bench(lung, &recording).unwrap();
     }
-    // What the data say where drift is left in.
+    // Compliances without drift correction.
     for (row, uncorrected) in [(1, 57.0), (2, 56.0), (4, 22.0), (5, 20.0), (7, 11.0)] {
         let lung = found.iter().find(|lung| lung.id.to_string() == format!("CT_AIR:{row}")).unwrap();
         assert!((lung.uncorrected_compliance.unwrap() / uncorrected - 1.0).abs() < 0.03, "{lung:?}");

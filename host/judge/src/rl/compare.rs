@@ -1,8 +1,8 @@
-//! Training of either algorithm on learned simulators under a budget of samples, for the comparison with ours.
+//! Trains either algorithm on learned simulators with a budget of samples, for comparison with our training.
 //!
-//! A sample is one control tick of one inspiration on a simulator, as in our training, so that the curves can be laid
-//! side by side. From time to time the policy, without exploration, is scored on a simulator that training never
-//! sees; the best one is kept.
+//! A sample is one control tick of one inspiration on a simulator, as in our training, so that the curves can be
+//! compared. At regular intervals the policy, without exploration, is scored on a held-out simulator; the best one is
+//! kept.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -18,7 +18,7 @@ use engine::{LANES, Lane};
 use learn::simulator::model::Simulator;
 use progress::{Progress, Stage};
 
-/// Which algorithm.
+/// Reinforcement learning algorithm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Algorithm {
@@ -29,7 +29,7 @@ pub enum Algorithm {
 }
 
 impl Algorithm {
-    /// Name as printed.
+    /// Name for output.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ppo => "PPO",
@@ -38,31 +38,31 @@ impl Algorithm {
     }
 }
 
-/// How to train.
+/// Configuration of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RlConfig {
-    /// PPO.
+    /// Settings of PPO.
     pub ppo: PpoConfig,
-    /// Its task.
+    /// Task for PPO.
     pub ppo_task: TaskConfig,
-    /// DQN.
+    /// Settings of DQN.
     pub dqn: DqnConfig,
-    /// Its task.
+    /// Task for DQN.
     pub dqn_task: TaskConfig,
     /// Samples for PPO.
     pub ppo_samples: u64,
     /// Samples for DQN.
     pub dqn_samples: u64,
-    /// Validations in the course of a training.
+    /// Number of validations during a training.
     pub validations: u64,
     /// Seed of weights, waveforms, noise and exploration.
     pub seed: u64,
 }
 
 impl Default for RlConfig {
-    /// The best found by hand at R 20 C 20, under budgets of about three minutes on one core each. PPO gains from
-    /// holding actions for 5 ms rather than 10 ms, DQN from larger rewards.
+    /// The best settings found by hand at R 20 C 20, with budgets of about three minutes on one core each. PPO gains
+    /// from holding actions for 5 ms rather than 10 ms, DQN from larger rewards.
     fn default() -> Self {
         Self {
             ppo: PpoConfig::default(),
@@ -77,25 +77,25 @@ impl Default for RlConfig {
     }
 }
 
-/// Outcome of a training.
+/// Result of a training.
 #[derive(Clone, Debug)]
 pub struct TrainedPolicy {
     /// The best policy found.
     pub policy: Policy,
     /// Its score on the held-out simulator, cmH2O.
     pub validation: f64,
-    /// Samples consumed and the score on the held-out simulator then, cmH2O.
+    /// Samples consumed, and the score on the held-out simulator at that point, cmH2O.
     pub curve: Vec<(u64, f64)>,
 }
 
-/// Trains on `simulators`, validates on `held_out`. The result does not depend on the number of threads; a training
-/// that is stopped ends with its best policy so far.
+/// Trains on `simulators` and validates on `held_out`. The result does not depend on the number of threads; a stopped
+/// training returns its best policy so far.
 ///
 /// # Errors
 /// Features or gains out of range.
 ///
 /// # Panics
-/// As [`Inspirations::new`].
+/// See [`Inspirations::new`].
 pub fn train(
     algorithm: Algorithm,
     simulators: &[Simulator],
@@ -139,10 +139,10 @@ pub fn train(
     Ok(TrainedPolicy { policy: Policy { greedy, perception }, validation, curve })
 }
 
-/// Number of the validation's random stream.
+/// Number of the random stream for validation.
 const VALIDATION_STREAM: u64 = u64::MAX;
 
-/// Mean score over the waveforms under always the same noise, cmH2O.
+/// Mean score over the waveforms, always under the same noise, cmH2O.
 fn validate(task: &mut Inspirations, greedy: &Greedy, config: &TaskConfig, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(VALIDATION_STREAM);
@@ -185,7 +185,7 @@ mod tests {
         }
     }
 
-    /// Trained once for all tests that look at it.
+    /// Trained once for all tests that use it.
     fn trained(algorithm: Algorithm) -> &'static TrainedPolicy {
         static PPO: LazyLock<TrainedPolicy> =
             LazyLock::new(|| run(Algorithm::Ppo, &small(), &Progress::silent()));

@@ -1,8 +1,8 @@
 //! Deep Q-learning (Mnih et al. 2015) with double targets (van Hasselt et al. 2016).
 //!
-//! The network gives the value of every choice. It is drawn towards the reward plus the discounted value of the next
-//! state, where the network picks the choice and a slower copy of it says what that is worth. Samples come at random
-//! from a replay buffer; with a share that falls in the course of the training, choices are drawn at random too.
+//! The network estimates the value of every choice. Its target is the reward plus the discounted value of the next
+//! state, where the network picks the choice and a slowly updated copy values it. Samples are drawn at random from a
+//! replay buffer; a share of the choices, which falls during training, is random too.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -20,30 +20,30 @@ use engine::{LANES, Lane};
 pub struct DqnConfig {
     /// Units of the hidden layers.
     pub hidden: Vec<usize>,
-    /// Transitions that the replay buffer holds.
+    /// Capacity of the replay buffer, in transitions.
     pub capacity: usize,
     /// Transitions before the first gradient step.
     pub warm_up: usize,
     /// Samples per gradient step (rounded up to whole groups).
     pub batch: usize,
-    /// Gradient steps per step of all copies.
+    /// Gradient steps per environment step of all copies.
     pub updates: usize,
-    /// Gradient steps between copies of the network to the target network.
+    /// Gradient steps between updates of the target network.
     pub target_every: usize,
     /// Discount per step.
     pub discount: f32,
     /// Share of random choices at the start and at the end.
     pub epsilon: (f32, f32),
-    /// Share of the training over which the random choices become fewer.
+    /// Share of the training over which the share of random choices falls.
     pub epsilon_time: f32,
-    /// Error of a value beyond which the loss grows only in proportion (Huber).
+    /// Error of a value above which the loss grows linearly (Huber).
     pub huber: f32,
-    /// Optimiser; its clip is that of the gradient's norm.
+    /// Optimiser; clips the gradient's norm.
     pub adam: AdamConfig,
 }
 
 impl Default for DqnConfig {
-    /// The best found by hand for the inspirations of [`super::ventilation`] at R 20 C 20.
+    /// The best settings found by hand for the inspirations of [`super::ventilation`] at R 20 C 20.
     fn default() -> Self {
         Self {
             hidden: vec![128, 64],
@@ -61,7 +61,7 @@ impl Default for DqnConfig {
     }
 }
 
-/// A training under way.
+/// A running training.
 #[derive(Debug)]
 pub struct Dqn<S> {
     config: DqnConfig,
@@ -77,18 +77,18 @@ pub struct Dqn<S> {
     rng: ChaCha8Rng,
 }
 
-/// A ring of the last transitions.
+/// A ring buffer of the last transitions.
 #[derive(Debug)]
 struct Replay {
     width: usize,
     capacity: usize,
-    /// State and next state of each, one after the other.
+    /// State and next state of each transition, one after the other.
     states: Vec<f32>,
     facts: Vec<Fact>,
     next: usize,
 }
 
-/// What happened between two states.
+/// A transition between two states.
 #[derive(Clone, Copy, Debug)]
 struct Fact {
     choice: usize,
@@ -101,7 +101,7 @@ impl<S: TaskBatch> Dqn<S> {
     /// Prepares a training on `tasks`.
     ///
     /// # Panics
-    /// If their actions are continuous.
+    /// If the actions are continuous.
     pub fn new(config: DqnConfig, mut tasks: S, seed: u64) -> Self {
         let Actions::Discrete(choices) = tasks.actions() else {
             panic!("Q-learning needs a finite number of choices");
@@ -167,7 +167,7 @@ impl<S: TaskBatch> Dqn<S> {
         }
     }
 
-    /// What the values of the samples' choices should be.
+    /// Target values of the samples' choices.
     fn targets(&self, samples: &[usize]) -> Vec<Lane> {
         let mut tape = MlpTape::new(&self.network, samples.len() / LANES);
         self.replay.gather(samples, State::After, &mut tape);
@@ -186,7 +186,7 @@ impl<S: TaskBatch> Dqn<S> {
 }
 
 impl<S: TaskBatch> Learner for Dqn<S> {
-    /// One step in every copy and the gradient steps that go with it.
+    /// One step in every copy, then the gradient steps that belong to it.
     fn round(&mut self, progress: f32) {
         let actions = self.choose(progress);
         let transitions = self.tasks.step(&actions);
@@ -220,7 +220,7 @@ fn epsilon(config: &DqnConfig, progress: f32) -> f32 {
     first + (last - first) * done
 }
 
-/// Which state of a transition.
+/// Selects a state of a transition.
 #[derive(Clone, Copy)]
 enum State {
     Before,
@@ -232,7 +232,7 @@ impl Replay {
         Self { width, capacity: capacity.max(LANES), states: Vec::new(), facts: Vec::new(), next: 0 }
     }
 
-    /// Keeps one transition of every copy, in place of the oldest ones once the buffer is full.
+    /// Stores one transition of every copy, in place of the oldest ones once the buffer is full.
     fn record(&mut self, before: &[Lane], actions: &Lane, transitions: &[Transition; LANES], after: &[Lane]) {
         for (l, Transition { reward, end }) in transitions.iter().enumerate() {
             let fact = Fact { choice: actions[l] as usize, reward: *reward, goes_on: *end != End::Terminal };
@@ -270,8 +270,8 @@ mod tests {
     use crate::rl::tests::cart_pole::CartPole;
     use crate::rl::tests::{Copies, mean_return};
 
-    /// One hidden layer: with two the pole stands, but the cart drifts off its track. A discount that looks far
-    /// enough ahead, and target copies often enough for its values to get there.
+    /// One hidden layer: with two the pole stays up, but the cart drifts off its track. The discount looks far enough
+    /// ahead, and the target is updated often enough for values to propagate that far.
     fn cart_pole() -> DqnConfig {
         DqnConfig {
             hidden: vec![128],
@@ -337,7 +337,7 @@ mod tests {
     fn the_network_picks_and_its_slow_copy_values() {
         let config = DqnConfig { hidden: vec![], discount: 0.5, ..DqnConfig::default() };
         let mut dqn = Dqn::new(config, Copies::of(&CartPole::default()), 0);
-        // Both networks give their biases: the fast one prefers the second choice, the slow one the first.
+        // Both networks output their biases: the fast one prefers the second choice, the slow one the first.
         dqn.parameters = [vec![0.0; 8], vec![1.0, 2.0]].concat();
         dqn.target = [vec![0.0; 8], vec![40.0, 30.0]].concat();
         let state = [Lane::ZERO; 4];

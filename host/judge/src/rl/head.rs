@@ -1,7 +1,7 @@
-//! What a policy's outputs mean: a Gaussian whose spread does not depend on the state, or a categorical distribution.
+//! Meaning of a policy's outputs: a Gaussian with a state-independent spread, or a categorical distribution.
 //!
-//! The outputs of a group of samples come as lanes. Gradients are those of a loss that falls with the weighted
-//! logarithm of the probability and with the entropy.
+//! The outputs of a group of samples are lanes. Gradients are those of a loss that falls with the weighted log
+//! probability and with the entropy.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -16,26 +16,26 @@ const HALF_LN_2_PI: f32 = 0.918_938_5;
 /// A distribution over actions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Head {
-    /// One output: the mean. The logarithm of the standard deviation is a parameter of its own.
+    /// One output: the mean. The logarithm of the standard deviation is a separate parameter.
     Gaussian {
         /// Logarithm of the standard deviation.
         log_sd: f32,
     },
-    /// One output per choice: its unnormalised logarithmic probability.
+    /// One output per choice: its unnormalised log probability.
     Categorical,
 }
 
-/// Gradients of a loss by what a distribution is made of.
+/// Gradients of a loss with respect to the distribution's quantities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slope {
-    /// Gradient by the logarithm of the action's probability, per sample.
+    /// Gradient with respect to the log probability of the action, per sample.
     pub log_probability: Lane,
-    /// Gradient by the entropy, the same for every sample.
+    /// Gradient with respect to the entropy, the same for every sample.
     pub entropy: f32,
 }
 
 impl Head {
-    /// Outputs that a network needs for these actions.
+    /// Number of network outputs for these actions.
     pub fn outputs(actions: Actions) -> usize {
         match actions {
             Actions::Continuous => 1,
@@ -64,7 +64,7 @@ impl Head {
         }
     }
 
-    /// Logarithm of each action's probability (density).
+    /// Log probability (density) of each action.
     pub fn log_probability(self, outputs: &[Lane], actions: &Lane) -> Lane {
         match self {
             Self::Gaussian { log_sd } => {
@@ -81,8 +81,8 @@ impl Head {
         }
     }
 
-    /// Writes the gradient by the outputs, gives that by the logarithm of the standard deviation (summed over the
-    /// samples; zero for the categorical one).
+    /// Writes the gradient with respect to the outputs; returns that with respect to the logarithm of the standard
+    /// deviation, summed over the samples (zero for the categorical distribution).
     pub fn backward(self, outputs: &[Lane], actions: &Lane, slope: &Slope, d_outputs: &mut [Lane]) -> f32 {
         match self {
             Self::Gaussian { log_sd } => {
@@ -139,7 +139,7 @@ mod tests {
         Slope { log_probability: Lane::from_fn(|l| (l as f32).cos()), entropy: 0.3 }
     }
 
-    /// The loss whose gradient [`Head::backward`] gives with [`weights`].
+    /// The loss whose gradient [`Head::backward`] computes with [`weights`].
     fn loss(head: Head, outputs: &[Lane], actions: &Lane) -> f32 {
         let slope = weights();
         let log = head.log_probability(outputs, actions).zip(&slope.log_probability, |a, b| a * b).sum();

@@ -1,5 +1,4 @@
-//! A multilayer perceptron over groups of [`LANES`](engine::LANES) samples: tanh in the hidden layers, none
-//! at the output.
+//! A multilayer perceptron over groups of [`LANES`](engine::LANES) samples: tanh in the hidden layers, linear output.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -18,7 +17,7 @@ pub struct Weights {
     layers: Vec<DenseWeights>,
 }
 
-/// Values of every layer, and the gradients by them, for some groups of samples.
+/// Values of every layer, and the gradients with respect to them, for some groups of samples.
 #[derive(Clone, Debug)]
 pub struct MlpTape {
     widths: Vec<usize>,
@@ -26,7 +25,7 @@ pub struct MlpTape {
     gradients: Vec<Vec<Lane>>,
 }
 
-/// A network that is asked for one group of samples at a time.
+/// A network for one group of samples at a time.
 #[derive(Clone, Debug)]
 pub struct Single {
     weights: Weights,
@@ -34,7 +33,7 @@ pub struct Single {
 }
 
 impl Mlp {
-    /// A network with so many units per layer, inputs first, outputs last.
+    /// A network with these numbers of units per layer, inputs first, outputs last.
     ///
     /// # Panics
     /// With fewer than two layers or one that is empty.
@@ -43,7 +42,7 @@ impl Mlp {
         Self { widths: widths.to_vec() }
     }
 
-    /// A network with the same hidden layers for so many inputs and outputs.
+    /// A network with these hidden layers between inputs and outputs.
     pub fn with_hidden(inputs: usize, hidden: &[usize], outputs: usize) -> Self {
         Self::new(&[&[inputs], hidden, &[outputs]].concat())
     }
@@ -62,7 +61,7 @@ impl Mlp {
         self.layers().map(|layer| layer.parameters()).sum()
     }
 
-    /// Draws parameters; `output_gain` scales the output layer's.
+    /// Draws initial parameters; `output_gain` scales those of the output layer.
     pub fn initialise(&self, output_gain: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
         let mut parameters = vec![0.0; self.parameters()];
         let last = self.widths.len() - 2;
@@ -72,12 +71,12 @@ impl Mlp {
         parameters
     }
 
-    /// The network of a parameter vector; entries beyond its own are left alone.
+    /// The network of a parameter vector; further entries are ignored.
     pub fn load(&self, parameters: &[f32]) -> Weights {
         Weights { layers: self.layers().map(|layer| layer.load(parameters)).collect() }
     }
 
-    /// The same with memory for one group of samples.
+    /// The network with memory for one group of samples.
     pub fn single(&self, parameters: &[f32]) -> Single {
         Single { weights: self.load(parameters), tape: MlpTape::new(self, 1) }
     }
@@ -93,14 +92,14 @@ impl Single {
 }
 
 impl MlpTape {
-    /// Memory for so many groups of samples.
+    /// Memory for `groups` groups of samples.
     pub fn new(network: &Mlp, groups: usize) -> Self {
         let zeros: Vec<Vec<Lane>> =
             network.widths.iter().map(|width| vec![Lane::ZERO; groups * width]).collect();
         Self { widths: network.widths.clone(), gradients: zeros.clone(), values: zeros }
     }
 
-    /// Inputs of a group, to be written.
+    /// Mutable access to the inputs of a group.
     pub fn inputs(&mut self, group: usize) -> &mut [Lane] {
         let width = self.widths[0];
         &mut self.values[0][group * width..(group + 1) * width]
@@ -112,7 +111,7 @@ impl MlpTape {
         &self.values[last][group * self.widths[last]..(group + 1) * self.widths[last]]
     }
 
-    /// Gradient by the outputs of a group, to be written.
+    /// Mutable access to the gradient with respect to the outputs of a group.
     pub fn d_outputs(&mut self, group: usize) -> &mut [Lane] {
         let last = self.widths.len() - 1;
         &mut self.gradients[last][group * self.widths[last]..(group + 1) * self.widths[last]]
@@ -120,7 +119,7 @@ impl MlpTape {
 }
 
 impl Weights {
-    /// Outputs of every group whose inputs have been written.
+    /// Computes the outputs of every group from its inputs.
     pub fn forward(&self, tape: &mut MlpTape) {
         let last = self.layers.len() - 1;
         for (n, layer) in self.layers.iter().enumerate() {
@@ -135,7 +134,7 @@ impl Weights {
         }
     }
 
-    /// Adds the gradient by the parameters, given that by the outputs.
+    /// Adds the gradient with respect to the parameters, given that with respect to the outputs.
     pub fn backward(&self, tape: &mut MlpTape, gradient: &mut [f32]) {
         for (n, layer) in self.layers.iter().enumerate().rev() {
             let (before, after) = tape.gradients.split_at_mut(n + 1);
@@ -155,11 +154,11 @@ impl Weights {
     }
 }
 
-/// Where the fraction of [`tanh`] has come to one.
+/// Argument at which the fraction of [`tanh`] reaches one.
 const TANH_LIMIT: f32 = 4.96;
 
-/// Hyperbolic tangent by Lambert's continued fraction, to within 2e-4: plain arithmetic that the compiler turns into
-/// vector operations, where the platform's function would take most of a training's time.
+/// Hyperbolic tangent by Lambert's continued fraction, to within 2e-4: plain arithmetic that the compiler vectorises,
+/// where the platform's function would take most of the training time.
 fn tanh(x: f32) -> f32 {
     let x = x.clamp(-TANH_LIMIT, TANH_LIMIT);
     let s = x * x;
@@ -199,7 +198,7 @@ mod tests {
         tape
     }
 
-    /// Sum of all outputs, each with a weight of its own.
+    /// Sum of all outputs, each with its own weight.
     fn loss(network: &Mlp, parameters: &[f32]) -> f64 {
         let tape = forward(network, parameters);
         let of = |group: usize, output: usize, lane: &Lane| -> f64 {

@@ -1,7 +1,7 @@
 //! A learned policy as a controller of the valve, and its score on the true bench.
 //!
-//! A policy is no [`shared::control::Controller`]: its network is larger than the chip's, and it never leaves the
-//! host. It is a [`ControlLaw`] of its own, so the ventilator runs it with the timing and the safety of any other.
+//! A policy is not a [`shared::control::Controller`]: its network is larger than the chip's and runs only on the host.
+//! It implements [`ControlLaw`], so the ventilator runs it with the same timing and safety as any other controller.
 
 use shared::control::{ControlLaw, ControlOutput, Observation};
 
@@ -13,26 +13,26 @@ use engine::Lane;
 use plant::bench::BenchConfig;
 use progress::Progress;
 
-/// A policy without exploration, with the senses that it was trained with.
+/// A policy without exploration, with the perception that it was trained with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policy {
-    /// Network and what its outputs stand for.
+    /// Network and meaning of its outputs.
     pub greedy: Greedy,
-    /// How it senses and acts.
+    /// How it observes and acts.
     pub perception: Perception,
 }
 
-/// Runs a policy on a bench as planned, at the control period it was trained for. The result does not depend on the
+/// Runs a policy on a bench by a plan, at the control period that it was trained for. The result does not depend on the
 /// number of threads.
 ///
 /// # Errors
-/// The first waveform's, in the plan's order, that could not be run: refused settings or a fault.
+/// The error of the first waveform, in the plan's order, that could not be run: refused settings or a fault.
 pub fn evaluate(bench: &BenchConfig, policy: &Policy, plan: &Plan) -> Evaluated {
     let plan = Plan { period_us: policy.perception.period_us, ..plan.clone() };
     evaluate_law(bench, policy, &plan, &Progress::silent())
 }
 
-/// What a policy remembers of a breath, its network, and the command that it holds, percent.
+/// A policy's memory of a breath, its network, and the command that it holds, percent.
 pub struct PolicyState {
     memory: PolicyMemory,
     network: Single,
@@ -51,7 +51,7 @@ impl ControlLaw for Policy {
         self.perception.start_breath(&mut state.memory, command);
     }
 
-    /// All of the command is the base: there is no PID under it to go back to.
+    /// The whole command is the base: there is no PID under it to fall back to.
     fn step(&self, state: &mut PolicyState, seen: &Observation) -> ControlOutput {
         let features = self.perception.see(&mut state.memory, seen);
         if seen.tick.is_multiple_of(self.perception.hold) {

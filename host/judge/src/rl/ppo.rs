@@ -2,7 +2,7 @@
 //! estimation (Schulman et al. 2016).
 //!
 //! A round collects `horizon` steps in every copy of the task, then improves policy and value network over several
-//! epochs of shuffled minibatches. The two networks are separate, so their losses need no weight between them.
+//! epochs of shuffled minibatches. The two networks are separate, so their losses need no relative weight.
 
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -23,7 +23,7 @@ pub struct PpoConfig {
     pub hidden: Vec<usize>,
     /// Steps of every copy per round.
     pub horizon: usize,
-    /// Passes over the round's samples.
+    /// Passes over the samples of a round.
     pub epochs: usize,
     /// Samples per gradient step (rounded up to whole groups).
     pub minibatch: usize,
@@ -31,22 +31,22 @@ pub struct PpoConfig {
     pub discount: f32,
     /// Decay of the advantage estimate per step.
     pub lambda: f32,
-    /// Largest change of an action's probability, as a share, that is still rewarded.
+    /// Largest relative change of an action's probability that is still rewarded.
     pub clip: f32,
     /// Weight of the entropy.
     pub entropy: f32,
-    /// Divergence from the round's first policy beyond which its epochs end.
+    /// Divergence from the round's first policy above which its epochs end.
     pub divergence_limit: f32,
-    /// Logarithm of the standard deviation to start with.
+    /// Initial logarithm of the standard deviation.
     pub log_sd: f32,
-    /// Optimiser of the policy; its clip is that of the gradient's norm.
+    /// Optimiser of the policy; clips the gradient's norm.
     pub policy: AdamConfig,
     /// Optimiser of the value network.
     pub value: AdamConfig,
 }
 
 impl Default for PpoConfig {
-    /// The best found by hand for the inspirations of [`super::ventilation`] at R 20 C 20.
+    /// The best settings found by hand for the inspirations of [`super::ventilation`] at R 20 C 20.
     fn default() -> Self {
         let adam = AdamConfig { rate: 1e-3, final_share: 0.02, weight_decay: 0.0, clip: 0.5 };
         Self {
@@ -66,12 +66,12 @@ impl Default for PpoConfig {
     }
 }
 
-/// Gain of the policy's output layer at the start: all actions alike.
+/// Gain of the policy's output layer at the start: all states give nearly the same action.
 const POLICY_GAIN: f32 = 0.01;
 /// Keeps the normalisation of equal advantages finite.
 const ADVANTAGE_FLOOR: f32 = 1e-6;
 
-/// A training under way.
+/// A running training.
 #[derive(Debug)]
 pub struct Ppo<S> {
     config: PpoConfig,
@@ -88,17 +88,17 @@ pub struct Ppo<S> {
     rng: ChaCha8Rng,
 }
 
-/// What a round collected, step after step.
+/// The samples of a round, step by step.
 #[derive(Debug)]
 struct RolloutBuffer {
     width: usize,
     observations: Vec<Lane>,
     actions: Vec<Lane>,
     log_probabilities: Vec<Lane>,
-    /// Of each step's state and of the one after the last.
+    /// Values of each step's state and of the state after the last step.
     values: Vec<Lane>,
     rewards: Vec<Lane>,
-    /// One where the episode went on, zero where it ended.
+    /// One if the episode continued, zero if it ended.
     goes_on: Vec<Lane>,
     advantages: Vec<Lane>,
     returns: Vec<Lane>,
@@ -165,7 +165,7 @@ impl<S: TaskBatch> Ppo<S> {
         self.rollout.values[self.config.horizon] = critic.outputs(&seen)[0];
     }
 
-    /// What the rest of episodes that were cut would have been worth, one step later.
+    /// Discounted value of the remainder of episodes that were cut off.
     fn value_of_cut(&self, critic: &mut Single, transitions: &[Transition; LANES]) -> Lane {
         if transitions.iter().all(|transition| transition.end != End::TimeLimit) {
             return Lane::ZERO;
@@ -179,7 +179,7 @@ impl<S: TaskBatch> Ppo<S> {
         })
     }
 
-    /// One gradient step of the policy; the batch's mean divergence from the policy that collected it.
+    /// One gradient step of the policy; returns the batch's mean divergence from the policy that collected it.
     fn improve_policy(&mut self, tape: &mut MlpTape, batch: &[usize], progress: f32) -> f32 {
         let (head, size) = (self.head(), self.policy.parameters());
         let weights = self.policy.load(&self.policy_parameters);
@@ -256,13 +256,13 @@ impl<S: TaskBatch> Learner for Ppo<S> {
     }
 }
 
-/// Derivative of the loss `-min(ratio a, clipped ratio a)` by the logarithm of the ratio.
+/// Derivative of the loss `-min(ratio a, clipped ratio a)` with respect to the logarithm of the ratio.
 fn clipped_slope(ratio: f32, advantage: f32, clip: f32) -> f32 {
     let beyond = if advantage > 0.0 { ratio > 1.0 + clip } else { ratio < 1.0 - clip };
     if beyond { 0.0 } else { -ratio * advantage }
 }
 
-/// One value of each sample; a sample is a step and a copy.
+/// One value per sample; a sample is a step and a copy.
 fn gather(values: &[Lane], samples: &[usize]) -> Lane {
     Lane::from_fn(|l| values[samples[l] / LANES][samples[l] % LANES])
 }
@@ -283,7 +283,7 @@ impl RolloutBuffer {
         }
     }
 
-    /// Advantages and returns.
+    /// Estimates advantages and returns.
     fn estimate(&mut self, discount: f32, lambda: f32) {
         let mut advantage = Lane::ZERO;
         for step in (0..self.rewards.len()).rev() {
@@ -324,7 +324,7 @@ mod tests {
     use crate::rl::tests::{Copies, Environment, mean_return};
     use rand_distr::{Distribution, StandardNormal};
 
-    /// For tasks that need fewer samples per round.
+    /// A configuration for tasks that need fewer samples per round.
     fn quick() -> PpoConfig {
         PpoConfig { horizon: 64, minibatch: 256, discount: 0.99, ..PpoConfig::default() }
     }
@@ -349,7 +349,7 @@ mod tests {
         assert_ne!(trained(2, 4), trained(2, 5));
     }
 
-    /// Steps towards a number that is shown: the reward is minus the squared distance of the action.
+    /// A task in which the action must match a given number: the reward is minus the squared distance.
     #[derive(Clone, Debug, Default)]
     struct Follow(f32);
 
@@ -389,7 +389,7 @@ mod tests {
         assert!(spread(&ppo) < 0.5 * before, "{} after {before}", spread(&ppo));
     }
 
-    /// One step, one point, ended in one way.
+    /// A task of one step with a reward of one and a given kind of end.
     #[derive(Clone, Debug)]
     struct OneStep(End);
 
@@ -415,7 +415,7 @@ mod tests {
 
     #[test]
     fn an_episode_that_was_cut_has_a_future_and_one_that_ended_has_none() {
-        // Forever a point per step, half of its worth later, is two points.
+        // One point per step without end, discounted by half, is two points.
         for (end, worth) in [(End::TimeLimit, 2.0), (End::Terminal, 1.0)] {
             let value = AdamConfig { rate: 1e-2, ..PpoConfig::default().value };
             let config = PpoConfig { discount: 0.5, horizon: 16, value, ..quick() };

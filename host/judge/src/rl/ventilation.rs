@@ -1,13 +1,13 @@
-//! The inspiration as a task: an agent opens the valve of a learned simulator and is paid for closeness to the target.
+//! The inspiration as a task: an agent controls the valve of a learned simulator; the reward falls with the error.
 //!
-//! An episode is one inspiration at a PIP drawn from the waveforms. The agent sees the features of our residual
-//! controller, computed by the same code from the same noisy readings; its action is the whole command, with no PID
+//! An episode is one inspiration at a PIP drawn from the waveforms. The agent observes the features of our residual
+//! controller, computed by the same code from the same noisy readings; its action is the whole command, without a PID
 //! underneath.
 //!
-//! Readings are taken and features advance every control tick, but an action is held for several of them, 10 ms by
-//! default, for the sake of credit assignment: dead time and lag of the valve keep an action from being felt for tens
-//! of milliseconds. With an action per tick, its effect would have to be told from that of forty others before it came
-//! to light, and random exploration would average out in the valve's lag.
+//! Readings are taken and features advance every control tick, but an action is held for several ticks, 10 ms by
+//! default, to ease credit assignment: dead time and lag of the valve delay the effect of an action by tens of
+//! milliseconds. With an action per tick, its effect would have to be separated from that of forty others, and random
+//! exploration would average out in the valve's lag.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -26,28 +26,28 @@ use learn::simulator::BreathStart;
 use learn::simulator::model::{Model, Simulator};
 use learn::simulator::rollout::Rollout;
 
-/// What an agent sees, when it acts, and how it is paid.
+/// Observations, timing and rewards of an agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TaskConfig {
-    /// How long an action is held, s; at least one control tick.
+    /// Time for which an action is held, s; at least one control tick.
     pub hold_time: f32,
-    /// Commands that discrete actions choose from, evenly spaced from 0 to 100 %. With 41 the pressure chatters about
-    /// its plateau less than with 21.
+    /// Number of commands for discrete actions, evenly spaced from 0 to 100 %. With 41 the pressure chatters about its
+    /// plateau less than with 21.
     pub levels: usize,
-    /// Gain of the integral that the agent sees among its features, percent per cmH2O and second.
+    /// Gain of the integral among the agent's features, percent per cmH2O and second.
     pub integral_gain: f32,
-    /// Reward of an error of one cmH2O that lasts while an action is held, with the sign changed.
+    /// Penalty for an error of one cmH2O while an action is held.
     pub reward_scale: f32,
     /// PIPs of the waveforms, cmH2O.
     pub pips: Vec<f32>,
-    /// Positive end-expiratory pressure, cmH2O.
+    /// PEEP (positive end-expiratory pressure), cmH2O.
     pub peep: f32,
     /// Command before the inspiration, percent.
     pub rest: f32,
     /// Inspiratory time, s.
     pub inspiratory_time: f32,
-    /// Standard deviation of how far the starting pressure strays from its mean, cmH2O.
+    /// Standard deviation of the starting pressure, cmH2O.
     pub start_spread: f32,
 }
 
@@ -67,18 +67,18 @@ impl Default for TaskConfig {
     }
 }
 
-/// How an agent senses and acts, on simulator and bench alike.
+/// How an agent observes and acts, on simulator and bench alike.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Perception {
     /// Control period, microseconds.
     pub period_us: u32,
-    /// Control ticks for which an action is held.
+    /// Number of control ticks for which an action is held.
     pub hold: u32,
     features: Features,
     integral: Pid,
 }
 
-/// What an agent's senses remember of a breath.
+/// An agent's memory of a breath.
 #[derive(Clone, Debug, Default)]
 pub struct PolicyMemory {
     features: FeatureState,
@@ -86,7 +86,7 @@ pub struct PolicyMemory {
 }
 
 impl Perception {
-    /// Senses for a control period in microseconds.
+    /// The perception at a control period in microseconds.
     ///
     /// # Errors
     /// A gain or feature out of range.
@@ -100,27 +100,27 @@ impl Perception {
         })
     }
 
-    /// Forgets the last breath; the valve stands at `command` percent.
+    /// Clears the memory for a new breath; the valve is at `command` percent.
     pub fn start_breath(&self, memory: &mut PolicyMemory, command: f32) {
         memory.features.start_breath(command);
         memory.integral = PidState::new();
     }
 
-    /// Takes in the observation of a tick: what the agent sees.
+    /// Processes the observation of a tick; returns the agent's features.
     pub fn see(&self, memory: &mut PolicyMemory, seen: &Observation) -> [f32; FEATURES] {
         let features = self.features.step(&mut memory.features, seen, memory.integral.integral);
-        // A PID with nothing but an integral part; its command is not used, its integral is the feature.
+        // A PID with only an integral part; its command is unused, its integral is the feature.
         self.integral.step(&mut memory.integral, seen, 0.0);
         features
     }
 
-    /// Takes in the command applied in the tick, percent.
+    /// Records the command applied in the tick, percent.
     pub fn applied(&self, memory: &mut PolicyMemory, command: f32) {
         self.features.applied(&mut memory.features, command);
     }
 }
 
-/// The command that an action stands for, percent: -1 to 1, or the index of a level, over the valve's whole range.
+/// The command of an action, percent of the valve's whole range; the action is -1 to 1, or the index of a level.
 pub fn command(actions: Actions, action: f32) -> f32 {
     let share = match actions {
         Actions::Continuous => 0.5 + 0.5 * action,
@@ -129,14 +129,14 @@ pub fn command(actions: Actions, action: f32) -> f32 {
     math::limit(COMMAND_MAX * share, 0.0, COMMAND_MAX)
 }
 
-/// Inspirations on learned simulators, a shard of them at a time; each next one on the next simulator.
+/// Inspirations on learned simulators, a shard at a time; simulators take turns.
 pub struct Inspirations {
     config: TaskConfig,
     actions: Actions,
     perception: Perception,
     simulators: Vec<(Model, Simulator)>,
     running: usize,
-    /// Of the simulator that is running.
+    /// Rollout of the current simulator.
     rollout: Rollout,
     ticks: usize,
     tick: usize,
@@ -149,7 +149,7 @@ pub struct Inspirations {
 }
 
 impl Inspirations {
-    /// Inspirations on `simulators`, commanded by `actions`. A reset must come before the first step.
+    /// Inspirations on `simulators`, commanded by `actions`. Call `reset` before the first step.
     ///
     /// # Errors
     /// Features or gains out of range.
@@ -184,7 +184,7 @@ impl Inspirations {
         })
     }
 
-    /// How the agents sense and act.
+    /// How the agents observe and act.
     pub fn perception(&self) -> &Perception {
         &self.perception
     }
@@ -210,7 +210,7 @@ impl Inspirations {
         self.strayed.map(|sum| sum / self.tick.max(1) as f32)
     }
 
-    /// Takes in the readings of the present tick.
+    /// Processes the readings of the present tick.
     fn sense(&mut self) {
         let pressure = self.rollout.pressure();
         for (l, memory) in self.memories.iter_mut().enumerate() {
@@ -227,7 +227,7 @@ impl Inspirations {
         }
     }
 
-    /// One tick under a command: the absolute error, cmH2O.
+    /// Runs one tick with a command; returns the absolute error, cmH2O.
     fn tick(&mut self, command: &Lane) -> Lane {
         let error = self.rollout.pressure().zip(&self.pip, |p, target| (p - target).abs());
         self.rollout.advance(command);
@@ -251,7 +251,7 @@ impl TaskBatch for Inspirations {
         self.actions
     }
 
-    /// All inspirations end together, so that all start together.
+    /// All inspirations end together, so all start together.
     fn reset(&mut self, ended: &[bool; LANES], rng: &mut ChaCha8Rng) {
         if ended.contains(&true) {
             let pips = &self.config.pips;

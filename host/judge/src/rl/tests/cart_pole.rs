@@ -1,9 +1,9 @@
-//! The pole on a cart (Barto, Sutton, Anderson 1983), with the constants of the common benchmark `CartPole-v1`: push
-//! left or right, one point per step, until the pole leans more than 12 degrees, the cart leaves its track or 500
-//! steps have passed.
+//! The pole on a cart (Barto, Sutton, Anderson 1983), with the constants of the benchmark `CartPole-v1`: push left or
+//! right; one point per step until the pole leans more than 12 degrees, the cart leaves its track or 500 steps have
+//! passed.
 //!
-//! A mean return of 475 over 100 episodes counts as solved. An algorithm with a fault in its targets, its clipping
-//! or its bookkeeping of episodes does not get there.
+//! A mean return of 475 over 100 episodes counts as solved. An algorithm with an error in its targets, its clipping or
+//! its handling of episodes does not reach it.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -17,16 +17,16 @@ const POLE_MASS: f32 = 0.1;
 const TOTAL_MASS: f32 = CART_MASS + POLE_MASS;
 /// Half the length of the pole, m.
 const HALF_LENGTH: f32 = 0.5;
-/// Push, N.
+/// Force of a push, N.
 const FORCE: f32 = 10.0;
 /// Step of the explicit Euler integration, s.
 const STEP: f32 = 0.02;
-/// Farthest position, m.
+/// Largest position, m.
 const POSITION_LIMIT: f32 = 2.4;
-/// Farthest lean, rad.
+/// Largest angle, rad.
 const ANGLE_LIMIT: f32 = 12.0 * std::f32::consts::PI / 180.0;
-/// What counts as one of each quantity in an observation: its limit, and for the rates what a good player stays
-/// within. The benchmark shows the bare numbers, of which the angle is too small for a network's first layer to bend.
+/// Scale of each quantity in an observation: its limit or, for the rates, the range of a good player. The benchmark
+/// uses raw numbers, whose angle is too small for a network's first layer to use its nonlinearity.
 const SCALE: [f32; 4] = [POSITION_LIMIT, 2.0, ANGLE_LIMIT, 2.0];
 /// Longest episode, steps.
 pub const STEPS_MAX: u32 = 500;

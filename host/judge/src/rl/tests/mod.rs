@@ -1,4 +1,4 @@
-//! Small tasks with known answers, which prove the algorithms correct: one at a time, and copied into a shard.
+//! Small tasks with known answers that verify the algorithms: single tasks, and copies in a shard.
 
 pub mod cart_pole;
 
@@ -6,21 +6,21 @@ use rand_chacha::rand_core::SeedableRng;
 
 use super::*;
 
-/// One task, one episode at a time.
+/// A single task with one episode at a time.
 pub trait Environment {
     /// Length of an observation.
     fn observations(&self) -> usize;
 
-    /// What an agent may do.
+    /// The actions that an agent can choose.
     fn actions(&self) -> Actions;
 
     /// Starts an episode.
     fn reset(&mut self, rng: &mut ChaCha8Rng);
 
-    /// Does an action: a number, or the index of a choice.
+    /// Performs an action: a number, or the index of a choice.
     fn step(&mut self, action: f32) -> Transition;
 
-    /// Writes what the agent sees, [`Self::observations`] numbers.
+    /// Writes the agent's observation, [`Self::observations`] numbers.
     fn observe(&self, observation: &mut [f32]);
 }
 
@@ -65,7 +65,7 @@ impl<E: Environment> TaskBatch for Copies<E> {
     }
 }
 
-/// Mean return of so many whole episodes (rounded up to whole shards), each copy's first ones.
+/// Mean return of this number of whole episodes (rounded up to whole shards), the first ones of each copy.
 pub fn mean_return(
     greedy: &Greedy,
     shard: &mut impl TaskBatch,
@@ -89,7 +89,7 @@ pub fn mean_return(
     total / (each * LANES) as f64
 }
 
-/// Counts down from its number; the reward is the action.
+/// A task that counts down from its number; the reward is the action.
 #[derive(Clone, Debug)]
 struct Countdown(u32);
 
@@ -127,7 +127,7 @@ fn copies_are_reset_one_by_one() {
 
 #[test]
 fn a_mean_return_is_that_of_whole_episodes() {
-    // The network's outputs are its biases: the last choice is the best, and its index the reward.
+    // The network outputs its biases: the last choice is the best, and its index is the reward.
     let network = Mlp::new(&[1, 3]);
     let parameters = vec![0.0, 0.0, 0.0, -1.0, 0.5, 2.0];
     let greedy = Greedy { network, parameters, actions: Actions::Discrete(3) };
