@@ -1,4 +1,4 @@
-//! Why a demo or a reproduction cannot be finished.
+//! Errors of a demo or a reproduction.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -17,64 +17,64 @@ use plant::bench::BenchError;
 use show::report::ReportError;
 use ventilator::SourceError;
 
-/// Why a study cannot be finished.
+/// An error of a demo or a reproduction.
 #[derive(Debug, Error)]
 pub enum StudyError {
-    /// Search of a PID.
+    /// The search for the best PID failed.
     #[error(transparent)]
     Tune(#[from] TuneError),
-    /// Learning.
+    /// Recording, fitting or training failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// Evaluation.
+    /// An evaluation failed.
     #[error(transparent)]
     Source(#[from] SourceError),
-    /// A bench.
+    /// A bench description is not valid.
     #[error(transparent)]
     Bench(#[from] BenchError),
     /// The reference bound.
     #[error(transparent)]
     Bound(#[from] BoundError),
-    /// Gains.
+    /// PID gains are not valid.
     #[error(transparent)]
     Gain(#[from] GainError),
-    /// A policy.
+    /// A learned policy is not valid.
     #[error(transparent)]
     Policy(#[from] ResidualError),
-    /// Recording.
+    /// A recording could not be read or written.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// Simulator's file.
+    /// A simulator's file could not be read or written.
     #[error(transparent)]
     Tensors(#[from] TensorError),
-    /// Controller's file or image.
+    /// A controller's file or image could not be read or written.
     #[error(transparent)]
     Learned(#[from] LearnedError),
-    /// Report.
+    /// A report could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),
-    /// The folder holds another run.
+    /// The folder belongs to another run.
     #[error(
-        "{0} holds a run with another seed, budget or choice of lungs; choose another folder or remove it"
+        "{0} contains a run with another seed, budget or choice of lungs: choose another folder or remove it"
     )]
     OtherRun(String),
-    /// Another file.
+    /// Any other file could not be used.
     #[error("cannot use {path}: {source}")]
     #[expect(missing_docs, reason = "the message names every field")]
     File { path: PathBuf, source: io::Error },
-    /// Stopped where the folder holds what was done.
-    #[error("stopped; the same command goes on from here")]
+    /// Stopped; the folder contains the results so far.
+    #[error("stopped; run the same command again to continue")]
     Stopped,
-    /// Stopped before the search was done.
-    #[error("stopped during the search of the best PID; nothing was learned yet, start again")]
+    /// Stopped before the search for the best PID was complete.
+    #[error("stopped during the search for the best PID: nothing was learned yet, run the command again")]
     SearchStopped,
 }
 
-/// What a study gives, if it can.
+/// Result of a study's steps.
 pub(crate) type Result<T, E = StudyError> = std::result::Result<T, E>;
 
 impl StudyError {
-    /// What the system says about a file.
+    /// Wraps an I/O error with the path of its file.
     pub(crate) fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::File { path, source }

@@ -1,5 +1,5 @@
-//! The main job from end to end on one lung: search the best PID, learn a controller, compare both on the true
-//! bench, write everything down.
+//! The whole pipeline on one lung: search the best PID, learn a controller, compare both on the true bench, and write
+//! files and report.
 
 mod report;
 mod summary;
@@ -26,17 +26,17 @@ use progress::{Progress, Stage};
 pub use summary::{Compared, ContestantMeans, DemoSummary};
 pub use venue::Venue;
 
-/// What to run.
+/// Configuration of the demo.
 #[derive(Clone, Debug)]
 pub struct DemoConfig {
     /// The bench.
     pub bench: BenchConfig,
-    /// Search of the rival.
+    /// Search for the best PID.
     pub search: Search,
-    /// Rounds of collect, fit and train; seed and period hold for everything else too. Its gains are replaced
-    /// by those of the best PID found.
+    /// Rounds of collect, fit and train. Its seed and period also apply to everything else; its gains are replaced by
+    /// those of the best PID found.
     pub pipeline: PipelineConfig,
-    /// Where breaths are recorded and compared; the search is always in this process.
+    /// Where breaths are recorded and compared; the PID search always runs in this process.
     pub venue: Venue,
 }
 
@@ -47,7 +47,7 @@ pub struct Contestant {
     pub name: &'static str,
     /// The controller.
     pub controller: Controller,
-    /// How it did on the true bench.
+    /// Its scores on the true bench.
     pub evaluation: Evaluation,
     /// Two breaths at each PIP of [`TRACED_PIPS`].
     pub traces: Vec<BreathTrace>,
@@ -55,25 +55,25 @@ pub struct Contestant {
 
 /// PIPs of the waveforms shown in the report, cmH2O.
 pub const TRACED_PIPS: [f32; 3] = [10.0, 20.0, 35.0];
-/// Breaths shown of each.
+/// Number of breaths shown at each PIP.
 const TRACED_BREATHS: usize = 3;
 
-/// The finished job.
+/// The results of a demo.
 #[derive(Clone, Debug)]
 pub struct Demo {
-    /// Figures.
+    /// Scores and settings, as in `summary.json`.
     pub summary: DemoSummary,
-    /// Best of each kind of PID.
+    /// The best PID of each kind.
     pub best: Best,
-    /// What was learned.
+    /// The learned controller and its training history.
     pub outcome: Outcome,
-    /// P, I, PID, learned.
+    /// P, I, PID and learned controller, in this order.
     pub contestants: Vec<Contestant>,
     /// Plan of the comparison.
     pub plan: Plan,
 }
 
-/// Best gains with what they belong to, kept in the folder.
+/// The best gains with the settings they belong to, kept in the folder.
 #[derive(Serialize, Deserialize)]
 struct Tuned {
     bench: BenchConfig,
@@ -82,10 +82,10 @@ struct Tuned {
     best: Best,
 }
 
-/// Runs the whole job and writes its files to `out`; a stopped job goes on there.
+/// Runs the demo and writes its files to `out`; a stopped demo continues there.
 ///
 /// # Errors
-/// The first step that fails; what earlier steps wrote stays.
+/// The error of the first step that fails; files of earlier steps stay.
 pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Demo> {
     let started = Instant::now();
     let best = tuned(config, out, progress)?;
@@ -99,11 +99,11 @@ pub fn run(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<D
     Ok(demo)
 }
 
-/// The best PID, searched or as an earlier run in this folder found it.
+/// The best PID, from a new search or from an earlier run in this folder.
 fn tuned(config: &DemoConfig, out: &Path, progress: &Progress<'_>) -> Result<Best> {
     let plan = Plan { period_us: config.pipeline.period_us, ..Plan::tuning(config.pipeline.seed) };
     let file = out.join("tuning.json");
-    // A file that cannot be read is as good as none: the search is done again.
+    // An unreadable file counts as none: the search runs again.
     let earlier = read_json::<Tuned>(&file).ok().flatten();
     if let Some(tuned) = earlier
         && (&tuned.bench, &tuned.search, &tuned.plan) == (&config.bench, &config.search, &plan)
@@ -137,7 +137,7 @@ fn compare(
     progress: &Progress<'_>,
 ) -> Result<Vec<Contestant>> {
     let pid = |gains| Pid::new(gains, plan.period_us).map(Controller::Pid);
-    // A vector: on the stack, controllers with their weights would be large.
+    // A vector, because controllers with their weights would need much stack.
     let controllers = vec![
         ("P only", pid(best.p_only.gains)?),
         ("I only", pid(best.i_only.gains)?),
@@ -145,7 +145,7 @@ fn compare(
         ("learned", Controller::Residual(outcome.learned.controller.clone())),
     ];
     let task = progress.task(Stage::Evaluate, controllers.len() * plan.pips.len() * plan.seeds.len());
-    // Side by side: a board keeps one core busy.
+    // In parallel: a board keeps one core busy.
     let contestant = |(name, controller): (&'static str, Controller)| {
         let evaluation = config.venue.evaluate(&config.bench, &controller, plan, &task.part())?;
         let traces = config.venue.traces(&config.bench, &controller, plan)?;

@@ -1,4 +1,4 @@
-//! The job's report: tables and pictures for people who would rather look than read.
+//! The demo's report: tables and figures.
 
 use super::{Contestant, Demo, TRACED_PIPS};
 use data::provenance::Provenance;
@@ -7,7 +7,7 @@ use learn::simulator::episode::{Episode, episodes, split};
 use learn::simulator::open_loop::predict;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
-/// Held-out breaths whose prediction is shown.
+/// Number of held-out breaths whose prediction is shown.
 const PREDICTIONS: usize = 3;
 
 impl Demo {
@@ -17,7 +17,7 @@ impl Demo {
         Report {
             title: format!("Learned pressure control on {}", summary.lung),
             subtitle: format!(
-                "mean error {:.3} cmH2O against {:.3} of the best PID found: {:.0} % of it",
+                "mean error {:.3} cmH2O, best PID found {:.3} cmH2O: {:.0} % of the best PID's error",
                 summary.mean.learned,
                 summary.mean.pid,
                 100.0 * summary.ratio()
@@ -53,8 +53,8 @@ impl Demo {
         );
         let seeds = self.plan.seeds.len();
         let text = format!(
-            "Error is the mean of |p - target| over each inspiration, of the true airway pressure that only the \
-             bench knows; rise is from 10 to 90 %, overshoot the highest pressure above PIP, plateau the error \
+            "Error is the mean of |p - target| over each inspiration, for the true airway pressure known only to the \
+             bench; rise is from 10 to 90 %, overshoot the highest pressure above PIP, plateau the error \
              over the last 0.3 s. Both controllers met the same sensor noise ({seeds} seeds, none of them used \
              for tuning or training). On its learned simulator the controller scored {:.3} cmH2O.",
             self.summary.mean.learned_on_simulator
@@ -72,7 +72,7 @@ impl Demo {
         )
     }
 
-    /// A traced waveform up to a time in s, under the contestants from `first` on.
+    /// A traced waveform up to the time `until` in s, under the contestants from `first` on.
     fn pressure(&self, what: &str, traced: usize, first: usize, until: f64) -> Plot {
         let target = &self.contestants[3].traces[traced];
         let mut series = vec![Series::new("target", Style::Dashed, target.points(&target.target, until))];
@@ -110,7 +110,7 @@ impl Demo {
         let predictions = shown.iter().zip(predict(simulator, &shown));
         let plots = predictions.map(|(episode, predicted)| prediction(episode, &predicted, period));
         let text = format!(
-            "Open loop: the simulator sees how a held-out breath starts and the recorded commands, never its \
+            "Open loop: the simulator sees the start of a held-out breath and the recorded commands, but never the \
              pressure. Its mean distance to the true airway pressure is {:.3} cmH2O.",
             self.summary.open_loop_distance
         );
@@ -166,7 +166,7 @@ impl Demo {
     }
 }
 
-/// How much of a breath the zooms show, s.
+/// Length of the inspiration shown in the zoomed plots, s.
 const INSPIRATION_SHOWN: f64 = 1.0;
 
 fn prediction(episode: &Episode, predicted: &[f32], period: f64) -> Plot {

@@ -1,4 +1,4 @@
-//! The job's figures, as `summary.json` and as the table in the terminal.
+//! The demo's scores, as `summary.json` and as the table in the terminal.
 
 use serde::{Deserialize, Serialize};
 use shared::control::pid::PidGains;
@@ -35,18 +35,18 @@ pub struct ContestantMeans {
     pub learned_on_simulator: f64,
 }
 
-/// Everything in `summary.json`.
+/// The content of `summary.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DemoSummary {
-    /// Seed of the job.
+    /// Seed of the demo.
     pub seed: u64,
-    /// Lung.
+    /// Name of the lung.
     pub lung: String,
-    /// Time that this run took, s; less where it went on from an earlier one.
+    /// Duration of this run, s; excludes earlier runs that it continued.
     pub wall_s: f64,
-    /// By waveform.
+    /// Scores of each waveform.
     pub waveforms: Vec<Compared>,
-    /// Over the waveforms.
+    /// Means over the waveforms.
     pub mean: ContestantMeans,
     /// Gains of the best PID: P %/cmH2O, I %/(cmH2O s), D % s/cmH2O.
     pub pid_gains: PidGains,
@@ -54,7 +54,7 @@ pub struct DemoSummary {
     pub open_loop_distance: f64,
     /// Whether the residual beat its PID on the held-out simulator (if not, the PID alone was kept).
     pub improved: bool,
-    /// Round by round.
+    /// The rounds of collect, fit and train.
     pub rounds: Vec<Round>,
 }
 
@@ -113,10 +113,10 @@ impl DemoSummary {
     }
 }
 
-/// One figure of a score.
+/// Selects one value of a score.
 type Figure = fn(&Score) -> f64;
 
-/// Name, figure and decimals of each pair of columns.
+/// Name, value and number of decimals of each pair of columns.
 const COLUMNS: [(&str, Figure, usize); 4] = [
     ("error", |score| score.score, 3),
     ("rise", |score| score.rise_ms, 0),
@@ -124,7 +124,7 @@ const COLUMNS: [(&str, Figure, usize); 4] = [
     ("plateau", |score| score.plateau_error, 3),
 ];
 
-/// A row: each figure of the PID beside that of the learned controller, the better one marked.
+/// A row: each value of the PID beside that of the learned controller, with the better one marked.
 fn cells(name: String, pid: &Score, learned: &Score) -> Vec<Cell> {
     let mut cells = vec![Cell::right(name)];
     for (_, figure, decimals) in COLUMNS {

@@ -1,4 +1,4 @@
-//! The main job at a small size: everything it promises is written, twice the same, and it goes on where it was.
+//! A small demo: all promised files are written, the same seed gives the same files, and a stopped demo continues.
 
 use std::fs;
 use std::path::Path;

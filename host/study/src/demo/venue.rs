@@ -1,4 +1,4 @@
-//! Where the job breathes: on the bench in this process, or on the virtual board with that bench as its lung.
+//! Where the demo's breaths run: on the bench in this process, or on the virtual board with that bench as its lung.
 
 use shared::control::Controller;
 use shared::settings::Settings;
@@ -15,19 +15,19 @@ use progress::Progress;
 use ventilator::PortSource;
 use ventilator::{BenchSource, Source, SourceError};
 
-/// A place to collect and to compare. All give the same figures, bit for bit.
+/// A place to collect and compare breaths. All places give the same results, bit for bit.
 #[derive(Clone, Debug, Default)]
 pub enum Venue {
     /// The ventilator's core in this process.
     #[default]
     InProcess,
-    /// The real image in QEMU.
+    /// The real firmware image in QEMU.
     #[cfg(unix)]
     Board(EmulatorConfig),
 }
 
 impl Venue {
-    /// A ventilator with a bench under the noise of `seed`.
+    /// A ventilator with a bench, under the sensor noise of `seed`.
     pub(super) fn source(
         &self,
         bench: &BenchConfig,
@@ -65,7 +65,7 @@ impl Venue {
         }
     }
 
-    /// A few breaths of each of [`TRACED_PIPS`].
+    /// The traced breaths at each of [`TRACED_PIPS`].
     pub(super) fn traces(
         &self,
         bench: &BenchConfig,

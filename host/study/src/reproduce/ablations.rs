@@ -1,4 +1,4 @@
-//! Ablations on one lung: what each part of the system is worth. Each variant differs from the lung's pipeline in one thing.
+//! Ablations on one lung: the contribution of each part. Each variant differs from the lung's pipeline in one respect.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -16,10 +16,10 @@ use learn::simulator::model::Architecture;
 use learn::simulator::stitched::StitchedConfig;
 use plant::bench::BenchConfig;
 
-/// A variant and what became of it.
+/// The result of a variant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ablation {
-    /// What is varied.
+    /// The group of variants.
     pub group: String,
     /// The variant.
     pub variant: String,
@@ -33,7 +33,7 @@ pub struct Ablation {
     pub breaths: usize,
 }
 
-/// Units of the fleet to train on, where there are several, and one that nobody trains on.
+/// Units of the fleet to train on, and the number of the held-out unit.
 const UNITS: (std::ops::RangeInclusive<u32>, u32) = (1..=4, 7);
 
 /// A variant to run.
@@ -43,7 +43,7 @@ struct Variant {
     config: PipelineConfig,
     /// Benches to train on.
     benches: Vec<BenchConfig>,
-    /// The bench that judges.
+    /// The bench used for scoring.
     judge: BenchConfig,
 }
 
@@ -54,7 +54,7 @@ pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>> {
     for variant in variants(study, gains) {
         let place = variant.place();
         let ablation = study.keep(&place, || match done.iter().find(|(other, _)| other.is(&variant)) {
-            // Groups meet where nothing is varied.
+            // Groups share the unchanged variant.
             Some((_, found)) => Ok(variant.named(found)),
             None => ablation(study, &variant, &place),
         })?;
@@ -63,13 +63,13 @@ pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>> {
     Ok(done.into_iter().map(|(_, ablation)| ablation).collect())
 }
 
-/// What the folder holds, if it holds every variant.
+/// The kept results, if the folder contains every variant.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>> {
     variants(study, PidGains::default()).iter().map(|variant| study.kept(&variant.place())).collect()
 }
 
 impl Variant {
-    /// Its name in the study's folder.
+    /// The variant's path in the study's folder.
     fn place(&self) -> String {
         format!("ablations/{}-{}", self.group, self.name).replace(' ', "-")
     }
@@ -79,7 +79,7 @@ impl Variant {
         (&self.config, &self.benches, &self.judge) == (&other.config, &other.benches, &other.judge)
     }
 
-    /// What another one has found, under this one's name.
+    /// The result of an equal variant, under this variant's name.
     fn named(&self, found: &Ablation) -> Ablation {
         Ablation { group: self.group.to_owned(), variant: self.name.clone(), ..found.clone() }
     }
@@ -117,7 +117,7 @@ fn variants(study: &Study<'_>, gains: PidGains) -> Vec<Variant> {
 }
 
 impl Variant {
-    /// The same but for one thing.
+    /// A copy with one change.
     fn but(&self, group: &'static str, name: &str, change: impl FnOnce(&mut PipelineConfig)) -> Self {
         let mut config = self.config.clone();
         change(&mut config);
@@ -126,7 +126,7 @@ impl Variant {
     }
 }
 
-/// How much the residual may say.
+/// Variants of the residual's scale and authority.
 fn residuals(base: &Variant) -> Vec<Variant> {
     let mut all: Vec<_> = [0.0, 0.1, 0.3, 1.0]
         .iter()
@@ -138,7 +138,7 @@ fn residuals(base: &Variant) -> Vec<Variant> {
     all
 }
 
-/// What is recorded, and how much of it.
+/// Variants of the kind and number of recorded breaths.
 fn recordings(base: &Variant) -> Vec<Variant> {
     let mut all = Vec::new();
     let explorations = [
@@ -162,7 +162,7 @@ fn recordings(base: &Variant) -> Vec<Variant> {
     all
 }
 
-/// What the network sees.
+/// Variants of the network's inputs.
 fn inputs(base: &Variant) -> Vec<Variant> {
     let mut all = Vec::new();
     let histories: [(&str, [u8; 8], [u8; 6]); 3] = [
@@ -180,7 +180,7 @@ fn inputs(base: &Variant) -> Vec<Variant> {
         ("no past commands", PAST_COMMANDS.collect()),
         ("no leaky averages", LEAKY.collect()),
         ("no time", CLOCK.collect()),
-        // As the authors' controller, which sees the last errors and nothing else.
+        // Like the authors' controller, which sees only the last errors.
         ("past errors alone", (PAST_ERRORS.end..FEATURES).collect()),
     ];
     for (name, blind_to) in without {
@@ -189,7 +189,7 @@ fn inputs(base: &Variant) -> Vec<Variant> {
     all
 }
 
-/// Training on one unit of the fleet or on several (domain randomisation), judged by one that nobody trained on.
+/// Training on one unit of the fleet or on several (domain randomisation), scored on a unit not used in training.
 fn units(base: &Variant) -> Vec<Variant> {
     let unit = |number: u32| {
         let mut bench =
@@ -199,7 +199,7 @@ fn units(base: &Variant) -> Vec<Variant> {
     };
     let (trained_on, judge) = UNITS;
     let several: Vec<_> = trained_on.map(unit).collect();
-    // Each the same number of breaths in all.
+    // All variants record the same total number of breaths.
     let share = base.config.collect.breaths / several.len();
     let one =
         Variant { benches: vec![several[0].clone()], judge: unit(judge), ..base.but("units", "one", |_| ()) };
@@ -211,7 +211,7 @@ fn units(base: &Variant) -> Vec<Variant> {
     vec![one, many]
 }
 
-/// Ours and the authors' simulator at the authors' control period.
+/// Our simulator and the authors', at the authors' control period.
 fn simulators(base: &Variant) -> Vec<Variant> {
     let slow = PipelineConfig::for_period(PAPER_PERIOD_US);
     let theirs = StitchedConfig::for_period(PAPER_PERIOD_US);

@@ -1,4 +1,4 @@
-//! The authors' own plant, on their terms: a controller that has only seen recordings of it, beside their figures.
+//! The authors' own plant: a controller trained only on recordings of it, beside the authors' figures.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -12,8 +12,8 @@ use learn::pipeline;
 use plant::balloon::PERIOD_US;
 use ventilator::{BalloonSource, Source, SourceError};
 
-/// What the authors report for the best PI of their grid, their network trained on the plant itself, and their network
-/// trained through a learned simulator, cmH2O.
+/// The authors' scores, cmH2O: the best PI of their grid, their network trained on the plant itself, and their network
+/// trained through a learned simulator.
 pub(super) const AUTHORS: [f64; 3] = [2.239, 2.013, 3.739];
 
 /// Scores on the balloon, mean over the waveforms, cmH2O.
@@ -22,7 +22,7 @@ pub(super) struct OnBalloon {
     /// Full flow, then an exact hold.
     pub(super) floor: f64,
     pub(super) grid_pi: f64,
-    /// Ours, trained through simulators learned from recordings, by seed.
+    /// Our controllers, trained through simulators learned from recordings, by seed.
     pub(super) learned: Vec<f64>,
 }
 
@@ -32,7 +32,7 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon> {
         let Reproduction { seed, budget, .. } = study.reproduction;
         let mut learned = Vec::new();
         for repeat in 0..budget.repeats {
-            // The whole of it even where time is short: with less it does not reach the grid's PI.
+            // Always in full: with a smaller budget it does not reach the grid's PI.
             let config = balloon::pipeline(seed + repeat);
             let base = Controller::Pid(Pid::new(config.gains, PERIOD_US)?);
             let source = |_| -> Result<Box<dyn Source>, SourceError> {

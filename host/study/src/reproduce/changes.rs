@@ -1,4 +1,4 @@
-//! A lung that changes from one breath to the next: how many breaths until the controller tracks again.
+//! A lung that changes between two breaths: number of breaths until the controller tracks again.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -11,19 +11,19 @@ use plant::bench::{BenchConfig, PatientConfig};
 use progress::Stage;
 use ventilator::{BenchSource, Source};
 
-/// Breaths before the change and from it on.
+/// Number of breaths before the change, and from the change on.
 const BREATHS: (usize, usize) = (4, 12);
-/// The last so many breaths count as settled.
+/// Number of breaths at the end that count as settled.
 const SETTLED: usize = 4;
-/// Part of the settled score by which a breath may exceed it.
+/// Share of the settled score by which a breath may exceed it.
 const TOLERANCE: f64 = 0.1;
-/// The waveform that is breathed, cmH2O.
+/// PIP of the waveform, cmH2O.
 const PIP: f32 = 25.0;
 
-/// A change and what followed.
+/// A change of the lung and the scores around it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Change {
-    /// What changes.
+    /// Description of the change.
     pub(super) what: String,
     /// Score of each breath under the generalist, mean over noise; the change is before the fifth.
     pub(super) generalist: Vec<f64>,
@@ -32,7 +32,7 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// Breaths from the change to the first one within the tolerance of the settled score, that one included.
+    /// Number of breaths from the change up to and including the first one within the tolerance of the settled score.
     pub(super) fn breaths_to_reconverge(scores: &[f64]) -> usize {
         let after = &scores[BREATHS.0..];
         let settled = after[after.len() - SETTLED..].iter().sum::<f64>() / SETTLED as f64;
@@ -41,7 +41,7 @@ impl Change {
     }
 }
 
-/// Breathes through all changes.
+/// Runs all changes.
 pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>> {
     study.keep("changes", || {
         let (learned, single) = generalist::with_rival(study)?;
@@ -67,7 +67,7 @@ pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>> {
     })
 }
 
-/// R20C20 up to the change.
+/// R20C20, with a change of R and C by these factors.
 fn changing(resistance_factor: f64, compliance_factor: f64) -> BenchConfig {
     let change_at_breath = BREATHS.0 as u32 + 1;
     let healthy = PatientConfig::default();

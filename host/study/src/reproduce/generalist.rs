@@ -1,4 +1,4 @@
-//! One controller for all lungs (the paper's robustness): learned over the simulators of all of them.
+//! One controller for all lungs (the paper's robustness experiment), trained on the simulators of all lungs.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -9,18 +9,18 @@ use crate::error::Result;
 use judge::evaluate::Evaluation;
 use learn::pipeline::PipelineConfig;
 
-/// Its folder.
+/// Folder of the controller.
 const FOLDER: &str = "generalist";
 
-/// What the controller for all lungs does.
+/// Scores of the controller for all lungs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Generalist {
     pub(super) lungs: Vec<Evaluation>,
-    /// Control ticks recorded, all lungs together.
+    /// Recorded control ticks, summed over all lungs.
     pub(super) ticks: usize,
 }
 
-/// Trains and scores it.
+/// Trains and scores the controller.
 pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist> {
     study.keep(FOLDER, || {
         let Reproduction { seed, budget, .. } = study.reproduction;
@@ -36,13 +36,13 @@ pub(super) fn generalist(study: &Study<'_>) -> Result<Generalist> {
     })
 }
 
-/// The controller itself, trained if it is not there.
+/// The controller, trained first if the folder does not contain it.
 pub(super) fn controller(study: &Study<'_>) -> Result<Controller> {
     generalist(study)?;
     study.learned(FOLDER)
 }
 
-/// The same, and the best single PID.
+/// The controller for all lungs, and the best single PID.
 pub(super) fn with_rival(study: &Study<'_>) -> Result<(Controller, Controller)> {
     let single = study.pid(lungs::tuned(study)?.over_all.pid.gains)?;
     Ok((controller(study)?, single))

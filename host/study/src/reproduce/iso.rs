@@ -13,26 +13,26 @@ use plant::bench::BenchConfig;
 use progress::Stage;
 use ventilator::{BenchSource, Source, SourceError};
 
-/// Breaths before the measured one: low rates and long time constants need some.
+/// Breaths before the measured one: low rates and long time constants need several.
 const WARM_UP: usize = 5;
-/// Allowed distance of the plateau from PIP: so much, and so much of PIP.
+/// Allowed distance of the plateau from PIP: cmH2O, plus this share of PIP.
 const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 
-/// What one controller does on a row.
+/// Result of one controller on a row.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct IsoOutcome {
     /// Scores of the inspiration.
     pub(super) score: Score,
     /// Volume that entered the lung, mL.
     pub(super) tidal_volume: f64,
-    /// Whether the plateau keeps the tolerance.
+    /// Whether the plateau is within the tolerance.
     pub(super) pass: bool,
 }
 
-/// A row.
+/// Result of a row.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct IsoResult {
-    /// Its number in the table.
+    /// Row number in the table.
     pub(super) number: u8,
     /// Resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
     pub(super) lung: (f32, f32),
@@ -40,9 +40,9 @@ pub(super) struct IsoResult {
     pub(super) pressures: (f32, f32),
     /// Tidal volume that the table expects, mL.
     pub(super) expected_volume: f64,
-    /// The best single PID; none where the ventilator went to its safe state.
+    /// The best single PID; `None` if the ventilator entered its safe state.
     pub(super) single_pid: Option<IsoOutcome>,
-    /// The controller for all lungs; none where the ventilator went to its safe state.
+    /// The controller for all lungs; `None` if the ventilator entered its safe state.
     pub(super) generalist: Option<IsoOutcome>,
 }
 

@@ -1,5 +1,5 @@
-//! Reinforcement learning as the rival: PPO and DQN on the same learned simulators with the same observations, their score
-//! against the samples that they took, next to ours.
+//! Comparison with reinforcement learning: PPO and DQN on the same learned simulators with the same observations;
+//! scores against samples used, beside ours.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -15,22 +15,22 @@ use learn::pipeline::{self, PipelineConfig};
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
 
-/// Gradient steps between two validations of ours.
+/// Gradient steps between two validations of our training.
 const OURS_VALIDATED_EVERY: usize = 10;
 
-/// One way to learn.
+/// Result of one learning method.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct LearnerResult {
     /// Score on the true bench, cmH2O.
     pub(super) score: f64,
-    /// Simulated control ticks that it took.
+    /// Simulated control ticks used.
     pub(super) samples: u64,
-    /// Ticks taken and the score on the held-out simulator then, cmH2O.
+    /// Ticks used, and the score on the held-out simulator at that point, cmH2O.
     pub(super) curve: Vec<(u64, f64)>,
 }
 
 impl LearnerResult {
-    /// Ticks taken until the score on the held-out simulator was at least as good as this.
+    /// Ticks used until the score on the held-out simulator was at least as good as `score`.
     pub(super) fn samples_until(&self, score: f64) -> Option<u64> {
         self.curve.iter().find(|(_, reached)| *reached <= score).map(|(samples, _)| *samples)
     }
@@ -41,7 +41,7 @@ impl LearnerResult {
     }
 }
 
-/// The comparison.
+/// Results of the three methods.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Learning {
     pub(super) ppo: LearnerResult,
@@ -50,7 +50,7 @@ pub(super) struct Learning {
     pub(super) ours: LearnerResult,
 }
 
-/// Trains all three on the simulators learned for the lung in the middle of the list.
+/// Trains all three on the simulators learned for the middle lung of the list.
 pub(super) fn learning(study: &Study<'_>) -> Result<Learning> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let index = study.middle();
@@ -58,7 +58,7 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning> {
     let gains = lungs::tuned(study)?.lungs[index].pid.gains;
     lungs::lungs(study)?;
     let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
-    // Its folder holds the whole run already.
+    // Its folder already contains the whole run.
     let simulators = || -> Result<Vec<Simulator>> {
         let folder = format!("lungs/{}-0", bench.name);
         let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
@@ -71,7 +71,7 @@ pub(super) fn learning(study: &Study<'_>) -> Result<Learning> {
     })
 }
 
-/// What the folder holds, if it holds all three.
+/// The kept results, if the folder contains all three.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>> {
     let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
     Ok(match (ppo, dqn, ours) {
@@ -96,7 +96,7 @@ fn rival(
     })
 }
 
-/// Trains our controller from scratch on the same simulators, a single shard at a time: what counts here are samples.
+/// Trains our controller from scratch on the same simulators, one shard at a time, because samples are counted here.
 fn ours(
     study: &Study<'_>,
     bench: &BenchConfig,

@@ -1,10 +1,10 @@
-//! What no controller can beat on the lungs: how much of the way there a controller has gone.
+//! Reference bounds of the lungs, to show which part of the gap between PID and bound a controller closes.
 
 use super::study::Study;
 use crate::error::Result;
 use judge::bound::{Bound, BoundConfig, bounds};
 
-/// Searches the bound of every lung.
+/// Searches the reference bound of every lung.
 pub(super) fn limits(study: &Study<'_>) -> Result<Vec<Bound>> {
     study.keep("bound", || {
         let search = BoundConfig { seed: study.reproduction.seed, ..BoundConfig::default() };

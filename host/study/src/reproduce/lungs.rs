@@ -1,5 +1,5 @@
-//! One lung each (the paper's performance): the best PID of a search on that very bench against the controller trained on
-//! the simulator learned for that lung.
+//! One controller per lung (the paper's performance experiment): the best PID found on the same bench against the
+//! controller trained on the simulator learned for that lung.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -21,12 +21,12 @@ pub(super) struct TunedPids {
     pub(super) over_all: Best,
 }
 
-/// What became of a lung.
+/// Results of one lung.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct LungScores {
     pub(super) pid: Evaluation,
     pub(super) single_pid: Evaluation,
-    /// The controllers learned for it, by seed.
+    /// Evaluations of the controllers learned for the lung, by seed.
     pub(super) learned: Vec<Evaluation>,
     /// Open-loop distance of each learned simulator that was kept, cmH2O.
     pub(super) open_loop: Vec<f64>,
@@ -58,7 +58,7 @@ pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>> {
     study.lungs().iter().zip(&tuned.lungs).map(scores).collect()
 }
 
-/// All that the folder holds, if it holds every lung.
+/// The kept results, if the folder contains every lung.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>> {
     study.lungs().iter().map(|bench| study.kept(&format!("lungs/{}", bench.name))).collect()
 }
@@ -85,7 +85,7 @@ fn lung(study: &Study<'_>, bench: &BenchConfig, own: PidGains, single: PidGains)
     })
 }
 
-/// Collects from benches, fits simulators to each and trains one controller on all of them, in a folder of the study's.
+/// Collects from benches, fits simulators to each and trains one controller on all, in a subfolder of the study.
 pub(super) fn train(
     study: &Study<'_>,
     benches: &[BenchConfig],
@@ -95,7 +95,7 @@ pub(super) fn train(
     train_by(study, folder, |run, progress| pipeline::run_on_benches(config, benches, Some(run), progress))
 }
 
-/// Runs a pipeline to its end in a folder of the study's and saves its controller there.
+/// Runs a pipeline to its end in a subfolder of the study and saves its controller there.
 pub(super) fn train_by(
     study: &Study<'_>,
     folder: &str,

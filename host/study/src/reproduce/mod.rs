@@ -1,7 +1,7 @@
-//! The paper's experiments on the virtual bench, and those that go beyond it (Suo et al. 2021, section 6).
+//! The paper's experiments on the virtual bench, and further ones (Suo et al. 2021, section 6).
 //!
-//! [`run`] carries out experiments one after the other. Each keeps its result as JSON in the folder, so that a stopped run
-//! goes on where it was and an experiment finds what an earlier one has left. At the end all results found there become
+//! [`run`] runs the experiments one after the other. Each keeps its result as JSON in the folder, so that a stopped run
+//! can continue and experiments can use earlier results. At the end, all results in the folder are combined into
 //! `results.json` and one report.
 
 mod ablations;
@@ -37,52 +37,52 @@ pub use results::{
 pub use study::Budget;
 use study::Study;
 
-/// An experiment, in the order in which they are run.
+/// An experiment; the order is the order of execution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 pub enum Experiment {
-    /// The best P, I and PID for each lung and for all of them
+    /// The best P, I and PID for each lung and for all lungs
     Tuning,
     /// A learned controller for each lung
     Lungs,
     /// One learned controller for all lungs
     Generalist,
-    /// What no controller can beat: the best commands for a bench that is known in every detail
+    /// A reference bound per lung: commands optimised on a fully known bench
     Bound,
     /// Curves of all controllers on one lung
     Tracking,
-    /// Lungs and ventilators outside of the training
+    /// Lungs and ventilators not used in training
     Unseen,
-    /// A lung that changes from one breath to the next
+    /// A lung that changes between two breaths
     Changes,
     /// The pressure-control rows of the test table
     Iso,
-    /// The authors' own plant, side by side with their figures
+    /// The authors' own plant, beside their figures
     Balloon,
     /// PPO and DQN on the learned simulators of one lung
     Rl,
-    /// What each part of the system is worth, on one lung
+    /// The contribution of each part of the system, on one lung
     Ablations,
 }
 
-/// What to run.
+/// Configuration of a reproduction.
 #[derive(Clone, Debug)]
 pub struct Reproduction {
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How much to spend.
+    /// Repeats and sizes of the experiments.
     pub budget: Budget,
     /// The lungs to train on.
     pub lungs: Vec<BenchConfig>,
-    /// Folder of all results.
+    /// Folder for all results.
     pub out: PathBuf,
-    /// Which experiments; those that they need are run as well.
+    /// The experiments to run; those they depend on run as well.
     pub only: Vec<Experiment>,
 }
 
-/// Runs the experiments, then writes everything that the folder holds as `results.json`, `report.html` and `results.md`.
+/// Runs the experiments, then writes all results in the folder as `results.json`, `report.html` and `results.md`.
 ///
 /// # Errors
-/// The first experiment that fails; what earlier ones left stays.
+/// The error of the first experiment that fails; results of earlier ones stay.
 pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results> {
     let study = Study::new(reproduction, progress)?;
     for experiment in Experiment::value_variants().iter().filter(|e| reproduction.only.contains(e)) {

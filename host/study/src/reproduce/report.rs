@@ -1,4 +1,4 @@
-//! The experiments' report: figures as a reader of the paper knows them, tables beside them.
+//! The report of the experiments: tables, and figures like the paper's.
 
 use super::balloon::AUTHORS;
 use super::changes::Change;
@@ -13,10 +13,10 @@ use data::provenance::Provenance;
 use judge::evaluate::BreathTrace;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
-/// Length of the inspiration that is shown enlarged, s.
+/// Length of the inspiration shown in the zoomed plots, s.
 const ZOOM_S: f64 = 1.0;
 
-/// Everything that the study's folder holds.
+/// The report of all results in the study's folder.
 pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report> {
     let mut sections = Vec::new();
     sections.extend(study.kept("tracking")?.map(|tracking| tracking_section(&tracking)));
@@ -45,7 +45,7 @@ pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report> {
     })
 }
 
-/// The result in a sentence.
+/// The main result in one or two sentences.
 pub fn headline(results: &Results) -> String {
     let Some(mean) = &results.mean else { return "not all lungs have been run yet".into() };
     let own = format!(
@@ -99,7 +99,7 @@ pub fn lungs_table(results: &Results) -> Table {
     table
 }
 
-/// A row of [`lungs_table`] without spread and closed gap; `marked` are learned scores that beat the PID.
+/// A row of [`lungs_table`] without spread and closed gap; `marked` marks learned scores that beat the PID.
 fn scores_row(name: &str, scores: &LungMeans, marked: bool) -> Vec<Cell> {
     let LungMeans { pid, single_pid, learned, generalist, bound } = *scores;
     vec![
@@ -166,7 +166,7 @@ fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section> {
     ))
 }
 
-/// Upper end of an axis with these bars.
+/// Upper end of an axis that fits all bars.
 fn highest(series: &[Series]) -> f64 {
     1.05 * series.iter().flat_map(|series| &series.points).fold(0.0, |most: f64, (_, y)| most.max(*y))
 }

@@ -1,4 +1,4 @@
-//! `results.json`: everything found, in numbers, under names that scripts can rely on. What was not run is absent.
+//! `results.json`: all results as numbers, under stable names. Experiments that were not run are absent.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ use plant::bench::BenchConfig;
 /// Mean scores on one lung, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LungFigures {
-    /// Name.
+    /// Name of the lung.
     pub lung: String,
     /// Resistance, cmH2O/(L/s).
     pub r: f64,
@@ -29,23 +29,23 @@ pub struct LungFigures {
     pub pid: f64,
     /// The best PID for all lungs.
     pub single_pid: f64,
-    /// The controllers learned for it: mean over seeds.
+    /// Mean over the controllers learned for this lung with different seeds.
     pub learned: f64,
-    /// The same, by seed.
+    /// Scores of the learned controllers, by seed.
     pub learned_by_seed: Vec<f64>,
     /// The controller learned for all lungs.
     pub generalist: Option<f64>,
-    /// What no controller can beat.
+    /// The reference bound.
     pub bound: Option<f64>,
 }
 
 impl LungFigures {
-    /// Part of the way from the best PID to the bound that the learned controllers have gone.
+    /// Share of the gap between best PID and reference bound that the learned controllers close.
     pub fn gap_closed(&self) -> Option<f64> {
         Some((self.pid - self.learned) / (self.pid - self.bound?))
     }
 
-    /// Its scores without their spread.
+    /// The scores without their spread.
     pub(super) fn scores(&self) -> LungMeans {
         let Self { pid, single_pid, learned, generalist, bound, .. } = *self;
         LungMeans { pid, single_pid, learned, generalist, bound }
@@ -59,16 +59,16 @@ pub struct LungMeans {
     pub pid: f64,
     /// The best PID for all lungs.
     pub single_pid: f64,
-    /// The controllers learned for each.
+    /// The controllers learned for each lung.
     pub learned: f64,
     /// The controller learned for all lungs.
     pub generalist: Option<f64>,
-    /// What no controller can beat.
+    /// The reference bound.
     pub bound: Option<f64>,
 }
 
 impl LungMeans {
-    /// All of them in parts of one score.
+    /// All scores divided by `score`.
     pub(super) fn divided_by(&self, score: f64) -> Self {
         Self {
             pid: self.pid / score,
@@ -87,27 +87,27 @@ pub struct BalloonFigures {
     pub floor: f64,
     /// Best PI of the authors' grid.
     pub grid_pi: f64,
-    /// Trained through simulators learned from recordings: mean over seeds.
+    /// Mean over the controllers trained through simulators learned from recordings, with different seeds.
     pub learned: f64,
-    /// The same, by seed.
+    /// Scores of those controllers, by seed.
     pub learned_by_seed: Vec<f64>,
 }
 
-/// A way to learn.
+/// Result of one learning method.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RlFigure {
     /// Score on the true bench, cmH2O.
     pub score: f64,
-    /// Simulated control ticks that it took.
+    /// Simulated control ticks used.
     pub samples: u64,
-    /// Ticks until it was, on the held-out simulator, within `NEAR` of the best that any of the three reached.
+    /// Ticks until the score on the held-out simulator was within [`NEAR`] of the best of the three methods.
     pub samples_to_near_best: Option<u64>,
 }
 
-/// A score that exceeds another by at most this part of it is near it.
+/// Largest excess over another score, as a share of it, that counts as near.
 pub const NEAR: f64 = 0.02;
 
-/// Reinforcement learning and ours, on the same simulators.
+/// Results of PPO, DQN and back-propagation on the same simulators.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RlFigures {
     /// Proximal policy optimisation.
@@ -118,14 +118,14 @@ pub struct RlFigures {
     pub ours: RlFigure,
 }
 
-/// Scores on a plant outside of the training, cmH2O.
+/// Scores on a plant not used in training, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UnseenFigures {
-    /// What it is.
+    /// Description of the plant.
     pub plant: String,
-    /// Whether it lies within the trained lungs.
+    /// Whether it is within the range of the trained lungs.
     pub inside: bool,
-    /// Its own best PID.
+    /// The plant's own best PID.
     pub pid: f64,
     /// The best PID for the trained lungs.
     pub single_pid: f64,
@@ -136,47 +136,47 @@ pub struct UnseenFigures {
 /// A row of the pressure-control test table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct IsoFigures {
-    /// Its number.
+    /// Row number.
     pub row: u8,
-    /// Whether the best single PID keeps the plateau's tolerance.
+    /// Whether the best single PID stays within the plateau's tolerance.
     pub single_pid: bool,
-    /// Whether the controller for all lungs does.
+    /// Whether the controller for all lungs stays within it.
     pub generalist: bool,
-    /// Tidal volume under the controller for all lungs, mL; none where the ventilator went to its safe state.
+    /// Tidal volume under the controller for all lungs, mL; `None` if the ventilator entered its safe state.
     pub tidal_volume: Option<f64>,
     /// Tidal volume that the table expects, mL.
     pub expected_volume: f64,
 }
 
-/// Everything.
+/// The content of `results.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Results {
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Revision of the program.
     pub revision: String,
-    /// By lung.
+    /// Scores on each lung.
     pub lungs: Vec<LungFigures>,
-    /// Over the lungs.
+    /// Means over the lungs.
     pub mean: Option<LungMeans>,
     /// Highest ratio of the generalist's score to the single PID's over all pairs of lung and waveform.
     pub worst_cell_ratio: Option<f64>,
-    /// Plants outside of the training.
+    /// Plants not used in training.
     pub unseen: Vec<UnseenFigures>,
-    /// The test table.
+    /// Rows of the pressure-control test table.
     pub iso_rows: Vec<IsoFigures>,
-    /// Most breaths that the generalist needed after a change of the lung.
+    /// Largest number of breaths that the generalist needed after a change of the lung.
     pub breaths_to_reconverge: Option<usize>,
     /// The authors' own plant.
     pub balloon: Option<BalloonFigures>,
-    /// Reinforcement learning.
+    /// Comparison with reinforcement learning.
     pub rl: Option<RlFigures>,
-    /// What each part of the system is worth.
+    /// Contribution of each part of the system.
     pub ablations: Vec<Ablation>,
 }
 
 impl Results {
-    /// Reads what the folder holds.
+    /// Collects the results in the folder.
     pub(super) fn gather(study: &Study<'_>) -> Result<Self> {
         let kept = lungs::kept(study)?.unwrap_or_default();
         let generalist: Option<Generalist> = study.kept("generalist")?;
@@ -205,7 +205,7 @@ impl Results {
     }
 }
 
-/// What was found on each lung.
+/// Scores of each lung.
 fn lung_figures(
     study: &Study<'_>,
     kept: &[LungScores],
@@ -286,7 +286,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     values.sum::<f64>() / count
 }
 
-/// The mean over the lungs, if every lung has the figure.
+/// The mean over the lungs, if every lung has the value.
 fn mean_of_all(lungs: &[LungFigures], of: impl Fn(&LungFigures) -> Option<f64>) -> Option<f64> {
     let all = lungs.iter().map(of).collect::<Option<Vec<_>>>()?;
     Some(mean(all.into_iter()))

@@ -1,4 +1,4 @@
-//! What experiments share: the folder where each keeps its result, how much they may spend, whom they tell of progress.
+//! Shared by the experiments: the folder for their results, their budgets, and the progress callback.
 
 use std::path::PathBuf;
 
@@ -18,25 +18,25 @@ use learn::pipeline::PipelineConfig;
 use plant::bench::BenchConfig;
 use progress::Progress;
 
-/// How much to spend.
+/// Repeats and sizes of the experiments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Budget {
-    /// Controllers trained for each lung, under different seeds.
+    /// Number of controllers trained for each lung, under different seeds.
     pub repeats: u64,
-    /// Search of the best PIDs.
+    /// Search for the best PIDs.
     pub search: Search,
     /// Rounds of collect, fit and train for one lung; seed and gains are replaced.
     pub lung: PipelineConfig,
-    /// The same for all lungs at once.
+    /// Rounds of collect, fit and train for all lungs at once.
     pub generalist: PipelineConfig,
-    /// What the ablations vary.
+    /// The pipeline that the ablations vary.
     pub ablation: PipelineConfig,
-    /// PPO and DQN; the seed is replaced.
+    /// Configuration of PPO and DQN; the seed is replaced.
     pub learners: RlConfig,
 }
 
 impl Budget {
-    /// What the published figures are made with.
+    /// The budget of the published results.
     pub fn full() -> Self {
         let lung = PipelineConfig::default();
         let mut generalist = PipelineConfig { ensemble: 1, ..lung.clone() };
@@ -47,7 +47,7 @@ impl Budget {
         Self { repeats: 2, search, lung, generalist, ablation, learners }
     }
 
-    /// The same order of results in a few minutes.
+    /// A small budget: the same trends in a few minutes.
     pub fn quick() -> Self {
         let mut lung = PipelineConfig { rounds: 1, ensemble: 1, ..PipelineConfig::default() };
         lung.collect.breaths = 60;
@@ -71,7 +71,7 @@ pub(super) struct Study<'a> {
     pub(super) progress: Progress<'a>,
 }
 
-/// What makes results comparable.
+/// The settings that must match for results to be comparable.
 #[derive(PartialEq, Serialize, Deserialize)]
 struct Claim {
     seed: u64,
@@ -80,7 +80,7 @@ struct Claim {
 }
 
 impl<'a> Study<'a> {
-    /// Takes the folder, unless it belongs to another study.
+    /// Claims the folder, unless it belongs to another study.
     pub(super) fn new(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Result<Self> {
         let Reproduction { seed, budget, lungs, out, .. } = reproduction;
         let own = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
@@ -96,17 +96,17 @@ impl<'a> Study<'a> {
         &self.reproduction.lungs
     }
 
-    /// Place in the list of the lung that stands for all where one has to do: the one in the middle.
+    /// Index of the middle lung of the list, used by experiments on a single lung.
     pub(super) fn middle(&self) -> usize {
         self.lungs().len() / 2
     }
 
-    /// A file or folder within the study's.
+    /// A file or folder within the study's folder.
     pub(super) fn path(&self, name: &str) -> PathBuf {
         self.reproduction.out.join(name)
     }
 
-    /// Noise that judges, the same for all controllers.
+    /// The evaluation plan; all controllers meet the same sensor noise.
     pub(super) fn plan(&self) -> Plan {
         Plan::evaluation(self.reproduction.seed)
     }
@@ -121,13 +121,13 @@ impl<'a> Study<'a> {
         Ok(Controller::Pid(Pid::new(gains, self.plan().period_us)?))
     }
 
-    /// The controller that a training has left in this folder of the study's.
+    /// The controller trained in this subfolder of the study.
     pub(super) fn learned(&self, folder: &str) -> Result<Controller> {
         let learned = Learned::load(&self.path(folder).join("controller.safetensors"))?;
         Ok(Controller::Residual(learned.controller))
     }
 
-    /// What an earlier run has kept under this name, or the outcome of `work`, which is then kept.
+    /// The result kept under this name, or that of `work`, which is then kept.
     pub(super) fn keep<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
@@ -144,7 +144,7 @@ impl<'a> Study<'a> {
         Ok(result)
     }
 
-    /// What is kept under this name.
+    /// The result kept under this name.
     pub(super) fn kept<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>> {
         let path = self.path(&format!("{name}.json"));
         read_json(&path).map_err(StudyError::file(&path))

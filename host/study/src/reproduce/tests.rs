@@ -1,4 +1,4 @@
-//! A study of two lungs at a small size: what it leaves, and that it goes on where it was.
+//! A small study of two lungs: its files, and that a stopped study continues.
 
 use std::fs;
 use std::path::Path;
@@ -76,6 +76,6 @@ fn a_wish_to_stop_is_told_and_the_study_goes_on_later() {
     let stop = AtomicBool::new(true);
     let stopped = run(&small(out.path(), &only), &Progress::quiet(&stop));
     let error = stopped.unwrap_err().to_string();
-    assert!(error.contains("the same command goes on"), "{error}");
+    assert!(error.contains("the same command again"), "{error}");
     run_small(out.path(), &only);
 }

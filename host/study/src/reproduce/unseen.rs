@@ -1,5 +1,5 @@
-//! Lungs and ventilators that nobody trained on: between and beyond the trained ones, with two compartments, a leak, a
-//! slower valve, another unit of the fleet, a cough.
+//! Lungs and ventilators not used in training: between and beyond the trained lungs, with two compartments, a leak, a
+//! slower valve, another unit of the fleet, or a cough.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
@@ -11,19 +11,19 @@ use judge::baselines::tune_pid;
 use judge::evaluate::{Evaluation, Plan};
 use plant::bench::{BenchConfig, CompartmentConfig};
 
-/// A plant outside of the training.
+/// A plant not used in training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Unseen {
-    /// What it is.
+    /// Description of the plant.
     pub(super) plant: String,
-    /// Whether its resistance and compliance lie within the trained ones and all else is as in training.
+    /// Whether R and C are within the trained range and everything else is as in training.
     pub(super) inside: bool,
     pub(super) pid: Evaluation,
     pub(super) single_pid: Evaluation,
     pub(super) generalist: Evaluation,
 }
 
-/// Scores the generalist and the single PID everywhere.
+/// Scores the generalist and the single PID on all plants.
 pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>> {
     study.keep("unseen", || {
         let (learned, single) = generalist::with_rival(study)?;
@@ -53,7 +53,7 @@ fn plant(
     })
 }
 
-/// The plants, and whether they lie inside the training.
+/// The plants, and whether each is within the trained range.
 fn plants() -> Vec<(BenchConfig, bool)> {
     let inside = [(10.0, 15.0), (35.0, 30.0), (30.0, 12.0), (12.0, 40.0)];
     let beyond = [(3.0, 20.0), (80.0, 20.0), (20.0, 80.0), (20.0, 6.0)];
@@ -76,7 +76,7 @@ fn plants() -> Vec<(BenchConfig, bool)> {
         changed("a slower valve", |bench| bench.valve.lag_ms *= 1.5),
         changed("unit 7 of the fleet", |bench| bench.unit.number = 7),
         changed("a cough", |bench| {
-            // In the first breath that is scored.
+            // In the first scored breath.
             (bench.patient.cough_cmh2o, bench.patient.cough_at_s) = (20.0, 3.4);
         }),
     ];
