@@ -1,4 +1,4 @@
-//! How much faster than time the virtual bench runs, in a closed loop at R 20 C 20.
+//! Speed of the virtual bench relative to real time, in closed loop at R 20 C 20.
 
 use std::hint::black_box;
 use std::time::Duration;
@@ -6,16 +6,16 @@ use std::time::Duration;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use plant::bench::{Bench, BenchConfig};
 
-/// One breath, ms.
+/// Duration of a breath, ms.
 const BREATH_MS: u32 = 3_000;
-/// Its inspiration, ms.
+/// Duration of its inspiration, ms.
 const INSPIRATION_MS: u32 = 1_000;
 const PIP_CMH2O: f32 = 25.0;
 const PEEP_CMH2O: f32 = 5.0;
 /// Command in expiration, percent.
 const BIAS_PERCENT: f32 = 5.0;
 
-/// The least controller that keeps the bench busy as a real one does: a PI whose integral is limited.
+/// A minimal controller that moves the bench like a real one: a PI with a limited integral.
 #[derive(Default)]
 struct Pi {
     integral: f32,

@@ -1,5 +1,5 @@
-//! Control steps (1 ms each) per second through learned simulator and controller, both of default shape: the
-//! forward pass alone, and with the gradient. All cores; the throughput that criterion prints is in control steps.
+//! Control steps (1 ms each) per second through learned simulator and controller, both of default shape: forward pass
+//! only, and with gradient. Uses all cores; criterion's throughput counts control steps.
 //!
 //! Run with `cargo bench -p host -- rollout`.
 
@@ -14,7 +14,7 @@ use shared::control::features::FeatureSpec;
 use shared::control::pid::PidGains;
 use shared::control::residual::ResidualSpec;
 
-/// Control steps of the paper's inspiration.
+/// Number of control steps of the paper's inspiration.
 const TICKS: u64 = 1000;
 
 fn training(batch: usize) -> Training {
@@ -33,7 +33,7 @@ fn training(batch: usize) -> Training {
         authority: 100.0,
         features: FeatureSpec::default(),
     };
-    // So many iterations that the learning rate's schedule does not end within the measurement.
+    // Enough iterations that the learning rate's schedule does not end within the measurement.
     let config = TrainConfig { batch, iterations: usize::MAX, ..TrainConfig::default() };
     match Training::new(
         spec,

@@ -1,7 +1,7 @@
-//! The authors' balloon, on their terms: a controller that has only seen recordings of it, beside their figures.
+//! The authors' balloon, under their conditions: a controller trained only on recordings of it, beside their figures.
 //!
 //! Run with `cargo run --release --example balloon -p host`. It records breaths with a cautious PI, learns a simulator
-//! and through it a controller, and scores that on the balloon itself.
+//! and through it a controller, and scores the controller on the balloon itself.
 
 use judge::balloon::{self, baseline};
 use learn::pipeline;

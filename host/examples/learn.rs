@@ -1,4 +1,4 @@
-//! The pipeline as a library: from a bench to a weights image in one screen.
+//! The pipeline as a library: from a bench to a weights image in a few lines.
 //!
 //! Run with `cargo run --release --example learn -p host`. It records a stiff lung with a cautious PI, learns a
 //! controller in two rounds, compares both on the true bench and writes `out/learn/weights.bin`.
@@ -15,14 +15,14 @@ use shared::control::pid::{Pid, PidGains};
 use ventilator::{BenchSource, Source};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // R 50 cmH2O/(L/s), C 10 mL/cmH2O; every parameter of the bench could be changed here.
+    // R 50 cmH2O/(L/s), C 10 mL/cmH2O; any parameter of the bench can be changed here.
     let bench = BenchConfig::paper(50.0, 10.0);
     let mut config = PipelineConfig { rounds: 2, ..PipelineConfig::default() };
     config.gains = PidGains { p: 1.0, i: 15.0, d: 0.0 };
     config.fit.epochs = 600;
     config.train.iterations = 300;
 
-    // A source is a whole ventilator; here its lung is virtual. Each round asks for a new one.
+    // A source is a whole ventilator; here its lung is virtual. Each round requests a new one.
     let pid = Controller::Pid(Pid::new(config.gains, config.period_us)?);
     let (settings, period_us) = (config.collect.settings, config.period_us);
     let source = |seed| {
@@ -30,7 +30,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Ok(Box::new(source) as Box<dyn Source>)
     };
 
-    // No folder: nothing to go on from; nothing observes it; never stopped.
+    // No folder to continue from, no observer, never stopped.
     let outcome = pipeline::run(&config, &[&source], None, &Progress::silent())?;
 
     let plan = Plan::evaluation(config.seed);

@@ -1,4 +1,4 @@
-//! The `trainer` command line: arguments and printing; what a command computes is in the crates below.
+//! The `trainer` command line: arguments and printing. The crates below do the computation.
 #![forbid(unsafe_code)]
 
 pub mod cli;

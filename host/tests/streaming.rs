@@ -1,4 +1,4 @@
-//! A table of the size of the Kaggle competition's, imported in a process of its own, so that the memory it takes can be seen.
+//! Imports a table as large as the Kaggle competition's in a separate process, so that its memory can be measured.
 
 #![cfg(target_os = "linux")]
 
@@ -14,9 +14,9 @@ use progress::Progress;
 
 const BREATHS: usize = 75_000;
 const ROWS: usize = 80;
-/// Far less than the table has, and than a gibibyte.
+/// Memory limit, MiB: far less than the table's size, and than a gibibyte.
 const MOST_MIB: f64 = 128.0;
-/// Breaths that are written again and again.
+/// Number of different breaths, which are written repeatedly.
 const DIFFERENT: usize = 500;
 
 /// A table with time steps that jitter around 33 ms, 400 MB.
@@ -36,7 +36,7 @@ fn write_table(path: &Path) {
     file.flush().unwrap();
 }
 
-/// Resident memory at its highest, MiB.
+/// Peak resident memory, MiB.
 fn peak_mib() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|line| line.starts_with("VmHWM")).unwrap();

@@ -1,4 +1,4 @@
-//! The `trainer` command line; everything is in `host::cli`.
+//! The `trainer` binary; all code is in `host::cli`.
 #![forbid(unsafe_code)]
 
 fn main() -> std::process::ExitCode {

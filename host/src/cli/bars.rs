@@ -1,4 +1,4 @@
-//! Progress bars on standard error, one for each stage of the work under way; invisible where that is no terminal.
+//! Progress bars on standard error, one for each stage in progress; hidden if standard error is not a terminal.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::common::stop;
 use progress::{Event, Progress, Stage};
 
-/// Runs work under progress bars and Ctrl-C.
+/// Runs work with progress bars and Ctrl-C handling.
 pub fn with_bars<T>(work: impl FnOnce(&Progress<'_>) -> T) -> T {
     let bars = Bars::default();
     let show = |event: &Event<'_>| bars.show(event);
@@ -17,7 +17,7 @@ pub fn with_bars<T>(work: impl FnOnce(&Progress<'_>) -> T) -> T {
     outcome
 }
 
-/// The bar of the stage under way.
+/// The bar of the current stage.
 #[derive(Debug, Default)]
 struct Bars {
     current: Mutex<Option<(String, ProgressBar)>>,
@@ -43,7 +43,7 @@ impl Bars {
         }
     }
 
-    /// Leaves the last bar as it is: what was stopped is not full.
+    /// Leaves the last bar at its position: a stopped stage is not full.
     fn finish(&self) {
         if let Some((_, bar)) = self.current.lock().unwrap_or_else(PoisonError::into_inner).take() {
             bar.abandon();
@@ -59,7 +59,7 @@ fn bar(name: &str) -> ProgressBar {
     bar
 }
 
-/// A stage as people read it, with its round and what it is for.
+/// The label of a stage, with its subject and round.
 fn name(event: &Event<'_>) -> String {
     let stage = match event.stage {
         Stage::TunePid => "search PID, breaths",
@@ -68,11 +68,11 @@ fn name(event: &Event<'_>) -> String {
         Stage::Train => "train controller",
         Stage::Reinforce => "train by rewards",
         Stage::Evaluate => "score waveforms",
-        Stage::Bound => "search the bound",
-        Stage::Faults => "try faults",
+        Stage::Bound => "search reference bound",
+        Stage::Faults => "inject faults",
         Stage::Torture => "torture, breaths",
         Stage::Upload => "send weights, bytes",
-        Stage::ReadRecorder => "read the recorder",
+        Stage::ReadRecorder => "read flight recorder",
         Stage::Import => "read tables, bytes",
     };
     let subject = if event.subject.is_empty() { String::new() } else { format!("{}: ", event.subject) };

@@ -13,7 +13,7 @@ use device::port::Address;
 use show::blackbox::{csv, events, report, summary};
 use show::monitor::words;
 
-/// Read a device's flight recorder: the last seconds before a fault, and what happened when
+/// Read a device's flight recorder after a fault: the last seconds of control ticks and a log of events
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -21,31 +21,31 @@ Examples:
   trainer blackbox --port /dev/ttyACM0 --out fault.csv --html fault.html
   trainer blackbox --port tcp:localhost:5555 --json - --clear
 
-It holds the last 2 s of control ticks, the last 60 s at a twentieth of their rate, and a log of a
-thousand events. It records while the device ventilates and for a short time after a fault or a
-stop; then it stands still until ventilation starts again. It survives a reset, which ends a running
-recording, but no lost supply. A device that ventilates goes on.")]
+The recorder contains the last 2 s of control ticks, the last 60 s at a twentieth of their rate, and
+a log of a thousand events. It records while the device ventilates and for a short time after a
+fault or a stop; then it pauses until ventilation starts again. Its contents survive a reset (which
+ends a running recording), but not a loss of power. A device that is ventilating continues.")]
 pub struct Args {
-    /// The device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Address,
-    /// Write the recorded ticks as CSV, or everything as JSON
+    /// Write the recorded ticks (*.csv) or everything (*.json) to this file
     #[arg(long, value_name = "FILE.csv|FILE.json", value_parser = out)]
     out: Option<PathBuf>,
-    /// Write a page with plots of pressure, target and valve, and the whole log
+    /// Write an HTML page with plots of pressure, target and valve, and the whole log
     #[arg(long, value_name = "FILE.html")]
     html: Option<PathBuf>,
-    /// How many of the newest events to print
+    /// Print only the newest N events
     #[arg(long, value_name = "N", default_value_t = 40)]
     events: usize,
-    /// Then empty the recording; the log stays
+    /// Then clear the recorded ticks; the event log stays
     #[arg(long)]
     clear: bool,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Found<'a> {
     port: String,
@@ -54,12 +54,12 @@ struct Found<'a> {
     blackbox: &'a Blackbox,
 }
 
-/// A file whose name says what to write.
+/// Checks that the file name ends in .csv or .json.
 fn out(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match kind(&path) {
         Some("csv" | "json") => Ok(path),
-        _ => Err("name it *.csv for the ticks or *.json for everything".to_owned()),
+        _ => Err("the file name must end in .csv (ticks) or .json (everything)".to_owned()),
     }
 }
 
@@ -85,10 +85,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     args.output.report(args.html.as_ref(), || Ok(report(&blackbox, &name)))?;
     args.output.finish(&found)?;
-    // Only what is saved is given up.
+    // Clear only what was written successfully.
     if args.clear {
         device.clear_recorder()?;
-        args.output.line("the recording is emptied; the log stays");
+        args.output.line("the recorded ticks are cleared; the event log stays");
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `trainer bound`: the score that no controller can beat, per lung and waveform.
+//! `trainer bound`: a reference bound per lung and waveform, from commands optimised on a fully known lung.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ use judge::bound::{Bound, BoundConfig, bounds};
 use judge::evaluate::Plan;
 use show::report::{Cell, Table};
 
-/// Search the best commands for a bench that is known in every detail: what no controller can beat
+/// Compute a reference bound: commands optimised by search on a fully known lung
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -23,14 +23,15 @@ Examples:
   trainer bound --lung paper --json bound.json
   trainer bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
 
-The search knows the bench, has no noise and tries a breath as often as it likes; it comes to within
-1 % of the least error. Scores are those of `trainer evaluate`: errors of the true airway pressure.
-Ctrl-C ends the search with the waveforms that are done.")]
+The search knows every parameter of the bench, has no sensor noise and may repeat a breath as often
+as it needs. It is a search, not a proof: better commands may exist. Check with --effort 2; where
+this was tried, scores improved by less than 1 %. Scores are those of `trainer evaluate`: errors of
+the true airway pressure. Ctrl-C ends the search and prints the waveforms completed so far.")]
 pub struct Args {
-    /// Lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 of the test table; may be repeated
+    /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
     #[arg(long, value_name = "NAME", default_value = "R20C20")]
     lung: Vec<String>,
-    /// Benches from TOML files, in place of a lung
+    /// Bench description in TOML, in place of a lung; repeatable
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
     bench: Vec<PathBuf>,
     /// PIPs of the waveforms, cmH2O
@@ -38,13 +39,13 @@ pub struct Args {
     pips: Vec<f32>,
     #[command(flatten)]
     settings: SettingsArgs,
-    /// Control period, microseconds: how often the command may change
+    /// Control period in microseconds: the shortest time between two changes of the command
     #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
     period_us: u32,
-    /// Factor on the length of the search; 2 tells whether 1 was enough
+    /// Factor on the length of the search; if 2 gives the same result, 1 was enough
     #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = clap::value_parser!(u32).range(1..=100))]
     effort: u32,
-    /// Put pressure, target and command of every waveform into the JSON
+    /// Include pressure, target and command of every waveform in the JSON
     #[arg(long)]
     trace: bool,
     /// Seed of the search
@@ -54,7 +55,7 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary<'a> {
     search: &'a BoundConfig,
@@ -78,17 +79,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     args.output.table(&table(&args.pips, &lungs));
     if stopped() {
-        args.output.line("stopped: the waveforms that were done");
+        args.output.line("stopped: only the completed waveforms are shown");
     }
     let complete = lungs.iter().all(|lung| lung.complete);
     args.output.finish(&Summary { search: &search, period_us: args.period_us, lungs: &lungs, complete })
 }
 
 fn table(pips: &[f32], lungs: &[Bound]) -> Table {
-    let title = "Least mean absolute error of the true airway pressure that any commands reach, cmH2O";
+    let title = "Reference bound: smallest mean absolute error of the true airway pressure found, cmH2O";
     let mut table = Table::new(title, &["lung"]);
     table.header.extend(pips.iter().map(|pip| format!("PIP {pip}")));
-    table.header.extend(["mean".to_owned(), "starts differ by".to_owned()]);
+    table.header.extend(["mean".to_owned(), "spread of starts".to_owned()]);
     for lung in lungs {
         table.row(row(pips, lung));
     }

@@ -20,7 +20,7 @@ use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
 use ventilator::{BenchSource, PlantSource, SharedLink, Source};
 
-/// Record breaths with random perturbations of a known-good controller, as in the paper
+/// Record breaths under a known-good PID with random perturbations, as in the paper
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -31,8 +31,8 @@ Examples:
   trainer collect --out mine.parquet --plant 'pipe:python3 examples/python/plant.py'
   trainer collect --out slow.parquet --period-us 30000 --pips 15,25 --triangle-height=-20:20
 
-Ctrl-C ends the collection and saves the breaths recorded so far; so does a plant or a device
-that fails.")]
+Ctrl-C ends the collection and saves the breaths recorded so far. So does a plant or a device that
+fails.")]
 pub struct Args {
     /// File to write the recording to
     #[arg(long, value_name = "FILE.parquet")]
@@ -43,7 +43,7 @@ pub struct Args {
     port: PortArgs,
     #[command(flatten)]
     plant: PlantArgs,
-    /// Breaths to record
+    /// Number of breaths to record
     #[arg(long, value_name = "N", default_value_t = 200)]
     breaths: usize,
     #[command(flatten)]
@@ -51,13 +51,13 @@ pub struct Args {
     /// PIPs of every second breath, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
-    /// The other breaths have a PIP drawn from this range, cmH2O
+    /// Range of the random PIPs of the other breaths, cmH2O
     #[arg(long, value_name = "LOW:HIGH", value_parser = range, default_value = text(CollectConfig::default().pip_range))]
     pip_range: Range,
-    /// Breaths ended by the pressure limit after which collection gives up
+    /// Number of breaths ended early by the pressure limit after which collection gives up
     #[arg(long, value_name = "N", default_value_t = CollectConfig::default().aborts)]
     aborts: usize,
-    /// Seed of PIPs, perturbations and sensor noise
+    /// Seed of the PIPs, perturbations and sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
@@ -68,29 +68,29 @@ pub struct Args {
     settings: SettingsArgs,
 }
 
-/// How to perturb.
+/// Parameters of the perturbations.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Exploration")]
 struct ExplorationArgs {
-    /// Record the controller alone
+    /// Record the controller without perturbations
     #[arg(long)]
     no_exploration: bool,
-    /// Probability of a perturbation at the start of the breath; the others are triangles within it
+    /// Probability of a perturbation at the breath's start; otherwise a triangle within the inspiration
     #[arg(long, value_name = "P", default_value_t = Exploration::default().boundary_probability)]
     boundary_probability: f32,
-    /// Command added at the start of the breath, percent
+    /// Command added at the start of the breath, percent of the valve
     #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true,
         default_value = text(Exploration::default().boundary_height))]
     boundary_height: Range,
-    /// Time in which it fades out, s
+    /// Time until the added command has faded out, s
     #[arg(long, value_name = "LOW:HIGH", value_parser = range,
         default_value = text(Exploration::default().boundary_duration))]
     boundary_duration: Range,
-    /// Peak of a triangle, percent
+    /// Peak of a triangle, percent of the valve
     #[arg(long, value_name = "LOW:HIGH", value_parser = range, allow_hyphen_values = true,
         default_value = text(Exploration::default().triangle_height))]
     triangle_height: Range,
-    /// Length of a triangle, s
+    /// Duration of a triangle, s
     #[arg(long, value_name = "LOW:HIGH", value_parser = range,
         default_value = text(Exploration::default().triangle_duration))]
     triangle_duration: Range,
@@ -109,7 +109,7 @@ impl ExplorationArgs {
     }
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary {
     seed: u64,
@@ -137,7 +137,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Err(error) => return Err(error.into()),
     };
     if collected.breaths == 0 && stopped() {
-        bail!("stopped before the first breath was complete; nothing is saved");
+        bail!("stopped before the first breath was complete; nothing was saved");
     }
     let provenance = &mut collected.recording.provenance;
     provenance.seed = args.seed;
@@ -150,12 +150,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(reason) = failure {
         let (breaths, plant, file) = (summary.breaths, &summary.plant, args.out.display());
         return Err(anyhow::Error::new(reason).context(format!(
-            "cannot collect any further from {plant}: {breaths} whole breaths are saved in {file}"
+            "cannot collect more breaths from {plant}: {breaths} complete breaths are saved in {file}"
         )));
     }
     if !summary.complete && !stopped() {
         bail!(
-            "gave up after {} breaths ended early, {} of {} are saved: use lower gains, less exploration, or more --aborts",
+            "gave up after {} breaths ended early; {} of {} breaths are saved: use lower gains, less exploration or a higher --aborts",
             collected.aborts,
             collected.breaths,
             config.breaths
@@ -176,7 +176,7 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
     })
 }
 
-/// What breathes: a device, a plant of the user's own, or the bench.
+/// The source of breaths: a device, the user's own plant, or the bench.
 fn source(
     args: &Args,
     plant: Option<SharedLink>,
@@ -228,14 +228,14 @@ fn table(summary: &Summary) -> Table {
     table
 }
 
-/// A range as typed, `LOW:HIGH`.
+/// Parses a range `LOW:HIGH`.
 fn range(text: &str) -> Result<Range, String> {
     let number = |part: &str| part.trim().parse::<f32>().ok();
     let ends = text.split_once(':').and_then(|(low, high)| Some((number(low)?, number(high)?)));
-    ends.ok_or_else(|| "write LOW:HIGH as in 8:37, or =-30:30 where it starts below zero".to_owned())
+    ends.ok_or_else(|| "write LOW:HIGH, such as 8:37; write =-30:30 if it starts below zero".to_owned())
 }
 
-/// A range as it is typed.
+/// Formats a range as the command line accepts it.
 fn text((low, high): Range) -> String {
     format!("{low}:{high}")
 }

@@ -1,4 +1,4 @@
-//! What commands share: arguments for lungs, gains and presets, Ctrl-C.
+//! Shared by the commands: arguments for lungs, gains and presets, and Ctrl-C.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,20 +10,20 @@ use plant::bench::BenchConfig;
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
-/// From now on the first Ctrl-C asks the running command to end with what it has; the second ends the process.
+/// Makes the first Ctrl-C stop the running command, which keeps its results; the second ends the process.
 pub fn watch_for_ctrl_c() {
     let handler = || {
         if STOP.swap(true, Ordering::SeqCst) {
             std::process::exit(130);
         }
-        eprintln!("\nstopping with what there is; press Ctrl-C again to end at once");
+        eprintln!("\nstopping and keeping the results so far; press Ctrl-C again to end immediately");
     };
     if ctrlc::set_handler(handler).is_err() {
-        tracing::warn!("Ctrl-C will end the process at once: its signal cannot be caught here");
+        tracing::warn!("Ctrl-C will end the process without saving: its signal cannot be handled here");
     }
 }
 
-/// The flag that Ctrl-C sets.
+/// The flag set by Ctrl-C.
 pub fn stop() -> &'static AtomicBool {
     &STOP
 }
@@ -33,7 +33,7 @@ pub fn stopped() -> bool {
     STOP.load(Ordering::Relaxed)
 }
 
-/// Settings of others under one name; what is typed beside it has precedence.
+/// A named set of third-party settings; options on the command line take precedence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Preset {
     /// The paper's authors: 30 ms, PEEP 5 cmH2O, their exploration, PID and simulator
@@ -41,19 +41,19 @@ pub enum Preset {
     Paper30Ms,
 }
 
-/// Which bench.
+/// The choice of a bench.
 #[derive(Debug, clap::Args)]
 pub struct BenchArgs {
     /// Lung on the virtual bench: R and C as in R20C20, or a row of the test table as in iso-07
     #[arg(long, default_value = "R20C20", conflicts_with = "bench")]
     pub lung: String,
-    /// Bench from a TOML file that may set every parameter (`trainer inspect --bench R20C20` prints one)
+    /// Bench description in TOML, which can set every parameter (`trainer inspect --bench R20C20` prints one)
     #[arg(long, value_name = "FILE")]
     pub bench: Option<PathBuf>,
 }
 
 impl BenchArgs {
-    /// The benches meant: a preset may name several.
+    /// The chosen benches; one name can select several.
     pub fn benches(&self) -> anyhow::Result<Vec<BenchConfig>> {
         Ok(match &self.bench {
             Some(file) => vec![BenchConfig::load(file)?],
@@ -61,17 +61,17 @@ impl BenchArgs {
         })
     }
 
-    /// The one bench meant.
+    /// The chosen bench, which must be a single one.
     pub fn one(&self) -> anyhow::Result<BenchConfig> {
         let mut benches = self.benches()?;
         match benches.len() {
             1 => Ok(benches.remove(0)),
-            n => bail!("{} stands for {n} lungs, this command takes one: name it as in R20C20", self.lung),
+            n => bail!("{} selects {n} lungs, but this command needs one: name it as in R20C20", self.lung),
         }
     }
 }
 
-/// The benches of these files or, if there are none, the lungs of these names.
+/// The benches in these files or, if there are none, those of the named lungs.
 pub fn benches(lungs: &[String], files: &[PathBuf]) -> anyhow::Result<Vec<BenchConfig>> {
     let mut benches = Vec::new();
     for file in files {
@@ -85,17 +85,17 @@ pub fn benches(lungs: &[String], files: &[PathBuf]) -> anyhow::Result<Vec<BenchC
     Ok(benches)
 }
 
-/// Gains as typed: `P,I` or `P,I,D`.
+/// Parses gains: `P,I` or `P,I,D`.
 pub fn gains(text: &str) -> Result<PidGains, String> {
     let numbers: Vec<f32> = text
         .split(',')
         .map(|part| {
-            part.trim().parse().map_err(|_| format!("'{part}' is not a number; write P,I,D as in 2,30,0.01"))
+            part.trim().parse().map_err(|_| format!("'{part}' is not a number: write P,I,D as in 2,30,0.01"))
         })
         .collect::<Result<_, _>>()?;
     match numbers[..] {
         [p, i] => Ok(PidGains { p, i, d: 0.0 }),
         [p, i, d] => Ok(PidGains { p, i, d }),
-        _ => Err("write two or three gains, P,I,D as in 2,30,0.01".into()),
+        _ => Err("write two or three gains P,I,D, such as 2,30,0.01".into()),
     }
 }

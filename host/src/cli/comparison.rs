@@ -1,9 +1,9 @@
-//! The table of a learned controller beside its PID, waveform by waveform.
+//! The table that compares a learned controller with its PID, waveform by waveform.
 
 use judge::evaluate::{Comparison, Pair, Score};
 use show::report::{Cell, Table};
 
-/// A comparison as a table; the better score of each waveform is marked.
+/// A comparison as a table that marks the better score of each waveform.
 pub fn table(comparison: &Comparison, title: &str) -> Table {
     let mut table = Table::new(
         title,

@@ -1,4 +1,4 @@
-//! Which controller runs, and at which control period: gains, a file of a learned controller, or its image.
+//! The choice of a controller (gains, a learned controller's file, or its weights image) and its control period.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,16 @@ use super::{common, plant_args};
 use learn::controller::learned::Learned;
 use ventilator::SharedLink;
 
-/// Which controller.
+/// The choice of a controller.
 #[derive(Debug, clap::Args)]
 pub struct ControllerArgs {
-    /// A PID with these gains: percent per cmH2O, per cmH2O and second, per cmH2O/s [default: 3,30,0]
+    /// Gains P,I,D of a PID: percent per cmH2O, percent per cmH2O and second, percent per cmH2O/s [default: 3,30,0]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
     gains: Option<PidGains>,
-    /// A learned controller, as trained
+    /// A learned controller, as written by `trainer train`
     #[arg(long, value_name = "FILE", group = "which")]
     controller: Option<PathBuf>,
-    /// A learned controller, as packed for the chip
+    /// A weights image, as written by `trainer pack`
     #[arg(long, value_name = "FILE", group = "which")]
     weights: Option<PathBuf>,
     /// Control period, microseconds [default: 1000, or that of the learned controller or the plant]
@@ -29,35 +29,35 @@ pub struct ControllerArgs {
     period_us: Option<u32>,
 }
 
-/// A controller ready to run.
+/// A controller that is ready to run.
 #[derive(Clone, Debug)]
 pub struct Chosen {
     /// The controller.
     pub controller: Controller,
     /// Its control period, microseconds.
     pub period_us: u32,
-    /// The name of a learned one: its image's checksum in hex.
+    /// The id of a learned controller: its image's checksum in hexadecimal.
     pub weights_id: Option<String>,
-    /// The bytes of a learned one.
+    /// The weights image of a learned controller.
     pub image: Option<Vec<u8>>,
-    /// As printed: gains or file.
+    /// The name for output: gains or file.
     pub name: String,
 }
 
 impl Chosen {
-    /// Gains of the PID, or of the one under the residual.
+    /// Gains of the PID, or of the PID under the residual.
     pub fn gains(&self) -> PidGains {
         self.controller.pid().gains()
     }
 }
 
 impl ControllerArgs {
-    /// The controller meant, for a plant if it is one.
+    /// The chosen controller, built for `plant` if there is one.
     pub fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
         let chosen = self.built(plant)?;
         match plant_args::own_period_us(plant) {
             Some(own) if own != chosen.period_us => bail!(
-                "{} is trained for a control period of {} us, the plant's is {own} us: train one for the plant",
+                "{} is trained for a control period of {} us, but the plant's is {own} us: train a controller on the plant",
                 chosen.name,
                 chosen.period_us
             ),
@@ -86,7 +86,7 @@ impl ControllerArgs {
         let period_us = image.residual.spec().period_us;
         if let Some(asked) = self.period_us.filter(|asked| *asked != period_us) {
             bail!(
-                "{} is trained for a control period of {period_us} us, not {asked}: leave --period-us out",
+                "{} is trained for a control period of {period_us} us, not {asked}: omit --period-us",
                 file.display()
             );
         }
@@ -100,17 +100,17 @@ impl ControllerArgs {
     }
 }
 
-/// The bytes of a file.
+/// Reads a file.
 pub fn read(file: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))
 }
 
-/// The name of an image: its checksum in hex.
+/// The id of an image: its checksum in hexadecimal.
 pub fn image_id(id: u32) -> String {
     format!("{id:08x}")
 }
 
-/// Gains as they are typed.
+/// Formats gains as the command line accepts them.
 pub fn format_gains(gains: &PidGains) -> String {
     let PidGains { p, i, d } = gains;
     format!("{p},{i},{d}")

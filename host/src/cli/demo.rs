@@ -1,4 +1,4 @@
-//! `trainer demo`: the main job from end to end on one lung.
+//! `trainer demo`: the whole pipeline on one lung.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use judge::baselines::Search;
 use learn::pipeline::PipelineConfig;
 use study::demo::{DemoConfig, Venue, run as run_demo};
 
-/// Run the whole pipeline on one lung: search the best PID, record, fit, train, compare, report
+/// Run the whole pipeline on one lung and write a report: tune, record, fit, train, compare
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,29 +25,29 @@ Examples:
   trainer demo --period-us 30000 --out out/paper
   trainer demo --board qemu --out out/board
 
-With --board qemu breaths are recorded and compared by the real firmware in QEMU, the weights
-flashed over its link; the table is the same to the last bit. The images come from `cargo xtask
-firmware`, QEMU from `cargo xtask setup`.
+With --board qemu the real firmware in QEMU records and compares the breaths, and the weights are
+flashed over its link; the table is the same to the last bit. `cargo xtask firmware` builds the
+images, `cargo xtask setup` installs QEMU.
 
-Ctrl-C stops it; the same command goes on where it was. Scores are of the true airway pressure,
-which the bench knows; PID and learned controller meet the same noise, under seeds that neither
-tuning nor training has seen.")]
+Ctrl-C stops the demo; the same command continues where it stopped. Scores are computed from the
+true airway pressure, which the bench knows. The PID and the learned controller meet the same sensor
+noise, under seeds that neither tuning nor training has used.")]
 pub struct Args {
-    /// Folder to write summary.json, report.html, the recording, simulator, controller and weights image to
+    /// Folder for summary.json, report.html, the recording, simulator, controller and weights image
     #[arg(long, value_name = "DIR", default_value = "out/demo")]
     out: PathBuf,
     #[command(flatten)]
     bench: BenchArgs,
-    /// Rounds of collect, fit and train
+    /// Number of rounds of collect, fit and train
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
     rounds: usize,
     /// Control period, microseconds
     #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
     period_us: u32,
-    /// Seed of everything
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Let a board breathe instead of this process: `qemu` is the virtual one
+    /// Run the breaths on a board in place of this process: `qemu` is the virtual board
     #[cfg(unix)]
     #[arg(long, value_name = "BOARD")]
     board: Option<Board>,
@@ -58,7 +58,7 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// Boards to choose from.
+/// The boards to choose from.
 #[cfg(unix)]
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Board {
@@ -100,22 +100,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     ));
     if !summary.improved {
         args.output
-            .line("The residual did not beat its PID on the held-out simulator: the PID alone was kept.");
+            .line("The residual did not beat its PID on the held-out simulator, so the PID alone was kept.");
     }
     if !demo.outcome.complete {
-        args.output.line("Stopped early: this is the controller so far; the same command goes on from here.");
+        args.output.line("Stopped early: this is the controller so far. Run the command again to continue.");
     }
     args.output.finish(summary)
 }
 
 impl Args {
-    /// Where to breathe.
+    /// Where the breaths run.
     #[cfg(unix)]
     fn venue(&self) -> anyhow::Result<Venue> {
         let Some(Board::Qemu) = self.board else { return Ok(Venue::InProcess) };
         ensure!(
             self.period_us == DEFAULT_PERIOD_US,
-            "the firmware's control period is {DEFAULT_PERIOD_US} us; leave out --period-us with --board"
+            "the firmware's control period is {DEFAULT_PERIOD_US} us: omit --period-us with --board"
         );
         Ok(Venue::Board(self.images.board()))
     }

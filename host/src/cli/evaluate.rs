@@ -1,4 +1,4 @@
-//! `trainer evaluate`: scores of a controller on a bench, a learned one beside its PID.
+//! `trainer evaluate`: scores a controller; compares a learned one with its PID.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ use plant::bench::BenchConfig;
 use show::report::{Block, Plot, Report, Section, Series, Style};
 use ventilator::PlantSource;
 
-/// Score a controller on the bench, a learned one beside its PID under the same noise
+/// Compare controllers on any bench, device or plant, under the same sensor noise
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -32,14 +32,14 @@ Examples:
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
-The score is the mean absolute error over the inspiration, in cmH2O, of the true airway pressure,
-which only a bench knows; with --plant the true one if the plant tells it, with --port the
-measured one. A learned controller is compared with the PID underneath it, or with --against. On a
-device (--port) the weights are uploaded unless they run there already.")]
+The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
+from the true airway pressure; with --plant from the true pressure if the plant reports it; with
+--port from the measured pressure. A learned controller is compared with the PID underneath it, or
+with --against. On a device (--port), weights that are not running yet are uploaded first.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
-    /// PID to compare a learned controller with, in place of its own
+    /// Gains P,I,D of the PID to compare a learned controller with [default: the PID underneath it]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, conflicts_with = "gains")]
     against: Option<PidGains>,
     #[command(flatten)]
@@ -59,14 +59,14 @@ pub struct Args {
     /// Seed of the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Write figures and curves as an HTML report
+    /// Write figures and curves to an HTML report
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary {
     seed: u64,
@@ -87,12 +87,12 @@ struct Summary {
     comparison: Comparison,
 }
 
-/// What runs: the ventilator, the PID and the learned controller.
+/// The ventilator, the PID and the learned controller.
 struct Setup {
     ground: Box<dyn Ground>,
-    /// The bench, if it is one.
+    /// The bench, if the breaths run on one.
     bench: Option<BenchConfig>,
-    /// Which pressure is scored.
+    /// The pressure that is scored.
     pressure: &'static str,
     pid: Controller,
     chosen: Chosen,
@@ -113,8 +113,8 @@ impl Setup {
         };
         let pressure = match (&args.port.port, &plant) {
             (Some(_), _) => "measured airway pressure",
-            (None, Some(_)) => "airway pressure, the true one if the plant tells it",
-            (None, None) => "true airway pressure, which only the bench knows",
+            (None, Some(_)) => "airway pressure, the true one if the plant reports it",
+            (None, None) => "true airway pressure, known only to the bench",
         };
         let mut bench = None;
         let ground: Box<dyn Ground> = match (&args.port.port, plant) {
@@ -149,7 +149,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.ground.name(), setup.pressure);
     args.output.table(&table(&comparison, &title));
     if stopped() {
-        args.output.line("stopped: the waveforms run so far");
+        args.output.line("stopped: only the completed waveforms are shown");
     }
     args.output.report(args.report.as_ref(), || report(args, &setup, &comparison))?;
     args.output.finish(&Summary {

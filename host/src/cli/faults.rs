@@ -15,43 +15,43 @@ use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
 
-/// Break sensor, valves, tube and controller on the virtual bench: does the right monitor fire in time?
+/// Inject faults into sensors, valves, circuit and controller on the virtual bench, and check the alarms
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer faults
   trainer faults --lung R5C10 --json faults.json --html faults.html
-  trainer faults --without reading-frozen --lung R20C20     # what this monitor is there for
+  trainer faults --without reading-frozen --lung R20C20     # the rows that need this monitor
   trainer faults --mutate                                   # the same for each monitor
   trainer faults --nominal 10000                            # false alarms with effort and coughs
 
-A row passes if its monitors fire under every seed, the command to vent follows within 200 ms of a
-reading above the limit, and the true airway pressure stays under its bound. A row that fails makes
-the command fail.")]
+A row passes if its monitors fire under every seed, the venting command follows within 200 ms of a
+reading above the limit, and the true airway pressure stays below its bound. The command fails if a
+row fails.")]
 pub struct Args {
-    /// Lung as in R20C20, or `paper` for its nine lungs; may be repeated
+    /// Lung such as R20C20, or `paper` for its nine lungs; repeatable
     #[arg(long, value_name = "NAME", default_value = "paper")]
     lung: Vec<String>,
-    /// Seeds of the noise
+    /// Seeds of the sensor noise
     #[arg(long, value_name = "N,..", value_delimiter = ',', default_values_t = [1, 2])]
     seeds: Vec<u64>,
-    /// Leave out this monitor
+    /// Switch off this monitor
     #[arg(long, value_name = "ID")]
     without: Option<String>,
-    /// Leave out each monitor in turn and demand that a row fails
+    /// Switch off each monitor in turn and require at least one row to fail
     #[arg(long, conflicts_with = "without")]
     mutate: bool,
-    /// Breathe so many breaths with nothing wrong, and demand that no alarm comes
+    /// Run this many breaths without a fault and require that no alarm occurs
     #[arg(long, value_name = "BREATHS", conflicts_with_all = ["without", "mutate"])]
     nominal: Option<u32>,
-    /// Write the matrix as a page
+    /// Write the matrix as an HTML page
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary {
     rows: Vec<FaultRow>,
@@ -86,7 +86,7 @@ fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
 
 fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
     let found = with_bars(|progress| without_each_monitor(lungs, &args.seeds, progress))?;
-    let mut table = Table::new("What fails without a monitor", &["without", "rows that fail"]);
+    let mut table = Table::new("Rows that fail without a monitor", &["without", "rows that fail"]);
     for (monitor, failed) in &found {
         table.row(vec![Cell::text(monitor.alarm().id), Cell::text(failed.join("; "))]);
     }
@@ -94,7 +94,7 @@ fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
         found.iter().filter(|(_, failed)| failed.is_empty()).map(|(monitor, _)| monitor.alarm().id).collect();
     args.output.table(&table);
     if !unnoticed.is_empty() {
-        bail!("nothing fails without {}: a monitor that nobody misses proves nothing", unnoticed.join(", "));
+        bail!("no row fails without {}: add a fault that needs the monitor", unnoticed.join(", "));
     }
     Ok(())
 }
@@ -115,14 +115,14 @@ fn named(id: &str) -> anyhow::Result<Fault> {
     let found = ALARMS.iter().find(|alarm| alarm.id == id).map(|alarm| alarm.fault);
     found.ok_or_else(|| {
         let all: Vec<&str> = ALARMS.iter().map(|alarm| alarm.id).collect();
-        anyhow!("no monitor is called {id}: there are {}", all.join(", "))
+        anyhow!("there is no monitor {id}; the monitors are {}", all.join(", "))
     })
 }
 
 fn table(rows: &[FaultRow]) -> Table {
     let mut table = Table::new(
         "Faults; times in ms, pressures in cmH2O",
-        &["fault", "lung", "monitor", "found", "action", "peak", "allowed", "back at PEEP", "pass"],
+        &["fault", "lung", "monitor", "detected", "action", "peak", "allowed", "back at PEEP", "pass"],
     );
     let time = |ms: Option<u32>| ms.map_or_else(|| Cell::right("-"), |ms| Cell::right(ms.to_string()));
     for row in rows {
@@ -150,7 +150,7 @@ fn table(rows: &[FaultRow]) -> Table {
 
 fn report(table: Table) -> Report {
     Report {
-        title: "Faults and the monitors that find them".into(),
+        title: "Faults and the monitors that detect them".into(),
         subtitle: "Every fault on every lung of the virtual bench, alarm limit at 40 cmH2O.".into(),
         sections: vec![Section {
             heading: "Matrix".into(),

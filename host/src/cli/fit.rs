@@ -1,4 +1,4 @@
-//! `trainer fit`: learns a simulator from recordings and judges it on breaths held out.
+//! `trainer fit`: learns a simulator from recordings and scores it on held-out breaths.
 
 mod report;
 #[cfg(test)]
@@ -30,24 +30,25 @@ Examples:
   trainer fit --data slow.parquet --out paper.safetensors --preset paper-30ms
   trainer fit --data air.parquet --hold-out-lung 5:20 --hold-out-lung 50:20 --json -
 
-The open-loop distance replays recorded commands from rest, without pressure feedback: the mean
-absolute error over the inspiration. Ctrl-C ends the fit and saves the simulator as it is.
+The open-loop distance is the mean absolute error over the inspiration when recorded commands are
+replayed from rest, without pressure feedback. Ctrl-C ends the fit and saves the simulator trained
+so far.
 
 A recording that names R and C of its lungs gets one simulator for all of them; --hold-out-lung
-keeps a lung out of the fit, to judge the simulator on a lung it has never seen. Where the recording
+keeps a lung out of the fit, to score the simulator on a lung it has never seen. If the recording
 has flows, the same breaths are also predicted by classical identification, from the measured flow.")]
 pub struct Args {
-    /// Recordings of one ventilator; several are joined
+    /// Recordings of one ventilator; several files are joined
     #[arg(long, value_name = "FILE.parquet", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
     /// File to write the simulator to
     #[arg(long, value_name = "FILE.safetensors")]
     out: Option<PathBuf>,
-    /// Another's setting, which the recording must be of: paper-30ms is that of the paper's authors
+    /// Use third-party settings, which the recording must match: paper-30ms is those of the paper's authors
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
     preset: Option<Preset>,
-    /// Our state-space model or our hybrid of a learned ventilator and a lung of known R and C, both trained on whole
-    /// breaths open loop, or the stitched networks of the paper's authors, trained on single steps of about 30 ms
+    /// Model: `state-space`, or `hybrid` (a learned ventilator with a lung of known R and C), both trained open loop on
+    /// whole breaths; or `stitched`, the networks of the paper's authors, trained on single steps of about 30 ms
     /// [default: hybrid if the recording names R and C, else state-space; or that of the preset]
     #[arg(long, value_enum)]
     architecture: Option<Kind>,
@@ -57,32 +58,32 @@ pub struct Args {
     /// Breaths per gradient step [default: 16, or 64 for stitched]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     batch: Option<u16>,
-    /// State-space, hybrid: states [default: 16, or 8 for hybrid]
+    /// State-space and hybrid: number of states [default: 16, or 8 for hybrid]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     states: Option<u16>,
-    /// State-space, hybrid: hidden units [default: 64, or 24 for hybrid]
+    /// State-space and hybrid: number of hidden units [default: 64, or 24 for hybrid]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=512))]
     hidden: Option<u16>,
-    /// State-space, hybrid: blocks of past commands that a step sees [default: 4, or 8 for hybrid]
+    /// State-space and hybrid: number of past command blocks that a step sees [default: 4, or 8 for hybrid]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     history: Option<u16>,
-    /// Every N-th breath of each lung or test run is held out of the fit, to judge it
+    /// Hold out every N-th breath of each lung or test run from the fit, to score it
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..))]
     hold_out: u16,
-    /// Hold out every breath of the lung with this nominal resistance and compliance; may be given several times
+    /// Hold out every breath of the lung with this nominal resistance and compliance; repeatable
     #[arg(long, value_name = "R:C")]
     hold_out_lung: Vec<LungParameters>,
-    /// Seed of initial parameters and order
+    /// Seed of the initial parameters and the order of breaths
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Write curves and held-out predictions as an HTML report
+    /// Write curves and held-out predictions to an HTML report
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// Kinds of models.
+/// The kinds of models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
     StateSpace,
@@ -150,12 +151,12 @@ fn load(files: &[PathBuf]) -> anyhow::Result<Recording> {
         let more = Recording::load(file)?;
         recording
             .append(&more)
-            .with_context(|| format!("{} does not fit {}", file.display(), first.display()))?;
+            .with_context(|| format!("cannot join {} to {}", file.display(), first.display()))?;
     }
     Ok(recording)
 }
 
-/// What the table does not say.
+/// Notes below the table.
 fn remarks(summary: &FitSummary) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(classical) = summary.classical_open_loop {
@@ -166,14 +167,14 @@ fn remarks(summary: &FitSummary) -> Vec<String> {
     let rises: Vec<_> = summary.response.iter().map(|rise| format!("{rise:+.2}")).collect();
     let times: Vec<_> = RESPONSE_S.iter().map(|time| format!("{time} s")).collect();
     lines.push(format!(
-        "five percent more command changes the predicted pressure by {} cmH2O at {}",
+        "a command 5 percentage points higher changes the predicted pressure by {} cmH2O at {}",
         rises.join(", "),
         times.join(", ")
     ));
     if summary.response.iter().any(|rise| *rise <= 0.0) {
         lines.push(
-            "a pressure that does not rise with the command was read from it: the controller of the recording told \
-             the simulator, which is no use for another controller (docs/RECORDINGS.md)"
+            "a predicted pressure that does not rise with the command was learned from the recording's controller: \
+             the simulator is of no use for another controller (docs/RECORDINGS.md)"
                 .to_owned(),
         );
     }

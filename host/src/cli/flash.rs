@@ -1,4 +1,4 @@
-//! `trainer flash`: brings weights onto a device, over its link, or the firmware, by a debug probe.
+//! `trainer flash`: writes weights to a device over its link, or the firmware through a debug probe.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,10 +14,10 @@ use super::output::OutputArgs;
 use device::Device;
 use device::port::Address;
 
-/// Chip of the main board, as the probe's software names it.
+/// The main board's chip, as probe-rs names it.
 const CHIP: &str = "STM32F405RG";
 
-/// Bring learned weights (or, with --firmware, the firmware) onto a device
+/// Write weights to a device over its link, or the firmware through a debug probe (--firmware)
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,30 +25,30 @@ Examples:
   trainer flash weights.bin --port tcp:localhost:5555 --no-reset
   trainer flash --firmware target/firmware/board.elf
 
-Weights go into the slot that does not run, are read back, and run after a restart; until then,
-and if anything goes wrong, the old ones stay. An upload that was broken off goes on where it was.
-A device that ventilates refuses. The firmware is loaded through probe-rs and a debug probe.")]
+Weights go into the slot that is not running, are read back, and run after a restart. Until then,
+and if anything goes wrong, the old weights stay. An interrupted upload continues where it stopped.
+A device that is ventilating refuses an upload. The firmware is loaded with probe-rs.")]
 pub struct Args {
-    /// Weights, as packed by `trainer pack`
+    /// Weights image, as written by `trainer pack`
     #[arg(value_name = "weights.bin", required_unless_present = "firmware", requires = "port")]
     weights: Option<PathBuf>,
-    /// The device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Option<Address>,
-    /// Store the weights, but let the old ones run until the next restart
+    /// Store the weights, but keep the old ones running until the next restart
     #[arg(long)]
     no_reset: bool,
-    /// Firmware image to load by the debug probe
+    /// Firmware image to load through the debug probe
     #[arg(long, value_name = "FILE.elf", conflicts_with_all = ["weights", "port"])]
     firmware: Option<PathBuf>,
-    /// Chip that the firmware is for
+    /// The chip that the firmware is built for
     #[arg(long, value_name = "NAME", default_value = CHIP, requires = "firmware")]
     chip: String,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary {
     weights_id: String,
@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     match (&args.weights, &args.port, &args.firmware) {
         (Some(weights), Some(port), _) => flash_weights(args, weights, port),
         (_, _, Some(firmware)) => flash_firmware(firmware, &args.chip),
-        _ => bail!("give weights and a port, or --firmware"),
+        _ => bail!("give a weights file and --port, or --firmware"),
     }
 }
 
@@ -74,23 +74,23 @@ fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()>
     args.output.line(&format!("weights {id} are stored and verified in slot {:?}", uploaded.slot));
     let mut summary = Summary { weights_id: id.clone(), slot: uploaded.slot, running: None };
     if args.no_reset {
-        args.output.line("they run after the next restart");
+        args.output.line("the new weights run after the next restart");
     } else {
         summary.running = device.restart()?.running_id().map(image_id);
         let running = summary.running.as_deref().unwrap_or("no weights");
         if running != id {
             bail!(
-                "after the restart the device runs {running}; look at it with: trainer identify --port {port}"
+                "after the restart the device runs {running}; check it with: trainer identify --port {port}"
             );
         }
-        args.output.line("restarted: they run now");
+        args.output.line("restarted: the new weights run now");
     }
     args.output.finish(&summary)
 }
 
 fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {
     if !image.exists() {
-        bail!("there is no {}; build it with: cargo xtask firmware", image.display());
+        bail!("{} does not exist; build it with: cargo xtask firmware", image.display());
     }
     let status =
         match Command::new("probe-rs").args(["download", "--verify", "--chip", chip]).arg(image).status() {
@@ -101,8 +101,8 @@ fn flash_firmware(image: &Path, chip: &str) -> anyhow::Result<()> {
             Err(error) => return Err(error).context("cannot run probe-rs"),
         };
     if !status.success() {
-        bail!("probe-rs failed, as it says above; is the probe plugged in and the board powered?");
+        bail!("probe-rs failed (see above): check that the probe is plugged in and the board powered");
     }
-    println!("loaded and verified; press the board's reset, or switch it off and on");
+    println!("loaded and verified; press the board's reset button, or switch it off and on");
     Ok(())
 }

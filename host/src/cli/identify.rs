@@ -1,4 +1,4 @@
-//! `trainer identify`: who is at a port, or which lung is in a recording.
+//! `trainer identify`: identifies the connected device, or the lungs in a recording.
 
 mod connected;
 mod lung;
@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use super::output::OutputArgs;
 use device::port::Address;
 
-/// Ask a device who it is, or find out what a recorded lung is
+/// Identify the connected device, or the lungs in a recording
 #[derive(Debug, clap::Args)]
 #[command(
     group = clap::ArgGroup::new("subject").required(true).args(["port", "data"]),
@@ -19,16 +19,17 @@ Examples:
   trainer identify --data air.parquet --report lungs.html
   trainer identify --data air.parquet --group CT_AIR:5 --write-plant lung.toml
 
-With --port: who the device is, what it runs and which weights it holds. Nothing on it is
-changed; one that ventilates goes on.
+With --port: prints the device's identity, its firmware and the weights it contains. Nothing on the
+device changes; ventilation continues.
 
-With --data: compliance C, resistance R and its turbulent part R2 of every lung in a recording
-that has flows, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths, with 95 %
-intervals from the spread of the breaths. Drift of the flow sensors is taken out: what went in
-comes out again. 'Behind the circuit' takes out what the tubes take, too."
+With --data: estimates compliance C, resistance R and turbulent resistance R2 of every lung in a
+recording with flows, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths. The 95 %
+intervals come from the spread between breaths. Drift of the flow sensors is removed by assuming
+that the inspired volume is expired again. 'Behind the circuit' also removes the volume taken up by
+the tubes."
 )]
 pub struct Args {
-    /// A device: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Option<Address>,
     /// A recording with flows
@@ -40,16 +41,16 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// What goes with `--data`.
+/// Options that belong to `--data`.
 #[derive(Debug, clap::Args)]
 struct LungArgs {
-    /// This lung alone: a group of the recording, as the table names it
+    /// Identify only this lung: a group of the recording, as the table names it
     #[arg(long, value_name = "NAME", conflicts_with = "port")]
     group: Option<String>,
-    /// Write a bench with this lung, its circuit and its pressure sensor, for --bench of other commands
+    /// Write a bench description with this lung, its circuit and its pressure sensor, for --bench of other commands
     #[arg(long, value_name = "FILE.toml", conflicts_with = "port")]
     write_plant: Option<PathBuf>,
-    /// Write estimates and fitted breaths as an HTML report
+    /// Write estimates and fitted breaths to an HTML report
     #[arg(long, value_name = "FILE.html", conflicts_with = "port")]
     report: Option<PathBuf>,
 }

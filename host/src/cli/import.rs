@@ -1,4 +1,4 @@
-//! `trainer import`: recordings from tables measured elsewhere.
+//! `trainer import`: converts third-party recordings.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use super::bars::with_bars;
 use super::output::OutputArgs;
 use data::import::map::ColumnMap;
 
-/// Make a recording from tables measured elsewhere
+/// Convert third-party recordings
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -18,7 +18,7 @@ Examples:
   trainer import csv measured.csv --map columns.toml --out measured.parquet
   trainer import respiraworks --help
 
-Units are converted, gaps and rows that belong to no breath are counted, and the summary tells
+Units are converted. Gaps, and rows that belong to no breath, are counted. The summary reports
 rates, ranges, quantum, noise and the share of saturated rows (docs/RECORDINGS.md).")]
 pub struct Args {
     #[command(subcommand)]
@@ -28,32 +28,32 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum From {
     #[command(
-        about = "The RespiraWorks ventilator's test runs: 100 Hz, blower, test lung",
+        about = "Convert test runs of the RespiraWorks ventilator: 100 Hz, blower, test lung",
         after_help = "\
 Examples:
   trainer import respiraworks CT_AIR.csv --out ct-air.parquet
   trainer import respiraworks CT_AIR.csv NPV_AIR.csv --out air.parquet --json -"
     )]
     Respiraworks(FileArgs),
-    /// The layout of the Kaggle competition 'Ventilator Pressure Prediction'
+    /// Convert the layout of the Kaggle competition 'Ventilator Pressure Prediction'
     #[command(after_help = "\
 Examples:
   trainer import kaggle train.csv --out kaggle.parquet
   trainer import kaggle train.csv --out kaggle.parquet --json summary.json
 
-Columns breath_id, R, C, time_step, u_in, u_out and pressure. The uneven time steps of every breath
-are put on an even grid of their median. The file is streamed: six million rows need less than 1 GiB.")]
+Columns: breath_id, R, C, time_step, u_in, u_out and pressure. Every breath's uneven time steps are
+put on an even grid of their median. The file is streamed: six million rows need less than 1 GiB.")]
     Kaggle(FileArgs),
     Csv(CsvArgs),
 }
 
-/// Any table, with a column map that says which column is what, in which unit
+/// Convert any table, with a column map that names the columns and their units
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer import csv measured.csv --map columns.toml --out measured.parquet
 
-The least column map, for a table with time in ms, pressure in hPa and valve commands from 0 to 1:
+A minimal column map, for a table with time in ms, pressure in hPa and valve commands of 0 to 1:
 
   [time]
   column = \"t\"
@@ -68,16 +68,16 @@ The least column map, for a table with time in ms, pressure in hPa and valve com
   column = \"exhale\"
   unit = \"share\"
 
-docs/RECORDINGS.md has every name and unit.")]
+docs/RECORDINGS.md lists all names and units.")]
 struct CsvArgs {
-    /// Which column is what
+    /// Column map (TOML): names and units of the table's columns
     #[arg(long, value_name = "COLUMNS.toml")]
     map: PathBuf,
     #[command(flatten)]
     files: FileArgs,
 }
 
-/// What goes in and what comes out.
+/// Input and output files.
 #[derive(Debug, clap::Args)]
 struct FileArgs {
     /// Tables to join, in this order

@@ -1,4 +1,4 @@
-//! `trainer inspect`: what is in a file, told by its content.
+//! `trainer inspect`: shows what a file contains.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
 use show::report::{Cell, Table};
 
-/// Show what is in a recording, a simulator, a controller or a weights image
+/// Show what a recording, simulator, controller or weights image contains
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,17 +25,17 @@ Examples:
   trainer inspect first.parquet --json -
   trainer inspect --bench R20C20 > bench.toml")]
 pub struct Args {
-    /// Any file that the trainer makes
+    /// Any file that the trainer writes
     #[arg(value_name = "FILE", required_unless_present = "bench")]
     file: Option<PathBuf>,
-    /// Print the description of a lung's bench, to be changed and given to --bench of other commands
+    /// Print the description of a lung's bench (TOML), to edit and pass to --bench of other commands
     #[arg(long, value_name = "LUNG", conflicts_with = "file")]
     bench: Option<String>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// Name and value of everything worth knowing, in order.
+/// Names and values, in the order in which they are shown.
 type Facts = Vec<(&'static str, Value)>;
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.output.finish(&facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect::<Value>())
 }
 
-/// Reads a file as what it says it is: by its first bytes, or, where they are damaged, by its name.
+/// Describes a file by the format in its first bytes or, if those are damaged, by its name's extension.
 fn facts(file: &Path) -> anyhow::Result<Facts> {
     let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     let named = |extension| file.extension().is_some_and(|found| found == extension);
@@ -63,7 +63,7 @@ fn facts(file: &Path) -> anyhow::Result<Facts> {
     match tensors::kind(file)?.as_str() {
         learn::simulator::model::KIND => simulator(&Simulator::load(file)?),
         learn::controller::learned::KIND => learned(&Learned::load(file)?),
-        other => bail!("{} holds {other}, which this version does not know", file.display()),
+        other => bail!("{} contains {other}, unknown to this version: update the trainer", file.display()),
     }
 }
 
@@ -166,7 +166,7 @@ fn row(name: &str, value: &Value) -> Vec<Cell> {
     vec![Cell::text(name), Cell::text(text)]
 }
 
-/// A fixed field of the image as text.
+/// A fixed-length field of the image as text.
 fn label(field: &[u8]) -> String {
     String::from_utf8_lossy(field).trim_end_matches('\0').to_owned()
 }

@@ -1,7 +1,7 @@
-//! The `trainer` command line: one file per command, `common` for what they share.
+//! The `trainer` command line: one file per command, and `common` for shared arguments.
 //!
-//! Each command reads its arguments, calls the library, prints a table and writes what was asked for. Whatever a
-//! command computes is the library's; nothing is computed here.
+//! Each command reads its arguments, calls the library, prints a table and writes the requested files. All computation
+//! is in the library.
 
 mod bars;
 mod blackbox;
@@ -72,12 +72,12 @@ enum Command {
     Blackbox(blackbox::Args),
 }
 
-/// Environment variable of the log's level.
+/// Environment variable that sets the log level.
 const LOG_VARIABLE: &str = "EUPNEA_LOG";
-/// Exit code of a command that Ctrl-C ended early, as shells expect it; what it had is saved.
+/// Exit code of a command that Ctrl-C ended early, as shells expect it; its results so far are saved.
 const INTERRUPTED: u8 = 130;
 
-/// Runs the command of the process's arguments and tells how it went.
+/// Runs the command given by the process's arguments and returns its exit code.
 pub fn run() -> ExitCode {
     log_to_standard_error();
     common::watch_for_ctrl_c();
@@ -122,7 +122,7 @@ fn log_to_standard_error() {
     tracing_subscriber::registry().with(lines.with_filter(targets)).init();
 }
 
-/// An error and its causes; many errors quote their cause already, which is then not said twice.
+/// An error and its causes, without a cause that the error's text already quotes.
 fn message(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain().map(ToString::to_string) {

@@ -1,4 +1,4 @@
-//! `trainer monitor`: shows what a device is doing, and lets an operator start, stop and set it.
+//! `trainer monitor`: shows a device's state, and lets an operator start, stop and set it.
 
 use std::io::{IsTerminal, Write, stdout};
 use std::time::Duration;
@@ -22,7 +22,7 @@ use show::monitor::view::View;
 use show::monitor::{terminal, words};
 use show::report::{Cell, Table};
 
-/// Watch a device: pressure, valves, breaths, alarms, tick times; start, stop and set it by keys
+/// Show a device's pressure, breaths, alarms and tick times; start, stop and set it by keys
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -31,38 +31,37 @@ Examples:
   trainer monitor --port COM3 --once --json -
 
 Keys: space starts and stops, a acknowledges a fault, up and down change PIP, left and right the
-rate, p changes between PID and learned weights, q leaves. Nothing is sent to the device but
-telemetry on and what a key asks; whoever leaves leaves the device as it is, and one that
-ventilates goes on.")]
+rate, p switches between PID and learned weights, q quits. The monitor sends only the request for
+telemetry and what a key asks for. Quitting leaves the device as it is; ventilation continues.")]
 pub struct Args {
-    /// Where the device is: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
     port: Address,
-    /// Write lines in place of pictures; so does an output that is no terminal
+    /// Write lines in place of charts; automatic if the output is not a terminal
     #[arg(long, conflicts_with = "once")]
     plain: bool,
-    /// Tell what the device is doing, and end
+    /// Print the device's state once and exit
     #[arg(long)]
     once: bool,
-    /// Gains that p gives to a device that runs learned weights, unless it has named its own
+    /// PID gains P,I,D for the key p on a device that has reported none of its own
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&KNOWN_GOOD))]
     gains: PidGains,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// How long the line output waits for news before it looks whether to stop.
+/// How long the line output waits for an event before it checks whether to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.output.json.is_some() && !args.once {
-        bail!("--json tells the state once: give --once as well, or leave --json out");
+        bail!("--json writes the state once: add --once, or omit --json");
     }
     let mut device = Device::connect(&args.port)?;
     if args.once {
         return once(args, &mut device);
     }
-    // Whoever cannot be greeted is told now, as by any other command; later a lost device is waited for.
+    // Report a device that does not answer immediately; later, wait for a lost device to return.
     device.identify()?;
     let session = Session::start(device);
     if args.plain || !stdout().is_terminal() {
@@ -77,7 +76,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(shown?)
 }
 
-/// Writes lines until Ctrl-C, or until nobody reads them any more.
+/// Writes lines until Ctrl-C, or until the reader closes the output.
 fn write_lines(session: &Session) {
     let mut lines = Lines::default();
     while !stopped() {
@@ -89,7 +88,7 @@ fn write_lines(session: &Session) {
     }
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct State {
     port: String,
@@ -115,7 +114,7 @@ fn table(state: &State) -> Table {
     let us = |cycles: f32| format!("{:.1} us", ticks.microseconds(cycles));
     let mut table = Table::new("", &["device", &state.port]);
     let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
-    row("is", words::identity(identity));
+    row("type", words::identity(identity));
     row("started by", words::reset(identity.reset).to_owned());
     row("mode", words::mode(identity.mode));
     row("controller", words::controller(identity.controller));

@@ -1,4 +1,4 @@
-//! Where results go: tables to the terminal, JSON to a file or to standard output, which it then has to itself.
+//! Output of results: tables to the terminal, JSON to a file or to standard output, which then contains only JSON.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,34 +9,34 @@ use serde::Serialize;
 use data::files::write_atomically;
 use show::report::{Report, Table};
 
-/// How results are given out.
+/// Output options.
 #[derive(Debug, clap::Args)]
 pub struct OutputArgs {
-    /// Write the results as JSON; '-' writes them to standard output, and nothing else
+    /// Write the results as JSON to this file; '-' writes them, and nothing else, to standard output
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
 impl OutputArgs {
-    /// Prints a table, unless standard output belongs to the JSON.
+    /// Prints a table, unless JSON goes to standard output.
     pub fn table(&self, table: &Table) {
         self.line(&format!("{}\n", table.to_terminal()));
     }
 
-    /// Prints a line, unless standard output belongs to the JSON.
+    /// Prints a line, unless JSON goes to standard output.
     pub fn line(&self, text: &str) {
         if self.json.as_deref() != Some(Path::new("-")) {
-            // A reader that has gone (`| head`) is no reason to stop: files are still to be written.
+            // A closed reader (`| head`) is no reason to stop: files are still to be written.
             let _ = writeln!(std::io::stdout(), "{text}");
         }
     }
 
-    /// Says that a file is written.
+    /// Reports that a file was written.
     pub fn saved(&self, path: &Path) {
         self.line(&format!("saved {}", path.display()));
     }
 
-    /// Writes a report, if it was asked for.
+    /// Writes a report, if requested.
     pub fn report(
         &self,
         path: Option<&PathBuf>,
@@ -48,7 +48,7 @@ impl OutputArgs {
         Ok(())
     }
 
-    /// Writes the JSON, if it was asked for.
+    /// Writes the JSON, if requested.
     pub fn finish(&self, results: &impl Serialize) -> anyhow::Result<()> {
         match &self.json {
             Some(path) => write_json(path, results),
@@ -66,7 +66,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
     write(path, text.as_bytes())
 }
 
-/// Writes a file, all or nothing.
+/// Writes a file atomically.
 pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     write_atomically(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

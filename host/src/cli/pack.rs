@@ -1,4 +1,4 @@
-//! `trainer pack`: the weights image of a learned controller.
+//! `trainer pack`: writes a learned controller's weights image.
 
 use std::path::PathBuf;
 
@@ -9,16 +9,16 @@ use super::controller_args::image_id;
 use super::output::{OutputArgs, write};
 use learn::controller::learned::Learned;
 
-/// Pack a learned controller as the weights image that the chip takes
+/// Pack a learned controller into the weights image for the chip
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   trainer pack controller.safetensors --out weights.bin
   trainer pack controller.safetensors --out weights.bin --json -
 
-The image is read back and its controller run once before it is written.")]
+Before the image is written it is read back, and its controller runs once as a check.")]
 pub struct Args {
-    /// The controller, as trained
+    /// The controller, as written by `trainer train`
     #[arg(value_name = "CONTROLLER.safetensors")]
     controller: PathBuf,
     /// File to write the image to
@@ -28,7 +28,7 @@ pub struct Args {
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary {
     id: String,

@@ -1,4 +1,4 @@
-//! A device at a port in the place of the bench.
+//! A device at a port in place of the bench.
 
 use anyhow::{Context, bail};
 
@@ -7,7 +7,7 @@ use device::Device;
 use device::port::Address;
 use ventilator::PortSource;
 
-/// Which device.
+/// The choice of a device.
 #[derive(Debug, clap::Args)]
 pub struct PortArgs {
     /// A device in place of the bench: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
@@ -15,7 +15,7 @@ pub struct PortArgs {
     pub port: Option<Address>,
 }
 
-/// The device at an address as a source for a controller; with hardware in the loop its plant starts with `seed`.
+/// The device at an address as a source for a controller; with hardware in the loop, its plant starts with `seed`.
 pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<PortSource> {
     let device = Device::connect(address)?;
     let mut source = PortSource::new(device, seed).with_context(|| format!("cannot use {address}"))?;
@@ -23,7 +23,7 @@ pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<P
     if device_us != chosen.period_us {
         let asked = chosen.period_us;
         bail!(
-            "the device's control period is {device_us} us, the controller's {asked} us: train one for the device"
+            "the device's control period is {device_us} us, but the controller's is {asked} us: train a controller for the device"
         );
     }
     if let Some(image) = &chosen.image {

@@ -1,4 +1,4 @@
-//! `trainer qemu`: the virtual board, for a person or a program to connect to.
+//! `trainer qemu`: runs the virtual board and lets a client connect to it.
 
 use std::path::PathBuf;
 use std::thread::sleep;
@@ -12,7 +12,7 @@ use plant::bench::BenchPlant;
 
 /// Control period of the board.
 const PERIOD: Duration = Duration::from_millis(1);
-/// How often it is looked whether the board still runs.
+/// Interval of the checks whether the board still runs.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Run the real firmware on a virtual board: QEMU with the virtual bench as its lung
@@ -23,28 +23,28 @@ Examples:
   trainer qemu --listen 5555 --lung R50C10 --folder board   (keeps the weights in flash)
   trainer monitor --port tcp:localhost:5555                (in another terminal)
 
-The images come from `cargo xtask firmware`, QEMU from `cargo xtask setup`. Time runs as on a real
-board; with --fast it runs as fast as the machine allows. Ctrl-C switches the board off.")]
+`cargo xtask firmware` builds the images, `cargo xtask setup` installs QEMU. Time runs as on a real
+board; with --fast it runs as fast as the host allows. Ctrl-C switches the board off.")]
 pub struct Args {
-    /// TCP port for the device's link; 0 takes any that is free
+    /// TCP port for the device's link; 0 picks a free port
     #[arg(long, value_name = "PORT", default_value_t = 0)]
     listen: u16,
     #[command(flatten)]
     bench: BenchArgs,
-    /// Folder that keeps the board's flash from run to run [default: erased at every start]
+    /// Folder that keeps the board's flash between runs [default: flash erased at every start]
     #[arg(long, value_name = "FOLDER")]
     folder: Option<PathBuf>,
-    /// Do not wait for real time
+    /// Run as fast as possible, not in real time
     #[arg(long)]
     fast: bool,
     #[command(flatten)]
     images: ImageArgs,
 }
 
-/// Where the images are.
+/// The location of the firmware images.
 #[derive(Debug, clap::Args)]
 pub struct ImageArgs {
-    /// Folder of the firmware's images
+    /// Folder with the firmware images
     #[arg(long, value_name = "FOLDER", default_value = "target/firmware")]
     images: PathBuf,
 }
@@ -66,10 +66,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         Emulator::start(config, Paced::new(plant, PERIOD))?
     };
-    println!("the board breathes {}; connect to it with --port tcp:{}", bench.name, board.address());
+    println!("the board ventilates {}; connect to it with --port tcp:{}", bench.name, board.address());
     while !stopped() {
         if let Some(status) = board.exit_status()? {
-            bail!("QEMU ended, {status}: {}", board.log());
+            bail!("QEMU ended with {status}: {}", board.log());
         }
         sleep(LOOK);
     }

@@ -1,4 +1,4 @@
-//! `trainer reproduce`: the paper's experiments, with a report.
+//! `trainer reproduce`: runs the paper's experiments and writes a report.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use super::output::OutputArgs;
 use plant::bench::BenchConfig;
 use study::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
 
-/// Run the paper's experiments on the virtual bench and write one report
+/// Run the paper's experiments on nine lungs of the virtual bench and write a report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -17,20 +17,20 @@ Examples:
   trainer reproduce --seed 1 --out out/paper
   trainer reproduce --only unseen --only iso --out out/paper
 
-Each experiment keeps its result in the folder and finds there what others have left, so that
-Ctrl-C loses nothing: the same command goes on. results.json has all figures; report.html and
+Each experiment keeps its result in the folder and reuses the results it finds there, so Ctrl-C
+loses nothing: the same command continues. results.json contains all figures; report.html and
 results.md show them.")]
 pub struct Args {
-    /// Folder of all results
+    /// Folder for all results
     #[arg(long, value_name = "DIR", default_value = "out/reproduce")]
     out: PathBuf,
-    /// Spend less: the same order of results in a few minutes
+    /// Run shorter versions of the experiments: the same trends in a few minutes
     #[arg(long)]
     quick: bool,
-    /// This experiment and those it needs; may be repeated [default: all]
+    /// Run only this experiment and those it needs; repeatable [default: all]
     #[arg(long, value_name = "NAME")]
     only: Vec<Experiment>,
-    /// Seed of everything
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]

@@ -1,12 +1,12 @@
 //! The ventilator's settings as flags: one per field of the schema, with its unit, bounds and default.
 //!
-//! Flags are built from [`TEMPLATE_FIELDS`], so that a new setting appears here by itself. PIP is none of them: commands
-//! run several waveforms and take a list.
+//! The flags are built from [`TEMPLATE_FIELDS`], so a new setting appears here automatically. PIP is excluded: commands
+//! that run several waveforms take a list of PIPs.
 
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use shared::settings::{Field, Settings, SettingsError, TEMPLATE_FIELDS};
 
-/// All settings but PIP, as typed.
+/// All settings except PIP, as typed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SettingsArgs {
     settings: Settings,
@@ -47,7 +47,7 @@ impl FromArgMatches for SettingsArgs {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let typed =
             |field: &Field| Some((field.name.to_owned(), (*matches.get_one::<f32>(field.name)?).into()));
-        // A number that JSON cannot hold becomes null, which is refused as no number.
+        // JSON turns a number it cannot represent into null, which the schema refuses as not a number.
         let values: serde_json::Map<_, _> = TEMPLATE_FIELDS.iter().filter_map(typed).collect();
         let settings = serde_json::from_value(values.into());
         let refused =
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn the_help_gives_bounds_and_default() {
         let mut command = Line::augment_args(Command::new("test"));
-        // Lines break where the terminal's width wants them to.
+        // The terminal's width determines the line breaks.
         let help = command.render_help().to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(help.contains("--pressure-limit") && help.contains("15 to 70 cmH2O"), "{help}");
         assert!(help.contains("[default: 60]"), "{help}");

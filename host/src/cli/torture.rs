@@ -1,4 +1,4 @@
-//! `trainer torture`: random breaths with hostile weights.
+//! `trainer torture`: runs random breaths with hostile weights.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use super::common::stopped;
 use super::output::OutputArgs;
 use judge::faults::torture::{BOUND, Torture};
 
-/// Breathe with random weights, random lungs and random faults: how high does the true pressure get?
+/// Run random breaths with hostile weights, random lungs and random faults, and check the highest true pressure
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -17,15 +17,15 @@ Examples:
   trainer torture --breaths 1000000 --seed 7 --keep torture.json --json result.json
 
 The result does not depend on the number of threads. With --keep, Ctrl-C loses nothing: the same
-command goes on. A true airway pressure above 60 cmH2O makes the command fail.")]
+command continues. The command fails if the true airway pressure exceeds 60 cmH2O.")]
 pub struct Args {
-    /// Breaths
+    /// Number of breaths
     #[arg(long, default_value_t = 10_000)]
     breaths: u64,
-    /// Seed of lungs, weights and faults
+    /// Seed of the lungs, weights and faults
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Keep here how far it has come, and go on from there
+    /// File that keeps the progress; an existing file is continued
     #[arg(long, value_name = "FILE")]
     keep: Option<PathBuf>,
     #[command(flatten)]
@@ -45,10 +45,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     ));
     args.output.finish(&torture)?;
     if stopped() {
-        args.output.line("stopped; with --keep the same command goes on");
+        args.output.line("stopped; if started with --keep, the same command continues from here");
     }
     if above_limit > 0 {
-        bail!("{above_limit} runs went above {BOUND} cmH2O");
+        bail!("{above_limit} runs exceeded {BOUND} cmH2O");
     }
     Ok(())
 }

@@ -1,5 +1,5 @@
-//! `trainer train`: rounds of collect, fit and train on one or several benches, or one training on simulators already
-//! fitted.
+//! `trainer train`: rounds of collect, fit and train on one or more benches, or a single training on existing
+//! simulators.
 
 use std::path::PathBuf;
 
@@ -23,7 +23,7 @@ use learn::simulator::model::Simulator;
 use show::report::{Cell, Table};
 use ventilator::SharedLink;
 
-/// Train a controller by back-propagation through learned simulators
+/// Train a residual through learned simulators, for one lung or for many
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -34,27 +34,28 @@ Examples:
   trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
 
-With --preset paper-30ms it works as the paper's authors do: a control period of 30 ms, PEEP 5,
-their exploration around their PID, their simulator with their optimiser; residual and training
-are ours.
-Without --simulator it records on the bench, fits and trains, round after round. With it, it
-trains once; the last of several simulators is held out and judges the controller. Ctrl-C stops
-it; the same command goes on where it was.")]
+Without --simulator the command records on the bench, fits and trains, round after round. With it,
+the command trains once; the last of several simulators is held out and judges the controller.
+Ctrl-C stops training; the same command continues where it stopped.
+
+--preset paper-30ms follows the paper's authors: a control period of 30 ms, PEEP 5, their
+exploration around their PID, and their simulator with their optimiser. Residual and training remain
+ours.")]
 pub struct Args {
-    /// Folder for the controller (controller.safetensors) and what is needed to go on
+    /// Folder for the controller (controller.safetensors) and the state needed to continue
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
     bench: BenchArgs,
     #[command(flatten)]
     plant: PlantArgs,
-    /// Train on these simulators, made by `trainer fit`, instead of recording
+    /// Train on these simulators, written by `trainer fit`, instead of recording
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["lung", "bench", "plant"])]
     simulator: Vec<PathBuf>,
-    /// Another's setting, where nothing else is said: paper-30ms is that of the paper's authors
+    /// Use third-party settings for all options that are not given: paper-30ms is those of the paper's authors
     #[arg(long, value_enum, value_name = "NAME", hide_possible_values = true)]
     preset: Option<Preset>,
-    /// Gains of the PID that collects first and lies under the residual [default: 3,30,0, or those of the preset]
+    /// Gains P,I,D of the PID that records first and lies under the residual [default: 3,30,0, or those of the preset]
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
     /// Scale of the residual, 0 to 1
@@ -63,7 +64,7 @@ pub struct Args {
     /// Largest residual, percent of the valve
     #[arg(long, value_name = "PERCENT", default_value_t = PipelineConfig::default().authority)]
     authority: f32,
-    /// Rounds of collect, fit and train
+    /// Number of rounds of collect, fit and train
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
     rounds: usize,
     /// Breaths recorded in each round
@@ -81,20 +82,20 @@ pub struct Args {
     /// Learning rate at the start
     #[arg(long, value_name = "RATE", default_value_t = TrainConfig::default().adam.rate)]
     learning_rate: f32,
-    /// Decay of the weights
+    /// Weight decay
     #[arg(long, value_name = "D", default_value_t = TrainConfig::default().adam.weight_decay)]
     weight_decay: f32,
-    /// With several lungs: make the worst score small rather than the mean; the temperature of the softmax over the
-    /// lungs' scores, cmH2O
+    /// With several lungs: weight the worst score more than the mean; temperature of the softmax over the lungs'
+    /// scores, cmH2O
     #[arg(long, value_name = "T", value_parser = temperature)]
     softmax: Option<f64>,
-    /// Simulators of each lung to train on; one more is held out
+    /// Number of simulators per lung to train on; one more is held out
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().ensemble)]
     ensemble: usize,
     /// Factor on errors above the target
     #[arg(long, value_name = "F", default_value_t = TrainConfig::default().overshoot_weight)]
     overshoot_weight: f32,
-    /// Waveforms in every batch beside random PIPs, cmH2O
+    /// PIPs of the waveforms in every batch, in addition to random PIPs, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
     /// Control period, microseconds [default: 1000, or that of the plant or the simulators]
@@ -102,14 +103,14 @@ pub struct Args {
     period_us: Option<u32>,
     #[command(flatten)]
     settings: SettingsArgs,
-    /// Seed of everything
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary {
     seed: u64,
@@ -122,7 +123,7 @@ struct Summary {
     train_curve: Vec<CurvePoint>,
 }
 
-/// Name of the controller's file in the folder.
+/// File name of the controller in the folder.
 const CONTROLLER: &str = "controller.safetensors";
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
@@ -142,10 +143,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         summary.controller.display()
     ));
     if !summary.improved {
-        args.output.line("The residual did not beat its PID there: the PID alone was kept.");
+        args.output.line("The residual did not beat its PID there, so the PID alone was kept.");
     }
     if !summary.complete {
-        args.output.line("Stopped early: this is the controller so far; the same command goes on from here.");
+        args.output.line("Stopped early: this is the controller so far. Run the command again to continue.");
     }
     args.output.finish(&summary)
 }
@@ -153,18 +154,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn temperature(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(temperature) if temperature > 0.0 && temperature.is_finite() => Ok(temperature),
-        _ => Err("a temperature is a number above zero, for instance 0.5".into()),
+        _ => Err("write a temperature above zero, such as 0.5".into()),
     }
 }
 
 impl Args {
-    /// The control period asked for, or that of what the controller is trained on.
+    /// The requested control period, or that of the plant, the simulators or the preset.
     fn period_us(&self, plant: Option<&SharedLink>, simulators: &[Simulator]) -> anyhow::Result<u32> {
         let of_simulators = simulators.first().map(|simulator| simulator.architecture.timing().period_us);
         let of_preset = self.preset.map(|Preset::Paper30Ms| PAPER_PERIOD_US);
         match (self.period_us, of_preset) {
             (Some(asked), Some(preset)) if asked != preset => {
-                bail!("the preset's control period is {preset} us, not {asked}: leave one of both out")
+                bail!("the preset's control period is {preset} us, not {asked}: omit --period-us or --preset")
             }
             (asked, preset) => plant_args::period_us(asked.or(preset).or(of_simulators), plant),
         }
@@ -173,7 +174,7 @@ impl Args {
     fn config(&self, period_us: u32) -> anyhow::Result<PipelineConfig> {
         let settings = self.settings.checked(&self.pips)?;
         if settings.rise_time > 0.0 {
-            bail!("controllers are trained on the square rise of the paper; leave --rise-time at 0");
+            bail!("training supports only the paper's square rise: leave --rise-time at 0");
         }
         let preset = match self.preset {
             Some(Preset::Paper30Ms) => PipelineConfig::paper_30ms(),
@@ -236,7 +237,7 @@ impl Args {
         })
     }
 
-    /// Saves a controller; gives its figures.
+    /// Saves a controller and returns its scores.
     fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
         let controller = self.out.join(CONTROLLER);
         learned.save(&controller)?;
@@ -298,7 +299,7 @@ mod tests {
         assert_eq!((config.gains, config.fit.epochs), (KNOWN_GOOD, 2500));
     }
 
-    /// Numbers as in section 4 of the paper and in the authors' code.
+    /// The numbers are those of section 4 of the paper and of the authors' code.
     #[test]
     fn the_papers_preset_has_the_papers_numbers() {
         let config = config(&["--preset", "paper-30ms"]).unwrap();

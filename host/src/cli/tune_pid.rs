@@ -1,4 +1,4 @@
-//! `trainer tune-pid`: the best P, I, PI and PID per lung, and over all of them.
+//! `trainer tune-pid`: searches the best P, I, PI and PID controllers per lung, and over all lungs.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ use plant::bench::BenchConfig;
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 use ventilator::PlantSource;
 
-/// Search the best PID for one or several lungs: what a learned controller has to beat
+/// Search the best P, I, PI and PID controllers for one or several lungs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -32,23 +32,23 @@ Examples:
   trainer tune-pid --plant tcp:localhost:7000 --coarse
 
 Gains are P in percent per cmH2O, I in percent per cmH2O and second, D in percent per cmH2O/s.
-Ctrl-C ends the search with the best found so far.")]
+Ctrl-C ends the search with the best gains found so far.")]
 pub struct Args {
-    /// Lung as in R20C20, `paper` for its nine lungs, `iso` for the 21 of the test table; may be repeated
+    /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
     #[arg(long, value_name = "NAME", default_value = "R20C20")]
     lung: Vec<String>,
-    /// Benches from TOML files, in place of a lung
+    /// Bench description in TOML, in place of a lung; repeatable
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with = "lung")]
     bench: Vec<PathBuf>,
     #[command(flatten)]
     plant: PlantArgs,
-    /// Search an eighth of the grid's points over the same range, for a plant that takes its time
+    /// Search an eighth of the grid's points over the same range, for a slow plant
     #[arg(long, conflicts_with = "authors_grid")]
     coarse: bool,
-    /// Run every point of the grid in full rather than screening first
+    /// Run every point of the grid in full, without screening
     #[arg(long)]
     exhaustive: bool,
-    /// Search the grid of the paper's authors and nothing else
+    /// Search only the grid of the paper's authors
     #[arg(long)]
     authors_grid: bool,
     /// PIPs of the waveforms, cmH2O
@@ -65,14 +65,14 @@ pub struct Args {
     /// Seed of the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Write tables and maps of the scores as an HTML report
+    /// Write tables and score maps to an HTML report
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Summary<'a> {
     seed: u64,
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         ..Plan::tuning(args.seed)
     };
     if let Some(link) = plant {
-        // Every evaluation brings its own gains.
+        // Every evaluation sets its own gains.
         let idle = Controller::Pid(Pid::new(PidGains::default(), plan.period_us)?);
         let source = PlantSource::new(link, idle, plan.period_us, args.seed);
         return tune(args, &[SourceGround::new(source)], "", &search, &plan);
@@ -102,7 +102,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     tune(args, &benches, &parameters, &search, &plan)
 }
 
-/// Searches on these lungs, shows and writes what is found.
+/// Searches on these lungs, then prints and writes the results.
 fn tune<G: Ground>(
     args: &Args,
     lungs: &[G],
@@ -113,7 +113,7 @@ fn tune<G: Ground>(
     let result = with_bars(|progress| tune_pid(lungs, search, plan, progress))?;
     args.output.table(&table(&result));
     if !result.complete {
-        args.output.line("stopped: the best found so far");
+        args.output.line("stopped: the best gains found so far");
     }
     args.output.report(args.report.as_ref(), || Ok(report(args, plan, parameters, search, &result)))?;
     args.output.finish(&Summary { seed: args.seed, plan, result: &result })
@@ -173,8 +173,7 @@ fn report(args: &Args, plan: &Plan, parameters: &str, search: &Search, result: &
     let best = result.over_all.pid;
     let mut overview = vec![Block::Table(table(result))];
     if !result.complete {
-        overview
-            .push(Block::Text("The search was stopped: these are the best gains found until then.".into()));
+        overview.push(Block::Text("The search was stopped early: these are the best gains so far.".into()));
     }
     let mut sections = vec![Section {
         heading: "Best gains".into(),
@@ -197,13 +196,13 @@ fn report(args: &Args, plan: &Plan, parameters: &str, search: &Search, result: &
     }
 }
 
-/// The map of one lung. It has gains of zero too, which a logarithmic scale could not show: its axes are lists.
+/// The score map of one lung. Its gains include zero, which a logarithmic axis cannot show, so both axes are lists.
 fn map_section(lung: &LungResult) -> Section {
     let map = &lung.map;
     let finite = |score: &Option<f64>| score.filter(|score| *score < FAULT_SCORE);
     Section {
         heading: format!("Scores of {}", lung.lung),
-        text: "Every PI of the grid; a blank cell went to the safe state or was not run.".into(),
+        text: "Every PI of the grid; a blank cell ended in the safe state or was not run.".into(),
         blocks: vec![Block::HeatMap(HeatMap {
             title: format!("{}: mean absolute error, cmH2O", lung.lung),
             x_label: "I, percent per cmH2O and second".into(),

@@ -1,4 +1,4 @@
-//! What `--help` says, word by word.
+//! The texts of `--help`, word by word.
 
 use super::support::Place;
 
@@ -42,7 +42,7 @@ fn a_wrong_flag_is_a_usage_error() {
     assert!(super::support::text(&output.stderr).contains("--breaths"), "it suggests the right one");
 }
 
-/// The examples in the help of commands that need no file, at the size in which they stand there or smaller.
+/// The examples in the help of commands that need no file, at the same size or smaller.
 #[test]
 fn examples_work() {
     let place = Place::new();

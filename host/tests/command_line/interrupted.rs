@@ -1,4 +1,4 @@
-//! Ctrl-C keeps what there is.
+//! Ctrl-C keeps the results so far.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Command, Output, Stdio};
@@ -11,7 +11,7 @@ use super::support::{Place, text};
 /// Exit code of a command that Ctrl-C ended.
 const INTERRUPTED: Option<i32> = Some(130);
 
-/// Starts what would take hours, presses Ctrl-C once it logs its first progress, and waits for the end.
+/// Starts a command that would take hours, presses Ctrl-C at its first logged progress, and waits for the end.
 fn interrupt(place: &Place, line: &str) -> Output {
     let mut command = place.command(line);
     command.env("EUPNEA_LOG", "debug");
@@ -22,7 +22,7 @@ fn interrupt(place: &Place, line: &str) -> Output {
     log.read_until(b'\n', &mut stderr).unwrap();
     let id = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
-    // Read beside standard output: a full pipe that nobody empties would stop the program.
+    // Read in parallel with standard output: a full pipe without a reader would block the program.
     let log = std::thread::spawn(move || {
         log.read_to_end(&mut stderr).unwrap();
         stderr

@@ -1,4 +1,4 @@
-//! The `trainer` command line as its users meet it: the real program, its output, its files, its exit codes.
+//! The `trainer` command line from the user's side: the real program, its output, files and exit codes.
 
 mod bad_input;
 #[cfg(unix)]

@@ -1,6 +1,6 @@
-//! Plants that somebody else wrote: the example in Python, as a process of its own, over TCP and over a pipe.
+//! Third-party plants: the Python example as a separate process, over TCP and over a pipe.
 //!
-//! These tests need `python3` and nothing else; where there is none they say so and end.
+//! These tests need `python3` and nothing else; without it they print so and end.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use learn::controller::learned::Learned;
 
 use super::support::{Place, text};
 
-/// The example.
+/// The Python example.
 fn script() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/python/plant.py")
 }
@@ -19,12 +19,12 @@ fn script() -> PathBuf {
 fn python_is_there() -> bool {
     let there = Command::new("python3").arg("--version").output().is_ok_and(|output| output.status.success());
     if !there {
-        eprintln!("skipped: there is no python3");
+        eprintln!("skipped: python3 is not installed");
     }
     there
 }
 
-/// The example as a server; ends with its owner.
+/// The example as a server; ends when dropped.
 struct PlantServer {
     process: Child,
     port: u16,
@@ -53,14 +53,14 @@ impl Drop for PlantServer {
     }
 }
 
-/// A place with the example in it, so that its name has no blanks, and how to start it.
+/// A folder with the example in it, so that its name has no blanks, and the address that starts it.
 fn place_with_script() -> (Place, &'static str) {
     let place = Place::new();
     std::fs::copy(script(), place.path("plant.py")).unwrap();
     (place, "pipe:python3\u{a0}plant.py")
 }
 
-/// Runs a line in which a hard blank stands for a blank within an argument.
+/// Runs a line in which a non-breaking space represents a blank within an argument.
 fn run(place: &Place, line: &str) -> std::process::Output {
     let mut command = place.command("");
     command.args(line.split_ascii_whitespace().map(|word| word.replace('\u{a0}', " ")));
@@ -156,7 +156,7 @@ fn a_plant_that_dies_leaves_what_was_recorded() {
     assert_ne!(mortal, source);
     std::fs::write(place.path("plant.py"), mortal).unwrap();
     let said = refused(&place, &format!("collect --plant {plant} --breaths 40 --out a.parquet"));
-    assert!(said.contains("12 whole breaths are saved in a.parquet"), "{said}");
+    assert!(said.contains("12 complete breaths are saved in a.parquet"), "{said}");
     assert!(said.contains("gone (exit status: 0)"), "{said}");
     let recording = Recording::load(place.path("a.parquet")).unwrap();
     assert_eq!((recording.len(), recording.inspirations().len()), (1251, 13));
@@ -195,7 +195,7 @@ fn another_period_than_the_plants_is_refused() {
         assert!(said.contains("30000 us, not 1000"), "{line}: {said}");
     }
     let said = refused(&place, &format!("evaluate --plant {plant} --controller {controller}"));
-    assert!(said.contains("train one for the plant"), "{said}");
+    assert!(said.contains("train a controller on the plant"), "{said}");
 }
 
 #[test]

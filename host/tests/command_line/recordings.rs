@@ -1,4 +1,4 @@
-//! A table that others have measured becomes a recording, lungs, a bench and a simulator of many lungs.
+//! A third-party table becomes a recording, identified lungs, a bench and a simulator of many lungs.
 
 use std::fmt::Write;
 
@@ -39,7 +39,7 @@ const LITRES_PER_MINUTE: f64 = 60.0;
 /// R (cmH2O/(L/s)) and C (mL/cmH2O) of the runs.
 const LUNGS: [(f64, f64); 4] = [(5.0, 20.0), (20.0, 20.0), (20.0, 50.0), (10.0, 10.0)];
 
-/// Breaths of linear lungs at 100 Hz: a second of constant flow in, three of flow out through the same resistor.
+/// Breaths of linear lungs at 100 Hz: one second of constant inflow, three of outflow through the same resistor.
 fn table() -> String {
     let mut text = "t,Paw,valve,vent,in,out,R,C,cycle,run\n".to_owned();
     let mut tick = 0;

@@ -1,4 +1,4 @@
-//! Running the program in a folder of its own.
+//! Runs the program in its own folder.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -36,7 +36,7 @@ impl Place {
         self.command(line).output().unwrap()
     }
 
-    /// Runs what must succeed; gives standard output.
+    /// Runs a command that must succeed; returns standard output.
     pub fn ok(&self, line: &str) -> String {
         let output = self.run(line);
         assert!(output.status.success(), "{line}: {}", text(&output.stderr));
@@ -44,12 +44,12 @@ impl Place {
         text(&output.stdout)
     }
 
-    /// Runs what must succeed with `--json -`; gives the JSON, which standard output must hold alone.
+    /// Runs a command that must succeed with `--json -`; returns the JSON, which must be all of standard output.
     pub fn json(&self, line: &str) -> serde_json::Value {
         serde_json::from_str(&self.ok(&format!("{line} --json -"))).unwrap()
     }
 
-    /// Runs what must be refused; gives the one line that says why.
+    /// Runs a command that must be refused; returns the one-line reason.
     pub fn refused(&self, line: &str) -> String {
         let output = self.run(line);
         let stderr = text(&output.stderr);

@@ -1,4 +1,4 @@
-//! The report of a fit: training curve, errors, and predictions beside what was measured.
+//! The report of a fit: training curve, errors, and predictions beside the measurements.
 
 use super::{remarks, table};
 use data::identity::TestRun;
@@ -10,10 +10,10 @@ use learn::simulator::episode::Episode;
 use learn::simulator::open_loop::predict;
 use show::report::{Block, Plot, Report, Section, Series, Style};
 
-/// Held-out breaths shown.
+/// Number of held-out breaths shown.
 const SHOWN: usize = 8;
 
-/// Everything about a fit on one page.
+/// A fit on one page.
 pub fn report(summary: &FitSummary, fitted: &Fitted, parts: &Parts<'_>, recording: &Recording) -> Report {
     let Fitted { simulator, curve, .. } = fitted;
     let period_s = f64::from(simulator.architecture.timing().period_us) * 1e-6;
@@ -33,7 +33,7 @@ pub fn report(summary: &FitSummary, fitted: &Fitted, parts: &Parts<'_>, recordin
         },
         Section {
             heading: "Held-out breaths".into(),
-            text: "None of these took part in the fit. Predictions see the commands and how the breath starts.".into(),
+            text: "None of these was used in the fit. Predictions use the commands and the start of the breath only.".into(),
             blocks: vec![Block::PlotRow(breaths.collect())],
         },
     ];
@@ -71,16 +71,16 @@ fn breath(episode: &Episode, prediction: &[f32], period_s: f64, groups: &[TestRu
     Plot::over_time(format!("{of}PIP {:.1} cmH2O", episode.pip), "pressure, cmH2O", series)
 }
 
-/// The loss by epoch; nothing to show for a fit that was stopped before its first.
+/// The loss by epoch; `None` for a fit stopped before its first epoch.
 fn training(curve: &[f64]) -> Option<Section> {
     if curve.is_empty() {
         return None;
     }
-    // A loss of zero has no place on a logarithmic axis.
+    // A logarithmic axis cannot show zero.
     let point = |(epoch, loss): (usize, &f64)| ((epoch + 1) as f64, loss.max(f64::MIN_POSITIVE));
     Some(Section {
         heading: "Training".into(),
-        text: "Loss per pressure on the training breaths.".into(),
+        text: "Loss per pressure sample on the training breaths.".into(),
         blocks: vec![Block::Plot(Plot {
             title: "Training curve".into(),
             x_label: "epoch".into(),

@@ -1,4 +1,4 @@
-//! What of the command can be told without a process.
+//! Tests of the command that need no process.
 
 use super::*;
 use data::provenance::Provenance;

@@ -1,4 +1,4 @@
-//! `trainer identify --port`: who is at a port, and what it holds.
+//! `trainer identify --port`: identifies the connected device.
 
 use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
@@ -11,14 +11,14 @@ use device::port::Address;
 use show::monitor::words;
 use show::report::{Cell, Table};
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Found {
     port: String,
     identity: DeviceIdentity,
 }
 
-/// Asks the device at an address.
+/// Identifies the device at an address.
 pub fn run(address: &Address, output: &OutputArgs) -> anyhow::Result<()> {
     let identity = Device::connect(address)?.identify()?;
     let port = address.to_string();
@@ -29,11 +29,11 @@ pub fn run(address: &Address, output: &OutputArgs) -> anyhow::Result<()> {
 fn table(port: &str, identity: &DeviceIdentity) -> Table {
     let mut table = Table::new("", &["device", port]);
     let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
-    row("is", words::identity(identity));
+    row("type", words::identity(identity));
     row("protocol", identity.protocol.to_string());
     row("started by", words::reset(identity.reset).to_owned());
     if let Some(failure) = &identity.failure {
-        row("failed before with", failure.to_string());
+        row("previous failure", failure.to_string());
     }
     row("mode", words::mode(identity.mode));
     row("controller", words::controller(identity.controller));
@@ -48,7 +48,7 @@ fn table(port: &str, identity: &DeviceIdentity) -> Table {
 fn slot(state: &SlotState) -> String {
     match state {
         SlotState::Empty => "empty".to_owned(),
-        SlotState::Torn => "not finished: upload it again".to_owned(),
+        SlotState::Torn => "upload not finished: upload again".to_owned(),
         SlotState::Invalid(problem) => format!("refused ({problem:?}): pack and upload it again"),
         SlotState::Valid { generation, id } => format!("weights {}, generation {generation}", image_id(*id)),
     }

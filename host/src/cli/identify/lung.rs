@@ -1,4 +1,4 @@
-//! `trainer identify --data`: which lung is in a recording.
+//! `trainer identify --data`: identifies the lungs in a recording.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use judge::identify::cycle::Cycle;
 use judge::identify::{Estimate, Identified, LungCycles, bench, identify, lungs};
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
-/// What `--json` gives.
+/// The content of `--json`.
 #[derive(Debug, Serialize)]
 struct Found {
     plant: String,
@@ -27,17 +27,17 @@ pub fn run(data: &Path, args: &LungArgs, output: &OutputArgs) -> anyhow::Result<
         let names = names(&found);
         found.retain(|lung| lung.id.to_string() == *group);
         if found.is_empty() {
-            bail!("{} has no lung called {group} that can be identified; it has {names}", data.display());
+            bail!("{} has no lung named {group} that can be identified; it has {names}", data.display());
         }
     }
     output.table(&table(&found));
     output.table(&behind_circuit(&found));
     if let Some(path) = &args.write_plant {
         let [lung] = &found[..] else {
-            bail!("a bench has one lung, this recording {}: choose one with --group", names(&found));
+            bail!("a bench has one lung, the recording {}: choose one with --group", names(&found));
         };
         let bench = bench::bench(lung, &recording)
-            .with_context(|| format!("no bench can have the lung {}", lung.id))?;
+            .with_context(|| format!("the lung {} is outside the bench's limits", lung.id))?;
         write(path, bench::to_toml(&bench, lung).as_bytes())?;
         output.saved(path);
     }
@@ -85,7 +85,7 @@ fn table(found: &[Identified]) -> Table {
 
 fn behind_circuit(found: &[Identified]) -> Table {
     let mut table = Table::new(
-        "The same behind the circuit, whose compliance is the one with the least residual",
+        "The same behind the circuit, whose compliance is chosen for the smallest residual",
         &["lung", "circuit C", "C", "R", "R2", "residual, cmH2O"],
     );
     for lung in found {
@@ -108,7 +108,7 @@ fn nominal(value: Option<f64>) -> Cell {
 
 fn estimate(estimate: &Estimate) -> Cell {
     let half = 0.5 * (estimate.high - estimate.low);
-    // An elastance that may be zero has no upper end of the compliance.
+    // An elastance whose interval contains zero gives no upper limit of the compliance.
     let half = if half < 1e6 { format!("{half:.1}") } else { "?".to_owned() };
     Cell::right(format!("{:.1} ±{half}", estimate.value))
 }
@@ -125,14 +125,14 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
         sections: vec![
             Section {
                 heading: "Estimates".into(),
-                text: "P = P0 + V/C + R q + R2 q|q|, fitted to each whole breath; intervals from the spread of the \
-                       breaths. The offset is the mean of the net flow over a breath, which is taken out."
+        text: "P = P0 + V/C + R q + R2 q|q|, fitted to each whole breath; intervals come from the spread between \
+               breaths. The offset is the mean net flow over a breath, which is removed."
                     .into(),
                 blocks: vec![Block::Table(table(found)), Block::Table(behind_circuit(found))],
             },
             Section {
                 heading: "One breath of each lung".into(),
-                text: "What was measured, and the fit with the measured flow.".into(),
+                text: "The measured pressure, and the pressure fitted with the measured flow.".into(),
                 blocks: vec![Block::PlotRow(plots)],
             },
         ],
@@ -140,7 +140,7 @@ fn report(recording: &Recording, found: &[Identified]) -> anyhow::Result<Report>
     })
 }
 
-/// The middle breath of a lung with its fit.
+/// The middle breath of a lung, with its fit.
 fn plot(lung: &LungCycles) -> Option<Plot> {
     let (_, breath) = lung.breaths.get(lung.breaths.len() / 2)?;
     let circuit = lung.identify()?.behind_circuit.circuit_compliance;
