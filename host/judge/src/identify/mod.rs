@@ -8,11 +8,11 @@
 //! lung. Two properties of a real ventilator would spoil the fit:
 //!
 //! * **Drift.** Flow sensors have an offset of a few hundredths of a litre per second, whose integral is more than a
-//! breath of a stiff lung. In a steady breath the inspired volume is expired again, so the mean of the net flow over a
-//! cycle is the sensors' offset and is removed.
+//!   breath of a stiff lung. In a steady breath the inspired volume is expired again, so the mean of the net flow over a
+//!   cycle is the sensors' offset and is removed.
 //! * **The circuit.** Tubes between the flow sensors and the airway take up gas in proportion to the slope of the
-//! pressure. At a high resistance that is more than the lung gets, and the fit gives too small an R with a negative R2.
-//! The compliance of the circuit is chosen for the smallest residual over all breaths of a lung ([`BehindCircuit`]).
+//!   pressure. At a high resistance that is more than the lung gets, and the fit gives too small an R with a negative R2.
+//!   The compliance of the circuit is chosen for the smallest residual over all breaths of a lung ([`BehindCircuit`]).
 //!
 //! It is a strong baseline for a learned simulator: it uses the measured flow, which a simulator never sees.
 

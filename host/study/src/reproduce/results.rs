@@ -100,7 +100,7 @@ pub struct RlFigure {
     pub score: f64,
     /// Simulated control ticks used.
     pub samples: u64,
-    /// Ticks until the score on the held-out simulator was within [`NEAR`] of the best of the three methods.
+    /// Ticks until the score on the held-out simulator was within `NEAR` of the best of the three methods.
     pub samples_to_near_best: Option<u64>,
 }
 
