@@ -391,6 +391,7 @@ mod tests {
         let first = sample(run(&ventilator, &mut state, 1, 5.0));
         assert_eq!((first.phase, first.u_out, first.breath, first.tick), (Phase::Inspiration, false, 0, 0));
         assert!(first.u_in > 0.0);
+        assert_eq!((state.breath_number(), state.tick()), (0, 1));
         let fall = sample(run(&ventilator, &mut state, 1000, 15.0));
         assert_eq!((fall.phase, fall.u_out), (Phase::Fall, true));
         assert!(fall.u_in.abs() < f32::EPSILON);
@@ -399,6 +400,46 @@ mod tests {
         assert!((rest.u_in - 5.0).abs() < f32::EPSILON, "the bias");
         let next = sample(run(&ventilator, &mut state, 1500, 5.0));
         assert_eq!((next.breath, next.tick, next.phase), (1, 0, Phase::Inspiration));
+        run(&ventilator, &mut state, 3099, 5.0);
+        assert_eq!((state.breath_number(), state.tick()), (2, 100));
+    }
+
+    /// Asks for a constant command; remembers where the valve stood before the breath, then each command that was applied.
+    struct Constant(f32);
+
+    impl ControlLaw for Constant {
+        type State = Vec<f32>;
+
+        fn initial_state(&self) -> Vec<f32> {
+            Vec::new()
+        }
+
+        fn start_breath(&self, state: &mut Vec<f32>, command: f32) {
+            *state = Vec::from([command]);
+        }
+
+        fn step(&self, _: &mut Vec<f32>, _: &Observation) -> ControlOutput {
+            ControlOutput::plain(self.0)
+        }
+
+        fn applied(&self, state: &mut Vec<f32>, command: f32) {
+            state.push(command);
+        }
+    }
+
+    #[test]
+    fn the_controller_is_told_where_the_valve_stood_and_what_was_applied_in_the_inspiration() {
+        let ventilator =
+            Ventilator::new(DEFAULT_PERIOD_US, Constant(120.0)).with_monitors(Monitors::ANY_PLANT);
+        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+        state.start();
+        for _ in 0..3000 {
+            ventilator.step(&mut state, 5.0);
+        }
+        assert_eq!((state.controller.len(), state.controller[0] as i32), (1001, 0));
+        assert!(state.controller[1..].iter().all(|command| (command - 100.0).abs() < f32::EPSILON));
+        ventilator.step(&mut state, 5.0);
+        assert_eq!((state.controller.len(), state.controller[0] as i32), (2, 5), "after the bias");
     }
 
     #[test]
@@ -428,11 +469,14 @@ mod tests {
     fn at_the_pressure_limit_the_inspiration_ends() {
         let ventilator = ventilator();
         let mut state = started(&ventilator);
+        run(&ventilator, &mut state, 1, 59.0);
+        assert!(!state.cut());
         let over = run(&ventilator, &mut state, 3, 61.0);
+        assert!(state.cut());
         assert_eq!((over.command, over.mode), (ValveCommand::SAFE, Mode::Ventilating));
         let sample = run(&ventilator, &mut state, 800, 7.0).sample.unwrap();
         assert_eq!((sample.phase, sample.u_out, sample.target as i32), (Phase::Fall, true, 5));
-        let next = run(&ventilator, &mut state, 2198, 5.0).sample.unwrap();
+        let next = run(&ventilator, &mut state, 2197, 5.0).sample.unwrap();
         assert_eq!((next.tick, next.phase, next.u_out), (0, Phase::Inspiration, false));
     }
 

@@ -353,6 +353,37 @@ mod tests {
         assert!(matches!(spec.validate(), Err(FeatureError::TimeConstant(_))));
     }
 
+    #[test]
+    fn taps_reach_to_the_end_of_the_history_and_time_constants_are_positive_numbers() {
+        let with = |tap, tau| FeatureSpec {
+            error_taps: [0, 1, 2, 4, 8, 16, 32, tap],
+            command_averages: [0.05, tau],
+            ..FeatureSpec::default()
+        };
+        assert_eq!(with(127, 0.3).validate(), Ok(()));
+        assert_eq!(with(128, 0.3).validate(), Err(FeatureError::Tap(128)));
+        for tau in [0.0, -0.1, f32::INFINITY] {
+            assert_eq!(with(64, tau).validate(), Err(FeatureError::TimeConstant(tau)));
+        }
+    }
+
+    #[test]
+    fn taps_of_long_periods_are_consecutive_ticks() {
+        assert_eq!(FeatureSpec::for_period(2000), FeatureSpec::default());
+        let long = FeatureSpec::for_period(2001);
+        assert_eq!((long.error_taps[3], long.command_taps[3]), (3, 4));
+        assert_eq!(long.validate(), Ok(()));
+    }
+
+    #[test]
+    fn averages_take_in_their_share_of_each_tick() {
+        let features = features();
+        let [errors, commands] = [features.error_factors(), features.command_factors()];
+        for (factor, lag) in errors.iter().chain(commands).zip([0.02_f32, 0.1, 0.05, 0.3]) {
+            assert!((factor - 0.001 / (lag + 0.001)).abs() < 1e-6, "{lag} s");
+        }
+    }
+
     proptest! {
         #[test]
         fn features_are_finite_and_about_one(errors in prop::collection::vec(-40.0f32..40.0, 1..200)) {

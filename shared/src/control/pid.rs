@@ -192,6 +192,31 @@ mod tests {
     }
 
     #[test]
+    fn the_integral_does_not_wind_down_while_the_valve_is_closed_and_follows_an_error_that_brings_it_back() {
+        let (pid, mut state) = (pid(10.0, 100.0, 0.0), PidState::new());
+        for _ in 0..500 {
+            assert!(pid.step(&mut state, &seen(35.0, 5.0), 0.0).command.abs() < f32::EPSILON);
+        }
+        assert!(state.integral.abs() < f32::EPSILON);
+        let mut closed = PidState { integral: -50.0, ..PidState::new() };
+        pid.step(&mut closed, &seen(19.0, 20.0), 0.0);
+        assert!((closed.integral + 49.9).abs() < 1e-4, "100 %/(cmH2O s) x 1 cmH2O x 1 ms = 0.1 %");
+        let mut open = PidState { integral: 100.0, ..PidState::new() };
+        pid.step(&mut open, &seen(20.5, 20.0), 50.0);
+        assert!((open.integral - 99.95).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_gains_per_tick_are_those_of_the_period() {
+        let gains = PidGains { p: 2.0, i: 30.0, d: 0.05 };
+        let pid = Pid::new(gains, 2000).unwrap();
+        assert_eq!(pid.gains(), gains);
+        assert!((pid.integral_step() - 0.06).abs() < 1e-6);
+        assert!((pid.derivative_scale() - 25.0).abs() < 1e-4);
+        assert!((pid.derivative_factor() - 2.0 / 12.0).abs() < 1e-6, "2 ms of a lag of 10 ms");
+    }
+
+    #[test]
     fn the_derivative_brakes_a_rise_after_its_lag() {
         let (pid, mut state) = (pid(0.0, 0.0, 0.05), PidState::new());
         let mut pressure = 5.0;

@@ -15,7 +15,9 @@ use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
 use crate::recorder::{Boot, Recorder, RecorderMemory, RecorderPart, RecorderStatus, RecordingState};
 use crate::reset::ResetCause;
+use crate::safety::ladder::Level;
 use crate::safety::monitors::Monitors;
+use crate::timing::TickTime;
 use crate::weights::slots::{Slot, SlotState};
 use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
 
@@ -237,6 +239,80 @@ fn controller_and_exploration_change_at_the_breath_boundary() {
         (next.explore - 20.0).abs() < 1e-3 && (next.u_in - 20.0).abs() < 1e-3,
         "gains of zero: exploration alone"
     );
+}
+
+#[test]
+fn exploration_that_makes_no_sense_is_refused_and_the_running_one_stays() {
+    let mut rig = Rig::new(None);
+    let paper = Exploration::default();
+    assert_eq!(rig.ask(Request::SetExploration(Some(paper))), Response::Exploration(Some(paper)));
+    for wrong in [
+        Exploration { boundary_probability: 1.5, ..paper },
+        Exploration { triangle_height: (-30.0, 101.0), ..paper },
+        Exploration { boundary_duration: (f32::NAN, 0.3), ..paper },
+    ] {
+        let refused = rig.ask(Request::SetExploration(Some(wrong)));
+        assert_eq!(refused, Response::Refused(Refusal::Exploration), "{wrong:?}");
+    }
+    assert!(matches!(rig.ask(Request::Identify), Response::Identity(i) if i.exploration == Some(paper)));
+    assert_eq!(rig.ask(Request::SetExploration(None)), Response::Exploration(None));
+}
+
+/// What explores in the breaths of a device that no request has reached since the first one started.
+fn left_alone(monitors: Monitors) -> (Rig, Vec<bool>) {
+    let mut rig = Rig::new(None);
+    rig.control = rig.control.with_monitors(monitors);
+    rig.ask(Request::Telemetry { on: true });
+    let always =
+        Exploration { boundary_probability: 1.0, boundary_height: (20.0, 20.0), ..Exploration::default() };
+    rig.ask(Request::SetExploration(Some(always)));
+    rig.ask(Request::Start);
+    rig.run(6 * TICKS_OF_A_BREATH);
+    let starts = rig.samples().into_iter().filter(|sample| sample.tick == 0);
+    let explored = starts.map(|sample| sample.explore > 0.0).collect();
+    (rig, explored)
+}
+
+#[test]
+fn a_host_that_falls_silent_ends_the_exploration_and_nothing_else() {
+    let silent = |rig: &Rig| {
+        let alarm = |event: &ToHost| {
+            matches!(event, ToHost::Event(Event::Alarm { fault: Fault::HostSilent, tick: 10_000 }))
+        };
+        rig.events.iter().filter(|event| alarm(event)).count()
+    };
+    let others = Fault::all().filter(|fault| *fault != Fault::HostSilent && !Monitors::ANY_PLANT.has(*fault));
+    let (mut rig, explored) = left_alone(others.fold(Monitors::ALL, Monitors::without));
+    assert_eq!(explored, [true, true, true, true, false, false], "10 s end in the fourth breath");
+    assert_eq!(silent(&rig), 1);
+    let Response::Identity(identity) = rig.ask(Request::Identify) else { panic!("no greeting") };
+    assert_eq!((identity.mode, identity.exploration), (Mode::Ventilating, None));
+    let (rig, explored) = left_alone(Monitors::ANY_PLANT);
+    assert_eq!((explored, silent(&rig)), (std::vec![true; 6], 0), "a plant that nobody has to watch");
+}
+
+/// How long a tick took that so many were missed before.
+fn late(missed: u32) -> TickTime {
+    TickTime { latency: 20, work: 4000, period: None, missed }
+}
+
+#[test]
+fn ticks_that_are_missed_reach_the_ladder_and_then_the_latch() {
+    let mut control =
+        Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ).unwrap();
+    control.execute(&ControlRequest::Start);
+    let mut tick = |missed| {
+        let mode = control.step(5.0).mode;
+        control.record(&late(missed));
+        (mode, control.state().level())
+    };
+    assert_eq!(tick(0), (Mode::Ventilating, Level::Learned));
+    assert_eq!(tick(1), (Mode::Ventilating, Level::Pid));
+    for _ in 0..10 {
+        assert_eq!(tick(0), (Mode::Ventilating, Level::Pid), "counted once");
+    }
+    tick(4);
+    assert_eq!(tick(0).0, Mode::Fault(Fault::MissedTicks));
 }
 
 #[test]

@@ -182,34 +182,80 @@ mod tests {
     use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
 
     /// Input of the monitor in one breath: pressure and volume at the end of the inspiration, pressure at the end of the
-    /// expiration, a constant command.
+    /// expiration, pressure until 50 ms before the end of each phase, a constant command.
     #[derive(Clone, Copy)]
     struct Seen {
         plateau: f32,
         volume: f32,
         baseline: f32,
+        before: f32,
         command: f32,
+        /// Tick at which the inspiration was ended at the pressure limit; from the next one on the pressure is `before`.
+        cut: Option<u32>,
     }
 
-    const GOOD: Seen = Seen { plateau: 25.0, volume: 400.0, baseline: 5.1, command: 10.0 };
+    const GOOD: Seen =
+        Seen { plateau: 25.0, volume: 400.0, baseline: 5.1, before: 15.0, command: 10.0, cut: None };
+    /// A breath that meets the limit of 60 cmH2O.
+    const CUT: Seen = Seen { plateau: 60.0, volume: 1100.0, cut: Some(300), ..GOOD };
+
+    fn breath() -> Breath {
+        Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap()
+    }
+
+    impl Seen {
+        fn at<'a>(&self, breath: &'a Breath, tick: u32) -> BreathInput<'a> {
+            let Self { plateau, volume, baseline, before, command, cut } = *self;
+            let inspires = breath.phase(tick) == Phase::Inspiration;
+            let (end, at_end) = if inspires {
+                (breath.inspiration_ticks(), plateau)
+            } else {
+                (breath.total_ticks(), baseline)
+            };
+            let pressure = match cut {
+                Some(cut) if inspires => {
+                    if tick <= cut {
+                        plateau
+                    } else {
+                        before
+                    }
+                }
+                _ => {
+                    if tick + 50 >= end {
+                        at_end
+                    } else {
+                        before
+                    }
+                }
+            };
+            let cut = cut.is_some_and(|cut| tick >= cut);
+            BreathInput { breath, tick, cut, pressure, command, volume }
+        }
+    }
 
     /// The first fault in a sequence of breaths, with the index of the breath.
     fn complaint(breaths: &[Seen]) -> Option<(usize, Fault)> {
-        let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
-        let monitor = BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+        complaint_with(breaths, |_| {})
+    }
+
+    /// The same of breaths of which each tick is altered.
+    fn complaint_with(breaths: &[Seen], alter: impl Fn(&mut BreathInput<'_>)) -> Option<(usize, Fault)> {
+        let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
         let mut state = BreathState::default();
         for (number, seen) in breaths.iter().enumerate() {
             for tick in 0..breath.total_ticks() {
-                let inspires = breath.phase(tick) == Phase::Inspiration;
-                let pressure = if inspires { seen.plateau } else { seen.baseline };
-                let Seen { command, volume, .. } = *seen;
-                let input = BreathInput { breath: &breath, tick, cut: false, pressure, command, volume };
+                let mut input = seen.at(&breath, tick);
+                alter(&mut input);
                 if let Some(fault) = monitor.check(&mut state, &input) {
                     return Some((number, fault));
                 }
             }
         }
         None
+    }
+
+    fn inspires(input: &BreathInput<'_>) -> bool {
+        input.breath.phase(input.tick) == Phase::Inspiration
     }
 
     #[test]
@@ -225,6 +271,7 @@ mod tests {
         let high = Seen { baseline: 8.5, ..GOOD };
         assert_eq!(complaint(&[GOOD, high, high, GOOD]), Some((2, Fault::BaselineHigh)));
         assert_eq!(complaint(&[high, GOOD, high, GOOD]), None, "never twice in a row");
+        assert_eq!(complaint(&[Seen { baseline: 8.0, ..GOOD }; 4]), None, "at the bound");
     }
 
     #[test]
@@ -232,6 +279,16 @@ mod tests {
         let low = Seen { baseline: 2.5, ..GOOD };
         assert_eq!(complaint(&[GOOD, low, low, low]), Some((3, Fault::BaselineLow)));
         assert_eq!(complaint(&[low, low, GOOD, low, low]), None);
+        assert_eq!(
+            complaint(&[
+                GOOD,
+                Seen { baseline: 3.0, ..GOOD },
+                Seen { baseline: 3.0, ..GOOD },
+                Seen { baseline: 3.0, ..GOOD }
+            ]),
+            None,
+            "at the bound"
+        );
     }
 
     #[test]
@@ -243,12 +300,28 @@ mod tests {
             None,
             "a controller that asks for little"
         );
+        assert_eq!(complaint(&[Seen { command: 60.0, ..weak }; 4]), None, "not yet wide open");
+        assert_eq!(complaint(&[Seen { plateau: 11.0, ..weak }; 4]), None, "just enough");
+        assert_eq!(
+            complaint(&[Seen { command: 100.0, ..GOOD }; 4]),
+            None,
+            "a wide open valve that does its work"
+        );
     }
 
     #[test]
     fn a_pressure_that_is_gone_is_found_within_the_inspiration() {
-        let gone = Seen { plateau: 1.0, command: 100.0, ..GOOD };
+        let gone = Seen { plateau: 1.0, before: 1.0, command: 100.0, ..GOOD };
         assert_eq!(complaint(&[GOOD, gone]), Some((1, Fault::Disconnection)));
+        assert_eq!(complaint(&[Seen { command: 30.0, ..gone }; 2]), None, "a valve that is hardly open");
+        assert_eq!(complaint(&[GOOD, Seen { plateau: 3.0, before: 3.0, ..gone }]), None, "just below PEEP");
+        let empty_expiration = |input: &mut BreathInput<'_>| {
+            if !inspires(input) {
+                input.pressure = 1.0;
+            }
+        };
+        assert_eq!(complaint_with(&[Seen { command: 100.0, ..GOOD }; 2], empty_expiration), None);
+        assert_eq!(complaint(&[Seen { before: 1.0, command: 100.0, ..CUT }]), None, "after the limit");
     }
 
     #[test]
@@ -256,5 +329,44 @@ mod tests {
         let occluded = Seen { volume: 40.0, ..GOOD };
         assert_eq!(complaint(&[GOOD, GOOD, occluded, occluded]), Some((3, Fault::Occlusion)));
         assert_eq!(complaint(&[GOOD, occluded, GOOD, occluded]), None);
+        // 24 mL/cmH2O before; a third of it is still believed.
+        let filled = |volume| Seen { volume, ..GOOD };
+        assert_eq!(complaint(&[filled(480.0), filled(160.0), filled(160.0)]), None);
+        assert_eq!(complaint(&[filled(480.0), filled(159.0), filled(159.0)]), Some((2, Fault::Occlusion)));
+    }
+
+    #[test]
+    fn a_breath_that_is_cut_short_tells_of_the_tube_alone_and_once() {
+        assert_eq!(complaint(&[CUT; 4]), None);
+        let filled = |volume| Seen { volume, ..CUT };
+        // 20 mL/cmH2O before, and 55 cmH2O above PEEP.
+        assert_eq!(complaint(&[GOOD, filled(370.0), filled(370.0), filled(370.0)]), None);
+        let occluded = filled(360.0);
+        assert_eq!(complaint(&[GOOD, occluded, occluded]), Some((2, Fault::Occlusion)));
+        let stays_high = Seen { baseline: 8.5, ..GOOD };
+        assert_eq!(complaint(&[GOOD, stays_high, occluded, occluded, GOOD]), None, "the valve has failed");
+        let low = Seen { baseline: 1.0, ..CUT };
+        assert_eq!(complaint(&[low; 6]), None, "the lung holds less than at PEEP");
+        let weak = Seen { before: 6.0, command: 100.0, ..CUT };
+        assert_eq!(complaint(&[weak; 4]), None, "no inspiration to judge");
+    }
+
+    #[test]
+    fn a_phase_is_judged_by_the_mean_over_its_end() {
+        let at_last = |input: &BreathInput<'_>| input.tick + 1 == input.breath.inspiration_ticks();
+        let open = Seen { command: 100.0, ..GOOD };
+        let one_low_reading = |input: &mut BreathInput<'_>| {
+            if at_last(input) {
+                input.pressure = 5.0;
+            }
+        };
+        assert_eq!(complaint_with(&[open; 4], one_low_reading), None);
+        let weak = Seen { plateau: 9.0, ..GOOD };
+        let one_high_command = |input: &mut BreathInput<'_>| {
+            if at_last(input) {
+                input.command = 100.0;
+            }
+        };
+        assert_eq!(complaint_with(&[weak; 4], one_high_command), None);
     }
 }

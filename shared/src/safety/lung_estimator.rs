@@ -324,13 +324,188 @@ mod tests {
     }
 
     #[test]
-    fn commands_take_effect_after_the_dead_time() {
+    fn commands_take_effect_after_the_dead_time_and_then_with_the_lag() {
         let (estimator, mut state) = estimator();
-        let opened = (0..40).position(|_| {
+        let opened = (0..100).position(|_| {
             estimator.applied(&mut state, 80.0);
             estimator.check(&mut state, 5.0);
             state.flow > 0.0
         });
         assert_eq!(opened, Some(12));
+        for _ in 0..24 {
+            estimator.applied(&mut state, 80.0);
+        }
+        let left = (25.0_f32 / 26.0).powi(25);
+        assert!(
+            (state.opening - 80.0 * (1.0 - left)).abs() < 0.01,
+            "{} % after a lag of 25 ms",
+            state.opening
+        );
+        // The ring of commands comes round several times.
+        for n in 0..200 {
+            estimator.applied(&mut state, if n < 180 { 0.0 } else { 100.0 });
+        }
+        assert!((15.0..40.0).contains(&state.opening), "{} % after 8 ms", state.opening);
+    }
+
+    #[test]
+    fn the_valves_flow_is_its_curve_and_never_beyond_it() {
+        let curve = [
+            (-5.0, 0.0),
+            (0.0, 0.0),
+            (5.0, 0.023),
+            (10.0, 0.046),
+            (75.0, 1.1295),
+            (95.0, 1.5595),
+            (100.0, 1.67),
+        ];
+        for (opening, expected) in curve.into_iter().chain([(130.0, 1.67), (f32::NAN, 0.0)]) {
+            assert!((flow(opening) - expected).abs() < 1e-5, "{opening} %: {}", flow(opening));
+        }
+    }
+
+    #[test]
+    fn a_pressure_behind_the_valve_takes_flow_away_and_flow_sums_to_volume() {
+        let open = |pressure: f32| {
+            let (estimator, _) = estimator();
+            let mut state = LungState { opening: 100.0, ..LungState::default() };
+            estimator.check(&mut state, pressure);
+            estimator.check(&mut state, pressure);
+            (state.flow, state.volume())
+        };
+        for (pressure, flow) in [(0.0, 1.67), (100.0, 0.67 * 1.67), (400.0, 0.0)] {
+            let (found, volume) = open(pressure);
+            assert!((found - flow).abs() < 1e-5 && (volume - 2.0 * flow).abs() < 1e-5, "{pressure} cmH2O");
+        }
+    }
+
+    /// Ticks of an inspiration: volume, flow, and the rise that these make of it.
+    fn sums(ticks: &[(f32, f32)], rise: impl Fn(f32, f32) -> [f32; 2]) -> Sums {
+        let mut sums = Sums::default();
+        for (volume, flow) in ticks {
+            // Each twice, so that what is added once and taken away once is in no way explained.
+            for y in rise(*volume, *flow) {
+                sums.add(*volume, *flow, y);
+            }
+        }
+        sums
+    }
+
+    const TICKS: [(f32, f32); 3] = [(100.0, 0.5), (200.0, 0.3), (350.0, 0.1)];
+
+    #[test]
+    fn elastance_and_resistance_are_those_of_the_least_squares_within_their_bounds() {
+        for (elastance, resistance, bounded) in [
+            (0.05, 20.0, (0.05, 20.0)),
+            (0.3, 5.0, (0.3, 5.0)),
+            (2.0, 10.0, (1.0, 10.0)),
+            (0.002, 30.0, (SOFTEST, 30.0)),
+            (0.1, 300.0, (0.1, 100.0)),
+            (0.1, -20.0, (0.1, 0.0)),
+        ] {
+            let lung = sums(&TICKS, |v, q| [elastance * v + resistance * q; 2]).solve().unwrap();
+            assert!((lung.elastance - bounded.0).abs() < 1e-4, "E {elastance}: {}", lung.elastance);
+            assert!((lung.resistance - bounded.1).abs() < 0.05, "R {resistance}: {}", lung.resistance);
+        }
+        assert_eq!(sums(&TICKS, |_, _| [0.0; 2]).solve(), Some(LungEstimate::SOFTEST), "no rise at all");
+    }
+
+    #[test]
+    fn what_does_not_behave_like_a_lung_tells_nothing() {
+        let with_unexplained = |part: f32| {
+            let rise = |v: f32, q: f32| 0.05 * v + 20.0 * q;
+            sums(&TICKS, |v, q| [rise(v, q) * (1.0 + part), rise(v, q) * (1.0 - part)]).solve()
+        };
+        // part^2 / (1 + part^2) of the square.
+        assert!(with_unexplained(0.3).is_some() && with_unexplained(0.37).is_none());
+        let in_step = |last_flow| {
+            sums(&[(100.0, 0.5), (200.0, 1.0), (300.0, last_flow)], |v, q| [0.05 * v + 20.0 * q; 2]).solve()
+        };
+        assert!(in_step(1.505).is_none() && in_step(1.8).is_some(), "volume and flow cannot be told apart");
+    }
+
+    /// A closed valve that has delivered what makes this rise, cmH2O.
+    fn predicting(rise: f32) -> LungState {
+        let lung = LungEstimate { elastance: 1.0, resistance: 0.0 };
+        LungState { volume: rise, lungs: [Some(lung), None], ..LungState::default() }
+    }
+
+    /// At which of 200 ticks a rise was first called silent, while the predicted one grows by so much in a tick.
+    fn silent(state: LungState, growth: f32, rise: impl Fn(usize) -> f32) -> Option<usize> {
+        let ((estimator, _), mut state) = (estimator(), state);
+        (0..200).position(|tick| {
+            let silent = estimator.check(&mut state, rise(tick));
+            state.volume += growth;
+            silent
+        })
+    }
+
+    #[test]
+    fn an_eighth_of_a_telling_rise_must_be_seen_within_forty_milliseconds() {
+        let constant = |predicted, rise| silent(predicting(predicted), 0.0, |_| rise);
+        assert_eq!(constant(20.0, 0.119 * 20.0), Some(39));
+        assert_eq!((constant(20.0, ANSWER * 20.0), constant(20.0, 3.0)), (None, None), "it answers");
+        assert_eq!((constant(10.0, 1.0), constant(10.1, 1.0)), (None, Some(39)), "a rise that tells");
+        assert_eq!((constant(20.0, -1.5), constant(20.0, -1.4)), (None, Some(39)), "an open tube");
+        let interrupted = silent(predicting(20.0), 0.0, |tick| if tick % 39 == 38 { 3.0 } else { 1.0 });
+        assert_eq!(interrupted, None);
+    }
+
+    #[test]
+    fn a_pressure_may_stand_still_for_twenty_milliseconds_against_a_telling_rise() {
+        let constant = |predicted, rise| silent(predicting(predicted), 0.0, |_| rise);
+        assert_eq!((constant(20.0, 0.59), constant(20.0, -0.59)), (Some(19), Some(19)));
+        assert_eq!(constant(20.0, STANDS), Some(39), "a change, if too small an answer");
+        assert_eq!((constant(10.0, 0.5), constant(10.1, 0.5)), (None, Some(19)));
+        // Far above the start, and growing by 32 cmH2O in a window of 64 ms.
+        assert_eq!(silent(predicting(100.0), 0.5, |_| 30.0), Some(64 + 19));
+        assert_eq!(silent(predicting(100.0), 10.0 / 64.0, |_| 30.0), None, "by 10 cmH2O");
+        let between = |tick: usize| if tick % 64 < 32 { 30.0 } else { 35.0 };
+        assert_eq!(silent(predicting(100.0), 0.5, between), None, "where it was, but not all the time");
+        // Below the start and still: an open tube, which the breath monitor finds.
+        let gone = LungState { start: 40.0, ..predicting(100.0) };
+        assert_eq!(silent(gone.clone(), 0.5, |_| 38.5), None);
+        assert_eq!(silent(LungState { start: 39.9, ..gone }, 0.5, |_| 38.5), Some(39), "hardly below");
+    }
+
+    #[test]
+    fn of_two_lungs_the_one_that_rises_less_is_believed() {
+        let lung = |elastance, resistance| Some(LungEstimate { elastance, resistance });
+        let rise =
+            |lungs| LungState { volume: 100.0, flow: 0.5, lungs, ..LungState::default() }.predicted_rise();
+        let (soft, stiff) = (lung(0.05, 10.0), lung(0.2, 4.0));
+        assert!((rise([soft, stiff]) - 10.0).abs() < 1e-4 && (rise([stiff, soft]) - 10.0).abs() < 1e-4);
+        assert!((rise([stiff, None]) - 22.0).abs() < 1e-4 && (rise([None, stiff]) - 22.0).abs() < 1e-4);
+        assert!((rise([None, None]) - 100.0 / 120.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn an_inspiration_starts_from_peep_at_most_and_knows_nothing_of_the_last() {
+        let (estimator, mut state) = estimator();
+        inspire(&mut state, 40.0, lung(0.1, 5.0));
+        let lungs = state.lungs;
+        state.start_inspiration(20.0, 5.0);
+        assert_eq!(
+            (state.start as i32, state.volume() as i32, state.sums, state.lungs),
+            (5, 0, Sums::default(), lungs)
+        );
+        state.start_inspiration(3.0, 5.0);
+        assert_eq!(state.start as i32, 3);
+        let mut late = LungState { unanswered: 39, standing: 19, ..predicting(20.0) };
+        late.start_inspiration(5.0, 5.0);
+        late.volume = 20.0;
+        assert!(!estimator.check(&mut late, 5.0));
+    }
+
+    #[test]
+    fn an_inspiration_of_twenty_millilitres_tells_of_the_lung_and_a_smaller_one_does_not() {
+        let after = |volume| {
+            let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
+            let mut state = LungState { volume, sums: told, ..predicting(0.0) };
+            state.end_inspiration();
+            state.lungs.map(|lung| lung.map(|lung| (100.0 * lung.elastance + 0.5) as i32))
+        };
+        assert_eq!(after(TELLING_VOLUME), [Some(5), Some(100)], "the newer first");
+        assert_eq!(after(TELLING_VOLUME - 0.1), [Some(100), None]);
     }
 }

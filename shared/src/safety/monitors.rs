@@ -67,6 +67,7 @@ pub(super) fn in_a_row(before: u32, holds: bool) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::vec::Vec;
 
     #[test]
     fn a_monitor_left_out_is_the_only_one_that_is_missing() {
@@ -74,6 +75,14 @@ mod tests {
             let monitors = Monitors::ALL.without(left_out);
             assert!(Fault::all().all(|fault| monitors.has(fault) == (fault != left_out)));
         }
+    }
+
+    #[test]
+    fn any_plant_has_a_reading_and_a_bearable_pressure() {
+        let monitors: Vec<_> = Fault::all().filter(|fault| Monitors::ANY_PLANT.has(*fault)).collect();
+        let expected =
+            [Fault::ReadingNotANumber, Fault::ReadingOutOfRange, Fault::HighPressure, Fault::HardLimit];
+        assert_eq!(monitors, expected);
     }
 
     #[test]

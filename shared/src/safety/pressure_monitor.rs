@@ -145,12 +145,55 @@ mod tests {
     }
 
     #[test]
+    fn a_pressure_at_its_bounds_is_within_them() {
+        let constant = |pressure| first([pressure; 140], true);
+        assert_eq!((constant(LIMIT), constant(LIMIT + 0.1).map(|found| found.0)), (None, Some(2)));
+        let far = |pressure| findings([pressure; 10], false).last();
+        assert_eq!(far(LIMIT + FAR_ABOVE), Some(PressureFinding::EndInspiration));
+        assert_eq!(far(LIMIT + FAR_ABOVE + 0.1), Some(PressureFinding::Alarm(Fault::HardLimit)));
+        assert_eq!(first((0..20_000).map(|_| 5.0 + BACK_AT_PEEP), false), None, "back at PEEP");
+    }
+
+    #[test]
+    fn the_slope_is_that_of_a_steady_rise_and_looks_ahead_by_the_dead_time() {
+        let (monitor, mut state) = (PressureMonitor::new(1000, Monitors::ALL), PressureState::default());
+        let tick = |pressure| PressureInput { pressure, limit: LIMIT, peep: 5.0, venting: false };
+        for n in 0..100 {
+            monitor.check(&mut state, &tick(0.125 * n as f32));
+            assert!((0.0..0.126).contains(&state.slope));
+        }
+        assert!((state.slope - 0.125).abs() < 1e-3);
+        // The third tick in a row: to exactly so far above the limit a pressure may be on its way.
+        let third = |slope: f32| {
+            let last = LIMIT + AHEAD_ABOVE - AHEAD * slope - slope;
+            let mut state =
+                PressureState { last: Some(last), slope, ahead_above: 2, ..PressureState::default() };
+            monitor.check(&mut state, &tick(last + slope))
+        };
+        assert_eq!((third(1.0), third(1.25)), (PressureFinding::Normal, PressureFinding::Normal));
+        let mut state =
+            PressureState { last: Some(32.1), slope: 1.0, ahead_above: 2, ..PressureState::default() };
+        assert_eq!(monitor.check(&mut state, &tick(33.1)), PressureFinding::EndInspiration);
+    }
+
+    #[test]
+    fn readings_that_come_slowly_say_nothing_of_where_the_pressure_goes() {
+        let (monitor, mut state) = (PressureMonitor::new(50_000, Monitors::ALL), PressureState::default());
+        for pressure in [5.0, 20.0, 35.0, 39.0] {
+            let input = PressureInput { pressure, limit: LIMIT, peep: 5.0, venting: false };
+            assert_eq!(monitor.check(&mut state, &input), PressureFinding::Normal);
+        }
+    }
+
+    #[test]
     fn far_above_the_limit_or_above_it_with_an_open_valve_is_not_waited_for() {
         let far = (0..100).map(|n| (10.0 + n as f32).min(56.0));
         assert_eq!(findings(far, false).last(), Some(PressureFinding::Alarm(Fault::HardLimit)));
         let stays = (0..600).map(|n| if n < 400 { 30.0 + 0.05 * n as f32 } else { 45.0 });
         let found = findings(stays, true).position(|finding| matches!(finding, PressureFinding::Alarm(_)));
         assert!((340..360).contains(&found.unwrap()), "{found:?}");
+        let closed = findings([45.0; 400], false).last();
+        assert_eq!(closed, Some(PressureFinding::EndInspiration), "the expiratory valve has yet to open");
     }
 
     #[test]

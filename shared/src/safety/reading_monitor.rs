@@ -158,6 +158,7 @@ impl ReadingMonitor {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::vec::Vec;
 
     const PERIOD_US: u32 = 1000;
 
@@ -204,6 +205,39 @@ mod tests {
             found(alive(15.0).enumerate().map(with_gaps).take(3000))
         };
         assert_eq!((every(20), every(5)), (None, nan));
+    }
+
+    #[test]
+    fn the_problem_that_came_most_often_is_told_and_good_readings_make_up_for_old_ones() {
+        let (nan, far) = (f32::NAN, 200.0);
+        assert_eq!(found([far, far, far, 5.0, nan, nan, nan]), Some(Fault::ReadingOutOfRange));
+        assert_eq!(found([far, far, 5.0, nan, nan, nan, nan]), Some(Fault::ReadingNotANumber));
+        let made_up = [nan; 4].into_iter().chain(alive(5.0).take(36));
+        assert_eq!(found(made_up.chain([nan, nan, far, far, far])), Some(Fault::ReadingOutOfRange));
+        assert_eq!(found([5.0, far, far, 110.0, 110.0, 110.0]), Some(Fault::ReadingJumps));
+    }
+
+    #[test]
+    fn a_reading_may_jump_by_the_highest_jump_for_each_millisecond_since_the_last() {
+        let believed = |readings: &[f32]| {
+            let (monitor, mut state) = monitor(Monitors::ALL);
+            readings.iter().map(|reading| monitor.check(&mut state, *reading, true).fresh).collect::<Vec<_>>()
+        };
+        assert_eq!(believed(&[0.0, JUMP_MAX]), [true, true]);
+        assert_eq!(believed(&[0.0, JUMP_MAX + 0.1]), [true, false]);
+        assert_eq!(believed(&[10.0, f32::NAN, 10.0 - 2.0 * JUMP_MAX]), [true, false, true]);
+        assert_eq!(believed(&[10.0, f32::NAN, 9.9 - 2.0 * JUMP_MAX]), [true, false, false]);
+    }
+
+    #[test]
+    fn noise_at_its_bound_is_that_of_a_sound_sensor() {
+        let (monitor, state) = monitor(Monitors::ALL);
+        let noise = NOISE_MAX * SECOND_DIFFERENCE;
+        let at_the_bound = |second_difference| {
+            let mut state = ReadingState { last_good: Some(0.0), second_difference, ..state };
+            monitor.check(&mut state, noise, true).fault
+        };
+        assert_eq!((at_the_bound(noise), at_the_bound(1.01 * noise)), (None, Some(Fault::ReadingNoisy)));
     }
 
     #[test]

@@ -305,6 +305,50 @@ mod tests {
         }
     }
 
+    /// What becomes of a breath's pressure.
+    #[derive(Clone, Copy)]
+    enum Lung {
+        /// It rises with the volume, by its elastance in cmH2O/mL.
+        Elastic(f32),
+        /// It stays at PEEP, whatever the valve delivers.
+        Dead,
+    }
+
+    impl Run {
+        /// A breath with a command in percent throughout its inspiration; the tick at which a fault was latched.
+        fn inspire(&mut self, lung: Lung, command: f32) -> Option<u32> {
+            let mut pressure = 5.0_f32;
+            for tick in 0..breath().total_ticks() {
+                let inspires = breath().phase(tick) == Phase::Inspiration;
+                let rise = match lung {
+                    Lung::Elastic(elastance) if inspires && !self.state.cut() && tick > 0 => {
+                        elastance * self.state.lung.volume()
+                    }
+                    _ => 0.0,
+                };
+                // No faster down than a lung empties.
+                pressure = (5.0 + rise).max(pressure - 2.0);
+                self.check(pressure + dither(tick), Some(tick));
+                if self.state.fault().is_some() {
+                    return Some(tick);
+                }
+                self.supervisor.command(&mut self.state, ControlOutput::plain(command), !inspires);
+            }
+            None
+        }
+
+        /// When a reading that stays at PEEP was called silent: the softer the lung is believed to be, the later.
+        fn silent_after(&mut self) -> u32 {
+            let tick = self.inspire(Lung::Dead, 100.0);
+            assert_eq!(self.state.fault(), Some(Fault::NoResponse));
+            tick.unwrap_or_default()
+        }
+    }
+
+    /// Lungs of 50 and 10 mL/cmH2O.
+    const SOFT: Lung = Lung::Elastic(0.02);
+    const STIFF: Lung = Lung::Elastic(0.1);
+
     /// Noise of a working sensor.
     fn dither(tick: u32) -> f32 {
         0.07 * ((tick * 7 % 5) as f32 - 2.0)
@@ -343,7 +387,30 @@ mod tests {
         let mut run = Run::new();
         run.breathe(0..10, 15.0, ControlOutput::plain(90.0));
         run.state.ladder.step_down(Level::CappedPid);
-        assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - CAP).abs() < f32::EPSILON);
+        assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - 40.0).abs() < f32::EPSILON);
+    }
+
+    #[test]
+    fn a_noisy_sensor_leaves_the_capped_pid() {
+        let mut run = Run::new();
+        let noisy = |tick: u32| 15.0 + 1.2 * ((tick * 7 % 5) as f32 - 2.0);
+        for tick in 0..200 {
+            run.check(noisy(tick), Some(tick));
+            run.command(LEARNED);
+        }
+        assert_eq!(run.state.take_raised(), Some(Fault::ReadingNoisy));
+        assert_eq!((run.state.level(), run.state.fault()), (Level::CappedPid, None));
+        run.check(noisy(200), Some(200));
+        assert_eq!(run.state.take_raised(), None, "told once");
+    }
+
+    #[test]
+    fn a_missed_tick_does_not_lift_the_cap() {
+        let mut run = Run::new();
+        run.state.ladder.step_down(Level::CappedPid);
+        run.missed(1);
+        assert_eq!(run.state.level(), Level::CappedPid);
+        assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - 40.0).abs() < f32::EPSILON);
     }
 
     #[test]
@@ -371,7 +438,8 @@ mod tests {
         }
         run.breathe(120..1000, 7.0, LEARNED);
         assert_eq!(run.command(LEARNED), ValveCommand::SAFE, "until the breath has ended");
-        run.breathe(1000..3000, 5.0, ControlOutput { base: 5.0, command: 5.0 });
+        let expiration = run.breathe(1000..3000, 5.0, ControlOutput::plain(5.0));
+        assert!(expiration.iter().all(|u| (u - 5.0).abs() < f32::EPSILON), "the bias");
         assert!((run.breathe(0..1, 5.0, LEARNED)[0] - 24.0).abs() < 1e-4);
         assert_eq!((run.state.fault(), run.state.take_raised()), (None, None), "a cough is no alarm");
     }
@@ -393,21 +461,106 @@ mod tests {
         assert_eq!(run.state.fault(), None);
     }
 
+    #[test]
+    fn breaths_that_end_at_the_limit_lead_down_the_ladder_and_each_step_is_told() {
+        let mut run = Run::new();
+        let mut told = || {
+            assert_eq!(run.inspire(STIFF, 100.0), None);
+            (run.state.level(), run.state.take_raised())
+        };
+        assert_eq!((told(), told()), ((Level::Learned, None), (Level::Learned, None)));
+        assert_eq!(told(), (Level::Pid, Some(Fault::LearnedDistrusted)));
+        assert_eq!(told(), (Level::CappedPid, Some(Fault::CommandCapped)));
+    }
+
+    #[test]
+    fn a_stiff_lung_that_does_not_answer_is_found_early_in_the_next_breath() {
+        let mut run = Run::new();
+        assert_eq!(run.inspire(STIFF, 40.0), None);
+        assert!(run.silent_after() < 200);
+    }
+
+    #[test]
+    fn a_lung_is_known_from_a_breath_that_ended_at_the_limit() {
+        let mut run = Run::new();
+        assert_eq!(run.inspire(STIFF, 100.0), None);
+        assert!(run.silent_after() < 200);
+    }
+
+    /// The softer lung of the last two breaths is believed, so a breath that were taken in twice would push out the other.
+    #[test]
+    fn each_breath_tells_of_the_lung_once() {
+        let mut run = Run::new();
+        assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 100.0)), (None, None));
+        assert!(run.silent_after() > 250, "the second one ended at the limit");
+        let mut run = Run::new();
+        assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 40.0)), (None, None));
+        for tick in 1000..1010 {
+            run.check(65.0_f32.min(5.0 + 10.0 * (tick - 999) as f32) + dither(tick), Some(tick));
+            run.supervisor.command(&mut run.state, ControlOutput::plain(5.0), true);
+        }
+        assert!(run.silent_after() > 250, "above the limit after the second one");
+    }
+
+    #[test]
+    fn the_volume_is_that_of_the_inspiration_until_its_end_or_the_limit() {
+        let (mut run, bias) = (Run::new(), ControlOutput::plain(20.0));
+        run.breathe(0..1000, 15.0, bias);
+        let volume = run.state.lung.volume();
+        assert!((140.0..150.0).contains(&volume), "{volume} mL at 0.161 L/s less the back-pressure");
+        run.breathe(1000..3000, 5.0, bias);
+        assert!((run.state.lung.volume() - volume).abs() < f32::EPSILON);
+        run.breathe(0..500, 55.0, bias);
+        run.breathe(500..510, 60.5, bias);
+        assert!(run.state.cut());
+        let volume = run.state.lung.volume();
+        run.breathe(510..600, 55.0, bias);
+        assert!((run.state.lung.volume() - volume).abs() < f32::EPSILON);
+    }
+
+    #[test]
+    fn breaths_of_an_earlier_run_do_not_count() {
+        let mut run = Run::new();
+        run.state.ladder.step_down(Level::Pid);
+        run.missed(4);
+        run.state.begin();
+        assert_eq!(run.state.level(), Level::Learned);
+        run.missed(4);
+        assert_eq!(run.state.fault(), None);
+    }
+
+    #[test]
+    fn what_the_sensor_said_before_the_start_bridges_the_first_reading() {
+        let mut run = Run::new();
+        run.check(5.0, None);
+        run.state.begin();
+        assert_eq!(run.check(f32::NAN, Some(0)), Some(5.0));
+    }
+
+    #[test]
+    fn a_monitor_that_is_left_out_latches_nothing() {
+        let mut run = Run::new();
+        run.supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ANY_PLANT);
+        run.missed(5);
+        assert_eq!((run.state.fault(), run.state.take_raised()), (None, None));
+    }
+
     proptest! {
-        /// For any output of the network, the difference from the PID's command changes no faster than the slew.
+        /// For any output of the network and of its PID, the learned part changes by at most 25 % in a tick, and the command is
+        /// the PID's with that part and nothing else.
         #[test]
         fn no_network_moves_the_command_faster_than_the_slew(
             outputs in prop::collection::vec((0.0f32..=100.0, prop::num::f32::ANY), 1..300),
         ) {
-            let (mut run, mut learned) = (Run::new(), 0.0);
+            let (mut run, mut before) = (Run::new(), 0.0);
             for (tick, (base, wild)) in outputs.into_iter().enumerate() {
                 let output = ControlOutput { base, command: math::limit(wild, 0.0, 100.0) };
                 run.check(15.0 + dither(tick as u32), Some(tick as u32));
                 let command = run.command(output).u_in();
-                let now = command - base;
-                prop_assert!((0.0..=100.0).contains(&command));
-                prop_assert!((now - learned).abs() <= 25.0 + base.max(100.0 - base) + 1e-3);
-                learned = now;
+                let learned = run.state.learned;
+                prop_assert!((learned - before).abs() <= 25.0 + 1e-3);
+                prop_assert!((command - (base + learned).clamp(0.0, 100.0)).abs() <= 1e-3);
+                before = learned;
             }
         }
     }
