@@ -1,0 +1,5 @@
+use shared::safety::filter::ValveCommand;
+
+fn main() {
+    let _: ValveCommand = Default::default();
+}
