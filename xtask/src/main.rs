@@ -6,6 +6,7 @@ mod cost;
 mod faults;
 mod firmware;
 mod memory;
+mod mutants;
 mod python;
 mod qemu_test;
 mod setup;
@@ -48,6 +49,8 @@ enum Command {
     Faults,
     /// Prove that every safety monitor is needed: without it the fault matrix must fail
     MutateMonitors,
+    /// Mutate the core and check that its tests detect each mutant
+    Mutants(mutants::Arguments),
     /// Run the Python examples, with a plant written in Python
     Python,
     /// Run every check that a change must pass
@@ -76,6 +79,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Cost(arguments) => cost::run(&shell, arguments),
         Command::Faults => faults::faults(&shell),
         Command::MutateMonitors => faults::mutate_monitors(&shell),
+        Command::Mutants(arguments) => mutants::run(&shell, arguments),
         Command::Python => python::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }

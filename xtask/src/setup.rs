@@ -5,7 +5,7 @@
 use anyhow::Result;
 use xshell::{Shell, cmd};
 
-use crate::CHIP_TARGET;
+use crate::{CHIP_TARGET, mutants};
 
 /// Arguments of `cargo xtask setup`.
 #[derive(clap::Args)]
@@ -13,6 +13,9 @@ pub struct Arguments {
     /// Omit QEMU, which building the firmware does not need
     #[arg(long)]
     target_only: bool,
+    /// Install cargo-mutants too, for `cargo xtask mutants`
+    #[arg(long)]
+    mutants: bool,
 }
 
 /// Installs the missing parts.
@@ -20,6 +23,9 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     cmd!(shell, "bash .ci/setup/chip-target {CHIP_TARGET}").quiet().run()?;
     if !arguments.target_only {
         cmd!(shell, "bash .ci/setup/qemu").quiet().run()?;
+    }
+    if arguments.mutants {
+        mutants::install(shell)?;
     }
     Ok(())
 }

@@ -19,7 +19,7 @@ use crate::safety::ladder::Level;
 use crate::safety::monitors::Monitors;
 use crate::timing::TickTime;
 use crate::weights::slots::{Slot, SlotState};
-use crate::weights::{IMAGE_BYTES, Identity, decode, encode};
+use crate::weights::{IMAGE_BYTES, Identity, ImageProblem, decode, encode};
 
 const CORE_HZ: u32 = 168_000_000;
 const TICKS_OF_A_BREATH: usize = 3000;
@@ -289,6 +289,38 @@ fn a_host_that_falls_silent_ends_the_exploration_and_nothing_else() {
     assert_eq!((identity.mode, identity.exploration), (Mode::Ventilating, None));
     let (rig, explored) = left_alone(Monitors::ANY_PLANT);
     assert_eq!((explored, silent(&rig)), (std::vec![true; 6], 0), "a plant that nobody has to watch");
+}
+
+/// The alarms of a new device's first ticks after a start that found this.
+fn alarms_after(findings: BootFindings) -> Vec<Fault> {
+    let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    control.report_boot(&findings);
+    (0..4).filter_map(|_| control.step(5.0).alarm).collect()
+}
+
+#[test]
+fn a_device_that_has_restarted_by_itself_says_so_once() {
+    let after =
+        |cause, interrupted| alarms_after(BootFindings { cause, interrupted, slots: [SlotState::Empty; 2] });
+    for requested in [ResetCause::PowerOn, ResetCause::Pin, ResetCause::Software, ResetCause::Other] {
+        assert_eq!(after(requested, false), [], "{requested:?}");
+        assert_eq!(after(requested, true), [Fault::Restarted], "{requested:?}, while it ventilated");
+    }
+    for unrequested in [ResetCause::BrownOut, ResetCause::Watchdog] {
+        assert_eq!(after(unrequested, false), [Fault::Restarted], "{unrequested:?}");
+    }
+}
+
+#[test]
+fn weights_that_a_start_refuses_are_told_after_the_restart() {
+    let valid = SlotState::Valid { generation: 1, id: 2 };
+    let after =
+        |slots, interrupted| alarms_after(BootFindings { cause: ResetCause::PowerOn, interrupted, slots });
+    assert_eq!(after([SlotState::Empty, valid], false), []);
+    for refused in [SlotState::Torn, SlotState::Invalid(ImageProblem::Golden)] {
+        assert_eq!(after([valid, refused], false), [Fault::WeightsRefused], "{refused:?}");
+        assert_eq!(after([refused, valid], true), [Fault::Restarted, Fault::WeightsRefused], "{refused:?}");
+    }
 }
 
 /// How long a tick took that so many were missed before.

@@ -313,6 +313,8 @@ mod tests {
     fn a_pressure_that_is_gone_is_found_within_the_inspiration() {
         let gone = Seen { plateau: 1.0, before: 1.0, command: 100.0, ..GOOD };
         assert_eq!(complaint(&[GOOD, gone]), Some((1, Fault::Disconnection)));
+        let just = Seen { plateau: 2.9, before: 2.9, ..gone };
+        assert_eq!(complaint(&[GOOD, just]), Some((1, Fault::Disconnection)));
         assert_eq!(complaint(&[Seen { command: 30.0, ..gone }; 2]), None, "a valve that is hardly open");
         assert_eq!(complaint(&[GOOD, Seen { plateau: 3.0, before: 3.0, ..gone }]), None, "just below PEEP");
         let empty_expiration = |input: &mut BreathInput<'_>| {
