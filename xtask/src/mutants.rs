@@ -8,7 +8,7 @@ use std::process::{Command, exit};
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
-use xshell::{Cmd, Shell, cmd};
+use xshell::{Shell, cmd};
 
 /// The release of cargo-mutants; [`LIST`] names mutations in its words.
 const VERSION: &str = "27.1.0";
@@ -34,10 +34,10 @@ const OUTCOMES: [(&str, Outcome); 4] = [
 ];
 /// What runs before the last one have found.
 const EARLIER: &str = "target/mutants/earlier.json";
-/// Tests that take seconds. Most mutants fail in others, so these see only what survives them.
+/// Tests that take seconds. Most mutants fail in others, so these meet only what nothing else catches or explains.
 const SLOW: [&str; 2] =
     ["a_cut_at_any_byte_leaves_the_old_or_the_new_weights", "every_flipped_bit_is_refused"];
-/// Cases of a property test, until survivors meet all.
+/// Cases of a property test among the quick tests.
 const FEW_CASES: &str = "16";
 
 /// Arguments of `cargo xtask mutants`.
@@ -58,6 +58,14 @@ pub struct Arguments {
 
 fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// The tests that a mutant meets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Tests {
+    /// All but [`SLOW`], with [`FEW_CASES`].
+    Quick,
+    All,
 }
 
 /// What became of a mutant.
@@ -182,7 +190,10 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let selection: Vec<&str> = globs.iter().flat_map(|glob| ["--file", glob]).collect();
     let mutants = list(shell, &selection)?;
     ensure!(!mutants.is_empty(), "there is nothing to mutate in {}", globs.join(", "));
-    let outcomes = try_all(shell, arguments, &selection)?;
+    let mut outcomes = try_all(shell, arguments.jobs, arguments.resume, &selection, Tests::Quick)?;
+    if !Verdict::new(&mutants, &outcomes, &accepted).unexplained.is_empty() {
+        outcomes = try_all(shell, arguments.jobs, true, &selection, Tests::All)?;
+    }
     let verdict = Verdict::new(&mutants, &outcomes, &accepted);
     ensure!(verdict.untried == 0, "{} mutants were not tried; go on with --resume", verdict.untried);
     print!("{}", verdict.text());
@@ -210,35 +221,28 @@ fn list(shell: &Shell, selection: &[&str]) -> Result<Vec<Mutant>> {
     Ok(identified.collect())
 }
 
-/// Runs cargo-mutants twice, with the quick tests, then with all of them on what has survived; what became of each mutant.
-fn try_all(shell: &Shell, arguments: &Arguments, selection: &[&str]) -> Result<Outcomes> {
-    if arguments.resume {
+/// Runs cargo-mutants with these tests; what it has found, with what the runs have that this one resumes.
+fn try_all(shell: &Shell, jobs: usize, resume: bool, selection: &[&str], tests: Tests) -> Result<Outcomes> {
+    if resume {
         remember(shell)?;
     } else {
         shell.remove_path(FOLDER)?;
         shell.create_dir(FOLDER)?;
     }
-    let iterate = arguments.resume.then_some("--iterate");
-    let jobs = arguments.jobs.to_string();
-    let run = |command: Cmd<'_>| -> Result<Outcomes> {
-        let status = Command::from(command).status()?;
-        // 2: some survived; 3: the tests of some did not end.
-        ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants gave up: {status}");
-        remember(shell)
-    };
-    let mutants = || {
-        cmd!(
-            shell,
-            "cargo mutants --package shared {selection...} --output {FOLDER} --jobs {jobs} --profile mutants --cargo-arg=--lib"
-        )
-    };
-    let skip = SLOW.iter().flat_map(|test| ["--skip", test]);
-    let outcomes =
-        run(mutants().args(iterate).args(["--", "--"]).args(skip).env("PROPTEST_CASES", FEW_CASES))?;
-    if outcomes.values().all(|outcome| *outcome != Outcome::Survived) {
-        return Ok(outcomes);
+    let jobs = jobs.to_string();
+    let mut command = cmd!(
+        shell,
+        "cargo mutants --package shared {selection...} --output {FOLDER} --jobs {jobs} --profile mutants --cargo-arg=--lib"
+    )
+    .args(resume.then_some("--iterate"));
+    if tests == Tests::Quick {
+        let skip = SLOW.iter().flat_map(|test| ["--skip", test]);
+        command = command.args(["--", "--"]).args(skip).env("PROPTEST_CASES", FEW_CASES);
     }
-    run(mutants().arg("--iterate"))
+    let status = Command::from(command).status()?;
+    // 2: some survived; 3: the tests of some did not end.
+    ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants gave up: {status}");
+    remember(shell)
 }
 
 /// Adds what the last run has found to what those before it have.

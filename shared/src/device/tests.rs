@@ -167,6 +167,8 @@ fn a_device_with_weights_runs_them_and_one_without_refuses_to() {
     assert!(
         matches!(with.ask(Request::Identify), Response::Identity(i) if i.controller == ControllerChoice::Learned)
     );
+    let chosen = with.ask(Request::SetController(ControllerChoice::Learned));
+    assert_eq!(chosen, Response::Controller(ControllerChoice::Learned));
     let mut without = Rig::new(None);
     let refused = without.ask(Request::SetController(ControllerChoice::Learned));
     assert_eq!(refused, Response::Refused(Refusal::NoWeights));
@@ -194,6 +196,58 @@ fn every_breath_takes_the_oldest_settings_waiting_and_the_last_ones_stay() {
     let targets: Vec<_> = rig.samples().iter().filter(|s| s.tick == 500).map(|s| s.target as i32).collect();
     assert_eq!(targets, [10, 30, 20, 20]);
     assert_eq!(rig.samples().len(), 4 * TICKS_OF_A_BREATH, "every tick arrives, the last batch too");
+}
+
+#[test]
+fn telemetry_flows_while_it_is_on_and_tells_of_refused_frames() {
+    let mut rig = Rig::new(None);
+    rig.server.corrupt_frames(7);
+    rig.ask(Request::Start);
+    rig.run(200);
+    assert_eq!(rig.samples().len(), 0);
+    rig.ask(Request::Telemetry { on: true });
+    rig.run(200);
+    let batch = rig.events.iter().rev().find_map(|event| match event {
+        ToHost::Event(Event::Telemetry(batch)) => Some(batch),
+        _ => None,
+    });
+    assert_eq!(batch.unwrap().counters.corrupt_frames, 7);
+}
+
+#[test]
+fn the_end_of_ventilation_is_reported_once() {
+    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    let stops = |control: &mut Control| {
+        let output = control.step(5.0);
+        let mut stops = 0;
+        control.report(&output, &mut |report| {
+            stops += usize::from(report == ControlReport::Stopped);
+            true
+        });
+        stops
+    };
+    assert_eq!(stops(&mut control), 0, "in standby");
+    control.execute(&ControlRequest::Start);
+    assert_eq!((stops(&mut control), stops(&mut control)), (0, 0));
+    control.execute(&ControlRequest::Stop);
+    assert_eq!((stops(&mut control), stops(&mut control)), (1, 0));
+}
+
+#[test]
+fn a_request_finds_the_mode_that_the_one_before_it_led_to() {
+    let mut rig = Rig::new(None);
+    rig.ask(Request::Start);
+    assert!(matches!(rig.ask(Request::Identify), Response::Identity(i) if i.mode == Mode::Ventilating));
+}
+
+#[test]
+fn the_flight_recorder_is_told_whose_command_it_was() {
+    for learned in [Some(residual()), None] {
+        let expected = learned.is_some();
+        let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, learned, CORE_HZ).unwrap();
+        let output = control.step(5.0);
+        assert_eq!(control.moment(5.0, &output, 0).learned, expected);
+    }
 }
 
 #[test]
@@ -292,16 +346,15 @@ fn a_host_that_falls_silent_ends_the_exploration_and_nothing_else() {
 }
 
 /// The alarms of a new device's first ticks after a start that found this.
-fn alarms_after(findings: BootFindings) -> Vec<Fault> {
+fn alarms_after(cause: ResetCause, interrupted: bool, slots: [SlotState; 2]) -> Vec<Fault> {
     let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
-    control.report_boot(&findings);
+    control.report_boot(cause, interrupted, &slots);
     (0..4).filter_map(|_| control.step(5.0).alarm).collect()
 }
 
 #[test]
 fn a_device_that_has_restarted_by_itself_says_so_once() {
-    let after =
-        |cause, interrupted| alarms_after(BootFindings { cause, interrupted, slots: [SlotState::Empty; 2] });
+    let after = |cause, interrupted| alarms_after(cause, interrupted, [SlotState::Empty; 2]);
     for requested in [ResetCause::PowerOn, ResetCause::Pin, ResetCause::Software, ResetCause::Other] {
         assert_eq!(after(requested, false), [], "{requested:?}");
         assert_eq!(after(requested, true), [Fault::Restarted], "{requested:?}, while it ventilated");
@@ -314,8 +367,7 @@ fn a_device_that_has_restarted_by_itself_says_so_once() {
 #[test]
 fn weights_that_a_start_refuses_are_told_after_the_restart() {
     let valid = SlotState::Valid { generation: 1, id: 2 };
-    let after =
-        |slots, interrupted| alarms_after(BootFindings { cause: ResetCause::PowerOn, interrupted, slots });
+    let after = |slots, interrupted| alarms_after(ResetCause::PowerOn, interrupted, slots);
     assert_eq!(after([SlotState::Empty, valid], false), []);
     for refused in [SlotState::Torn, SlotState::Invalid(ImageProblem::Golden)] {
         assert_eq!(after([valid, refused], false), [Fault::WeightsRefused], "{refused:?}");
@@ -378,9 +430,13 @@ fn a_fault_is_an_alarm_after_the_last_samples_and_empties_the_queue() {
     ));
     assert_eq!(rig.samples().len(), 24, "the fifth missing reading latches");
     assert_eq!(rig.ask(Request::Start), Response::Refused(Refusal::FaultLatched));
+    assert!(matches!(rig.ask(Request::GetSettings), Response::Settings { pending: None, .. }));
+    rig.ask(Request::QueueSettings(paper_settings(30.0)));
+    rig.run(1);
     assert_eq!(rig.ask(Request::Acknowledge), Response::Mode(Mode::Standby));
     assert_eq!(rig.ask(Request::Acknowledge), Response::Refused(Refusal::NoFault));
-    assert!(matches!(rig.ask(Request::GetSettings), Response::Settings { pending: None, .. }));
+    let after = rig.ask(Request::GetSettings);
+    assert!(matches!(after, Response::Settings { pending: Some(_), .. }), "what is asked for after it stays");
 }
 
 fn recorded(rig: &mut Rig) -> RecorderStatus {

@@ -244,6 +244,8 @@ mod tests {
         let mut loss = LossCounter::default();
         let missing = [u32::MAX - 1, u32::MAX, 2, 3].map(|sequence| loss.arrived(sequence));
         assert_eq!((missing, loss.lost()), ([0, 0, 2, 0], 2));
+        let mut restarted = loss.restarted();
+        assert_eq!((restarted.arrived(70), restarted.lost()), (0, 2), "whatever comes first follows");
     }
 
     #[test]
@@ -262,6 +264,9 @@ mod tests {
             BreathSummary { breath: 0, mean_absolute_error: 3.0, peak_pressure: 22.0, end_pressure: 5.5 };
         assert_eq!(meter.take(&breath(1)[0]), Some(expected));
         assert_eq!(meter.take(&breath(0)[0]), None, "broken off and restarted");
+        let mut late = BreathMeter::default();
+        assert_eq!(late.take(&breath(0)[3]), None);
+        assert_eq!(late.take(&breath(1)[0]), None, "no inspiration was seen");
     }
 
     proptest! {

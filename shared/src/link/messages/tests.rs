@@ -426,6 +426,34 @@ fn an_unknown_request_can_be_refused_under_its_number() {
     assert_eq!(read_request(&[0xAC, 0x02, 99]), Err(Unreadable { sequence: Some(300) }));
     assert_eq!(read_request(&[]), Err(Unreadable { sequence: None }));
     assert_eq!(read_request(&[5, 3, 0]).unwrap_err().sequence, Some(5), "a byte too many");
+    let response = Response::Refused(Refusal::UnknownRequest);
+    let refusal = Unreadable { sequence: Some(300) }.refusal();
+    assert_eq!(refusal, Some(ToHost::Response { sequence: 300, response }));
+    assert_eq!(Unreadable { sequence: None }.refusal(), None);
+}
+
+#[test]
+fn the_id_of_the_weights_that_run_is_that_of_their_slot() {
+    let running = |running, slots| {
+        let identity = DeviceIdentity {
+            protocol: PROTOCOL,
+            firmware: [1, 2, 3],
+            device: DeviceKind::Ventilator,
+            period_us: 1000,
+            mode: Mode::Standby,
+            controller: ControllerChoice::Learned,
+            exploration: None,
+            slots,
+            running,
+            reset: ResetCause::PowerOn,
+            failure: None,
+        };
+        identity.running_id()
+    };
+    let slots = [SlotState::Valid { generation: 1, id: 70 }, SlotState::Valid { generation: 2, id: 80 }];
+    assert_eq!((running(Some(Slot::A), slots), running(Some(Slot::B), slots)), (Some(70), Some(80)));
+    assert_eq!(running(None, slots), None);
+    assert_eq!(running(Some(Slot::A), [SlotState::Torn; 2]), None);
 }
 
 #[test]

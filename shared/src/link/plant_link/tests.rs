@@ -82,6 +82,21 @@ fn a_pressure_that_is_no_number_arrives_as_it_was_sent() {
     assert!(matches!(back.message, PlantMessage::Pressure { pressure } if pressure.is_nan()));
 }
 
+/// A frame that begins with the last half of the one before it.
+#[test]
+fn the_bytes_of_a_frame_are_no_part_of_the_next() {
+    let airway = f32::from_bits(u32::from_le_bytes([START, 9, 1, 2]));
+    let first = PlantFrame { tick: 7, message: PlantMessage::Truth { pressure: 20.0, airway } };
+    let sent = first.encode();
+    let checksum = u32::from_le_bytes([sent[12], sent[13], sent[14], sent[15]]);
+    let overlapping = PlantMessage::Truth { pressure: f32::from_bits(checksum), airway: 0.0 };
+    let second = PlantFrame { tick: 0x0201, message: overlapping }.encode();
+    assert_eq!(second[..8], sent[8..]);
+    let mut decoder = PlantDecoder::default();
+    assert_eq!(feed(&mut decoder, &sent).len(), 1);
+    assert_eq!(feed(&mut decoder, &second[8..]).len(), 0);
+}
+
 proptest! {
     #[test]
     fn frames_come_back(frames in prop::collection::vec(frame(), 1..10)) {
