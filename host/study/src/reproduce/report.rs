@@ -49,14 +49,14 @@ pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report> {
 pub fn headline(results: &Results) -> String {
     let Some(mean) = &results.mean else { return "not all lungs have been run yet".into() };
     let own = format!(
-        "Mean error with a controller for each lung: {:.3} cmH2O, {:.0} % of the own best PIDs'.",
+        "Mean error with a controller for each lung: {:.3} cmH2O, {:.0} % of that with each lung's best PID.",
         mean.learned,
         100.0 * mean.learned / mean.pid
     );
     match mean.generalist {
         Some(generalist) => format!(
-            "{own} With one controller for all lungs: {:.3} cmH2O, {:.0} % of the best single PID's and {:.0} % of the \
-             own best PIDs'.",
+            "{own} With one controller for all lungs: {:.3} cmH2O, {:.0} % of that with the best single PID and {:.0} \
+             % of that with each lung's best PID.",
             generalist,
             100.0 * generalist / mean.single_pid,
             100.0 * generalist / mean.pid
@@ -131,7 +131,7 @@ fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section> {
     let simulators = lungs::kept(study)?.unwrap_or_default();
     let learned: Vec<_> = study.lungs().iter().zip(&simulators).collect();
     let distances = Table::of(
-        "Open-loop distance of the learned simulators, cmH2O, and length of the recordings behind them",
+        "Open-loop distance of the learned simulators, cmH2O, and length of the recordings that they were learned from",
         &learned,
         &[
             ("lung", &|(bench, _)| Cell::text(&bench.name)),
@@ -147,12 +147,12 @@ fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section> {
     );
     Ok(Section::new(
         "Performance and robustness",
-        "The own best PID is the best of a search on the bench with that lung, the single PID the best one for \
-         all lungs. Each learned controller is trained through simulators of its lung: the mean over seeds, and \
-         the spread from the lowest to the highest. The controller for all lungs is trained through simulators \
-         of all of them. The reference bound is the error of commands optimised on a fully known bench without \
-         noise; it comes from a search and is not a proven limit. The gap closed is the share of the way from \
-         the own best PID to the bound. Bold scores are lower than the own best PID's.",
+        "The own best PID is the best found by a search on the bench with that lung; the single PID has the lowest \
+         mean error over all lungs. \"learned\" is a controller trained through simulators of that lung alone: its \
+         score is the mean over training seeds, the spread the highest minus the lowest. \"learned for all\" is one \
+         controller trained through simulators of all lungs. The reference bound is the error of commands optimised on \
+         a fully known bench without noise; it comes from a search and is not a proven limit. The gap closed is (own \
+         best PID - learned) / (own best PID - reference bound). Bold scores are lower than the own best PID's.",
         vec![
             Block::Table(lungs_table(results)),
             Block::Plot(Plot {
@@ -188,7 +188,7 @@ fn tracking_section(tracking: &Tracking) -> Section {
         "Tracking",
         format!(
             "True airway pressure and valve commands on {} under the best P-only, I-only and PID controllers, the \
-             controller learned for this lung and the one learned for all lungs.",
+             controller trained for this lung and the one trained for all lungs.",
             tracking.lung
         ),
         vec![
@@ -216,14 +216,14 @@ fn unseen_section(results: &Results) -> Section {
             }),
         ],
     );
-    let text = "The controller for all lungs and the best single PID on plants that neither was trained or tuned \
-                on. The own best PID is searched on the plant itself. Bold scores are lower than the single PID's.";
+    let text = "The controller for all lungs and the best single PID on plants used neither in training nor in tuning. \
+                The own best PID is searched for on the plant itself. Bold scores are lower than the single PID's.";
     Section::new("Unseen plants", text, vec![Block::Table(table)])
 }
 
 fn changes_section(changes: &[Change]) -> Section {
     let table = Table::of(
-        "Breaths until the score stays within 10 % of its settled value; 1 is the first breath after the change",
+        "Breath from which the score stays within 10 % of its settled value; 1 is the first after the change",
         changes,
         &[
             ("change", &|change| Cell::text(&change.what)),
@@ -269,7 +269,7 @@ fn iso_section(rows: &[IsoResult]) -> Section {
         ],
     );
     let breaths = Table::of(
-        "Overshoot in cmH2O, rise in ms, tidal volume in mL",
+        "Overshoot in cmH2O, rise time in ms, tidal volume in mL",
         rows,
         &[
             ("row", &|row| Cell::count(row.number.into())),
@@ -284,10 +284,10 @@ fn iso_section(rows: &[IsoResult]) -> Section {
     );
     Section::new(
         "Pressure-control test table",
-        "Rows of ISO 80601-2-12, table 201.105, as transcribed by the open-ventilator community and not checked \
-         against the standard, under the best single PID and the controller learned for all lungs. A row passes \
-         if the mean plateau error is at most 2 cmH2O + 4 % of PIP. Rows 9 to 21 are lungs of infants, while the \
-         valve of this bench is sized for adults: the flow of its backlash alone raises their pressure quickly.",
+        "The best single PID and the controller trained for all lungs on the rows of ISO 80601-2-12, table 201.105. \
+         The rows were transcribed by the open-ventilator community and not checked against the standard. A row passes \
+         if the mean plateau error is at most 2 cmH2O + 4 % of PIP. Rows 9 to 21 have infants' lungs, but the bench's \
+         valve is sized for adults: even the flow within its backlash raises their pressure quickly.",
         vec![Block::Table(plateaus), Block::Table(breaths)],
     )
 }
@@ -319,17 +319,17 @@ fn learning_section(found: &Learning, results: &Results) -> Section {
     let plot = Plot::new("Score against samples", "million simulated ticks", y_label, curves);
     Section::new(
         "Reinforcement learning",
-        "PPO (proximal policy optimisation) and DQN (deep Q-network) use the learned simulators as black boxes, \
-         with the observations of our controller; ours back-propagates through them. A tick is 1 ms of one \
-         simulated inspiration. The last column counts the ticks until a learner's score on the held-out \
-         simulator was within 2 % of the best score of the three.",
+        "PPO (proximal policy optimisation) and DQN (deep Q-network) use the learned simulators as black boxes and \
+         observe the same quantities as our controller; our method back-propagates through the simulators. A tick \
+         is 1 ms of one simulated inspiration. The last column counts the ticks until a learner's score on the \
+         held-out simulator was within 2 % of the best score that any of the three reached.",
         vec![Block::Table(table), Block::Plot(Plot { log_y: true, ..plot })],
     )
 }
 
 fn ablations_section(study: &Study<'_>, found: &[Ablation]) -> Section {
     let table = Table::of(
-        "Score, score of the PID underneath and open-loop distance, cmH2O",
+        "Score, score of the PID underneath when it acts alone, and open-loop distance, cmH2O",
         found,
         &[
             ("varied", &|ablation| Cell::text(&ablation.group)),
@@ -353,10 +353,10 @@ fn ablations_section(study: &Study<'_>, found: &[Ablation]) -> Section {
     Section::new(
         "Ablations",
         format!(
-            "One round of collect, fit and train on {} unless varied; the variants of a group differ in one \
-             respect. Those of \"units\" are scored on a unit that none was trained on, those of \"simulator\" run \
-             at the authors' control period of 30 ms. The open-loop distance is the error of the simulator, the \
-             score that of the controller trained through it.",
+            "One round of collect, fit and train on {} unless varied. \"network alone\" has a PID with zero gains; \
+             \"history\" is the age of the oldest error or command that the network sees. The variants of \"units\" \
+             are trained on one or four units and scored on another; those of \"simulator\" run at the authors' \
+             control period of 30 ms. The open-loop distance measures the simulator, the score the controller.",
             study.lungs()[study.middle()].name
         ),
         vec![Block::Table(table), Block::Plot(plot)],
@@ -380,7 +380,7 @@ fn balloon_section(found: &BalloonFigures) -> Section {
             ("authors", &|(_, _, authors)| Cell::known(*authors, 3)),
         ],
     );
-    let text = "The balloon lung of the paper's authors at 30 ms; every breath starts at 0 cmH2O. Our controller was \
-                trained on recordings of it alone.";
+    let text = "The balloon model of the paper's authors at a control period of 30 ms; every breath starts at 0 cmH2O. \
+                Our controller was trained only on recordings of it. The first row is an ideal reference.";
     Section::new("The authors' own plant", text, vec![Block::Table(table)])
 }
