@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::support::Place;
 
 const MAP: &str = r#"
-plant = "a bench of others"
+plant = "third-party bench"
 [time]
 column = "t"
 unit = "ms"
