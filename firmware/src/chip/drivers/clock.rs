@@ -19,8 +19,9 @@ pub const TICK_CYCLES: u32 = CORE_CLOCK.0 / 1_000_000 * DEFAULT_PERIOD_US;
 /// Priority of `SysTick`, the highest: a tick must be signalled while anything else runs.
 const TICK_PRIORITY: u8 = 0x00;
 
-/// Delay from the tick to its sample, cycles: longer than any interrupt or critical section can delay the control task.
-const SAMPLING_DELAY: u32 = CORE_CLOCK.0 / 1_000_000 * 12;
+/// Delay from the tick to its sample, cycles: longer than any interrupt or critical section can delay the control task, and
+/// shorter than the 10 us of a byte, since the link is paused meanwhile.
+const SAMPLING_DELAY: u32 = CORE_CLOCK.0 / 1_000_000 * 6;
 
 /// Signals the number of the tick that has begun.
 static TICK: Signal<CriticalSectionRawMutex, u32> = Signal::new();
