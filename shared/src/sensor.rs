@@ -28,11 +28,6 @@ pub const PRESSURE_SPAN: f32 = 71.4;
 pub const ORIFICE_SPAN: f32 = 20.4;
 /// Flow through the orifice at 1 cmH2O, L/s.
 pub const ORIFICE_FLOW: f32 = 0.66;
-/// Largest plausible difference between airway and outlet, cmH2O: at full flow the tube between them drops up to 5.
-pub const DISAGREEMENT: f32 = 10.0;
-/// Ticks with a larger difference after which neither sensor is believed.
-pub const DISAGREEMENT_TICKS: u32 = 20;
-
 /// Converter counts of one tick, 12 bits each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counts {
@@ -44,30 +39,31 @@ pub struct Counts {
     pub flow: u16,
 }
 
-/// Sensor values; NaN where there is no plausible value.
+/// Values of all sensors in one tick; NaN where a sensor gives none or does not exist.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SensorReading {
+pub struct Readings {
     /// Airway pressure, cmH2O.
-    pub pressure: f32,
-    /// Flow towards the patient, L/s.
+    pub airway: f32,
+    /// Pressure at the machine's outlet, cmH2O: that of the airway plus the drop in the tube between them.
+    pub outlet: f32,
+    /// Flow at the airway, towards the patient, L/s.
     pub flow: f32,
 }
 
-/// State of the sensor check.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Sensors {
-    /// Consecutive ticks in which the two pressures have disagreed.
-    apart: u32,
+impl From<f32> for Readings {
+    /// The reading of a machine that has only the airway sensor.
+    fn from(airway: f32) -> Self {
+        Self { airway, outlet: f32::NAN, flow: f32::NAN }
+    }
 }
 
-impl Sensors {
-    /// Converts one tick's counts.
-    pub fn read(&mut self, counts: Counts) -> SensorReading {
-        let (airway, outlet) = (value(counts.airway, PRESSURE_SPAN), value(counts.outlet, PRESSURE_SPAN));
-        let agree = (airway - outlet).abs() <= DISAGREEMENT;
-        self.apart = if agree { 0 } else { self.apart.saturating_add(1) };
-        let pressure = if self.apart < DISAGREEMENT_TICKS { airway } else { f32::NAN };
-        SensorReading { pressure, flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)) }
+impl From<Counts> for Readings {
+    fn from(counts: Counts) -> Self {
+        Self {
+            airway: value(counts.airway, PRESSURE_SPAN),
+            outlet: value(counts.outlet, PRESSURE_SPAN),
+            flow: orifice_flow(value(counts.flow, ORIFICE_SPAN)),
+        }
     }
 }
 
@@ -101,15 +97,15 @@ mod tests {
     #[test]
     fn a_sensor_at_its_zero_gives_half_of_the_supply() {
         assert_eq!(counts(0.0, PRESSURE_SPAN), 2068);
-        assert!(Sensors::default().read(at(0.0, 0.0)).pressure.abs() < 0.05);
+        assert!(Readings::from(at(0.0, 0.0)).airway.abs() < 0.05);
     }
 
     #[test]
     fn a_broken_wire_and_a_short_circuit_give_no_number() {
         for broken in [0, 100, 4000, 4095, u16::MAX] {
-            let reading = Sensors::default().read(Counts { airway: broken, ..at(20.0, 20.0) });
-            assert!(reading.pressure.is_nan() && !reading.flow.is_nan());
-            assert!(Sensors::default().read(Counts { flow: broken, ..at(20.0, 20.0) }).flow.is_nan());
+            let readings = Readings::from(Counts { airway: broken, ..at(20.0, 20.0) });
+            assert!(readings.airway.is_nan() && !readings.outlet.is_nan() && !readings.flow.is_nan());
+            assert!(Readings::from(Counts { flow: broken, ..at(20.0, 20.0) }).flow.is_nan());
         }
     }
 
@@ -117,31 +113,17 @@ mod tests {
     fn plausible_voltages_are_a_quarter_of_a_volt_inside_the_supply() {
         // After the divider 0.25 V are 206.8 counts, and 4.75 V are 3929.5.
         for (counts, sound) in [(206, false), (207, true), (3929, true), (3930, false)] {
-            let reading = Sensors::default().read(Counts { airway: counts, outlet: counts, ..at(0.0, 0.0) });
-            assert_eq!(!reading.pressure.is_nan(), sound, "{counts} counts");
+            let readings = Readings::from(Counts { airway: counts, outlet: counts, ..at(0.0, 0.0) });
+            assert_eq!([!readings.airway.is_nan(), !readings.outlet.is_nan()], [sound; 2], "{counts} counts");
         }
-    }
-
-    #[test]
-    fn sensors_that_stay_apart_are_not_believed_until_they_agree_again() {
-        let mut sensors = Sensors::default();
-        for tick in 1..=DISAGREEMENT_TICKS {
-            let lost = sensors.read(at(20.0, 35.0)).pressure.is_nan();
-            assert_eq!(lost, tick == DISAGREEMENT_TICKS);
-        }
-        assert!((sensors.read(at(20.0, 24.0)).pressure - 20.0).abs() < 0.05);
-        let broken = Counts { outlet: 0, ..at(20.0, 20.0) };
-        for _ in 1..DISAGREEMENT_TICKS {
-            sensors.read(broken);
-        }
-        assert!(sensors.read(broken).pressure.is_nan(), "a broken outlet sensor does not count as agreement");
     }
 
     proptest! {
         #[test]
         fn a_pressure_survives_its_counts(pressure in -70.0f32..70.0) {
-            let reading = Sensors::default().read(at(pressure, pressure));
-            prop_assert!((reading.pressure - pressure).abs() < 0.03, "half a count");
+            let readings = Readings::from(at(pressure, pressure));
+            prop_assert!((readings.airway - pressure).abs() < 0.03, "half a count");
+            prop_assert_eq!(readings.airway.to_bits(), readings.outlet.to_bits());
         }
 
         #[test]
@@ -154,8 +136,8 @@ mod tests {
 
         #[test]
         fn no_counts_panic(airway: u16, outlet: u16, flow: u16) {
-            let reading = Sensors::default().read(Counts { airway, outlet, flow });
-            prop_assert!(reading.pressure.is_nan() || reading.pressure.abs() < 90.0);
+            let readings = Readings::from(Counts { airway, outlet, flow });
+            prop_assert!([readings.airway, readings.outlet].iter().all(|p| p.is_nan() || p.abs() < 90.0));
         }
     }
 }

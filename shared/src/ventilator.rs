@@ -2,28 +2,33 @@
 //! control tick.
 //!
 //! # Modes
-//! *Standby*: valves safe, no breath runs. *Ventilating*: breath follows breath. *Fault*: latched safe state; only
-//! [`VentilatorState::acknowledge`] ends it, and leads to standby.
+//! *Standby*: valves safe, no breath runs. *Ventilating*: breath follows breath, also without a pressure reading. *Fault*:
+//! latched safe state, only for faults with which ventilating on would harm; [`VentilatorState::acknowledge`] ends it, and
+//! leads to standby.
 //!
 //! # Breath
 //! Settings sent while ventilating take effect when the next breath starts. The controller runs during the
 //! inspiration; in fall and expiration the expiratory valve is open, the mechanical PEEP valve holds PEEP, and the
-//! inspiratory valve is closed (fall) or at its bias (expiration).
+//! inspiratory valve is closed (fall) or at its bias (expiration), which rises if a leak lets the pressure fall below PEEP.
 //!
 //! # Order of a tick
-//! The supervisor checks the reading -> controller -> exploration -> safety filter -> the controller records the applied
-//! command. Any [`ControlLaw`] can be the controller; order and safety are the same for all.
+//! The supervisor checks the readings -> controller -> exploration -> safety filter -> the controller records the applied
+//! command. Any [`ControlLaw`] can be the controller; order and safety are the same for all. Down the ladder of trust a PID
+//! of the ventilator's own or backup ventilation commands in its place.
 
 use serde::{Deserialize, Serialize};
 
 use crate::breath::{Breath, Phase};
+use crate::control::pid::{Pid, PidState};
 use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use crate::explore::{Exploration, Perturbation};
 use crate::safety::alarms::Fault;
 use crate::safety::filter::ValveCommand;
+use crate::safety::indications::Indications;
 use crate::safety::ladder::Level;
 use crate::safety::monitors::Monitors;
-use crate::safety::supervisor::{Supervisor, SupervisorState};
+use crate::safety::supervisor::{Belief, Supervisor, SupervisorState};
+use crate::sensor::Readings;
 use crate::settings::{Settings, SettingsError};
 
 /// Mode of the ventilator.
@@ -48,7 +53,7 @@ pub struct Sample {
     pub phase: Phase,
     /// Target, cmH2O.
     pub target: f32,
-    /// Pressure as read, cmH2O.
+    /// Pressure as read by the sensor in use, cmH2O; without a sound one that of the airway sensor.
     pub pressure: f32,
     /// Command sent to the inspiratory valve, percent.
     pub u_in: f32,
@@ -77,6 +82,8 @@ pub struct Output {
 pub struct Ventilator<C = Controller> {
     period_us: u32,
     controller: C,
+    /// The PID to which the ladder falls.
+    spare: Pid,
     exploration: Option<Exploration>,
     supervisor: Supervisor,
 }
@@ -92,6 +99,7 @@ pub struct VentilatorState<S = ControllerState> {
     last_command: f32,
     perturbation: Perturbation,
     controller: S,
+    spare: PidState,
     supervisor: SupervisorState,
 }
 
@@ -99,7 +107,7 @@ impl<C: ControlLaw> Ventilator<C> {
     /// A ventilator with a control period in microseconds.
     pub fn new(period_us: u32, controller: C) -> Self {
         let supervisor = Supervisor::new(period_us, Monitors::ALL);
-        Self { period_us, controller, exploration: None, supervisor }
+        Self { period_us, controller, spare: Pid::known_good(period_us), exploration: None, supervisor }
     }
 
     /// Enables only these monitors: for a plant that does not behave like a ventilator, or to show what a monitor prevents.
@@ -160,6 +168,7 @@ impl<C: ControlLaw> Ventilator<C> {
             last_command: 0.0,
             perturbation: Perturbation::default(),
             controller: self.controller.initial_state(),
+            spare: PidState::new(),
             supervisor: SupervisorState::default(),
         }
     }
@@ -184,9 +193,15 @@ impl<C: ControlLaw> Ventilator<C> {
         }
     }
 
-    /// Runs one control tick with the pressure reading in cmH2O.
+    /// Raises an alarm that another part of the device has found.
+    pub fn raise(&self, state: &mut VentilatorState<C::State>, fault: Fault) {
+        self.supervisor.raise(&mut state.supervisor, fault);
+    }
+
+    /// Runs one control tick with the sensors' readings; a pressure alone is that of the airway sensor, cmH2O.
     #[inline]
-    pub fn step(&self, state: &mut VentilatorState<C::State>, reading: f32) -> Output {
+    pub fn step(&self, state: &mut VentilatorState<C::State>, readings: impl Into<Readings>) -> Output {
+        let readings = readings.into();
         let tick = if state.mode == Mode::Ventilating {
             if state.tick == 0 {
                 self.start_breath(state);
@@ -195,18 +210,21 @@ impl<C: ControlLaw> Ventilator<C> {
         } else {
             None
         };
-        let believed = self.supervisor.check(&mut state.supervisor, reading, &state.breath, tick);
+        let belief = self.supervisor.check(&mut state.supervisor, &readings, &state.breath, tick);
         if let Some(fault) = state.supervisor.fault() {
             state.mode = Mode::Fault(fault);
         }
-        match (state.mode, believed) {
-            (Mode::Ventilating, Some(pressure)) => self.breathe(state, reading, pressure),
+        let pressure = match (state.mode, belief) {
+            (Mode::Ventilating, Belief::Pressure(pressure)) => pressure,
+            // No controller sees it: backup ventilation commands.
+            (Mode::Ventilating, Belief::Lost) => state.breath.settings().peep,
             (mode, _) => {
                 state.last_command = 0.0;
                 let command = self.supervisor.rest(&mut state.supervisor);
-                Output { command, mode, sample: None, alarm: state.supervisor.take_raised() }
+                return Output { command, mode, sample: None, alarm: state.supervisor.take_begun() };
             }
-        }
+        };
+        self.breathe(state, state.supervisor.reading(&readings, pressure), pressure)
     }
 
     /// Runs one tick of a breath; `pressure` is the reading, or for a few milliseconds the last good one.
@@ -216,20 +234,23 @@ impl<C: ControlLaw> Ventilator<C> {
         let (phase, target) = match breath.phase(tick) {
             // An inspiration that has reached the pressure limit has ended.
             Phase::Inspiration if state.supervisor.cut() => (Phase::Fall, settings.peep),
+            Phase::Inspiration => {
+                (Phase::Inspiration, breath.target(tick) + state.supervisor.pip_shift(&breath))
+            }
             phase => (phase, breath.target(tick)),
         };
         let (wanted, explore) = match phase {
-            Phase::Inspiration => {
-                let seen = Observation { pressure, target, pip: settings.pip, peep: settings.peep, tick };
-                let explore = state.perturbation.at(tick, self.period_us);
-                (self.controller.step(&mut state.controller, &seen).plus(explore), explore)
-            }
+            Phase::Inspiration => self.inspire(state, pressure, target),
             Phase::Fall => (ControlOutput::plain(0.0), 0.0),
-            Phase::Expiration => (ControlOutput::plain(settings.expiratory_bias), 0.0),
+            Phase::Expiration => {
+                let bias = settings.expiratory_bias + state.supervisor.leak_compensation();
+                (ControlOutput::plain(bias), 0.0)
+            }
         };
         let command = self.supervisor.command(&mut state.supervisor, wanted, phase != Phase::Inspiration);
         if phase == Phase::Inspiration {
             self.controller.applied(&mut state.controller, command.u_in());
+            self.supervisor.record(&mut state.supervisor, &breath, tick);
         }
         state.last_command = command.u_in();
         let sample = Sample {
@@ -243,12 +264,39 @@ impl<C: ControlLaw> Ventilator<C> {
             explore,
         };
         state.tick += 1;
-        if state.tick >= breath.total_ticks() {
+        let due = state.tick >= breath.total_ticks();
+        if due && !self.supervisor.expiration_goes_on(&state.supervisor, &breath, state.tick) {
             state.tick = 0;
             state.number = state.number.wrapping_add(1);
         }
-        let alarm = state.supervisor.take_raised();
+        let alarm = state.supervisor.take_begun();
         Output { command, mode: state.mode, sample: Some(sample), alarm }
+    }
+
+    /// The output of the level of the ladder that commands an inspiration, and the perturbation in it, percent.
+    fn inspire(
+        &self,
+        state: &mut VentilatorState<C::State>,
+        pressure: f32,
+        target: f32,
+    ) -> (ControlOutput, f32) {
+        let (tick, breath) = (state.tick, state.breath);
+        let pip = breath.settings().pip + state.supervisor.pip_shift(&breath);
+        let seen = Observation { pressure, target, pip, peep: breath.settings().peep, tick };
+        // In every tick, so that it has no start of its own when its turn comes.
+        let spare = self.spare.step(&mut state.spare, &seen, 0.0);
+        match state.supervisor.level() {
+            Level::Backup => {
+                let command = self.supervisor.backup_command(&state.supervisor, &breath, tick);
+                (ControlOutput::plain(command), 0.0)
+            }
+            Level::CappedPid => (ControlOutput::plain(spare.base), 0.0),
+            Level::Pid => (self.controller.step(&mut state.controller, &seen), 0.0),
+            Level::Learned => {
+                let explore = state.perturbation.at(tick, self.period_us);
+                (self.controller.step(&mut state.controller, &seen).plus(explore), explore)
+            }
+        }
     }
 
     fn start_breath(&self, state: &mut VentilatorState<C::State>) {
@@ -259,6 +307,7 @@ impl<C: ControlLaw> Ventilator<C> {
             Some(exploration) => exploration.perturbation(&state.breath, state.number),
             None => Perturbation::default(),
         };
+        state.spare = PidState::new();
         self.controller.start_breath(&mut state.controller, state.last_command);
     }
 }
@@ -319,247 +368,32 @@ impl<S> VentilatorState<S> {
         }
     }
 
-    /// Leaves the latched safe state for standby.
-    pub fn acknowledge(&mut self) {
+    /// Starts as [`Self::start`] does, with the PID alone until clean breaths lead up the ladder.
+    pub fn resume(&mut self) {
+        self.start();
+        self.supervisor.distrust();
+    }
+
+    /// Acknowledges all alarms, and leaves the latched safe state for standby; returns whether there was an alarm.
+    pub fn acknowledge(&mut self) -> bool {
         if let Mode::Fault(_) = self.mode {
             self.supervisor.clear();
             self.mode = Mode::Standby;
+            return true;
         }
+        self.supervisor.acknowledge()
+    }
+
+    /// The alarms.
+    pub fn indications(&self) -> &Indications {
+        self.supervisor.indications()
+    }
+
+    /// Whether a pressure sensor is sound.
+    pub fn has_sensor(&self) -> bool {
+        self.supervisor.has_sensor()
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
-    use crate::control::features::FeatureSpec;
-    use crate::control::network::Network;
-    use crate::control::pid::{Pid, PidGains};
-    use crate::control::residual::{Residual, ResidualSpec};
-    use proptest::prelude::*;
-    use std::vec::Vec;
-
-    const GAINS: PidGains = PidGains { p: 2.0, i: 20.0, d: 0.0 };
-
-    /// A ventilator for plants whose readings the tests make up.
-    fn ventilator() -> Ventilator {
-        let pid = Pid::new(GAINS, DEFAULT_PERIOD_US).unwrap();
-        Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid)).with_monitors(Monitors::ANY_PLANT)
-    }
-
-    /// The same ventilator with a network that always adds `percent` to the PID.
-    fn learned(percent: f32) -> Ventilator {
-        let mut network = Network::zero();
-        network.output.bias[0] = 0.01 * percent;
-        let spec = ResidualSpec {
-            period_us: DEFAULT_PERIOD_US,
-            gains: GAINS,
-            lambda: 1.0,
-            authority: 100.0,
-            features: FeatureSpec::default(),
-        };
-        let residual = Residual::new(spec, network).unwrap();
-        Ventilator::new(DEFAULT_PERIOD_US, Controller::Residual(residual)).with_monitors(Monitors::ANY_PLANT)
-    }
-
-    fn started(ventilator: &Ventilator) -> VentilatorState {
-        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
-        state.start();
-        state
-    }
-
-    fn run(ventilator: &Ventilator, state: &mut VentilatorState, ticks: u32, pressure: f32) -> Output {
-        for _ in 1..ticks {
-            ventilator.step(state, pressure);
-        }
-        ventilator.step(state, pressure)
-    }
-
-    #[test]
-    fn standby_holds_the_valves_safe() {
-        let ventilator = ventilator();
-        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
-        let output = run(&ventilator, &mut state, 100, 5.0);
-        assert_eq!((output.command, output.mode, output.sample), (ValveCommand::SAFE, Mode::Standby, None));
-    }
-
-    #[test]
-    fn a_breath_runs_through_its_phases() {
-        let ventilator = ventilator();
-        let mut state = started(&ventilator);
-        let sample = |output: Output| output.sample.unwrap();
-        let first = sample(run(&ventilator, &mut state, 1, 5.0));
-        assert_eq!((first.phase, first.u_out, first.breath, first.tick), (Phase::Inspiration, false, 0, 0));
-        assert!(first.u_in > 0.0);
-        assert_eq!((state.breath_number(), state.tick()), (0, 1));
-        let fall = sample(run(&ventilator, &mut state, 1000, 15.0));
-        assert_eq!((fall.phase, fall.u_out), (Phase::Fall, true));
-        assert!(fall.u_in.abs() < f32::EPSILON);
-        let rest = sample(run(&ventilator, &mut state, 500, 5.0));
-        assert_eq!((rest.phase, rest.u_out), (Phase::Expiration, true));
-        assert!((rest.u_in - 5.0).abs() < f32::EPSILON, "the bias");
-        let next = sample(run(&ventilator, &mut state, 1500, 5.0));
-        assert_eq!((next.breath, next.tick, next.phase), (1, 0, Phase::Inspiration));
-        run(&ventilator, &mut state, 3099, 5.0);
-        assert_eq!((state.breath_number(), state.tick()), (2, 100));
-    }
-
-    /// Asks for a constant command; remembers where the valve stood before the breath, then each command that was applied.
-    struct Constant(f32);
-
-    impl ControlLaw for Constant {
-        type State = Vec<f32>;
-
-        fn initial_state(&self) -> Vec<f32> {
-            Vec::new()
-        }
-
-        fn start_breath(&self, state: &mut Vec<f32>, command: f32) {
-            *state = Vec::from([command]);
-        }
-
-        fn step(&self, _: &mut Vec<f32>, _: &Observation) -> ControlOutput {
-            ControlOutput::plain(self.0)
-        }
-
-        fn applied(&self, state: &mut Vec<f32>, command: f32) {
-            state.push(command);
-        }
-    }
-
-    #[test]
-    fn the_controller_is_told_where_the_valve_stood_and_what_was_applied_in_the_inspiration() {
-        let ventilator =
-            Ventilator::new(DEFAULT_PERIOD_US, Constant(120.0)).with_monitors(Monitors::ANY_PLANT);
-        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
-        state.start();
-        for _ in 0..3000 {
-            ventilator.step(&mut state, 5.0);
-        }
-        assert_eq!((state.controller.len(), state.controller[0] as i32), (1001, 0));
-        assert!(state.controller[1..].iter().all(|command| (command - 100.0).abs() < f32::EPSILON));
-        ventilator.step(&mut state, 5.0);
-        assert_eq!((state.controller.len(), state.controller[0] as i32), (2, 5), "after the bias");
-    }
-
-    #[test]
-    fn settings_wait_for_the_next_breath() {
-        let ventilator = ventilator();
-        let mut state = started(&ventilator);
-        run(&ventilator, &mut state, 10, 5.0);
-        ventilator.apply(&mut state, &paper_settings(30.0)).unwrap();
-        assert_eq!(state.pending(), Some(&paper_settings(30.0)));
-        let before = run(&ventilator, &mut state, 990, 5.0).sample.unwrap();
-        assert!((before.target - 20.0).abs() < f32::EPSILON);
-        let after = run(&ventilator, &mut state, 2001, 5.0).sample.unwrap();
-        assert_eq!((after.tick, state.pending()), (0, None));
-        assert!((after.target - 30.0).abs() < f32::EPSILON);
-    }
-
-    #[test]
-    fn refused_settings_leave_those_in_force() {
-        let ventilator = ventilator();
-        let mut state = started(&ventilator);
-        assert!(ventilator.apply(&mut state, &paper_settings(f32::NAN)).is_err());
-        let next = run(&ventilator, &mut state, 3001, 5.0).sample.unwrap();
-        assert!((next.target - 20.0).abs() < f32::EPSILON);
-    }
-
-    #[test]
-    fn at_the_pressure_limit_the_inspiration_ends() {
-        let ventilator = ventilator();
-        let mut state = started(&ventilator);
-        run(&ventilator, &mut state, 1, 59.0);
-        assert!(!state.cut());
-        let over = run(&ventilator, &mut state, 3, 61.0);
-        assert!(state.cut());
-        assert_eq!((over.command, over.mode), (ValveCommand::SAFE, Mode::Ventilating));
-        let sample = run(&ventilator, &mut state, 800, 7.0).sample.unwrap();
-        assert_eq!((sample.phase, sample.u_out, sample.target as i32), (Phase::Fall, true, 5));
-        let next = run(&ventilator, &mut state, 2197, 5.0).sample.unwrap();
-        assert_eq!((next.tick, next.phase, next.u_out), (0, Phase::Inspiration, false));
-    }
-
-    #[test]
-    fn a_pressure_far_above_its_limit_latches_until_acknowledged() {
-        let ventilator = ventilator();
-        let mut state = started(&ventilator);
-        let output = run(&ventilator, &mut state, 3, 76.0);
-        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
-        assert_eq!(output.alarm, Some(Fault::HardLimit));
-        assert_eq!(run(&ventilator, &mut state, 1, 76.0).alarm, None, "reported once");
-        state.start();
-        let output = run(&ventilator, &mut state, 10_000, 5.0);
-        assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
-        state.acknowledge();
-        assert_eq!(state.mode(), Mode::Standby);
-        state.start();
-        assert_eq!(run(&ventilator, &mut state, 1, 5.0).mode, Mode::Ventilating);
-    }
-
-    #[test]
-    fn exploration_adds_to_the_command_and_is_recorded() {
-        let quiet = ventilator();
-        let exploring = ventilator().with_exploration(Some(Exploration {
-            boundary_probability: 1.0,
-            boundary_height: (10.0, 10.0),
-            ..Exploration::default()
-        }));
-        let first = |v: &Ventilator| run(v, &mut started(v), 1, 15.0).sample.unwrap();
-        assert!((first(&exploring).u_in - first(&quiet).u_in - 10.0).abs() < 1e-4);
-        assert!((first(&exploring).explore - 10.0).abs() < 1e-6);
-    }
-
-    /// SAFETY.md on a hand-over: the learned part fades at the slew, and the PID underneath continues, its integral neither
-    /// reset nor fitted to the applied command.
-    #[test]
-    fn a_hand_over_is_a_ramp_of_the_learned_part_alone() {
-        let (learned, pid) = (learned(60.0), ventilator());
-        let (mut state, mut pid_state) = (started(&learned), started(&pid));
-        // Difference between each command and that of a PID without a network, thousandths of a percent.
-        let mut added = |state: &mut VentilatorState, readings: &[f32]| -> Vec<i32> {
-            let mut added = |reading| {
-                let command = learned.step(state, reading).command.u_in();
-                command - pid.step(&mut pid_state, reading).command.u_in()
-            };
-            readings.iter().map(|reading| (1000.0 * added(*reading) + 0.5) as i32).collect()
-        };
-        assert_eq!(added(&mut state, &[15.0; 4]), [25_000, 50_000, 60_000, 60_000]);
-        assert_eq!(added(&mut state, &[f32::NAN, 15.0]), [35_000, 60_000], "bridged");
-        learned.missed(&mut state, 1);
-        assert_eq!(added(&mut state, &[15.0; 100])[..4], [35_000, 10_000, 0, 0], "the PID takes over");
-        assert!(added(&mut state, &[20.0; 2894]).iter().all(|percent| *percent == 0));
-        assert_eq!(added(&mut state, &[15.0; 4]), [25_000, 50_000, 60_000, 60_000], "the next breath");
-    }
-
-    proptest! {
-        /// For any readings and requests in any order: the command stays in range, the expiratory valve is open unless an
-        /// inspiration runs, and a fault stays until it is acknowledged.
-        #[test]
-        fn no_sequence_of_events_leaves_the_state_machine(
-            events in prop::collection::vec((0u8..12, prop::num::f32::ANY, -20.0f32..80.0), 1..400),
-        ) {
-            let ventilator = ventilator();
-            let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
-            for (kind, wild, tame) in events {
-                let before = state.mode();
-                match kind {
-                    0 => state.start(),
-                    1 => state.stop(),
-                    2 => state.acknowledge(),
-                    3 => { let _ = ventilator.apply(&mut state, &paper_settings(tame)); }
-                    _ => {
-                        let output = ventilator.step(&mut state, if kind == 4 { wild } else { tame });
-                        prop_assert!((0.0..=100.0).contains(&output.command.u_in()));
-                        let inspiring = output.sample.is_some_and(|s| s.phase == Phase::Inspiration);
-                        prop_assert_eq!(output.command.u_out(), !inspiring);
-                        prop_assert!(!state.cut() || output.command.u_out());
-                    }
-                }
-                if let Mode::Fault(_) = before {
-                    prop_assert!(kind == 2 || state.mode() == before);
-                }
-            }
-        }
-    }
-}
+mod tests;

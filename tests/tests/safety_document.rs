@@ -26,6 +26,7 @@ fn alarms() -> String {
             Action::Tell => "report",
             Action::Pid => "PID",
             Action::CappedPid => "capped PID",
+            Action::Backup => "backup",
             Action::Vent => "vent, latched",
         };
         let (id, entry, exit, text) = (alarm.id, alarm.entry, alarm.exit, alarm.text);

@@ -50,16 +50,16 @@ pub async fn run(
         let (latency, begun) = (clock::since_tick(), clock::now());
         link_uart::resume();
         let change = control.plant_change();
-        let reading = plant.read(&change);
+        let readings = plant.read(&change);
         let read = clock::now();
-        let output = control.step(reading);
+        let output = control.step(readings);
         plant.drive(&output.command);
         control.report(&output, &mut |report| REPORTS.try_send(report).is_ok());
         if let Some(request) = REQUEST.try_take() {
             REPLY.signal(control.execute(&request));
         }
         let (missed, period) = since(before, number, begun);
-        recorder.record(&control.moment(reading, &output, missed));
+        recorder.record(&control.moment(readings.airway, &output, missed));
         let work = clock::now().wrapping_sub(read);
         control.record(&TickTime { latency, work, period, missed });
         before = Some((number, begun));

@@ -23,7 +23,7 @@ use shared::recorder::{Boot, Recorder, RecorderMemory};
 use shared::reset::ResetCause;
 use shared::safety::monitors::Monitors;
 use shared::safety::supervisor::{Supervisor, SupervisorState};
-use shared::sensor::{Counts, Sensors};
+use shared::sensor::{Counts, Readings};
 use shared::timing::TickTime;
 use shared::ventilator::Output;
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
@@ -138,7 +138,6 @@ fn parts(counting: &Cost) {
     let controller = Controller::Residual(residual.clone());
     let pid = Controller::Pid(*residual.pid());
     let breath = breath(20.0);
-    let mut sensors = Sensors::default();
     let (mut state, mut pid_state) = (ControllerState::new(), ControllerState::new());
     let mut feature_state = FeatureState::new();
     let mut costs = [Cost::NONE; 6];
@@ -146,7 +145,7 @@ fn parts(counting: &Cost) {
     let mut numbers = Numbers(3);
     for run in 0..RUNS {
         let counts = Counts { airway: 2500 + run as u16, outlet: 2510, flow: 2100 };
-        black_box(sensor.of(|| sensors.read(black_box(counts))));
+        black_box(sensor.of(|| Readings::from(black_box(counts))));
         let pressure = 15.0 + 5.0 * numbers.next();
         let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run };
         let input = features.of(|| residual.features().step(&mut feature_state, black_box(&seen), 30.0));

@@ -131,6 +131,7 @@ fn table(rows: &[FaultRow]) -> Table {
             Some(Action::Tell) => "report",
             Some(Action::Pid) => "PID",
             Some(Action::CappedPid) => "capped PID",
+            Some(Action::Backup) => "backup",
             Some(Action::Vent) => "vent",
         };
         table.row(vec![

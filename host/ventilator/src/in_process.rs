@@ -6,6 +6,7 @@ use shared::control::{ControlLaw, Controller};
 use shared::explore::Exploration;
 use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
+use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Output, Ventilator, VentilatorState};
@@ -152,11 +153,13 @@ where
     }
 }
 
-/// Why a tick ends its breath early, if it does: a latched fault, or the pressure limit.
+/// Why a tick makes its breath useless for a recording, if it does: a latched fault, the pressure limit, or a lost reading.
 fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<Fault> {
     match output.mode {
         Mode::Fault(fault) => Some(fault),
-        _ => state.cut().then_some(Fault::HighPressure),
+        _ if state.cut() => Some(Fault::HighPressure),
+        _ if state.level() == Level::Backup => state.indications().cause_of_backup(),
+        _ => None,
     }
 }
 

@@ -50,6 +50,8 @@ pub struct PortSource {
     /// Number of samples passed on since the start.
     handed: usize,
     alarm: Option<Fault>,
+    /// Finding that took a pressure sensor out of use.
+    finding: Option<Fault>,
     /// Number of samples since the last request to the device.
     unheard: usize,
     truth: Option<Truth>,
@@ -88,6 +90,7 @@ impl PortSource {
             begun: false,
             handed: 0,
             alarm: None,
+            finding: None,
             unheard: 0,
             truth: None,
             images: Vec::new(),
@@ -128,7 +131,7 @@ impl PortSource {
         }
         while self.device.events().try_recv().is_ok() {}
         self.samples.clear();
-        (self.sent, self.handed, self.alarm) = (0, 0, None);
+        (self.sent, self.handed, self.alarm, self.finding) = (0, 0, None, None);
         Ok(())
     }
 
@@ -182,17 +185,28 @@ impl PortSource {
                     self.samples.extend(batch.samples.iter().map(PackedSample::unpack));
                     self.be_heard(batch.samples.len())?;
                 }
-                // An alarm that does not end ventilation does not end a recording.
-                Ok(Event::Alarm { fault, .. }) if fault.alarm().action == Action::Vent => {
-                    self.alarm = Some(fault);
-                }
-                Ok(Event::Alarm { .. } | Event::Breath(_)) => {}
+                Ok(Event::Alarm { fault, .. }) => self.heed(fault)?,
+                Ok(Event::Breath(_)) => {}
                 Err(RecvTimeoutError::Timeout) => return Err(SourceError::Silent { breath }),
                 Err(RecvTimeoutError::Disconnected) => {
                     return Err(DeviceError::Gone(self.device.address().clone()).into());
                 }
             }
         }
+    }
+
+    /// An alarm ends a recording if ventilation ends, or goes on without a pressure reading.
+    fn heed(&mut self, fault: Fault) -> Result<(), SourceError> {
+        match fault.alarm().action {
+            Action::Vent => self.alarm = Some(fault),
+            Action::Backup if fault == Fault::BackupVentilation => {
+                self.device.stop()?;
+                self.alarm = Some(self.finding.unwrap_or(fault));
+            }
+            Action::Backup => self.finding = Some(fault),
+            Action::Tell | Action::Pid | Action::CappedPid => {}
+        }
+        Ok(())
     }
 
     /// Uploads a learned controller to the device, unless it already runs there.
@@ -260,7 +274,7 @@ impl Source for PortSource {
 
     fn breath(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
         let asked = Breath::new(settings, self.period_us())?;
-        let (inspiration, ticks) = (asked.inspiration_ticks(), asked.total_ticks());
+        let inspiration = asked.inspiration_ticks();
         if self.plan.front() != Some(settings) {
             self.upcoming(core::slice::from_ref(settings))?;
         }
@@ -268,10 +282,15 @@ impl Source for PortSource {
             self.start()?;
         }
         let mut breath = None;
-        for tick in 0..ticks {
+        for tick in 0.. {
             let Some(sample) = self.sample(breath.unwrap_or(0))? else {
                 return Err(self.fault(breath.unwrap_or(0), tick));
             };
+            if breath.is_some_and(|breath| (sample.breath, sample.tick) == (breath + 1, 0)) {
+                // The next breath: an expiration can be longer or shorter than the settings say.
+                self.samples.push_front(sample);
+                break;
+            }
             if sample.u_out && tick < inspiration {
                 // The pressure limit ended the inspiration, so this is not the requested breath.
                 self.device.stop()?;
@@ -300,8 +319,9 @@ impl Source for PortSource {
         while ticks(&mut self.device)?.wrapping_sub(from) < rest && Instant::now() < deadline {
             std::thread::sleep(Duration::from_millis(20));
         }
-        if let Mode::Fault(_) = self.device.identify()?.mode {
-            self.device.acknowledge()?;
+        match self.device.acknowledge() {
+            Ok(_) | Err(DeviceError::Refused(Refusal::NoFault)) => {}
+            Err(error) => return Err(error.into()),
         }
         // The plant continues from its present state, like a patient.
         self.seed = None;

@@ -21,6 +21,7 @@ use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::safety::host::HostWatch;
 use crate::safety::monitors::Monitors;
+use crate::sensor::Readings;
 use crate::settings::Settings;
 use crate::timing::{TickTime, TickTimer};
 use crate::ventilator::{Mode, Output, Ventilator, VentilatorState};
@@ -65,8 +66,6 @@ pub struct Control {
     tick: u64,
     dropped: u32,
     host: HostWatch,
-    /// Alarms that wait to be reported, one per tick: up to two from the start, and that of a silent host.
-    alarms: Deque<Fault, 3>,
     seed: Option<u64>,
     /// PEEP last sent to the plant, cmH2O.
     peep: Option<f32>,
@@ -105,7 +104,6 @@ impl Control {
             tick: 0,
             dropped: 0,
             host: HostWatch::new(period_us),
-            alarms: Deque::new(),
             seed: None,
             peep: None,
         })
@@ -130,10 +128,7 @@ impl Control {
     }
 
     fn raise(&mut self, fault: Fault) {
-        if self.ventilator.monitors().has(fault) {
-            // There is always room: each tick removes one, and a silent host is reported once in thousands of ticks.
-            let _ = self.alarms.push_back(fault);
-        }
+        self.ventilator.raise(&mut self.state, fault);
     }
 
     /// The ventilator's state.
@@ -158,9 +153,9 @@ impl Control {
         PlantChange { peep: (before != Some(peep)).then_some(peep), reset }
     }
 
-    /// Runs one step of the ventilator with the pressure reading in cmH2O.
+    /// Runs one step of the ventilator with the sensors' readings; a pressure alone is that of the airway sensor, cmH2O.
     #[inline]
-    pub fn step(&mut self, reading: f32) -> Output {
+    pub fn step(&mut self, readings: impl Into<Readings>) -> Output {
         if self.begins_breath() {
             self.begin_breath();
         }
@@ -168,11 +163,7 @@ impl Control {
         if self.host.is_gone(self.state.mode() == Mode::Ventilating) {
             self.go_on_alone();
         }
-        let mut output = self.ventilator.step(&mut self.state, reading);
-        if output.alarm.is_none() {
-            output.alarm = self.alarms.pop_front();
-        }
-        output
+        self.ventilator.step(&mut self.state, readings)
     }
 
     /// Handles a silent host: raises the alarm and ends exploration, which nobody supervises any more.
@@ -321,11 +312,7 @@ impl Control {
     }
 
     fn acknowledge(&mut self) -> Result<Response, Refusal> {
-        let Mode::Fault(_) = self.state.mode() else {
-            return Err(Refusal::NoFault);
-        };
-        self.state.acknowledge();
-        Ok(Response::Mode(self.state.mode()))
+        if self.state.acknowledge() { Ok(Response::Mode(self.state.mode())) } else { Err(Refusal::NoFault) }
     }
 
     fn choose(&mut self, choice: ControllerChoice) -> Result<Response, Refusal> {

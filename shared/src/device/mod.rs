@@ -18,17 +18,13 @@ mod upload;
 #[cfg(test)]
 mod tests;
 
-use crate::control::pid::PidGains;
+pub use crate::control::pid::KNOWN_GOOD;
 use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, Response};
 use crate::link::telemetry::{BreathSummary, Counters};
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
-
-/// Gains of a device that has received none and has no weights. They suit a lung with resistance 20 cmH2O/(L/s) and compliance
-/// 20 mL/cmH2O and are safe for exploration there; on a stiff lung with low resistance the pressure oscillates.
-pub const KNOWN_GOOD: PidGains = PidGains { p: 3.0, i: 30.0, d: 0.0 };
 
 /// A request from the server to the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]

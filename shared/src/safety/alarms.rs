@@ -19,7 +19,7 @@ pub enum Fault {
     ReadingFrozen,
     /// The reading is far noisier than that of a working sensor.
     ReadingNoisy,
-    /// The airway pressure was far above its limit, or stayed above it while venting.
+    /// The airway pressure stays above its limit while venting.
     HardLimit,
     /// The airway pressure has not returned to PEEP for a long time.
     SustainedPressure,
@@ -47,6 +47,12 @@ pub enum Fault {
     WeightsRefused,
     /// The device has restarted without a request.
     Restarted,
+    /// The two pressure sensors disagree.
+    SensorsDisagree,
+    /// The pressure sensor at the machine's outlet gives no sound reading.
+    OutletSensorLost,
+    /// No pressure sensor is sound: the commands of earlier breaths are repeated.
+    BackupVentilation,
 }
 
 /// Priority of an alarm (IEC 60601-1-8).
@@ -67,8 +73,10 @@ pub enum Action {
     Tell,
     /// The PID alone controls.
     Pid,
-    /// The PID controls with a capped command.
+    /// The PID compiled into the program controls, with a capped command.
     CappedPid,
+    /// The reading in question is not used: the other pressure sensor takes over, or without a sound one backup ventilation.
+    Backup,
     /// Inspiratory valve closed, expiratory valve open until an operator acknowledges.
     Vent,
 }
@@ -92,175 +100,257 @@ pub struct Alarm {
     pub text: &'static str,
 }
 
-/// What ends a latched alarm.
+/// What ends latched venting.
 const ACKNOWLEDGED: &str = "an operator acknowledges, or the device restarts";
 /// What ends a step down the ladder.
-const CLEAN_BREATHS: &str = "one step up after 5 clean breaths, up to 3 times; or a new start of ventilation";
+const CLEAN_BREATHS: &str = "one step up after 5 clean breaths (more after each return)";
+/// What ends a response to an unsound sensor.
+const SOUND_AGAIN: &str = "the sensor is sound for 5 s";
+/// What ends a response to the state of lung or circuit.
+const GONE: &str = "the condition is gone";
 
-const fn vent(
+const fn row(
     fault: Fault,
     id: &'static str,
-    priority: Priority,
-    entry: &'static str,
-    text: &'static str,
+    (priority, action): (Priority, Action),
+    [entry, exit, text]: [&'static str; 3],
 ) -> Alarm {
-    Alarm { fault, id, priority, action: Action::Vent, entry, exit: ACKNOWLEDGED, text }
+    Alarm { fault, id, priority, action, entry, exit, text }
 }
 
+use Action::{Backup, CappedPid, Tell, Vent};
+use Priority::{High, Low, Medium};
+
 /// All alarms, in the order of [`Fault`].
-pub const ALARMS: [Alarm; 20] = [
-    vent(
+pub const ALARMS: [Alarm; 23] = [
+    row(
         Fault::ReadingNotANumber,
         "reading-nan",
-        Priority::High,
-        "no number for 5 ms, or more than a tenth of the readings missing",
-        "pressure reading is not a number",
+        (High, Backup),
+        [
+            "no number for 5 ms, or more than a tenth of the readings missing",
+            SOUND_AGAIN,
+            "pressure reading is not a number",
+        ],
     ),
-    vent(
+    row(
         Fault::ReadingOutOfRange,
         "reading-range",
-        Priority::High,
-        "as `reading-nan`, with most missing readings outside -30 to 110 cmH2O",
-        "pressure reading out of range",
+        (High, Backup),
+        [
+            "as `reading-nan`, with most missing readings outside -30 to 110 cmH2O",
+            SOUND_AGAIN,
+            "pressure reading out of range",
+        ],
     ),
-    vent(
+    row(
         Fault::HighPressure,
         "high-pressure",
-        Priority::High,
-        "a breath ends at the pressure limit under the capped PID",
-        "pressure above its limit",
+        (High, CappedPid),
+        ["a breath ends at the pressure limit under the capped PID", GONE, "pressure above its limit"],
     ),
-    vent(
+    row(
         Fault::ReadingJumps,
         "reading-jumps",
-        Priority::High,
-        "as `reading-nan`, with most missing readings more than 15 cmH2O per ms from the last good one",
-        "pressure reading jumps",
+        (High, Backup),
+        [
+            "as `reading-nan`, with most missing readings more than 15 cmH2O per ms from the last good one",
+            SOUND_AGAIN,
+            "pressure reading jumps",
+        ],
     ),
-    vent(
+    row(
         Fault::ReadingFrozen,
         "reading-frozen",
-        Priority::High,
-        "the same reading, to the last bit, for 40 ms of a breath",
-        "pressure reading is frozen",
+        (High, Backup),
+        [
+            "the same reading, to the last bit, for 40 ms of a breath",
+            SOUND_AGAIN,
+            "pressure reading is frozen",
+        ],
     ),
-    Alarm {
-        fault: Fault::ReadingNoisy,
-        id: "reading-noisy",
-        priority: Priority::Medium,
-        action: Action::CappedPid,
-        entry: "noise of more than 0.4 cmH2O (standard deviation), averaged over about 50 ms",
-        exit: CLEAN_BREATHS,
-        text: "pressure reading is noisy",
-    },
-    vent(
+    row(
+        Fault::ReadingNoisy,
+        "reading-noisy",
+        (Medium, CappedPid),
+        [
+            "noise of more than 0.4 cmH2O (standard deviation), averaged over about 50 ms; the cap applies if the other \
+             pressure sensor is not sound",
+            CLEAN_BREATHS,
+            "pressure reading is noisy",
+        ],
+    ),
+    row(
         Fault::HardLimit,
         "hard-limit",
-        Priority::High,
-        "3 ms at more than 15 cmH2O above the limit, or 150 ms above the limit and the expiratory valve commanded open",
-        "pressure far above its limit",
+        (High, Vent),
+        [
+            "0.7 s above the limit with the expiratory valve commanded open",
+            ACKNOWLEDGED,
+            "pressure stays above its limit",
+        ],
     ),
-    vent(
+    row(
         Fault::SustainedPressure,
         "sustained-pressure",
-        Priority::High,
-        "more than 3 cmH2O above PEEP for 15 s",
-        "pressure does not come down",
+        (High, Vent),
+        [
+            "more than 3 cmH2O above PEEP for 15 s, and a fall of less than a quarter of that in half a second with the \
+             expiratory valve commanded open",
+            ACKNOWLEDGED,
+            "pressure does not come down",
+        ],
     ),
-    vent(
+    row(
         Fault::BaselineHigh,
         "baseline-high",
-        Priority::High,
-        "more than 3 cmH2O above PEEP at the end of 2 expirations in a row",
-        "pressure does not return to PEEP",
+        (High, Tell),
+        [
+            "more than 3 cmH2O above PEEP at the end of 2 expirations in a row; expirations that are still falling then \
+             last up to half a breath longer, and PIP rises with a constant baseline, up to 5 cmH2O below the limit",
+            GONE,
+            "pressure does not return to PEEP",
+        ],
     ),
-    vent(
+    row(
         Fault::BaselineLow,
         "baseline-low",
-        Priority::Medium,
-        "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit",
-        "pressure below PEEP: check for leaks",
+        (Medium, Tell),
+        [
+            "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit",
+            GONE,
+            "pressure below PEEP: check for leaks",
+        ],
     ),
-    vent(
+    row(
         Fault::LowPressure,
         "low-pressure",
-        Priority::High,
-        "less than 30 % of the rise from PEEP to PIP, with a command above 60 %, at the end of 2 inspirations in a row",
-        "inspiration does not reach its pressure",
+        (High, Tell),
+        [
+            "less than 30 % of the rise from PEEP to PIP, with a command above 60 %, at the end of 2 inspirations in a row",
+            GONE,
+            "inspiration does not reach its pressure",
+        ],
     ),
-    vent(
+    row(
         Fault::Disconnection,
         "disconnection",
-        Priority::High,
-        "150 ms of an inspiration at more than 2 cmH2O below PEEP, with a command above 30 %",
-        "patient disconnected",
+        (High, CappedPid),
+        [
+            "150 ms of an inspiration at more than 2 cmH2O below PEEP, with a command above 30 %; the capped PID probes \
+             for the patient",
+            "the pressure of an inspiration is above PEEP again",
+            "patient disconnected",
+        ],
     ),
-    vent(
+    row(
         Fault::Occlusion,
         "occlusion",
-        Priority::High,
-        "less than a third of the last good breath's volume per pressure rise in 2 breaths in a row",
-        "tube occluded",
+        (High, CappedPid),
+        [
+            "less than a third of the last good breath's volume per pressure rise in 2 breaths in a row",
+            GONE,
+            "tube occluded",
+        ],
     ),
-    vent(
+    row(
         Fault::NoResponse,
         "no-response",
-        Priority::High,
-        "40 ms with less than 12 % of a predicted rise above 10 cmH2O, or 20 ms with no change over 64 ms that should bring one",
-        "pressure does not respond to the valve",
+        (High, Backup),
+        [
+            "40 ms with less than 12 % of a predicted rise above 10 cmH2O, or 20 ms with no change over 64 ms that should \
+             bring one",
+            "2 inspirations in a row raise the pressure",
+            "pressure does not respond to the valve",
+        ],
     ),
-    vent(
+    row(
         Fault::MissedTicks,
         "missed-ticks",
-        Priority::High,
-        "5 control ticks missed within a breath (the PID controls from the first one on)",
-        "control ticks missed",
+        (High, Action::Pid),
+        [
+            "5 control ticks missed within a breath (the PID controls from the first one on)",
+            CLEAN_BREATHS,
+            "control ticks missed",
+        ],
     ),
-    Alarm {
-        fault: Fault::LearnedDistrusted,
-        id: "learned-distrusted",
-        priority: Priority::Low,
-        action: Action::Pid,
-        entry: "2 breaths in a row end at the pressure limit under the selected controller",
-        exit: CLEAN_BREATHS,
-        text: "pressure limit reached twice: PID only",
-    },
-    Alarm {
-        fault: Fault::CommandCapped,
-        id: "command-capped",
-        priority: Priority::Medium,
-        action: Action::CappedPid,
-        entry: "a breath ends at the pressure limit under the PID",
-        exit: CLEAN_BREATHS,
-        text: "valve command capped",
-    },
-    Alarm {
-        fault: Fault::HostSilent,
-        id: "host-silent",
-        priority: Priority::Low,
-        action: Action::Tell,
-        entry: "10 s without a request while ventilating; ventilation continues, exploration ends",
-        exit: "the next request from a host",
-        text: "host is silent",
-    },
-    Alarm {
-        fault: Fault::WeightsRefused,
-        id: "weights-refused",
-        priority: Priority::Low,
-        action: Action::Tell,
-        entry: "at start-up a slot holds torn or damaged weights; the other slot's weights or the PID run",
-        exit: "valid weights are stored in that slot",
-        text: "stored weights rejected",
-    },
-    Alarm {
-        fault: Fault::Restarted,
-        id: "restarted",
-        priority: Priority::High,
-        action: Action::Tell,
-        entry: "a reset by the watchdog, by a supply dip or during ventilation; the device is then in standby",
-        exit: "an operator starts ventilation",
-        text: "device restarted by itself",
-    },
+    row(
+        Fault::LearnedDistrusted,
+        "learned-distrusted",
+        (Low, Action::Pid),
+        [
+            "2 breaths in a row end at the pressure limit under the selected controller",
+            CLEAN_BREATHS,
+            "pressure limit reached twice: PID only",
+        ],
+    ),
+    row(
+        Fault::CommandCapped,
+        "command-capped",
+        (Medium, CappedPid),
+        ["a breath ends at the pressure limit under the PID", CLEAN_BREATHS, "valve command capped"],
+    ),
+    row(
+        Fault::HostSilent,
+        "host-silent",
+        (Low, Tell),
+        [
+            "10 s without a request while ventilating; ventilation continues, exploration ends",
+            "the next request from a host",
+            "host is silent",
+        ],
+    ),
+    row(
+        Fault::WeightsRefused,
+        "weights-refused",
+        (Low, Tell),
+        [
+            "at start-up a slot holds torn or damaged weights; the other slot's weights or the PID run",
+            "valid weights are stored in that slot",
+            "stored weights rejected",
+        ],
+    ),
+    row(
+        Fault::Restarted,
+        "restarted",
+        (High, Action::Pid),
+        [
+            "a reset by the watchdog, by a supply dip or during ventilation, which then resumes with its settings",
+            "an operator acknowledges",
+            "device restarted by itself",
+        ],
+    ),
+    row(
+        Fault::SensorsDisagree,
+        "sensors-disagree",
+        (High, Backup),
+        [
+            "the pressure sensors more than 10 cmH2O apart for 20 ms (the higher one counts), or more than 2 at the end of \
+             2 expirations in a row (the one closer to PEEP counts)",
+            "less than 1 cmH2O apart at the end of 3 expirations in a row",
+            "pressure sensors disagree",
+        ],
+    ),
+    row(
+        Fault::OutletSensorLost,
+        "outlet-sensor-lost",
+        (Low, Tell),
+        [
+            "the outlet's pressure sensor fails one of the checks named `reading-`",
+            SOUND_AGAIN,
+            "outlet pressure sensor lost",
+        ],
+    ),
+    row(
+        Fault::BackupVentilation,
+        "backup-ventilation",
+        (High, Backup),
+        [
+            "no pressure sensor is sound, or none responds: the mean commands of the last good breaths are repeated",
+            "a pressure sensor is sound and responds",
+            "backup ventilation without a pressure reading",
+        ],
+    ),
 ];
 
 impl Fault {

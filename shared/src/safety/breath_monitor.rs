@@ -19,6 +19,13 @@ const OCCLUDED: f32 = 1.0 / 3.0;
 /// Smallest rise from which a compliance is estimated, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
+/// Breaths after a change of settings that raise no alarm.
+const UNCHECKED_BREATHS: u32 = 2;
+/// Breaths with a lower compliance after which it is taken for the lung's own.
+const NEW_LUNG: u32 = 20;
+/// Time for which the pressure of an inspiration must be back above PEEP after a disconnection, s.
+const CONNECTED: f32 = 0.05;
+
 /// Length of the averaging window at the end of a phase, s.
 const END_OF_PHASE: f32 = 0.05;
 /// Time for which the airway pressure may be lost, s.
@@ -27,9 +34,10 @@ const DISCONNECTED: f32 = 0.15;
 /// Checks the phases of each breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BreathMonitor {
-    /// [`END_OF_PHASE`] and [`DISCONNECTED`] in ticks.
+    /// [`END_OF_PHASE`], [`DISCONNECTED`] and [`CONNECTED`] in ticks.
     end_of_phase: u32,
     disconnected: u32,
+    connected: u32,
     /// Consecutive breaths with a condition that make it a fault.
     high: u32,
     low: u32,
@@ -43,6 +51,9 @@ pub struct BreathState {
     pressure: Mean,
     command: Mean,
     gone: u32,
+    /// Whether the patient is disconnected, and the ticks for which the pressure has been back.
+    disconnected: bool,
+    back: u32,
     /// Whether the running inspiration was ended at the pressure limit.
     cut: bool,
     /// Consecutive breaths with each condition.
@@ -52,6 +63,20 @@ pub struct BreathState {
     occluded: u32,
     /// Volume per pressure of the last good breath, mL/cmH2O.
     compliance: Option<f32>,
+    /// Breaths that are still not checked after a change of the settings.
+    unchecked: u32,
+}
+
+impl BreathState {
+    /// The settings have changed: the next breaths are not comparable with those before, and are not checked.
+    pub fn settings_changed(&mut self) {
+        *self = Self { unchecked: UNCHECKED_BREATHS, ..Self::default() };
+    }
+
+    /// Whether the airway is open, by the running inspiration.
+    pub fn is_disconnected(&self) -> bool {
+        self.disconnected
+    }
 }
 
 /// Input of the monitor in one tick.
@@ -97,11 +122,17 @@ impl BreathMonitor {
         Self {
             end_of_phase: ticks(END_OF_PHASE, period_us),
             disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
+            connected: ticks(CONNECTED, period_us),
             high: enabled.limit(Fault::BaselineHigh, 2),
             low: enabled.limit(Fault::BaselineLow, 3),
             weak: enabled.limit(Fault::LowPressure, 2),
             occluded: enabled.limit(Fault::Occlusion, 2),
         }
+    }
+
+    /// Length of the window at the end of a phase in which its means are taken, ticks.
+    pub fn end_of_phase(&self) -> u32 {
+        self.end_of_phase
     }
 
     /// Checks one tick. An inspiration that is ended at the pressure limit is checked for occlusion only.
@@ -113,11 +144,15 @@ impl BreathMonitor {
         let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
         let gone = inspires && !cut && command > FILLING && pressure < peep - BELOW_PEEP;
         state.gone = in_a_row(state.gone, gone);
-        if state.gone >= self.disconnected {
+        state.back = in_a_row(state.back, inspires && pressure > peep);
+        state.disconnected =
+            (state.disconnected || state.gone >= self.disconnected) && state.back < self.connected;
+        if state.disconnected {
+            state.cut = cut;
             return Some(Fault::Disconnection);
         }
         // A high baseline has another cause.
-        let cut_now = inspires && cut && !state.cut && state.high == 0;
+        let cut_now = inspires && cut && !state.cut && state.high == 0 && state.unchecked == 0;
         if cut_now && self.occluded(state, pressure - peep, volume) {
             return Some(Fault::Occlusion);
         }
@@ -130,6 +165,10 @@ impl BreathMonitor {
             return None;
         }
         let (pressure, command) = (state.pressure.take(), state.command.take());
+        if state.unchecked > 0 {
+            state.unchecked -= u32::from(!inspires);
+            return None;
+        }
         match (inspires, cut) {
             (true, true) => None,
             (true, false) => self.inspired(state, &BreathInput { pressure, command, ..*input }),
@@ -158,7 +197,8 @@ impl BreathMonitor {
         let compliance = volume / rise;
         let occluded = state.compliance.is_some_and(|before| compliance < OCCLUDED * before);
         state.occluded = in_a_row(state.occluded, occluded);
-        if !occluded {
+        // The new compliance is believed in the end: a lung can change for good, and the alarm has long been raised.
+        if !occluded || state.occluded >= NEW_LUNG {
             state.compliance = Some(compliance);
         }
         state.occluded >= self.occluded

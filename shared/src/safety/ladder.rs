@@ -1,6 +1,7 @@
-//! The ladder of trust: learned controller, PID, PID with a capped command. The level below is the latched safe state.
+//! The ladder of trust: learned controller, its PID, the compiled-in PID with a capped command, backup ventilation.
 //!
-//! A breath that ends at the pressure limit is a strike. Strikes lead down; clean breaths lead up again, a few times.
+//! A breath that ends at the pressure limit is a strike. Strikes lead down to the capped PID; clean breaths lead up again,
+//! after each return more of them. Backup ventilation is no matter of strikes: it runs while no pressure reading is sound.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,10 +11,10 @@ use super::alarms::Fault;
 pub const CAP: f32 = 40.0;
 /// Consecutive strikes at which the PID replaces the learned controller.
 const LEARNED_STRIKES: u32 = 2;
-/// Consecutive clean breaths that lead one level up.
+/// Consecutive clean breaths that lead one level up for the first time; each step up doubles their number.
 const CLEAN_BREATHS: u32 = 5;
-/// Steps up that a run of ventilation may take; after them only a new start of ventilation leads up.
-const RETURNS: u32 = 3;
+/// Doublings of [`CLEAN_BREATHS`]: in the end 80 breaths, so that a controller that fails every time has few chances to.
+const DOUBLINGS: u32 = 4;
 
 /// Level of the ladder: the controller that commands the inspiratory valve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -23,8 +24,10 @@ pub enum Level {
     Learned,
     /// The PID of that controller alone.
     Pid,
-    /// That PID, with the command capped at [`CAP`].
+    /// The PID compiled into the program, with the command capped at [`CAP`].
     CappedPid,
+    /// The mean commands of the last good breaths, without a pressure reading.
+    Backup,
 }
 
 /// Position on the ladder; starts at the top.
@@ -65,15 +68,16 @@ impl Ladder {
                 self.level = Level::CappedPid;
                 Some(Fault::CommandCapped)
             }
-            Level::CappedPid => Some(Fault::HighPressure),
+            Level::CappedPid | Level::Backup => Some(Fault::HighPressure),
         }
     }
 
     fn clean_breath(&mut self) -> Option<Fault> {
         (self.strikes, self.clean) = (0, self.clean.saturating_add(1));
-        if self.level != Level::Learned && self.clean >= CLEAN_BREATHS && self.returns < RETURNS {
+        let wanted = CLEAN_BREATHS << self.returns.min(DOUBLINGS);
+        if self.level != Level::Learned && self.clean >= wanted {
             self.level = if self.level == Level::CappedPid { Level::Pid } else { Level::Learned };
-            (self.clean, self.returns) = (0, self.returns + 1);
+            (self.clean, self.returns) = (0, self.returns.saturating_add(1));
         }
         None
     }
@@ -106,21 +110,17 @@ mod tests {
     }
 
     #[test]
-    fn five_clean_breaths_lead_up_again_but_only_three_times() {
+    fn clean_breaths_lead_up_again_each_time_after_twice_as_many() {
         let mut ladder = Ladder::default();
-        for time in 0..5 {
+        for wanted in [5, 10, 20, 40, 80, 80] {
             ladder.breath_ended(true);
             ladder.breath_ended(true);
-            for _ in 0..4 {
+            for _ in 1..wanted {
                 ladder.breath_ended(false);
             }
-            assert_eq!(ladder.level(), Level::Pid, "the {time}th time");
+            assert_eq!(ladder.level(), Level::Pid, "before {wanted}");
             ladder.breath_ended(false);
-            if time >= 3 {
-                assert_eq!(ladder.level(), Level::Pid);
-                return;
-            }
-            assert_eq!(ladder.level(), Level::Learned);
+            assert_eq!(ladder.level(), Level::Learned, "after {wanted}");
         }
     }
 

@@ -165,11 +165,21 @@ impl LungEstimator {
         state.opening += self.lag_factor * (due - state.opening);
     }
 
+    /// Counts the gas of a tick without a pressure reading, against the predicted pressure.
+    pub fn deliver(&self, state: &mut LungState) {
+        self.count(state, state.start + state.predicted_rise());
+    }
+
+    /// Adds the gas of a tick at this pressure, cmH2O, to the volume.
+    fn count(&self, state: &mut LungState, pressure: f32) {
+        state.flow = flow(state.opening) * math::limit(1.0 - BACK_PRESSURE * pressure, 0.0, 1.0);
+        state.volume += 1000.0 * state.flow * self.period;
+    }
+
     /// Checks a tick of the inspiration; true if the pressure, cmH2O, does not respond to the delivered gas.
     #[inline]
     pub fn check(&self, state: &mut LungState, pressure: f32) -> bool {
-        state.flow = flow(state.opening) * math::limit(1.0 - BACK_PRESSURE * pressure, 0.0, 1.0);
-        state.volume += 1000.0 * state.flow * self.period;
+        self.count(state, pressure);
         let rise = pressure - state.start;
         state.sums.add(state.volume, state.flow, rise);
         let predicted = state.predicted_rise();
@@ -218,6 +228,12 @@ impl LungState {
             [Some(lung), None] | [None, Some(lung)] => rise(lung),
             [None, None] => rise(LungEstimate::SOFTEST),
         }
+    }
+
+    /// The highest pressure that the last two estimates predict, cmH2O; none without an estimate.
+    pub fn predicted_pressure(&self) -> Option<f32> {
+        let rises = self.lungs.iter().flatten().map(|lung| lung.rise(self.volume, self.flow));
+        rises.reduce(f32::max).map(|rise| self.start + rise)
     }
 
     /// Ends the inspiration: estimates the lung from it, if the fit is good enough.

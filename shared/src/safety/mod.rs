@@ -1,25 +1,33 @@
-//! Safety: checks readings, pressure and breaths, limits the controller's command, and latches the safe state.
+//! Safety: checks readings, pressure and breaths, limits the controller's command, and keeps ventilating where it can.
 //!
 //! | module | purpose |
 //! |---|---|
 //! | [`filter`] | the valve command, which this module alone can make |
 //! | [`supervisor`] | everything between a controller's output and the valves |
-//! | [`reading_monitor`] | checks that the sensor works |
+//! | [`source`] | chooses the pressure sensor that is believed |
+//! | [`reading_monitor`] | checks that a sensor works |
 //! | [`pressure_monitor`] | checks that the pressure is within its limits |
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
 //! | [`host`] | detects a silent host |
-//! | [`ladder`] | levels of trust: learned controller, PID, capped PID |
+//! | [`ladder`] | levels of trust: learned controller, PID, capped PID, backup ventilation |
+//! | [`backup`] | ventilation without a pressure reading |
+//! | [`expiration`] | holds PEEP against a leak, lengthens expirations, lets PIP follow a constant baseline |
 //! | [`alarms`] | the table of alarms with priorities and actions |
+//! | [`indications`] | the alarms that are present or not yet acknowledged |
 //! | [`monitors`] | the set of enabled monitors, and their times in ticks |
 
 pub mod alarms;
+pub mod backup;
 pub mod breath_monitor;
+pub mod expiration;
 pub mod filter;
 pub mod host;
+pub mod indications;
 pub mod ladder;
 pub mod lung_estimator;
 pub mod monitors;
 pub mod pressure_monitor;
 pub mod reading_monitor;
+pub mod source;
 pub mod supervisor;

@@ -1,13 +1,12 @@
 //! Checks that the airway pressure is within its limits.
 //!
 //! Above the limit an inspiration ends after 3 ms: inspiratory valve closed, expiratory valve open. That is enough for a
-//! cough; the ladder handles breaths that repeatedly end so, and a pressure that does not fall latches the safe state.
+//! cough; the ladder handles breaths that repeatedly end so. A pressure that does not fall although the valves are commanded
+//! safe latches the safe state: then a valve does not obey, or the gas cannot get out.
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
 
-/// Pressure above the limit at which the safe state is latched, cmH2O.
-pub const FAR_ABOVE: f32 = 15.0;
 /// Pressure above PEEP below which it counts as returned to PEEP, cmH2O.
 const BACK_AT_PEEP: f32 = 3.0;
 /// Ticks by which the pressure is extrapolated: at 1 kHz the valve's dead time, in which no command has an effect.
@@ -19,22 +18,26 @@ const SLOPE_SHARE: f32 = 0.2;
 
 /// Time above the limit that counts as a spike of noise, s.
 const SPIKE: f32 = 0.003;
-/// Time that the pressure may stay above the limit with the expiratory valve open, s.
-const VENTING: f32 = 0.15;
-/// Time that the pressure may stay above PEEP, s.
+/// Time that the pressure may stay above the limit with the expiratory valve open, s: longer than a cough.
+const VENTING: f32 = 0.7;
+/// Time that the pressure may stay above PEEP without falling in expirations, s.
 const SUSTAINED: f32 = 15.0;
+/// Time after the expiratory valve opens in which the pressure must fall, s.
+const FALL: f32 = 0.5;
+/// Fraction of the pressure above PEEP by which it must fall in that time.
+const FALLS: f32 = 0.25;
 
 /// Compares the pressure with the limit and with PEEP.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PressureMonitor {
     /// Whether the control period is short enough to extrapolate the pressure.
     quick: bool,
-    /// [`SPIKE`] in ticks, for pressures above the limit and far above it.
+    /// [`SPIKE`] in ticks.
     above: u32,
-    far_above: u32,
-    /// [`VENTING`] and [`SUSTAINED`] in ticks.
+    /// [`VENTING`], [`SUSTAINED`] and [`FALL`] in ticks.
     venting: u32,
     sustained: u32,
+    fall: u32,
 }
 
 /// State of the pressure monitor.
@@ -45,8 +48,12 @@ pub struct PressureState {
     slope: f32,
     above: u32,
     ahead_above: u32,
-    far_above: u32,
+    /// Ticks above the limit with the expiratory valve open.
+    vented_above: u32,
     away: u32,
+    /// Ticks for which the expiratory valve has been open, and the pressure when it opened.
+    open: u32,
+    opened_at: f32,
 }
 
 /// Input of the monitor in one tick.
@@ -80,9 +87,9 @@ impl PressureMonitor {
         Self {
             quick: reads_quickly(period_us),
             above: limit(Fault::HighPressure, SPIKE),
-            far_above: limit(Fault::HardLimit, SPIKE),
             venting: limit(Fault::HardLimit, VENTING),
             sustained: limit(Fault::SustainedPressure, SUSTAINED),
+            fall: ticks(FALL, period_us),
         }
     }
 
@@ -93,14 +100,20 @@ impl PressureMonitor {
         let last = state.last.replace(pressure).unwrap_or(pressure);
         state.slope += SLOPE_SHARE * (pressure - last - state.slope);
         state.above = in_a_row(state.above, pressure > limit);
-        state.far_above = in_a_row(state.far_above, pressure > limit + FAR_ABOVE);
+        state.vented_above = in_a_row(state.vented_above, venting && pressure > limit);
         let ahead = pressure + AHEAD * state.slope;
         state.ahead_above = in_a_row(state.ahead_above, self.quick && ahead > limit + AHEAD_ABOVE);
         state.away = in_a_row(state.away, pressure > peep + BACK_AT_PEEP);
-        if state.far_above >= self.far_above || (venting && state.above >= self.venting) {
+        state.open = in_a_row(state.open, venting);
+        if state.open <= 1 {
+            state.opened_at = pressure;
+        }
+        if state.vented_above >= self.venting {
             return PressureFinding::Alarm(Fault::HardLimit);
         }
-        if state.away >= self.sustained {
+        let fallen = state.opened_at - pressure;
+        let stays = state.open >= self.fall && fallen < FALLS * (state.opened_at - peep);
+        if state.away >= self.sustained && stays {
             return PressureFinding::Alarm(Fault::SustainedPressure);
         }
         let ends = state.above >= self.above || state.ahead_above >= self.above;
@@ -148,9 +161,6 @@ mod tests {
     fn a_pressure_at_its_bounds_is_within_them() {
         let constant = |pressure| first([pressure; 140], true);
         assert_eq!((constant(LIMIT), constant(LIMIT + 0.1).map(|found| found.0)), (None, Some(2)));
-        let far = |pressure| findings([pressure; 10], false).last();
-        assert_eq!(far(LIMIT + FAR_ABOVE), Some(PressureFinding::EndInspiration));
-        assert_eq!(far(LIMIT + FAR_ABOVE + 0.1), Some(PressureFinding::Alarm(Fault::HardLimit)));
         assert_eq!(first((0..20_000).map(|_| 5.0 + BACK_AT_PEEP), false), None, "back at PEEP");
     }
 
@@ -186,13 +196,13 @@ mod tests {
     }
 
     #[test]
-    fn far_above_the_limit_or_above_it_with_an_open_valve_is_not_waited_for() {
-        let far = (0..100).map(|n| (10.0 + n as f32).min(56.0));
-        assert_eq!(findings(far, false).last(), Some(PressureFinding::Alarm(Fault::HardLimit)));
-        let stays = (0..600).map(|n| if n < 400 { 30.0 + 0.05 * n as f32 } else { 45.0 });
+    fn above_the_limit_with_an_open_valve_for_longer_than_a_cough_a_valve_does_not_obey() {
+        let stays = (0..1200).map(|n| if n < 400 { 30.0 + 0.05 * n as f32 } else { 45.0 });
         let found = findings(stays, true).position(|finding| matches!(finding, PressureFinding::Alarm(_)));
-        assert!((340..360).contains(&found.unwrap()), "{found:?}");
-        let closed = findings([45.0; 400], false).last();
+        assert!((890..910).contains(&found.unwrap()), "{found:?}");
+        let cough = (0..3000).map(|n| if n % 1000 < 690 { 60.0 } else { 5.0 });
+        assert!(!findings(cough, true).any(|finding| matches!(finding, PressureFinding::Alarm(_))));
+        let closed = findings([45.0; 1400], false).last();
         assert_eq!(closed, Some(PressureFinding::EndInspiration), "the expiratory valve has yet to open");
     }
 
@@ -204,7 +214,24 @@ mod tests {
             slow
         });
         assert_eq!(first(breathing, false), None);
-        let stuck = first((0..16_000).map(|_| 12.0), false);
+        let stuck = first((0..16_000).map(|_| 12.0), true);
         assert_eq!(stuck, Some((14_999, PressureFinding::Alarm(Fault::SustainedPressure))));
+    }
+
+    #[test]
+    fn a_pressure_that_falls_in_each_expiration_is_not_stuck_however_high_its_baseline() {
+        let (monitor, mut state) = (PressureMonitor::new(1000, Monitors::ALL), PressureState::default());
+        let mut found = |baseline: f32| {
+            (0..40_000).find_map(|n| {
+                let venting = n % 3000 >= 1000;
+                let pressure = if venting { baseline } else { 25.0 };
+                let input = PressureInput { pressure, limit: LIMIT, peep: 5.0, venting };
+                // The valve opens before the pressure falls.
+                let input = if n % 3000 == 1000 { PressureInput { pressure: 25.0, ..input } } else { input };
+                matches!(monitor.check(&mut state, &input), PressureFinding::Alarm(_)).then_some(n)
+            })
+        };
+        assert_eq!(found(15.0), None, "a PEEP valve that is stuck");
+        assert!(found(21.0).is_some(), "gas that does not get out");
     }
 }

@@ -1,49 +1,73 @@
 //! The supervisor: all checks and limits between a controller's output and the valves.
 //!
-//! In each tick the monitors check the reading, the pressure, the breath and the response to the delivered gas. A finding
-//! leads down the [`super::ladder`] or into the latched safe state, which only an operator can end
-//! ([`SupervisorState::clear`]). The learned part of a command is applied only in ticks with a fresh, plausible reading,
+//! In each tick the monitors check the readings, the pressure, the breath and the response to the delivered gas. A finding
+//! raises an alarm and has the response of its row in [`super::alarms::ALARMS`]: none, a step down the [`super::ladder`],
+//! another sensor or backup ventilation, and only where ventilating on would harm the latched safe state, which an operator
+//! ends ([`SupervisorState::clear`]). The learned part of a command is applied only in ticks with a fresh, plausible reading,
 //! and changes no faster than [`RESIDUAL_SLEW`].
 
 use super::alarms::{Action, Fault};
+use super::backup::Backup;
 use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
+use super::expiration::{Expiration, ExpirationState};
 use super::filter::ValveCommand;
+use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::Monitors;
 use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
-use super::reading_monitor::{ReadingMonitor, ReadingState};
+use super::source::{PressureSource, SourceState};
 use crate::breath::{Breath, Phase, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
 use crate::math;
+use crate::sensor::Readings;
+use crate::settings::{LIMIT_MARGIN, Settings};
 
 /// Fastest change of the learned part of a command, percent per second: the whole range takes 4 ms.
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
-/// Missed ticks within a breath at which the safe state is latched.
+/// Missed ticks within a breath that raise an alarm.
 const MISSED_MAX: u32 = 5;
+/// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
+const GOOD_RISE: f32 = 0.7;
+/// Fraction of that rise from which a reading responds to the gas.
+const RESPONSE: f32 = 0.3;
+/// Inspirations in a row with such a rise that end backup ventilation.
+const RESPONSES: u32 = 2;
+/// Breaths without a finding after which its condition counts as gone.
+const HOLD_BREATHS: u32 = 2;
 
 /// Configuration: the monitors, and the slew of the learned part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Supervisor {
     monitors: Monitors,
-    reading: ReadingMonitor,
+    source: PressureSource,
     pressure: PressureMonitor,
     breath: BreathMonitor,
     lung: LungEstimator,
+    expiration: Expiration,
     /// Largest change of the learned part in a tick, percent.
     slew: f32,
 }
 
-/// State of the monitors, of the ladder and of the latched fault.
+/// State of the monitors, of the responses and of the latched fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SupervisorState {
     fault: Option<Fault>,
-    raised: Option<Fault>,
-    reading: ReadingState,
+    indications: Indications,
+    source: SourceState,
     pressure: PressureState,
     breath: BreathState,
     lung: LungState,
+    expiration: ExpirationState,
+    backup: Backup,
     ladder: Ladder,
+    /// Settings of the running breath.
+    settings: Option<Settings>,
+    /// Whether no pressure sensor is sound, and whether the one in use is too noisy.
+    lost: bool,
+    noisy: bool,
+    /// While the reading does not respond to the gas: inspirations in a row to which it did.
+    unresponsive: Option<u32>,
     /// Whether the inspiration was ended at the pressure limit.
     cut: bool,
     missed: u32,
@@ -54,15 +78,27 @@ pub struct SupervisorState {
     venting: bool,
 }
 
+/// What the supervisor knows about the pressure of a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Belief {
+    /// Nothing yet, or a fault is latched: the valves stay safe.
+    Nothing,
+    /// The pressure to control with, cmH2O.
+    Pressure(f32),
+    /// No sensor is sound: backup ventilation.
+    Lost,
+}
+
 impl Supervisor {
     /// A supervisor with these monitors for a control period in microseconds.
     pub fn new(period_us: u32, monitors: Monitors) -> Self {
         Self {
             monitors,
-            reading: ReadingMonitor::new(period_us, monitors),
+            source: PressureSource::new(period_us, monitors),
             pressure: PressureMonitor::new(period_us, monitors),
             breath: BreathMonitor::new(period_us, monitors),
             lung: LungEstimator::new(period_us),
+            expiration: Expiration::new(period_us, monitors),
             slew: RESIDUAL_SLEW * period_s(period_us),
         }
     }
@@ -80,29 +116,38 @@ impl Supervisor {
         }
     }
 
-    /// Checks one reading. Returns the pressure to control with; none before the first good reading and while a fault is
-    /// latched. `tick` is that of the running breath, none while no breath runs.
+    /// Raises an alarm that another part of the device has found.
+    pub fn raise(&self, state: &mut SupervisorState, fault: Fault) {
+        self.found(state, fault);
+    }
+
+    /// Checks the readings of one tick. `tick` is that of the running breath, none while no breath runs.
     #[inline]
     pub fn check(
         &self,
         state: &mut SupervisorState,
-        reading: f32,
+        readings: &Readings,
         breath: &Breath,
         tick: Option<u32>,
-    ) -> Option<f32> {
-        let believed = self.reading.check(&mut state.reading, reading, tick.is_some());
-        state.proven = believed.fresh;
-        if let Some(fault) = believed.fault {
+    ) -> Belief {
+        state.indications.tick(HOLD_BREATHS * breath.total_ticks());
+        let chosen = self.source.check(&mut state.source, readings, tick.is_some());
+        (state.proven, state.lost, state.noisy) = (chosen.fresh, chosen.lost, chosen.noisy);
+        for fault in chosen.findings.into_iter().flatten() {
             self.found(state, fault);
         }
-        let pressure = believed.pressure?;
-        if believed.fresh {
+        if let (Some(pressure), true) = (chosen.pressure, chosen.fresh) {
             self.check_pressure(state, pressure, breath);
         }
         if let Some(tick) = tick {
-            self.check_breath(state, pressure, breath, tick);
+            self.check_tick(state, chosen.pressure, readings, breath, tick);
         }
-        if state.fault.is_some() { None } else { Some(pressure) }
+        match chosen.pressure {
+            _ if state.fault.is_some() => Belief::Nothing,
+            Some(pressure) => Belief::Pressure(pressure),
+            None if chosen.lost => Belief::Lost,
+            None => Belief::Nothing,
+        }
     }
 
     fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
@@ -121,52 +166,119 @@ impl Supervisor {
         }
     }
 
-    fn check_breath(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath, tick: u32) {
+    /// Checks a tick of a breath; without a pressure the lung estimate goes on alone.
+    fn check_tick(
+        &self,
+        state: &mut SupervisorState,
+        pressure: Option<f32>,
+        readings: &Readings,
+        breath: &Breath,
+        tick: u32,
+    ) {
         if tick == 0 {
-            self.start_breath(state, pressure, breath.settings().peep);
+            self.start_breath(state, pressure, breath.settings());
         }
-        let inspires = breath.phase(tick) == Phase::Inspiration;
-        if inspires && !state.cut {
-            let silent = self.lung.check(&mut state.lung, pressure);
-            if silent && self.monitors.has(Fault::NoResponse) {
-                self.found(state, Fault::NoResponse);
+        if state.level() == Level::Backup {
+            self.found(state, Fault::BackupVentilation);
+        }
+        match pressure {
+            Some(pressure) => self.check_breath(state, pressure, breath, tick),
+            None if breath.phase(tick) == Phase::Inspiration => self.lung.deliver(&mut state.lung),
+            None => {}
+        }
+        if tick + self.breath.end_of_phase() >= breath.total_ticks() && tick < breath.total_ticks() {
+            self.source.at_end(&mut state.source, readings);
+            if tick + 1 == breath.total_ticks()
+                && self.source.compare(&mut state.source, breath.settings().peep)
+            {
+                self.found(state, Fault::SensorsDisagree);
             }
+        }
+    }
+
+    fn check_breath(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath, tick: u32) {
+        let inspires = breath.phase(tick) == Phase::Inspiration;
+        if inspires && !state.cut && self.lung.check(&mut state.lung, pressure) {
+            self.found(state, Fault::NoResponse);
         }
         let (command, volume) = (state.applied, state.lung.volume());
         let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
+        self.expiration.observe(&mut state.expiration, breath, tick, pressure);
         if tick + 1 == breath.inspiration_ticks() && !state.cut {
-            state.lung.end_inspiration();
+            self.inspired(state, pressure, breath);
+        }
+    }
+
+    /// Ends an inspiration that was not cut at the limit.
+    fn inspired(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
+        state.lung.end_inspiration();
+        let settings = breath.settings();
+        let (rise, wanted) = (pressure - settings.peep, settings.pip - settings.peep);
+        if let Some(responses) = &mut state.unresponsive {
+            *responses = if rise >= RESPONSE * wanted { *responses + 1 } else { 0 };
+            if *responses >= RESPONSES {
+                state.unresponsive = None;
+                state.ladder.step_down(Level::Pid);
+            }
+        } else if rise >= GOOD_RISE * wanted {
+            state.backup.accept(breath);
         }
     }
 
     /// Updates the ladder with the breath that has ended, and starts the next one.
-    fn start_breath(&self, state: &mut SupervisorState, pressure: f32, peep: f32) {
+    fn start_breath(&self, state: &mut SupervisorState, pressure: Option<f32>, settings: &Settings) {
         if let Some(fault) = state.ladder.breath_ended(state.cut) {
             self.found(state, fault);
         }
+        if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
+            state.breath.settings_changed();
+        }
         (state.cut, state.missed, state.learned) = (false, 0, 0.0);
-        state.lung.start_inspiration(pressure, peep);
+        state.lung.start_inspiration(pressure.unwrap_or(settings.peep), settings.peep);
+        state.backup.start_breath();
     }
 
-    /// Responds to a finding as specified in its row of the alarm table.
+    /// Raises an alarm, and responds as specified in its row of the alarm table.
     fn found(&self, state: &mut SupervisorState, fault: Fault) {
         if !self.monitors.has(fault) || state.fault.is_some() {
             return;
         }
-        let level = state.ladder.level();
+        state.indications.found(fault);
         match fault.alarm().action {
+            // A noisy sensor is replaced by the other one, if that is sound.
+            Action::CappedPid if fault == Fault::ReadingNoisy && !state.noisy => {}
             Action::Tell => {}
-            Action::Vent => state.fault = Some(fault),
             Action::Pid => state.ladder.step_down(Level::Pid),
             Action::CappedPid => state.ladder.step_down(Level::CappedPid),
+            // The sensors' findings have taken them out of use already.
+            Action::Backup if fault == Fault::NoResponse => {
+                state.unresponsive = state.unresponsive.or(Some(0))
+            }
+            Action::Backup => {}
+            Action::Vent => state.fault = Some(fault),
         }
-        let ends_breaths = matches!(fault, Fault::LearnedDistrusted | Fault::CommandCapped);
-        if state.fault.is_some() || ends_breaths || state.ladder.level() != level {
-            state.raised = Some(fault);
-        }
+    }
+
+    /// Whether an expiration goes on at a tick at which the next breath is due.
+    pub fn expiration_goes_on(&self, state: &SupervisorState, breath: &Breath, tick: u32) -> bool {
+        self.expiration.goes_on(&state.expiration, breath, tick)
+    }
+
+    /// The command of backup ventilation in a tick of an inspiration, percent: none while the lung estimate predicts a
+    /// pressure close to the limit.
+    pub fn backup_command(&self, state: &SupervisorState, breath: &Breath, tick: u32) -> f32 {
+        let highest = breath.settings().pressure_limit - LIMIT_MARGIN;
+        let safe = state.lung.predicted_pressure().is_none_or(|pressure| pressure < highest);
+        if safe { state.backup.command(breath, tick) } else { 0.0 }
+    }
+
+    /// Records the command of a tick of a pressure-controlled inspiration for backup ventilation.
+    #[inline]
+    pub fn record(&self, state: &mut SupervisorState, breath: &Breath, tick: u32) {
+        state.backup.record(breath, tick, state.applied);
     }
 
     /// The safety filter: converts the trusted part of a controller's output to a valve command. The command is the safe one
@@ -209,14 +321,40 @@ impl SupervisorState {
         self.fault
     }
 
-    /// The newest alarm that has not been taken yet.
-    pub fn take_raised(&mut self) -> Option<Fault> {
-        self.raised.take()
+    /// The most urgent alarm that has begun and has not been taken yet.
+    pub fn take_begun(&mut self) -> Option<Fault> {
+        self.indications.take_begun()
+    }
+
+    /// The alarms.
+    pub fn indications(&self) -> &Indications {
+        &self.indications
+    }
+
+    /// Acknowledges all alarms; returns whether there was one. A latched fault stays.
+    pub fn acknowledge(&mut self) -> bool {
+        self.indications.acknowledge()
     }
 
     /// Level of the ladder that commands the inspiratory valve.
     pub fn level(&self) -> Level {
-        if self.missed > 0 { self.ladder.level().max(Level::Pid) } else { self.ladder.level() }
+        if self.lost || self.unresponsive.is_some() {
+            Level::Backup
+        } else if self.missed > 0 {
+            self.ladder.level().max(Level::Pid)
+        } else {
+            self.ladder.level()
+        }
+    }
+
+    /// The reading to record: that of the sensor in use, `pressure`, unless it stands in for a missing one.
+    pub fn reading(&self, readings: &Readings, pressure: f32) -> f32 {
+        if self.proven { pressure } else { readings.airway }
+    }
+
+    /// Whether a pressure sensor is sound.
+    pub fn has_sensor(&self) -> bool {
+        self.source.is_sound()
     }
 
     /// Whether the running inspiration was ended at the pressure limit.
@@ -224,9 +362,25 @@ impl SupervisorState {
         self.cut
     }
 
-    /// Starts ventilation: resets everything except the reading monitor and a latched fault.
+    /// Command that holds PEEP against a leak, percent.
+    pub fn leak_compensation(&self) -> f32 {
+        self.expiration.compensation()
+    }
+
+    /// Rise of PIP with a baseline that stays above PEEP, cmH2O.
+    pub fn pip_shift(&self, breath: &Breath) -> f32 {
+        self.expiration.shift(breath)
+    }
+
+    /// Starts ventilation: resets everything except the sensors' state, the alarms and a latched fault.
     pub fn begin(&mut self) {
-        *self = Self { reading: self.reading, fault: self.fault, ..Self::default() };
+        let (source, indications, fault) = (self.source, self.indications, self.fault);
+        *self = Self { source, indications, fault, ..Self::default() };
+    }
+
+    /// Lets the PID alone control, until clean breaths lead up again.
+    pub fn distrust(&mut self) {
+        self.ladder.step_down(Level::Pid);
     }
 
     /// Clears the latched fault and all other state, when an operator acknowledges the fault.
@@ -240,12 +394,18 @@ impl Default for SupervisorState {
     fn default() -> Self {
         Self {
             fault: None,
-            raised: None,
-            reading: ReadingState::default(),
+            indications: Indications::default(),
+            source: SourceState::default(),
             pressure: PressureState::default(),
             breath: BreathState::default(),
             lung: LungState::default(),
+            expiration: ExpirationState::default(),
+            backup: Backup::new(),
             ladder: Ladder::default(),
+            settings: None,
+            lost: false,
+            noisy: false,
+            unresponsive: None,
             cut: false,
             missed: 0,
             proven: false,
@@ -257,311 +417,4 @@ impl Default for SupervisorState {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
-    use core::ops::Range;
-    use proptest::prelude::*;
-    use std::vec::Vec;
-
-    fn breath() -> Breath {
-        Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US).unwrap()
-    }
-
-    /// A supervisor with its state.
-    struct Run {
-        supervisor: Supervisor,
-        state: SupervisorState,
-    }
-
-    impl Run {
-        fn new() -> Self {
-            let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
-            Self { supervisor, state: SupervisorState::default() }
-        }
-
-        fn check(&mut self, reading: f32, tick: Option<u32>) -> Option<f32> {
-            self.supervisor.check(&mut self.state, reading, &breath(), tick)
-        }
-
-        /// The command in a tick of the inspiration.
-        fn command(&mut self, output: ControlOutput) -> ValveCommand {
-            self.supervisor.command(&mut self.state, output, false)
-        }
-
-        fn missed(&mut self, ticks: u32) {
-            self.supervisor.missed(&mut self.state, ticks);
-        }
-
-        /// Runs ticks of a breath at a constant pressure and controller output; returns the commands, percent.
-        fn breathe(&mut self, ticks: Range<u32>, pressure: f32, output: ControlOutput) -> Vec<f32> {
-            ticks
-                .map(|tick| {
-                    let inspires = breath().phase(tick) == Phase::Inspiration;
-                    self.check(pressure + dither(tick), Some(tick));
-                    self.supervisor.command(&mut self.state, output, !inspires).u_in()
-                })
-                .collect()
-        }
-    }
-
-    /// What becomes of a breath's pressure.
-    #[derive(Clone, Copy)]
-    enum Lung {
-        /// It rises with the volume, by its elastance in cmH2O/mL.
-        Elastic(f32),
-        /// It stays at PEEP, whatever the valve delivers.
-        Dead,
-    }
-
-    impl Run {
-        /// A breath with a command in percent throughout its inspiration; the tick at which a fault was latched.
-        fn inspire(&mut self, lung: Lung, command: f32) -> Option<u32> {
-            let mut pressure = 5.0_f32;
-            for tick in 0..breath().total_ticks() {
-                let inspires = breath().phase(tick) == Phase::Inspiration;
-                let rise = match lung {
-                    Lung::Elastic(elastance) if inspires && !self.state.cut() && tick > 0 => {
-                        elastance * self.state.lung.volume()
-                    }
-                    _ => 0.0,
-                };
-                // No faster down than a lung empties.
-                pressure = (5.0 + rise).max(pressure - 2.0);
-                self.check(pressure + dither(tick), Some(tick));
-                if self.state.fault().is_some() {
-                    return Some(tick);
-                }
-                self.supervisor.command(&mut self.state, ControlOutput::plain(command), !inspires);
-            }
-            None
-        }
-
-        /// When a reading that stays at PEEP was called silent: the softer the lung is believed to be, the later.
-        fn silent_after(&mut self) -> u32 {
-            let tick = self.inspire(Lung::Dead, 100.0);
-            assert_eq!(self.state.fault(), Some(Fault::NoResponse));
-            tick.unwrap_or_default()
-        }
-    }
-
-    /// Lungs of 50 and 10 mL/cmH2O.
-    const SOFT: Lung = Lung::Elastic(0.02);
-    const STIFF: Lung = Lung::Elastic(0.1);
-
-    /// Noise of a working sensor.
-    fn dither(tick: u32) -> f32 {
-        0.07 * ((tick * 7 % 5) as f32 - 2.0)
-    }
-
-    const LEARNED: ControlOutput = ControlOutput { base: 20.0, command: 24.0 };
-
-    #[test]
-    fn what_is_learned_gets_through_while_all_is_proven() {
-        let commands = Run::new().breathe(0..100, 15.0, LEARNED);
-        assert!(commands.iter().all(|u| (u - 24.0).abs() < f32::EPSILON));
-    }
-
-    #[test]
-    fn a_bridged_reading_takes_the_learned_part_out_for_that_tick() {
-        let mut run = Run::new();
-        run.breathe(0..10, 15.0, LEARNED);
-        assert_eq!(run.check(f32::NAN, Some(10)), Some(15.0 + dither(9)));
-        assert!((run.command(LEARNED).u_in() - 20.0).abs() < 1e-4);
-        assert!((run.breathe(11..12, 15.0, LEARNED)[0] - 24.0).abs() < 1e-4);
-    }
-
-    #[test]
-    fn the_learned_part_cannot_move_faster_than_its_slew() {
-        let hostile = |base, command| ControlOutput { base, command };
-        let mut run = Run::new();
-        let up = run.breathe(0..5, 15.0, hostile(0.0, 100.0));
-        let expected = [25.0, 50.0, 75.0, 100.0, 100.0];
-        assert!(up.iter().zip(expected).all(|(u, wanted)| (u - wanted).abs() < 1e-3), "{up:?}");
-        let down = run.breathe(5..8, 15.0, hostile(100.0, 0.0));
-        assert!(down.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= 25.0 + 1e-3), "{down:?}");
-    }
-
-    #[test]
-    fn the_cap_of_the_capped_pid_takes_effect_at_once() {
-        let mut run = Run::new();
-        run.breathe(0..10, 15.0, ControlOutput::plain(90.0));
-        run.state.ladder.step_down(Level::CappedPid);
-        assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - 40.0).abs() < f32::EPSILON);
-    }
-
-    #[test]
-    fn a_noisy_sensor_leaves_the_capped_pid() {
-        let mut run = Run::new();
-        let noisy = |tick: u32| 15.0 + 1.2 * ((tick * 7 % 5) as f32 - 2.0);
-        for tick in 0..200 {
-            run.check(noisy(tick), Some(tick));
-            run.command(LEARNED);
-        }
-        assert_eq!(run.state.take_raised(), Some(Fault::ReadingNoisy));
-        assert_eq!((run.state.level(), run.state.fault()), (Level::CappedPid, None));
-        run.check(noisy(200), Some(200));
-        assert_eq!(run.state.take_raised(), None, "told once");
-    }
-
-    #[test]
-    fn a_missed_tick_does_not_lift_the_cap() {
-        let mut run = Run::new();
-        run.state.ladder.step_down(Level::CappedPid);
-        run.missed(1);
-        assert_eq!(run.state.level(), Level::CappedPid);
-        assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - 40.0).abs() < f32::EPSILON);
-    }
-
-    #[test]
-    fn a_missed_tick_hands_over_to_the_pid_until_the_breath_ends_and_five_latch() {
-        let mut run = Run::new();
-        run.breathe(0..10, 15.0, LEARNED);
-        run.missed(1);
-        assert_eq!((run.state.level(), run.state.fault()), (Level::Pid, None));
-        assert!((run.breathe(10..12, 15.0, LEARNED)[1] - 20.0).abs() < 1e-4);
-        run.breathe(0..1, 15.0, LEARNED);
-        assert_eq!(run.state.level(), Level::Learned);
-        run.missed(5);
-        assert_eq!(run.state.fault(), Some(Fault::MissedTicks));
-    }
-
-    #[test]
-    fn above_the_limit_the_breath_vents_and_the_next_one_goes_on() {
-        let mut run = Run::new();
-        run.breathe(0..100, 55.0, LEARNED);
-        run.breathe(100..110, 60.5, LEARNED);
-        assert!(run.state.cut());
-        assert_eq!(run.command(LEARNED), ValveCommand::SAFE);
-        for tick in 110..120 {
-            run.breathe(tick..tick + 1, 60.0 - 5.0 * (tick - 109) as f32, LEARNED);
-        }
-        run.breathe(120..1000, 7.0, LEARNED);
-        assert_eq!(run.command(LEARNED), ValveCommand::SAFE, "until the breath has ended");
-        let expiration = run.breathe(1000..3000, 5.0, ControlOutput::plain(5.0));
-        assert!(expiration.iter().all(|u| (u - 5.0).abs() < f32::EPSILON), "the bias");
-        assert!((run.breathe(0..1, 5.0, LEARNED)[0] - 24.0).abs() < 1e-4);
-        assert_eq!((run.state.fault(), run.state.take_raised()), (None, None), "a cough is no alarm");
-    }
-
-    #[test]
-    fn a_latched_fault_stays_and_commands_the_safe_state_until_it_is_cleared() {
-        let mut run = Run::new();
-        for tick in 0..5 {
-            run.check(f32::NAN, Some(tick));
-        }
-        assert_eq!(run.state.take_raised(), Some(Fault::ReadingNotANumber));
-        for tick in 0..1000 {
-            assert_eq!(run.check(5.0 + dither(tick), None), None);
-            assert_eq!(run.command(LEARNED), ValveCommand::SAFE);
-        }
-        run.state.begin();
-        assert_eq!(run.state.fault(), Some(Fault::ReadingNotANumber));
-        run.state.clear();
-        assert_eq!(run.state.fault(), None);
-    }
-
-    #[test]
-    fn breaths_that_end_at_the_limit_lead_down_the_ladder_and_each_step_is_told() {
-        let mut run = Run::new();
-        let mut told = || {
-            assert_eq!(run.inspire(STIFF, 100.0), None);
-            (run.state.level(), run.state.take_raised())
-        };
-        assert_eq!((told(), told()), ((Level::Learned, None), (Level::Learned, None)));
-        assert_eq!(told(), (Level::Pid, Some(Fault::LearnedDistrusted)));
-        assert_eq!(told(), (Level::CappedPid, Some(Fault::CommandCapped)));
-    }
-
-    #[test]
-    fn a_stiff_lung_that_does_not_answer_is_found_early_in_the_next_breath() {
-        let mut run = Run::new();
-        assert_eq!(run.inspire(STIFF, 40.0), None);
-        assert!(run.silent_after() < 200);
-    }
-
-    #[test]
-    fn a_lung_is_known_from_a_breath_that_ended_at_the_limit() {
-        let mut run = Run::new();
-        assert_eq!(run.inspire(STIFF, 100.0), None);
-        assert!(run.silent_after() < 200);
-    }
-
-    /// The softer lung of the last two breaths is believed, so a breath that were taken in twice would push out the other.
-    #[test]
-    fn each_breath_tells_of_the_lung_once() {
-        let mut run = Run::new();
-        assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 100.0)), (None, None));
-        assert!(run.silent_after() > 250, "the second one ended at the limit");
-        let mut run = Run::new();
-        assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 40.0)), (None, None));
-        for tick in 1000..1010 {
-            run.check(65.0_f32.min(5.0 + 10.0 * (tick - 999) as f32) + dither(tick), Some(tick));
-            run.supervisor.command(&mut run.state, ControlOutput::plain(5.0), true);
-        }
-        assert!(run.silent_after() > 250, "above the limit after the second one");
-    }
-
-    #[test]
-    fn the_volume_is_that_of_the_inspiration_until_its_end_or_the_limit() {
-        let (mut run, bias) = (Run::new(), ControlOutput::plain(20.0));
-        run.breathe(0..1000, 15.0, bias);
-        let volume = run.state.lung.volume();
-        assert!((140.0..150.0).contains(&volume), "{volume} mL at 0.161 L/s less the back-pressure");
-        run.breathe(1000..3000, 5.0, bias);
-        assert!((run.state.lung.volume() - volume).abs() < f32::EPSILON);
-        run.breathe(0..500, 55.0, bias);
-        run.breathe(500..510, 60.5, bias);
-        assert!(run.state.cut());
-        let volume = run.state.lung.volume();
-        run.breathe(510..600, 55.0, bias);
-        assert!((run.state.lung.volume() - volume).abs() < f32::EPSILON);
-    }
-
-    #[test]
-    fn breaths_of_an_earlier_run_do_not_count() {
-        let mut run = Run::new();
-        run.state.ladder.step_down(Level::Pid);
-        run.missed(4);
-        run.state.begin();
-        assert_eq!(run.state.level(), Level::Learned);
-        run.missed(4);
-        assert_eq!(run.state.fault(), None);
-    }
-
-    #[test]
-    fn what_the_sensor_said_before_the_start_bridges_the_first_reading() {
-        let mut run = Run::new();
-        run.check(5.0, None);
-        run.state.begin();
-        assert_eq!(run.check(f32::NAN, Some(0)), Some(5.0));
-    }
-
-    #[test]
-    fn a_monitor_that_is_left_out_latches_nothing() {
-        let mut run = Run::new();
-        run.supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ANY_PLANT);
-        run.missed(5);
-        assert_eq!((run.state.fault(), run.state.take_raised()), (None, None));
-    }
-
-    proptest! {
-        /// For any output of the network and of its PID, the learned part changes by at most 25 % in a tick, and the command is
-        /// the PID's with that part and nothing else.
-        #[test]
-        fn no_network_moves_the_command_faster_than_the_slew(
-            outputs in prop::collection::vec((0.0f32..=100.0, prop::num::f32::ANY), 1..300),
-        ) {
-            let (mut run, mut before) = (Run::new(), 0.0);
-            for (tick, (base, wild)) in outputs.into_iter().enumerate() {
-                let output = ControlOutput { base, command: math::limit(wild, 0.0, 100.0) };
-                run.check(15.0 + dither(tick as u32), Some(tick as u32));
-                let command = run.command(output).u_in();
-                let learned = run.state.learned;
-                prop_assert!((learned - before).abs() <= 25.0 + 1e-3);
-                prop_assert!((command - (base + learned).clamp(0.0, 100.0)).abs() <= 1e-3);
-                before = learned;
-            }
-        }
-    }
-}
+mod tests;

@@ -17,6 +17,7 @@ use embassy_stm32::{Config, Peri};
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
+use shared::sensor::Readings;
 use shared::timing::WATCHDOG_US;
 
 pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
@@ -35,8 +36,8 @@ pub trait PlantInterface {
     /// Kind of a device with this interface.
     const KIND: DeviceKind;
 
-    /// Reads the airway pressure, cmH2O; NaN without a plausible value. Takes a bounded time.
-    fn read(&mut self, change: &PlantChange) -> f32;
+    /// Reads the sensors. Takes a bounded time.
+    fn read(&mut self, change: &PlantChange) -> Readings;
 
     /// Drives the valves; only the safety filter can make a command.
     fn drive(&mut self, command: &ValveCommand);

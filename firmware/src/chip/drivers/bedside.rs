@@ -3,7 +3,7 @@
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
-use shared::sensor::{Counts, Sensors};
+use shared::sensor::{Counts, Readings};
 
 use super::super::board::PlantInterface;
 use super::adc::Adc;
@@ -13,23 +13,22 @@ use super::valves::Valves;
 pub struct Bedside {
     adc: Adc,
     valves: Valves,
-    sensors: Sensors,
 }
 
 impl Bedside {
     /// Combines the drivers of a board.
     pub fn new(adc: Adc, valves: Valves) -> Self {
-        Self { adc, valves, sensors: Sensors::default() }
+        Self { adc, valves }
     }
 }
 
 impl PlantInterface for Bedside {
     const KIND: DeviceKind = DeviceKind::Ventilator;
 
-    fn read(&mut self, _cue: &PlantChange) -> f32 {
+    fn read(&mut self, _cue: &PlantChange) -> Readings {
         match self.adc.convert() {
-            Some([airway, outlet, flow]) => self.sensors.read(Counts { airway, outlet, flow }).pressure,
-            None => f32::NAN,
+            Some([airway, outlet, flow]) => Counts { airway, outlet, flow }.into(),
+            None => f32::NAN.into(),
         }
     }
 

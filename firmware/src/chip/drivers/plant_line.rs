@@ -9,6 +9,7 @@ use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::link::plant_link::{PlantDecoder, PlantFrame, PlantMessage};
 use shared::safety::filter::ValveCommand;
+use shared::sensor::Readings;
 
 use super::super::board::{CORE_CLOCK, PlantInterface};
 use super::clock;
@@ -78,7 +79,7 @@ fn answered(asked: &PlantFrame, answer: &PlantFrame) -> Option<f32> {
 impl PlantInterface for PlantLine {
     const KIND: DeviceKind = DeviceKind::HardwareInTheLoop;
 
-    fn read(&mut self, change: &PlantChange) -> f32 {
+    fn read(&mut self, change: &PlantChange) -> Readings {
         let (u_in, u_out) = (self.command.u_in(), self.command.u_out());
         let turn =
             |line: &mut Self| change.peep.map(|pressure| line.exchange(PlantMessage::Peep { pressure }));
@@ -92,7 +93,7 @@ impl PlantInterface for PlantLine {
             turn(self);
             reading
         };
-        reading.unwrap_or(f32::NAN)
+        reading.unwrap_or(f32::NAN).into()
     }
 
     fn drive(&mut self, command: &ValveCommand) {

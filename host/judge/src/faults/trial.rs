@@ -75,6 +75,7 @@ impl TrialOutcome {
     pub fn action(&self) -> Option<Action> {
         match (self.latched_ms, self.level) {
             (Some(_), _) => Some(Action::Vent),
+            (None, Level::Backup) => Some(Action::Backup),
             (None, Level::CappedPid) => Some(Action::CappedPid),
             (None, Level::Pid) => Some(Action::Pid),
             (None, Level::Learned) => (!self.alarms.is_empty()).then_some(Action::Tell),

@@ -1,0 +1,201 @@
+//! What the ventilator does in expirations that do not go as they should.
+//!
+//! * The pressure falls below PEEP (a leak): a bounded flow through the inspiratory valve holds it.
+//! * It is still falling when the next breath is due (obstruction, trapped gas): the expiration lasts longer.
+//! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
+//!   Not so if the pressure hardly fell after the inspiration: then gas does not get out, and more must not get in.
+
+use super::monitors::{Monitors, in_a_row, ticks};
+use crate::breath::{Breath, Phase, period_s};
+use crate::math;
+use crate::safety::alarms::Fault;
+use crate::settings::LIMIT_MARGIN;
+
+/// Pressure below PEEP from which the leak is compensated, cmH2O.
+const SAG: f32 = 0.5;
+/// Rise of the compensation per sag, %/s per cmH2O.
+const RISE: f32 = 40.0;
+/// Fall of the compensation while the pressure does not sag, %/s.
+const RELEASE: f32 = 2.0;
+/// Highest command of the compensation, percent.
+const BOUND: f32 = 40.0;
+/// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
+const ABOVE_PEEP: f32 = 3.0;
+/// Incomplete expirations in a row to which the ventilator responds.
+const IN_A_ROW: u32 = 2;
+/// Time before the end of the expiration from which a constant pressure has changed little, s.
+const CONSTANT_FOR: f32 = 0.5;
+/// Largest such change, cmH2O.
+const CONSTANT: f32 = 0.5;
+/// Fraction of the plateau above PEEP by which the pressure must fall before PIP may follow its baseline.
+const FELL: f32 = 0.3;
+/// Time constant of the smoothed pressure, s.
+const SMOOTHING: f32 = 0.02;
+
+/// Configuration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Expiration {
+    /// Whether the monitor of the baseline is enabled.
+    enabled: bool,
+    period: f32,
+    smoothing: f32,
+    constant_for: u32,
+}
+
+/// State; all zero before the first breath.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ExpirationState {
+    /// Compensation of a leak, percent.
+    compensation: f32,
+    /// Smoothed pressure, and what it was [`CONSTANT_FOR`] before the end of the expiration, cmH2O.
+    smooth: f32,
+    earlier: f32,
+    /// Smoothed pressure at the end of the inspiration, cmH2O.
+    plateau: f32,
+    /// Incomplete expirations in a row.
+    incomplete: u32,
+    /// Whether the last of them was still falling.
+    falling: bool,
+    /// Rise of PIP, cmH2O.
+    shift: f32,
+}
+
+impl Expiration {
+    /// For a control period in microseconds; without the monitor of the baseline no expiration is lengthened.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        let period = period_s(period_us);
+        Self {
+            enabled: enabled.has(Fault::BaselineHigh),
+            period,
+            smoothing: math::lag_factor(SMOOTHING, period),
+            constant_for: ticks(CONSTANT_FOR, period_us),
+        }
+    }
+
+    /// Records the pressure of a tick of a breath, cmH2O.
+    #[inline]
+    pub fn observe(&self, state: &mut ExpirationState, breath: &Breath, tick: u32, pressure: f32) {
+        state.smooth += self.smoothing * (pressure - state.smooth);
+        if tick + 1 == breath.inspiration_ticks() {
+            state.plateau = state.smooth;
+        } else if tick + self.constant_for == breath.total_ticks() && breath.phase(tick) == Phase::Expiration
+        {
+            state.earlier = state.smooth;
+        } else if tick + 1 == breath.total_ticks() {
+            self.assess(state, breath.settings().peep);
+        }
+        let sag = breath.settings().peep - SAG - pressure;
+        if breath.phase(tick) == Phase::Expiration {
+            let rate = if sag > 0.0 { RISE * sag } else { -RELEASE };
+            state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
+        }
+    }
+
+    /// Assesses an expiration at its end.
+    fn assess(&self, state: &mut ExpirationState, peep: f32) {
+        let above = state.smooth - peep;
+        state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
+        state.falling = state.earlier - state.smooth > CONSTANT;
+        let fell = state.plateau - state.smooth >= FELL * (state.plateau - peep);
+        if state.incomplete == 0 {
+            state.shift = 0.0;
+        } else if state.incomplete >= IN_A_ROW && !state.falling && fell {
+            state.shift = above;
+        }
+    }
+
+    /// Whether the expiration goes on at a tick at which the next breath is due.
+    pub fn goes_on(&self, state: &ExpirationState, breath: &Breath, tick: u32) -> bool {
+        let peep = breath.settings().peep;
+        let incomplete = state.incomplete >= IN_A_ROW && state.smooth - peep > ABOVE_PEEP;
+        incomplete && state.falling && tick < breath.total_ticks() + breath.total_ticks() / 2
+    }
+}
+
+impl ExpirationState {
+    /// Command that holds PEEP against a leak, percent.
+    pub fn compensation(&self) -> f32 {
+        self.compensation
+    }
+
+    /// Rise of PIP with a constant baseline, cmH2O: to [`LIMIT_MARGIN`] below the limit at most.
+    pub fn shift(&self, breath: &Breath) -> f32 {
+        let settings = breath.settings();
+        math::limit(self.shift, 0.0, settings.pressure_limit - LIMIT_MARGIN - settings.pip)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+
+    fn breath() -> Breath {
+        Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap()
+    }
+
+    /// Runs breaths with a plateau and a pressure in the expiration by the tick since it began.
+    fn breaths(count: usize, plateau: f32, pressure: impl Fn(u32) -> f32) -> (Expiration, ExpirationState) {
+        let (expiration, mut state) = (Expiration::new(1000, Monitors::ALL), ExpirationState::default());
+        let breath = breath();
+        for tick in (0..count).flat_map(|_| 0..breath.total_ticks()) {
+            let since = tick.checked_sub(breath.inspiration_ticks());
+            expiration.observe(&mut state, &breath, tick, since.map_or(plateau, &pressure));
+        }
+        (expiration, state)
+    }
+
+    #[test]
+    fn a_sag_is_compensated_and_the_compensation_ends_with_it() {
+        let (expiration, mut state) = breaths(1, 25.0, |_| 4.0);
+        assert!((15.0..35.0).contains(&state.compensation()), "{}", state.compensation());
+        let (_, bounded) = breaths(9, 25.0, |_| 0.0);
+        assert!((bounded.compensation() - BOUND).abs() < 1e-3);
+        let breath = breath();
+        for tick in (0..15).flat_map(|_| 1500..3000) {
+            expiration.observe(&mut state, &breath, tick, 5.0);
+        }
+        assert!(state.compensation().abs() < 1e-3);
+    }
+
+    #[test]
+    fn noise_around_peep_is_no_sag() {
+        let (_, state) = breaths(10, 25.0, |tick| if tick % 2 == 0 { 4.6 } else { 5.4 });
+        assert!(state.compensation().abs() < 1e-3);
+    }
+
+    #[test]
+    fn an_expiration_that_still_falls_lasts_up_to_half_a_breath_longer() {
+        let slowly = |tick: u32| 25.0 - 0.005 * tick as f32;
+        let (expiration, state) = breaths(2, 25.0, slowly);
+        let breath = breath();
+        assert!(expiration.goes_on(&state, &breath, 3000) && expiration.goes_on(&state, &breath, 4499));
+        assert!(!expiration.goes_on(&state, &breath, 4500));
+        assert!(state.shift(&breath).abs() < 1e-6, "PIP does not rise");
+        let (expiration, state) = breaths(1, 25.0, slowly);
+        assert!(!expiration.goes_on(&state, &breath, 3000), "after the second one");
+        let (mut expiration, state) = breaths(2, 25.0, slowly);
+        expiration = Expiration { enabled: false, ..expiration };
+        let mut without = ExpirationState { incomplete: 0, ..state };
+        expiration.assess(&mut without, 5.0);
+        assert!(!expiration.goes_on(&without, &breath, 3000));
+    }
+
+    #[test]
+    fn pip_follows_a_constant_baseline_up_to_the_limit() {
+        let (expiration, state) = breaths(2, 25.0, |_| 15.0);
+        assert!((state.shift(&breath()) - 10.0).abs() < 0.1);
+        assert!(!expiration.goes_on(&state, &breath(), 3000), "it would not fall any further");
+        let tight = crate::settings::Settings { pressure_limit: 34.0, ..paper_settings(25.0) };
+        let tight = Breath::new(&tight, DEFAULT_PERIOD_US).unwrap();
+        assert!((state.shift(&tight) - 4.0).abs() < 1e-3);
+        let (_, back) = breaths(3, 25.0, |_| 5.0);
+        assert!(back.shift(&breath()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn pip_does_not_rise_if_the_gas_does_not_get_out() {
+        let (_, state) = breaths(4, 25.0, |_| 22.0);
+        assert!(state.shift(&breath()).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,203 @@
+//! Chooses the pressure sensor that is believed: that at the airway, or that at the machine's outlet.
+//!
+//! Each sensor has a [`super::reading_monitor`] of its own; one that fails a check is not used until it has been sound for
+//! some seconds. Two sound sensors that disagree are judged at the end of expirations, where the mechanical PEEP valve sets
+//! the pressure and hardly any flow separates airway and outlet: the sensor that is closer to PEEP is believed. Until then a
+//! large difference counts with its higher pressure.
+//!
+//! A machine without the second sensor passes NaN for it and has only the first.
+
+use super::alarms::Fault;
+use super::monitors::{Monitors, in_a_row, ticks};
+use super::reading_monitor::{ReadingMonitor, ReadingState};
+use crate::sensor::Readings;
+
+/// Largest plausible difference between outlet and airway, cmH2O: at full flow the tube between them drops up to 5.
+const FAR_APART: f32 = 10.0;
+/// Time for which they may be further apart, s.
+const APART: f32 = 0.02;
+/// Difference at the end of an expiration above which one of them is wrong, cmH2O.
+const DOUBTFUL: f32 = 2.0;
+/// Expirations in a row with such a difference after which the worse sensor is not used.
+const DOUBTFUL_BREATHS: u32 = 2;
+/// Difference at the end of an expiration up to which they agree again, cmH2O.
+const AGREE: f32 = 1.0;
+/// Expirations in a row with so small a difference after which both are used again.
+const AGREED_BREATHS: u32 = 3;
+/// Time without a finding after which a sensor is used again, s.
+const SOUND_AGAIN: f32 = 5.0;
+
+/// Checks both sensors and chooses one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressureSource {
+    enabled: Monitors,
+    monitor: ReadingMonitor,
+    /// [`APART`] and [`SOUND_AGAIN`] in ticks.
+    apart: u32,
+    sound_again: u32,
+    /// Expirations after which the worse sensor is not used.
+    doubtful: u32,
+}
+
+/// State of one sensor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct SensorState {
+    reading: ReadingState,
+    /// Whether it has ever given a good reading.
+    exists: bool,
+    /// Whether a check has failed, and the ticks without a finding since.
+    lost: bool,
+    sound: u32,
+    /// Whether it is too noisy.
+    noisy: bool,
+    /// Whether it lost the comparison with the other sensor.
+    doubted: bool,
+    /// Sum of the readings at the end of the expiration.
+    end: f32,
+}
+
+impl SensorState {
+    fn is_sound(&self) -> bool {
+        self.exists && !self.lost && !self.doubted
+    }
+}
+
+/// State of both sensors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SourceState {
+    airway: SensorState,
+    outlet: SensorState,
+    apart: u32,
+    /// Readings of both sensors in their sums.
+    ends: u32,
+    doubtful: u32,
+    agreed: u32,
+}
+
+/// The pressure of one tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Chosen {
+    /// The pressure to control with, cmH2O; none without a sound sensor.
+    pub pressure: Option<f32>,
+    /// Whether it is a reading of this tick and not a replacement for a missing one.
+    pub fresh: bool,
+    /// Whether no sensor is sound; also false before the first reading.
+    pub lost: bool,
+    /// Whether the sensor in use is too noisy.
+    pub noisy: bool,
+    /// Findings about the airway sensor, the outlet sensor and their difference.
+    pub findings: [Option<Fault>; 3],
+}
+
+impl PressureSource {
+    /// A choice for a control period in microseconds; only the enabled monitors can take a sensor out of use.
+    pub fn new(period_us: u32, enabled: Monitors) -> Self {
+        let compared = |limit| enabled.limit(Fault::SensorsDisagree, limit);
+        Self {
+            enabled,
+            monitor: ReadingMonitor::new(period_us, enabled),
+            apart: compared(ticks(APART, period_us)),
+            sound_again: ticks(SOUND_AGAIN, period_us),
+            doubtful: compared(DOUBTFUL_BREATHS),
+        }
+    }
+
+    /// Checks the readings of one tick. `moving`: a breath runs.
+    #[inline]
+    pub fn check(&self, state: &mut SourceState, readings: &Readings, moving: bool) -> Chosen {
+        let (airway, airway_fault) = self.judge(&mut state.airway, readings.airway, moving);
+        if !state.outlet.exists && readings.outlet.is_nan() {
+            let findings = [airway_fault, None, None];
+            return Self::alone(&state.airway, airway, findings);
+        }
+        let (outlet, outlet_fault) = self.judge(&mut state.outlet, readings.outlet, moving);
+        // A finding about a sensor that was never there is none.
+        let outlet_fault = outlet_fault.filter(|_| state.outlet.exists).map(|_| Fault::OutletSensorLost);
+        let both = state.airway.is_sound() && state.outlet.is_sound();
+        let far = both && (readings.airway - readings.outlet).abs() > FAR_APART;
+        state.apart = in_a_row(state.apart, far);
+        let disagree = state.apart >= self.apart;
+        let findings = [airway_fault, outlet_fault, disagree.then_some(Fault::SensorsDisagree)];
+        let higher = readings.outlet > readings.airway;
+        let use_outlet = match (state.airway.is_sound(), state.outlet.is_sound()) {
+            (true, true) => (disagree && higher) || (state.airway.noisy && !state.outlet.noisy),
+            (_, sound) => sound,
+        };
+        if use_outlet {
+            Self::alone(&state.outlet, outlet, findings)
+        } else {
+            Self::alone(&state.airway, airway, findings)
+        }
+    }
+
+    /// The choice of one sensor.
+    fn alone(
+        sensor: &SensorState,
+        (pressure, fresh): (Option<f32>, bool),
+        findings: [Option<Fault>; 3],
+    ) -> Chosen {
+        let lost = sensor.lost || sensor.doubted;
+        let pressure = if lost { None } else { pressure };
+        Chosen { pressure, fresh: fresh && !lost, lost, noisy: sensor.noisy, findings }
+    }
+
+    /// Checks a sensor's reading: its pressure, whether it is fresh, and a finding.
+    fn judge(
+        &self,
+        state: &mut SensorState,
+        reading: f32,
+        moving: bool,
+    ) -> ((Option<f32>, bool), Option<Fault>) {
+        let believed = self.monitor.check(&mut state.reading, reading, moving);
+        state.exists |= believed.fresh;
+        let fault = believed.fault.filter(|fault| self.enabled.has(*fault));
+        match fault {
+            Some(Fault::ReadingNoisy) => (state.noisy, state.sound) = (true, 0),
+            Some(_) => (state.lost, state.sound) = (true, 0),
+            None => state.sound = state.sound.saturating_add(1),
+        }
+        if state.sound >= self.sound_again {
+            (state.lost, state.noisy) = (false, false);
+        }
+        ((believed.pressure, believed.fresh), fault)
+    }
+
+    /// Adds the readings of a tick at the end of an expiration.
+    pub fn at_end(&self, state: &mut SourceState, readings: &Readings) {
+        if state.airway.exists && state.outlet.exists && !(readings.airway + readings.outlet).is_nan() {
+            state.airway.end += readings.airway;
+            state.outlet.end += readings.outlet;
+            state.ends += 1;
+        }
+    }
+
+    /// Compares the sensors over the end of an expiration at this PEEP, cmH2O; true if one of them is wrong.
+    pub fn compare(&self, state: &mut SourceState, peep: f32) -> bool {
+        let count = core::mem::take(&mut state.ends);
+        let [airway, outlet] =
+            [&mut state.airway, &mut state.outlet].map(|sensor| core::mem::take(&mut sensor.end));
+        if count == 0 || state.airway.lost || state.outlet.lost {
+            return false;
+        }
+        let (airway, outlet) = (airway / count as f32, outlet / count as f32);
+        let apart = (airway - outlet).abs();
+        state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL);
+        state.agreed = in_a_row(state.agreed, apart <= AGREE);
+        if state.agreed >= AGREED_BREATHS {
+            (state.airway.doubted, state.outlet.doubted) = (false, false);
+        }
+        let wrong = state.doubtful >= self.doubtful;
+        if wrong {
+            state.airway.doubted = (airway - peep).abs() > (outlet - peep).abs();
+            state.outlet.doubted = !state.airway.doubted;
+        }
+        wrong
+    }
+}
+
+impl SourceState {
+    /// Whether a pressure sensor is sound.
+    pub fn is_sound(&self) -> bool {
+        self.airway.is_sound() || self.outlet.is_sound()
+    }
+}

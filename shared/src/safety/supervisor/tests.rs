@@ -1,0 +1,385 @@
+//! Tests of the supervisor.
+
+use super::*;
+use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use core::ops::Range;
+use proptest::prelude::*;
+use std::vec::Vec;
+
+fn breath() -> Breath {
+    Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US).unwrap()
+}
+
+/// A supervisor with its state.
+struct Run {
+    supervisor: Supervisor,
+    state: SupervisorState,
+}
+
+impl Run {
+    fn new() -> Self {
+        let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+        Self { supervisor, state: SupervisorState::default() }
+    }
+
+    /// The believed pressure at a reading of the only sensor.
+    fn check(&mut self, reading: f32, tick: Option<u32>) -> Option<f32> {
+        self.check_all(reading.into(), tick)
+    }
+
+    fn check_all(&mut self, readings: Readings, tick: Option<u32>) -> Option<f32> {
+        match self.supervisor.check(&mut self.state, &readings, &breath(), tick) {
+            Belief::Pressure(pressure) => Some(pressure),
+            Belief::Nothing | Belief::Lost => None,
+        }
+    }
+
+    /// The command in a tick of the inspiration.
+    fn command(&mut self, output: ControlOutput) -> ValveCommand {
+        self.supervisor.command(&mut self.state, output, false)
+    }
+
+    fn missed(&mut self, ticks: u32) {
+        self.supervisor.missed(&mut self.state, ticks);
+    }
+
+    /// Runs ticks of a breath at a constant pressure and controller output; returns the commands, percent.
+    fn breathe(&mut self, ticks: Range<u32>, pressure: f32, output: ControlOutput) -> Vec<f32> {
+        ticks
+            .map(|tick| {
+                let inspires = breath().phase(tick) == Phase::Inspiration;
+                self.check(pressure + dither(tick), Some(tick));
+                self.supervisor.command(&mut self.state, output, !inspires).u_in()
+            })
+            .collect()
+    }
+}
+
+/// What becomes of a breath's pressure.
+#[derive(Clone, Copy)]
+enum Lung {
+    /// It rises with the volume, by its elastance in cmH2O/mL.
+    Elastic(f32),
+    /// It stays at PEEP, whatever the valve delivers.
+    Dead,
+}
+
+impl Run {
+    /// A breath with a command in percent throughout its inspiration; the tick at which the pressure no longer responded.
+    fn inspire(&mut self, lung: Lung, command: f32) -> Option<u32> {
+        let mut pressure = 5.0_f32;
+        for tick in 0..breath().total_ticks() {
+            let inspires = breath().phase(tick) == Phase::Inspiration;
+            let rise = match lung {
+                Lung::Elastic(elastance) if inspires && !self.state.cut() && tick > 0 => {
+                    elastance * self.state.lung.volume()
+                }
+                _ => 0.0,
+            };
+            // No faster down than a lung empties.
+            pressure = (5.0 + rise).max(pressure - 2.0);
+            self.check(pressure + dither(tick), Some(tick));
+            if self.state.unresponsive.is_some() {
+                return Some(tick);
+            }
+            self.supervisor.command(&mut self.state, ControlOutput::plain(command), !inspires);
+        }
+        None
+    }
+
+    /// When a reading that stays at PEEP was called silent: the softer the lung is believed to be, the later.
+    fn silent_after(&mut self) -> u32 {
+        let tick = self.inspire(Lung::Dead, 100.0);
+        assert_eq!((self.state.level(), self.state.fault()), (Level::Backup, None));
+        assert!(self.state.indications().present().has(Fault::NoResponse));
+        tick.unwrap_or_default()
+    }
+}
+
+/// Lungs of 50 and 10 mL/cmH2O.
+const SOFT: Lung = Lung::Elastic(0.02);
+const STIFF: Lung = Lung::Elastic(0.1);
+
+/// Noise of a working sensor.
+fn dither(tick: u32) -> f32 {
+    0.07 * ((tick * 7 % 5) as f32 - 2.0)
+}
+
+const LEARNED: ControlOutput = ControlOutput { base: 20.0, command: 24.0 };
+
+#[test]
+fn what_is_learned_gets_through_while_all_is_proven() {
+    let commands = Run::new().breathe(0..100, 15.0, LEARNED);
+    assert!(commands.iter().all(|u| (u - 24.0).abs() < f32::EPSILON));
+}
+
+#[test]
+fn a_bridged_reading_takes_the_learned_part_out_for_that_tick() {
+    let mut run = Run::new();
+    run.breathe(0..10, 15.0, LEARNED);
+    assert_eq!(run.check(f32::NAN, Some(10)), Some(15.0 + dither(9)));
+    assert!((run.command(LEARNED).u_in() - 20.0).abs() < 1e-4);
+    assert!((run.breathe(11..12, 15.0, LEARNED)[0] - 24.0).abs() < 1e-4);
+}
+
+#[test]
+fn the_learned_part_cannot_move_faster_than_its_slew() {
+    let hostile = |base, command| ControlOutput { base, command };
+    let mut run = Run::new();
+    let up = run.breathe(0..5, 15.0, hostile(0.0, 100.0));
+    let expected = [25.0, 50.0, 75.0, 100.0, 100.0];
+    assert!(up.iter().zip(expected).all(|(u, wanted)| (u - wanted).abs() < 1e-3), "{up:?}");
+    let down = run.breathe(5..8, 15.0, hostile(100.0, 0.0));
+    assert!(down.windows(2).all(|pair| (pair[1] - pair[0]).abs() <= 25.0 + 1e-3), "{down:?}");
+}
+
+#[test]
+fn the_cap_of_the_capped_pid_takes_effect_at_once() {
+    let mut run = Run::new();
+    run.breathe(0..10, 15.0, ControlOutput::plain(90.0));
+    run.state.ladder.step_down(Level::CappedPid);
+    assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - 40.0).abs() < f32::EPSILON);
+}
+
+#[test]
+fn a_noisy_sensor_leaves_the_capped_pid() {
+    let mut run = Run::new();
+    let noisy = |tick: u32| 15.0 + 1.2 * ((tick * 7 % 5) as f32 - 2.0);
+    for tick in 0..200 {
+        run.check(noisy(tick), Some(tick));
+        run.command(LEARNED);
+    }
+    assert_eq!(run.state.take_begun(), Some(Fault::ReadingNoisy));
+    assert_eq!((run.state.level(), run.state.fault()), (Level::CappedPid, None));
+    run.check(noisy(200), Some(200));
+    assert_eq!(run.state.take_begun(), None, "told once");
+}
+
+#[test]
+fn a_missed_tick_does_not_lift_the_cap() {
+    let mut run = Run::new();
+    run.state.ladder.step_down(Level::CappedPid);
+    run.missed(1);
+    assert_eq!(run.state.level(), Level::CappedPid);
+    assert!((run.breathe(10..11, 15.0, ControlOutput::plain(90.0))[0] - 40.0).abs() < f32::EPSILON);
+}
+
+#[test]
+fn a_missed_tick_hands_over_to_the_pid_until_the_breath_ends_and_five_for_longer() {
+    let mut run = Run::new();
+    run.breathe(0..10, 15.0, LEARNED);
+    run.missed(1);
+    assert_eq!((run.state.level(), run.state.fault()), (Level::Pid, None));
+    assert!((run.breathe(10..12, 15.0, LEARNED)[1] - 20.0).abs() < 1e-4);
+    run.breathe(0..1, 15.0, LEARNED);
+    assert_eq!(run.state.level(), Level::Learned);
+    run.missed(5);
+    assert_eq!((run.state.take_begun(), run.state.fault()), (Some(Fault::MissedTicks), None));
+    run.breathe(0..1, 15.0, LEARNED);
+    assert_eq!(run.state.level(), Level::Pid);
+}
+
+#[test]
+fn above_the_limit_the_breath_vents_and_the_next_one_goes_on() {
+    let mut run = Run::new();
+    run.breathe(0..100, 55.0, LEARNED);
+    run.breathe(100..110, 60.5, LEARNED);
+    assert!(run.state.cut());
+    assert_eq!(run.command(LEARNED), ValveCommand::SAFE);
+    for tick in 110..120 {
+        run.breathe(tick..tick + 1, 60.0 - 5.0 * (tick - 109) as f32, LEARNED);
+    }
+    run.breathe(120..1000, 7.0, LEARNED);
+    assert_eq!(run.command(LEARNED), ValveCommand::SAFE, "until the breath has ended");
+    let expiration = run.breathe(1000..3000, 5.0, ControlOutput::plain(5.0));
+    assert!(expiration.iter().all(|u| (u - 5.0).abs() < f32::EPSILON), "the bias");
+    assert!((run.breathe(0..1, 5.0, LEARNED)[0] - 24.0).abs() < 1e-4);
+    assert_eq!((run.state.fault(), run.state.take_begun()), (None, None), "a cough is no alarm");
+}
+
+#[test]
+fn a_latched_fault_stays_and_commands_the_safe_state_until_it_is_cleared() {
+    let mut run = Run::new();
+    run.breathe(0..720, 76.0, LEARNED);
+    assert_eq!(run.state.take_begun(), Some(Fault::HardLimit));
+    for tick in 0..1000 {
+        assert_eq!(run.check(5.0 + dither(tick), None), None);
+        assert_eq!(run.command(LEARNED), ValveCommand::SAFE);
+    }
+    run.state.begin();
+    assert_eq!(run.state.fault(), Some(Fault::HardLimit));
+    run.state.clear();
+    assert_eq!(run.state.fault(), None);
+}
+
+/// A good breath at a constant command; its plateau is 25 cmH2O.
+fn good_breath(run: &mut Run, both_sensors: bool) {
+    for tick in 0..breath().total_ticks() {
+        let inspires = breath().phase(tick) == Phase::Inspiration;
+        let pressure = if inspires { 25.0 } else { 5.0 };
+        let outlet = if both_sensors { pressure + dither(tick + 3) } else { f32::NAN };
+        let readings = Readings { outlet, ..Readings::from(pressure + dither(tick)) };
+        run.check_all(readings, Some(tick));
+        run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), !inspires);
+        if inspires {
+            run.supervisor.record(&mut run.state, &breath(), tick);
+        }
+    }
+}
+
+#[test]
+fn without_any_sensor_the_commands_of_good_breaths_are_repeated_and_the_sensor_that_returns_ends_it() {
+    let mut run = Run::new();
+    (0..3).for_each(|_| good_breath(&mut run, false));
+    for tick in 0..5 {
+        run.check(f32::NAN, Some(tick));
+    }
+    assert_eq!((run.state.level(), run.state.fault()), (Level::Backup, None));
+    let begun = [run.state.take_begun(), run.state.take_begun()];
+    assert_eq!(begun, [Some(Fault::ReadingNotANumber), Some(Fault::BackupVentilation)]);
+    let command = run.supervisor.backup_command(&run.state, &breath(), 500);
+    assert!((command - 30.0).abs() < 0.1, "{command}");
+    (0..2).for_each(|_| good_breath(&mut run, false));
+    assert_eq!(run.state.level(), Level::Learned);
+}
+
+#[test]
+fn backup_ventilation_delivers_nothing_at_a_predicted_pressure_near_the_limit() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 100.0), None);
+    run.check(f32::NAN, Some(0));
+    for tick in 1..1000 {
+        run.check(f32::NAN, Some(tick));
+        let command = run.supervisor.backup_command(&run.state, &breath(), tick);
+        let command = ControlOutput::plain(if command > 0.0 { 100.0 } else { 0.0 });
+        run.supervisor.command(&mut run.state, command, false);
+    }
+    let pressure = run.state.lung.predicted_pressure().unwrap();
+    assert!((54.0..62.0).contains(&pressure), "{pressure} at a limit of 60");
+}
+
+#[test]
+fn the_outlet_sensor_takes_over_from_a_lost_airway_sensor() {
+    let mut run = Run::new();
+    (0..2).for_each(|_| good_breath(&mut run, true));
+    for tick in 0..40 {
+        let readings = Readings { airway: f32::NAN, outlet: 14.0 + dither(tick), flow: f32::NAN };
+        run.check_all(readings, Some(tick));
+    }
+    let readings = Readings { airway: f32::NAN, outlet: 14.0, flow: f32::NAN };
+    assert_eq!(run.check_all(readings, Some(40)), Some(14.0));
+    assert_eq!((run.state.level(), run.state.fault()), (Level::Learned, None));
+    assert_eq!(run.state.take_begun(), Some(Fault::ReadingNotANumber));
+}
+
+#[test]
+fn a_lost_outlet_sensor_is_a_message() {
+    let mut run = Run::new();
+    good_breath(&mut run, true);
+    good_breath(&mut run, false);
+    assert_eq!((run.state.level(), run.state.take_begun()), (Level::Learned, Some(Fault::OutletSensorLost)));
+}
+
+#[test]
+fn breaths_that_end_at_the_limit_lead_down_the_ladder_and_each_step_is_told() {
+    let mut run = Run::new();
+    let mut told = || {
+        assert_eq!(run.inspire(STIFF, 100.0), None);
+        (run.state.level(), run.state.take_begun())
+    };
+    assert_eq!((told(), told()), ((Level::Learned, None), (Level::Learned, None)));
+    assert_eq!(told(), (Level::Pid, Some(Fault::LearnedDistrusted)));
+    assert_eq!(told(), (Level::CappedPid, Some(Fault::CommandCapped)));
+}
+
+#[test]
+fn a_stiff_lung_that_does_not_answer_is_found_early_in_the_next_breath() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 40.0), None);
+    assert!(run.silent_after() < 200);
+}
+
+#[test]
+fn a_lung_is_known_from_a_breath_that_ended_at_the_limit() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 100.0), None);
+    assert!(run.silent_after() < 200);
+}
+
+/// The softer lung of the last two breaths is believed, so a breath that were taken in twice would push out the other.
+#[test]
+fn each_breath_tells_of_the_lung_once() {
+    let mut run = Run::new();
+    assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 100.0)), (None, None));
+    assert!(run.silent_after() > 250, "the second one ended at the limit");
+    let mut run = Run::new();
+    assert_eq!((run.inspire(SOFT, 40.0), run.inspire(STIFF, 40.0)), (None, None));
+    for tick in 1000..1010 {
+        run.check(65.0_f32.min(5.0 + 10.0 * (tick - 999) as f32) + dither(tick), Some(tick));
+        run.supervisor.command(&mut run.state, ControlOutput::plain(5.0), true);
+    }
+    assert!(run.silent_after() > 250, "above the limit after the second one");
+}
+
+#[test]
+fn the_volume_is_that_of_the_inspiration_until_its_end_or_the_limit() {
+    let (mut run, bias) = (Run::new(), ControlOutput::plain(20.0));
+    run.breathe(0..1000, 15.0, bias);
+    let volume = run.state.lung.volume();
+    assert!((140.0..150.0).contains(&volume), "{volume} mL at 0.161 L/s less the back-pressure");
+    run.breathe(1000..3000, 5.0, bias);
+    assert!((run.state.lung.volume() - volume).abs() < f32::EPSILON);
+    run.breathe(0..500, 55.0, bias);
+    run.breathe(500..510, 60.5, bias);
+    assert!(run.state.cut());
+    let volume = run.state.lung.volume();
+    run.breathe(510..600, 55.0, bias);
+    assert!((run.state.lung.volume() - volume).abs() < f32::EPSILON);
+}
+
+#[test]
+fn breaths_of_an_earlier_run_do_not_count() {
+    let mut run = Run::new();
+    run.state.ladder.step_down(Level::Pid);
+    run.missed(4);
+    run.state.begin();
+    assert_eq!(run.state.level(), Level::Learned);
+    run.missed(4);
+    assert_eq!(run.state.fault(), None);
+}
+
+#[test]
+fn what_the_sensor_said_before_the_start_bridges_the_first_reading() {
+    let mut run = Run::new();
+    run.check(5.0, None);
+    run.state.begin();
+    assert_eq!(run.check(f32::NAN, Some(0)), Some(5.0));
+}
+
+#[test]
+fn a_monitor_that_is_left_out_latches_nothing() {
+    let mut run = Run::new();
+    run.supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ANY_PLANT);
+    run.missed(5);
+    assert_eq!((run.state.fault(), run.state.take_begun()), (None, None));
+}
+
+proptest! {
+    /// For any output of the network and of its PID, the learned part changes by at most 25 % in a tick, and the command is
+    /// the PID's with that part and nothing else.
+    #[test]
+    fn no_network_moves_the_command_faster_than_the_slew(
+        outputs in prop::collection::vec((0.0f32..=100.0, prop::num::f32::ANY), 1..300),
+    ) {
+        let (mut run, mut before) = (Run::new(), 0.0);
+        for (tick, (base, wild)) in outputs.into_iter().enumerate() {
+            let output = ControlOutput { base, command: math::limit(wild, 0.0, 100.0) };
+            run.check(15.0 + dither(tick as u32), Some(tick as u32));
+            let command = run.command(output).u_in();
+            let learned = run.state.learned;
+            prop_assert!((learned - before).abs() <= 25.0 + 1e-3);
+            prop_assert!((command - (base + learned).clamp(0.0, 100.0)).abs() <= 1e-3);
+            before = learned;
+        }
+    }
+}

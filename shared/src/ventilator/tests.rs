@@ -1,0 +1,309 @@
+//! Tests of the ventilator's state machine.
+
+use super::*;
+use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::control::features::FeatureSpec;
+use crate::control::network::Network;
+use crate::control::pid::PidGains;
+use crate::control::residual::{Residual, ResidualSpec};
+use proptest::prelude::*;
+use std::vec::Vec;
+
+const GAINS: PidGains = PidGains { p: 2.0, i: 20.0, d: 0.0 };
+
+/// A ventilator for plants whose readings the tests make up.
+fn ventilator() -> Ventilator {
+    let pid = Pid::new(GAINS, DEFAULT_PERIOD_US).unwrap();
+    Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(pid)).with_monitors(Monitors::ANY_PLANT)
+}
+
+/// The same ventilator with a network that always adds `percent` to the PID.
+fn learned(percent: f32) -> Ventilator {
+    let mut network = Network::zero();
+    network.output.bias[0] = 0.01 * percent;
+    let spec = ResidualSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains: GAINS,
+        lambda: 1.0,
+        authority: 100.0,
+        features: FeatureSpec::default(),
+    };
+    let residual = Residual::new(spec, network).unwrap();
+    Ventilator::new(DEFAULT_PERIOD_US, Controller::Residual(residual)).with_monitors(Monitors::ANY_PLANT)
+}
+
+fn started(ventilator: &Ventilator) -> VentilatorState {
+    let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+    state.start();
+    state
+}
+
+fn run(ventilator: &Ventilator, state: &mut VentilatorState, ticks: u32, pressure: f32) -> Output {
+    for _ in 1..ticks {
+        ventilator.step(state, pressure);
+    }
+    ventilator.step(state, pressure)
+}
+
+#[test]
+fn standby_holds_the_valves_safe() {
+    let ventilator = ventilator();
+    let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+    let output = run(&ventilator, &mut state, 100, 5.0);
+    assert_eq!((output.command, output.mode, output.sample), (ValveCommand::SAFE, Mode::Standby, None));
+}
+
+#[test]
+fn a_breath_runs_through_its_phases() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    let sample = |output: Output| output.sample.unwrap();
+    let first = sample(run(&ventilator, &mut state, 1, 5.0));
+    assert_eq!((first.phase, first.u_out, first.breath, first.tick), (Phase::Inspiration, false, 0, 0));
+    assert!(first.u_in > 0.0);
+    assert_eq!((state.breath_number(), state.tick()), (0, 1));
+    let fall = sample(run(&ventilator, &mut state, 1000, 15.0));
+    assert_eq!((fall.phase, fall.u_out), (Phase::Fall, true));
+    assert!(fall.u_in.abs() < f32::EPSILON);
+    let rest = sample(run(&ventilator, &mut state, 500, 5.0));
+    assert_eq!((rest.phase, rest.u_out), (Phase::Expiration, true));
+    assert!((rest.u_in - 5.0).abs() < f32::EPSILON, "the bias");
+    let next = sample(run(&ventilator, &mut state, 1500, 5.0));
+    assert_eq!((next.breath, next.tick, next.phase), (1, 0, Phase::Inspiration));
+    run(&ventilator, &mut state, 3099, 5.0);
+    assert_eq!((state.breath_number(), state.tick()), (2, 100));
+}
+
+/// Asks for a constant command; remembers where the valve stood before the breath, then each command that was applied.
+struct Constant(f32);
+
+impl ControlLaw for Constant {
+    type State = Vec<f32>;
+
+    fn initial_state(&self) -> Vec<f32> {
+        Vec::new()
+    }
+
+    fn start_breath(&self, state: &mut Vec<f32>, command: f32) {
+        *state = Vec::from([command]);
+    }
+
+    fn step(&self, _: &mut Vec<f32>, _: &Observation) -> ControlOutput {
+        ControlOutput::plain(self.0)
+    }
+
+    fn applied(&self, state: &mut Vec<f32>, command: f32) {
+        state.push(command);
+    }
+}
+
+#[test]
+fn the_controller_is_told_where_the_valve_stood_and_what_was_applied_in_the_inspiration() {
+    let ventilator = Ventilator::new(DEFAULT_PERIOD_US, Constant(120.0)).with_monitors(Monitors::ANY_PLANT);
+    let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+    state.start();
+    for _ in 0..3000 {
+        ventilator.step(&mut state, 5.0);
+    }
+    assert_eq!((state.controller.len(), state.controller[0] as i32), (1001, 0));
+    assert!(state.controller[1..].iter().all(|command| (command - 100.0).abs() < f32::EPSILON));
+    ventilator.step(&mut state, 5.0);
+    assert_eq!((state.controller.len(), state.controller[0] as i32), (2, 5), "after the bias");
+}
+
+#[test]
+fn settings_wait_for_the_next_breath() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    run(&ventilator, &mut state, 10, 5.0);
+    ventilator.apply(&mut state, &paper_settings(30.0)).unwrap();
+    assert_eq!(state.pending(), Some(&paper_settings(30.0)));
+    let before = run(&ventilator, &mut state, 990, 5.0).sample.unwrap();
+    assert!((before.target - 20.0).abs() < f32::EPSILON);
+    let after = run(&ventilator, &mut state, 2001, 5.0).sample.unwrap();
+    assert_eq!((after.tick, state.pending()), (0, None));
+    assert!((after.target - 30.0).abs() < f32::EPSILON);
+}
+
+#[test]
+fn refused_settings_leave_those_in_force() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    assert!(ventilator.apply(&mut state, &paper_settings(f32::NAN)).is_err());
+    let next = run(&ventilator, &mut state, 3001, 5.0).sample.unwrap();
+    assert!((next.target - 20.0).abs() < f32::EPSILON);
+}
+
+#[test]
+fn at_the_pressure_limit_the_inspiration_ends() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    run(&ventilator, &mut state, 1, 59.0);
+    assert!(!state.cut());
+    let over = run(&ventilator, &mut state, 3, 61.0);
+    assert!(state.cut());
+    assert_eq!((over.command, over.mode), (ValveCommand::SAFE, Mode::Ventilating));
+    let sample = run(&ventilator, &mut state, 800, 7.0).sample.unwrap();
+    assert_eq!((sample.phase, sample.u_out, sample.target as i32), (Phase::Fall, true, 5));
+    let next = run(&ventilator, &mut state, 2197, 5.0).sample.unwrap();
+    assert_eq!((next.tick, next.phase, next.u_out), (0, Phase::Inspiration, false));
+}
+
+#[test]
+fn a_pressure_that_stays_above_its_limit_latches_until_acknowledged() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    assert_eq!(run(&ventilator, &mut state, 700, 76.0).mode, Mode::Ventilating);
+    let output = run(&ventilator, &mut state, 3, 76.0);
+    assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
+    assert_eq!(output.alarm, Some(Fault::HardLimit));
+    assert_eq!(run(&ventilator, &mut state, 1, 76.0).alarm, None, "reported once");
+    state.start();
+    let output = run(&ventilator, &mut state, 10_000, 5.0);
+    assert_eq!((output.command, output.mode), (ValveCommand::SAFE, Mode::Fault(Fault::HardLimit)));
+    assert!(state.acknowledge());
+    assert_eq!(state.mode(), Mode::Standby);
+    assert!(!state.acknowledge(), "no alarm is left");
+    state.start();
+    assert_eq!(run(&ventilator, &mut state, 1, 5.0).mode, Mode::Ventilating);
+}
+
+#[test]
+fn without_a_pressure_reading_breath_follows_breath() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    for _ in 0..3 {
+        let good = run(&ventilator, &mut state, 500, 18.0).sample.unwrap();
+        assert!(good.u_in > 0.0);
+        run(&ventilator, &mut state, 500, 18.0);
+        run(&ventilator, &mut state, 2000, 5.0);
+    }
+    let output = run(&ventilator, &mut state, 6500, f32::NAN);
+    let sample = output.sample.unwrap();
+    assert_eq!((output.mode, state.level(), sample.breath), (Mode::Ventilating, Level::Backup, 5));
+    assert!(sample.u_in > 0.0 && !sample.u_out && sample.pressure.is_nan());
+}
+
+#[test]
+fn an_expiration_that_still_falls_delays_the_next_breath_and_pip_follows_a_stuck_baseline() {
+    let all = ventilator().with_monitors(Monitors::ALL);
+    let breathe = |pressure: &dyn Fn(u32) -> f32| {
+        let mut state = started(&all);
+        let mut last = Vec::new();
+        for n in 0..12_000 {
+            let tick = state.tick();
+            let noise = 0.07 * ((n * 7 % 5) as f32 - 2.0);
+            let inspires = (tick as f32 * 0.2).min(20.0) + 5.0;
+            let pressure = if tick < 1000 { inspires } else { pressure(tick) };
+            last.push(all.step(&mut state, pressure + noise).sample.unwrap());
+        }
+        last
+    };
+    let longest = |samples: &[Sample]| samples.iter().map(|sample| sample.tick).max();
+    let highest = |samples: &[Sample]| samples.iter().map(|sample| sample.target as i32).max();
+    let sound = breathe(&|_| 5.0);
+    assert_eq!((longest(&sound), highest(&sound)), (Some(2999), Some(20)));
+    let slow = breathe(&|tick| 25.0 - 0.005 * (tick - 1000) as f32);
+    assert_eq!((longest(&slow), highest(&slow)), (Some(4420), Some(20)), "until it is 3 cmH2O above PEEP");
+    let stuck = breathe(&|_| 12.0);
+    assert_eq!((longest(&stuck), highest(&stuck)), (Some(2999), Some(27)));
+}
+
+#[test]
+fn exploration_acts_only_at_the_top_of_the_ladder() {
+    let exploring = ventilator().with_exploration(Some(Exploration {
+        boundary_probability: 1.0,
+        boundary_height: (10.0, 10.0),
+        ..Exploration::default()
+    }));
+    let mut state = started(&exploring);
+    exploring.missed(&mut state, 1);
+    assert!(run(&exploring, &mut state, 1, 15.0).sample.unwrap().explore > 0.0, "a new breath");
+    exploring.missed(&mut state, 1);
+    assert!(run(&exploring, &mut state, 1, 15.0).sample.unwrap().explore.abs() < 1e-6);
+}
+
+#[test]
+fn the_lowest_pid_is_the_compiled_in_one() {
+    let silly = Pid::new(PidGains { p: 0.0, i: 0.0, d: 0.0 }, DEFAULT_PERIOD_US).unwrap();
+    let all = Ventilator::new(DEFAULT_PERIOD_US, Controller::Pid(silly)).with_monitors(Monitors::ALL);
+    let mut state = started(&all);
+    let noisy = |n: u32| 15.0 + 1.2 * ((n * 7 % 5) as f32 - 2.0);
+    let last = (0..300).map(|n| all.step(&mut state, noisy(n)).command.u_in()).last();
+    assert_eq!(state.level(), Level::CappedPid);
+    assert!(last.unwrap() > 10.0);
+}
+
+#[test]
+fn a_resumed_ventilation_starts_with_the_pid() {
+    let ventilator = learned(60.0);
+    let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+    state.resume();
+    assert_eq!((state.mode(), state.level()), (Mode::Ventilating, Level::Pid));
+}
+
+#[test]
+fn exploration_adds_to_the_command_and_is_recorded() {
+    let quiet = ventilator();
+    let exploring = ventilator().with_exploration(Some(Exploration {
+        boundary_probability: 1.0,
+        boundary_height: (10.0, 10.0),
+        ..Exploration::default()
+    }));
+    let first = |v: &Ventilator| run(v, &mut started(v), 1, 15.0).sample.unwrap();
+    assert!((first(&exploring).u_in - first(&quiet).u_in - 10.0).abs() < 1e-4);
+    assert!((first(&exploring).explore - 10.0).abs() < 1e-6);
+}
+
+/// SAFETY.md on a hand-over: the learned part fades at the slew, and the PID underneath continues, its integral neither
+/// reset nor fitted to the applied command.
+#[test]
+fn a_hand_over_is_a_ramp_of_the_learned_part_alone() {
+    let (learned, pid) = (learned(60.0), ventilator());
+    let (mut state, mut pid_state) = (started(&learned), started(&pid));
+    // Difference between each command and that of a PID without a network, thousandths of a percent.
+    let mut added = |state: &mut VentilatorState, readings: &[f32]| -> Vec<i32> {
+        let mut added = |reading| {
+            let command = learned.step(state, reading).command.u_in();
+            command - pid.step(&mut pid_state, reading).command.u_in()
+        };
+        readings.iter().map(|reading| (1000.0 * added(*reading) + 0.5) as i32).collect()
+    };
+    assert_eq!(added(&mut state, &[15.0; 4]), [25_000, 50_000, 60_000, 60_000]);
+    assert_eq!(added(&mut state, &[f32::NAN, 15.0]), [35_000, 60_000], "bridged");
+    learned.missed(&mut state, 1);
+    assert_eq!(added(&mut state, &[15.0; 100])[..4], [35_000, 10_000, 0, 0], "the PID takes over");
+    assert!(added(&mut state, &[20.0; 2894]).iter().all(|percent| *percent == 0));
+    assert_eq!(added(&mut state, &[15.0; 4]), [25_000, 50_000, 60_000, 60_000], "the next breath");
+}
+
+proptest! {
+    /// For any readings and requests in any order: the command stays in range, the expiratory valve is open unless an
+    /// inspiration runs, and a fault stays until it is acknowledged.
+    #[test]
+    fn no_sequence_of_events_leaves_the_state_machine(
+        events in prop::collection::vec((0u8..12, prop::num::f32::ANY, -20.0f32..80.0), 1..400),
+    ) {
+        let ventilator = ventilator();
+        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+        for (kind, wild, tame) in events {
+            let before = state.mode();
+            match kind {
+                0 => state.start(),
+                1 => state.stop(),
+                2 => { state.acknowledge(); }
+                3 => { let _ = ventilator.apply(&mut state, &paper_settings(tame)); }
+                _ => {
+                    let output = ventilator.step(&mut state, if kind == 4 { wild } else { tame });
+                    prop_assert!((0.0..=100.0).contains(&output.command.u_in()));
+                    let inspiring = output.sample.is_some_and(|s| s.phase == Phase::Inspiration);
+                    prop_assert_eq!(output.command.u_out(), !inspiring);
+                    prop_assert!(!state.cut() || output.command.u_out());
+                }
+            }
+            if let Mode::Fault(_) = before {
+                prop_assert!(kind == 2 || state.mode() == before);
+            }
+        }
+    }
+}
