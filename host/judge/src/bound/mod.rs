@@ -21,7 +21,7 @@ use thiserror::Error;
 
 use crate::evaluate::{Plan, Score};
 use bench_breath::BenchBreath;
-use plant::bench::{BenchConfig, PatientConfig};
+use plant::bench::BenchConfig;
 use progress::{Progress, Stage};
 use search::Found;
 use ventilator::SourceError;
@@ -91,7 +91,7 @@ pub struct Bound {
 pub enum BoundError {
     /// Breaths differ, so no single inspiration represents them.
     #[error(
-        "the patient of bench {0} breathes, coughs or changes, so a bound for one breath does not apply to the next: set effort_cmh2o, cough_cmh2o and change_at_breath to 0"
+        "the patient of bench {0} breathes, coughs or changes, or its leak does, so a bound for one breath does not apply to the next: set effort_cmh2o, cough_cmh2o, change_at_breath and resistance_growth_percent_per_hour to 0, and remove leak_changes"
     )]
     Patient(String),
     /// The bench, settings or period cannot be run.
@@ -104,7 +104,7 @@ pub enum BoundError {
 /// not depend on the number of threads.
 ///
 /// # Errors
-/// Before any search: a patient who is not passive, a bench or settings that are refused, or a period that the bench
+/// Before any search: a patient who is not passive, a leak that changes, a bench or settings that are refused, or a period that the bench
 /// cannot run.
 pub fn bounds(
     benches: &[BenchConfig],
@@ -114,7 +114,7 @@ pub fn bounds(
 ) -> Result<Vec<Bound>, BoundError> {
     let mut jobs = Vec::with_capacity(benches.len() * plan.pips.len());
     for bench in benches {
-        if !passive(&bench.patient) {
+        if !repeats(bench) {
             return Err(BoundError::Patient(bench.name.clone()));
         }
         for (number, pip) in plan.pips.iter().enumerate() {
@@ -133,8 +133,12 @@ pub fn bounds(
     Ok(benches.iter().zip(found.chunks(per_bench)).map(|(bench, found)| summarize(bench, found)).collect())
 }
 
-fn passive(patient: &PatientConfig) -> bool {
-    patient.effort_cmh2o <= 0.0 && patient.cough_cmh2o <= 0.0 && patient.change_at_breath == 0
+/// Whether every breath with the same commands is the same.
+fn repeats(bench: &BenchConfig) -> bool {
+    let patient = &bench.patient;
+    let quiet = patient.effort_cmh2o <= 0.0 && patient.cough_cmh2o <= 0.0;
+    let steady = patient.change_at_breath == 0 && patient.resistance_growth_percent_per_hour <= 0.0;
+    quiet && steady && bench.circuit.leak_changes.is_empty()
 }
 
 fn waveform(breath: &BenchBreath, found: Found, trace: bool) -> WaveformBound {

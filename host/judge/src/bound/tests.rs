@@ -11,7 +11,7 @@ use super::descent::Descent;
 use super::shape::CommandShape;
 use super::*;
 use crate::evaluate::{evaluate, trace};
-use plant::bench::{BenchError, PatientConfig, SensorConfig, ValveConfig};
+use plant::bench::{BenchError, LeakChange, PatientConfig, SensorConfig, ValveConfig};
 
 /// Gains near the best ones at R 20, C 20.
 const GOOD: PidGains = PidGains { p: 7.2, i: 253.0, d: 0.133 };
@@ -144,11 +144,20 @@ fn a_patient_who_moves_is_refused() {
         PatientConfig { effort_cmh2o: 5.0, ..PatientConfig::default() },
         PatientConfig { cough_cmh2o: 5.0, ..PatientConfig::default() },
         PatientConfig { change_at_breath: 3, ..PatientConfig::default() },
+        PatientConfig { resistance_growth_percent_per_hour: 5.0, ..PatientConfig::default() },
     ] {
         let bench = BenchConfig { patient, ..BenchConfig::paper(20.0, 20.0) };
         let refused = bound(&bench, &plan(&[20.0]), &BoundConfig::default(), &Progress::silent());
         assert!(matches!(refused, Err(BoundError::Patient(_))));
     }
+}
+
+#[test]
+fn a_leak_that_changes_is_refused() {
+    let mut bench = BenchConfig::paper(20.0, 20.0);
+    bench.circuit.leak_changes = vec![LeakChange { at_s: 60.0, leak_l_per_s_at_30_cmh2o: 0.3 }];
+    let refused = bound(&bench, &plan(&[20.0]), &BoundConfig::default(), &Progress::silent());
+    assert!(matches!(refused, Err(BoundError::Patient(_))));
 }
 
 #[test]

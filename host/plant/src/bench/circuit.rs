@@ -1,7 +1,7 @@
 //! Breathing circuit: compliance of the tubing, leak, mechanical relief valve.
 
 use super::branch::{Branch, parabolic_conductance};
-use super::config::CircuitConfig;
+use super::config::{CircuitConfig, LeakChange};
 
 /// Pressure at which the leak is specified, cmH2O.
 const LEAK_STATED_AT_CMH2O: f64 = 30.0;
@@ -16,6 +16,12 @@ pub(super) struct Circuit {
     storage: f64,
     /// Leak at the specified pressure, L/s.
     leak: f64,
+    /// The same without a failure.
+    sound_leak: f64,
+    /// Whether the leak is a failure's.
+    failed: bool,
+    /// Changes of the leak that are still to come, the next one last.
+    leak_changes: Vec<LeakChange>,
     relief_opening: f64,
     relief_conductance: f64,
 }
@@ -27,6 +33,9 @@ impl Circuit {
             pressure,
             storage: config.compliance_ml_per_cmh2o * 1e-3 / sub_step_s,
             leak: config.leak_l_per_s_at_30_cmh2o,
+            sound_leak: config.leak_l_per_s_at_30_cmh2o,
+            failed: false,
+            leak_changes: config.leak_changes.iter().rev().copied().collect(),
             relief_opening: config.relief_opening_cmh2o,
             relief_conductance: config.relief_conductance_l_per_s_per_cmh2o,
         }
@@ -40,9 +49,25 @@ impl Circuit {
         self.pressure = pressure;
     }
 
-    /// Changes the leak to the room, L/s at 30 cmH2O.
-    pub(super) fn set_leak(&mut self, flow: f64) {
-        self.leak = flow;
+    /// Makes the circuit leak this flow to the room, L/s at 30 cmH2O, until it is repaired.
+    pub(super) fn fail(&mut self, leak: f64) {
+        (self.leak, self.failed) = (leak, true);
+    }
+
+    /// Returns to the leak that it would have now without a failure.
+    pub(super) fn repair(&mut self) {
+        (self.leak, self.failed) = (self.sound_leak, false);
+    }
+
+    /// Makes the changes of the leak that are due. A failure outlasts them.
+    #[inline]
+    pub(super) fn change_leak(&mut self, time_s: f64) {
+        while let Some(change) = self.leak_changes.pop_if(|change| change.at_s <= time_s) {
+            self.sound_leak = change.leak_l_per_s_at_30_cmh2o;
+            if !self.failed {
+                self.leak = self.sound_leak;
+            }
+        }
     }
 
     /// The compliance as a branch to the present pressure.
@@ -95,6 +120,27 @@ mod tests {
             let circuit = Circuit::new(&config, pressure, SUB_STEP_S);
             assert!(circuit.leak().flow(pressure).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn the_leak_changes_at_the_stated_times_and_a_failure_outlasts_the_changes() {
+        let change = |at_s, leak_l_per_s_at_30_cmh2o| LeakChange { at_s, leak_l_per_s_at_30_cmh2o };
+        let leak_changes = vec![change(1.0, 0.3), change(2.0, 0.1), change(3.0, 0.2)];
+        let config = CircuitConfig { leak_changes, ..CircuitConfig::default() };
+        let mut circuit = Circuit::new(&config, 30.0, SUB_STEP_S);
+        let mut leak = |time_s, failure: fn(&mut Circuit)| {
+            failure(&mut circuit);
+            circuit.change_leak(time_s);
+            -circuit.leak().flow(30.0)
+        };
+        let stated = CircuitConfig::default().leak_l_per_s_at_30_cmh2o;
+        for (time_s, expected) in [(0.0, stated), (0.999, stated), (1.0, 0.3), (1.5, 0.3)] {
+            assert!((leak(time_s, |_| ()) - expected).abs() < 1e-12, "{time_s} s");
+        }
+        assert!((leak(1.6, |circuit| circuit.fail(20.0)) - 20.0).abs() < 1e-9);
+        assert!((leak(2.5, |_| ()) - 20.0).abs() < 1e-9);
+        assert!((leak(2.6, Circuit::repair) - 0.1).abs() < 1e-12);
+        assert!((leak(9.0, |_| ()) - 0.2).abs() < 1e-12);
     }
 
     #[test]

@@ -10,7 +10,12 @@ pub(super) struct Expiratory {
     opening: Lag,
     linear: f64,
     quadratic: f64,
+    /// Linear and quadratic part without a clogged filter.
+    clear: [f64; 2],
+    /// Threshold in force, cmH2O.
     peep: f64,
+    /// Threshold to which the PEEP valve was last turned, cmH2O.
+    setting: f64,
     /// Whether the valve is stuck closed.
     shut: bool,
     /// Whether the PEEP valve is stuck.
@@ -20,17 +25,22 @@ pub(super) struct Expiratory {
 impl Expiratory {
     /// An open valve.
     pub(super) fn new(config: &ExpiratoryConfig, peep: f64, sub_step_s: f64) -> Self {
+        let linear = config.laminar_resistance_cmh2o_per_l_s;
+        let quadratic = config.orifice_l_per_s_per_sqrt_cmh2o.powi(-2);
         Self {
             opening: Lag::new(config.lag_ms * 1e-3, sub_step_s, 1.0),
-            linear: config.laminar_resistance_cmh2o_per_l_s,
-            quadratic: config.orifice_l_per_s_per_sqrt_cmh2o.powi(-2),
+            linear,
+            quadratic,
+            clear: [linear, quadratic],
             peep,
+            setting: peep,
             shut: false,
             held: false,
         }
     }
 
     pub(super) fn set_peep(&mut self, peep: f64) {
+        self.setting = peep;
         if !self.held {
             self.peep = peep;
         }
@@ -48,7 +58,14 @@ impl Expiratory {
 
     /// Reduces the flow to this share.
     pub(super) fn clog(&mut self, part: f64) {
-        (self.linear, self.quadratic) = (self.linear / part, self.quadratic / (part * part));
+        let [linear, quadratic] = self.clear;
+        (self.linear, self.quadratic) = (linear / part, quadratic / (part * part));
+    }
+
+    /// Ends every failure; the PEEP valve takes the pressure to which it was last turned.
+    pub(super) fn repair(&mut self) {
+        [self.linear, self.quadratic] = self.clear;
+        (self.peep, self.held, self.shut) = (self.setting, false, false);
     }
 
     /// Moves the valve by one sub-step towards open (`u_out`) or closed.
@@ -111,6 +128,16 @@ mod tests {
         valve.set_peep(10.0);
         assert!(outflow(&valve, 9.0).abs() < 1e-12);
         assert!(outflow(&valve, 11.0) > 0.1);
+    }
+
+    #[test]
+    fn a_freed_peep_valve_takes_the_last_setting() {
+        let mut valve = open();
+        valve.stick_at(0.0);
+        valve.set_peep(10.0);
+        assert!(outflow(&valve, 3.0) > 0.1);
+        valve.repair();
+        assert!(outflow(&valve, 9.0).abs() < 1e-12 && outflow(&valve, 11.0) > 0.1);
     }
 
     #[test]

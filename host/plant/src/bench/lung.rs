@@ -6,7 +6,10 @@ use super::config::{CompartmentConfig, LungConfig};
 /// One compartment and its state, the volume above the volume at rest.
 #[derive(Clone, Debug)]
 struct Compartment {
+    /// Resistance in force.
     resistance: f64,
+    /// The same without secretions and occlusion.
+    clear_resistance: f64,
     turbulence: f64,
     /// Pressure per volume below the inflection, cmH2O/mL; stored because divisions dominate the sub-steps' time.
     stiffness: f64,
@@ -21,6 +24,7 @@ impl Compartment {
     fn new(config: &CompartmentConfig, pressure: f64, sub_step_s: f64) -> Self {
         let mut compartment = Self {
             resistance: config.resistance_cmh2o_per_l_s,
+            clear_resistance: config.resistance_cmh2o_per_l_s,
             turbulence: config.turbulence_s_per_l,
             stiffness: 1.0 / config.compliance_ml_per_cmh2o,
             inflection: config.upper_inflection_cmh2o,
@@ -67,6 +71,10 @@ impl Compartment {
 pub(super) struct Lung {
     first: Compartment,
     second: Option<Compartment>,
+    /// Factor of the secretions on every resistance.
+    secretions: f64,
+    /// Factor of a tube's occlusion on every resistance.
+    occlusion: f64,
 }
 
 impl Lung {
@@ -75,6 +83,8 @@ impl Lung {
         Self {
             first: Compartment::new(&config.first, pressure, sub_step_s),
             second: config.second.as_ref().map(|second| Compartment::new(second, pressure, sub_step_s)),
+            secretions: 1.0,
+            occlusion: 1.0,
         }
     }
 
@@ -100,9 +110,28 @@ impl Lung {
     /// stiffer lung at the same pressure, not expelled gas.
     pub(super) fn change(&mut self, resistance_factor: f64, compliance_factor: f64) {
         for compartment in std::iter::once(&mut self.first).chain(&mut self.second) {
-            compartment.resistance *= resistance_factor;
+            compartment.clear_resistance *= resistance_factor;
             compartment.stiffness /= compliance_factor;
             compartment.volume_ml *= compliance_factor;
+        }
+        self.narrow();
+    }
+
+    /// Sets the factor of the secretions on every resistance.
+    pub(super) fn set_secretions(&mut self, factor: f64) {
+        self.secretions = factor;
+        self.narrow();
+    }
+
+    /// Sets the factor of the tube's occlusion on every resistance; 1 for an open tube.
+    pub(super) fn occlude(&mut self, factor: f64) {
+        self.occlusion = factor;
+        self.narrow();
+    }
+
+    fn narrow(&mut self) {
+        for compartment in std::iter::once(&mut self.first).chain(&mut self.second) {
+            compartment.resistance = compartment.clear_resistance * self.secretions * self.occlusion;
         }
     }
 
@@ -195,6 +224,19 @@ mod tests {
         let lung = Lung::new(&LungConfig::default(), 5.0, SUB_STEP_S);
         assert!((lung.alveolar_pressure(3.0) - 2.0).abs() < 1e-9);
         assert!(lung.branches(5.0, 3.0)[0].flow(5.0) < 0.0, "gas goes into the lung");
+    }
+
+    #[test]
+    fn change_secretions_and_occlusion_multiply_every_resistance() {
+        let config = LungConfig { second: Some(CompartmentConfig::default()), ..LungConfig::default() };
+        let mut lung = Lung::new(&config, 5.0, SUB_STEP_S);
+        lung.occlude(10.0);
+        lung.set_secretions(1.5);
+        lung.change(2.0, 1.0);
+        let resistances = |lung: &Lung| [lung.first.resistance, lung.second.as_ref().unwrap().resistance];
+        assert!(resistances(&lung).iter().all(|r| (r - 600.0).abs() < 1e-9));
+        lung.occlude(1.0);
+        assert!(resistances(&lung).iter().all(|r| (r - 60.0).abs() < 1e-9), "20 x 1.5 x 2");
     }
 
     #[test]

@@ -4,6 +4,27 @@
 //! for 1 ms and returns the sensor's reading. [`Bench::truth`] shows what no ventilator can see. There is one file per
 //! part of the machine; `branch` solves for the pressure where the parts meet.
 //!
+//! A patient who breathes irregularly and coughs, on a leak that opens after a minute:
+//!
+//! ```
+//! # use plant::bench::{Bench, BenchConfig};
+//! let config = BenchConfig::from_toml(
+//!     "[patient]
+//!      effort_cmh2o = 8.0
+//!      effort_variability_percent = 20.0
+//!      double_efforts_percent = 5.0
+//!      cough_cmh2o = 40.0
+//!      coughs_per_hour = 20.0
+//!      resistance_growth_percent_per_hour = 3.0
+//!      [circuit]
+//!      leak_changes = [{ at_s = 60.0, leak_l_per_s_at_30_cmh2o = 0.3 }]",
+//! )?;
+//! let mut bench = Bench::new(&config, 5.0, 1)?;
+//! bench.step(20.0, false);
+//! assert_eq!(bench.truth().effort_started_s, Some(0.0));
+//! # Ok::<(), plant::bench::BenchError>(())
+//! ```
+//!
 //! It is designed to be as hard to control as a real ventilator, but does not model a particular one: dead time,
 //! backlash, dead zone, a curved valve characteristic, sensor noise and unit differences are on by default.
 
@@ -11,6 +32,8 @@ mod bench_plant;
 mod branch;
 mod circuit;
 mod config;
+mod coughs;
+mod drive;
 mod expiratory;
 mod failure;
 mod lag;
@@ -27,7 +50,7 @@ pub use bench_plant::BenchPlant;
 pub use failure::Failure;
 
 pub use config::{
-    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LungConfig,
+    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LeakChange, LungConfig,
     PEEP_RANGE_CMH2O, PatientConfig, SensorConfig, UnitConfig, ValveConfig,
 };
 
@@ -60,6 +83,13 @@ pub fn steps_per_period(period_us: u32) -> Result<u32, BenchError> {
         return Err(BenchError::Period { period_us });
     }
     Ok(period_us / STEP_US)
+}
+
+/// Random numbers of this `number`: parts with streams of their own do not affect each other's draws.
+fn stream(seed: u64, number: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(number);
+    rng
 }
 
 /// The PEEP setting limited by the valve's end stops, cmH2O.
@@ -97,6 +127,10 @@ pub struct Truth {
     pub expiratory_opening: f64,
     /// Breaths started so far; one starts when `u_out` goes from true to false.
     pub breath: u32,
+    /// When the patient's last effort began, s; `None` before the first.
+    pub effort_started_s: Option<f64>,
+    /// Efforts of the patient begun so far.
+    pub efforts: u32,
 }
 
 /// A running bench.
@@ -126,11 +160,11 @@ struct Flows {
 
 impl Bench {
     /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`, `peep`,
-    /// `seed` (of the sensor noise) and commands give the same bits on the same platform (the effort's sine and the
+    /// `seed` (of the sensor noise and the patient's irregularity) and commands give the same bits on the same platform (the effort's sine and the
     /// valve's power use the platform's math library).
     ///
     /// # Errors
-    /// [`BenchError::OutOfRange`] as in [`BenchConfig::validate`], and for `peep` outside [`PEEP_RANGE_CMH2O`].
+    /// As in [`BenchConfig::validate`], and [`BenchError::OutOfRange`] for `peep` outside [`PEEP_RANGE_CMH2O`].
     pub fn new(config: &BenchConfig, peep: f32, seed: u64) -> Result<Self, BenchError> {
         config.validate()?;
         let peep = f64::from(peep);
@@ -148,7 +182,7 @@ impl Bench {
             circuit: Circuit::new(&config.circuit, peep, sub_step_s),
             lung: Lung::new(&config.lung, peep, sub_step_s),
             sensor: Sensor::new(&config.sensor, peep, sub_step_s, noise),
-            patient: Patient::new(config.patient),
+            patient: Patient::new(config.patient, seed),
             flows: Flows::default(),
         })
     }
@@ -174,21 +208,27 @@ impl Bench {
         if let Some((resistance_factor, compliance_factor)) = self.patient.observe(u_out) {
             self.lung.change(resistance_factor, compliance_factor);
         }
-        let muscle_pressure = self.patient.muscle_pressure(self.time_s());
+        let now = self.time_s();
+        let muscle_pressure = self.patient.muscle_pressure(now);
+        self.circuit.change_leak(now);
+        if let Some(factor) = self.patient.secretions(now) {
+            self.lung.set_secretions(factor);
+        }
         self.valve.command(u_in);
         self.flows = Flows::default();
         for sub_step in 0..self.sub_steps {
             self.valve.advance(sub_step);
             self.expiratory.advance(u_out);
-            self.flow(muscle_pressure);
+            self.move_gas(muscle_pressure);
             self.sensor.advance(self.circuit.pressure());
         }
         self.steps += 1;
+        self.patient.advance(self.time_s());
         self.sensor.sample(self.unit.offset_after(self.steps))
     }
 
     /// Moves the gas for one sub-step.
-    fn flow(&mut self, muscle_pressure: f64) {
+    fn move_gas(&mut self, muscle_pressure: f64) {
         let pressure = self.circuit.pressure();
         let mut junction = Junction {
             storage: self.circuit.storage(),
@@ -214,6 +254,7 @@ impl Bench {
     pub fn truth(&self) -> Truth {
         let share = 1.0 / f64::from(self.sub_steps);
         let muscle_pressure = self.patient.muscle_pressure(self.time_s());
+        let (effort_started_s, efforts) = self.patient.efforts(self.time_s());
         Truth {
             airway_pressure: self.circuit.pressure(),
             sensor_pressure: self.sensor.lagged(),
@@ -228,16 +269,17 @@ impl Bench {
             valve_position: self.valve.stem(),
             expiratory_opening: self.expiratory.opening(),
             breath: self.patient.breath(),
+            effort_started_s,
+            efforts,
         }
     }
 
     /// The part of the true state that recordings store.
     pub fn pressures(&self) -> TickTruth {
-        let truth = self.truth();
         TickTruth {
-            airway_pressure: truth.airway_pressure as f32,
-            sensor_pressure: truth.sensor_pressure as f32,
-            lung_volume: truth.lung_volume_ml as f32,
+            airway_pressure: self.circuit.pressure() as f32,
+            sensor_pressure: self.sensor.lagged() as f32,
+            lung_volume: self.lung.volume_ml() as f32,
         }
     }
 

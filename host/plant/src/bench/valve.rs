@@ -83,6 +83,8 @@ pub(super) struct Valve {
     stem: f64,
     characteristic: Characteristic,
     full_flow_l_s: f64,
+    /// The same while there is a gas supply.
+    supplied_flow_l_s: f64,
     supply: f64,
     /// Whether the stem is stuck.
     stuck: bool,
@@ -97,13 +99,15 @@ impl Valve {
         sub_steps: u32,
         sub_step_s: f64,
     ) -> Self {
+        let full_flow_l_s = config.max_flow_l_per_s * gain;
         Self {
             dead_time: DeadTime::new(dead_time_ms, sub_steps),
             actuator: Lag::new(config.lag_ms * 1e-3, sub_step_s, 0.0),
             play: config.backlash_percent,
             stem: 0.0,
             characteristic: Characteristic::new(config.dead_zone_percent, config.curve_exponent),
-            full_flow_l_s: config.max_flow_l_per_s * gain,
+            full_flow_l_s,
+            supplied_flow_l_s: full_flow_l_s,
             supply: config.supply_pressure_cmh2o,
             stuck: false,
         }
@@ -117,6 +121,11 @@ impl Valve {
     /// Cuts off the gas supply.
     pub(super) fn lose_supply(&mut self) {
         self.full_flow_l_s = 0.0;
+    }
+
+    /// Ends every failure: the stem follows the actuator again, the supply is back.
+    pub(super) fn repair(&mut self) {
+        (self.stuck, self.full_flow_l_s) = (false, self.supplied_flow_l_s);
     }
 
     /// Takes the command of a new step, in percent. A command outside the driver's range is limited; one that is not a

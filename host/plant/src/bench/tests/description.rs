@@ -1,7 +1,7 @@
 //! The parameter file and the names of lungs.
 
 use super::all_lungs;
-use crate::bench::{Bench, BenchConfig, BenchError, CompartmentConfig};
+use crate::bench::{Bench, BenchConfig, BenchError, CompartmentConfig, LeakChange};
 
 fn refused(text: &str) -> String {
     BenchConfig::from_toml(text).unwrap_err().to_string()
@@ -12,6 +12,7 @@ fn every_preset_is_valid_and_round_trips() {
     for mut config in all_lungs() {
         config.lung.second = Some(CompartmentConfig { turbulence_s_per_l: 0.25, ..config.lung.first });
         config.unit.number = u32::MAX;
+        config.circuit.leak_changes = vec![LeakChange { at_s: 60.0, leak_l_per_s_at_30_cmh2o: 0.3 }];
         assert_eq!(BenchConfig::from_toml(&config.to_toml()).unwrap(), config);
     }
 }
@@ -61,7 +62,7 @@ fn every_value_has_bounds_and_the_error_names_the_field() {
     let table: toml::Table = toml::from_str(&config.to_toml()).unwrap();
     let mut fields = Vec::new();
     numbers("", &table, &mut fields);
-    assert!(fields.len() > 35, "{fields:?}");
+    assert!(fields.len() > 38, "{fields:?}");
     for field in &fields {
         for bad in ["nan", "inf", "-1e9", "1e9"] {
             let mut table = table.clone();
@@ -75,6 +76,28 @@ fn every_value_has_bounds_and_the_error_names_the_field() {
             );
         }
     }
+}
+
+#[test]
+fn changes_of_the_leak_have_bounds_and_an_order() {
+    let changes = |list: &str| BenchConfig::from_toml(&format!("[circuit]\nleak_changes = [{list}]"));
+    let change = |at_s: &str, leak: &str| format!("{{ at_s = {at_s}, leak_l_per_s_at_30_cmh2o = {leak} }}, ");
+    let sorted = changes(&(change("60.0", "0.3") + &change("90.0", "0.0"))).unwrap();
+    assert_eq!(sorted.circuit.leak_changes.len(), 2);
+    let refused = |list: &str| changes(list).unwrap_err().to_string();
+    for second in ["30.0", "60.0"] {
+        let message = refused(&(change("60.0", "0.3") + &change(second, "0.1")));
+        assert!(message.contains("leak_changes[1].at_s") && message.contains("sort"), "{message}");
+    }
+    for bad in ["-0.1", "1.1", "nan"] {
+        let message = refused(&(change("1.0", "0.3") + &change("2.0", bad)));
+        assert!(message.contains("circuit.leak_changes[1].leak_l_per_s_at_30_cmh2o"), "{message}");
+    }
+    for bad in ["-1.0", "1e7", "nan"] {
+        assert!(refused(&change(bad, "0.3")).contains("circuit.leak_changes[0].at_s"), "{bad}");
+    }
+    assert!(refused("{ at_s = 1.0 }").contains("leak_l_per_s_at_30_cmh2o"), "a change names its leak");
+    assert!(refused("{ at_s = 1.0, leak_l_per_s_at_30_cmh2o = 0.1, speling = 1 }").contains("speling"));
 }
 
 #[test]

@@ -2,13 +2,14 @@
 
 mod behaviour;
 mod description;
+mod living;
 mod physics;
 
 use super::{Bench, BenchConfig, Truth};
 
 const PEEP: f32 = 5.0;
 /// Command that keeps a small flow through the circuit in expiration, percent.
-const BIAS: f32 = 5.0;
+pub(super) const BIAS: f32 = 5.0;
 
 fn bench(config: &BenchConfig) -> Bench {
     Bench::new(config, PEEP, 1).unwrap()
