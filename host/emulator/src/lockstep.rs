@@ -165,7 +165,7 @@ mod tests {
     }
 
     fn reading(pressure: f32) -> Reading {
-        Reading { pressure, truth: None }
+        Reading::of_pressure(pressure)
     }
 
     fn frame(tick: u16, message: PlantMessage) -> [u8; FRAME_BYTES] {

@@ -86,7 +86,7 @@ impl Balloon {
     fn reading(self) -> Reading {
         let (pressure, lung_volume) = (self.pressure() as f32, self.volume() as f32);
         let truth = TickTruth { airway_pressure: pressure, sensor_pressure: pressure, lung_volume };
-        Reading { pressure, truth: Some(truth) }
+        Reading { truth: Some(truth), ..Reading::of_pressure(pressure) }
     }
 }
 

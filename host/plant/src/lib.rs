@@ -44,13 +44,32 @@ pub trait Plant {
     fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, Self::Error>;
 }
 
-/// The pressures of a plant at one instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The sensors of a plant at one instant. NaN marks a sensor that the plant does not have; readings without that
+/// sensor can be equal.
+#[derive(Clone, Copy, Debug)]
 pub struct Reading {
     /// Airway pressure as measured by the sensor, cmH2O.
     pub pressure: f32,
+    /// Pressure at the machine's outlet as measured by a second sensor, cmH2O.
+    pub outlet: f32,
+    /// Flow at the airway opening as measured by a sensor, L/s; positive towards the patient.
+    pub flow: f32,
     /// The true state, if the plant reports it; no controller sees it.
     pub truth: Option<TickTruth>,
+}
+
+impl PartialEq for Reading {
+    fn eq(&self, other: &Self) -> bool {
+        let bits = |reading: &Self| [reading.pressure, reading.outlet, reading.flow].map(f32::to_bits);
+        bits(self) == bits(other) && self.truth == other.truth
+    }
+}
+
+impl Reading {
+    /// The reading of a plant that has only the sensor of the airway pressure and does not report its state.
+    pub const fn of_pressure(pressure: f32) -> Self {
+        Self { pressure, outlet: f32::NAN, flow: f32::NAN, truth: None }
+    }
 }
 
 /// The true state at one instant, known only to a virtual plant. NaN marks values that it does not report.

@@ -137,7 +137,7 @@ where
     /// waits.
     #[inline]
     fn tick(&mut self, run: &mut Run<C::State>, sink: &mut dyn FnMut(&Tick)) -> Result<bool, SourceError> {
-        let Reading { pressure, truth } = run.reading;
+        let Reading { pressure, truth, .. } = run.reading;
         let output = self.ventilator.step(&mut run.state, pressure);
         let fault = broken_off(&run.state, &output);
         if let (Some(sample), None) = (output.sample, fault) {

@@ -24,8 +24,9 @@ impl BenchPlant {
         Ok(Self { config: config.clone(), bench, steps: 1 })
     }
 
-    fn reading(&self, pressure: f32) -> Reading {
-        Reading { pressure, truth: Some(self.bench.pressures()) }
+    fn reading(&mut self, pressure: f32) -> Reading {
+        let (outlet, flow) = (self.bench.outlet_reading(), self.bench.flow_reading());
+        Reading { pressure, outlet, flow, truth: Some(self.bench.pressures()) }
     }
 }
 

@@ -17,10 +17,16 @@
 //!      coughs_per_hour = 20.0
 //!      resistance_growth_percent_per_hour = 3.0
 //!      [circuit]
-//!      leak_changes = [{ at_s = 60.0, leak_l_per_s_at_30_cmh2o = 0.3 }]",
+//!      leak_changes = [{ at_s = 60.0, leak_l_per_s_at_30_cmh2o = 0.3 }]
+//!      [outlet_sensor]
+//!      offset_cmh2o = 0.5
+//!      [flow_sensor]
+//!      gain_error_percent = -3.0",
 //! )?;
 //! let mut bench = Bench::new(&config, 5.0, 1)?;
-//! bench.step(20.0, false);
+//! let airway = bench.step(20.0, false);
+//! let (outlet, flow) = (bench.outlet_reading(), bench.flow_reading());
+//! assert!((outlet - airway).abs() < 1.5 && flow.abs() < 0.1);
 //! assert_eq!(bench.truth().effort_started_s, Some(0.0));
 //! # Ok::<(), plant::bench::BenchError>(())
 //! ```
@@ -36,8 +42,10 @@ mod coughs;
 mod drive;
 mod expiratory;
 mod failure;
+mod flow_sensor;
 mod lag;
 mod lung;
+mod outlet_sensor;
 mod patient;
 mod presets;
 mod sensor;
@@ -50,8 +58,9 @@ pub use bench_plant::BenchPlant;
 pub use failure::Failure;
 
 pub use config::{
-    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, LeakChange, LungConfig,
-    PEEP_RANGE_CMH2O, PatientConfig, SensorConfig, UnitConfig, ValveConfig,
+    BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, FlowSensorConfig,
+    LeakChange, LungConfig, OutletSensorConfig, PEEP_RANGE_CMH2O, PatientConfig, SensorConfig, UnitConfig,
+    ValveConfig,
 };
 
 use rand_chacha::ChaCha8Rng;
@@ -61,7 +70,9 @@ use crate::TickTruth;
 use branch::Junction;
 use circuit::Circuit;
 use expiratory::Expiratory;
+use flow_sensor::FlowSensor;
 use lung::Lung;
+use outlet_sensor::OutletSensor;
 use patient::Patient;
 use sensor::Sensor;
 use unit::Unit;
@@ -71,6 +82,10 @@ use valve::Valve;
 pub const STEP_US: u32 = 1000;
 /// Duration of one [`Bench::step`], s.
 pub const STEP_S: f64 = STEP_US as f64 * 1e-6;
+/// `ChaCha` stream of the outlet sensor's noise. That of the airway sensor is 0.
+const OUTLET_STREAM: u64 = 4;
+/// `ChaCha` stream of the flow sensor's noise.
+const FLOW_STREAM: u64 = 5;
 /// Minimum and default number of sub-steps of a step: the error of the implicit solution grows with their length.
 pub const LEAST_SUB_STEPS: u32 = 4;
 
@@ -137,6 +152,8 @@ pub struct Truth {
 #[derive(Clone, Debug)]
 pub struct Bench {
     sub_steps: u32,
+    /// Share of a sub-step in a step.
+    share: f64,
     steps: u64,
     unit: Unit,
     valve: Valve,
@@ -144,6 +161,8 @@ pub struct Bench {
     circuit: Circuit,
     lung: Lung,
     sensor: Sensor,
+    outlet: Option<OutletSensor>,
+    flow: Option<FlowSensor>,
     patient: Patient,
     flows: Flows,
 }
@@ -160,7 +179,7 @@ struct Flows {
 
 impl Bench {
     /// A bench at rest at `peep` cmH2O, expiratory valve open, inspiratory valve closed. The same `config`, `peep`,
-    /// `seed` (of the sensor noise and the patient's irregularity) and commands give the same bits on the same platform (the effort's sine and the
+    /// `seed` (of the sensors' noise and the patient's irregularity) and commands give the same bits on the same platform (the effort's sine and the
     /// valve's power use the platform's math library).
     ///
     /// # Errors
@@ -175,6 +194,7 @@ impl Bench {
         let noise = ChaCha8Rng::seed_from_u64(seed);
         Ok(Self {
             sub_steps: config.sub_steps,
+            share: 1.0 / f64::from(config.sub_steps),
             steps: 0,
             unit,
             valve: Valve::new(&config.valve, dead_time_ms, unit.flow_gain, config.sub_steps, sub_step_s),
@@ -182,6 +202,8 @@ impl Bench {
             circuit: Circuit::new(&config.circuit, peep, sub_step_s),
             lung: Lung::new(&config.lung, peep, sub_step_s),
             sensor: Sensor::new(&config.sensor, peep, sub_step_s, noise),
+            outlet: OutletSensor::new(&config.outlet_sensor, peep, stream(seed, OUTLET_STREAM)),
+            flow: FlowSensor::new(&config.flow_sensor, stream(seed, FLOW_STREAM)),
             patient: Patient::new(config.patient, seed),
             flows: Flows::default(),
         })
@@ -224,7 +246,25 @@ impl Bench {
         }
         self.steps += 1;
         self.patient.advance(self.time_s());
+        if let Some(outlet) = &mut self.outlet {
+            outlet.advance(self.circuit.pressure(), self.flows.valve * self.share);
+        }
+        if let Some(sensor) = &mut self.flow {
+            sensor.advance((self.flows.lung + self.flows.leak) * self.share);
+        }
         self.sensor.sample(self.unit.offset_after(self.steps))
+    }
+
+    /// The sample of the last step from the sensor at the machine's outlet, cmH2O; NaN if there is none. A bench that
+    /// has not run yet has a sample too. Its noise is drawn only when it is asked for.
+    pub fn outlet_reading(&mut self) -> f32 {
+        self.outlet.as_mut().map_or(f32::NAN, |outlet| outlet.sample(self.steps))
+    }
+
+    /// The sample of the last step from the flow sensor at the airway opening, L/s, positive towards the patient; NaN
+    /// if there is none. A bench that has not run yet has a sample too. Its noise is drawn only when it is asked for.
+    pub fn flow_reading(&mut self) -> f32 {
+        self.flow.as_mut().map_or(f32::NAN, FlowSensor::sample)
     }
 
     /// Moves the gas for one sub-step.
@@ -252,7 +292,7 @@ impl Bench {
 
     /// The true state.
     pub fn truth(&self) -> Truth {
-        let share = 1.0 / f64::from(self.sub_steps);
+        let share = self.share;
         let muscle_pressure = self.patient.muscle_pressure(self.time_s());
         let (effort_started_s, efforts) = self.patient.efforts(self.time_s());
         Truth {

@@ -259,7 +259,7 @@ impl PlantLink {
                     sensor_pressure: unknown,
                     lung_volume: unknown,
                 });
-                return Ok(Reading { pressure, truth });
+                return Ok(Reading { truth, ..Reading::of_pressure(pressure) });
             }
         };
         self.broken = Some(error.clone());

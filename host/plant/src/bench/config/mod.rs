@@ -7,7 +7,7 @@ mod sensors;
 pub use machine::{CircuitConfig, ExpiratoryConfig, LeakChange, UnitConfig, ValveConfig};
 pub(super) use patient::MOST_EFFORT_CMH2O;
 pub use patient::{CompartmentConfig, LungConfig, PatientConfig};
-pub use sensors::SensorConfig;
+pub use sensors::{FlowSensorConfig, OutletSensorConfig, SensorConfig};
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -90,6 +90,10 @@ pub struct BenchConfig {
     pub lung: LungConfig,
     /// Pressure sensor at the airway opening.
     pub sensor: SensorConfig,
+    /// Pressure sensor at the machine's outlet.
+    pub outlet_sensor: OutletSensorConfig,
+    /// Flow sensor at the airway opening.
+    pub flow_sensor: FlowSensorConfig,
     /// Unit of the machine type.
     pub unit: UnitConfig,
     /// Patient.
@@ -106,6 +110,8 @@ impl Default for BenchConfig {
             circuit: CircuitConfig::default(),
             lung: LungConfig::default(),
             sensor: SensorConfig::default(),
+            outlet_sensor: OutletSensorConfig::default(),
+            flow_sensor: FlowSensorConfig::default(),
             unit: UnitConfig::default(),
             patient: PatientConfig::default(),
         }
@@ -146,13 +152,27 @@ impl BenchConfig {
     /// [`BenchError::OutOfRange`] for the first field that violates this; [`BenchError::LeakOrder`] for changes of the
     /// leak that are not in the order of their times.
     pub fn validate(&self) -> Result<(), BenchError> {
-        let Self { name: _, sub_steps, valve, expiratory, circuit, lung, sensor, unit, patient } = self;
+        let Self {
+            name: _,
+            sub_steps,
+            valve,
+            expiratory,
+            circuit,
+            lung,
+            sensor,
+            outlet_sensor,
+            flow_sensor,
+            unit,
+            patient,
+        } = self;
         check("sub_steps", f64::from(*sub_steps), f64::from(super::LEAST_SUB_STEPS)..=64.0)?;
         valve.validate()?;
         expiratory.validate()?;
         circuit.validate()?;
         lung.validate()?;
         sensor.validate("sensor")?;
+        outlet_sensor.validate()?;
+        flow_sensor.validate()?;
         unit.validate()?;
         patient.validate()
     }

@@ -13,6 +13,7 @@ fn every_preset_is_valid_and_round_trips() {
         config.lung.second = Some(CompartmentConfig { turbulence_s_per_l: 0.25, ..config.lung.first });
         config.unit.number = u32::MAX;
         config.circuit.leak_changes = vec![LeakChange { at_s: 60.0, leak_l_per_s_at_30_cmh2o: 0.3 }];
+        config.flow_sensor.present = false;
         assert_eq!(BenchConfig::from_toml(&config.to_toml()).unwrap(), config);
     }
 }
@@ -35,6 +36,8 @@ fn unknown_fields_are_refused_by_name() {
         "[lung]",
         "[lung.first]",
         "[sensor]",
+        "[outlet_sensor]",
+        "[flow_sensor]",
         "[unit]",
         "[patient]",
     ];
@@ -62,7 +65,7 @@ fn every_value_has_bounds_and_the_error_names_the_field() {
     let table: toml::Table = toml::from_str(&config.to_toml()).unwrap();
     let mut fields = Vec::new();
     numbers("", &table, &mut fields);
-    assert!(fields.len() > 38, "{fields:?}");
+    assert!(fields.len() > 48, "{fields:?}");
     for field in &fields {
         for bad in ["nan", "inf", "-1e9", "1e9"] {
             let mut table = table.clone();
