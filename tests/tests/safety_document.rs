@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use judge::faults::matrix::cases;
-use shared::safety::alarms::{ALARMS, Action, Priority};
+use shared::safety::alarms::{ALARMS, Priority};
 
 fn document() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../SAFETY.md"))
@@ -22,13 +22,7 @@ fn alarms() -> String {
             Priority::Medium => "medium",
             Priority::High => "high",
         };
-        let action = match alarm.action {
-            Action::Tell => "report",
-            Action::Pid => "PID",
-            Action::CappedPid => "capped PID",
-            Action::Backup => "backup",
-            Action::Vent => "vent, latched",
-        };
+        let action = alarm.action.name();
         let (id, entry, exit, text) = (alarm.id, alarm.entry, alarm.exit, alarm.text);
         writeln!(table, "| `{id}` | {priority} | {action} | {entry} | {exit} | {text} |").unwrap();
     }

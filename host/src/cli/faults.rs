@@ -2,7 +2,7 @@
 
 use anyhow::{anyhow, bail};
 use serde::Serialize;
-use shared::safety::alarms::{ALARMS, Action, Fault};
+use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::monitors::Monitors;
 use std::path::PathBuf;
 
@@ -122,27 +122,33 @@ fn named(id: &str) -> anyhow::Result<Fault> {
 fn table(rows: &[FaultRow]) -> Table {
     let mut table = Table::new(
         "Faults; times in ms, pressures in cmH2O",
-        &["fault", "lung", "monitor", "detected", "action", "peak", "allowed", "back at PEEP", "pass"],
+        &[
+            "fault",
+            "lung",
+            "monitor",
+            "detected",
+            "response",
+            "peak",
+            "allowed",
+            "breaths",
+            "longest gap, s",
+            "share of volume",
+            "pass",
+        ],
     );
     let time = |ms: Option<u32>| ms.map_or_else(|| Cell::right("-"), |ms| Cell::right(ms.to_string()));
     for row in rows {
-        let action = match row.action {
-            None => "none",
-            Some(Action::Tell) => "report",
-            Some(Action::Pid) => "PID",
-            Some(Action::CappedPid) => "capped PID",
-            Some(Action::Backup) => "backup",
-            Some(Action::Vent) => "vent",
-        };
         table.row(vec![
             Cell::text(row.fault),
             Cell::text(&row.lung),
             Cell::text(row.monitor.join(", ")),
             time(row.detect_ms),
-            Cell::text(action),
+            Cell::text(row.response),
             Cell::number(row.peak_true, 1),
             Cell::number(row.peak_allowed, 0),
-            time(row.back_at_peep_ms),
+            Cell::right(row.breaths_delivered.to_string()),
+            Cell::number(row.longest_gap_s, 1),
+            Cell::number(row.minute_volume_share, 2),
             Cell::text(if row.pass { "yes" } else { "NO" }),
         ]);
     }

@@ -8,6 +8,7 @@ use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
+use shared::sensor::Readings;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Output, Ventilator, VentilatorState};
 
@@ -137,8 +138,8 @@ where
     /// waits.
     #[inline]
     fn tick(&mut self, run: &mut Run<C::State>, sink: &mut dyn FnMut(&Tick)) -> Result<bool, SourceError> {
-        let Reading { pressure, truth, .. } = run.reading;
-        let output = self.ventilator.step(&mut run.state, pressure);
+        let Reading { pressure: airway, outlet, flow, truth } = run.reading;
+        let output = self.ventilator.step(&mut run.state, Readings { airway, outlet, flow });
         let fault = broken_off(&run.state, &output);
         if let (Some(sample), None) = (output.sample, fault) {
             sink(&Tick { sample, truth });

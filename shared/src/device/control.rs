@@ -131,6 +131,21 @@ impl Control {
         self.ventilator.raise(&mut self.state, fault);
     }
 
+    /// What must outlast a reset: the settings in force while ventilating.
+    pub fn prescription(&self) -> Option<Settings> {
+        (self.state.mode() == Mode::Ventilating).then(|| *self.state.breath().settings())
+    }
+
+    /// Resumes the ventilation that a reset has interrupted, with the PID alone until clean breaths lead up the ladder.
+    ///
+    /// # Errors
+    /// [`Refusal::Settings`] for settings out of bounds; the device then stays in standby.
+    pub fn resume(&mut self, prescription: &Settings) -> Result<(), Refusal> {
+        self.ventilator.apply(&mut self.state, prescription)?;
+        self.state.resume();
+        Ok(())
+    }
+
     /// The ventilator's state.
     pub fn state(&self) -> &VentilatorState {
         &self.state

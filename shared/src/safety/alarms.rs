@@ -53,6 +53,8 @@ pub enum Fault {
     OutletSensorLost,
     /// No pressure sensor is sound: the commands of earlier breaths are repeated.
     BackupVentilation,
+    /// Holding PEEP takes a considerable flow.
+    Leak,
 }
 
 /// Priority of an alarm (IEC 60601-1-8).
@@ -79,6 +81,19 @@ pub enum Action {
     Backup,
     /// Inspiratory valve closed, expiratory valve open until an operator acknowledges.
     Vent,
+}
+
+impl Action {
+    /// Its name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Tell => "report",
+            Self::Pid => "PID",
+            Self::CappedPid => "capped PID",
+            Self::Backup => "backup",
+            Self::Vent => "vent, latched",
+        }
+    }
 }
 
 /// A row of the table of alarms.
@@ -122,7 +137,7 @@ use Action::{Backup, CappedPid, Tell, Vent};
 use Priority::{High, Low, Medium};
 
 /// All alarms, in the order of [`Fault`].
-pub const ALARMS: [Alarm; 23] = [
+pub const ALARMS: [Alarm; 24] = [
     row(
         Fault::ReadingNotANumber,
         "reading-nan",
@@ -349,6 +364,16 @@ pub const ALARMS: [Alarm; 23] = [
             "no pressure sensor is sound, or none responds: the mean commands of the last good breaths are repeated",
             "a pressure sensor is sound and responds",
             "backup ventilation without a pressure reading",
+        ],
+    ),
+    row(
+        Fault::Leak,
+        "leak",
+        (Medium, Tell),
+        [
+            "holding PEEP takes a command of more than 10 % above the bias at the end of 3 expirations in a row",
+            GONE,
+            "leak: check tube and mask",
         ],
     ),
 ];

@@ -1,6 +1,6 @@
 //! What the ventilator does in expirations that do not go as they should.
 //!
-//! * The pressure falls below PEEP (a leak): a bounded flow through the inspiratory valve holds it.
+//! * The pressure falls below PEEP (a leak): a bounded flow through the inspiratory valve holds it; much flow is an alarm.
 //! * It is still falling when the next breath is due (obstruction, trapped gas): the expiration lasts longer.
 //! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
 //!   Not so if the pressure hardly fell after the inspiration: then gas does not get out, and more must not get in.
@@ -19,6 +19,10 @@ const RISE: f32 = 40.0;
 const RELEASE: f32 = 2.0;
 /// Highest command of the compensation, percent.
 const BOUND: f32 = 40.0;
+/// Compensation above which it tells of a leak, percent.
+const LEAK: f32 = 10.0;
+/// Expirations in a row with such a compensation that raise the alarm.
+const LEAKS: u32 = 3;
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
 const ABOVE_PEEP: f32 = 3.0;
 /// Incomplete expirations in a row to which the ventilator responds.
@@ -40,6 +44,8 @@ pub struct Expiration {
     period: f32,
     smoothing: f32,
     constant_for: u32,
+    /// Expirations after which a leak is an alarm.
+    leaks: u32,
 }
 
 /// State; all zero before the first breath.
@@ -47,6 +53,8 @@ pub struct Expiration {
 pub struct ExpirationState {
     /// Compensation of a leak, percent.
     compensation: f32,
+    /// Expirations in a row with a high one.
+    leaks: u32,
     /// Smoothed pressure, and what it was [`CONSTANT_FOR`] before the end of the expiration, cmH2O.
     smooth: f32,
     earlier: f32,
@@ -69,12 +77,13 @@ impl Expiration {
             period,
             smoothing: math::lag_factor(SMOOTHING, period),
             constant_for: ticks(CONSTANT_FOR, period_us),
+            leaks: enabled.limit(Fault::Leak, LEAKS),
         }
     }
 
-    /// Records the pressure of a tick of a breath, cmH2O.
+    /// Records the pressure of a tick of a breath, cmH2O; true at the end of an expiration that tells of a leak.
     #[inline]
-    pub fn observe(&self, state: &mut ExpirationState, breath: &Breath, tick: u32, pressure: f32) {
+    pub fn observe(&self, state: &mut ExpirationState, breath: &Breath, tick: u32, pressure: f32) -> bool {
         state.smooth += self.smoothing * (pressure - state.smooth);
         if tick + 1 == breath.inspiration_ticks() {
             state.plateau = state.smooth;
@@ -89,6 +98,11 @@ impl Expiration {
             let rate = if sag > 0.0 { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
         }
+        if tick + 1 != breath.total_ticks() {
+            return false;
+        }
+        state.leaks = in_a_row(state.leaks, state.compensation > LEAK);
+        state.leaks >= self.leaks
     }
 
     /// Assesses an expiration at its end.

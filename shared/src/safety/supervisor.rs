@@ -206,7 +206,9 @@ impl Supervisor {
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
-        self.expiration.observe(&mut state.expiration, breath, tick, pressure);
+        if self.expiration.observe(&mut state.expiration, breath, tick, pressure) {
+            self.found(state, Fault::Leak);
+        }
         if tick + 1 == breath.inspiration_ticks() && !state.cut {
             self.inspired(state, pressure, breath);
         }

@@ -6,6 +6,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use shared::reset::ResetCause;
+use shared::sensor::Readings;
 use shared::timing::WATCHDOG_MAX_US;
 
 use plant::bench::Failure;
@@ -14,8 +15,8 @@ use plant::bench::Failure;
 const WORD: (f32, f32) = (600.0, -25.0);
 /// Time from the hang of the control task to the reset by the watchdog, ms: the longest of any chip.
 const WATCHDOG_MS: u32 = WATCHDOG_MAX_US / 1000;
-/// Time from a reset until the host starts the device again, ms.
-pub(super) const RESTART_MS: u32 = 500;
+/// Time from a reset until the control task runs again, ms.
+const BOOT_MS: u32 = 300;
 
 /// A fault to inject.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,8 +40,16 @@ pub enum Injection {
     Dropped(f32),
     /// The two bytes are swapped in this share of the readings.
     SwappedBytes(f32),
+    /// The outlet's pressure sensor gives no number.
+    OutletLost,
+    /// Neither pressure sensor gives a number.
+    BothLost,
+    /// The flow sensor gives no number.
+    FlowLost,
     /// A part of the machine fails.
     Part(Failure),
+    /// The tube is disconnected, and connected again after this time, ms.
+    Reconnected(u32),
     /// This number of control ticks per hundred is missed.
     MissedTicks(u32),
     /// The control task hangs until the watchdog resets the chip.
@@ -84,8 +93,19 @@ impl SensorFault {
         Self { injection, rng, last: None, ms: 0 }
     }
 
-    /// The reading that the ventilator gets in place of the true one.
-    pub fn reading(&mut self, reading: f32) -> f32 {
+    /// The readings that the ventilator gets in place of the true ones.
+    pub fn readings(&mut self, readings: Readings) -> Readings {
+        let none = f32::NAN;
+        match self.injection {
+            Injection::OutletLost => Readings { outlet: none, ..readings },
+            Injection::BothLost => Readings { airway: none, outlet: none, ..readings },
+            Injection::FlowLost => Readings { flow: none, ..readings },
+            _ => Readings { airway: self.reading(readings.airway), ..readings },
+        }
+    }
+
+    /// The reading of the airway sensor.
+    fn reading(&mut self, reading: f32) -> f32 {
         self.ms += 1;
         let last = *self.last.get_or_insert(reading);
         let mut normal = || self.rng.sample::<f32, _>(StandardNormal);
@@ -118,6 +138,8 @@ pub enum Task {
     Misses,
     /// The chip is reset at this tick.
     Reset(ResetCause),
+    /// The chip starts; the valves are safe.
+    Boots,
 }
 
 impl Injection {
@@ -127,7 +149,9 @@ impl Injection {
             Self::MissedTicks(part) if ms % 100 < part => Task::Misses,
             Self::Hang if ms < WATCHDOG_MS => Task::Misses,
             Self::Hang if ms == WATCHDOG_MS => Task::Reset(ResetCause::Watchdog),
+            Self::Hang if ms < WATCHDOG_MS + BOOT_MS => Task::Boots,
             Self::BrownOut | Self::Weights(_) if ms == 0 => Task::Reset(ResetCause::BrownOut),
+            Self::BrownOut | Self::Weights(_) if ms < BOOT_MS => Task::Boots,
             _ => Task::Runs,
         }
     }
@@ -154,7 +178,9 @@ mod tests {
 
     #[test]
     fn a_hanging_task_is_ended_by_the_watchdog() {
-        let tasks = [0, WATCHDOG_MS - 1, WATCHDOG_MS, 5000].map(|ms| Injection::Hang.task(ms));
-        assert_eq!(tasks, [Task::Misses, Task::Misses, Task::Reset(ResetCause::Watchdog), Task::Runs]);
+        let tasks =
+            [0, WATCHDOG_MS - 1, WATCHDOG_MS, WATCHDOG_MS + 1, 5000].map(|ms| Injection::Hang.task(ms));
+        let reset = Task::Reset(ResetCause::Watchdog);
+        assert_eq!(tasks, [Task::Misses, Task::Misses, reset, Task::Boots, Task::Runs]);
     }
 }

@@ -13,8 +13,8 @@ use shared::settings::Settings;
 
 use super::injection::Damage;
 use super::injection::Injection::{
-    self, BrownOut, Coughs, Drift, Dropped, Hang, HostSilent, MissedTicks, Noise, NoisyAt, Offset, OtherHost,
-    Reads, StuckAt, StuckAtLast, SwappedBytes, Weights,
+    self, BothLost, BrownOut, Coughs, Drift, Dropped, FlowLost, Hang, HostSilent, MissedTicks, Noise,
+    NoisyAt, Offset, OtherHost, OutletLost, Reads, StuckAt, StuckAtLast, SwappedBytes, Weights,
 };
 use super::trial::{Trial, TrialOutcome, run};
 use crate::evaluate::side_by_side;
@@ -40,6 +40,11 @@ const SLOW_INSPIRATION_MS: u32 = 15_500;
 const BREATH_MS: u32 = 3000;
 /// Longest time from the venting command to a pressure near PEEP if the valves obey, ms: two breaths.
 const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
+/// Smallest share of the sound machine's minute volume that must remain.
+pub const VOLUME_SHARE: f64 = 0.8;
+/// Longest gap without a delivered breath: two breaths; after a reset 3 s, ms.
+const GAP_MS: u32 = 2 * BREATH_MS;
+const GAP_AFTER_RESET_MS: u32 = 3000;
 /// Number of breaths of a fault-free run.
 const NOMINAL_BREATHS: u32 = 10;
 /// Duration of a trial after its fault, ms.
@@ -76,6 +81,17 @@ pub struct FaultCase {
     pub peak_allowed: f64,
     /// Longest time until the first of the monitors fires, ms.
     within_ms: u32,
+    /// What ventilation must go on.
+    ventilation: Required,
+}
+
+/// Ventilation that a row requires after its fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Required {
+    /// None: with this fault no command moves gas in and out.
+    Impossible,
+    /// The share [`VOLUME_SHARE`], and no gap longer than this, ms.
+    GapWithin(u32),
 }
 
 /// Result of a fault on a lung.
@@ -99,6 +115,14 @@ pub struct FaultRow {
     pub back_at_peep_ms: Option<u32>,
     /// Longest time of readings above the limit without the command to vent, ms.
     pub limit_to_vent_ms: Option<u32>,
+    /// Breaths that the lung got after the fault, at least over the seeds.
+    pub breaths_delivered: u32,
+    /// Longest time after the fault from the end of a delivered inspiration to the next one, s.
+    pub longest_gap_s: f64,
+    /// Volume that the lung got after the fault, as a share of a run with a sound machine.
+    pub minute_volume_share: f64,
+    /// The last response, in words.
+    pub response: &'static str,
     /// All alarms in order, under the first seed that shows a failure, or else under the last seed.
     pub alarms: Vec<&'static str>,
     /// Whether all requirements are met.
@@ -129,6 +153,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         settings: usual,
         peak_allowed: PEAKS.0,
         within_ms: WATCHED_MS,
+        ventilation: Required::GapWithin(GAP_MS),
     }
 }
 
@@ -152,6 +177,15 @@ impl FaultCase {
         Self { within_ms: BREATH_MS, ..self }
     }
 
+    /// Requires no ventilation: no command moves gas.
+    const fn not_ventilated(self) -> Self {
+        Self { ventilation: Required::Impossible, ..self }
+    }
+
+    const fn resumed(self) -> Self {
+        Self { ventilation: Required::GapWithin(GAP_AFTER_RESET_MS), ..self }
+    }
+
     const fn with(self, settings: fn() -> Settings) -> Self {
         Self { settings, ..self }
     }
@@ -162,56 +196,68 @@ impl FaultCase {
 }
 
 /// Faults of the sensor.
-const SENSOR: [FaultCase; 13] = [
+const SENSOR: [FaultCase; 17] = [
     case("reading stuck at its last value", StuckAtLast, &[Fault::ReadingFrozen]),
     case("reading stuck at PEEP", StuckAt(5.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
     case("reading stuck at 0", StuckAt(0.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
-    case("reading stuck at PEEP with normal noise", NoisyAt(5.0), &[Fault::NoResponse])
+    case("reading stuck at PEEP with normal noise", NoisyAt(5.0), &[Fault::SensorsDisagree])
         .at(BEFORE_MS)
         .within_a_breath(),
     case("reading is not a number", Reads(f32::NAN), &[Fault::ReadingNotANumber]),
     case("reading is infinite", Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
-    case("reading drifts up by 1 cmH2O/s", Drift(1.0), &[Fault::BaselineHigh]),
-    case("reading drifts down by 1 cmH2O/s", Drift(-1.0), &[Fault::BaselineLow]),
-    case("reading is 5 cmH2O too high", Offset(5.0), &[Fault::BaselineHigh]),
-    case("reading is 5 cmH2O too low", Offset(-5.0), &[Fault::BaselineLow]),
+    case("reading drifts up by 1 cmH2O/s", Drift(1.0), &[Fault::SensorsDisagree]),
+    case("reading drifts down by 1 cmH2O/s", Drift(-1.0), &[Fault::SensorsDisagree]),
+    case("reading is 5 cmH2O too high", Offset(5.0), &[Fault::SensorsDisagree]),
+    case("reading is 5 cmH2O too low", Offset(-5.0), &[Fault::SensorsDisagree]),
     case("sensor noise ten times higher", Noise(1.0), &[Fault::ReadingNoisy]),
     case("one third of the readings lost", Dropped(0.33), &[Fault::ReadingNotANumber]),
     case("bytes swapped in one third of the readings", SwappedBytes(0.33), &[Fault::ReadingJumps]),
+    case("outlet sensor lost", OutletLost, &[Fault::OutletSensorLost]),
+    case("both pressure sensors lost", BothLost, &[Fault::BackupVentilation]),
+    case("both pressure sensors lost before a breath", BothLost, &[Fault::BackupVentilation]).at(BEFORE_MS),
+    case("flow sensor lost", FlowLost, &[]),
 ];
 
 /// Possible alarms of a cough, depending on the lung.
 const COUGH: [Fault; 3] = [Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure];
 
 /// Faults of machine and breathing circuit.
-const MACHINE: [FaultCase; 14] = [
-    part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS),
-    stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]),
-    part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]),
-    part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::BaselineLow]).at(BEFORE_MS),
-    part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure]).at(0),
-    stuck("inspiratory valve stuck open", Failure::InspiratoryValveStuck(80.0), &[Fault::BaselineHigh]),
-    stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse]),
-    stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh]),
+const MACHINE: [FaultCase; 17] = [
+    part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS).not_ventilated(),
+    stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]).not_ventilated(),
+    part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]).not_ventilated(),
+    case("patient disconnected for 5 s", Injection::Reconnected(5000), &[Fault::Disconnection])
+        .not_ventilated(),
+    part("leak of 0.2 L/s", Failure::Leak(0.2), &[]).at(BEFORE_MS),
+    part("leak of 0.5 L/s", Failure::Leak(0.5), &[Fault::Leak]).at(BEFORE_MS),
+    part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::Leak]).at(BEFORE_MS),
+    part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure]).at(0).not_ventilated(),
+    stuck("inspiratory valve stuck open", Failure::InspiratoryValveStuck(80.0), &[Fault::BaselineHigh])
+        .not_ventilated(),
+    stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse])
+        .not_ventilated(),
+    stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh])
+        .not_ventilated(),
     stuck(
         "expiratory valve stuck closed at 4 breaths/min",
         Failure::ExpiratoryValveClosed,
         &[Fault::SustainedPressure],
     )
     .with(slow)
-    .at(SLOW_INSPIRATION_MS),
-    stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]),
+    .at(SLOW_INSPIRATION_MS)
+    .not_ventilated(),
+    stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]).not_ventilated(),
     stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
     stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]),
-    part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]),
+    part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]).not_ventilated(),
     case("cough in every breath", Coughs(25.0), &COUGH).with(tight),
 ];
 
 /// Faults of chip and controller.
 const CONTROL: [FaultCase; 10] = [
     case("10 of every 100 control ticks missed", MissedTicks(10), &[Fault::MissedTicks]),
-    case("control task hangs", Hang, &[Fault::Restarted]),
-    case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]),
+    case("control task hangs", Hang, &[Fault::Restarted]).resumed(),
+    case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]).resumed(),
     case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
     case("a second host sends other settings and gains", OtherHost, &[]),
     case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
@@ -375,10 +421,15 @@ fn cell(
         seed,
     };
     let outcomes = seeds.iter().map(|seed| run(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
-    Ok(row(case, lung, &outcomes))
+    let sound_controller = Sound.controller()?;
+    let sound = |seed: &u64| {
+        run(&Trial { controller: &sound_controller, injection: Injection::Controller, ..trial(*seed) })
+    };
+    let sound = seeds.iter().map(sound).collect::<Result<Vec<_>, _>>()?;
+    Ok(row(case, lung, &outcomes, &sound))
 }
 
-fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome]) -> FaultRow {
+fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &[TrialOutcome]) -> FaultRow {
     let longest = |of: &dyn Fn(&TrialOutcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
     let detected = |outcome: &TrialOutcome| outcome.time_to(*case.monitors.first()?);
     let fired = |outcome: &TrialOutcome| case.monitors.iter().all(|m| outcome.time_to(*m).is_some());
@@ -389,13 +440,31 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome]) -> Fault
     let back_at_peep_ms = longest(&|outcome| outcome.back_at_peep_ms);
     let detect_ms = if always { longest(&detected) } else { None };
     let obey = case.peak_allowed < PEAKS.1;
-    let back = |outcome: &TrialOutcome| outcome.back_at_peep_ms.is_some_and(|ms| ms <= BACK_WITHIN_MS);
+    let back = |outcome: &TrialOutcome| {
+        outcome.vented_ms.is_none() || outcome.back_at_peep_ms.is_some_and(|ms| ms <= BACK_WITHIN_MS)
+    };
+    let gap_ms = outcomes.iter().map(|outcome| outcome.ventilation.longest_gap_ms).max().unwrap_or(0);
+    let share = |(outcome, sound): (&TrialOutcome, &TrialOutcome)| {
+        outcome.ventilation.volume / sound.ventilation.volume
+    };
+    let minute_volume_share = outcomes.iter().zip(sound).map(share).fold(f64::INFINITY, f64::min);
+    let ventilated = match case.ventilation {
+        Required::Impossible => true,
+        Required::GapWithin(ms) => {
+            gap_ms <= ms.max(pause_ms(&(case.settings)())) && minute_volume_share >= VOLUME_SHARE
+        }
+    };
+    let action = outcomes.last().and_then(TrialOutcome::action);
     FaultRow {
         fault: case.name,
         lung: lung.name.clone(),
         monitor: case.monitors.iter().map(|monitor| monitor.alarm().id).collect(),
         detect_ms,
-        action: outcomes.last().and_then(TrialOutcome::action),
+        action,
+        breaths_delivered: outcomes.iter().map(|outcome| outcome.ventilation.breaths).min().unwrap_or(0),
+        longest_gap_s: f64::from(gap_ms) * 1e-3,
+        minute_volume_share,
+        response: action.map_or("none", Action::name),
         peak_true,
         peak_allowed: case.peak_allowed,
         back_at_peep_ms,
@@ -405,6 +474,12 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome]) -> Fault
             && peak_true <= case.peak_allowed
             && limit_to_vent_ms.is_none_or(|ms| ms <= VENT_WITHIN_MS)
             && detect_ms.is_none_or(|ms| ms <= case.within_ms)
-            && (!obey || outcomes.iter().all(back)),
+            && (!obey || outcomes.iter().all(back))
+            && ventilated,
     }
+}
+
+/// Longest gap at these settings without counting as one, ms: two breaths without their inspiration.
+fn pause_ms(settings: &Settings) -> u32 {
+    (1000.0 * (2.0 * 60.0 / settings.rate - settings.inspiratory_time)) as u32
 }

@@ -6,3 +6,4 @@ pub mod matrix;
 mod rig;
 pub mod torture;
 pub mod trial;
+mod volume;

@@ -11,9 +11,10 @@ use shared::explore::Exploration;
 use shared::link::messages::{ControllerChoice, DeviceKind};
 use shared::reset::ResetCause;
 use shared::safety::monitors::Monitors;
+use shared::sensor::Readings;
 use shared::settings::Settings;
 use shared::timing::TickTime;
-use shared::ventilator::{Mode, Output, VentilatorState};
+use shared::ventilator::{Output, VentilatorState};
 use shared::weights::slots::SlotState;
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
@@ -74,9 +75,9 @@ impl Rig {
     }
 
     /// Runs one tick.
-    pub fn step(&mut self, reading: f32, missed: u32) -> Output {
+    pub fn step(&mut self, readings: Readings, missed: u32) -> Output {
         self.control.record(&TickTime { latency: 0, work: 0, period: None, missed });
-        let output = self.control.step(reading);
+        let output = self.control.step(readings);
         self.ticks += 1;
         if self.host_speaks && self.ticks.is_multiple_of(HOST_ASKS_EVERY) {
             self.control.execute(&ControlRequest::Status);
@@ -136,9 +137,12 @@ impl Rig {
         learned: Option<Residual>,
         slots: [SlotState; 2],
     ) -> Result<(), SourceError> {
-        let interrupted = self.state().mode() == Mode::Ventilating;
+        let prescription = self.control.prescription();
         self.control = device(learned, self.monitors)?;
-        self.control.report_boot(cause, interrupted, &slots);
+        self.control.report_boot(cause, prescription.is_some(), &slots);
+        if let Some(settings) = prescription {
+            self.control.resume(&settings).map_err(DeviceError::from)?;
+        }
         Ok(())
     }
 }

@@ -11,16 +11,21 @@ use shared::safety::alarms::{Action, Fault};
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
 use shared::safety::monitors::Monitors;
+use shared::sensor::Readings;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
-use super::injection::{Injection, RESTART_MS, SensorFault, Task};
+use super::injection::{Injection, SensorFault, Task};
 use super::rig::Rig;
-use plant::bench::{Bench, BenchConfig};
+use super::volume::{Ventilation, VolumeMeter};
+use plant::bench::{Bench, BenchConfig, Failure};
 use ventilator::SourceError;
 
 /// Distance from PEEP at which the pressure counts as returned, cmH2O.
 const BACK: f64 = 2.0;
+
+/// Smallest volume of a delivered breath, mL: a quarter of what the stiffest adult lung takes at a PIP 20 cmH2O above PEEP.
+const DELIVERED: f64 = 50.0;
 
 /// Tick of the breath in which a coughing patient coughs.
 const COUGH_TICK: u32 = 700;
@@ -63,6 +68,9 @@ pub struct TrialOutcome {
     pub peak_true: f64,
     /// Time from venting to a true pressure near PEEP.
     pub back_at_peep_ms: Option<u32>,
+    /// What the lung got since the fault.
+    #[serde(skip)]
+    pub ventilation: Ventilation,
 }
 
 impl TrialOutcome {
@@ -91,7 +99,8 @@ struct Run<'a> {
     sensor: SensorFault,
     /// For damage to the flash.
     rng: ChaCha8Rng,
-    reading: f32,
+    readings: Readings,
+    volume: VolumeMeter,
     command: ValveCommand,
     missed: u32,
     above_limit: Option<u32>,
@@ -106,21 +115,25 @@ pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     // Exploration is what must end when the host is silent.
     let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
     let rng = ChaCha8Rng::seed_from_u64(trial.seed);
+    let bench = Bench::new(trial.bench, trial.settings.peep, trial.seed)?;
     let mut run = Run {
         rig: Rig::started(trial.controller, &trial.settings, trial.monitors, exploration)?,
-        bench: Bench::new(trial.bench, trial.settings.peep, trial.seed)?,
+        volume: VolumeMeter::new(DELIVERED, bench.truth().lung_volume_ml, 0),
+        bench,
         sensor: SensorFault::new(trial.injection, rng.clone()),
         rng,
-        reading: trial.settings.peep,
+        readings: Readings::from(trial.settings.peep),
         command: ValveCommand::SAFE,
         missed: 0,
         above_limit: None,
         outcome: TrialOutcome::default(),
         trial,
     };
-    for ms in 0..trial.onset_ms + trial.watched_ms {
+    let end_ms = trial.onset_ms + trial.watched_ms;
+    for ms in 0..end_ms {
         run.tick(ms)?;
     }
+    run.outcome.ventilation = run.volume.finish(end_ms);
     Ok(run.outcome)
 }
 
@@ -136,7 +149,7 @@ impl Run<'_> {
         };
         let alarm = match task {
             Task::Runs => {
-                let output = self.rig.step(self.reading, std::mem::take(&mut self.missed));
+                let output = self.rig.step(self.readings, std::mem::take(&mut self.missed));
                 self.command = output.command;
                 output.alarm
             }
@@ -148,10 +161,20 @@ impl Run<'_> {
                 self.reset(cause)?;
                 None
             }
+            Task::Boots => None,
         };
         // An alarm before the fault counts too.
         self.outcome.alarms.extend(alarm.map(|fault| (fault, since.unwrap_or(0))));
-        self.reading = self.bench.step(self.command.u_in(), self.command.u_out());
+        self.readings = Readings {
+            airway: self.bench.step(self.command.u_in(), self.command.u_out()),
+            outlet: self.bench.outlet_reading(),
+            flow: self.bench.flow_reading(),
+        };
+        let volume = self.bench.truth().lung_volume_ml;
+        match since {
+            None | Some(0) => self.volume = VolumeMeter::new(DELIVERED, volume, ms),
+            Some(_) => self.volume.add(volume, ms),
+        }
         if let Some(since) = since {
             self.watch(since);
         }
@@ -164,11 +187,12 @@ impl Run<'_> {
             (Injection::Part(failure), 0) => self.bench.fail(failure),
             (Injection::HostSilent, 0) => self.rig.host_speaks = false,
             (Injection::OtherHost, 0) => self.rig.other_host(),
-            (Injection::Weights(_), RESTART_MS) => self.rig.start(),
+            (Injection::Reconnected(_), 0) => self.bench.fail(Failure::Disconnected),
+            (Injection::Reconnected(after), since) if since == after => self.bench.restore(),
             (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
             _ => {}
         }
-        self.reading = self.sensor.reading(self.reading);
+        self.readings = self.sensor.readings(self.readings);
     }
 
     fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
@@ -195,7 +219,9 @@ impl Run<'_> {
         if vents && (inspires || state.mode() != Mode::Ventilating) {
             outcome.vented_ms.get_or_insert(since);
         }
-        if self.reading <= breath.settings().pressure_limit {
+        // Of the sensors, as the ventilator sees them; without any the limit cannot be seen.
+        let reading = self.readings.airway;
+        if !(reading > breath.settings().pressure_limit) {
             self.above_limit = None;
         } else if !vents {
             self.above_limit.get_or_insert(since);

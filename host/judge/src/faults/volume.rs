@@ -1,0 +1,125 @@
+//! Measures what the lung gets: breaths, their volume, and the longest gap between them.
+
+/// Breaths by the true volume of the lung, mL: one counts once it has risen by the threshold from its lowest volume.
+#[derive(Clone, Debug)]
+pub struct VolumeMeter {
+    /// Smallest volume of a delivered breath, mL.
+    threshold: f64,
+    /// Lowest and highest volume of the running breath, mL.
+    low: f64,
+    high: f64,
+    /// Whether the running breath counts.
+    delivered: bool,
+    /// Time of `low` and `high`, ms.
+    low_ms: u32,
+    high_ms: u32,
+    /// End of the last delivered inspiration, ms.
+    last_ms: u32,
+    ventilation: Ventilation,
+}
+
+/// What a lung got over some time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ventilation {
+    /// Delivered breaths.
+    pub breaths: u32,
+    /// Sum of their volumes, mL.
+    pub volume: f64,
+    /// Longest time from the end of a delivered inspiration to the beginning of the next one, ms.
+    pub longest_gap_ms: u32,
+}
+
+impl VolumeMeter {
+    /// A meter that starts at a lung volume, mL, at a time, ms.
+    pub fn new(threshold: f64, volume: f64, ms: u32) -> Self {
+        Self {
+            threshold,
+            low: volume,
+            high: volume,
+            delivered: false,
+            low_ms: ms,
+            high_ms: ms,
+            last_ms: ms,
+            ventilation: Ventilation::default(),
+        }
+    }
+
+    /// Adds the volume of a tick.
+    pub fn add(&mut self, volume: f64, ms: u32) {
+        if volume > self.high {
+            (self.high, self.high_ms) = (volume, ms);
+        }
+        if !self.delivered && volume < self.low {
+            (self.low, self.low_ms, self.high, self.high_ms) = (volume, ms, volume, ms);
+        }
+        if !self.delivered && volume >= self.low + self.threshold {
+            self.delivered = true;
+            self.gap(self.low_ms);
+            self.ventilation.breaths += 1;
+        }
+        if self.delivered && volume <= self.high - self.threshold {
+            self.ventilation.volume += self.high - self.low;
+            self.last_ms = self.high_ms;
+            (self.delivered, self.low, self.low_ms) = (false, volume, ms);
+            (self.high, self.high_ms) = (volume, ms);
+        }
+    }
+
+    fn gap(&mut self, until_ms: u32) {
+        let gap = until_ms.saturating_sub(self.last_ms);
+        self.ventilation.longest_gap_ms = self.ventilation.longest_gap_ms.max(gap);
+    }
+
+    /// What the lung got until this time, ms.
+    pub fn finish(mut self, ms: u32) -> Ventilation {
+        if self.delivered {
+            self.ventilation.volume += self.high - self.low;
+        } else {
+            self.gap(ms);
+        }
+        self.ventilation
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Breaths of these volumes, mL, 3 s each, of which 1 s is the inspiration.
+    fn measured(volumes: &[f64]) -> Ventilation {
+        let mut meter = VolumeMeter::new(100.0, 50.0, 0);
+        let mut ms = 0;
+        for volume in volumes {
+            for tick in 0..3000 {
+                let share = if tick < 1000 {
+                    f64::from(tick) / 1000.0
+                } else {
+                    (2.0 - f64::from(tick) / 1000.0).max(0.0)
+                };
+                meter.add(50.0 + volume * share, ms);
+                ms += 1;
+            }
+        }
+        meter.finish(ms)
+    }
+
+    #[test]
+    fn breaths_and_their_volumes_are_counted() {
+        let Ventilation { breaths, volume, longest_gap_ms } = measured(&[400.0; 5]);
+        assert_eq!(breaths, 5);
+        assert!((volume - 2000.0).abs() < 5.0, "{volume}");
+        assert!((1900..=2100).contains(&longest_gap_ms), "{longest_gap_ms}");
+    }
+
+    #[test]
+    fn a_missing_breath_lengthens_the_gap() {
+        let Ventilation { breaths, longest_gap_ms, .. } = measured(&[400.0, 400.0, 60.0, 400.0]);
+        assert_eq!(breaths, 3);
+        assert!((4900..=5100).contains(&longest_gap_ms), "{longest_gap_ms}");
+    }
+
+    #[test]
+    fn nothing_delivered_is_one_long_gap() {
+        assert_eq!(measured(&[0.0; 4]), Ventilation { breaths: 0, volume: 0.0, longest_gap_ms: 12_000 });
+    }
+}
