@@ -28,8 +28,11 @@ impl BenchBreath {
     pub(super) fn new(config: &BenchConfig, settings: &Settings, period_us: u32) -> Result<Self, BoundError> {
         let steps_per_tick = steps_per_period(period_us).map_err(SourceError::from)?;
         let breath = Breath::new(settings, period_us).map_err(SourceError::from)?;
-        // The seed is irrelevant: it sets the sensor's noise, and the sensor is not used.
-        let rest = Bench::new(config, settings.peep, 0).map_err(SourceError::from)?;
+        // The search uses no sensor: the seed of their noise is irrelevant, and without the two that can be absent the
+        // bench runs 2 % faster.
+        let mut config = config.clone();
+        (config.outlet_sensor.present, config.flow_sensor.present) = (false, false);
+        let rest = Bench::new(&config, settings.peep, 0).map_err(SourceError::from)?;
         let target = (0..breath.inspiration_ticks()).map(|tick| f64::from(breath.target(tick))).collect();
         Ok(Self { breath, steps_per_tick, rest, target })
     }
