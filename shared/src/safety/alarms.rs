@@ -210,8 +210,8 @@ pub const ALARMS: [Alarm; 24] = [
         "sustained-pressure",
         (High, Vent),
         [
-            "more than 3 cmH2O above PEEP for 15 s, and a fall of less than a quarter of that in half a second with the \
-             expiratory valve commanded open",
+            "more than 3 cmH2O above PEEP for 15 s, and with the expiratory valve commanded open a fall of less \
+             than 30 % of that in half a second, or less than a fifth of the inspired volume coming out",
             ACKNOWLEDGED,
             "pressure does not come down",
         ],
@@ -222,7 +222,7 @@ pub const ALARMS: [Alarm; 24] = [
         (High, Tell),
         [
             "more than 3 cmH2O above PEEP at the end of 2 expirations in a row; expirations that are still falling then \
-             last up to half a breath longer, and PIP rises with a constant baseline, up to 5 cmH2O below the limit",
+             last up to half a breath longer, and PIP rises with a constant baseline, up to 7 cmH2O below the limit",
             GONE,
             "pressure does not return to PEEP",
         ],
@@ -250,10 +250,10 @@ pub const ALARMS: [Alarm; 24] = [
     row(
         Fault::Disconnection,
         "disconnection",
-        (High, CappedPid),
+        (High, Tell),
         [
-            "150 ms of an inspiration at more than 2 cmH2O below PEEP, with a command above 30 %; the capped PID probes \
-             for the patient",
+            "150 ms of an inspiration at more than 2 cmH2O below PEEP, with a command above 30 %; until the patient \
+             is back, the PID probes with a capped command",
             "the pressure of an inspiration is above PEEP again",
             "patient disconnected",
         ],
@@ -371,7 +371,7 @@ pub const ALARMS: [Alarm; 24] = [
         "leak",
         (Medium, Tell),
         [
-            "holding PEEP takes a command of more than 10 % above the bias at the end of 3 expirations in a row",
+            "holding PEEP takes a command of more than 5 % above the bias at the end of 3 expirations in a row",
             GONE,
             "leak: check tube and mask",
         ],

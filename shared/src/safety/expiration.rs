@@ -3,24 +3,23 @@
 //! * The pressure falls below PEEP (a leak): a bounded flow through the inspiratory valve holds it; much flow is an alarm.
 //! * It is still falling when the next breath is due (obstruction, trapped gas): the expiration lasts longer.
 //! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
-//!   Not so if the pressure hardly fell after the inspiration: then gas does not get out, and more must not get in.
+//!   Not so unless the flow sensor shows that the gas gets out again.
 
 use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::{Breath, Phase, period_s};
 use crate::math;
 use crate::safety::alarms::Fault;
-use crate::settings::LIMIT_MARGIN;
 
 /// Pressure below PEEP from which the leak is compensated, cmH2O.
 const SAG: f32 = 0.5;
 /// Rise of the compensation per sag, %/s per cmH2O.
 const RISE: f32 = 40.0;
 /// Fall of the compensation while the pressure does not sag, %/s.
-const RELEASE: f32 = 2.0;
+const RELEASE: f32 = 8.0;
 /// Highest command of the compensation, percent.
 const BOUND: f32 = 40.0;
 /// Compensation above which it tells of a leak, percent.
-const LEAK: f32 = 10.0;
+const LEAK: f32 = 5.0;
 /// Expirations in a row with such a compensation that raise the alarm.
 const LEAKS: u32 = 3;
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
@@ -31,8 +30,10 @@ const IN_A_ROW: u32 = 2;
 const CONSTANT_FOR: f32 = 0.5;
 /// Largest such change, cmH2O.
 const CONSTANT: f32 = 0.5;
-/// Fraction of the plateau above PEEP by which the pressure must fall before PIP may follow its baseline.
-const FELL: f32 = 0.3;
+/// Share of the inspired volume that must come out before PIP may follow its baseline.
+const COMES_OUT: f32 = 0.5;
+/// Distance from the pressure limit that PIP keeps when it rises, cmH2O: more than a normal overshoot.
+const BELOW_LIMIT: f32 = 7.0;
 /// Time constant of the smoothed pressure, s.
 const SMOOTHING: f32 = 0.02;
 
@@ -58,13 +59,12 @@ pub struct ExpirationState {
     /// Smoothed pressure, and what it was [`CONSTANT_FOR`] before the end of the expiration, cmH2O.
     smooth: f32,
     earlier: f32,
-    /// Smoothed pressure at the end of the inspiration, cmH2O.
-    plateau: f32,
     /// Incomplete expirations in a row.
     incomplete: u32,
     /// Whether the last of them was still falling.
     falling: bool,
-    /// Rise of PIP, cmH2O.
+    /// Constant baseline above PEEP, and the rise of PIP with it, cmH2O.
+    above: f32,
     shift: f32,
 }
 
@@ -82,25 +82,29 @@ impl Expiration {
     }
 
     /// Records the pressure of a tick of a breath, cmH2O; true at the end of an expiration that tells of a leak.
+    /// A doubtful pressure raises no flow.
     #[inline]
-    pub fn observe(&self, state: &mut ExpirationState, breath: &Breath, tick: u32, pressure: f32) -> bool {
+    pub fn observe(
+        &self,
+        state: &mut ExpirationState,
+        breath: &Breath,
+        tick: u32,
+        pressure: f32,
+        doubtful: bool,
+    ) -> bool {
         state.smooth += self.smoothing * (pressure - state.smooth);
-        if tick + 1 == breath.inspiration_ticks() {
-            state.plateau = state.smooth;
-        } else if tick + self.constant_for == breath.total_ticks() && breath.phase(tick) == Phase::Expiration
-        {
+        if tick + self.constant_for == breath.total_ticks() && breath.phase(tick) == Phase::Expiration {
             state.earlier = state.smooth;
-        } else if tick + 1 == breath.total_ticks() {
-            self.assess(state, breath.settings().peep);
         }
         let sag = breath.settings().peep - SAG - pressure;
         if breath.phase(tick) == Phase::Expiration {
-            let rate = if sag > 0.0 { RISE * sag } else { -RELEASE };
+            let rate = if sag > 0.0 && !doubtful { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
         }
         if tick + 1 != breath.total_ticks() {
             return false;
         }
+        self.assess(state, breath.settings().peep);
         state.leaks = in_a_row(state.leaks, state.compensation > LEAK);
         state.leaks >= self.leaks
     }
@@ -110,12 +114,13 @@ impl Expiration {
         let above = state.smooth - peep;
         state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         state.falling = state.earlier - state.smooth > CONSTANT;
-        let fell = state.plateau - state.smooth >= FELL * (state.plateau - peep);
-        if state.incomplete == 0 {
-            state.shift = 0.0;
-        } else if state.incomplete >= IN_A_ROW && !state.falling && fell {
-            state.shift = above;
-        }
+        state.above = if state.incomplete >= IN_A_ROW && !state.falling { above } else { 0.0 };
+    }
+
+    /// Lets PIP follow the baseline in the next breath, if the last one's gas has come out: this share of its volume.
+    pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) {
+        let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
+        state.shift = if comes_out { state.above } else { 0.0 };
     }
 
     /// Whether the expiration goes on at a tick at which the next breath is due.
@@ -132,10 +137,10 @@ impl ExpirationState {
         self.compensation
     }
 
-    /// Rise of PIP with a constant baseline, cmH2O: to [`LIMIT_MARGIN`] below the limit at most.
+    /// Rise of PIP with a constant baseline, cmH2O.
     pub fn shift(&self, breath: &Breath) -> f32 {
         let settings = breath.settings();
-        math::limit(self.shift, 0.0, settings.pressure_limit - LIMIT_MARGIN - settings.pip)
+        math::limit(self.shift, 0.0, settings.pressure_limit - BELOW_LIMIT - settings.pip)
     }
 }
 
@@ -150,11 +155,24 @@ mod tests {
 
     /// Runs breaths with a plateau and a pressure in the expiration by the tick since it began.
     fn breaths(count: usize, plateau: f32, pressure: impl Fn(u32) -> f32) -> (Expiration, ExpirationState) {
+        breaths_with(count, plateau, Some(1.0), pressure)
+    }
+
+    /// The same, with this share of each breath's volume coming out.
+    fn breaths_with(
+        count: usize,
+        plateau: f32,
+        expired_share: Option<f32>,
+        pressure: impl Fn(u32) -> f32,
+    ) -> (Expiration, ExpirationState) {
         let (expiration, mut state) = (Expiration::new(1000, Monitors::ALL), ExpirationState::default());
         let breath = breath();
         for tick in (0..count).flat_map(|_| 0..breath.total_ticks()) {
             let since = tick.checked_sub(breath.inspiration_ticks());
-            expiration.observe(&mut state, &breath, tick, since.map_or(plateau, &pressure));
+            expiration.observe(&mut state, &breath, tick, since.map_or(plateau, &pressure), false);
+            if tick + 1 == breath.total_ticks() {
+                expiration.start_breath(&mut state, expired_share);
+            }
         }
         (expiration, state)
     }
@@ -167,7 +185,17 @@ mod tests {
         assert!((bounded.compensation() - BOUND).abs() < 1e-3);
         let breath = breath();
         for tick in (0..15).flat_map(|_| 1500..3000) {
-            expiration.observe(&mut state, &breath, tick, 5.0);
+            expiration.observe(&mut state, &breath, tick, 5.0, false);
+        }
+        assert!(state.compensation().abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_sag_that_only_one_of_two_sensors_shows_raises_no_flow() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 0.0);
+        let breath = breath();
+        for tick in 1500..3000 {
+            expiration.observe(&mut state, &breath, tick, 2.0, true);
         }
         assert!(state.compensation().abs() < 1e-3);
     }
@@ -200,7 +228,7 @@ mod tests {
         let (expiration, state) = breaths(2, 25.0, |_| 15.0);
         assert!((state.shift(&breath()) - 10.0).abs() < 0.1);
         assert!(!expiration.goes_on(&state, &breath(), 3000), "it would not fall any further");
-        let tight = crate::settings::Settings { pressure_limit: 34.0, ..paper_settings(25.0) };
+        let tight = crate::settings::Settings { pressure_limit: 36.0, ..paper_settings(25.0) };
         let tight = Breath::new(&tight, DEFAULT_PERIOD_US).unwrap();
         assert!((state.shift(&tight) - 4.0).abs() < 1e-3);
         let (_, back) = breaths(3, 25.0, |_| 5.0);
@@ -209,7 +237,9 @@ mod tests {
 
     #[test]
     fn pip_does_not_rise_if_the_gas_does_not_get_out() {
-        let (_, state) = breaths(4, 25.0, |_| 22.0);
-        assert!(state.shift(&breath()).abs() < 1e-6);
+        for share in [Some(0.2), None] {
+            let (_, state) = breaths_with(4, 25.0, share, |_| 15.0);
+            assert!(state.shift(&breath()).abs() < 1e-6);
+        }
     }
 }

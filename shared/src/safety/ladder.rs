@@ -1,6 +1,6 @@
 //! The ladder of trust: learned controller, its PID, the compiled-in PID with a capped command, backup ventilation.
 //!
-//! A breath that ends at the pressure limit is a strike. Strikes lead down to the capped PID; clean breaths lead up again,
+//! A breath whose gas raises the pressure to its limit is a strike; a cough is none. Strikes lead down to the capped PID; clean breaths lead up again,
 //! after each return more of them. Backup ventilation is no matter of strikes: it runs while no pressure reading is sound.
 
 use serde::{Deserialize, Serialize};

@@ -230,6 +230,12 @@ impl LungState {
         }
     }
 
+    /// Whether the delivered gas explains a pressure, cmH2O; assumed without an estimate. A cough or an occluded tube raises
+    /// the pressure further than the gas does.
+    pub fn explains(&self, pressure: f32) -> bool {
+        self.predicted_pressure().is_none_or(|predicted| predicted >= pressure)
+    }
+
     /// The highest pressure that the last two estimates predict, cmH2O; none without an estimate.
     pub fn predicted_pressure(&self) -> Option<f32> {
         let rises = self.lungs.iter().flatten().map(|lung| lung.rise(self.volume, self.flow));

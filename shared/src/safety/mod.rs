@@ -9,6 +9,7 @@
 //! | [`pressure_monitor`] | checks that the pressure is within its limits |
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
+//! | [`volumes`] | measures what goes in and comes out |
 //! | [`host`] | detects a silent host |
 //! | [`ladder`] | levels of trust: learned controller, PID, capped PID, backup ventilation |
 //! | [`backup`] | ventilation without a pressure reading |
@@ -31,3 +32,4 @@ pub mod pressure_monitor;
 pub mod reading_monitor;
 pub mod source;
 pub mod supervisor;
+pub mod volumes;

@@ -25,7 +25,7 @@ const SUSTAINED: f32 = 15.0;
 /// Time after the expiratory valve opens in which the pressure must fall, s.
 const FALL: f32 = 0.5;
 /// Fraction of the pressure above PEEP by which it must fall in that time.
-const FALLS: f32 = 0.25;
+const FALLS: f32 = 0.3;
 
 /// Compares the pressure with the limit and with PEEP.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,6 +93,11 @@ impl PressureMonitor {
         }
     }
 
+    /// Whether the pressure has stayed above PEEP for so long that gas that does not come out is a fault.
+    pub fn is_sustained(&self, state: &PressureState) -> bool {
+        state.away >= self.sustained
+    }
+
     /// Checks one tick.
     #[inline]
     pub fn check(&self, state: &mut PressureState, input: &PressureInput) -> PressureFinding {
@@ -113,7 +118,7 @@ impl PressureMonitor {
         }
         let fallen = state.opened_at - pressure;
         let stays = state.open >= self.fall && fallen < FALLS * (state.opened_at - peep);
-        if state.away >= self.sustained && stays {
+        if self.is_sustained(state) && stays {
             return PressureFinding::Alarm(Fault::SustainedPressure);
         }
         let ends = state.above >= self.above || state.ahead_above >= self.above;

@@ -22,8 +22,10 @@ const DOUBTFUL: f32 = 2.0;
 const DOUBTFUL_BREATHS: u32 = 2;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.
 const AGREE: f32 = 1.0;
-/// Expirations in a row with so small a difference after which both are used again.
+/// Breaths in a row with so small a difference after which both are used again.
 const AGREED_BREATHS: u32 = 3;
+/// Difference at the end of the inspiration up to which they agree, cmH2O: there may still be flow in the tube.
+const AGREE_AT_PLATEAU: f32 = 5.0;
 /// Time without a finding after which a sensor is used again, s.
 const SOUND_AGAIN: f32 = 5.0;
 
@@ -72,6 +74,8 @@ pub struct SourceState {
     ends: u32,
     doubtful: u32,
     agreed: u32,
+    /// Whether they agreed at the end of the inspiration.
+    agreed_at_plateau: bool,
 }
 
 /// The pressure of one tick.
@@ -85,6 +89,8 @@ pub struct Chosen {
     pub lost: bool,
     /// Whether the sensor in use is too noisy.
     pub noisy: bool,
+    /// Whether two sound sensors differ by more than a small flow explains.
+    pub doubtful: bool,
     /// Findings about the airway sensor, the outlet sensor and their difference.
     pub findings: [Option<Fault>; 3],
 }
@@ -123,11 +129,12 @@ impl PressureSource {
             (true, true) => (disagree && higher) || (state.airway.noisy && !state.outlet.noisy),
             (_, sound) => sound,
         };
-        if use_outlet {
+        let chosen = if use_outlet {
             Self::alone(&state.outlet, outlet, findings)
         } else {
             Self::alone(&state.airway, airway, findings)
-        }
+        };
+        Chosen { doubtful: both && (readings.airway - readings.outlet).abs() > DOUBTFUL, ..chosen }
     }
 
     /// The choice of one sensor.
@@ -138,7 +145,7 @@ impl PressureSource {
     ) -> Chosen {
         let lost = sensor.lost || sensor.doubted;
         let pressure = if lost { None } else { pressure };
-        Chosen { pressure, fresh: fresh && !lost, lost, noisy: sensor.noisy, findings }
+        Chosen { pressure, fresh: fresh && !lost, lost, noisy: sensor.noisy, doubtful: false, findings }
     }
 
     /// Checks a sensor's reading: its pressure, whether it is fresh, and a finding.
@@ -171,6 +178,23 @@ impl PressureSource {
         }
     }
 
+    /// Compares the sensors at the end of an inspiration.
+    pub fn at_plateau(&self, state: &mut SourceState, readings: &Readings) {
+        state.agreed_at_plateau = (readings.airway - readings.outlet).abs() <= AGREE_AT_PLATEAU;
+    }
+
+    /// Judges the sensors when the pressure does not respond to the gas: the one that responded less is not used. Returns
+    /// whether there is another one.
+    pub fn unresponsive(&self, state: &mut SourceState, readings: &Readings) -> bool {
+        if !self.enabled.has(Fault::SensorsDisagree) || !state.airway.is_sound() || !state.outlet.is_sound() {
+            return false;
+        }
+        let outlet_rose = readings.outlet - readings.airway;
+        state.airway.doubted = outlet_rose > DOUBTFUL;
+        state.outlet.doubted = outlet_rose < -DOUBTFUL;
+        outlet_rose.abs() > DOUBTFUL
+    }
+
     /// Compares the sensors over the end of an expiration at this PEEP, cmH2O; true if one of them is wrong.
     pub fn compare(&self, state: &mut SourceState, peep: f32) -> bool {
         let count = core::mem::take(&mut state.ends);
@@ -182,7 +206,7 @@ impl PressureSource {
         let (airway, outlet) = (airway / count as f32, outlet / count as f32);
         let apart = (airway - outlet).abs();
         state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL);
-        state.agreed = in_a_row(state.agreed, apart <= AGREE);
+        state.agreed = in_a_row(state.agreed, apart <= AGREE && state.agreed_at_plateau);
         if state.agreed >= AGREED_BREATHS {
             (state.airway.doubted, state.outlet.doubted) = (false, false);
         }

@@ -17,6 +17,7 @@ use super::lung_estimator::{LungEstimator, LungState};
 use super::monitors::Monitors;
 use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::source::{PressureSource, SourceState};
+use super::volumes::Volumes;
 use crate::breath::{Breath, Phase, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
 use crate::math;
@@ -33,6 +34,8 @@ const GOOD_RISE: f32 = 0.7;
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
 const RESPONSES: u32 = 2;
+/// Share of the inspired volume that comes out if the expiratory path is open.
+const COMES_OUT: f32 = 0.2;
 /// Breaths without a finding after which its condition counts as gone.
 const HOLD_BREATHS: u32 = 2;
 
@@ -59,17 +62,20 @@ pub struct SupervisorState {
     breath: BreathState,
     lung: LungState,
     expiration: ExpirationState,
+    volumes: Volumes,
     backup: Backup,
     ladder: Ladder,
     /// Settings of the running breath.
     settings: Option<Settings>,
-    /// Whether no pressure sensor is sound, and whether the one in use is too noisy.
+    /// Whether no pressure sensor is sound, whether the one in use is too noisy, and whether two sound ones differ.
     lost: bool,
     noisy: bool,
+    doubtful: bool,
     /// While the reading does not respond to the gas: inspirations in a row to which it did.
     unresponsive: Option<u32>,
-    /// Whether the inspiration was ended at the pressure limit.
+    /// Whether the inspiration was ended at the pressure limit, and whether by the gas, not by the patient.
     cut: bool,
+    strike: bool,
     missed: u32,
     proven: bool,
     /// Learned part of the last command, percent.
@@ -132,7 +138,8 @@ impl Supervisor {
     ) -> Belief {
         state.indications.tick(HOLD_BREATHS * breath.total_ticks());
         let chosen = self.source.check(&mut state.source, readings, tick.is_some());
-        (state.proven, state.lost, state.noisy) = (chosen.fresh, chosen.lost, chosen.noisy);
+        (state.proven, state.lost) = (chosen.fresh, chosen.lost);
+        (state.noisy, state.doubtful) = (chosen.noisy, chosen.doubtful);
         for fault in chosen.findings.into_iter().flatten() {
             self.found(state, fault);
         }
@@ -158,6 +165,7 @@ impl Supervisor {
             PressureFinding::Normal => {}
             PressureFinding::EndInspiration => {
                 if !state.cut && !state.venting {
+                    state.strike = state.lung.explains(0.5 * (limit + settings.pip));
                     state.lung.end_inspiration();
                 }
                 state.cut = true;
@@ -178,11 +186,12 @@ impl Supervisor {
         if tick == 0 {
             self.start_breath(state, pressure, breath.settings());
         }
+        state.volumes.add(readings.flow, breath.period_s());
         if state.level() == Level::Backup {
             self.found(state, Fault::BackupVentilation);
         }
         match pressure {
-            Some(pressure) => self.check_breath(state, pressure, breath, tick),
+            Some(pressure) => self.check_breath(state, pressure, readings, breath, tick),
             None if breath.phase(tick) == Phase::Inspiration => self.lung.deliver(&mut state.lung),
             None => {}
         }
@@ -196,20 +205,29 @@ impl Supervisor {
         }
     }
 
-    fn check_breath(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath, tick: u32) {
+    fn check_breath(
+        &self,
+        state: &mut SupervisorState,
+        pressure: f32,
+        readings: &Readings,
+        breath: &Breath,
+        tick: u32,
+    ) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         if inspires && !state.cut && self.lung.check(&mut state.lung, pressure) {
-            self.found(state, Fault::NoResponse);
+            let other_sensor = self.source.unresponsive(&mut state.source, readings);
+            self.found(state, if other_sensor { Fault::SensorsDisagree } else { Fault::NoResponse });
         }
         let (command, volume) = (state.applied, state.lung.volume());
         let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
-        if self.expiration.observe(&mut state.expiration, breath, tick, pressure) {
+        if self.expiration.observe(&mut state.expiration, breath, tick, pressure, state.doubtful) {
             self.found(state, Fault::Leak);
         }
         if tick + 1 == breath.inspiration_ticks() && !state.cut {
+            self.source.at_plateau(&mut state.source, readings);
             self.inspired(state, pressure, breath);
         }
     }
@@ -232,15 +250,22 @@ impl Supervisor {
 
     /// Updates the ladder with the breath that has ended, and starts the next one.
     fn start_breath(&self, state: &mut SupervisorState, pressure: Option<f32>, settings: &Settings) {
-        if let Some(fault) = state.ladder.breath_ended(state.cut) {
+        if let Some(fault) = state.ladder.breath_ended(state.cut && state.strike) {
             self.found(state, fault);
         }
         if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
             state.breath.settings_changed();
         }
-        (state.cut, state.missed, state.learned) = (false, 0, 0.0);
+        (state.cut, state.strike, state.missed, state.learned) = (false, true, 0, 0.0);
+        let pressure = pressure.filter(|_| !state.breath.is_disconnected());
         state.lung.start_inspiration(pressure.unwrap_or(settings.peep), settings.peep);
         state.backup.start_breath();
+        state.volumes.start_breath();
+        let expired = state.volumes.expired_share();
+        self.expiration.start_breath(&mut state.expiration, expired);
+        if self.pressure.is_sustained(&state.pressure) && expired.is_some_and(|share| share < COMES_OUT) {
+            self.found(state, Fault::SustainedPressure);
+        }
     }
 
     /// Raises an alarm, and responds as specified in its row of the alarm table.
@@ -307,7 +332,8 @@ impl Supervisor {
             return output.command;
         }
         state.learned += math::limit(change, -self.slew, self.slew);
-        let cap = if level == Level::CappedPid { CAP } else { COMMAND_MAX };
+        let capped = level == Level::CappedPid || state.breath.is_disconnected();
+        let cap = if capped { CAP } else { COMMAND_MAX };
         (output.base + state.learned).min(cap)
     }
 
@@ -342,7 +368,7 @@ impl SupervisorState {
     pub fn level(&self) -> Level {
         if self.lost || self.unresponsive.is_some() {
             Level::Backup
-        } else if self.missed > 0 {
+        } else if self.missed > 0 || self.breath.is_disconnected() {
             self.ladder.level().max(Level::Pid)
         } else {
             self.ladder.level()
@@ -402,13 +428,16 @@ impl Default for SupervisorState {
             breath: BreathState::default(),
             lung: LungState::default(),
             expiration: ExpirationState::default(),
+            volumes: Volumes::default(),
             backup: Backup::new(),
             ladder: Ladder::default(),
             settings: None,
             lost: false,
             noisy: false,
+            doubtful: false,
             unresponsive: None,
             cut: false,
+            strike: true,
             missed: 0,
             proven: false,
             learned: 0.0,

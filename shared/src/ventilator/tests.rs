@@ -195,7 +195,10 @@ fn an_expiration_that_still_falls_delays_the_next_breath_and_pip_follows_a_stuck
             let noise = 0.07 * ((n * 7 % 5) as f32 - 2.0);
             let inspires = (tick as f32 * 0.2).min(20.0) + 5.0;
             let pressure = if tick < 1000 { inspires } else { pressure(tick) };
-            last.push(all.step(&mut state, pressure + noise).sample.unwrap());
+            // What goes in comes out.
+            let flow = if tick < 1000 { 0.4 } else { -0.2 };
+            let readings = Readings { flow, ..Readings::from(pressure + noise) };
+            last.push(all.step(&mut state, readings).sample.unwrap());
         }
         last
     };

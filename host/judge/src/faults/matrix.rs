@@ -1,5 +1,7 @@
 //! The fault matrix: every fault on every lung, with the monitor that must fire.
 
+use std::sync::Mutex;
+
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
 use shared::control::Controller;
@@ -17,8 +19,10 @@ use super::injection::Injection::{
     NoisyAt, Offset, OtherHost, OutletLost, Reads, StuckAt, StuckAtLast, SwappedBytes, Weights,
 };
 use super::trial::{Trial, TrialOutcome, run};
+use super::volume::Ventilation;
 use crate::evaluate::side_by_side;
 use plant::bench::{BenchConfig, Failure};
+use plant::locked;
 use progress::{Progress, Stage};
 use ventilator::SourceError;
 
@@ -81,6 +85,8 @@ pub struct FaultCase {
     pub peak_allowed: f64,
     /// Longest time until the first of the monitors fires, ms.
     within_ms: u32,
+    /// Duration of the trial after the fault, ms.
+    watched_ms: u32,
     /// What ventilation must go on.
     ventilation: Required,
 }
@@ -90,7 +96,9 @@ pub struct FaultCase {
 enum Required {
     /// None: with this fault no command moves gas in and out.
     Impossible,
-    /// The share [`VOLUME_SHARE`], and no gap longer than this, ms.
+    /// No gap longer than [`GAP_MS`].
+    Breaths,
+    /// The same with the share [`VOLUME_SHARE`] and another longest gap, ms.
     GapWithin(u32),
 }
 
@@ -138,6 +146,11 @@ fn tight() -> Settings {
     Settings { pressure_limit: PIP + 8.0, ..usual() }
 }
 
+/// Settings with a limit that a controller can reach on every lung.
+fn low() -> Settings {
+    Settings { pip: 12.0, pressure_limit: 17.0, ..usual() }
+}
+
 /// Settings with four breaths a minute.
 fn slow() -> Settings {
     Settings { rate: 4.0, ..usual() }
@@ -153,6 +166,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         settings: usual,
         peak_allowed: PEAKS.0,
         within_ms: WATCHED_MS,
+        watched_ms: WATCHED_MS,
         ventilation: Required::GapWithin(GAP_MS),
     }
 }
@@ -180,6 +194,16 @@ impl FaultCase {
     /// Requires no ventilation: no command moves gas.
     const fn not_ventilated(self) -> Self {
         Self { ventilation: Required::Impossible, ..self }
+    }
+
+    /// Watches for longer, which is how long the monitors may take.
+    const fn watched(self, watched_ms: u32) -> Self {
+        Self { watched_ms, within_ms: watched_ms, ..self }
+    }
+
+    /// Requires that breaths go on, of whatever volume.
+    const fn of_any_volume(self) -> Self {
+        Self { ventilation: Required::Breaths, ..self }
     }
 
     const fn resumed(self) -> Self {
@@ -218,9 +242,6 @@ const SENSOR: [FaultCase; 17] = [
     case("flow sensor lost", FlowLost, &[]),
 ];
 
-/// Possible alarms of a cough, depending on the lung.
-const COUGH: [Fault; 3] = [Fault::LearnedDistrusted, Fault::CommandCapped, Fault::HighPressure];
-
 /// Faults of machine and breathing circuit.
 const MACHINE: [FaultCase; 17] = [
     part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS).not_ventilated(),
@@ -229,9 +250,11 @@ const MACHINE: [FaultCase; 17] = [
     case("patient disconnected for 5 s", Injection::Reconnected(5000), &[Fault::Disconnection])
         .not_ventilated(),
     part("leak of 0.2 L/s", Failure::Leak(0.2), &[]).at(BEFORE_MS),
-    part("leak of 0.5 L/s", Failure::Leak(0.5), &[Fault::Leak]).at(BEFORE_MS),
+    part("leak of 0.5 L/s", Failure::Leak(0.5), &[]).at(BEFORE_MS),
     part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::Leak]).at(BEFORE_MS),
-    part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure]).at(0).not_ventilated(),
+    part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure, Fault::BaselineLow])
+        .at(0)
+        .not_ventilated(),
     stuck("inspiratory valve stuck open", Failure::InspiratoryValveStuck(80.0), &[Fault::BaselineHigh])
         .not_ventilated(),
     stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse])
@@ -245,26 +268,37 @@ const MACHINE: [FaultCase; 17] = [
     )
     .with(slow)
     .at(SLOW_INSPIRATION_MS)
+    .watched(66_000)
     .not_ventilated(),
     stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]).not_ventilated(),
     stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
-    stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]),
+    stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::Leak]),
     part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]).not_ventilated(),
-    case("cough in every breath", Coughs(25.0), &COUGH).with(tight),
+    case("cough in every breath", Coughs(25.0), &[]).with(tight),
 ];
 
 /// Faults of chip and controller.
-const CONTROL: [FaultCase; 10] = [
+const CONTROL: [FaultCase; 12] = [
     case("10 of every 100 control ticks missed", MissedTicks(10), &[Fault::MissedTicks]),
     case("control task hangs", Hang, &[Fault::Restarted]).resumed(),
     case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]).resumed(),
     case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
-    case("a second host sends other settings and gains", OtherHost, &[]),
+    case("a second host sends other settings and gains", OtherHost, &[]).of_any_volume(),
     case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
         .run_by(Greedy),
     case("power lost while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
         .run_by(Greedy),
     case("network that always requests 100 % more", Injection::Controller, &[]).run_by(Greedy),
+    case("network that drives each breath to the limit", Injection::Controller, &[Fault::LearnedDistrusted])
+        .with(low)
+        .run_by(Greedy)
+        .at(0)
+        .of_any_volume(),
+    case("PID that drives each breath to the limit", Injection::Controller, &[Fault::CommandCapped])
+        .with(low)
+        .run_by(Ringing)
+        .at(0)
+        .of_any_volume(),
     case("network that alternates between fully open and closed", Injection::Controller, &[])
         .run_by(Alternating),
     case("oscillating PID", Injection::Controller, &[]).run_by(Ringing),
@@ -400,7 +434,37 @@ pub fn matrix(
 ) -> Result<Vec<FaultRow>, SourceError> {
     let cells: Vec<_> = cases().flat_map(|case| lungs.iter().map(move |lung| (case, lung))).collect();
     let task = progress.task(Stage::Faults, cells.len());
-    side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, monitors))
+    let sound = SoundRuns::default();
+    side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, monitors, &sound))
+}
+
+/// Runs without a fault, shared by all cases with the same settings and times.
+#[derive(Default)]
+struct SoundRuns(Mutex<Vec<(SoundKey, Ventilation)>>);
+
+/// What such a run depends on: lung, settings, onset and end of the fault, ms, seed.
+type SoundKey = (String, Settings, [u32; 2], u64);
+
+impl SoundRuns {
+    /// What the lung gets of a sound machine in the time of a trial.
+    fn of(&self, trial: &Trial<'_>) -> Result<Ventilation, SourceError> {
+        let times = [trial.onset_ms, trial.watched_ms];
+        let key = (trial.bench.name.clone(), trial.settings, times, trial.seed);
+        let known =
+            |runs: &[(SoundKey, Ventilation)]| runs.iter().find(|(of, _)| *of == key).map(|run| run.1);
+        if let Some(known) = known(&locked(&self.0)) {
+            return Ok(known);
+        }
+        let controller = Sound.controller()?;
+        let outcome = run(&Trial {
+            controller: &controller,
+            monitors: Monitors::ALL,
+            injection: Injection::Controller,
+            ..trial.clone()
+        })?;
+        locked(&self.0).push((key, outcome.ventilation));
+        Ok(outcome.ventilation)
+    }
 }
 
 fn cell(
@@ -408,6 +472,7 @@ fn cell(
     lung: &BenchConfig,
     seeds: &[u64],
     monitors: Monitors,
+    sound: &SoundRuns,
 ) -> Result<FaultRow, SourceError> {
     let controller = case.controller.controller()?;
     let trial = |seed: u64| Trial {
@@ -417,19 +482,15 @@ fn cell(
         monitors,
         injection: case.injection,
         onset_ms: case.onset_ms,
-        watched_ms: WATCHED_MS,
+        watched_ms: case.watched_ms,
         seed,
     };
     let outcomes = seeds.iter().map(|seed| run(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
-    let sound_controller = Sound.controller()?;
-    let sound = |seed: &u64| {
-        run(&Trial { controller: &sound_controller, injection: Injection::Controller, ..trial(*seed) })
-    };
-    let sound = seeds.iter().map(sound).collect::<Result<Vec<_>, _>>()?;
+    let sound = seeds.iter().map(|seed| sound.of(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
     Ok(row(case, lung, &outcomes, &sound))
 }
 
-fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &[TrialOutcome]) -> FaultRow {
+fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &[Ventilation]) -> FaultRow {
     let longest = |of: &dyn Fn(&TrialOutcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
     let detected = |outcome: &TrialOutcome| outcome.time_to(*case.monitors.first()?);
     let fired = |outcome: &TrialOutcome| case.monitors.iter().all(|m| outcome.time_to(*m).is_some());
@@ -444,12 +505,11 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &
         outcome.vented_ms.is_none() || outcome.back_at_peep_ms.is_some_and(|ms| ms <= BACK_WITHIN_MS)
     };
     let gap_ms = outcomes.iter().map(|outcome| outcome.ventilation.longest_gap_ms).max().unwrap_or(0);
-    let share = |(outcome, sound): (&TrialOutcome, &TrialOutcome)| {
-        outcome.ventilation.volume / sound.ventilation.volume
-    };
+    let share = |(outcome, sound): (&TrialOutcome, &Ventilation)| outcome.ventilation.volume / sound.volume;
     let minute_volume_share = outcomes.iter().zip(sound).map(share).fold(f64::INFINITY, f64::min);
     let ventilated = match case.ventilation {
         Required::Impossible => true,
+        Required::Breaths => gap_ms <= GAP_MS,
         Required::GapWithin(ms) => {
             gap_ms <= ms.max(pause_ms(&(case.settings)())) && minute_volume_share >= VOLUME_SHARE
         }

@@ -3,7 +3,6 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::Serialize;
-use shared::breath::Phase;
 use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::reset::ResetCause;
@@ -24,8 +23,8 @@ use ventilator::SourceError;
 /// Distance from PEEP at which the pressure counts as returned, cmH2O.
 const BACK: f64 = 2.0;
 
-/// Smallest volume of a delivered breath, mL: a quarter of what the stiffest adult lung takes at a PIP 20 cmH2O above PEEP.
-const DELIVERED: f64 = 50.0;
+/// Smallest share of a normal breath's volume that counts as a delivered breath.
+const DELIVERED: f64 = 0.25;
 
 /// Tick of the breath in which a coughing patient coughs.
 const COUGH_TICK: u32 = 700;
@@ -56,7 +55,7 @@ pub struct Trial<'a> {
 pub struct TrialOutcome {
     /// Alarms in order, with their times.
     pub alarms: Vec<(Fault, u32)>,
-    /// Time of the first venting command in an inspiration.
+    /// Time of the first venting command that ended an inspiration or ventilation.
     pub vented_ms: Option<u32>,
     /// Longest time for which readings were above the limit without a command to vent.
     pub limit_to_vent_ms: Option<u32>,
@@ -101,6 +100,8 @@ struct Run<'a> {
     rng: ChaCha8Rng,
     readings: Readings,
     volume: VolumeMeter,
+    /// Smallest volume of a delivered breath, mL.
+    delivered_ml: f64,
     command: ValveCommand,
     missed: u32,
     above_limit: Option<u32>,
@@ -118,7 +119,8 @@ pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     let bench = Bench::new(trial.bench, trial.settings.peep, trial.seed)?;
     let mut run = Run {
         rig: Rig::started(trial.controller, &trial.settings, trial.monitors, exploration)?,
-        volume: VolumeMeter::new(DELIVERED, bench.truth().lung_volume_ml, 0),
+        delivered_ml: DELIVERED * tidal_volume_ml(trial.bench, &trial.settings),
+        volume: VolumeMeter::new(0.0, 0.0, 0),
         bench,
         sensor: SensorFault::new(trial.injection, rng.clone()),
         rng,
@@ -135,6 +137,14 @@ pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     }
     run.outcome.ventilation = run.volume.finish(end_ms);
     Ok(run.outcome)
+}
+
+/// Volume of a breath at these settings, mL: what the first compartment takes at a square pressure.
+fn tidal_volume_ml(bench: &BenchConfig, settings: &Settings) -> f64 {
+    let lung = &bench.lung.first;
+    let time_constant_s = lung.resistance_cmh2o_per_l_s * lung.compliance_ml_per_cmh2o * 1e-3;
+    let filled = 1.0 - (-f64::from(settings.inspiratory_time) / time_constant_s).exp();
+    lung.compliance_ml_per_cmh2o * f64::from(settings.pip - settings.peep) * filled
 }
 
 impl Run<'_> {
@@ -170,9 +180,9 @@ impl Run<'_> {
             outlet: self.bench.outlet_reading(),
             flow: self.bench.flow_reading(),
         };
-        let volume = self.bench.truth().lung_volume_ml;
+        let volume = f64::from(self.bench.pressures().lung_volume);
         match since {
-            None | Some(0) => self.volume = VolumeMeter::new(DELIVERED, volume, ms),
+            None | Some(0) => self.volume = VolumeMeter::new(self.delivered_ml, volume, ms),
             Some(_) => self.volume.add(volume, ms),
         }
         if let Some(since) = since {
@@ -214,9 +224,8 @@ impl Run<'_> {
             outcome.latched_ms.get_or_insert(since);
         }
         let breath = state.breath();
-        let inspires = breath.phase(state.tick().saturating_sub(1)) == Phase::Inspiration;
         let vents = self.command.u_out();
-        if vents && (inspires || state.mode() != Mode::Ventilating) {
+        if vents && (state.cut() || state.mode() != Mode::Ventilating) {
             outcome.vented_ms.get_or_insert(since);
         }
         // Of the sensors, as the ventilator sees them; without any the limit cannot be seen.

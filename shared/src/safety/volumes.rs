@@ -1,0 +1,79 @@
+//! Volumes of each breath from the flow sensor at the airway.
+
+/// Share of a breath's ticks that must have a flow reading.
+const MEASURED: f32 = 0.9;
+/// Smallest inspired volume that is compared with the expired one, mL.
+const TELLING: f32 = 20.0;
+
+/// Volumes of the running breath, and the last one's result.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Volumes {
+    /// Volumes so far, mL.
+    inspired: f32,
+    expired: f32,
+    ticks: u32,
+    measured: u32,
+    /// Expired share of the inspired volume in the last breath, if the flow was measured.
+    expired_share: Option<f32>,
+}
+
+impl Volumes {
+    /// Adds a tick of `period` seconds with a flow towards the patient, L/s; NaN without a reading.
+    #[inline]
+    pub fn add(&mut self, flow: f32, period: f32) {
+        self.ticks += 1;
+        if flow.is_nan() {
+            return;
+        }
+        self.measured += 1;
+        let volume = 1000.0 * flow * period;
+        self.inspired += volume.max(0.0);
+        self.expired += (-volume).max(0.0);
+    }
+
+    /// Ends a breath and starts the next one.
+    pub fn start_breath(&mut self) {
+        let known = self.measured as f32 >= MEASURED * self.ticks as f32 && self.inspired >= TELLING;
+        let expired_share = known.then(|| self.expired / self.inspired);
+        *self = Self { expired_share, ..Self::default() };
+    }
+
+    /// Expired share of the inspired volume in the last breath; none if the flow was not measured.
+    pub fn expired_share(&self) -> Option<f32> {
+        self.expired_share
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A breath that takes in 400 mL in 1 s and gives out a share of it in 2 s.
+    fn breath(volumes: &mut Volumes, share: f32, measured: impl Fn(u32) -> bool) {
+        for tick in 0..3000 {
+            let flow = if tick < 1000 { 0.4 } else { -0.2 * share };
+            volumes.add(if measured(tick) { flow } else { f32::NAN }, 0.001);
+        }
+        volumes.start_breath();
+    }
+
+    #[test]
+    fn what_comes_out_is_compared_with_what_went_in() {
+        let mut volumes = Volumes::default();
+        for share in [1.0, 0.3, 0.0] {
+            breath(&mut volumes, share, |_| true);
+            assert!((volumes.expired_share().unwrap() - share).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn without_a_sensor_or_a_volume_there_is_nothing_to_compare() {
+        let mut volumes = Volumes::default();
+        breath(&mut volumes, 1.0, |tick| tick % 5 != 0);
+        assert_eq!(volumes.expired_share(), None);
+        breath(&mut volumes, 1.0, |tick| tick % 20 != 0);
+        assert!(volumes.expired_share().is_some(), "few are missing");
+        volumes.start_breath();
+        assert_eq!(volumes.expired_share(), None);
+    }
+}
