@@ -144,6 +144,15 @@ impl Debugger {
         self.command(&format!("z0,{address:x},2"))
     }
 
+    /// Sets the program counter of a halted board.
+    ///
+    /// # Errors
+    /// The connection failed.
+    pub fn jump(&mut self, address: u32) -> Result<(), DebuggerError> {
+        const PROGRAM_COUNTER: u32 = 15;
+        self.command(&format!("P{PROGRAM_COUNTER:x}={}", to_hex(&address.to_le_bytes())))
+    }
+
     /// Detaches; the board continues.
     ///
     /// # Errors

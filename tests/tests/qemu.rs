@@ -487,6 +487,17 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     assert_ne!(whole, [0xFE, 0xE7]);
 }
 
+/// Waits for a greeting with the reason of a failure.
+fn failure(device: &mut Device) -> String {
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        match device.identify() {
+            Ok(identity) if identity.failure.is_some() => return identity.failure.unwrap().to_string(),
+            other => assert!(Instant::now() < deadline, "the greeting contains no reason: {other:?}"),
+        }
+    }
+}
+
 #[test]
 fn a_program_that_fails_tells_the_reason_after_its_restart() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -496,15 +507,93 @@ fn a_program_that_fails_tells_the_reason_after_its_restart() {
     debugger.write(step, &[0x00, 0xDE]).unwrap();
     debugger.detach().unwrap();
     let _ = device.start();
-    let deadline = Instant::now() + DEADLINE;
-    let failure = loop {
-        match device.identify() {
-            Ok(identity) if identity.failure.is_some() => break identity.failure.unwrap(),
-            other => assert!(Instant::now() < deadline, "the greeting contains no reason: {other:?}"),
-        }
-    };
+    let failure = failure(&mut device);
     assert!(failure.contains(&format!("hard fault at {step:#010x}")), "{failure}");
     assert_eq!(device.identify().unwrap().mode, Mode::Standby);
+}
+
+/// Instructions that push registers until the stack overflows: `push {r0-r7, lr}`, and a branch back to it.
+const OVERFLOW: [u8; 4] = [0xFF, 0xB5, 0xFD, 0xE7];
+
+/// Function that a failure of the program calls first. In a hard fault the shim's models are out of reach, so its effect on the
+/// pins is tested where it is called in a control tick.
+const STOP: &str = "failure::stop_safely";
+
+#[test]
+fn a_failure_closes_the_inspiratory_and_opens_the_expiratory_valve() {
+    const INSPIRATORY: u32 = 6;
+    const EXPIRATORY: u32 = 0;
+    const OUTPUT: u32 = 1;
+    let board = Emulator::start(EmulatorConfig { debugger: true, ..config("board") }, Silence).unwrap();
+    connect(&board);
+    let mut debugger = debugger(&board);
+    debugger.run_to(symbol(&image("board"), "valves::Valves::apply").unwrap()).unwrap();
+    assert_ne!(debugger.record().unwrap().ports[0].mode(INSPIRATORY), OUTPUT, "the PWM drives the valve");
+    let caller = debugger.registers().unwrap()[14] & !1;
+    debugger.jump(symbol(&image("board"), STOP).unwrap()).unwrap();
+    debugger.run_to(caller).unwrap();
+    let [a, b] = debugger.record().unwrap().ports;
+    assert_eq!((a.mode(INSPIRATORY), a.level(INSPIRATORY)), (OUTPUT, false), "closed");
+    assert_eq!((b.mode(EXPIRATORY), b.level(EXPIRATORY)), (OUTPUT, false), "open");
+}
+
+#[test]
+fn a_stack_that_overflows_stops_safely_before_the_restart() {
+    let board = Emulator::start(EmulatorConfig { debugger: true, ..config("board") }, Silence).unwrap();
+    let mut device = connect(&board);
+    let mut debugger = debugger(&board);
+    let apply = symbol(&image("board"), "valves::Valves::apply").unwrap();
+    let whole = debugger.read(apply, OVERFLOW.len()).unwrap();
+    debugger.write(apply, &OVERFLOW).unwrap();
+    for place in [STOP, "failure::restart"] {
+        debugger.run_to(symbol(&image("board"), place).unwrap()).unwrap();
+    }
+    debugger.write(apply, &whole).unwrap();
+    debugger.detach().unwrap();
+    let failure = failure(&mut device);
+    assert!(failure.starts_with("stack overflow"), "{failure}");
+}
+
+#[test]
+fn a_stack_that_overflows_is_reported_and_the_recorder_keeps_the_ticks_before() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
+    let mut debugger = debugger(&board);
+    debugger.write(symbol(&image("hil"), CONTROL_STEP).unwrap(), &OVERFLOW).unwrap();
+    debugger.detach().unwrap();
+    let failure = failure(&mut device);
+    assert!(failure.starts_with("stack overflow"), "{failure}");
+    assert_eq!(device.identify().unwrap().mode, Mode::Standby);
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
+    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
+    assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Software, failed: true }));
+    assert!(happened(&blackbox, Happening::Start));
+    assert_eq!(blackbox.fast.ticks().count(), FAST_ENTRIES);
+    assert!(blackbox.fast.ticks().all(|tick| tick.activity == Activity::Ventilating));
+}
+
+#[test]
+fn the_smallest_stack_has_a_reserve() {
+    /// Stack of the STM32F446, whose program is the same, and what must be left of it, bytes.
+    const SMALLEST: usize = 48 * 1024;
+    const RESERVE: usize = 4 * 1024;
+    const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    upload(&mut device, 1);
+    device.restart().unwrap();
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    Samples::default().until(&device, |sample| sample.breath == 3);
+    device.blackbox(&Progress::silent()).unwrap();
+    device.stop().unwrap();
+    upload(&mut device, 2);
+    let [bottom, top] = ["_stack_end", "_stack_start"].map(|name| symbol(&image("hil"), name).unwrap());
+    let stack = debugger(&board).read(bottom, (top - bottom) as usize).unwrap();
+    let unused = 4 * stack.as_chunks().0.iter().take_while(|word| **word == PAINT).count();
+    let used = stack.len() - unused;
+    assert!(used > 0 && used <= SMALLEST - RESERVE, "{used} bytes of the stack are used");
 }
 
 /// A plant that can be disconnected.

@@ -173,7 +173,7 @@ fn report(sections: &[Section], regions: &[Region]) -> Result<String> {
     };
     let lines: String = sections.iter().map(line).collect();
     let Size { flash: in_flash, ram: in_ram } = taken(sections, ram);
-    let note = "RAM is without the stack, which uses the rest.\n";
+    let note = "RAM is without the stack, which has a region of its own.\n";
     Ok([head, lines, used("flash", in_flash, flash), used("RAM", in_ram, ram), note.into()].concat())
 }
 

@@ -4,18 +4,20 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::control::residual::Residual;
 use shared::device::control::Control;
 use shared::device::{ControlReply, ControlReport, ControlRequest};
 use shared::link::messages::DeviceKind;
+use shared::link::refusal::Refusal;
 use shared::recorder::Recorder;
 use shared::timing::TickTime;
+use shared::weights::Image;
+use shared::weights::slots::Slot;
 
 use static_cell::StaticCell;
 
 use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{clock, link_uart, taken_once};
+use super::drivers::{clock, link_uart};
 
 /// Capacity of the queue of reports to the link task: more than 0.1 s of samples.
 const REPORTS_LENGTH: usize = 128;
@@ -28,12 +30,17 @@ pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
 pub static REPORTS: Channel<CriticalSectionRawMutex, ControlReport, REPORTS_LENGTH> = Channel::new();
 
 /// The device's control half. Static and built in place: as part of the task it would be moved through the stack.
-static CONTROL: StaticCell<Control> = StaticCell::new();
+/// With its error, which never occurs: taking the value out would copy kilobytes through the stack.
+static CONTROL: StaticCell<Result<Control, Refusal>> = StaticCell::new();
 
-/// Builds the control half. Called once.
+/// Builds the control half with the weights of a slot. Called once.
 #[inline(never)]
-pub fn prepare(kind: DeviceKind, learned: Option<Residual>) -> &'static mut Control {
-    CONTROL.init_with(|| taken_once(Control::new(kind, DEFAULT_PERIOD_US, learned, CORE_CLOCK.0).ok()))
+pub fn prepare(kind: DeviceKind, weights: Option<(Slot, Image)>) -> &'static mut Control {
+    let learned = |weights: Option<(Slot, Image)>| weights.map(|(_, image)| image.residual);
+    match CONTROL.init_with(|| Control::new(kind, DEFAULT_PERIOD_US, learned(weights), CORE_CLOCK.0)) {
+        Ok(control) => control,
+        Err(_) => unreachable!("the default settings and gains are valid"),
+    }
 }
 
 /// Runs the ticks; never returns.

@@ -1,15 +1,15 @@
-//! Failures of the program (panic, hard fault): the valves go to their safe state, the reason is kept, and the chip restarts
-//! in standby.
+//! Failures of the program (panic, hard fault, stack overflow): the valves go to their safe state, the reason is kept, and
+//! the chip restarts in standby.
 //!
 //! After the restart nothing moves until a host requests it, and the greeting contains the reason.
 
+use core::arch::naked_asm;
 use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
-use core::ptr::addr_of_mut;
+use core::ptr::{addr_of, addr_of_mut};
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{ExceptionFrame, exception};
 use defmt::{Display2Format, error};
 use heapless::String;
 use shared::link::messages::FAILURE_BYTES;
@@ -24,6 +24,14 @@ struct Note {
     mark: u32,
     length: usize,
     text: [u8; FAILURE_BYTES],
+}
+
+/// With less than this left of the stack, a fault is taken for an overflow, bytes: more than the largest frame of the core.
+const STACK_MARGIN: u32 = 256;
+
+unsafe extern "C" {
+    /// Lower end of the stack, from memory.x. Below it there is no memory.
+    static _stack_end: u8;
 }
 
 #[unsafe(link_section = ".uninit.failure")]
@@ -48,19 +56,49 @@ fn panic(info: &PanicInfo) -> ! {
     restart(&text.0)
 }
 
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+/// Entry of the hard fault. After a stack overflow neither the stack nor the frame that the core pushed is usable, so this
+/// begins at the top of the stack again, which no other code will use: the program does not continue.
+#[unsafe(no_mangle)]
+#[unsafe(naked)]
+extern "C" fn HardFault() -> ! {
+    naked_asm!(
+        "mov r2, sp",
+        "movs r0, #0",
+        "movs r1, #0",
+        "ldr r3, =_stack_end",
+        "cmp r2, r3",
+        "blo 1f",
+        // The frame is in the stack: program counter and link register.
+        "ldr r0, [r2, #24]",
+        "ldr r1, [r2, #20]",
+        "1: ldr r3, =_stack_start",
+        "mov sp, r3",
+        "b {handler}",
+        handler = sym hard_fault,
+    )
+}
+
+/// Handles a hard fault that pushed its frame at `stack`.
+extern "C" fn hard_fault(pc: u32, lr: u32, stack: u32) -> ! {
     stop_safely();
     let mut text = Text(String::new());
-    let _ = write!(text, "hard fault at {:#010x}, called from {:#010x}", frame.pc(), frame.lr());
+    let _ = if stack < addr_of!(_stack_end) as u32 + STACK_MARGIN {
+        write!(text, "stack overflow at {pc:#010x}, called from {lr:#010x}")
+    } else {
+        write!(text, "hard fault at {pc:#010x}, called from {lr:#010x}")
+    };
     restart(&text.0)
 }
 
+/// Masks interrupts and puts the valves in their safe state.
+#[inline(never)]
 fn stop_safely() {
     cortex_m::interrupt::disable();
     board::force_valves_safe();
 }
 
+/// Keeps the reason and restarts the chip. Not inlined, so that a debugger can halt before the restart.
+#[inline(never)]
 fn restart(text: &str) -> ! {
     error!("{}", Display2Format(text));
     let mut note = Note { mark: MARK, length: text.len(), text: [0; FAILURE_BYTES] };

@@ -46,11 +46,12 @@ fn start() {
     let mut board = board::start();
     let reset = reset::cause();
     let mut storage = Slots::new(board.flash, flash::slots());
-    let (running, learned) = storage.load().map(|(slot, image)| (slot, image.residual)).unzip();
-    let slots = storage.states();
     let kind = board::SelectedPlant::KIND;
+    let loaded = storage.load();
+    let running = loaded.as_ref().map(|(slot, _)| *slot);
+    let control = control_task::prepare(kind, loaded);
+    let slots = storage.states();
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
-    let control = control_task::prepare(kind, learned);
     let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
     control.report_boot(reset, recorder.interrupted(), &slots);
     let facts = DeviceFacts {

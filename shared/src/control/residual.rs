@@ -26,6 +26,27 @@ pub struct ResidualSpec {
     pub features: FeatureSpec,
 }
 
+impl ResidualSpec {
+    /// Builds the PID and the features of an otherwise valid specification.
+    pub(crate) fn parts(&self) -> Result<(Pid, Features), ResidualError> {
+        self.check_bounds()?;
+        Ok((Pid::new(self.gains, self.period_us)?, Features::new(self.features, self.period_us)?))
+    }
+
+    /// Checks lambda, authority and period.
+    fn check_bounds(&self) -> Result<(), ResidualError> {
+        for (name, value, max) in [("lambda", self.lambda, 1.0), ("authority", self.authority, COMMAND_MAX)] {
+            if !(value >= 0.0 && value <= max) {
+                return Err(ResidualError::OutOfBounds { name, value, max });
+            }
+        }
+        if self.period_us < PERIOD_BOUNDS_US.0 || self.period_us > PERIOD_BOUNDS_US.1 {
+            return Err(ResidualError::Period(self.period_us));
+        }
+        Ok(())
+    }
+}
+
 /// Reason why a learned controller cannot be built.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ResidualError {
@@ -68,20 +89,24 @@ impl Residual {
     /// # Errors
     /// The first value of `spec` or `network` that is out of bounds.
     pub fn new(spec: ResidualSpec, network: Network) -> Result<Self, ResidualError> {
-        for (name, value, max) in [("lambda", spec.lambda, 1.0), ("authority", spec.authority, COMMAND_MAX)] {
-            if !(value >= 0.0 && value <= max) {
-                return Err(ResidualError::OutOfBounds { name, value, max });
-            }
-        }
-        if spec.period_us < PERIOD_BOUNDS_US.0 || spec.period_us > PERIOD_BOUNDS_US.1 {
-            return Err(ResidualError::Period(spec.period_us));
-        }
+        spec.check_bounds()?;
         if !network.is_bounded() {
             return Err(ResidualError::Weights);
         }
-        let pid = Pid::new(spec.gains, spec.period_us)?;
-        let features = Features::new(spec.features, spec.period_us)?;
+        let (pid, features) = spec.parts()?;
         Ok(Self { spec, pid, features, network })
+    }
+
+    /// Like [`Self::new`] of these [`ResidualSpec::parts`], with a network whose output is zero and whose parameters are then read in
+    /// place: each copy of a network takes kilobytes of the chip's stack.
+    #[inline]
+    pub(crate) fn zero(spec: ResidualSpec, (pid, features): (Pid, Features)) -> Self {
+        Self { spec, pid, features, network: Network::zero() }
+    }
+
+    /// The parameters of the network. The caller keeps them bounded.
+    pub(crate) fn parameters_mut(&mut self) -> impl Iterator<Item = &mut f32> {
+        self.network.parameters_mut()
     }
 
     /// Specification from which the controller was built.

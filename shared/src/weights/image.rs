@@ -72,7 +72,20 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
 ///
 /// # Errors
 /// The first problem, in the order of [`WeightsError`]'s variants.
+#[inline(never)]
 pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
+    // One variable, so that it is built in the caller's memory: on the chip each copy takes kilobytes of the stack.
+    let mut image = build(bytes);
+    if matches!(&image, Ok(built) if golden(&built.residual) != built.golden) {
+        image = Err(WeightsError::Golden);
+    }
+    image
+}
+
+/// Builds the controller of an image whose golden vector is not yet checked. Not inlined, so that its copies of the network are
+/// off the stack before the exercise runs.
+#[inline(never)]
+fn build(bytes: &[u8]) -> Result<Image, WeightsError> {
     let (header, parameters, id) = enclosed(bytes)?;
     let Header { architecture, period_us, gains, lambda, authority, features, .. } = header;
     if architecture != ARCHITECTURE {
@@ -82,12 +95,25 @@ pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
     if shape.map(usize::from) != Network::SHAPE || parameters.len() != PARAMETER_BYTES {
         return Err(WeightsError::Shape(shape));
     }
-    let network = read_network(parameters)?;
-    let residual = Residual::new(ResidualSpec { period_us, gains, lambda, authority, features }, network)?;
-    if golden(&residual) != header.golden {
-        return Err(WeightsError::Golden);
+    let parameters = parameters.as_chunks().0;
+    let bounded = |parameter: &[u8; 4]| f32::from_le_bytes(*parameter).abs() <= WEIGHT_MAX;
+    if let Some(index) = parameters.iter().position(|parameter| !bounded(parameter)) {
+        return Err(WeightsError::Weight(index));
     }
-    Ok(Image { residual, identity: header.identity, golden: header.golden, id })
+    let spec = ResidualSpec { period_us, gains, lambda, authority, features };
+    let parts = spec.parts()?;
+    let mut image = Ok(Image {
+        residual: Residual::zero(spec, parts),
+        identity: header.identity,
+        golden: header.golden,
+        id,
+    });
+    if let Ok(image) = &mut image {
+        for (parameter, bytes) in image.residual.parameters_mut().zip(parameters) {
+            *parameter = f32::from_le_bytes(*bytes);
+        }
+    }
+    image
 }
 
 /// Header, parameters and id of a complete and undamaged image of this format. The header gives the length, so that a
@@ -109,18 +135,6 @@ fn enclosed(bytes: &[u8]) -> Result<(Header, &[u8], u32), WeightsError> {
         return Err(WeightsError::Checksum);
     }
     Ok((header, &covered[HEADER_BYTES..], id))
-}
-
-fn read_network(bytes: &[u8]) -> Result<Network, WeightsError> {
-    let mut network = Network::zero();
-    for (index, (parameter, bytes)) in network.parameters_mut().zip(bytes.as_chunks().0).enumerate() {
-        *parameter = f32::from_le_bytes(*bytes);
-        let bounded = parameter.abs() <= WEIGHT_MAX;
-        if !bounded {
-            return Err(WeightsError::Weight(index));
-        }
-    }
-    Ok(network)
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{IMAGE_BYTES, Image, ImageProblem, decode};
+use super::{IMAGE_BYTES, Image, ImageProblem, WeightsError, decode};
 use crate::checksum::{crc32, verified};
 
 /// Unit of writing, bytes: the longest word of the supported flash memories.
@@ -103,6 +103,7 @@ impl<F: NorFlash> Slots<F> {
         [Slot::A, Slot::B].map(|slot| self.state(slot).unwrap_or(SlotState::Torn))
     }
 
+    #[inline(never)]
     fn state(&mut self, slot: Slot) -> Result<SlotState, StoreError> {
         let (mut bytes, mut record, mut commit) = ([0; IMAGE_BYTES], [0; UNIT], [0; UNIT]);
         let start = self.starts[slot as usize];
@@ -133,16 +134,24 @@ impl<F: NorFlash> Slots<F> {
 
     /// Decodes the newest valid image; if it is refused, that of the other slot.
     pub fn load(&mut self) -> Option<(Slot, Image)> {
-        for slot in by_age(&self.states()) {
-            let mut bytes = [0; IMAGE_BYTES];
-            if self.read(self.starts[slot as usize], &mut bytes).is_ok() {
-                match decode(&bytes) {
-                    Ok(image) => return Some((slot, image)),
-                    Err(error) => self.refused[slot as usize] = Some(error.into()),
-                }
+        let newest_first = by_age(&self.states());
+        newest_first.into_iter().find_map(|slot| match self.decode(slot) {
+            Ok(image) => Some((slot, image)),
+            Err(error) => {
+                self.refused[slot as usize] = Some(error.into());
+                None
             }
+        })
+    }
+
+    /// Decodes the image in a slot. Not inlined, so that its buffer is on the stack only meanwhile.
+    #[inline(never)]
+    fn decode(&mut self, slot: Slot) -> Result<Image, WeightsError> {
+        let mut bytes = [0; IMAGE_BYTES];
+        if self.read(self.starts[slot as usize], &mut bytes).is_err() {
+            return Err(WeightsError::Checksum);
         }
-        None
+        decode(&bytes)
     }
 
     /// Stores an image in the slot that is not the newest; returns the slot and its generation. The image is not decoded
