@@ -48,3 +48,20 @@ fn paths_are_distinguished_from_commands_and_patterns() {
     let text = "See `host/src/lib.rs` and `docs/LINK.md::x`, not `cargo xtask ci`, `out/demo` or `fuzz/seeds/<target>`.";
     assert_eq!(named_paths(text), ["host/src/lib.rs", "docs/LINK.md"]);
 }
+
+/// After a reset the debug port owns these pins, and pulls some of them up, so they cannot keep a valve safe.
+#[test]
+fn no_board_drives_a_valve_from_the_debug_port() {
+    const DEBUG_PORT: [&str; 5] = ["PA13", "PA14", "PA15", "PB3", "PB4"];
+    let boards = top().join("firmware/src/chip/board");
+    let mut valves = 0;
+    for file in fs::read_dir(boards).unwrap() {
+        let text = fs::read_to_string(file.unwrap().path()).unwrap();
+        for (valve, pin) in text.lines().filter_map(|line| line.strip_prefix("pub type ")?.split_once(" = ")) {
+            let pin = pin.trim_end_matches(';');
+            assert!(!DEBUG_PORT.contains(&pin), "{valve} is on {pin}");
+            valves += 1;
+        }
+    }
+    assert_eq!(valves, 4, "two on each board");
+}

@@ -5,14 +5,14 @@
 //! | PA0 | A0 | ADC1 channel 0, airway pressure | input |
 //! | PA1 | A1 | ADC1 channel 1, pressure at the outlet | input |
 //! | PA4 | A2 | ADC1 channel 4, pressure across the flow meter | input |
-//! | PB4 | D5 | inspiratory proportional valve, PWM of TIM3 channel 1 | pulled low: closed |
+//! | PA6 | D12 | inspiratory proportional valve, PWM of TIM3 channel 1 | pulled low: closed |
 //! | PB10 | D6 | expiratory valve, high closes it | pulled low: open |
 //! | PA9, PA10 | D8, D2 | USART1, the link | idle high by pull-up |
 //! | PA2, PA3 | USB of the debugger | USART2, the plant line (hardware in the loop only) | idle high by pull-up |
 
 #[cfg(not(feature = "hil"))]
 use embassy_stm32::adc::AdcChannel;
-use embassy_stm32::peripherals::{PB4, PB10};
+use embassy_stm32::peripherals::{PA6, PB10};
 use embassy_stm32::rcc::{Hse, HseMode};
 use embassy_stm32::time::Hertz;
 
@@ -26,8 +26,8 @@ pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
 /// Clock input from the debugger on the board.
 const CRYSTAL: Hertz = Hertz(8_000_000);
 
-/// Inspiratory valve.
-pub type Inspiratory = PB4;
+/// Inspiratory valve: PA6, as on the main board, and not PB4 (D5): that is NJTRST after a reset, with a pull-up of 40 kOhm on the valve's input.
+pub type Inspiratory = PA6;
 /// Expiratory valve.
 pub type Expiratory = PB10;
 
@@ -40,7 +40,7 @@ pub(super) fn start() -> Board {
     let plant = {
         // Airway, outlet, flow.
         let channels = [chip.PA0.degrade_adc(), chip.PA1.degrade_adc(), chip.PA4.degrade_adc()];
-        let valves = Valves::new(chip.TIM3, chip.PB4, chip.PB10);
+        let valves = Valves::new(chip.TIM3, chip.PA6, chip.PB10);
         SelectedPlant::new(Adc::new(chip.ADC1, channels), valves)
     };
     #[cfg(feature = "hil")]
