@@ -134,6 +134,15 @@ impl Debugger {
         self.detach()
     }
 
+    /// Sets the adverse conditions of the board, such as [`record::NO_CRYSTAL`], and detaches.
+    ///
+    /// # Errors
+    /// The connection failed.
+    pub fn suffer(mut self, conditions: u32) -> Result<(), DebuggerError> {
+        self.write(record::CONDITIONS_ADDRESS, &conditions.to_le_bytes())?;
+        self.detach()
+    }
+
     /// Runs the board until it is about to execute the instruction at an address.
     ///
     /// # Errors

@@ -27,7 +27,7 @@ use shared::device::KNOWN_GOOD;
 use shared::link::messages::{ControllerChoice, DeviceKind, Event};
 use shared::link::telemetry::{Counters, PackedSample};
 use shared::recorder::{
-    Activity, FAST_ENTRIES, FAST_TAIL, Happening, RecorderStatus, RecordingState, TickEntry,
+    Activity, ChipEvent, FAST_ENTRIES, FAST_TAIL, Happening, RecorderStatus, RecordingState, TickEntry,
 };
 use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
@@ -35,6 +35,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
+use shim::record;
 use tests::debugger::{Debugger, symbol};
 use tests::exact_lung::ExactLung;
 use tests::trace::{self, Fnv};
@@ -594,6 +595,56 @@ fn the_smallest_stack_has_a_reserve() {
     let unused = 4 * stack.as_chunks().0.iter().take_while(|word| **word == PAINT).count();
     let used = stack.len() - unused;
     assert!(used > 0 && used <= SMALLEST - RESERVE, "{used} bytes of the stack are used");
+}
+
+#[test]
+fn without_a_crystal_the_board_runs_on_its_internal_oscillator_and_reports_it() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    assert!(!happened(&device.blackbox(&Progress::silent()).unwrap(), Happening::Chip(ChipEvent::NoCrystal)));
+    debugger(&board).suffer(record::NO_CRYSTAL).unwrap();
+    let identity = device.restart().unwrap();
+    assert_eq!((identity.mode, identity.failure), (Mode::Standby, None));
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
+    assert!(happened(&blackbox, Happening::Chip(ChipEvent::NoCrystal)), "{:?}", blackbox.log);
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    Samples::default().until(&device, |sample| sample.breath == 1);
+}
+
+#[test]
+fn a_crystal_that_stops_is_reported_and_ventilation_continues() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    device.telemetry(true).unwrap();
+    device.start().unwrap();
+    let mut samples = Samples::default();
+    samples.until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
+    debugger(&board).suffer(record::NO_CRYSTAL).unwrap();
+    samples.until(&device, |sample| sample.breath == 3);
+    assert_eq!(samples.counters.missed_ticks, 0);
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
+    let stops = blackbox.log.iter().filter(|event| {
+        event.happening == Happening::Chip(ChipEvent::CrystalStopped) && event.boot == blackbox.status.boot
+    });
+    assert_eq!((stops.count(), blackbox.status.boot), (1, 1), "once, without a restart");
+}
+
+#[test]
+fn the_flash_is_read_with_prefetch_and_caches() {
+    const FIVE_WAIT_STATES: u32 = 5;
+    const PREFETCH: u32 = 1 << 8;
+    const INSTRUCTION_CACHE: u32 = 1 << 9;
+    const DATA_CACHE: u32 = 1 << 10;
+    let wanted = FIVE_WAIT_STATES | PREFETCH | INSTRUCTION_CACHE | DATA_CACHE;
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    let read = || {
+        let mut debugger = debugger(&board);
+        let access = debugger.record().unwrap().flash_access;
+        debugger.detach().unwrap();
+        access
+    };
+    assert_eq!(read(), wanted);
+    upload(&mut device, 1);
+    assert_eq!(read(), wanted, "after a store");
 }
 
 /// A plant that can be disconnected.

@@ -6,7 +6,7 @@ use crate::iwdg::Iwdg;
 use crate::plant_port::{Line, PlantPort};
 use crate::pwr::Pwr;
 use crate::rcc::Rcc;
-use crate::record::Record;
+use crate::record::{self, Record};
 use crate::store::{Store, Width};
 
 const IWDG: u32 = 0x4000_3000;
@@ -84,6 +84,11 @@ impl Chip {
         }
     }
 
+    /// Applies the conditions of the record; true if the core gets the non-maskable interrupt.
+    pub fn suffer(&mut self, record: &Record) -> bool {
+        record.conditions & record::NO_CRYSTAL != 0 && self.rcc.stop_crystal()
+    }
+
     /// Returns the result of a load, zero-extended.
     #[inline]
     pub fn load(&mut self, address: u32, width: Width, record: &Record, outside: &mut impl Outside) -> u32 {
@@ -123,10 +128,13 @@ impl Chip {
             GPIOA => record.ports[0].write(offset, store),
             GPIOB => record.ports[1].write(offset, store),
             RCC => {
-                self.rcc.write(offset, store);
+                self.rcc.write(offset, store, record.conditions & record::NO_CRYSTAL == 0);
                 record.reset_flags = self.rcc.flags();
             }
-            FLASH => change(self.flash.write(offset, store), record, outside),
+            FLASH => {
+                change(self.flash.write(offset, store), record, outside);
+                record.flash_access = self.flash.read(0);
+            }
             flash::SLOTS..=SLOTS_LAST => change(self.flash.program(address, width, value), record, outside),
             _ => {}
         }

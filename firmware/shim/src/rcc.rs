@@ -16,6 +16,14 @@ const CSR: usize = 0x74 / 4;
 
 /// HSION, HSEON, PLLON, PLLI2SON; the bit above each is its ready bit.
 const CR_ON: u32 = 1 | 1 << 16 | 1 << 24 | 1 << 26;
+const CR_CRYSTAL_ON: u32 = 1 << 16;
+const CR_CRYSTAL_READY: u32 = 1 << 17;
+/// CSSON: the clock security system.
+const CR_SECURITY: u32 = 1 << 19;
+const CR_PLL: u32 = 0b11 << 24;
+const CR_PLL_READY: u32 = 1 << 25;
+const PLLCFGR: usize = 1;
+const PLL_FROM_CRYSTAL: u32 = 1 << 22;
 /// LSEON in BDCR and LSION in CSR; the bit above each is its ready bit.
 const LOW_SPEED_ON: u32 = 1;
 const CSR_FLAGS: u32 = 0xFE00_0000;
@@ -70,13 +78,38 @@ impl Rcc {
         self.registers.get(offset as usize / 4).copied().unwrap_or(0)
     }
 
-    /// Stores to an offset.
-    pub fn write(&mut self, offset: u32, store: Store) {
+    /// The crystal stops. If the clock security system is on, the chip switches to its internal oscillator, without the PLL, and true
+    /// is returned: the core gets the non-maskable interrupt.
+    pub fn stop_crystal(&mut self) -> bool {
+        let watched = CR_SECURITY | CR_CRYSTAL_READY;
+        if self.registers[CR] & watched != watched {
+            return false;
+        }
+        self.registers[CR] &= !(CR_SECURITY | CR_CRYSTAL_ON | CR_CRYSTAL_READY);
+        if self.registers[PLLCFGR] & PLL_FROM_CRYSTAL != 0 {
+            self.registers[CR] &= !CR_PLL;
+        }
+        self.registers[CFGR] &= !0b1111;
+        true
+    }
+
+    /// Stores to an offset; `crystal` if the board has a sound one.
+    pub fn write(&mut self, offset: u32, store: Store, crystal: bool) {
         let index = offset as usize / 4;
+        let pll_from_crystal = self.registers[PLLCFGR] & PLL_FROM_CRYSTAL != 0;
         let Some(register) = self.registers.get_mut(index) else { return };
         let value = store.over(*register);
         *register = match index {
-            CR => ready(value, CR_ON),
+            CR => {
+                let mut value = ready(value, CR_ON);
+                if !crystal {
+                    value &= !CR_CRYSTAL_READY;
+                }
+                if pll_from_crystal && value & CR_CRYSTAL_READY == 0 {
+                    value &= !CR_PLL_READY;
+                }
+                value
+            }
             CFGR => value & !0b1100 | (value & 0b11) << 2,
             BDCR => ready(value, LOW_SPEED_ON),
             CSR => {
@@ -99,7 +132,7 @@ mod tests {
 
     fn written(offset: u32, value: u32) -> u32 {
         let mut rcc = Rcc::new(ResetCause::PowerOn.flags());
-        rcc.write(offset, Store::word(value));
+        rcc.write(offset, Store::word(value), true);
         rcc.read(offset)
     }
 
@@ -114,6 +147,29 @@ mod tests {
     }
 
     #[test]
+    fn without_a_crystal_neither_it_nor_a_pll_from_it_is_ready() {
+        let mut rcc = Rcc::new(0);
+        rcc.write(0x00, Store::word(CR_CRYSTAL_ON | 1 << 24), false);
+        assert_eq!(rcc.read(0x00) & (CR_CRYSTAL_READY | CR_PLL_READY), CR_PLL_READY, "from the internal one");
+        rcc.write(0x04, Store::word(PLL_FROM_CRYSTAL), false);
+        rcc.write(0x00, Store::word(CR_CRYSTAL_ON | 1 << 24), false);
+        assert_eq!(rcc.read(0x00) & (CR_CRYSTAL_READY | CR_PLL_READY), 0);
+    }
+
+    #[test]
+    fn a_crystal_that_stops_takes_the_pll_along_and_is_noticed_once_if_it_is_watched() {
+        let mut rcc = Rcc::new(0);
+        let on = CR_CRYSTAL_ON | 1 << 24;
+        rcc.write(0x04, Store::word(PLL_FROM_CRYSTAL), true);
+        rcc.write(0x00, Store::word(on), true);
+        rcc.write(0x08, Store::word(0b10), true);
+        assert!(!rcc.stop_crystal(), "not watched");
+        rcc.write(0x00, Store::word(on | CR_SECURITY), true);
+        assert!(rcc.stop_crystal() && !rcc.stop_crystal());
+        assert_eq!((rcc.read(0x00) & (CR_CRYSTAL_READY | CR_PLL), rcc.read(0x08) & 0b1111), (0, 0));
+    }
+
+    #[test]
     fn the_clock_asked_for_is_the_clock_used() {
         assert_eq!(written(0x08, 0b10) & 0b1111, 0b1010);
         assert_eq!(written(0x08, 0b1100) & 0b1111, 0, "the answer cannot be written");
@@ -122,9 +178,9 @@ mod tests {
     #[test]
     fn the_reset_flags_stay_until_they_are_removed() {
         let mut rcc = Rcc::new(ResetCause::Watchdog.flags());
-        rcc.write(0x74, Store::word(0xFE00_0001));
+        rcc.write(0x74, Store::word(0xFE00_0001), true);
         assert_eq!(rcc.flags(), 1 << 29 | 1 << 26, "a program cannot set or clear them one by one");
-        rcc.write(0x74, Store::word(1 << 24));
+        rcc.write(0x74, Store::word(1 << 24), true);
         assert_eq!(rcc.read(0x74), 0);
     }
 

@@ -11,6 +11,8 @@ pub const ADDRESS: u32 = 0x1000_FF00;
 pub const WORDS: usize = size_of::<Record>() / 4;
 /// Address of [`Record::power_cut`].
 pub const POWER_CUT_ADDRESS: u32 = ADDRESS + offset_of!(Record, power_cut) as u32;
+/// Address of [`Record::conditions`].
+pub const CONDITIONS_ADDRESS: u32 = ADDRESS + offset_of!(Record, conditions) as u32;
 /// Marks a record that this program has written.
 const MARK: u32 = 0x5265_6331;
 /// Number of words before the ports.
@@ -55,7 +57,14 @@ pub struct Record {
     pub power_cut: u32,
     /// Ports A and B.
     pub ports: [Gpio; 2],
+    /// Adverse conditions, such as [`NO_CRYSTAL`]; a debugger sets them ([`CONDITIONS_ADDRESS`]), and they survive a reset.
+    pub conditions: u32,
+    /// The flash's access control register: wait states, prefetch and caches.
+    pub flash_access: u32,
 }
+
+/// Condition: the crystal does not run.
+pub const NO_CRYSTAL: u32 = 1;
 
 /// Ports A and B after a reset, with the debugger's pins configured.
 const PORTS: [Gpio; 2] =
@@ -100,7 +109,9 @@ impl Record {
         let (plain, ports) = words.split_first_chunk::<PLAIN>()?;
         let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *plain;
         let [.., flash, request, answer, flash_operations, power_cut] = *plain;
-        let (a, b) = ports.split_first_chunk()?;
+        let (a, rest) = ports.split_first_chunk()?;
+        let (b, rest) = rest.split_first_chunk()?;
+        let [conditions, flash_access] = *rest.first_chunk()?;
         let record = Self {
             mark,
             starts,
@@ -113,7 +124,9 @@ impl Record {
             files: Handles { flash, request, answer },
             flash_operations,
             power_cut,
-            ports: [Gpio::from_words(*a), Gpio::from_words(*b.first_chunk()?)],
+            ports: [Gpio::from_words(*a), Gpio::from_words(*b)],
+            conditions,
+            flash_access,
         };
         (mark == MARK).then_some(record)
     }
@@ -190,6 +203,8 @@ mod tests {
         let record = Record::from_words(&words).unwrap();
         assert_eq!((record.starts, record.traps, record.flash_operations), (1, 7, 11));
         assert_eq!((record.power_cut, POWER_CUT_ADDRESS), (12, ADDRESS + 4 * 12));
+        assert_eq!((record.conditions, CONDITIONS_ADDRESS), (33, ADDRESS + 4 * 33));
+        assert_eq!(record.flash_access, 34);
         assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 23 + n as u32)));
     }
 }

@@ -8,7 +8,7 @@ use shared::device::control::Control;
 use shared::device::{ControlReply, ControlReport, ControlRequest};
 use shared::link::messages::DeviceKind;
 use shared::link::refusal::Refusal;
-use shared::recorder::Recorder;
+use shared::recorder::{ChipEvent, Recorder};
 use shared::timing::TickTime;
 use shared::weights::Image;
 use shared::weights::slots::Slot;
@@ -17,7 +17,7 @@ use static_cell::StaticCell;
 
 use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{clock, link_uart};
+use super::drivers::{clock, link_uart, oscillator};
 
 /// Capacity of the queue of reports to the link task: more than 0.1 s of samples.
 const REPORTS_LENGTH: usize = 128;
@@ -54,6 +54,9 @@ pub async fn run(
     let mut before = None;
     loop {
         let number = clock::tick().await;
+        if oscillator::recover() {
+            recorder.log(ChipEvent::CrystalStopped);
+        }
         let (latency, begun) = (clock::since_tick(), clock::now());
         link_uart::resume();
         let change = control.plant_change();

@@ -23,6 +23,7 @@ use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::server::DeviceFacts;
+use shared::recorder::ChipEvent;
 use shared::weights::slots::Slots;
 
 use board::PlantInterface;
@@ -53,6 +54,9 @@ fn start() {
     let slots = storage.states();
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
+    if !board.crystal {
+        recorder.log(ChipEvent::NoCrystal);
+    }
     control.report_boot(reset, recorder.interrupted(), &slots);
     let facts = DeviceFacts {
         firmware: link_task::VERSION,

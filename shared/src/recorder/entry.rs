@@ -129,6 +129,15 @@ fn code(value: f32, low: u32, high: u32) -> u16 {
     ((value + 0.5) as u32).clamp(low, high) as u16
 }
 
+/// An event of the chip itself. The order of the variants is part of the log's format: append only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ChipEvent {
+    /// The crystal did not start, and the device runs on its internal oscillator: all times may be off by some percent.
+    NoCrystal,
+    /// The crystal has stopped, and the device runs on its internal oscillator since.
+    CrystalStopped,
+}
+
 /// An event of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Happening {
@@ -172,6 +181,8 @@ pub enum Happening {
     Cleared,
     /// A monitor raised an alarm that did not end ventilation.
     Alarm(Fault),
+    /// The chip reports on itself.
+    Chip(ChipEvent),
 }
 
 impl Happening {
@@ -197,6 +208,7 @@ impl Happening {
             Self::Missed { ticks } => (9, ticks),
             Self::Cleared => (10, 0),
             Self::Alarm(fault) => (11, u32::from(fault as u8)),
+            Self::Chip(event) => (12, u32::from(event as u8)),
         }
     }
 
@@ -214,6 +226,7 @@ impl Happening {
             9 => Self::Missed { ticks: argument },
             10 => Self::Cleared,
             11 => Self::Alarm(variant(argument as u8)?),
+            12 => Self::Chip(variant(argument as u8)?),
             _ => return None,
         })
     }

@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 use crate::checksum::fnv;
 use crate::safety::alarms::Fault;
 use cell::Word;
-pub use entry::{Activity, Happening, LogEntry, TickEntry};
+pub use entry::{Activity, ChipEvent, Happening, LogEntry, TickEntry};
 use entry::{EVENT_HALVES, TICK_HALVES, variant};
 use ring::Ring;
 pub use writer::{Boot, Moment, Recorder};

@@ -527,6 +527,7 @@ fn every_happening_comes_back() {
         Happening::Missed { ticks: 1 << 30 },
         Happening::Cleared,
         Happening::Alarm(Fault::CommandCapped),
+        Happening::Chip(ChipEvent::CrystalStopped),
     ];
     for happening in all {
         let entry = LogEntry { tick: 1 << 31, boot: 65_535, happening };

@@ -1,6 +1,6 @@
 //! The writer: it records ticks during and shortly after ventilation, and events always.
 
-use super::entry::{Activity, GAP, Happening, LogEntry, TickEntry};
+use super::entry::{Activity, ChipEvent, GAP, Happening, LogEntry, TickEntry};
 use super::{CLEAR, FAST_TAIL, RecorderMemory, RecordingState, SLOW_STRIDE, SLOW_TAIL};
 use crate::reset::ResetCause;
 use crate::settings::Settings;
@@ -123,6 +123,11 @@ impl<'a> Recorder<'a> {
     /// Whether the last run ended while the device ventilated.
     pub fn interrupted(&self) -> bool {
         self.interrupted
+    }
+
+    /// Logs an event of the chip, which the ticks do not show.
+    pub fn log(&self, event: ChipEvent) {
+        self.enter(Happening::Chip(event));
     }
 
     /// Records a tick, after all its other work.

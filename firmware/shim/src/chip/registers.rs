@@ -52,6 +52,13 @@ pub fn enable_protection() {
     write(PROTECTION_CONTROL, ENABLE | ELSEWHERE_AS_WITHOUT);
 }
 
+/// Raises the non-maskable interrupt.
+pub fn raise_non_maskable() {
+    const INTERRUPT_CONTROL: u32 = 0xE000_ED04;
+    const RAISE: u32 = 1 << 31;
+    write(INTERRUPT_CONTROL, RAISE);
+}
+
 /// Clears the status of refused accesses.
 pub fn forget_refusals() {
     const REFUSED_AT_ADDRESS: u32 = 1 << 7 | 1 << 1;

@@ -21,13 +21,16 @@ pub unsafe extern "C" fn system_tick() {
     )
 }
 
-/// Resets the system if the watchdog has expired.
+/// Resets the system if the watchdog has expired, and applies the conditions that a debugger has set.
 extern "C" fn look() {
     // SAFETY: the tick interrupts only the firmware, and makes no access that faults.
-    let watchdog = unsafe { &mut super::chip().iwdg };
+    let (chip, record) = unsafe { (super::chip(), super::record()) };
+    if chip.suffer(record) {
+        registers::raise_non_maskable();
+    }
+    let watchdog = &mut chip.iwdg;
     if watchdog.expired(registers::now()) {
-        // SAFETY: as above.
-        unsafe { super::record() }.expire();
+        record.expire();
         cortex_m::peripheral::SCB::sys_reset();
     }
 }

@@ -11,9 +11,9 @@ mod selected;
 use embassy_stm32::gpio::{AnyPin, Level, Output, Speed};
 use embassy_stm32::peripherals::{FLASH, IWDG};
 use embassy_stm32::rcc::{
-    AHBPrescaler, APBPrescaler, Hse, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
+    AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv, PllSource, Sysclk,
 };
-use embassy_stm32::{Config, Peri};
+use embassy_stm32::{Config, Peri, Peripherals};
 use shared::device::control::PlantChange;
 use shared::link::messages::DeviceKind;
 use shared::safety::filter::ValveCommand;
@@ -22,9 +22,9 @@ use shared::timing::WATCHDOG_US;
 
 pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
 
-use super::drivers::flash::WeightsFlash;
-use super::drivers::taken_once;
+use super::drivers::flash::{WeightsFlash, accelerate};
 use super::drivers::watchdog::Watchdog;
+use super::drivers::{oscillator, taken_once};
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
@@ -51,16 +51,24 @@ pub struct Board {
     pub watchdog: Watchdog,
     /// The flash with the weights slots.
     pub flash: WeightsFlash,
+    /// Whether the crystal runs; otherwise the internal oscillator.
+    pub crystal: bool,
     /// The core's own peripherals.
     pub core: cortex_m::Peripherals,
 }
 
 impl Board {
-    fn new(plant: SelectedPlant, watchdog: Peri<'static, IWDG>, flash: Peri<'static, FLASH>) -> Self {
+    fn new(
+        plant: SelectedPlant,
+        crystal: bool,
+        watchdog: Peri<'static, IWDG>,
+        flash: Peri<'static, FLASH>,
+    ) -> Self {
         Self {
             plant,
             watchdog: Watchdog::new(watchdog, WATCHDOG_US),
-            flash: WeightsFlash::new_blocking(flash),
+            flash: WeightsFlash::new(flash),
+            crystal,
             core: taken_once(cortex_m::Peripherals::take()),
         }
     }
@@ -76,13 +84,20 @@ pub fn start() -> Board {
     board
 }
 
-/// 168 MHz from an 8 MHz crystal, for chips of the F4 family that allow it; both serial lines' clocks divide to 1 Mbaud.
-fn clocks(crystal: Hse) -> Config {
+/// Starts 168 MHz from an 8 MHz crystal or, if it does not start, from the internal oscillator, for chips of the F4 family that
+/// allow it; both serial lines' clocks divide to 1 Mbaud. Returns the peripherals, and whether the crystal runs.
+fn start_clocks(crystal: Hse) -> (Peripherals, bool) {
+    let runs = oscillator::start_crystal(crystal.mode != HseMode::Oscillator);
     let mut config = Config::default();
-    config.rcc.hse = Some(crystal);
-    config.rcc.pll_src = PllSource::HSE;
+    let (source, prediv) = if runs {
+        config.rcc.hse = Some(crystal);
+        (PllSource::HSE, PllPreDiv::DIV4)
+    } else {
+        (PllSource::HSI, oscillator::INTERNAL_DIVIDER)
+    };
+    config.rcc.pll_src = source;
     config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
+        prediv,
         mul: PllMul::MUL168,
         divp: Some(PllPDiv::DIV2),
         divq: Some(PllQDiv::DIV7),
@@ -92,7 +107,12 @@ fn clocks(crystal: Hse) -> Config {
     config.rcc.ahb_pre = AHBPrescaler::DIV1;
     config.rcc.apb1_pre = APBPrescaler::DIV4;
     config.rcc.apb2_pre = APBPrescaler::DIV2;
-    config
+    let chip = embassy_stm32::init(config);
+    accelerate();
+    if runs {
+        oscillator::watch();
+    }
+    (chip, runs)
 }
 
 /// Puts both valves in their safe state, after any failure.

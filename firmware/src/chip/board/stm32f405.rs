@@ -19,7 +19,7 @@ use embassy_stm32::time::Hertz;
 #[cfg(not(feature = "hil"))]
 use super::super::drivers::{adc::Adc, valves::Valves};
 use super::super::drivers::{link_uart, open_serial};
-use super::{Board, SelectedPlant, clocks};
+use super::{Board, SelectedPlant, start_clocks};
 
 /// Clock of the core and of `SysTick`.
 pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
@@ -33,7 +33,7 @@ pub type Expiratory = PB0;
 
 /// Starts the clocks and passes pins and peripherals to their drivers.
 pub(super) fn start() -> Board {
-    let chip = embassy_stm32::init(clocks(Hse { freq: CRYSTAL, mode: HseMode::Oscillator }));
+    let (chip, crystal) = start_clocks(Hse { freq: CRYSTAL, mode: HseMode::Oscillator });
     open_serial(chip.USART1, chip.PA10, chip.PA9);
     link_uart::start();
     #[cfg(not(feature = "hil"))]
@@ -48,5 +48,5 @@ pub(super) fn start() -> Board {
         open_serial(chip.USART2, chip.PA3, chip.PA2);
         SelectedPlant::new()
     };
-    Board::new(plant, chip.IWDG, chip.FLASH)
+    Board::new(plant, crystal, chip.IWDG, chip.FLASH)
 }

@@ -1,11 +1,75 @@
-//! The flash that contains the weights slots. Only memory.x defines their addresses.
+//! The flash: its accelerator, and the part that contains the weights slots. Only memory.x defines their addresses.
 
 use core::ptr::addr_of;
 
-use embassy_stm32::flash::{Blocking, Flash};
+use embassy_stm32::Peri;
+use embassy_stm32::flash::{Blocking, Error, Flash};
+use embassy_stm32::pac::FLASH;
+use embassy_stm32::peripherals;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 
 /// Driver of the chip's flash; addresses are offsets from its start.
-pub type WeightsFlash = Flash<'static, Blocking>;
+///
+/// The data cache is not updated by an erase, so it is off during each change and empty afterwards: a store reads back what
+/// is in the flash. The vendor's driver does that only for chips with two banks.
+pub struct WeightsFlash(Flash<'static, Blocking>);
+
+impl WeightsFlash {
+    /// Takes the flash.
+    pub fn new(flash: Peri<'static, peripherals::FLASH>) -> Self {
+        Self(Flash::new_blocking(flash))
+    }
+}
+
+impl ErrorType for WeightsFlash {
+    type Error = Error;
+}
+
+impl ReadNorFlash for WeightsFlash {
+    const READ_SIZE: usize = <Flash<'static, Blocking> as ReadNorFlash>::READ_SIZE;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
+        ReadNorFlash::read(&mut self.0, offset, bytes)
+    }
+
+    fn capacity(&self) -> usize {
+        ReadNorFlash::capacity(&self.0)
+    }
+}
+
+impl NorFlash for WeightsFlash {
+    const WRITE_SIZE: usize = <Flash<'static, Blocking> as NorFlash>::WRITE_SIZE;
+    const ERASE_SIZE: usize = <Flash<'static, Blocking> as NorFlash>::ERASE_SIZE;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
+        uncached(|| NorFlash::erase(&mut self.0, from, to))
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        uncached(|| NorFlash::write(&mut self.0, offset, bytes))
+    }
+}
+
+/// Runs a change of the flash without the data cache, which is empty afterwards.
+fn uncached<T>(change: impl FnOnce() -> T) -> T {
+    FLASH.acr().modify(|w| w.set_dcen(false));
+    let result = change();
+    // The cache can only be emptied while it is off.
+    FLASH.acr().modify(|w| w.set_dcrst(true));
+    FLASH.acr().modify(|w| w.set_dcrst(false));
+    FLASH.acr().modify(|w| w.set_dcen(true));
+    result
+}
+
+/// Turns on prefetch and both caches. They are off after a reset, and the start of the clocks, which sets the wait states, leaves
+/// them off; without them each jump waits for the flash five cycles.
+pub fn accelerate() {
+    FLASH.acr().modify(|w| {
+        w.set_prften(true);
+        w.set_icen(true);
+        w.set_dcen(true);
+    });
+}
 
 unsafe extern "C" {
     static __flash_start: u8;

@@ -7,6 +7,7 @@ pub mod bedside;
 pub mod clock;
 pub mod flash;
 pub mod link_uart;
+pub mod oscillator;
 #[cfg(feature = "hil")]
 pub mod plant_line;
 pub mod reset;

@@ -7,7 +7,7 @@ mod tests;
 
 pub use csv::csv;
 pub use figures::report;
-use shared::recorder::{Happening, LogEntry, RecordingState};
+use shared::recorder::{ChipEvent, Happening, LogEntry, RecordingState};
 
 use crate::monitor::words;
 use crate::report::{Cell, Table};
@@ -66,6 +66,18 @@ pub fn events(blackbox: &Blackbox, limit: usize) -> Table {
     table
 }
 
+/// Description of an event of the chip.
+fn chip(event: ChipEvent) -> &'static str {
+    match event {
+        ChipEvent::NoCrystal => {
+            "the crystal did not start: runs on the internal oscillator, times may be off by some percent"
+        }
+        ChipEvent::CrystalStopped => {
+            "the crystal has stopped: runs on the internal oscillator, times may be off by some percent"
+        }
+    }
+}
+
 /// Description of an event.
 pub fn event(happening: Happening) -> String {
     match happening {
@@ -87,5 +99,6 @@ pub fn event(happening: Happening) -> String {
         Happening::Missed { ticks } => format!("{ticks} ticks missed so far"),
         Happening::Alarm(fault) => format!("alarm: {}", words::fault(fault)),
         Happening::Cleared => "recording cleared by a host".to_owned(),
+        Happening::Chip(event) => chip(event).to_owned(),
     }
 }
