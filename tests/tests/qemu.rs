@@ -35,6 +35,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
+use shim::flash::NEW_OPTIONS;
 use shim::record;
 use tests::debugger::{Debugger, symbol};
 use tests::exact_lung::ExactLung;
@@ -626,6 +627,38 @@ fn a_crystal_that_stops_is_reported_and_ventilation_continues() {
         event.happening == Happening::Chip(ChipEvent::CrystalStopped) && event.boot == blackbox.status.boot
     });
     assert_eq!((stops.count(), blackbox.status.boot), (1, 1), "once, without a restart");
+}
+
+#[test]
+fn a_falling_supply_makes_the_valves_safe_at_once_and_is_reported() {
+    const INSPIRATORY: u32 = 6;
+    const OUTPUT: u32 = 1;
+    let board = Emulator::start(EmulatorConfig { debugger: true, ..config("board") }, Silence).unwrap();
+    let mut device = connect(&board);
+    let mut halted = debugger(&board);
+    assert_ne!(halted.record().unwrap().ports[0].mode(INSPIRATORY), OUTPUT, "the PWM drives the valve");
+    halted.write(record::CONDITIONS_ADDRESS, &record::SUPPLY_LOW.to_le_bytes()).unwrap();
+    halted.run_to(symbol(&image("board"), "failure::restart").unwrap()).unwrap();
+    let [a, b] = halted.record().unwrap().ports;
+    assert_eq!((a.mode(INSPIRATORY), a.level(INSPIRATORY)), (OUTPUT, false), "closed");
+    assert_eq!((b.mode(0), b.level(0)), (OUTPUT, false), "open");
+    halted.detach().unwrap();
+    let failure = failure(&mut device);
+    assert!(failure.contains("supply voltage"), "{failure}");
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
+    assert!(happened(&blackbox, Happening::Chip(ChipEvent::SupplyLow)), "{:?}", blackbox.log);
+}
+
+#[test]
+fn a_new_chips_brown_out_level_is_programmed_once() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    let mut halted = debugger(&board);
+    assert_eq!(halted.record().unwrap().options, NEW_OPTIONS & !0b1100, "level 3, and all else as it was");
+    halted.detach().unwrap();
+    device.restart().unwrap();
+    let log = device.blackbox(&Progress::silent()).unwrap().log;
+    let set = log.iter().filter(|one| one.happening == Happening::Chip(ChipEvent::BrownOutLevelSet));
+    assert_eq!(set.map(|one| one.boot).collect::<Vec<_>>(), [1]);
 }
 
 #[test]

@@ -61,6 +61,15 @@ pub trait Outside: Line {
     fn cut_power(&mut self);
 }
 
+/// Interrupts that the core gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Interrupts {
+    /// The non-maskable one, of the clock security system.
+    pub non_maskable: bool,
+    /// The line of the supply voltage detector, if it is enabled.
+    pub supply: bool,
+}
+
 /// The modelled parts, except their state in the record.
 #[derive(Clone, Debug)]
 pub struct Chip {
@@ -70,23 +79,36 @@ pub struct Chip {
     /// The watchdog, which the system tick checks.
     pub iwdg: Iwdg,
     plant_port: PlantPort,
+    /// Whether the supply voltage was low at the last look.
+    supply_low: bool,
 }
 
 impl Chip {
-    /// The parts after a reset, with these reset flags.
+    /// The parts after a reset, with the record's reset flags, option bytes and conditions.
+    pub fn of(record: &Record) -> Self {
+        let supply_low = record.conditions & record::SUPPLY_LOW != 0;
+        Self { flash: Flash::new(record.options), supply_low, ..Self::new(record.reset_flags) }
+    }
+
+    /// The parts of a new chip after a reset, with these reset flags.
     pub const fn new(reset_flags: u32) -> Self {
         Self {
             rcc: Rcc::new(reset_flags),
             pwr: Pwr::new(),
-            flash: Flash::new(),
+            flash: Flash::new(flash::NEW_OPTIONS),
             iwdg: Iwdg::new(),
             plant_port: PlantPort::new(),
+            supply_low: false,
         }
     }
 
-    /// Applies the conditions of the record; true if the core gets the non-maskable interrupt.
-    pub fn suffer(&mut self, record: &Record) -> bool {
-        record.conditions & record::NO_CRYSTAL != 0 && self.rcc.stop_crystal()
+    /// Applies the conditions of the record.
+    pub fn suffer(&mut self, record: &Record) -> Interrupts {
+        let was_low = core::mem::replace(&mut self.supply_low, record.conditions & record::SUPPLY_LOW != 0);
+        Interrupts {
+            non_maskable: record.conditions & record::NO_CRYSTAL != 0 && self.rcc.stop_crystal(),
+            supply: self.supply_low && !was_low && self.pwr.detects(),
+        }
     }
 
     /// Returns the result of a load, zero-extended.
@@ -96,7 +118,7 @@ impl Chip {
         let word = match address - address % PART_BYTES {
             USART2 => self.plant_port.read(offset, outside),
             IWDG => self.iwdg.read(offset),
-            PWR => self.pwr.read(offset),
+            PWR => self.pwr.read(offset, record.conditions & record::SUPPLY_LOW != 0),
             GPIOA => record.ports[0].read(offset),
             GPIOB => record.ports[1].read(offset),
             RCC => self.rcc.read(offset),
@@ -134,6 +156,7 @@ impl Chip {
             FLASH => {
                 change(self.flash.write(offset, store), record, outside);
                 record.flash_access = self.flash.read(0);
+                record.options = self.flash.programmed();
             }
             flash::SLOTS..=SLOTS_LAST => change(self.flash.program(address, width, value), record, outside),
             _ => {}

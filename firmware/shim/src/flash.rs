@@ -17,6 +17,12 @@ pub const ERASED: u8 = 0xFF;
 const FIRST_SECTOR: u32 = 10;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
+const OPTION_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
+const OPTIONS_LOCK: u32 = 1;
+const OPTIONS_START: u32 = 1 << 1;
+/// Option bytes of a new chip: no brown-out reset, no protection.
+pub const NEW_OPTIONS: u32 = 0x0FFF_AAEC;
+
 /// Status register: end of operation, and reasons for refusing one.
 mod status {
     pub const END: u32 = 1;
@@ -53,8 +59,12 @@ pub struct Flash {
     access: u32,
     status: u32,
     control: u32,
+    /// Option control register.
     options: u32,
+    /// The option bytes in the flash, in the layout of that register.
+    programmed: u32,
     key: Key,
+    option_key: Key,
 }
 
 /// Operation on the memory behind the controller.
@@ -79,9 +89,22 @@ pub enum Operation {
 }
 
 impl Flash {
-    /// The controller after a reset.
-    pub(crate) const fn new() -> Self {
-        Self { access: 0, status: 0, control: control::LOCK, options: 0x0FFF_AAED, key: Key::Out }
+    /// The controller after a reset, with these option bytes.
+    pub(crate) const fn new(programmed: u32) -> Self {
+        Self {
+            access: 0,
+            status: 0,
+            control: control::LOCK,
+            options: programmed | OPTIONS_LOCK,
+            programmed,
+            key: Key::Out,
+            option_key: Key::Out,
+        }
+    }
+
+    /// The option bytes in the flash.
+    pub(crate) fn programmed(&self) -> u32 {
+        self.programmed
     }
 
     /// The word at an offset; zero where there is no register.
@@ -100,11 +123,29 @@ impl Flash {
         match offset {
             0x00 => self.access = store.over(self.access),
             0x04 => self.turn(store.bits()),
+            0x08 => self.turn_options(store.bits()),
             0x0C => self.status &= !store.bits(),
+            0x14 if self.options & OPTIONS_LOCK == 0 => {
+                self.options = store.over(self.options) & !OPTIONS_START;
+                if store.bits() & OPTIONS_START != 0 {
+                    self.programmed = self.options & !OPTIONS_LOCK;
+                }
+            }
             0x10 if self.control & control::LOCK == 0 => return self.command(store.over(self.control)),
             _ => {}
         }
         None
+    }
+
+    fn turn_options(&mut self, key: u32) {
+        self.option_key = match self.option_key {
+            Key::Out if key == OPTION_KEYS[0] => Key::Half,
+            Key::Half if key == OPTION_KEYS[1] => {
+                self.options &= !OPTIONS_LOCK;
+                Key::Out
+            }
+            _ => Key::Broken,
+        }
     }
 
     fn turn(&mut self, key: u32) {
@@ -169,7 +210,7 @@ mod tests {
     use super::*;
 
     fn unlocked() -> Flash {
-        let mut flash = Flash::new();
+        let mut flash = Flash::new(NEW_OPTIONS);
         for key in KEYS {
             flash.write(0x04, Store::word(key));
         }
@@ -191,7 +232,7 @@ mod tests {
     fn it_is_locked_until_both_keys_came_in_their_order() {
         assert_eq!(unlocked().read(0x10), 0);
         for keys in [[KEYS[1], KEYS[0]], [KEYS[0], KEYS[0]], [KEYS[0], 0]] {
-            let mut flash = Flash::new();
+            let mut flash = Flash::new(NEW_OPTIONS);
             for key in keys {
                 flash.write(0x04, Store::word(key));
             }
@@ -201,7 +242,7 @@ mod tests {
 
     #[test]
     fn after_a_wrong_key_the_right_ones_do_not_help() {
-        let mut flash = Flash::new();
+        let mut flash = Flash::new(NEW_OPTIONS);
         for key in [1, KEYS[0], KEYS[1]] {
             flash.write(0x04, Store::word(key));
         }
@@ -210,7 +251,7 @@ mod tests {
 
     #[test]
     fn while_locked_nothing_is_erased_or_programmed() {
-        let mut flash = Flash::new();
+        let mut flash = Flash::new(NEW_OPTIONS);
         assert_eq!(flash.write(0x10, Store::word(erase(10))), None);
         assert_eq!(flash.program(SLOTS, Width::Word, 0), None);
         assert_eq!(flash.read(0x0C), status::SEQUENCE);
@@ -290,6 +331,23 @@ mod tests {
         assert_eq!(flash.read(0x0C), status::SEQUENCE);
         flash.write(0x0C, Store::word(status::SEQUENCE));
         assert_eq!(flash.read(0x0C), 0);
+    }
+
+    #[test]
+    fn option_bytes_are_programmed_after_both_keys_when_started() {
+        let mut flash = Flash::new(NEW_OPTIONS);
+        assert_eq!(flash.read(0x14), 0x0FFF_AAED, "as in the reference manual");
+        let changed = NEW_OPTIONS & !0b1100;
+        flash.write(0x14, Store::word(changed | OPTIONS_START));
+        assert_eq!(flash.programmed(), NEW_OPTIONS, "locked");
+        for key in OPTION_KEYS {
+            flash.write(0x08, Store::word(key));
+        }
+        flash.write(0x14, Store::word(changed));
+        assert_eq!(flash.programmed(), NEW_OPTIONS, "not started");
+        flash.write(0x14, Store::word(changed | OPTIONS_START));
+        flash.write(0x14, Store::word(changed | OPTIONS_LOCK));
+        assert_eq!((flash.programmed(), flash.read(0x14)), (changed, changed | OPTIONS_LOCK));
     }
 
     #[test]

@@ -2,6 +2,9 @@
 
 use crate::store::Store;
 
+/// PVDE enables the voltage detector; PVDO reports that the voltage is low.
+const DETECTOR_ON: u32 = 1 << 4;
+const DETECTED: u32 = 1 << 2;
 const VOLTAGE_READY: u32 = 1 << 14;
 /// BRE enables the backup regulator; BRR reports that it is ready.
 const BACKUP_ON: u32 = 1 << 9;
@@ -20,10 +23,16 @@ impl Pwr {
         Self { control: 0x4000, status: VOLTAGE_READY }
     }
 
-    /// The word at an offset; zero where there is no register.
-    pub fn read(&self, offset: u32) -> u32 {
+    /// Whether the voltage detector is on.
+    pub fn detects(&self) -> bool {
+        self.control & DETECTOR_ON != 0
+    }
+
+    /// The word at an offset; zero where there is no register. The supply voltage is `low` or sound.
+    pub fn read(&self, offset: u32, low: bool) -> u32 {
         match offset {
             0 => self.control,
+            4 if low && self.detects() => self.status | DETECTED,
             4 => self.status,
             _ => 0,
         }
@@ -51,16 +60,24 @@ mod tests {
     fn the_voltage_asked_for_is_there() {
         let mut pwr = Pwr::new();
         pwr.write(0, Store::word(0xC000));
-        assert_eq!(pwr.read(0), 0xC000);
-        assert_ne!(pwr.read(4) & VOLTAGE_READY, 0);
+        assert_eq!(pwr.read(0, false), 0xC000);
+        assert_ne!(pwr.read(4, false) & VOLTAGE_READY, 0);
+    }
+
+    #[test]
+    fn a_low_voltage_is_detected_while_the_detector_is_on() {
+        let mut pwr = Pwr::new();
+        assert_eq!(pwr.read(4, true) & DETECTED, 0);
+        pwr.write(0, Store::word(DETECTOR_ON));
+        assert_eq!((pwr.read(4, true) & DETECTED, pwr.read(4, false) & DETECTED), (DETECTED, 0));
     }
 
     #[test]
     fn the_backup_regulator_is_ready_while_it_is_on() {
         let mut pwr = Pwr::new();
         pwr.write(4, Store::word(BACKUP_ON));
-        assert_ne!(pwr.read(4) & BACKUP_READY, 0);
+        assert_ne!(pwr.read(4, false) & BACKUP_READY, 0);
         pwr.write(4, Store::word(BACKUP_READY));
-        assert_eq!(pwr.read(4) & BACKUP_READY, 0);
+        assert_eq!(pwr.read(4, false) & BACKUP_READY, 0);
     }
 }

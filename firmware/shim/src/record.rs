@@ -2,6 +2,7 @@
 
 use core::mem::offset_of;
 
+use crate::flash::NEW_OPTIONS;
 use crate::gpio::Gpio;
 use crate::rcc::ResetCause;
 
@@ -61,10 +62,14 @@ pub struct Record {
     pub conditions: u32,
     /// The flash's access control register: wait states, prefetch and caches.
     pub flash_access: u32,
+    /// The option bytes, which keep their values until the emulation ends.
+    pub options: u32,
 }
 
 /// Condition: the crystal does not run.
 pub const NO_CRYSTAL: u32 = 1;
+/// Condition: the supply voltage is low.
+pub const SUPPLY_LOW: u32 = 1 << 1;
 
 /// Ports A and B after a reset, with the debugger's pins configured.
 const PORTS: [Gpio; 2] =
@@ -72,7 +77,7 @@ const PORTS: [Gpio; 2] =
 
 impl Record {
     pub(crate) fn at_power_on() -> Self {
-        Self { mark: MARK, ports: PORTS, ..Self::default() }
+        Self { mark: MARK, ports: PORTS, options: NEW_OPTIONS, ..Self::default() }
     }
 
     /// Counts a start of the chip and adds its cause to the reset flags. A record that this program has written is kept;
@@ -111,7 +116,7 @@ impl Record {
         let [.., flash, request, answer, flash_operations, power_cut] = *plain;
         let (a, rest) = ports.split_first_chunk()?;
         let (b, rest) = rest.split_first_chunk()?;
-        let [conditions, flash_access] = *rest.first_chunk()?;
+        let [conditions, flash_access, options] = *rest.first_chunk()?;
         let record = Self {
             mark,
             starts,
@@ -127,6 +132,7 @@ impl Record {
             ports: [Gpio::from_words(*a), Gpio::from_words(*b)],
             conditions,
             flash_access,
+            options,
         };
         (mark == MARK).then_some(record)
     }
@@ -204,7 +210,7 @@ mod tests {
         assert_eq!((record.starts, record.traps, record.flash_operations), (1, 7, 11));
         assert_eq!((record.power_cut, POWER_CUT_ADDRESS), (12, ADDRESS + 4 * 12));
         assert_eq!((record.conditions, CONDITIONS_ADDRESS), (33, ADDRESS + 4 * 33));
-        assert_eq!(record.flash_access, 34);
+        assert_eq!((record.flash_access, record.options), (34, 35));
         assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 23 + n as u32)));
     }
 }

@@ -19,6 +19,9 @@ use super::board;
 /// Marks a note that this program has written.
 const MARK: u32 = 0x4661_696C;
 
+/// Reason of a restart because the supply voltage fell.
+pub const SUPPLY_LOW: &str = "the supply voltage fell below 2.9 V";
+
 /// Reason of a failure, in memory that the program's start does not initialise.
 struct Note {
     mark: u32,
@@ -88,6 +91,12 @@ extern "C" fn hard_fault(pc: u32, lr: u32, stack: u32) -> ! {
         write!(text, "hard fault at {pc:#010x}, called from {lr:#010x}")
     };
     restart(&text.0)
+}
+
+/// The supply voltage is falling: makes the valves safe at once, and restarts.
+pub fn supply_low() -> ! {
+    stop_safely();
+    restart(SUPPLY_LOW)
 }
 
 /// Masks interrupts and puts the valves in their safe state.

@@ -2,6 +2,7 @@
 //!
 //! | context | priority | work |
 //! |---|---|---|
+//! | supply voltage detector | 0 | makes the valves safe and restarts |
 //! | `SysTick` | 0 | signals a tick |
 //! | USART1 | 2 | receives and sends the link's bytes |
 //! | control task, in the interrupt of an unused CAN port | 4 | reads, steps the ventilator, drives the valves, feeds the watchdog |
@@ -23,11 +24,12 @@ use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::server::DeviceFacts;
-use shared::recorder::ChipEvent;
+use shared::recorder::{ChipEvent, Recorder};
+use shared::reset::ResetCause;
 use shared::weights::slots::Slots;
 
 use board::PlantInterface;
-use drivers::{clock, flash, reset, taken_once};
+use drivers::{clock, flash, reset, supply, taken_once};
 
 static CONTROL: InterruptExecutor = InterruptExecutor::new();
 static LINK: InterruptExecutor = InterruptExecutor::new();
@@ -57,6 +59,7 @@ fn start() {
     if !board.crystal {
         recorder.log(ChipEvent::NoCrystal);
     }
+    check_supply(&recorder, reset, failure.as_deref() == Some(failure::SUPPLY_LOW));
     control.report_boot(reset, recorder.interrupted(), &slots);
     let facts = DeviceFacts {
         firmware: link_task::VERSION,
@@ -75,6 +78,21 @@ fn start() {
     LINK.start(interrupt::CAN2_RX0)
         .spawn(taken_once(link_task::run(link_task::prepare(facts), storage).ok()));
     clock::start(&mut board.core);
+}
+
+/// Logs a low supply, programs the brown-out level if it is wrong, and then watches the supply. The option bytes are left alone
+/// while the supply is in doubt: if it failed while they are programmed, they would be lost.
+fn check_supply(recorder: &Recorder, reset: ResetCause, was_low: bool) {
+    let low = supply::is_low();
+    if low || was_low {
+        recorder.log(ChipEvent::SupplyLow);
+    }
+    if !supply::is_brown_out_level_set() {
+        let sound = !low && !was_low && reset != ResetCause::BrownOut;
+        let set = sound && supply::set_brown_out_level();
+        recorder.log(if set { ChipEvent::BrownOutLevelSet } else { ChipEvent::BrownOutLevelWrong });
+    }
+    supply::watch();
 }
 
 #[interrupt]

@@ -136,6 +136,12 @@ pub enum ChipEvent {
     NoCrystal,
     /// The crystal has stopped, and the device runs on its internal oscillator since.
     CrystalStopped,
+    /// The supply voltage was low, and the valves were made safe.
+    SupplyLow,
+    /// The brown-out level was not the one that the board needs and has been programmed.
+    BrownOutLevelSet,
+    /// The brown-out level is not the one that the board needs and has not been programmed.
+    BrownOutLevelWrong,
 }
 
 /// An event of the log.

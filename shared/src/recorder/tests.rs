@@ -527,7 +527,8 @@ fn every_happening_comes_back() {
         Happening::Missed { ticks: 1 << 30 },
         Happening::Cleared,
         Happening::Alarm(Fault::CommandCapped),
-        Happening::Chip(ChipEvent::CrystalStopped),
+        Happening::Chip(ChipEvent::NoCrystal),
+        Happening::Chip(ChipEvent::BrownOutLevelWrong),
     ];
     for happening in all {
         let entry = LogEntry { tick: 1 << 31, boot: 65_535, happening };

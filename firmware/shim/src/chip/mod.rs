@@ -65,7 +65,7 @@ extern "C" fn start() -> ! {
     // SAFETY: nothing else runs yet.
     let (chip, record) = unsafe { (chip(), record()) };
     record.begin();
-    *chip = Chip::new(record.reset_flags);
+    *chip = Chip::of(record);
     files::open(record);
     take_vectors();
     registers::start_clock();

@@ -59,6 +59,18 @@ pub fn raise_non_maskable() {
     write(INTERRUPT_CONTROL, RAISE);
 }
 
+/// Raises the interrupt of the supply voltage detector, if its line is enabled and triggers on a rising edge.
+pub fn raise_supply() {
+    const LINE_ENABLE: u32 = 0x4001_3C00;
+    const LINE_RISING: u32 = 0x4001_3C08;
+    const LINE: u32 = 1 << 16;
+    const SET_PENDING: u32 = 0xE000_E200;
+    const INTERRUPT: u32 = 1 << 1;
+    if read(LINE_ENABLE) & read(LINE_RISING) & LINE != 0 {
+        write(SET_PENDING, INTERRUPT);
+    }
+}
+
 /// Clears the status of refused accesses.
 pub fn forget_refusals() {
     const REFUSED_AT_ADDRESS: u32 = 1 << 7 | 1 << 1;

@@ -25,8 +25,12 @@ pub unsafe extern "C" fn system_tick() {
 extern "C" fn look() {
     // SAFETY: the tick interrupts only the firmware, and makes no access that faults.
     let (chip, record) = unsafe { (super::chip(), super::record()) };
-    if chip.suffer(record) {
+    let interrupts = chip.suffer(record);
+    if interrupts.non_maskable {
         registers::raise_non_maskable();
+    }
+    if interrupts.supply {
+        registers::raise_supply();
     }
     let watchdog = &mut chip.iwdg;
     if watchdog.expired(registers::now()) {

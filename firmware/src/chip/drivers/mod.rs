@@ -11,6 +11,7 @@ pub mod oscillator;
 #[cfg(feature = "hil")]
 pub mod plant_line;
 pub mod reset;
+pub mod supply;
 #[cfg(not(feature = "hil"))]
 pub mod valves;
 pub mod watchdog;

@@ -75,6 +75,11 @@ fn chip(event: ChipEvent) -> &'static str {
         ChipEvent::CrystalStopped => {
             "the crystal has stopped: runs on the internal oscillator, times may be off by some percent"
         }
+        ChipEvent::SupplyLow => "the supply voltage was low",
+        ChipEvent::BrownOutLevelSet => "programmed the brown-out level",
+        ChipEvent::BrownOutLevelWrong => {
+            "the brown-out level is wrong: program the option bytes (docs/HARDWARE.md)"
+        }
     }
 }
 
