@@ -117,15 +117,23 @@ impl Chip {
         let offset = (address % PART_BYTES) & !3;
         let word = match address - address % PART_BYTES {
             USART2 => self.plant_port.read(offset, outside),
+            RCC => self.rcc.read(offset),
+            part => self.load_elsewhere(part, offset, record),
+        };
+        word >> (8 * (address & 3)) & width.mask()
+    }
+
+    /// A load from a part that is rarely used. Not inlined, so that the other traps stay short.
+    #[inline(never)]
+    fn load_elsewhere(&mut self, part: u32, offset: u32, record: &Record) -> u32 {
+        match part {
             IWDG => self.iwdg.read(offset),
             PWR => self.pwr.read(offset, record.conditions & record::SUPPLY_LOW != 0),
             GPIOA => record.ports[0].read(offset),
             GPIOB => record.ports[1].read(offset),
-            RCC => self.rcc.read(offset),
             FLASH => self.flash.read(offset),
             _ => 0,
-        };
-        word >> (8 * (address & 3)) & width.mask()
+        }
     }
 
     /// Executes a store.
@@ -141,6 +149,22 @@ impl Chip {
         let (offset, store) = ((address % PART_BYTES) & !3, Store::new(address, width, value));
         match address - address % PART_BYTES {
             USART2 => self.plant_port.write(offset, store, outside),
+            flash::SLOTS..=SLOTS_LAST => change(self.flash.program(address, width, value), record, outside),
+            part => self.store_elsewhere(part, offset, store, record, outside),
+        }
+    }
+
+    /// A store to a part that is rarely used. Not inlined, so that the other traps stay short.
+    #[inline(never)]
+    fn store_elsewhere(
+        &mut self,
+        part: u32,
+        offset: u32,
+        store: Store,
+        record: &mut Record,
+        outside: &mut impl Outside,
+    ) {
+        match part {
             IWDG => {
                 if let Some(gap_ns) = self.iwdg.write(offset, store, outside.now()) {
                     record.fed(gap_ns);
@@ -158,7 +182,6 @@ impl Chip {
                 record.flash_access = self.flash.read(0);
                 record.options = self.flash.programmed();
             }
-            flash::SLOTS..=SLOTS_LAST => change(self.flash.program(address, width, value), record, outside),
             _ => {}
         }
     }

@@ -26,8 +26,8 @@ type Kept = [u32; 8];
 /// Memory in which programs run: flash without the slots, and RAM, each without its last word.
 const PROGRAM: [Range<u32>; 2] = [0x0800_0000..0x080B_FFFC, 0x2000_0000..0x2001_FFFC];
 
-/// RAM in which the frame of a fault can be.
-const RAM: Range<u32> = 0x2000_0000..0x2001_FFFC;
+/// Start of RAM, and of the firmware's stack.
+const RAM: u32 = 0x2000_0000;
 
 /// Switches to the shim's own stack, so that the firmware's stack only needs room for the frame that the core pushes.
 #[unsafe(naked)]
@@ -60,11 +60,11 @@ pub unsafe extern "C" fn hard_fault() {
 /// Emulates the refused instruction with the models. Returns false if the fault has another cause or the instruction is not
 /// supported: then the firmware handles it.
 unsafe extern "C" fn answer(frame: *mut Frame, kept: &mut Kept) -> bool {
-    if !RAM.contains(&(frame as u32)) {
+    if (frame as u32) < RAM {
         // The firmware's stack has overflowed, so there is no frame.
         return false;
     }
-    // SAFETY: the frame that the core has pushed is in RAM, and only this handler uses it.
+    // SAFETY: the frame that the core has pushed is in RAM, since the stack ends where RAM starts; only this handler uses it.
     let frame = unsafe { &mut *frame };
     let Some(access) = instruction(frame[FRAME_PC]) else { return false };
     let address = access.address(|number| *register(number, frame, kept));
