@@ -371,7 +371,8 @@ pub const ALARMS: [Alarm; 24] = [
         "leak",
         (Medium, Tell),
         [
-            "holding PEEP takes a command of more than 5 % above the bias at the end of 3 expirations in a row",
+            "less than 75 % of the inspired volume comes out of 3 breaths in a row, and holding PEEP takes a command of more \
+             than 5 % above the bias",
             GONE,
             "leak: check tube and mask",
         ],

@@ -20,7 +20,9 @@ const RELEASE: f32 = 8.0;
 const BOUND: f32 = 40.0;
 /// Compensation above which it tells of a leak, percent.
 const LEAK: f32 = 5.0;
-/// Expirations in a row with such a compensation that raise the alarm.
+/// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
+const TIGHT: f32 = 0.75;
+/// Breaths in a row with such a compensation and loss that raise the alarm.
 const LEAKS: u32 = 3;
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
 const ABOVE_PEEP: f32 = 3.0;
@@ -81,8 +83,7 @@ impl Expiration {
         }
     }
 
-    /// Records the pressure of a tick of a breath, cmH2O; true at the end of an expiration that tells of a leak.
-    /// A doubtful pressure raises no flow.
+    /// Records the pressure of a tick of a breath, cmH2O. A doubtful pressure raises no flow.
     #[inline]
     pub fn observe(
         &self,
@@ -91,7 +92,7 @@ impl Expiration {
         tick: u32,
         pressure: f32,
         doubtful: bool,
-    ) -> bool {
+    ) {
         state.smooth += self.smoothing * (pressure - state.smooth);
         if tick + self.constant_for == breath.total_ticks() && breath.phase(tick) == Phase::Expiration {
             state.earlier = state.smooth;
@@ -101,12 +102,9 @@ impl Expiration {
             let rate = if sag > 0.0 && !doubtful { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
         }
-        if tick + 1 != breath.total_ticks() {
-            return false;
+        if tick + 1 == breath.total_ticks() {
+            self.assess(state, breath.settings().peep);
         }
-        self.assess(state, breath.settings().peep);
-        state.leaks = in_a_row(state.leaks, state.compensation > LEAK);
-        state.leaks >= self.leaks
     }
 
     /// Assesses an expiration at its end.
@@ -117,10 +115,14 @@ impl Expiration {
         state.above = if state.incomplete >= IN_A_ROW && !state.falling { above } else { 0.0 };
     }
 
-    /// Lets PIP follow the baseline in the next breath, if the last one's gas has come out: this share of its volume.
-    pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) {
+    /// Starts a breath after one of which this share of the volume came out, if that was measured: lets PIP follow the
+    /// baseline. True if breaths tell of a leak.
+    pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> bool {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
         state.shift = if comes_out { state.above } else { 0.0 };
+        let lost = expired_share.is_some_and(|share| share < TIGHT);
+        state.leaks = in_a_row(state.leaks, lost && state.compensation > LEAK);
+        state.leaks >= self.leaks
     }
 
     /// Whether the expiration goes on at a tick at which the next breath is due.
@@ -198,6 +200,21 @@ mod tests {
             expiration.observe(&mut state, &breath, tick, 2.0, true);
         }
         assert!(state.compensation().abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_leak_takes_compensation_and_gas_and_an_effort_compensation_alone() {
+        let leaks = |share, pressure: f32| {
+            let (expiration, mut state) = breaths_with(4, 25.0, share, |_| pressure);
+            state.compensation = state.compensation.max(if pressure < 4.5 { BOUND } else { 0.0 });
+            expiration.start_breath(&mut state, share)
+        };
+        assert!(leaks(Some(0.6), 4.0));
+        assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.6), 5.0));
+        let (expiration, mut state) = breaths_with(1, 25.0, Some(0.6), |_| 4.0);
+        assert!(
+            !expiration.start_breath(&mut state, Some(0.6)) && expiration.start_breath(&mut state, Some(0.6))
+        );
     }
 
     #[test]

@@ -38,6 +38,8 @@ const FALL: f32 = 1.5;
 const WINDOW: usize = 64;
 /// Smallest delivered volume from which the lung is estimated, mL.
 const TELLING_VOLUME: f32 = 20.0;
+/// Shortest inspiration from which the lung is estimated, s: a shorter one has filled little but the tube.
+const TELLING_TIME: f32 = 0.15;
 /// Time for which the pressure may be far lower than predicted, s.
 const UNANSWERED: f32 = 0.04;
 /// Time for which the pressure may stand still against a predicted change, s.
@@ -120,6 +122,8 @@ pub struct LungEstimator {
     delay: usize,
     unanswered: u32,
     standing: u32,
+    /// [`TELLING_TIME`] in ticks.
+    telling: usize,
 }
 
 /// State of the valve's model and of the estimate.
@@ -153,6 +157,7 @@ impl LungEstimator {
             delay: (math::ticks(DEAD_TIME, period_us) as usize).min(DELAY_MAX - 1),
             unanswered: ticks(UNANSWERED, period_us),
             standing: ticks(STANDING, period_us),
+            telling: ticks(TELLING_TIME, period_us) as usize,
         }
     }
 
@@ -163,6 +168,16 @@ impl LungEstimator {
         state.at = (state.at + 1) % DELAY_MAX;
         let due = state.pipe[(state.at + DELAY_MAX - 1 - self.delay) % DELAY_MAX];
         state.opening += self.lag_factor * (due - state.opening);
+    }
+
+    /// Ends the inspiration: estimates the lung from it, if it was long enough and the fit is good enough.
+    pub fn end_inspiration(&self, state: &mut LungState) {
+        if state.volume < TELLING_VOLUME || state.ticks < self.telling {
+            return;
+        }
+        if let Some(lung) = state.sums.solve() {
+            state.lungs = [Some(lung), state.lungs[0]];
+        }
     }
 
     /// Counts the gas of a tick without a pressure reading, against the predicted pressure.
@@ -241,16 +256,6 @@ impl LungState {
         let rises = self.lungs.iter().flatten().map(|lung| lung.rise(self.volume, self.flow));
         rises.reduce(f32::max).map(|rise| self.start + rise)
     }
-
-    /// Ends the inspiration: estimates the lung from it, if the fit is good enough.
-    pub fn end_inspiration(&mut self) {
-        if self.volume < TELLING_VOLUME {
-            return;
-        }
-        if let Some(lung) = self.sums.solve() {
-            self.lungs = [Some(lung), self.lungs[0]];
-        }
-    }
 }
 
 impl Default for LungState {
@@ -301,7 +306,7 @@ mod tests {
             silent
         });
         let silent = silent.collect();
-        state.end_inspiration();
+        estimator.end_inspiration(state);
         silent
     }
 
@@ -520,11 +525,20 @@ mod tests {
     }
 
     #[test]
+    fn an_inspiration_of_a_few_ticks_has_filled_the_tube_alone_and_tells_nothing() {
+        let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
+        let mut state = LungState { volume: 100.0, sums: told, ticks: 149, ..predicting(0.0) };
+        let before = state.lungs;
+        estimator().0.end_inspiration(&mut state);
+        assert_eq!(state.lungs, before);
+    }
+
+    #[test]
     fn an_inspiration_of_twenty_millilitres_tells_of_the_lung_and_a_smaller_one_does_not() {
         let after = |volume| {
             let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
-            let mut state = LungState { volume, sums: told, ..predicting(0.0) };
-            state.end_inspiration();
+            let mut state = LungState { volume, sums: told, ticks: 150, ..predicting(0.0) };
+            estimator().0.end_inspiration(&mut state);
             state.lungs.map(|lung| lung.map(|lung| (100.0 * lung.elastance + 0.5) as i32))
         };
         assert_eq!(after(TELLING_VOLUME), [Some(5), Some(100)], "the newer first");

@@ -166,7 +166,7 @@ impl Supervisor {
             PressureFinding::EndInspiration => {
                 if !state.cut && !state.venting {
                     state.strike = state.lung.explains(0.5 * (limit + settings.pip));
-                    state.lung.end_inspiration();
+                    self.lung.end_inspiration(&mut state.lung);
                 }
                 state.cut = true;
             }
@@ -223,9 +223,7 @@ impl Supervisor {
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
-        if self.expiration.observe(&mut state.expiration, breath, tick, pressure, state.doubtful) {
-            self.found(state, Fault::Leak);
-        }
+        self.expiration.observe(&mut state.expiration, breath, tick, pressure, state.doubtful);
         if tick + 1 == breath.inspiration_ticks() && !state.cut {
             self.source.at_plateau(&mut state.source, readings);
             self.inspired(state, pressure, breath);
@@ -234,7 +232,7 @@ impl Supervisor {
 
     /// Ends an inspiration that was not cut at the limit.
     fn inspired(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
-        state.lung.end_inspiration();
+        self.lung.end_inspiration(&mut state.lung);
         let settings = breath.settings();
         let (rise, wanted) = (pressure - settings.peep, settings.pip - settings.peep);
         if let Some(responses) = &mut state.unresponsive {
@@ -262,7 +260,9 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
-        self.expiration.start_breath(&mut state.expiration, expired);
+        if self.expiration.start_breath(&mut state.expiration, expired) {
+            self.found(state, Fault::Leak);
+        }
         if self.pressure.is_sustained(&state.pressure) && expired.is_some_and(|share| share < COMES_OUT) {
             self.found(state, Fault::SustainedPressure);
         }

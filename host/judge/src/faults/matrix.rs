@@ -89,6 +89,8 @@ pub struct FaultCase {
     watched_ms: u32,
     /// What ventilation must go on.
     ventilation: Required,
+    /// Lowest resistance of a lung with which the fault is possible, cmH2O/(L/s).
+    least_resistance: f64,
 }
 
 /// Ventilation that a row requires after its fault.
@@ -151,6 +153,11 @@ fn low() -> Settings {
     Settings { pip: 12.0, pressure_limit: 17.0, ..usual() }
 }
 
+/// Settings with a PEEP whose loss shows on every lung.
+fn high_peep() -> Settings {
+    Settings { peep: 10.0, pip: 30.0, ..usual() }
+}
+
 /// Settings with four breaths a minute.
 fn slow() -> Settings {
     Settings { rate: 4.0, ..usual() }
@@ -168,6 +175,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         within_ms: WATCHED_MS,
         watched_ms: WATCHED_MS,
         ventilation: Required::GapWithin(GAP_MS),
+        least_resistance: 0.0,
     }
 }
 
@@ -204,6 +212,11 @@ impl FaultCase {
     /// Requires that breaths go on, of whatever volume.
     const fn of_any_volume(self) -> Self {
         Self { ventilation: Required::Breaths, ..self }
+    }
+
+    /// Leaves out lungs with a lower resistance, cmH2O/(L/s): in them no flow of the valve's raises the pressure so far.
+    const fn with_resistance(self, least_resistance: f64) -> Self {
+        Self { least_resistance, ..self }
     }
 
     const fn resumed(self) -> Self {
@@ -272,7 +285,7 @@ const MACHINE: [FaultCase; 17] = [
     .not_ventilated(),
     stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]).not_ventilated(),
     stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
-    stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::Leak]),
+    stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]).with(high_peep),
     part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]).not_ventilated(),
     case("cough in every breath", Coughs(25.0), &[]).with(tight),
 ];
@@ -297,6 +310,7 @@ const CONTROL: [FaultCase; 12] = [
     case("PID that drives each breath to the limit", Injection::Controller, &[Fault::CommandCapped])
         .with(low)
         .run_by(Ringing)
+        .with_resistance(20.0)
         .at(0)
         .of_any_volume(),
     case("network that alternates between fully open and closed", Injection::Controller, &[])
@@ -432,7 +446,10 @@ pub fn matrix(
     monitors: Monitors,
     progress: &Progress<'_>,
 ) -> Result<Vec<FaultRow>, SourceError> {
-    let cells: Vec<_> = cases().flat_map(|case| lungs.iter().map(move |lung| (case, lung))).collect();
+    let cells: Vec<_> = cases()
+        .flat_map(|case| lungs.iter().map(move |lung| (case, lung)))
+        .filter(|(case, lung)| lung.lung.first.resistance_cmh2o_per_l_s >= case.least_resistance)
+        .collect();
     let task = progress.task(Stage::Faults, cells.len());
     let sound = SoundRuns::default();
     side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, monitors, &sound))
