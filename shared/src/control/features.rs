@@ -285,6 +285,13 @@ mod tests {
         Features::new(FeatureSpec::default(), DEFAULT_PERIOD_US).unwrap()
     }
 
+    #[test]
+    fn the_parts_of_the_vector_follow_each_other_without_a_gap() {
+        assert_eq!((PAST_ERRORS.start, PAST_ERRORS.end), (0, PAST_COMMANDS.start));
+        assert_eq!((PAST_COMMANDS.end, LEAKY.end), (LEAKY.start, INTEGRAL));
+        assert_eq!((CLOCK.start, CLOCK.len(), CLOCK.end), (INTEGRAL + 1, TIMES, FEATURES - 2));
+    }
+
     fn seen(error: f32, tick: u32) -> Observation {
         Observation { pressure: 20.0 - error, target: 20.0, pip: 20.0, peep: 5.0, tick }
     }

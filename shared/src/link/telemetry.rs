@@ -263,6 +263,12 @@ mod tests {
         let expected =
             BreathSummary { breath: 0, mean_absolute_error: 3.0, peak_pressure: 22.0, end_pressure: 5.5 };
         assert_eq!(meter.take(&breath(1)[0]), Some(expected));
+        let mut below_zero = BreathMeter::default();
+        for s in breath(7) {
+            below_zero.take(&Sample { pressure: s.pressure - 30.0, ..s });
+        }
+        let summary = below_zero.take(&breath(8)[0]).unwrap();
+        assert_eq!((summary.breath, summary.peak_pressure as i32), (7, -8));
         assert_eq!(meter.take(&breath(0)[0]), None, "broken off and restarted");
         let mut late = BreathMeter::default();
         assert_eq!(late.take(&breath(0)[3]), None);

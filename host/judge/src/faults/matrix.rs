@@ -96,7 +96,7 @@ pub struct FaultCase {
 /// Ventilation that a row requires after its fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Required {
-    /// None: with this fault no command moves gas in and out.
+    /// None: with this fault no command moves gas in and out, or breaths are cut at first.
     Impossible,
     /// No gap longer than [`GAP_MS`].
     Breaths,
@@ -199,7 +199,7 @@ impl FaultCase {
         Self { within_ms: BREATH_MS, ..self }
     }
 
-    /// Requires no ventilation: no command moves gas.
+    /// Requires no ventilation: no command moves gas, or every breath is cut until the ladder has replaced the controller.
     const fn not_ventilated(self) -> Self {
         Self { ventilation: Required::Impossible, ..self }
     }
@@ -306,13 +306,13 @@ const CONTROL: [FaultCase; 12] = [
         .with(low)
         .run_by(Greedy)
         .at(0)
-        .of_any_volume(),
+        .not_ventilated(),
     case("PID that drives each breath to the limit", Injection::Controller, &[Fault::CommandCapped])
         .with(low)
         .run_by(Ringing)
         .with_resistance(20.0)
         .at(0)
-        .of_any_volume(),
+        .not_ventilated(),
     case("network that alternates between fully open and closed", Injection::Controller, &[])
         .run_by(Alternating),
     case("oscillating PID", Injection::Controller, &[]).run_by(Ringing),

@@ -1,5 +1,8 @@
 //! Measures what the lung gets: breaths, their volume, and the longest gap between them.
 
+/// Share of the threshold within which the lung is at its lowest volume.
+const AT_REST: f64 = 0.05;
+
 /// Breaths by the true volume of the lung, mL: one counts once it has risen by the threshold from its lowest volume.
 #[derive(Clone, Debug)]
 pub struct VolumeMeter {
@@ -49,8 +52,9 @@ impl VolumeMeter {
         if volume > self.high {
             (self.high, self.high_ms) = (volume, ms);
         }
-        if !self.delivered && volume < self.low {
-            (self.low, self.low_ms, self.high, self.high_ms) = (volume, ms, volume, ms);
+        // Until it rises clearly, the breath has not begun.
+        if !self.delivered && volume <= self.low + AT_REST * self.threshold {
+            (self.low, self.low_ms, self.high, self.high_ms) = (self.low.min(volume), ms, volume, ms);
         }
         if !self.delivered && volume >= self.low + self.threshold {
             self.delivered = true;
