@@ -28,6 +28,8 @@ pub enum Stage {
     Faults,
     /// Hostile controllers: breaths.
     Torture,
+    /// Random patients: minutes of their stays.
+    Endure,
     /// Sending weights: bytes.
     Upload,
     /// Reading a flight recorder: entries.

@@ -71,6 +71,7 @@ fn name(event: &Event<'_>) -> String {
         Stage::Bound => "search reference bound",
         Stage::Faults => "inject faults",
         Stage::Torture => "torture, breaths",
+        Stage::Endure => "endure, minutes",
         Stage::Upload => "send weights, bytes",
         Stage::ReadRecorder => "read flight recorder",
         Stage::Import => "read tables, bytes",

@@ -11,6 +11,7 @@ mod common;
 mod comparison;
 mod controller_args;
 mod demo;
+mod endure;
 mod evaluate;
 mod faults;
 mod fit;
@@ -69,6 +70,7 @@ enum Command {
     Monitor(monitor::Args),
     Faults(faults::Args),
     Torture(torture::Args),
+    Endure(endure::Args),
     Blackbox(blackbox::Args),
 }
 
@@ -111,6 +113,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Monitor(args) => monitor::run(args),
         Command::Faults(args) => faults::run(args),
         Command::Torture(args) => torture::run(args),
+        Command::Endure(args) => endure::run(args),
         Command::Blackbox(args) => blackbox::run(args),
     }
 }

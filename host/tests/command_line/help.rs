@@ -25,6 +25,7 @@ fn every_command_explains_itself() {
         "blackbox",
         "faults",
         "torture",
+        "endure",
         "flash",
         "qemu",
     ] {

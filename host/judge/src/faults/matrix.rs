@@ -324,7 +324,7 @@ pub fn cases() -> impl Iterator<Item = &'static FaultCase> {
 }
 
 /// The PID that is best for all the paper's lungs.
-const SOUND: PidGains = PidGains { p: 6.098, i: 290.6, d: 0.2094 };
+pub(crate) const SOUND: PidGains = PidGains { p: 6.098, i: 290.6, d: 0.2094 };
 /// The same without its integral, which would counteract a greedy network.
 const WITHOUT_INTEGRAL: PidGains = PidGains { i: 0.0, ..SOUND };
 /// Gains that ring on every lung.

@@ -3,7 +3,7 @@
 mod flash;
 pub mod injection;
 pub mod matrix;
-mod rig;
+pub(crate) mod rig;
 pub mod torture;
 pub mod trial;
-mod volume;
+pub(crate) mod volume;

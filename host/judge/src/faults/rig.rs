@@ -74,6 +74,23 @@ impl Rig {
         self.control.execute(&ControlRequest::Start);
     }
 
+    /// The host sends settings for the next breath.
+    pub fn apply(&mut self, settings: Settings) {
+        self.settings = settings;
+        self.control.execute(&ControlRequest::Apply(settings));
+    }
+
+    /// Acknowledges what has stopped the device, and starts it again.
+    pub fn restart(&mut self) {
+        self.control.execute(&ControlRequest::Acknowledge);
+        self.start();
+    }
+
+    /// The PEEP to which the PEEP valve must be turned before the next tick, cmH2O; none if it is unchanged.
+    pub fn new_peep(&mut self) -> Option<f32> {
+        self.control.plant_change().peep
+    }
+
     /// Runs one tick.
     pub fn step(&mut self, readings: Readings, missed: u32) -> Output {
         self.control.record(&TickTime { latency: 0, work: 0, period: None, missed });

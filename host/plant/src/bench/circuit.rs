@@ -45,6 +45,11 @@ impl Circuit {
         self.pressure
     }
 
+    /// The present leak at the specified pressure, L/s.
+    pub(super) fn stated_leak(&self) -> f64 {
+        self.leak
+    }
+
     pub(super) fn set_pressure(&mut self, pressure: f64) {
         self.pressure = pressure;
     }

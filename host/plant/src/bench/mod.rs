@@ -328,6 +328,11 @@ impl Bench {
         self.circuit.pressure()
     }
 
+    /// The present leak, L/s at 30 cmH2O; that of a failure if there is one.
+    pub fn leak(&self) -> f64 {
+        self.circuit.stated_leak()
+    }
+
     /// Time since the start, s.
     pub fn time_s(&self) -> f64 {
         self.steps as f64 * STEP_S

@@ -1,0 +1,157 @@
+use super::*;
+
+/// Resistance and compliance of the patient.
+const LUNG: (f64, f64) = (20.0, 20.0);
+
+/// A breath in which nothing is wrong: PIP 20, PEEP 5, limit 60.
+fn sound() -> BreathTruth {
+    let mut breath = BreathTruth::new(&Settings::default(), true);
+    (breath.peak, breath.lowest) = (21.0, 4.8);
+    (breath.plateau, breath.baseline) = (Some(20.0), Some(5.1));
+    (breath.leak, breath.leak_at_end, breath.resistance) = (0.005, 0.002, Some(LUNG.0));
+    breath
+}
+
+/// A sensor with these errors, alternating, over a breath.
+fn sensor(errors: [f64; 2]) -> SensorTruth {
+    let mut sensor = SensorTruth::default();
+    for (number, error) in errors.into_iter().cycle().take(3000).enumerate() {
+        let pressure = 10.0 + 0.01 * number as f64;
+        sensor.add((pressure + error) as f32, pressure);
+    }
+    sensor
+}
+
+fn with(change: impl Fn(&mut BreathTruth)) -> BreathTruth {
+    let mut breath = sound();
+    change(&mut breath);
+    breath
+}
+
+/// Whether the alarm is deserved after this breath, once and twice, with a sound one running.
+fn verdicts(fault: Fault, breath: &BreathTruth) -> (bool, bool) {
+    let after = |breaths: [&BreathTruth; 2]| {
+        let breaths = breaths.into_iter().cloned().chain([sound()]).collect();
+        judge(fault, &History::of(breaths, LUNG)) == Verdict::Deserved
+    };
+    (after([&sound(), breath]), after([breath, breath]))
+}
+
+#[track_caller]
+fn deserved_once(fault: Fault, change: impl Fn(&mut BreathTruth)) {
+    assert_eq!(verdicts(fault, &with(change)), (true, true), "{fault:?}");
+}
+
+#[track_caller]
+fn deserved_twice(fault: Fault, change: impl Fn(&mut BreathTruth)) {
+    let breath = with(change);
+    assert_eq!(verdicts(fault, &breath), (false, true), "{fault:?}");
+    let new = BreathTruth { settled: false, ..breath };
+    assert_eq!(verdicts(fault, &new), (false, false), "{fault:?} after a change of the settings");
+}
+
+#[track_caller]
+fn undeserved(fault: Fault, change: impl Fn(&mut BreathTruth)) {
+    assert_eq!(verdicts(fault, &with(change)), (false, false), "{fault:?}");
+}
+
+#[test]
+fn nothing_is_deserved_if_nothing_is_wrong_and_low_priorities_are_only_counted() {
+    for fault in Fault::all() {
+        let verdict = judge(fault, &History::of(vec![sound(); 3], LUNG));
+        let low = fault.alarm().priority == Priority::Low;
+        assert_eq!(verdict, if low { Verdict::Counted } else { Verdict::Undeserved }, "{fault:?}");
+    }
+}
+
+#[test]
+fn pressure_above_the_limit() {
+    for fault in [Fault::HighPressure, Fault::CommandCapped] {
+        deserved_once(fault, |breath| breath.peak = 60.5);
+        undeserved(fault, |breath| breath.peak = 58.0);
+    }
+    deserved_once(Fault::HardLimit, |breath| breath.vented_above_ms = 700);
+    undeserved(Fault::HardLimit, |breath| breath.vented_above_ms = 300);
+    deserved_once(Fault::SustainedPressure, |breath| breath.away_ms = 15_000);
+    undeserved(Fault::SustainedPressure, |breath| breath.away_ms = 3000);
+}
+
+#[test]
+fn a_baseline_away_from_peep() {
+    deserved_twice(Fault::BaselineHigh, |breath| breath.baseline = Some(8.5));
+    undeserved(Fault::BaselineHigh, |breath| breath.baseline = Some(6.5));
+    deserved_twice(Fault::BaselineLow, |breath| breath.baseline = Some(2.5));
+    undeserved(Fault::BaselineLow, |breath| breath.baseline = Some(4.5));
+    let effort = |breath: &mut BreathTruth| (breath.baseline, breath.effort_at_end) = (Some(2.5), 6.0);
+    undeserved(Fault::BaselineLow, effort);
+    deserved_twice(Fault::BaselineLow, |breath| {
+        effort(breath);
+        breath.leak = 0.3;
+    });
+}
+
+#[test]
+fn an_inspiration_that_does_not_reach_its_pressure() {
+    deserved_twice(Fault::LowPressure, |breath| breath.plateau = Some(9.0));
+    undeserved(Fault::LowPressure, |breath| breath.plateau = Some(12.0));
+}
+
+#[test]
+fn leak_and_disconnection() {
+    deserved_twice(Fault::Leak, |breath| breath.leak_at_end = 0.1);
+    undeserved(Fault::Leak, |breath| breath.leak_at_end = 0.02);
+    deserved_once(Fault::Disconnection, |breath| breath.leak = 20.0);
+    undeserved(Fault::Disconnection, |breath| breath.leak = 0.5);
+    undeserved(Fault::Disconnection, |breath| (breath.lowest, breath.effort) = (-5.0, 20.0));
+}
+
+#[test]
+fn an_occluded_tube() {
+    deserved_twice(Fault::Occlusion, |breath| breath.resistance = Some(2e5));
+    undeserved(Fault::Occlusion, |breath| breath.resistance = Some(30.0));
+    undeserved(Fault::Occlusion, |breath| (breath.volume, breath.cough) = (10.0, 60.0));
+}
+
+#[test]
+fn a_pressure_that_does_not_respond() {
+    deserved_once(Fault::NoResponse, |breath| breath.starved_ms = 200);
+    deserved_once(Fault::NoResponse, |breath| breath.leak = 20.0);
+    deserved_once(Fault::NoResponse, |breath| breath.airway = sensor([5.0, 5.0]));
+    undeserved(Fault::NoResponse, |breath| breath.effort = 20.0);
+}
+
+#[test]
+fn errors_of_the_sensors() {
+    let airway = |errors| move |breath: &mut BreathTruth| breath.airway = sensor(errors);
+    deserved_once(Fault::SensorsDisagree, airway([2.5, 2.5]));
+    undeserved(Fault::SensorsDisagree, airway([1.0, 1.0]));
+    deserved_once(Fault::ReadingNoisy, airway([0.5, -0.5]));
+    undeserved(Fault::ReadingNoisy, airway([0.2, -0.2]));
+    for fault in [Fault::ReadingJumps, Fault::ReadingOutOfRange] {
+        deserved_once(fault, airway([0.0, 40.0]));
+        undeserved(fault, airway([0.0, 5.0]));
+    }
+    deserved_once(Fault::ReadingNotANumber, airway([0.0, f64::NAN]));
+    undeserved(Fault::BackupVentilation, airway([5.0, 5.0]));
+    deserved_once(Fault::BackupVentilation, |breath| {
+        (breath.airway, breath.outlet) = (sensor([5.0, 5.0]), sensor([f64::NAN, f64::NAN]));
+    });
+}
+
+#[test]
+fn a_sensor_is_frozen_only_if_the_pressure_moves() {
+    let frozen = |speed: f64| {
+        let mut sensor = SensorTruth::default();
+        (0..1000_u16).for_each(|ms| sensor.add(5.0, 5.0 + speed * f64::from(ms)));
+        sensor
+    };
+    deserved_once(Fault::ReadingFrozen, |breath| breath.airway = frozen(0.05));
+    undeserved(Fault::ReadingFrozen, |breath| breath.airway = frozen(0.0));
+}
+
+#[test]
+fn the_bench_neither_misses_ticks_nor_resets_the_device() {
+    for fault in [Fault::MissedTicks, Fault::Restarted] {
+        undeserved(fault, |breath| breath.peak = 90.0);
+    }
+}

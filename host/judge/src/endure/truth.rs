@@ -1,0 +1,323 @@
+//! What the bench knows of each breath, and a short history of it.
+
+use std::collections::VecDeque;
+
+use shared::sensor::Readings;
+use shared::settings::Settings;
+
+use super::patient::Patient;
+use plant::bench::Truth;
+
+/// Length of the window at the end of a phase over which means are taken, ticks.
+const END_OF_PHASE: u32 = 50;
+/// Breaths that are kept, with the running one.
+const KEPT: usize = 3;
+/// Movement of the true pressure during identical readings that makes them frozen, cmH2O.
+const MOVED: f64 = 1.0;
+/// Ticks from which the resistance is measured.
+const RESISTANCE_TICKS: u32 = 200;
+/// Command and flow between which a working valve delivers gas: percent, L/s.
+const ASKED: f32 = 40.0;
+const STARVED: f64 = 0.05;
+
+/// Truth about one breath of the device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BreathTruth {
+    /// Settings in force.
+    pub settings: Settings,
+    /// Whether at least two breaths before it had the same settings.
+    pub settled: bool,
+    /// Highest true airway pressure, cmH2O.
+    pub peak: f64,
+    /// Lowest true airway pressure, cmH2O.
+    pub lowest: f64,
+    /// Longest time for which the pressure was above the limit with the expiratory valve commanded open, ms.
+    pub vented_above_ms: u32,
+    /// Time at the breath's last tick since the pressure was at most 2 cmH2O above PEEP, ms.
+    pub away_ms: u32,
+    /// Mean pressure at the end of the inspiration, cmH2O; none before it has ended.
+    pub plateau: Option<f64>,
+    /// Mean pressure at the end of the expiration, cmH2O.
+    pub baseline: Option<f64>,
+    /// Strongest effort and cough, cmH2O.
+    pub effort: f64,
+    /// See `effort`.
+    pub cough: f64,
+    /// Strongest effort at the end of the expiration, cmH2O.
+    pub effort_at_end: f64,
+    /// Largest leak, L/s at 30 cmH2O.
+    pub leak: f64,
+    /// Flow of the leak at the end of the expiration, L/s.
+    pub leak_at_end: f64,
+    /// Resistance of the airways, cmH2O/(L/s); none in the first ticks.
+    pub resistance: Option<f64>,
+    /// Recoil of the lung above PEEP at the breath's last tick, cmH2O: trapped gas, once the expiration has ended.
+    pub trapped: f64,
+    /// Volume that entered the lung, from its lowest to its highest, mL.
+    pub volume: f64,
+    /// Longest time in which the valve was asked for much gas and gave none, ms.
+    pub starved_ms: u32,
+    /// The sensor at the airway.
+    pub airway: SensorTruth,
+    /// The sensor at the machine's outlet.
+    pub outlet: SensorTruth,
+    pub(super) sums: Sums,
+}
+
+/// Running sums of a breath.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Sums {
+    plateau: Mean,
+    baseline: Mean,
+    leak_at_end: Mean,
+    /// Ticks, pressure drop times flow, and flow squared.
+    ticks: u32,
+    drop_flow: f64,
+    flow_flow: f64,
+    low: Option<f64>,
+    vented_above: u32,
+    starved: u32,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Mean {
+    sum: f64,
+    count: u32,
+}
+
+impl Mean {
+    fn add(&mut self, value: f64) -> f64 {
+        self.sum += value;
+        self.count += 1;
+        self.sum / f64::from(self.count)
+    }
+}
+
+/// Truth about one sensor in a breath: its errors against the pressure where it sits.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorTruth {
+    /// Readings that were no number.
+    pub missing: u32,
+    /// Largest error, cmH2O.
+    pub worst: f64,
+    /// Longest run of the same reading while the pressure moved, ms.
+    pub frozen_ms: u32,
+    count: u32,
+    sum: f64,
+    squares: f64,
+    last: f32,
+    same: u32,
+    /// Pressure range since the reading changed last.
+    range: (f64, f64),
+}
+
+impl SensorTruth {
+    /// Adds a reading, and the pressure where the sensor sits, cmH2O.
+    pub(super) fn add(&mut self, reading: f32, pressure: f64) {
+        if reading.is_nan() {
+            self.missing += 1;
+            return;
+        }
+        if self.count > 0 && reading.to_bits() == self.last.to_bits() {
+            self.same += 1;
+            self.range = (self.range.0.min(pressure), self.range.1.max(pressure));
+            if self.range.1 - self.range.0 > MOVED {
+                self.frozen_ms = self.frozen_ms.max(self.same);
+            }
+        } else {
+            (self.last, self.same, self.range) = (reading, 0, (pressure, pressure));
+        }
+        let error = f64::from(reading) - pressure;
+        self.worst = self.worst.max(error.abs());
+        self.count += 1;
+        self.sum += error;
+        self.squares += error * error;
+    }
+
+    /// Mean error, cmH2O.
+    pub fn offset(&self) -> f64 {
+        self.sum / f64::from(self.count.max(1))
+    }
+
+    /// Standard deviation of the error, cmH2O.
+    pub fn noise(&self) -> f64 {
+        let mean = self.offset();
+        (self.squares / f64::from(self.count.max(1)) - mean * mean).max(0.0).sqrt()
+    }
+}
+
+impl BreathTruth {
+    /// A breath of which nothing is known yet.
+    pub fn new(settings: &Settings, settled: bool) -> Self {
+        Self {
+            settings: *settings,
+            settled,
+            peak: f64::NEG_INFINITY,
+            lowest: f64::INFINITY,
+            vented_above_ms: 0,
+            away_ms: 0,
+            plateau: None,
+            baseline: None,
+            effort: 0.0,
+            cough: 0.0,
+            effort_at_end: 0.0,
+            leak: 0.0,
+            leak_at_end: 0.0,
+            resistance: None,
+            trapped: 0.0,
+            volume: 0.0,
+            starved_ms: 0,
+            airway: SensorTruth::default(),
+            outlet: SensorTruth::default(),
+            sums: Sums::default(),
+        }
+    }
+
+    /// PEEP, cmH2O.
+    pub fn peep(&self) -> f64 {
+        f64::from(self.settings.peep)
+    }
+
+    /// The pressure limit, cmH2O.
+    pub fn limit(&self) -> f64 {
+        f64::from(self.settings.pressure_limit)
+    }
+
+    fn add(&mut self, moment: &Moment<'_>) {
+        let Moment { truth, tick, total, inspiration, command, .. } = *moment;
+        let pressure = truth.airway_pressure;
+        let sums = &mut self.sums;
+        self.peak = self.peak.max(pressure);
+        self.lowest = self.lowest.min(pressure);
+        self.effort = self.effort.max(truth.muscle_pressure);
+        self.cough = self.cough.max(-truth.muscle_pressure);
+        let limit = f64::from(self.settings.pressure_limit);
+        sums.vented_above = if command.1 && pressure > limit { sums.vented_above + 1 } else { 0 };
+        self.vented_above_ms = self.vented_above_ms.max(sums.vented_above);
+        let starved = command.0 > ASKED && truth.flow_valve < STARVED;
+        sums.starved = if starved { sums.starved + 1 } else { 0 };
+        self.starved_ms = self.starved_ms.max(sums.starved);
+        self.leak = self.leak.max(moment.leak);
+        sums.drop_flow += (pressure - truth.alveolar_pressure) * truth.flow_lung;
+        sums.flow_flow += truth.flow_lung * truth.flow_lung;
+        sums.ticks += 1;
+        self.resistance = (sums.ticks >= RESISTANCE_TICKS).then(|| sums.drop_flow / sums.flow_flow);
+        let low = *sums.low.get_or_insert(truth.lung_volume_ml);
+        sums.low = Some(low.min(truth.lung_volume_ml));
+        self.volume = self.volume.max(truth.lung_volume_ml - low.min(truth.lung_volume_ml));
+        self.trapped = truth.alveolar_pressure + truth.muscle_pressure - f64::from(self.settings.peep);
+        if tick < inspiration && tick + END_OF_PHASE >= inspiration {
+            self.plateau = Some(sums.plateau.add(pressure));
+        }
+        if tick < total && tick + END_OF_PHASE >= total {
+            self.baseline = Some(sums.baseline.add(pressure));
+            self.leak_at_end = sums.leak_at_end.add(truth.flow_leak);
+            self.effort_at_end = self.effort_at_end.max(truth.muscle_pressure);
+        }
+    }
+}
+
+/// One tick, as the bench knows it.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment<'a> {
+    /// True state after the tick.
+    pub truth: &'a Truth,
+    /// Leak, L/s at 30 cmH2O.
+    pub leak: f64,
+    /// Readings after the tick.
+    pub readings: &'a Readings,
+    /// Command: inspiratory valve in percent, and whether the expiratory valve is open.
+    pub command: (f32, bool),
+    /// Tick within the breath.
+    pub tick: u32,
+    /// Length of the inspiration, and of the breath as set, ticks.
+    pub inspiration: u32,
+    /// See `inspiration`.
+    pub total: u32,
+}
+
+/// The running breath and those before it.
+#[derive(Clone, Debug)]
+pub struct History {
+    breaths: VecDeque<BreathTruth>,
+    /// Breaths in a row with the present settings.
+    unchanged: u32,
+    away_ms: u32,
+    /// The patient's own resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
+    lung: (f64, f64),
+    /// The outlet sensor's lag per tick, its tube, and the pressure behind the lag.
+    outlet_share: f64,
+    tube: f64,
+    outlet: f64,
+}
+
+/// Pressure above PEEP up to which the pressure is not away from it, cmH2O.
+const AWAY: f64 = 2.0;
+
+impl History {
+    /// The history of a patient whose first breath is about to start.
+    pub fn new(patient: &Patient) -> Self {
+        let (lung, outlet) = (&patient.bench.lung.first, &patient.bench.outlet_sensor);
+        Self {
+            breaths: VecDeque::from([BreathTruth::new(&patient.settings, false)]),
+            unchanged: 0,
+            away_ms: 0,
+            lung: (lung.resistance_cmh2o_per_l_s, lung.compliance_ml_per_cmh2o),
+            outlet_share: if outlet.lag_ms > 0.0 { 1.0 - (-1.0 / outlet.lag_ms).exp() } else { 1.0 },
+            tube: outlet.tube_resistance_cmh2o_per_l_s,
+            outlet: f64::from(patient.settings.peep),
+        }
+    }
+
+    /// A history of these breaths, the running one last, on a lung with this resistance and compliance.
+    #[cfg(test)]
+    pub fn of(breaths: Vec<BreathTruth>, lung: (f64, f64)) -> Self {
+        let breaths = VecDeque::from(breaths);
+        Self { breaths, unchanged: 9, away_ms: 0, lung, outlet_share: 1.0, tube: 0.0, outlet: 0.0 }
+    }
+
+    /// Starts a breath.
+    pub fn start_breath(&mut self, settings: &Settings) {
+        self.unchanged = if self.running().settings == *settings { self.unchanged + 1 } else { 0 };
+        if self.breaths.len() == KEPT {
+            self.breaths.pop_front();
+        }
+        self.breaths.push_back(BreathTruth::new(settings, self.unchanged >= 2));
+    }
+
+    /// Adds a tick of the running breath.
+    pub fn add(&mut self, moment: &Moment<'_>) {
+        let truth = moment.truth;
+        self.outlet +=
+            self.outlet_share * (truth.airway_pressure + self.tube * truth.flow_valve - self.outlet);
+        let (outlet, lagged) = (self.outlet, truth.sensor_pressure);
+        let near = truth.airway_pressure <= self.running().peep() + AWAY;
+        self.away_ms = if near { 0 } else { self.away_ms + 1 };
+        let away_ms = self.away_ms;
+        let Some(running) = self.breaths.back_mut() else { return };
+        running.airway.add(moment.readings.airway, lagged);
+        running.outlet.add(moment.readings.outlet, outlet);
+        running.away_ms = away_ms;
+        running.add(moment);
+    }
+
+    /// The running breath.
+    pub fn running(&self) -> &BreathTruth {
+        self.breaths.back().expect("a history always has a running breath")
+    }
+
+    /// The last complete breath.
+    pub fn last(&self) -> Option<&BreathTruth> {
+        self.breaths.iter().rev().nth(1)
+    }
+
+    /// The running breath and the two before it, the latest first.
+    pub fn window(&self) -> impl Iterator<Item = &BreathTruth> {
+        self.breaths.iter().rev()
+    }
+
+    /// The patient's own resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
+    pub fn lung(&self) -> (f64, f64) {
+        self.lung
+    }
+}

@@ -1,0 +1,317 @@
+//! `trainer endure`: random patients at random machines, for hours.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::Controller;
+use shared::safety::alarms::Priority;
+use shared::safety::ladder::Level;
+use shared::settings::Settings;
+use shared::weights::decode;
+
+use super::bars::with_bars;
+use super::common::{stop, stopped};
+use super::controller_args::image_id;
+use super::output::OutputArgs;
+use judge::endure::course::{self, Event, Observer, Scene};
+use judge::endure::deserved::Verdict;
+use judge::endure::patient::Patient;
+use judge::endure::tally::{AlarmRow, PatientResult, Summary};
+use judge::endure::truth::BreathTruth;
+use judge::endure::{Endurance, sound_controller};
+use learn::controller::learned::Learned;
+use show::report::{Cell, Table};
+
+/// Ventilate random patients for hours, and check that ventilation goes on and that every alarm is deserved
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer endure --patients 20 --hours 1
+  trainer endure --patients 1000 --hours 24 --seed 7 --keep endure.json --json result.json
+  trainer endure --seed 7 --hours 24 --patient 123     # one of them again, with each alarm and its reason
+  trainer endure --controller out/once/controller.safetensors
+
+Lung, breathing, coughs, leaks, machine and settings are drawn from the seed and the patient's
+number. The bench knows the truth: an alarm is deserved if its condition was true in the running
+breath or the two before it, within the tolerance of the sensors; it is missed if its condition was
+exceeded for six breaths and no alarm came.
+
+The result does not depend on the number of threads. With --keep, the patients that are done at
+Ctrl-C are kept, and the same command continues with the others. The command fails after an
+interruption of ventilation, an undeserved high-priority alarm, or a missed alarm.")]
+pub struct Args {
+    /// Number of patients
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
+    patients: u64,
+    /// Stay of each patient, h
+    #[arg(long, default_value_t = 1.0, value_parser = hours)]
+    hours: f64,
+    /// Seed of the patients, machines and settings
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// A learned controller, as written by `trainer train` [default: the PID of the fault matrix]
+    #[arg(long, value_name = "FILE")]
+    controller: Option<PathBuf>,
+    /// Run this patient only, and print its alarms with times and reasons
+    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["patients", "keep"])]
+    patient: Option<u64>,
+    /// File that keeps the results; an existing file is continued
+    #[arg(long, value_name = "FILE")]
+    keep: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Parses a number of hours.
+fn hours(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(hours) if (0.01..=1000.0).contains(&hours) => Ok(hours),
+        _ => Err("give hours from 0.01 to 1000".into()),
+    }
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let (controller, name) = match &args.controller {
+        Some(file) => learned(file)?,
+        None => sound_controller()?,
+    };
+    let summary = match args.patient {
+        Some(number) => alone(args, number, &controller)?,
+        None => together(args, &controller, &name)?,
+    };
+    args.output.finish(&summary)?;
+    if !summary.passes() {
+        let Summary { interruptions, high_alarms_undeserved, alarms_missed, .. } = summary;
+        bail!(
+            "{interruptions} interruptions, {high_alarms_undeserved} undeserved high-priority alarms, \
+             {alarms_missed} missed alarms"
+        );
+    }
+    Ok(())
+}
+
+fn learned(file: &Path) -> anyhow::Result<(Controller, String)> {
+    let image = Learned::load(file)?.image()?;
+    let image = decode(&image).with_context(|| file.display().to_string())?;
+    let period_us = image.residual.spec().period_us;
+    if period_us != DEFAULT_PERIOD_US {
+        bail!(
+            "{} is trained for a control period of {period_us} us: train one for {DEFAULT_PERIOD_US} us",
+            file.display()
+        );
+    }
+    Ok((Controller::Residual(image.residual), image_id(image.id)))
+}
+
+/// Runs all patients.
+fn together(args: &Args, controller: &Controller, name: &str) -> anyhow::Result<Summary> {
+    let mut test = Endurance::new(args.seed, args.hours, name);
+    if let Some(file) = &args.keep {
+        test = test.resumed(file)?;
+    }
+    with_bars(|progress| test.advance(args.patients, controller, args.keep.as_deref(), progress))?;
+    let summary = test.summary(args.patients);
+    args.output.table(&alarms(&summary));
+    if !summary.worst.is_empty() {
+        args.output.table(&worst(&summary.worst));
+    }
+    for line in totals(&summary) {
+        args.output.line(&line);
+    }
+    if stopped() {
+        args.output.line("stopped; if started with --keep, the same command continues from here");
+    }
+    Ok(summary)
+}
+
+/// Runs one patient and prints what happens.
+fn alone(args: &Args, number: u64, controller: &Controller) -> anyhow::Result<Summary> {
+    let patient = Patient::draw(args.seed, number, args.hours);
+    describe(&patient, &args.output);
+    let Some(result) = course::run(&patient, controller, args.hours, &mut Diary(&args.output))? else {
+        bail!("stopped before the end of the stay");
+    };
+    let summary = Summary::of(&[result]);
+    for line in totals(&summary) {
+        args.output.line(&line);
+    }
+    Ok(summary)
+}
+
+fn alarms(summary: &Summary) -> Table {
+    let priority = |row: &AlarmRow| match row.priority {
+        Priority::High => "high",
+        Priority::Medium => "medium",
+        Priority::Low => "low",
+    };
+    let undeserved = |row: &AlarmRow| match row.priority {
+        Priority::Low => Cell::right("-"),
+        _ => Cell::count(row.undeserved as usize),
+    };
+    Table::of(
+        "Alarms; low-priority ones are not judged",
+        &summary.alarms,
+        &[
+            ("alarm", &|row| Cell::text(row.id)),
+            ("priority", &|row| Cell::text(priority(row))),
+            ("deserved", &|row| Cell::count(row.deserved as usize)),
+            ("undeserved", &undeserved),
+            ("per patient-day", &|row| Cell::number(row.per_patient_day, 2)),
+        ],
+    )
+}
+
+fn worst(results: &[PatientResult]) -> Table {
+    let count = |count: u64| Cell::count(count as usize);
+    let causes = |result: &PatientResult| {
+        let alarms = result.alarms.iter().filter(|(_, count)| count.undeserved > 0);
+        let alarms = alarms.map(|(id, count)| format!("{id} {}", count.undeserved));
+        let missed = result.missed.iter().map(|(name, count)| format!("missed {name} {count}"));
+        alarms.chain(missed).collect::<Vec<_>>().join(", ")
+    };
+    Table::of(
+        "The worst patients",
+        results,
+        &[
+            ("patient", &|result| count(result.patient)),
+            ("interruptions", &|result| count(result.interruptions)),
+            ("high undeserved", &|result| count(result.undeserved(Priority::High))),
+            ("missed", &|result| count(result.missed())),
+            ("medium undeserved", &|result| count(result.undeserved(Priority::Medium))),
+            ("longest gap, s", &|result| Cell::number(result.longest_gap_s, 1)),
+            ("share of volume", &|result| Cell::number(result.minute_volume_share, 2)),
+            ("undeserved and missed", &|result| Cell::text(causes(result))),
+        ],
+    )
+}
+
+fn totals(summary: &Summary) -> Vec<String> {
+    let Summary { patients, patient_days, breaths, interruptions, .. } = summary;
+    vec![
+        format!(
+            "{breaths} breaths of {patients} patients in {patient_days:.2} patient-days: {interruptions} interruptions"
+        ),
+        format!(
+            "undeserved: {} high-priority alarms, {:.2} medium ones per patient-day; missed: {}",
+            summary.high_alarms_undeserved, summary.medium_alarms_undeserved_per_day, summary.alarms_missed
+        ),
+        format!(
+            "longest gap {:.1} s; lowest minute volume {:.2} of the passive patient's; highest true pressure {:.1} cmH2O, at \
+             most {:.1} above the limit",
+            summary.longest_gap_s,
+            summary.least_minute_volume_share,
+            summary.peak_true,
+            summary.peak_above_limit.max(0.0)
+        ),
+    ]
+}
+
+fn describe(patient: &Patient, output: &OutputArgs) {
+    let (bench, breathing) = (&patient.bench, &patient.bench.patient);
+    let lung = &bench.lung.first;
+    output.line(&format!(
+        "patient {}: R {:.1}, C {:.1}, resistance grows by {:.0} %/h; unit {}, noise {:.3} and {:.3} cmH2O, quantum {:.3} and \
+         {:.3} cmH2O (airway, outlet), drift {:.2} and {:.2} cmH2O/h",
+        patient.number,
+        lung.resistance_cmh2o_per_l_s,
+        lung.compliance_ml_per_cmh2o,
+        breathing.resistance_growth_percent_per_hour,
+        bench.unit.number,
+        bench.sensor.noise_sd_cmh2o,
+        bench.outlet_sensor.noise_sd_cmh2o,
+        bench.sensor.quantum_cmh2o,
+        bench.outlet_sensor.quantum_cmh2o,
+        bench.unit.sensor_drift_cmh2o_per_hour,
+        bench.outlet_sensor.drift_cmh2o_per_hour,
+    ));
+    output.line(&format!(
+        "efforts of {:.1} cmH2O, {:.1} a minute, {:.2} s long, varying by {:.0} %, {:.0} % double; {:.0} coughs of {:.0} cmH2O \
+         an hour",
+        breathing.effort_cmh2o,
+        breathing.effort_rate_per_min,
+        breathing.effort_duration_s,
+        breathing.effort_variability_percent,
+        breathing.double_efforts_percent,
+        breathing.coughs_per_hour,
+        breathing.cough_cmh2o,
+    ));
+    let change = |at_s: f64, leak: f64| format!("{leak:.2} from {at_s:.0} s");
+    let first = change(0.0, bench.circuit.leak_l_per_s_at_30_cmh2o);
+    let later = bench.circuit.leak_changes.iter().map(|c| change(c.at_s, c.leak_l_per_s_at_30_cmh2o));
+    let leaks: Vec<_> = std::iter::once(first).chain(later).collect();
+    output.line(&format!("leak in L/s at 30 cmH2O: {}", leaks.join(", ")));
+    output.line(&format!("settings: {}\n", entered(&patient.settings)));
+}
+
+fn entered(settings: &Settings) -> String {
+    let Settings { pip, peep, rate, inspiratory_time, rise_time, pressure_limit, .. } = settings;
+    format!(
+        "PIP {pip:.1}, PEEP {peep:.1}, {rate:.1} a minute, inspiration {inspiratory_time:.2} s, rise {rise_time:.2} s, limit \
+         {pressure_limit:.1}"
+    )
+}
+
+/// Prints the events of a stay.
+struct Diary<'a>(&'a OutputArgs);
+
+impl Observer for Diary<'_> {
+    fn event(&mut self, event: &Event, scene: &Scene<'_>) {
+        let text = match event {
+            Event::Alarm(fault, verdict) => {
+                let verdict = match verdict {
+                    Verdict::Deserved => "deserved",
+                    Verdict::Undeserved => "UNDESERVED",
+                    Verdict::Counted => "counted",
+                };
+                format!("{} {verdict}: {}", fault.alarm().id, state(scene.telling()))
+            }
+            Event::Missed(condition) => format!("MISSED {}: {}", condition.name(), state(scene.telling())),
+            Event::Interrupted(mode) => format!("INTERRUPTED, {mode:?}: {}", state(scene.telling())),
+            Event::Settings(settings) => format!("settings: {}", entered(settings)),
+        };
+        let seconds = f64::from(scene.ms) * 1e-3;
+        let Scene { breath, tick, level, .. } = scene;
+        self.0
+            .line(&format!("{seconds:10.3} s, breath {breath}, tick {tick}, {}: {text}", level_name(*level)));
+    }
+
+    fn minute(&mut self) -> bool {
+        !stop().load(std::sync::atomic::Ordering::Relaxed)
+    }
+}
+
+fn level_name(level: Level) -> &'static str {
+    match level {
+        Level::Learned => "chosen controller",
+        Level::Pid => "PID",
+        Level::CappedPid => "capped PID",
+        Level::Backup => "backup",
+    }
+}
+
+/// The truth about a breath, in words.
+fn state(breath: &BreathTruth) -> String {
+    let known = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"));
+    let Settings { pip, peep, pressure_limit, .. } = breath.settings;
+    format!(
+        "peak {:.1} (PIP {pip:.1}, limit {pressure_limit:.1}), plateau {}, baseline {} (PEEP {peep:.1}), lowest {:.1}, \
+         trapped {:.1}, volume {:.0} mL, effort {:.1} ({:.1} at the end), cough {:.1}, leak {:.2} ({:.3} L/s at the end), R {}, \
+         sensors off by {:.2} and {:.2}{}",
+        breath.peak,
+        known(breath.plateau),
+        known(breath.baseline),
+        breath.lowest,
+        breath.trapped,
+        breath.volume,
+        breath.effort,
+        breath.effort_at_end,
+        breath.cough,
+        breath.leak,
+        breath.leak_at_end,
+        known(breath.resistance),
+        breath.airway.offset(),
+        breath.outlet.offset(),
+        if breath.settled { "" } else { ", settings are new" },
+    )
+}
