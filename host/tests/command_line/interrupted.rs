@@ -3,7 +3,9 @@
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Command, Output, Stdio};
 
+use data::files::read_json;
 use data::recording::Recording;
+use judge::endure::Endurance;
 use learn::simulator::model::Simulator;
 
 use super::support::{Place, text};
@@ -63,4 +65,20 @@ fn an_interrupted_search_gives_the_best_so_far() {
     let result: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(result["complete"], false);
     assert_eq!(result["lungs"].as_array().unwrap().len(), 21);
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_endurance_test_continues() {
+    let place = Place::new();
+    let line = "endure --hours 0.02 --keep kept.json";
+    let output = interrupt(&place, &format!("{line} --patients 1000000"));
+    assert!(text(&output.stdout).contains("stopped; if started with --keep"), "{}", text(&output.stdout));
+    let kept: Endurance = read_json(&place.path("kept.json")).unwrap().unwrap();
+    // Those that ended need not be the first ones.
+    let patients = kept.results.last().map_or(2, |last| last.patient as usize + 2);
+    place.run(&format!("{line} --patients {patients}"));
+    let continued: Endurance = read_json(&place.path("kept.json")).unwrap().unwrap();
+    assert_eq!(continued.results.len(), patients);
+    assert!(kept.results.iter().all(|result| continued.results.contains(result)));
 }

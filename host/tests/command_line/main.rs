@@ -3,6 +3,7 @@
 mod bad_input;
 #[cfg(unix)]
 mod blackbox;
+mod endure;
 mod help;
 mod interrupted;
 mod pipeline;

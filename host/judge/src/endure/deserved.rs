@@ -10,7 +10,8 @@
 use shared::safety::alarms::{Fault, Priority};
 use shared::settings::Settings;
 
-use super::truth::{BreathTruth, History, SensorTruth};
+use super::sensor_truth::SensorTruth;
+use super::truth::{BreathTruth, History};
 
 /// Accuracy of a sound sensor's reading, cmH2O: three standard deviations of the units' offsets.
 pub const TOLERANCE: f64 = 1.0;

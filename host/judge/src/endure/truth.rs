@@ -6,14 +6,13 @@ use shared::sensor::Readings;
 use shared::settings::Settings;
 
 use super::patient::Patient;
+use super::sensor_truth::SensorTruth;
 use plant::bench::Truth;
 
 /// Length of the window at the end of a phase over which means are taken, ticks.
 const END_OF_PHASE: u32 = 50;
 /// Breaths that are kept, with the running one.
 const KEPT: usize = 3;
-/// Movement of the true pressure during identical readings that makes them frozen, cmH2O.
-const MOVED: f64 = 1.0;
 /// Ticks from which the resistance is measured.
 const RESISTANCE_TICKS: u32 = 200;
 /// Command and flow between which a working valve delivers gas: percent, L/s.
@@ -90,59 +89,6 @@ impl Mean {
         self.sum += value;
         self.count += 1;
         self.sum / f64::from(self.count)
-    }
-}
-
-/// Truth about one sensor in a breath: its errors against the pressure where it sits.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SensorTruth {
-    /// Readings that were no number.
-    pub missing: u32,
-    /// Largest error, cmH2O.
-    pub worst: f64,
-    /// Longest run of the same reading while the pressure moved, ms.
-    pub frozen_ms: u32,
-    count: u32,
-    sum: f64,
-    squares: f64,
-    last: f32,
-    same: u32,
-    /// Pressure range since the reading changed last.
-    range: (f64, f64),
-}
-
-impl SensorTruth {
-    /// Adds a reading, and the pressure where the sensor sits, cmH2O.
-    pub(super) fn add(&mut self, reading: f32, pressure: f64) {
-        if reading.is_nan() {
-            self.missing += 1;
-            return;
-        }
-        if self.count > 0 && reading.to_bits() == self.last.to_bits() {
-            self.same += 1;
-            self.range = (self.range.0.min(pressure), self.range.1.max(pressure));
-            if self.range.1 - self.range.0 > MOVED {
-                self.frozen_ms = self.frozen_ms.max(self.same);
-            }
-        } else {
-            (self.last, self.same, self.range) = (reading, 0, (pressure, pressure));
-        }
-        let error = f64::from(reading) - pressure;
-        self.worst = self.worst.max(error.abs());
-        self.count += 1;
-        self.sum += error;
-        self.squares += error * error;
-    }
-
-    /// Mean error, cmH2O.
-    pub fn offset(&self) -> f64 {
-        self.sum / f64::from(self.count.max(1))
-    }
-
-    /// Standard deviation of the error, cmH2O.
-    pub fn noise(&self) -> f64 {
-        let mean = self.offset();
-        (self.squares / f64::from(self.count.max(1)) - mean * mean).max(0.0).sqrt()
     }
 }
 

@@ -1,0 +1,123 @@
+//! A patient and what happens to it, in words.
+
+use std::sync::atomic::Ordering;
+
+use shared::safety::ladder::Level;
+use shared::settings::Settings;
+
+use crate::cli::common::stop;
+use crate::cli::output::OutputArgs;
+use judge::endure::course::{Event, Observer, Scene};
+use judge::endure::deserved::Verdict;
+use judge::endure::patient::Patient;
+use judge::endure::truth::BreathTruth;
+
+/// Prints who the patient is.
+pub fn describe(patient: &Patient, output: &OutputArgs) {
+    let (bench, breathing) = (&patient.bench, &patient.bench.patient);
+    let lung = &bench.lung.first;
+    output.line(&format!(
+        "patient {}: R {:.1}, C {:.1}, resistance grows by {:.0} %/h; unit {}, noise {:.3} and {:.3} cmH2O, quantum {:.3} and \
+         {:.3} cmH2O (airway, outlet), drift {:.2} and {:.2} cmH2O/h",
+        patient.number,
+        lung.resistance_cmh2o_per_l_s,
+        lung.compliance_ml_per_cmh2o,
+        breathing.resistance_growth_percent_per_hour,
+        bench.unit.number,
+        bench.sensor.noise_sd_cmh2o,
+        bench.outlet_sensor.noise_sd_cmh2o,
+        bench.sensor.quantum_cmh2o,
+        bench.outlet_sensor.quantum_cmh2o,
+        bench.unit.sensor_drift_cmh2o_per_hour,
+        bench.outlet_sensor.drift_cmh2o_per_hour,
+    ));
+    output.line(&format!(
+        "efforts of {:.1} cmH2O, {:.1} a minute, {:.2} s long, varying by {:.0} %, {:.0} % double; {:.0} coughs of {:.0} cmH2O \
+         an hour",
+        breathing.effort_cmh2o,
+        breathing.effort_rate_per_min,
+        breathing.effort_duration_s,
+        breathing.effort_variability_percent,
+        breathing.double_efforts_percent,
+        breathing.coughs_per_hour,
+        breathing.cough_cmh2o,
+    ));
+    let change = |at_s: f64, leak: f64| format!("{leak:.2} from {at_s:.0} s");
+    let first = change(0.0, bench.circuit.leak_l_per_s_at_30_cmh2o);
+    let later = bench.circuit.leak_changes.iter().map(|c| change(c.at_s, c.leak_l_per_s_at_30_cmh2o));
+    let leaks: Vec<_> = std::iter::once(first).chain(later).collect();
+    output.line(&format!("leak in L/s at 30 cmH2O: {}", leaks.join(", ")));
+    output.line(&format!("settings: {}\n", entered(&patient.settings)));
+}
+
+fn entered(settings: &Settings) -> String {
+    let Settings { pip, peep, rate, inspiratory_time, rise_time, pressure_limit, .. } = settings;
+    format!(
+        "PIP {pip:.1}, PEEP {peep:.1}, {rate:.1} a minute, inspiration {inspiratory_time:.2} s, rise {rise_time:.2} s, limit \
+         {pressure_limit:.1}"
+    )
+}
+
+/// Prints the events of a stay.
+pub struct Diary<'a>(pub &'a OutputArgs);
+
+impl Observer for Diary<'_> {
+    fn event(&mut self, event: &Event, scene: &Scene<'_>) {
+        let text = match event {
+            Event::Alarm(fault, verdict) => {
+                let verdict = match verdict {
+                    Verdict::Deserved => "deserved",
+                    Verdict::Undeserved => "UNDESERVED",
+                    Verdict::Counted => "counted",
+                };
+                format!("{} {verdict}: {}", fault.alarm().id, state(scene.telling()))
+            }
+            Event::Missed(condition) => format!("MISSED {}: {}", condition.name(), state(scene.telling())),
+            Event::Interrupted(mode) => format!("INTERRUPTED, {mode:?}: {}", state(scene.telling())),
+            Event::Settings(settings) => format!("settings: {}", entered(settings)),
+        };
+        let seconds = f64::from(scene.ms) * 1e-3;
+        let Scene { breath, tick, level, .. } = scene;
+        self.0
+            .line(&format!("{seconds:10.3} s, breath {breath}, tick {tick}, {}: {text}", level_name(*level)));
+    }
+
+    fn minute(&mut self) -> bool {
+        !stop().load(Ordering::Relaxed)
+    }
+}
+
+fn level_name(level: Level) -> &'static str {
+    match level {
+        Level::Learned => "chosen controller",
+        Level::Pid => "PID",
+        Level::CappedPid => "capped PID",
+        Level::Backup => "backup",
+    }
+}
+
+/// The truth about a breath, in words.
+fn state(breath: &BreathTruth) -> String {
+    let known = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"));
+    let Settings { pip, peep, pressure_limit, .. } = breath.settings;
+    format!(
+        "peak {:.1} (PIP {pip:.1}, limit {pressure_limit:.1}), plateau {}, baseline {} (PEEP {peep:.1}), lowest {:.1}, \
+         trapped {:.1}, volume {:.0} mL, effort {:.1} ({:.1} at the end), cough {:.1}, leak {:.2} ({:.3} L/s at the end), R {}, \
+         sensors off by {:.2} and {:.2}{}",
+        breath.peak,
+        known(breath.plateau),
+        known(breath.baseline),
+        breath.lowest,
+        breath.trapped,
+        breath.volume,
+        breath.effort,
+        breath.effort_at_end,
+        breath.cough,
+        breath.leak,
+        breath.leak_at_end,
+        known(breath.resistance),
+        breath.airway.offset(),
+        breath.outlet.offset(),
+        if breath.settled { "" } else { ", settings are new" },
+    )
+}
