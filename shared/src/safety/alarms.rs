@@ -252,7 +252,7 @@ pub const ALARMS: [Alarm; 24] = [
         "disconnection",
         (High, Tell),
         [
-            "150 ms of an inspiration at more than 2 cmH2O below PEEP, with a command above 30 %; until the patient \
+            "150 ms of an inspiration at less than 40 % of PEEP and more than 2 cmH2O below it, with a command above 30 %; until the patient \
              is back, the PID probes with a capped command",
             "the pressure of an inspiration is above PEEP again",
             "patient disconnected",
@@ -371,8 +371,8 @@ pub const ALARMS: [Alarm; 24] = [
         "leak",
         (Medium, Tell),
         [
-            "less than 75 % of the inspired volume comes out of 3 breaths in a row, and holding PEEP takes a command of more \
-             than 5 % above the bias",
+            "less than 60 % of the inspired volume comes out in 3 breaths in a row, or less than 75 % if holding PEEP takes a \
+             command of more than 5 % above the bias",
             GONE,
             "leak: check tube and mask",
         ],

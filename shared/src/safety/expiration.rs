@@ -21,7 +21,9 @@ const BOUND: f32 = 40.0;
 /// Compensation above which it tells of a leak, percent.
 const LEAK: f32 = 5.0;
 /// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
-const TIGHT: f32 = 0.75;
+pub const TIGHT: f32 = 0.75;
+/// Share below which the circuit leaks, whatever the compensation: a low PEEP needs none.
+const OPEN: f32 = 0.6;
 /// Breaths in a row with such a compensation and loss that raise the alarm.
 const LEAKS: u32 = 3;
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
@@ -120,8 +122,8 @@ impl Expiration {
     pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> bool {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
         state.shift = if comes_out { state.above } else { 0.0 };
-        let lost = expired_share.is_some_and(|share| share < TIGHT);
-        state.leaks = in_a_row(state.leaks, lost && state.compensation > LEAK);
+        let least = if state.compensation > LEAK { TIGHT } else { OPEN };
+        state.leaks = in_a_row(state.leaks, expired_share.is_some_and(|share| share < least));
         state.leaks >= self.leaks
     }
 
@@ -209,11 +211,11 @@ mod tests {
             state.compensation = state.compensation.max(if pressure < 4.5 { BOUND } else { 0.0 });
             expiration.start_breath(&mut state, share)
         };
-        assert!(leaks(Some(0.6), 4.0));
-        assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.6), 5.0));
-        let (expiration, mut state) = breaths_with(1, 25.0, Some(0.6), |_| 4.0);
+        assert!(leaks(Some(0.7), 4.0) && leaks(Some(0.5), 5.0));
+        assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.7), 5.0));
+        let (expiration, mut state) = breaths_with(1, 25.0, Some(0.5), |_| 4.0);
         assert!(
-            !expiration.start_breath(&mut state, Some(0.6)) && expiration.start_breath(&mut state, Some(0.6))
+            !expiration.start_breath(&mut state, Some(0.5)) && expiration.start_breath(&mut state, Some(0.5))
         );
     }
 

@@ -213,6 +213,11 @@ impl LungEstimator {
 }
 
 impl LungState {
+    /// Flow of the valve into ambient pressure, L/s.
+    pub fn valve_flow(&self) -> f32 {
+        flow(self.opening)
+    }
+
     /// Volume delivered so far in this inspiration, mL.
     pub fn volume(&self) -> f32 {
         self.volume

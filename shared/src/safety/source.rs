@@ -18,6 +18,8 @@ const FAR_APART: f32 = 10.0;
 const APART: f32 = 0.02;
 /// Difference at the end of an expiration above which one of them is wrong, cmH2O.
 const DOUBTFUL: f32 = 2.0;
+/// Highest resistance of the tube between them, cmH2O/(L/s): a flow that compensates a leak drops pressure in it.
+const TUBE: f32 = 4.0;
 /// Expirations in a row with such a difference after which the worse sensor is not used.
 const DOUBTFUL_BREATHS: u32 = 2;
 /// Difference at the end of an expiration up to which they agree again, cmH2O.
@@ -195,8 +197,9 @@ impl PressureSource {
         outlet_rose.abs() > DOUBTFUL
     }
 
-    /// Compares the sensors over the end of an expiration at this PEEP, cmH2O; true if one of them is wrong.
-    pub fn compare(&self, state: &mut SourceState, peep: f32) -> bool {
+    /// Compares the sensors over the end of an expiration at this PEEP, cmH2O, and flow of the valve, L/s; true if one of them
+    /// is wrong.
+    pub fn compare(&self, state: &mut SourceState, peep: f32, flow: f32) -> bool {
         let count = core::mem::take(&mut state.ends);
         let [airway, outlet] =
             [&mut state.airway, &mut state.outlet].map(|sensor| core::mem::take(&mut sensor.end));
@@ -205,7 +208,7 @@ impl PressureSource {
         }
         let (airway, outlet) = (airway / count as f32, outlet / count as f32);
         let apart = (airway - outlet).abs();
-        state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL);
+        state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL + TUBE * flow);
         state.agreed = in_a_row(state.agreed, apart <= AGREE && state.agreed_at_plateau);
         if state.agreed >= AGREED_BREATHS {
             (state.airway.doubted, state.outlet.doubted) = (false, false);

@@ -9,7 +9,7 @@
 use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
-use super::expiration::{Expiration, ExpirationState};
+use super::expiration::{Expiration, ExpirationState, TIGHT};
 use super::filter::ValveCommand;
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
@@ -197,10 +197,11 @@ impl Supervisor {
         }
         if tick + self.breath.end_of_phase() >= breath.total_ticks() && tick < breath.total_ticks() {
             self.source.at_end(&mut state.source, readings);
-            if tick + 1 == breath.total_ticks()
-                && self.source.compare(&mut state.source, breath.settings().peep)
-            {
-                self.found(state, Fault::SensorsDisagree);
+            if tick + 1 == breath.total_ticks() {
+                let (peep, flow) = (breath.settings().peep, state.lung.valve_flow());
+                if self.source.compare(&mut state.source, peep, flow) {
+                    self.found(state, Fault::SensorsDisagree);
+                }
             }
         }
     }
@@ -219,7 +220,8 @@ impl Supervisor {
             self.found(state, if other_sensor { Fault::SensorsDisagree } else { Fault::NoResponse });
         }
         let (command, volume) = (state.applied, state.lung.volume());
-        let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume };
+        let leaks = state.volumes.expired_share().is_some_and(|share| share < TIGHT);
+        let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume, leaks };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
