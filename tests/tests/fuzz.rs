@@ -146,6 +146,7 @@ fn requests() -> Vec<Request> {
         Request::GetRecorder,
         Request::ReadRecorder { part: RecorderPart::Log, from: 0 },
         Request::ClearRecorder,
+        Request::GetAlarms,
         Request::Reset,
     ]
 }

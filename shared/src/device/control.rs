@@ -13,7 +13,7 @@ use crate::control::Controller;
 use crate::control::pid::Pid;
 use crate::control::residual::Residual;
 use crate::explore::Exploration;
-use crate::link::messages::{ControllerChoice, DeviceKind, Response};
+use crate::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters};
 use crate::recorder::Moment;
@@ -281,6 +281,7 @@ impl Control {
             ControlRequest::Exploration(exploration) => self.explore(exploration),
             ControlRequest::Timing { clear } => Ok(self.timing(clear)),
             ControlRequest::ResetPlant(seed) => self.reset_plant(seed),
+            ControlRequest::Alarms => Ok(Response::Alarms(self.alarms())),
         };
         ControlReply::Response(response.unwrap_or_else(Response::Refused))
     }
@@ -314,6 +315,10 @@ impl Control {
             return Err(Refusal::FaultLatched);
         }
         if self.state.mode() == Mode::Standby {
+            // Before the first tick nothing is known about the sensors.
+            if self.tick > 0 && !self.state.has_sensor() {
+                return Err(Refusal::NoSensor);
+            }
             self.meter = BreathMeter::default();
             self.state.start();
         }
@@ -328,6 +333,11 @@ impl Control {
 
     fn acknowledge(&mut self) -> Result<Response, Refusal> {
         if self.state.acknowledge() { Ok(Response::Mode(self.state.mode())) } else { Err(Refusal::NoFault) }
+    }
+
+    fn alarms(&self) -> AlarmStatus {
+        let alarms = self.state.indications();
+        AlarmStatus { present: alarms.present(), indicated: alarms.indicated(), level: self.state.level() }
     }
 
     fn choose(&mut self, choice: ControllerChoice) -> Result<Response, Refusal> {

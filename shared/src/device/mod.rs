@@ -8,10 +8,13 @@
 //! | [`control`] | once per control tick | ventilator, queued breaths, breath meter, tick statistics |
 //! | [`server`] | when bytes or reports arrive | requests and their answers, telemetry batches, uploads |
 //!
+//! [`prescription`] keeps the settings of a running ventilation through a reset.
+//!
 //! The server sends one [`ControlRequest`] at a time to the control half and gets one [`ControlReply`]; the control half also
 //! sends unrequested [`ControlReport`]s. Neither half blocks: the caller passes requests, replies and reports between them.
 
 pub mod control;
+pub mod prescription;
 pub mod server;
 mod upload;
 
@@ -41,7 +44,7 @@ pub enum ControlRequest {
     Start,
     /// Stop ventilation.
     Stop,
-    /// Leave the latched safe state.
+    /// Acknowledge all alarms, and leave the latched safe state.
     Acknowledge,
     /// Use this controller from the next breath on.
     Controller(ControllerChoice),
@@ -54,6 +57,8 @@ pub enum ControlRequest {
     },
     /// Restart the plant with this seed at the next start of ventilation.
     ResetPlant(u64),
+    /// Report the alarms and the level of the ladder.
+    Alarms,
 }
 
 /// The control half's answer to a request.

@@ -129,6 +129,7 @@ impl<'a> Server<'a> {
             Request::Start => (Continuation::Forward, ControlRequest::Start),
             Request::Stop => (Continuation::Forward, ControlRequest::Stop),
             Request::Acknowledge => (Continuation::Forward, ControlRequest::Acknowledge),
+            Request::GetAlarms => (Continuation::Forward, ControlRequest::Alarms),
             Request::SetController(choice) => (Continuation::Forward, ControlRequest::Controller(*choice)),
             Request::SetExploration(choice) => (Continuation::Forward, ControlRequest::Exploration(*choice)),
             Request::GetTiming { clear } => (Continuation::Forward, ControlRequest::Timing { clear: *clear }),

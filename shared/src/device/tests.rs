@@ -11,7 +11,7 @@ use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
-use crate::link::messages::{CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
+use crate::link::messages::{AlarmStatus, CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
 use crate::recorder::{Boot, Recorder, RecorderMemory, RecorderPart, RecorderStatus, RecordingState};
@@ -518,6 +518,47 @@ fn reports_that_find_no_room_are_counted() {
     assert_eq!(counted, 50);
 }
 
+/// A device with all monitors, after some ticks at a reading.
+fn sensing(reading: f32) -> Rig {
+    let mut rig = Rig::new(None);
+    rig.control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    rig.run_at(100, reading);
+    rig
+}
+
+fn alarms(rig: &mut Rig) -> AlarmStatus {
+    match rig.ask(Request::GetAlarms) {
+        Response::Alarms(alarms) => alarms,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn without_a_sound_pressure_sensor_nothing_starts_and_the_reason_is_indicated() {
+    let mut rig = sensing(f32::NAN);
+    assert!(matches!(rig.ask(Request::Identify), Response::Identity(i) if i.mode == Mode::Standby));
+    assert!(alarms(&mut rig).indicated.has(Fault::ReadingNotANumber));
+    assert_eq!(rig.ask(Request::Start), Response::Refused(Refusal::NoSensor));
+    rig.run(4000);
+    assert_eq!(rig.ask(Request::Start), Response::Refused(Refusal::NoSensor), "sound for 4 s only");
+    rig.run(1100);
+    assert_eq!(rig.ask(Request::Start), Response::Mode(Mode::Ventilating));
+}
+
+#[test]
+fn alarms_are_asked_for_and_acknowledged_while_ventilating() {
+    let mut rig = sensing(5.0);
+    assert_eq!(alarms(&mut rig), AlarmStatus::default());
+    rig.ask(Request::Start);
+    rig.run_at(20, f32::NAN);
+    let lost = alarms(&mut rig);
+    assert!(lost.present.has(Fault::ReadingNotANumber) && lost.indicated.has(Fault::BackupVentilation));
+    assert_eq!(lost.level, Level::Backup);
+    assert_eq!(rig.ask(Request::Acknowledge), Response::Mode(Mode::Ventilating));
+    assert_eq!(alarms(&mut rig).indicated, lost.present, "present alarms stay indicated");
+    assert_eq!(rig.ask(Request::Acknowledge), Response::Refused(Refusal::NoFault));
+}
+
 #[test]
 fn a_ventilator_has_no_plant_to_reset() {
     let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
@@ -530,7 +571,7 @@ fn a_ventilator_has_no_plant_to_reset() {
 proptest! {
     /// Every request in any order and mode is answered, and the valves are safe unless a breath runs.
     #[test]
-    fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..16, -10.0f32..70.0), 1..60)) {
+    fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..17, -10.0f32..70.0), 1..60)) {
         let mut rig = Rig::new(Some(residual()));
         for (kind, value) in kinds {
             let request = match kind {
@@ -548,6 +589,7 @@ proptest! {
                 12 => Request::Reset,
                 13 => Request::ReadRecorder { part: RecorderPart::Log, from: value as u32 },
                 14 => Request::ClearRecorder,
+                15 => Request::GetAlarms,
                 _ => Request::GetTiming { clear: true },
             };
             rig.ask(request);

@@ -19,6 +19,8 @@ use crate::explore::Exploration;
 use crate::recorder::{Page, RecorderPart, RecorderStatus};
 use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
+use crate::safety::indications::FaultSet;
+use crate::safety::ladder::Level;
 use crate::settings::Settings;
 use crate::timing::TickTimes;
 use crate::ventilator::Mode;
@@ -51,7 +53,7 @@ pub enum Request {
     Start,
     /// Stops ventilation; answered by [`Response::Mode`].
     Stop,
-    /// Leaves the latched safe state for standby; answered by [`Response::Mode`].
+    /// Acknowledges all alarms, and leaves the latched safe state for standby; answered by [`Response::Mode`].
     Acknowledge,
     /// Sets the controller from the next breath on; answered by [`Response::Controller`].
     SetController(ControllerChoice),
@@ -105,6 +107,8 @@ pub enum Request {
     },
     /// Clears the flight recorder's ticks in the next control tick; the log stays. Answered by [`Response::Done`].
     ClearRecorder,
+    /// Reports the alarms and the level of the ladder; answered by [`Response::Alarms`].
+    GetAlarms,
 }
 
 /// Choice of the controller.
@@ -181,6 +185,19 @@ pub enum Response {
     Recorder(RecorderStatus),
     /// Entries of the flight recorder.
     Recorded(Page),
+    /// Alarms, and the level of the ladder.
+    Alarms(AlarmStatus),
+}
+
+/// The alarms of a device, and what commands its inspiratory valve because of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlarmStatus {
+    /// Alarms whose condition holds.
+    pub present: FaultSet,
+    /// Alarms that are indicated: present, or not yet acknowledged.
+    pub indicated: FaultSet,
+    /// Level of the ladder of trust.
+    pub level: Level,
 }
 
 /// The greeting: identity and state of a device.

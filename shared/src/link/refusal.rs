@@ -24,8 +24,8 @@ pub enum Refusal {
     /// A latched fault must be acknowledged first.
     #[error("a fault is latched; find its cause, then acknowledge it")]
     FaultLatched,
-    /// No fault is latched.
-    #[error("no fault is latched; there is nothing to acknowledge")]
+    /// There is no alarm to acknowledge.
+    #[error("there is no alarm to acknowledge")]
     NoFault,
     /// No valid weights for the control period were loaded at the start.
     #[error("no valid weights for the control period are loaded; upload an image, then reset the device")]
@@ -60,6 +60,11 @@ pub enum Refusal {
     /// The device has no plant to reset.
     #[error("this device has real valves; only a device with a simulated plant can reset it")]
     NoPlant,
+    /// No pressure sensor is sound.
+    #[error(
+        "no pressure sensor is sound; check its supply and wiring, and start once the reading has been sound for 5 s"
+    )]
+    NoSensor,
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use core::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 /// A cell of 32 bits.
 #[derive(Debug)]
 #[repr(transparent)]
-pub(super) struct Word(AtomicU32);
+pub(crate) struct Word(AtomicU32);
 
 /// A cell of 16 bits.
 #[derive(Debug)]
@@ -15,16 +15,16 @@ pub(super) struct Word(AtomicU32);
 pub(super) struct Half(AtomicU16);
 
 impl Word {
-    pub(super) const fn new() -> Self {
+    pub(crate) const fn new() -> Self {
         Self(AtomicU32::new(0))
     }
 
-    pub(super) fn load(&self) -> u32 {
+    pub(crate) fn load(&self) -> u32 {
         self.0.load(Ordering::Acquire)
     }
 
     /// Stores `value` after all earlier stores.
-    pub(super) fn store(&self, value: u32) {
+    pub(crate) fn store(&self, value: u32) {
         if fuse::holds() {
             self.0.store(value, Ordering::Release);
         }
@@ -58,7 +58,7 @@ mod fuse {
 
 /// In tests the supply can fail after any number of stores; later stores do not reach the memory.
 #[cfg(test)]
-pub(super) mod fuse {
+pub(crate) mod fuse {
     use core::cell::Cell;
 
     std::thread_local! {

@@ -21,7 +21,7 @@
 //! ([`RecorderMemory::status`], [`RecorderMemory::page`]); a reader that the writer overtakes detects it and reads again,
 //! so the writer never waits.
 
-mod cell;
+pub(crate) mod cell;
 pub mod entry;
 mod ring;
 #[cfg(test)]

@@ -4,10 +4,13 @@
 //! condition is gone *and* an operator has acknowledged it; ventilation does not wait for that. An alarm that begins is an
 //! event, kept until it is taken, so that none is lost when several begin at once.
 
+use serde::{Deserialize, Serialize};
+
 use super::alarms::{ALARMS, Action, Fault, Priority};
 
-/// A set of faults.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// A set of faults. Over the link it is a number with a bit for each fault; bits that this version does not know are kept and
+/// ignored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FaultSet(u32);
 
 impl FaultSet {

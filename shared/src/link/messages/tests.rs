@@ -85,6 +85,7 @@ fn request() -> impl Strategy<Value = Request> {
         Just(Request::GetRecorder),
         any::<u32>().prop_map(|from| Request::ReadRecorder { part: RecorderPart::Slow, from }),
         Just(Request::ClearRecorder),
+        Just(Request::GetAlarms),
     ]
 }
 
@@ -156,7 +157,13 @@ fn response() -> impl Strategy<Value = Response> {
                 bytes: Vec::from_slice(&bytes).unwrap(),
             })
         }),
+        any::<(u32, u32)>().prop_map(|(present, indicated)| Response::Alarms(alarms(present, indicated))),
     ]
+}
+
+fn alarms(present: u32, indicated: u32) -> AlarmStatus {
+    let [present, indicated] = [present, indicated].map(FaultSet::from_bits);
+    AlarmStatus { present, indicated, level: Level::CappedPid }
 }
 
 const TIMES: TickTimes = TickTimes {
@@ -282,6 +289,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::GetRecorder, "ac0210"),
         (Request::ReadRecorder { part: RecorderPart::Log, from: 300 }, "ac021102ac02"),
         (Request::ClearRecorder, "ac0212"),
+        (Request::GetAlarms, "ac0213"),
     ];
     for (request, expected) in requests {
         let message = ToDevice { sequence: 300, request };
@@ -332,6 +340,7 @@ fn the_bytes_of_every_response_are_pinned() {
             }),
             "00050d018001020708",
         ),
+        (Response::Alarms(alarms(1, 0x8000_0001)), "00050e01818080800802"),
     ];
     for (response, expected) in responses {
         let message = ToHost::Response { sequence: 5, response };
@@ -370,6 +379,7 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::UnknownRequest, "090d"),
         (Refusal::QueueFull, "090e"),
         (Refusal::NoPlant, "090f"),
+        (Refusal::NoSensor, "0910"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);
