@@ -17,7 +17,9 @@ use std::time::{Duration, Instant};
 
 use shared::explore::Exploration;
 use shared::link::PROTOCOL;
-use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response, ToDevice};
+use shared::link::messages::{
+    AlarmStatus, ControllerChoice, DeviceIdentity, Event, Request, Response, ToDevice,
+};
 use shared::link::refusal::Refusal;
 use shared::settings::Settings;
 use shared::timing::TickTimes;
@@ -196,9 +198,17 @@ impl Device {
         self.expect_mode(&Request::Stop)
     }
 
-    /// Acknowledges a fault, to leave the latched safe state.
+    /// Acknowledges all alarms, and leaves the latched safe state.
     pub fn acknowledge(&mut self) -> Result<Mode, DeviceError> {
         self.expect_mode(&Request::Acknowledge)
+    }
+
+    /// Alarms, and the level of the ladder.
+    pub fn alarms(&mut self) -> Result<AlarmStatus, DeviceError> {
+        match self.request(&Request::GetAlarms)? {
+            Response::Alarms(alarms) => Ok(alarms),
+            _ => Err(DeviceError::Unexpected),
+        }
     }
 
     fn expect_mode(&mut self, request: &Request) -> Result<Mode, DeviceError> {

@@ -7,7 +7,9 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
-use shared::link::messages::DeviceIdentity;
+use shared::link::messages::{AlarmStatus, DeviceIdentity};
+use shared::safety::alarms::Fault;
+use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Settings};
 use shared::timing::TickTimes;
 
@@ -30,7 +32,7 @@ Examples:
   trainer monitor --port tcp:localhost:5555 --plain | tee night.log
   trainer monitor --port COM3 --once --json -
 
-Keys: space starts and stops, a acknowledges a fault, up and down change PIP, left and right the
+Keys: space starts and stops, a acknowledges all alarms, up and down change PIP, left and right the
 rate, p switches between PID and learned weights, q quits. The monitor sends only the request for
 telemetry and what a key asks for. Quitting leaves the device as it is; ventilation continues.")]
 pub struct Args {
@@ -95,22 +97,43 @@ struct State {
     identity: DeviceIdentity,
     settings: Settings,
     next_settings: Option<Settings>,
+    alarms: Alarms,
     ticks: TickTimes,
     line: LineCounters,
+}
+
+/// Stable names of alarms, and the level of the ladder.
+#[derive(Debug, Serialize)]
+struct Alarms {
+    present: Vec<&'static str>,
+    /// The most urgent first.
+    indicated: Vec<&'static str>,
+    level: Level,
+    #[serde(skip)]
+    status: AlarmStatus,
+}
+
+impl From<AlarmStatus> for Alarms {
+    fn from(status: AlarmStatus) -> Self {
+        let id = |fault: Fault| fault.alarm().id;
+        let indicated = words::indicated(&status).into_iter().map(id).collect();
+        Self { present: status.present.faults().map(id).collect(), indicated, level: status.level, status }
+    }
 }
 
 fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
     let identity = device.identify()?;
     let (settings, next_settings) = device.settings()?;
+    let alarms = device.alarms()?.into();
     let ticks = device.timing(false)?;
     let (port, line) = (args.port.to_string(), device.counters());
-    let state = State { port, identity, settings, next_settings, ticks, line };
+    let state = State { port, identity, settings, next_settings, alarms, ticks, line };
     args.output.table(&table(&state));
     args.output.finish(&state)
 }
 
 fn table(state: &State) -> Table {
-    let State { identity, ticks, .. } = state;
+    let State { identity, alarms, ticks, .. } = state;
     let us = |cycles: f32| format!("{:.1} us", ticks.microseconds(cycles));
     let mut table = Table::new("", &["device", &state.port]);
     let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
@@ -118,6 +141,13 @@ fn table(state: &State) -> Table {
     row("started by", words::reset(identity.reset).to_owned());
     row("mode", words::mode(identity.mode));
     row("controller", words::controller(identity.controller));
+    row("in command", words::level(alarms.level).to_owned());
+    for fault in words::indicated(&alarms.status) {
+        row("alarm", words::alarm(fault, &alarms.status));
+    }
+    if alarms.indicated.is_empty() {
+        row("alarm", "none is indicated".to_owned());
+    }
     for field in FIELDS {
         row(&words::name(field), words::setting(field, &state.settings, state.next_settings.as_ref()));
     }
@@ -134,8 +164,18 @@ mod tests {
     use shared::link::PROTOCOL;
     use shared::link::messages::{ControllerChoice, DeviceKind};
     use shared::reset::ResetCause;
+    use shared::safety::indications::FaultSet;
     use shared::ventilator::Mode;
     use shared::weights::slots::SlotState;
+
+    #[test]
+    fn alarms_have_their_stable_names_the_most_urgent_first() {
+        let present = FaultSet::from_bits(1 << Fault::Leak as u32);
+        let indicated = FaultSet::from_bits(present.bits() | 1 << Fault::Restarted as u32);
+        let alarms = Alarms::from(AlarmStatus { present, indicated, level: Level::Pid });
+        assert_eq!((alarms.present, alarms.indicated), (vec!["leak"], vec!["restarted", "leak"]));
+        assert_eq!(serde_json::to_value(alarms.level).unwrap(), "Pid");
+    }
 
     #[test]
     fn a_setting_that_waits_for_its_breath_is_told_beside_the_one_in_force() {
@@ -155,7 +195,8 @@ mod tests {
         let settings = Settings::default();
         let next_settings = Some(Settings { pip: 25.0, ..settings });
         let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());
-        let text = table(&State { port, identity, settings, next_settings, ticks, line }).to_plain();
+        let alarms = AlarmStatus::default().into();
+        let text = table(&State { port, identity, settings, next_settings, alarms, ticks, line }).to_plain();
         assert!(text.contains("20 cmH2O, 25 from the next breath on"), "{text}");
         assert_eq!(text.matches("from the next breath on").count(), 1, "{text}");
     }

@@ -8,6 +8,8 @@ use ratatui::style::{Color, Modifier, Style, Stylize};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Borders, Chart, Dataset, GraphType, Paragraph, Wrap};
+use shared::safety::alarms::{Fault, Priority};
+use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
@@ -57,9 +59,18 @@ fn state(view: &View) -> Span<'static> {
     match (&view.lost, view.mode) {
         (Some(_), _) => Span::styled(format!(" no connection; last mode: {known} "), loud),
         (None, Some(Mode::Fault(_))) => Span::styled(format!(" {known} "), loud),
-        (None, Some(Mode::Ventilating)) => Span::from(known).green().bold(),
-        (None, _) => Span::from(known).yellow().bold(),
+        (None, mode) => match (urgent(view), mode) {
+            (Some(fault), _) => Span::styled(format!(" {known}: {} ", words::fault(fault)), loud),
+            (None, Some(Mode::Ventilating)) => Span::from(known).green().bold(),
+            (None, _) => Span::from(known).yellow().bold(),
+        },
     }
+}
+
+/// The first indicated alarm of high priority.
+fn urgent(view: &View) -> Option<Fault> {
+    let faults = words::indicated(view.status.as_ref()?);
+    faults.into_iter().find(|fault| fault.alarm().priority == Priority::High)
 }
 
 fn message_line(view: &View) -> Paragraph<'static> {
@@ -141,10 +152,11 @@ fn bounds<'a>(pieces: impl Iterator<Item = &'a Points>) -> [f64; 2] {
 
 fn draw_numbers(frame: &mut Frame, area: Rect, view: &View) {
     let blocks = [
+        ("alarms", indicated(view)),
         ("settings", settings(view)),
         ("ticks", ticks(view)),
         ("losses", losses(view)),
-        ("alarms, newest first", alarms(view)),
+        ("begun alarms, newest first", alarms(view)),
         ("breaths, newest first", breaths(view)),
     ];
     let last = blocks.len() - 1;
@@ -208,7 +220,40 @@ fn losses(view: &View) -> Vec<Line<'static>> {
     ]
 }
 
-/// Number of alarms shown; older ones stay in memory.
+/// Number of indicated alarms shown: the most urgent ones.
+const INDICATED_LINES: usize = 4;
+
+fn indicated(view: &View) -> Vec<Line<'static>> {
+    let Some(alarms) = &view.status else {
+        return vec![Line::from("not reported yet")];
+    };
+    let faults = words::indicated(alarms);
+    let mut lines = vec![ladder(alarms.level)];
+    let line = |fault: &Fault| {
+        let line = Line::from(words::alarm(*fault, alarms));
+        match fault.alarm().priority {
+            Priority::High => line.red().bold(),
+            Priority::Medium => line.yellow().bold(),
+            Priority::Low => line.cyan(),
+        }
+    };
+    lines.extend(faults.iter().take(INDICATED_LINES).map(line));
+    match faults.len() {
+        0 => lines.push(Line::from("none is indicated")),
+        count if count > INDICATED_LINES => {
+            lines.push(Line::from(format!("and {} more", count - INDICATED_LINES)));
+        }
+        _ => {}
+    }
+    lines
+}
+
+fn ladder(level: Level) -> Line<'static> {
+    let line = Line::from(format!("in command: {}", words::level(level)));
+    if level == Level::Learned { line } else { line.yellow() }
+}
+
+/// Number of begun alarms shown; older ones stay in memory.
 const ALARM_LINES: usize = 3;
 
 fn alarms(view: &View) -> Vec<Line<'static>> {

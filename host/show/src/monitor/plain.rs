@@ -2,8 +2,10 @@
 //!
 //! A line is written when something changes, not at every poll.
 
-use shared::link::messages::{ControllerChoice, Event, Request, Response};
+use shared::link::messages::{AlarmStatus, ControllerChoice, Event, Request, Response};
 use shared::safety::alarms::Action;
+use shared::safety::indications::FaultSet;
+use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 
@@ -19,6 +21,8 @@ pub struct Lines {
     mode: Option<Mode>,
     controller: Option<ControllerChoice>,
     settings: Option<Settings>,
+    level: Option<Level>,
+    indicated: Option<FaultSet>,
     losses: Losses,
 }
 
@@ -71,6 +75,12 @@ impl Lines {
             Response::Controller(choice) => {
                 lines.extend(changed(&mut self.controller, *choice).map(controller));
             }
+            Response::Alarms(alarms) => {
+                lines.extend(changed(&mut self.level, alarms.level).map(level));
+                if changed(&mut self.indicated, alarms.indicated).is_some() {
+                    lines.push(indicated(alarms));
+                }
+            }
             Response::Settings { in_force, .. } => {
                 lines.extend(
                     changed(&mut self.settings, *in_force)
@@ -104,6 +114,17 @@ fn mode(now: Mode) -> String {
     format!("mode: {}", words::mode(now))
 }
 
+fn level(now: Level) -> String {
+    format!("in command: {}", words::level(now))
+}
+
+/// All indicated alarms, the most urgent first.
+fn indicated(alarms: &AlarmStatus) -> String {
+    let list: Vec<_> =
+        words::indicated(alarms).into_iter().map(|fault| words::alarm(fault, alarms)).collect();
+    format!("indicated alarms: {}", if list.is_empty() { "none".to_owned() } else { list.join("; ") })
+}
+
 fn controller(now: ControllerChoice) -> String {
     format!("controller: {}", words::controller(now))
 }
@@ -113,6 +134,7 @@ fn name(request: &Request) -> &'static str {
     match request {
         Request::Identify => "identify",
         Request::GetSettings => "settings",
+        Request::GetAlarms => "alarms",
         Request::GetTiming { .. } => "tick times",
         Request::Telemetry { .. } => "telemetry",
         _ => "request",

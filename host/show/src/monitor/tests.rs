@@ -9,11 +9,15 @@ use shared::breath::Phase;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
 use shared::link::PROTOCOL;
-use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, Response};
+use shared::link::messages::{
+    AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, Response,
+};
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
 use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
+use shared::safety::indications::FaultSet;
+use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::timing::{BINS, CycleStats, TickTimes};
 use shared::ventilator::{Mode, Sample};
@@ -110,6 +114,14 @@ fn alarm(fault: Fault) -> News {
     News::Event(Event::Alarm { fault, tick: 4321 })
 }
 
+/// The answer with these alarms; `gone` are only not yet acknowledged.
+fn alarms(present: &[Fault], gone: &[Fault], level: Level) -> News {
+    let bits = |faults: &[Fault]| faults.iter().fold(0, |bits, fault| bits | 1 << *fault as u32);
+    let [present, gone] = [present, gone].map(bits);
+    let [present, indicated] = [present, present | gone].map(FaultSet::from_bits);
+    answer(Request::GetAlarms, Response::Alarms(AlarmStatus { present, indicated, level }))
+}
+
 fn breath(number: u32) -> News {
     News::Event(Event::Breath(BreathSummary {
         breath: number,
@@ -166,14 +178,24 @@ mod keys {
     #[test]
     fn after_an_alarm_space_never_stops_or_acknowledges_by_itself() {
         let mut view = ventilating();
-        view.take(&alarm(Fault::HighPressure));
-        assert_eq!(view.mode, Some(Mode::Fault(Fault::HighPressure)));
+        view.take(&alarm(Fault::HardLimit));
+        assert_eq!(view.mode, Some(Mode::Fault(Fault::HardLimit)));
         assert_eq!(
             view.press(Key::StartStop),
             Some(Request::Start),
             "which the device refuses, and says why"
         );
         assert_eq!(view.press(Key::Acknowledge), Some(Request::Acknowledge));
+    }
+
+    #[test]
+    fn alarms_are_acknowledged_while_it_ventilates() {
+        let mut view = ventilating();
+        view.take(&alarms(&[], &[Fault::Restarted], Level::Pid));
+        assert_eq!(
+            (view.press(Key::Acknowledge), view.mode),
+            (Some(Request::Acknowledge), Some(Mode::Ventilating))
+        );
     }
 
     #[test]
@@ -421,9 +443,18 @@ mod pictures {
     }
 
     #[test]
+    fn alarms_by_priority_while_it_ventilates() {
+        let mut view = breathing();
+        let present = [Fault::Leak, Fault::LearnedDistrusted, Fault::BackupVentilation];
+        let gone = [Fault::Restarted, Fault::CommandCapped];
+        view.take(&alarms(&present, &gone, Level::Backup));
+        insta::assert_snapshot!(picture(&view, 120, 36).backend());
+    }
+
+    #[test]
     fn a_fault_with_losses_and_a_refusal() {
         let mut view = breathing();
-        view.take(&alarm(Fault::HighPressure));
+        view.take(&alarm(Fault::HardLimit));
         let device = Counters { dropped: 4, corrupt_frames: 1, ..Counters::default() };
         view.take(&News::Traffic(LineCounters { frames: 900, corrupt: 2, lost_batches: 3, device }));
         let refused = Err(Refusal::FaultLatched.to_string());
@@ -448,12 +479,17 @@ mod pictures {
     }
 
     #[test]
-    fn faults_and_a_lost_connection_are_loud_and_nothing_else_is() {
+    fn faults_urgent_alarms_and_a_lost_connection_are_loud_and_nothing_else_is() {
         let mut view = ventilating();
         assert!(!loud(&view));
-        view.take(&alarm(Fault::ReadingNotANumber));
+        view.take(&alarm(Fault::HardLimit));
         assert!(loud(&view));
-        view.take(&greeting(Mode::Standby));
+        view.take(&greeting(Mode::Ventilating));
+        view.take(&alarms(&[Fault::Leak], &[Fault::HostSilent], Level::Pid));
+        assert!(!loud(&view));
+        view.take(&alarms(&[Fault::Leak], &[Fault::Restarted], Level::Pid));
+        assert!(loud(&view), "not yet acknowledged");
+        view.take(&alarms(&[], &[], Level::Learned));
         assert!(!loud(&view));
         view.take(&News::Lost("cable".into()));
         assert!(loud(&view));
@@ -485,10 +521,15 @@ mod lines {
             in_force(Settings::default()),
             answer(Request::Start, Response::Mode(Mode::Ventilating)),
             telemetry(0, &[5.0; 16]),
+            alarms(&[], &[], Level::Learned),
             breath(0),
             News::Traffic(losses),
-            alarm(Fault::HighPressure),
-            greeting(Mode::Fault(Fault::HighPressure)),
+            alarm(Fault::Leak),
+            alarms(&[Fault::Leak, Fault::HostSilent], &[Fault::Restarted], Level::Pid),
+            alarms(&[Fault::HostSilent], &[], Level::Pid),
+            alarms(&[], &[], Level::Learned),
+            alarm(Fault::HardLimit),
+            greeting(Mode::Fault(Fault::HardLimit)),
             News::Lost("cable".into()),
             greeting(Mode::Standby),
         ]);
@@ -499,7 +540,8 @@ mod lines {
     fn what_did_not_change_is_not_written_again() {
         let look = || {
             let traffic = LineCounters { frames: 7, ..LineCounters::default() };
-            let state = [greeting(Mode::Standby), in_force(Settings::default()), timing(1)];
+            let silent = alarms(&[Fault::HostSilent], &[], Level::Pid);
+            let state = [greeting(Mode::Standby), in_force(Settings::default()), silent, timing(1)];
             state.into_iter().chain([News::Traffic(traffic)])
         };
         assert_eq!(written(look().chain(look()).chain(look())), written(look()));

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use shared::control::pid::PidGains;
-use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, Request, Response};
+use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::telemetry::BreathSummary;
 use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
@@ -33,7 +33,7 @@ const REMEMBERED: usize = 100;
 pub enum Key {
     /// Start or stop ventilation.
     StartStop,
-    /// Leave the latched safe state.
+    /// Acknowledge all alarms, and leave the latched safe state.
     Acknowledge,
     /// Higher PIP.
     PipUp,
@@ -76,6 +76,8 @@ pub struct View {
     pub(super) in_force: Option<Settings>,
     pub(super) pending: Option<Settings>,
     pub(super) times: Option<TickTimes>,
+    /// Alarms as the device reported them last, and the level of the ladder.
+    pub(super) status: Option<AlarmStatus>,
     pub(super) traffic: LineCounters,
     pub(super) window: TelemetryWindow,
     /// Breaths, newest first.
@@ -161,6 +163,7 @@ impl View {
             }
             Response::Mode(mode) => self.mode = Some(*mode),
             Response::Controller(choice) => self.chosen(*choice),
+            Response::Alarms(alarms) => self.status = Some(*alarms),
             Response::Timing(times) => {
                 if self.times.is_some_and(|before| times.ticks < before.ticks) {
                     self.started_anew();
@@ -271,8 +274,8 @@ fn remember<T>(list: &mut VecDeque<T>, newest: T) {
 
 /// Whether the monitor polls this itself.
 fn asked_by_itself(request: &Request) -> bool {
-    use Request::{GetSettings, GetTiming, Identify, Telemetry};
-    matches!(request, Identify | GetSettings | GetTiming { .. } | Telemetry { .. })
+    use Request::{GetAlarms, GetSettings, GetTiming, Identify, Telemetry};
+    matches!(request, Identify | GetSettings | GetAlarms | GetTiming { .. } | Telemetry { .. })
 }
 
 /// A message for a completed request; `None` if the change shows elsewhere.

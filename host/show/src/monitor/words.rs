@@ -1,8 +1,11 @@
-//! Modes, faults, controllers and reset causes as text.
+//! Modes, alarms, controllers and reset causes as text.
 
-use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind};
+use std::cmp::Reverse;
+
+use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind};
 use shared::reset::ResetCause;
-use shared::safety::alarms::Fault;
+use shared::safety::alarms::{Fault, Priority};
+use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Field, Settings};
 use shared::ventilator::Mode;
 
@@ -18,6 +21,38 @@ pub fn mode(mode: Mode) -> String {
 /// The fault detected by a monitor.
 pub fn fault(fault: Fault) -> &'static str {
     fault.alarm().text
+}
+
+/// Priority of an alarm.
+pub fn priority(priority: Priority) -> &'static str {
+    match priority {
+        Priority::High => "high",
+        Priority::Medium => "medium",
+        Priority::Low => "low",
+    }
+}
+
+/// The level of the ladder that commands the inspiratory valve.
+pub fn level(level: Level) -> &'static str {
+    match level {
+        Level::Learned => "chosen controller",
+        Level::Pid => "PID alone",
+        Level::CappedPid => "capped PID",
+        Level::Backup => "backup ventilation",
+    }
+}
+
+/// The indicated alarms, the most urgent first.
+pub fn indicated(alarms: &AlarmStatus) -> Vec<Fault> {
+    let mut faults: Vec<Fault> = alarms.indicated.faults().collect();
+    faults.sort_by_key(|fault| Reverse(fault.alarm().priority));
+    faults
+}
+
+/// An indicated alarm: priority, text, and whether its condition is gone.
+pub fn alarm(indicated: Fault, alarms: &AlarmStatus) -> String {
+    let gone = if alarms.present.has(indicated) { "" } else { " (gone)" };
+    format!("{}: {}{gone}", priority(indicated.alarm().priority), fault(indicated))
 }
 
 /// The running controller.
