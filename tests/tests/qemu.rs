@@ -24,13 +24,16 @@ use shared::breath::{PAPER_PIPS, Phase, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::device::KNOWN_GOOD;
-use shared::link::messages::{ControllerChoice, DeviceKind, Event};
+use shared::device::prescription::RESUMES;
+use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Event};
 use shared::link::telemetry::{Counters, PackedSample};
 use shared::recorder::{
-    Activity, ChipEvent, FAST_ENTRIES, FAST_TAIL, Happening, RecorderStatus, RecordingState, TickEntry,
+    Activity, ChipEvent, FAST_ENTRIES, FAST_TAIL, Happening, LogEntry, RecorderStatus, RecordingState,
+    TickEntry,
 };
 use shared::reset::ResetCause;
 use shared::safety::alarms::Fault;
+use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
@@ -160,15 +163,16 @@ impl Plant for GoldenPlant {
 }
 
 #[test]
-fn the_boards_own_image_stands_in_the_safe_state_and_names_the_missing_sensor() {
+fn the_boards_own_image_stands_by_names_the_missing_sensor_and_does_not_start() {
     let board = Emulator::start(config("board"), Silence).unwrap();
     let mut device = connect(&board);
     let identity = device.identify().unwrap();
     assert_eq!((identity.device, identity.reset), (DeviceKind::Ventilator, ResetCause::PowerOn));
-    assert_eq!(identity.mode, Mode::Fault(Fault::ReadingNotANumber));
+    assert_eq!(identity.mode, Mode::Standby);
+    assert!(device.alarms().unwrap().indicated.has(Fault::ReadingNotANumber));
     assert_eq!((identity.slots, identity.running), ([SlotState::Empty; 2], None));
     assert_eq!(identity.controller, ControllerChoice::Pid(KNOWN_GOOD), "no weights: the PID");
-    assert!(device.start().unwrap_err().to_string().contains("fault is latched"));
+    assert!(device.start().unwrap_err().to_string().contains("no pressure sensor is sound"));
     assert!(device.reset_plant(1).is_err(), "a ventilator has no plant");
 }
 
@@ -569,7 +573,8 @@ fn a_stack_that_overflows_is_reported_and_the_recorder_keeps_the_ticks_before() 
     assert!(failure.starts_with("stack overflow"), "{failure}");
     assert_eq!(device.identify().unwrap().mode, Mode::Standby);
     let blackbox = device.blackbox(&Progress::silent()).unwrap();
-    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
+    // It resumes, and overflows again, until it gives up.
+    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2 + RESUMES, RecordingState::Reset));
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Software, failed: true }));
     assert!(happened(&blackbox, Happening::Start));
     assert_eq!(blackbox.fast.ticks().count(), FAST_ENTRIES);
@@ -689,8 +694,27 @@ impl<P: PlantEnd> PlantEnd for Unplugged<P> {
     }
 }
 
+/// Waits for the alarm of a fault.
+fn alarmed(device: &Device, fault: Fault) {
+    let alarm = |event: &Event| matches!(event, Event::Alarm { fault: found, .. } if *found == fault);
+    let deadline = Instant::now() + DEADLINE;
+    while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
+}
+
+/// Polls the alarms until they meet a condition.
+fn indicates(device: &mut Device, wished: impl Fn(&AlarmStatus) -> bool) {
+    let deadline = Instant::now() + DEADLINE;
+    loop {
+        let alarms = device.alarms().unwrap();
+        if wished(&alarms) {
+            return;
+        }
+        assert!(Instant::now() < deadline, "{alarms:?}");
+    }
+}
+
 #[test]
-fn a_plant_that_vanishes_is_a_sensor_fault() {
+fn a_plant_that_vanishes_is_ventilated_in_backup_until_it_returns() {
     let gone = Arc::new(AtomicBool::new(false));
     let bench = LockstepPlant::new(BenchPlant::new(&lung()).unwrap());
     let board = Emulator::start(config("hil"), Unplugged(bench, Arc::clone(&gone))).unwrap();
@@ -699,10 +723,16 @@ fn a_plant_that_vanishes_is_a_sensor_fault() {
     device.start().unwrap();
     Samples::default().until(&device, |sample| sample.breath == 1);
     gone.store(true, Ordering::Relaxed);
-    let alarm = |event: &Event| matches!(event, Event::Alarm { fault: Fault::ReadingNotANumber, .. });
-    let deadline = Instant::now() + DEADLINE;
-    while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
-    assert_eq!(device.identify().unwrap().mode, Mode::Fault(Fault::ReadingNotANumber));
+    alarmed(&device, Fault::ReadingNotANumber);
+    assert_eq!(device.identify().unwrap().mode, Mode::Ventilating);
+    let alarms = device.alarms().unwrap();
+    assert_eq!(alarms.level, Level::Backup);
+    assert!(alarms.present.has(Fault::ReadingNotANumber) && alarms.present.has(Fault::BackupVentilation));
+    gone.store(false, Ordering::Relaxed);
+    indicates(&mut device, |alarms| alarms.level != Level::Backup);
+    assert!(device.alarms().unwrap().indicated.has(Fault::BackupVentilation), "until it is acknowledged");
+    assert_eq!(device.acknowledge().unwrap(), Mode::Ventilating);
+    indicates(&mut device, |alarms| !alarms.indicated.has(Fault::BackupVentilation));
 }
 
 /// Waits for a greeting after a start with this cause.
@@ -720,27 +750,56 @@ fn happened(blackbox: &Blackbox, wanted: Happening) -> bool {
     blackbox.log.iter().any(|event| event.happening == wanted)
 }
 
+/// A plant whose sensor can be made to read far above the pressure limit, with a working sensor's noise.
+struct Overpressure {
+    bench: BenchPlant,
+    on: Arc<AtomicBool>,
+    noise: f32,
+}
+
+impl Plant for Overpressure {
+    type Error = <BenchPlant as Plant>::Error;
+
+    fn name(&self) -> String {
+        self.bench.name()
+    }
+
+    fn reset(&mut self, period_us: u32, seed: u64, peep: f32) -> Result<Reading, Self::Error> {
+        self.bench.reset(period_us, seed, peep)
+    }
+
+    fn set_peep(&mut self, peep: f32) -> Result<(), Self::Error> {
+        self.bench.set_peep(peep)
+    }
+
+    fn step(&mut self, u_in: f32, u_out: bool) -> Result<Reading, Self::Error> {
+        let reading = self.bench.step(u_in, u_out)?;
+        self.noise = -self.noise;
+        Ok(if self.on.load(Ordering::Relaxed) { Reading::of_pressure(65.0 + self.noise) } else { reading })
+    }
+}
+
 #[test]
 fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
-    let gone = Arc::new(AtomicBool::new(false));
-    let bench = LockstepPlant::new(BenchPlant::new(&lung()).unwrap());
-    let board = Emulator::start(config("hil"), Unplugged(bench, Arc::clone(&gone))).unwrap();
+    let on = Arc::new(AtomicBool::new(false));
+    let bench = BenchPlant::new(&lung()).unwrap();
+    let plant = Overpressure { bench, on: Arc::clone(&on), noise: 0.05 };
+    let board = Emulator::start(config("hil"), LockstepPlant::new(plant)).unwrap();
     let mut device = connect(&board);
     device.telemetry(true).unwrap();
     device.apply(paper_settings(25.0)).unwrap();
     device.start().unwrap();
     Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (2, 0));
-    gone.store(true, Ordering::Relaxed);
-    let alarm = |event: &Event| matches!(event, Event::Alarm { .. });
+    on.store(true, Ordering::Relaxed);
+    alarmed(&device, Fault::HardLimit);
     let deadline = Instant::now() + DEADLINE;
-    while !alarm(&device.events().recv_timeout(deadline - Instant::now()).expect("an alarm comes")) {}
     // Recording continues for its tail.
     let ended = |status: &RecorderStatus| status.fast.tick(status.fast.next, 1) == status.tick + FAST_TAIL;
     while !ended(&device.recorder().unwrap()) {
         assert!(Instant::now() < deadline, "recording does not stop");
     }
     let before = device.blackbox(&Progress::silent()).unwrap();
-    let fault = Fault::ReadingNotANumber;
+    let fault = Fault::HardLimit;
     assert_eq!(before.status.recording, RecordingState::Fault(fault));
     assert_eq!(before.fast.entries.len(), FAST_ENTRIES);
     let end = before.fast.ticks().filter(|tick| tick.activity == Activity::Fault).count();
@@ -765,6 +824,94 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     assert_eq!(device.recorder().unwrap().recording, RecordingState::Nothing);
 }
 
+/// A board that ventilates at a PIP of 25 cmH2O with learned weights, halted at the start of a control step in mid-breath.
+fn halted_in_mid_breath() -> (Emulator, Device, Debugger) {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    upload(&mut device, 1);
+    assert_eq!(device.restart().unwrap().controller, ControllerChoice::Learned);
+    device.telemetry(true).unwrap();
+    device.apply(paper_settings(25.0)).unwrap();
+    device.start().unwrap();
+    Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (1, 400));
+    assert_eq!(device.alarms().unwrap(), AlarmStatus::default());
+    let mut debugger = debugger(&board);
+    debugger.run_to(symbol(&image("hil"), CONTROL_STEP).unwrap()).unwrap();
+    (board, device, debugger)
+}
+
+/// Lets the halted control task hang, and waits for the watchdog's reset.
+fn hang(mut debugger: Debugger, device: &mut Device) {
+    // The default interrupt handler is an endless loop.
+    debugger.jump(symbol(&image("hil"), "DefaultHandler_").unwrap()).unwrap();
+    debugger.detach().unwrap();
+    restarted_by(device, ResetCause::Watchdog);
+}
+
+/// Control ticks from the last start of the device until ventilation resumed.
+fn resumed_after(device: &mut Device) -> u32 {
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
+    let resumed =
+        |event: &&LogEntry| event.happening == Happening::Start && event.boot == blackbox.status.boot;
+    blackbox.log.iter().find(resumed).expect("ventilation resumes").tick
+}
+
+#[test]
+fn a_control_task_that_hangs_in_mid_breath_resumes_with_its_settings_and_the_pid_alone() {
+    let (_board, mut device, debugger) = halted_in_mid_breath();
+    hang(debugger, &mut device);
+    let alarms = device.alarms().unwrap();
+    assert_eq!(device.identify().unwrap().mode, Mode::Ventilating);
+    assert!(alarms.indicated.has(Fault::Restarted));
+    assert_eq!(alarms.level, Level::Pid);
+    assert_eq!(device.settings().unwrap().0, paper_settings(25.0));
+    assert!(resumed_after(&mut device) <= 2000, "later than 2 s");
+    device.telemetry(true).unwrap();
+    assert_eq!(device.acknowledge().unwrap(), Mode::Ventilating);
+    indicates(&mut device, |alarms| !alarms.indicated.has(Fault::Restarted));
+    indicates(&mut device, |alarms| alarms.level == Level::Learned);
+    assert_eq!(device.stop().unwrap(), Mode::Standby);
+    assert_eq!(
+        device.restart().unwrap().mode,
+        Mode::Standby,
+        "after a requested restart nothing moves by itself"
+    );
+}
+
+#[test]
+fn a_damaged_prescription_stays_in_standby_with_the_alarm() {
+    /// The settings in both copies: after magic word and sequence number, 11 words apart.
+    const SETTINGS: [u32; 2] = [8, 8 + 44];
+    let (_board, mut device, mut debugger) = halted_in_mid_breath();
+    let start = symbol(&image("hil"), "__prescription_start").unwrap();
+    let pip = 25.0_f32.to_le_bytes();
+    let copies = SETTINGS.map(|offset| debugger.read(start + offset, 4).unwrap());
+    assert!(copies.contains(&pip.to_vec()), "the settings in force are there: {copies:?}");
+    for offset in SETTINGS {
+        debugger.write(start + offset, &26.0_f32.to_le_bytes()).unwrap();
+    }
+    hang(debugger, &mut device);
+    assert_eq!(device.identify().unwrap().mode, Mode::Standby);
+    assert!(device.alarms().unwrap().indicated.has(Fault::Restarted));
+    assert_eq!(device.settings().unwrap(), (Settings::default(), None));
+}
+
+#[test]
+fn a_supply_that_falls_in_mid_breath_resumes_when_it_returns() {
+    let (board, mut device, mut halted) = halted_in_mid_breath();
+    halted.write(record::CONDITIONS_ADDRESS, &record::SUPPLY_LOW.to_le_bytes()).unwrap();
+    halted.detach().unwrap();
+    assert!(failure(&mut device).contains("supply voltage"));
+    assert_eq!(device.identify().unwrap().mode, Mode::Standby, "until the supply returns");
+    assert!(device.alarms().unwrap().indicated.has(Fault::Restarted));
+    debugger(&board).suffer(0).unwrap();
+    let deadline = Instant::now() + DEADLINE;
+    while device.identify().unwrap().mode != Mode::Ventilating {
+        assert!(Instant::now() < deadline, "ventilation does not resume");
+    }
+    assert_eq!(device.alarms().unwrap().level, Level::Pid);
+    assert_eq!(device.settings().unwrap().0, paper_settings(25.0));
+}
+
 #[test]
 fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
@@ -778,7 +925,8 @@ fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     debugger.detach().unwrap();
     restarted_by(&mut device, ResetCause::Watchdog);
     let blackbox = device.blackbox(&Progress::silent()).unwrap();
-    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2, RecordingState::Reset));
+    // It resumes, and hangs again, until it gives up.
+    assert_eq!((blackbox.status.boot, blackbox.status.recording), (2 + RESUMES, RecordingState::Reset));
     assert_eq!(blackbox.status.tick_boot, 1);
     assert!(happened(&blackbox, Happening::Boot { cause: ResetCause::Watchdog, failed: false }));
     // The last ticks received before the hang must be in the recorder, to its resolution.

@@ -5,6 +5,7 @@ use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Control;
+use shared::device::prescription::Prescription;
 use shared::device::{ControlReply, ControlReport, ControlRequest};
 use shared::link::messages::DeviceKind;
 use shared::link::refusal::Refusal;
@@ -17,7 +18,7 @@ use static_cell::StaticCell;
 
 use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{clock, link_uart, oscillator};
+use super::drivers::{clock, link_uart, oscillator, supply};
 
 /// Capacity of the queue of reports to the link task: more than 0.1 s of samples.
 const REPORTS_LENGTH: usize = 128;
@@ -48,6 +49,7 @@ pub fn prepare(kind: DeviceKind, weights: Option<(Slot, Image)>) -> &'static mut
 pub async fn run(
     control: &'static mut Control,
     mut recorder: Recorder<'static>,
+    mut prescription: Prescription<'static>,
     mut plant: SelectedPlant,
     mut watchdog: Watchdog,
 ) {
@@ -59,13 +61,18 @@ pub async fn run(
         }
         let (latency, begun) = (clock::since_tick(), clock::now());
         link_uart::resume();
+        if prescription.is_due() && supply::has_returned() {
+            prescription.resume(control);
+        }
         let change = control.plant_change();
         let readings = plant.read(&change);
         let read = clock::now();
         let output = control.step(readings);
         plant.drive(&output.command);
         control.report(&output, &mut |report| REPORTS.try_send(report).is_ok());
+        prescription.keep(control, &output);
         if let Some(request) = REQUEST.try_take() {
+            prescription.requested(&request);
             REPLY.signal(control.execute(&request));
         }
         let (missed, period) = since(before, number, begun);

@@ -14,6 +14,7 @@ mod control_task;
 mod drivers;
 mod failure;
 mod link_task;
+mod prescription;
 mod recorder;
 
 use cortex_m_rt::entry;
@@ -23,6 +24,7 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
+use shared::device::prescription::Interruption;
 use shared::device::server::DeviceFacts;
 use shared::recorder::{ChipEvent, Recorder};
 use shared::reset::ResetCause;
@@ -59,7 +61,9 @@ fn start() {
     if !board.crystal {
         recorder.log(ChipEvent::NoCrystal);
     }
-    check_supply(&recorder, reset, failure.as_deref() == Some(failure::SUPPLY_LOW));
+    let was_low = failure.as_deref() == Some(failure::SUPPLY_LOW);
+    let prescription = prescription::attach(Interruption::of(reset, failure.is_some(), was_low));
+    check_supply(&recorder, reset, was_low);
     control.report_boot(reset, recorder.interrupted(), &slots);
     let facts = DeviceFacts {
         firmware: link_task::VERSION,
@@ -73,7 +77,9 @@ fn start() {
     interrupt::CAN2_SCE.set_priority(Priority::P4);
     let spawner = CONTROL.start(interrupt::CAN2_SCE);
     board.watchdog.unleash();
-    spawner.spawn(taken_once(control_task::run(control, recorder, board.plant, board.watchdog).ok()));
+    spawner.spawn(taken_once(
+        control_task::run(control, recorder, prescription, board.plant, board.watchdog).ok(),
+    ));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0)
         .spawn(taken_once(link_task::run(link_task::prepare(facts), storage).ok()));

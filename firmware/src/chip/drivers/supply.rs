@@ -22,6 +22,11 @@ const SEALED: u8 = 0xCC;
 /// Looks at the busy flag until the option bytes count as not programmed, a few seconds.
 const LOOKS: u32 = 50_000_000;
 
+/// Whether the supply is sound again, once [`is_low`] has started the detector.
+pub fn has_returned() -> bool {
+    !PWR.csr1().read().pvdo()
+}
+
 /// Starts the detector; true if the voltage is low.
 pub fn is_low() -> bool {
     PWR.cr1().modify(|w| {
