@@ -29,8 +29,9 @@ const FROZEN_MS: u32 = 40;
 const REACHED: (f64, f64) = (0.3, 0.1);
 /// Share of the earlier volume per pressure below which the tube is occluded, and the tolerance.
 const OCCLUDED: (f64, f64) = (1.0 / 3.0, 1.25);
-/// Flow of a leak at PEEP from which it is one, L/s: half of what the alarm's bound of 10 % above the bias delivers.
+/// Flow of a leak at PEEP from which it is one, L/s, and gas lost of the gas inspired: the alarm's bound is a quarter.
 const LEAK_FLOW: f64 = 0.05;
+const LEAK_SHARE: f64 = 0.15;
 /// Leak of an open end, L/s at 30 cmH2O: more than the largest leak of a connected patient.
 const OPEN: f64 = 1.0;
 /// Effort at the end of an expiration that draws the pressure down by itself, cmH2O.
@@ -180,9 +181,9 @@ fn sensors_disagree(breath: &BreathTruth) -> bool {
         || breath.airway.worst.max(breath.outlet.worst) > JUMP
 }
 
-/// A leak that takes considerable flow at PEEP.
+/// A leak that takes considerable flow at PEEP, or much of the gas.
 fn leak(breath: &BreathTruth) -> bool {
-    breath.leak_at_end > LEAK_FLOW
+    breath.leak_at_end > LEAK_FLOW || breath.leak_share > LEAK_SHARE
 }
 
 #[cfg(test)]

@@ -99,7 +99,8 @@ fn an_inspiration_that_does_not_reach_its_pressure() {
 #[test]
 fn leak_and_disconnection() {
     deserved_twice(Fault::Leak, |breath| breath.leak_at_end = 0.1);
-    undeserved(Fault::Leak, |breath| breath.leak_at_end = 0.02);
+    deserved_twice(Fault::Leak, |breath| breath.leak_share = 0.25);
+    undeserved(Fault::Leak, |breath| (breath.leak_at_end, breath.leak_share) = (0.02, 0.05));
     deserved_once(Fault::Disconnection, |breath| breath.leak = 20.0);
     undeserved(Fault::Disconnection, |breath| breath.leak = 0.5);
     undeserved(Fault::Disconnection, |breath| (breath.lowest, breath.effort) = (-5.0, 20.0));

@@ -48,6 +48,8 @@ pub struct BreathTruth {
     pub leak: f64,
     /// Flow of the leak at the end of the expiration, L/s.
     pub leak_at_end: f64,
+    /// Gas that leaked, as a share of the gas inspired; 0 in the inspiration.
+    pub leak_share: f64,
     /// Resistance of the airways, cmH2O/(L/s); none in the first ticks.
     pub resistance: Option<f64>,
     /// Recoil of the lung above PEEP at the breath's last tick, cmH2O: trapped gas, once the expiration has ended.
@@ -69,6 +71,9 @@ pub(super) struct Sums {
     plateau: Mean,
     baseline: Mean,
     leak_at_end: Mean,
+    /// Gas that leaked, and gas into lung and leak in the inspiration, mL.
+    leaked: f64,
+    inspired: f64,
     /// Ticks, pressure drop times flow, and flow squared.
     ticks: u32,
     drop_flow: f64,
@@ -109,6 +114,7 @@ impl BreathTruth {
             effort_at_end: 0.0,
             leak: 0.0,
             leak_at_end: 0.0,
+            leak_share: 0.0,
             resistance: None,
             trapped: 0.0,
             volume: 0.0,
@@ -146,6 +152,13 @@ impl BreathTruth {
         self.leak = self.leak.max(moment.leak);
         sums.drop_flow += (pressure - truth.alveolar_pressure) * truth.flow_lung;
         sums.flow_flow += truth.flow_lung * truth.flow_lung;
+        // At 1 L/s, 1 mL a tick.
+        sums.leaked += truth.flow_leak;
+        if tick < inspiration {
+            sums.inspired += truth.flow_lung + truth.flow_leak;
+        } else if sums.inspired > 0.0 {
+            self.leak_share = sums.leaked / sums.inspired;
+        }
         sums.ticks += 1;
         self.resistance = (sums.ticks >= RESISTANCE_TICKS).then(|| sums.drop_flow / sums.flow_flow);
         let low = *sums.low.get_or_insert(truth.lung_volume_ml);

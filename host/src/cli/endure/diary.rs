@@ -102,7 +102,7 @@ fn state(breath: &BreathTruth) -> String {
     let Settings { pip, peep, pressure_limit, .. } = breath.settings;
     format!(
         "peak {:.1} (PIP {pip:.1}, limit {pressure_limit:.1}), plateau {}, baseline {} (PEEP {peep:.1}), lowest {:.1}, \
-         trapped {:.1}, volume {:.0} mL, effort {:.1} ({:.1} at the end), cough {:.1}, leak {:.2} ({:.3} L/s at the end), R {}, \
+         trapped {:.1}, volume {:.0} mL, effort {:.1} ({:.1} at the end), cough {:.1}, leak {:.2} ({:.3} L/s at the end, {:.0} % of the gas), R {}, \
          sensors off by {:.2} and {:.2}{}",
         breath.peak,
         known(breath.plateau),
@@ -115,6 +115,7 @@ fn state(breath: &BreathTruth) -> String {
         breath.cough,
         breath.leak,
         breath.leak_at_end,
+        100.0 * breath.leak_share,
         known(breath.resistance),
         breath.airway.offset(),
         breath.outlet.offset(),
