@@ -261,7 +261,7 @@ pub const ALARMS: [Alarm; 24] = [
     row(
         Fault::Occlusion,
         "occlusion",
-        (High, CappedPid),
+        (High, Action::Pid),
         [
             "less than a third of the last good breath's volume per pressure rise in 2 breaths in a row",
             GONE,
