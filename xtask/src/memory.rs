@@ -109,6 +109,17 @@ mod tests {
     }
 
     #[test]
+    fn the_prescription_fits_into_its_region_on_every_board() {
+        for (map, _) in CHIPS {
+            let room = find(&regions(map).unwrap(), "PRESCRIPTION").unwrap().length;
+            assert!(
+                room >= size_of::<shared::device::prescription::PrescriptionMemory>() as u64,
+                "{room} bytes"
+            );
+        }
+    }
+
+    #[test]
     fn a_stack_that_overflows_leaves_ram() {
         const START_OF_RAM: u64 = 0x2000_0000;
         for (map, _) in CHIPS {
@@ -118,7 +129,7 @@ mod tests {
 
     #[test]
     fn no_two_regions_overlap() {
-        for ((map, _), count) in CHIPS.iter().zip([7, 6]) {
+        for ((map, _), count) in CHIPS.iter().zip([8, 7]) {
             let mut regions = regions(map).unwrap();
             assert_eq!(regions.len(), count);
             regions.sort_by_key(|region| region.origin);

@@ -13,6 +13,7 @@ use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use shared::device::control::Control;
+use shared::device::prescription::{Prescription, PrescriptionMemory};
 use shared::device::{ControlReport, ControlRequest, KNOWN_GOOD};
 use shared::explore::Exploration;
 use shared::link::frame::{FRAME_BYTES, encode_frame};
@@ -167,6 +168,14 @@ fn parts(counting: &Cost) {
     softsign.print("softsign", counting);
 }
 
+/// The readings of all sensors at a plant that had this pressure a tick ago, cmH2O.
+fn sensed(plant: &ExactLung, before: f32) -> Readings {
+    /// The change of 1 cmH2O in a tick of 1 ms, as a flow into 20 mL/cmH2O, L/s.
+    const FLOW: f32 = 20.0;
+    let airway = plant.pressure();
+    Readings { airway, outlet: airway + 0.1, flow: FLOW * (airway - before) }
+}
+
 /// Measures all monitors, ladder and filter over whole breaths of a learned controller, so that the checks at the end of a
 /// phase are included.
 fn monitors(counting: &Cost) {
@@ -174,13 +183,15 @@ fn monitors(counting: &Cost) {
     let supervisor = Supervisor::new(DEFAULT_PERIOD_US, Monitors::ALL);
     let (mut state, mut cost) = (SupervisorState::default(), Cost::NONE);
     let mut plant = ExactLung::new(breath.settings().peep);
+    let mut before = plant.pressure();
     for tick in (0..3).flat_map(|_| 0..breath.total_ticks()) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
-        let (reading, asked) = (plant.pressure(), breath.target(tick) - plant.pressure());
+        let (readings, asked) = (sensed(&plant, before), breath.target(tick) - plant.pressure());
+        before = plant.pressure();
         let base = if inspires { math::limit(20.0 + 5.0 * asked, 0.0, 90.0) } else { 0.0 };
         let wanted = ControlOutput { base, command: base + 1.0 };
         let command = cost.of(|| {
-            supervisor.check(&mut state, black_box(reading), &breath, Some(tick));
+            supervisor.check(&mut state, black_box(&readings), &breath, Some(tick));
             supervisor.command(&mut state, black_box(wanted), !inspires)
         });
         plant.step(command.u_in(), command.u_out());
@@ -243,13 +254,17 @@ fn recording(counting: &Cost) {
     cost.print("flight_recorder", counting);
 }
 
-/// Measures whole ticks of the device's control half, learned and exploring, on the plant of the golden traces: step, report,
-/// request and flight recorder, as in the control task. Ticks of the inspiration, in which the network runs, are also counted
+/// The prescription's memory.
+static PRESCRIPTION: PrescriptionMemory = PrescriptionMemory::new();
+
+/// Measures whole ticks of the device's control half, learned and exploring, on the plant of the golden traces with all sensors:
+/// step, report, request, prescription and flight recorder, as in the control task. Ticks of the inspiration, in which the network runs, are also counted
 /// separately.
 fn ticks(counting: &Cost) {
     let mut control = control();
-    let mut recorder = recorder();
+    let (mut recorder, mut prescription) = (recorder(), Prescription::attach(&PRESCRIPTION, None));
     let mut plant = ExactLung::new(paper_settings(PAPER_PIPS[0]).peep);
+    let mut before = plant.pressure();
     control.execute(&ControlRequest::Start);
     let (mut all, mut inspiring) = (Cost::NONE, Cost::NONE);
     for pip in PAPER_PIPS {
@@ -263,9 +278,10 @@ fn ticks(counting: &Cost) {
         ]
         .into_iter();
         for _ in 0..TICKS {
-            let (mut cost, request, reading) = (Cost::NONE, requests.next(), plant.pressure());
-            let output =
-                cost.of(|| tick(&mut control, &mut recorder, black_box(reading), black_box(request)));
+            let (mut cost, request, readings) = (Cost::NONE, requests.next(), sensed(&plant, before));
+            before = plant.pressure();
+            let keepers = (&mut recorder, &mut prescription);
+            let output = cost.of(|| tick(&mut control, keepers, black_box(readings), black_box(request)));
             let Some(sample) = output.sample else { unreachable!("the ventilator ventilates to the end") };
             if sample.phase == Phase::Inspiration {
                 inspiring.add(&cost);
@@ -280,19 +296,21 @@ fn ticks(counting: &Cost) {
 
 fn tick(
     control: &mut Control,
-    recorder: &mut Recorder,
-    reading: f32,
+    (recorder, prescription): (&mut Recorder, &mut Prescription),
+    readings: Readings,
     request: Option<ControlRequest>,
 ) -> Output {
-    let output = control.step(reading);
+    let output = control.step(readings);
     control.report(&output, &mut |report: ControlReport| {
         black_box(report);
         true
     });
+    prescription.keep(control, &output);
     if let Some(request) = request {
+        prescription.requested(&request);
         black_box(control.execute(&request));
     }
-    recorder.record(&control.moment(reading, &output, black_box(0)));
+    recorder.record(&control.moment(readings.airway, &output, black_box(0)));
     control.record(black_box(&TickTime { latency: 20, work: 5000, period: Some(168_000), missed: 0 }));
     output
 }
