@@ -110,7 +110,9 @@ fn decode(words: [u32; COUNT]) -> Settings {
 fn checksum(sequence: u32, words: &[u32; COUNT]) -> u32 {
     let mut digest = CRC_32.digest();
     digest.update(&sequence.to_le_bytes());
-    words.iter().for_each(|word| digest.update(&word.to_le_bytes()));
+    for word in words {
+        digest.update(&word.to_le_bytes());
+    }
     digest.finalize()
 }
 
@@ -218,11 +220,10 @@ impl<'a> Prescription<'a> {
     pub fn keep(&mut self, control: &Control, output: &Output) {
         match &output.sample {
             Some(sample) if sample.tick == 0 => self.breath_starts(control, sample.breath),
-            Some(_) => {}
             None if self.kept.is_some() && (self.due.is_none() || output.mode != Mode::Standby) => {
                 self.clear();
             }
-            None => {}
+            _ => {}
         }
     }
 
@@ -465,7 +466,9 @@ mod tests {
                 prescription.keep(&control, &output);
             };
             let (last, before) = list.split_last().unwrap();
-            before.iter().for_each(|settings| start(settings, &mut prescription));
+            for settings in before {
+                start(settings, &mut prescription);
+            }
             fuse::set(stores);
             start(last, &mut prescription);
             fuse::set(usize::MAX);

@@ -45,6 +45,7 @@ pub struct PressureSource {
 
 /// State of one sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "independent findings, each with a name of its own")]
 struct SensorState {
     reading: ReadingState,
     /// Whether it has ever given a good reading.
@@ -82,6 +83,7 @@ pub struct SourceState {
 
 /// The pressure of one tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "independent findings, each with a name of its own")]
 pub struct Chosen {
     /// The pressure to control with, cmH2O; none without a sound sensor.
     pub pressure: Option<f32>,

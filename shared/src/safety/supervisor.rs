@@ -54,6 +54,7 @@ pub struct Supervisor {
 
 /// State of the monitors, of the responses and of the latched fault.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "independent findings, each with a name of its own")]
 pub struct SupervisorState {
     fault: Option<Fault>,
     indications: Indications,
@@ -277,17 +278,17 @@ impl Supervisor {
         }
         state.indications.found(fault);
         match fault.alarm().action {
-            // A noisy sensor is replaced by the other one, if that is sound.
-            Action::CappedPid if fault == Fault::ReadingNoisy && !state.noisy => {}
-            Action::Tell => {}
             Action::Pid => state.ladder.step_down(Level::Pid),
-            Action::CappedPid => state.ladder.step_down(Level::CappedPid),
-            // The sensors' findings have taken them out of use already.
-            Action::Backup if fault == Fault::NoResponse => {
-                state.unresponsive = state.unresponsive.or(Some(0))
+            // A noisy sensor is replaced by the other one, if that is sound.
+            Action::CappedPid if fault != Fault::ReadingNoisy || state.noisy => {
+                state.ladder.step_down(Level::CappedPid);
             }
-            Action::Backup => {}
+            Action::Backup if fault == Fault::NoResponse => {
+                state.unresponsive = state.unresponsive.or(Some(0));
+            }
             Action::Vent => state.fault = Some(fault),
+            // The other findings about sensors have taken them out of use already.
+            Action::Tell | Action::CappedPid | Action::Backup => {}
         }
     }
 
@@ -405,7 +406,7 @@ impl SupervisorState {
     /// Starts ventilation: resets everything except the sensors' state, the alarms and a latched fault.
     pub fn begin(&mut self) {
         let (source, indications, fault) = (self.source, self.indications, self.fault);
-        *self = Self { source, indications, fault, ..Self::default() };
+        *self = Self { fault, indications, source, ..Self::default() };
     }
 
     /// Lets the PID alone control, until clean breaths lead up again.

@@ -230,7 +230,7 @@ impl Run<'_> {
         }
         // Of the sensors, as the ventilator sees them; without any the limit cannot be seen.
         let reading = self.readings.airway;
-        if !(reading > breath.settings().pressure_limit) {
+        if reading.is_nan() || reading <= breath.settings().pressure_limit {
             self.above_limit = None;
         } else if !vents {
             self.above_limit.get_or_insert(since);
