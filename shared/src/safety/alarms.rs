@@ -161,8 +161,12 @@ pub const ALARMS: [Alarm; 24] = [
     row(
         Fault::HighPressure,
         "high-pressure",
-        (High, CappedPid),
-        ["a breath ends at the pressure limit under the capped PID", GONE, "pressure above its limit"],
+        (High, Tell),
+        [
+            "3 breaths in a row end at the pressure limit, or one whose gas raised it so far under the capped PID",
+            GONE,
+            "pressure above its limit",
+        ],
     ),
     row(
         Fault::ReadingJumps,

@@ -14,7 +14,7 @@ use super::filter::ValveCommand;
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
-use super::monitors::Monitors;
+use super::monitors::{Monitors, in_a_row};
 use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::source::{PressureSource, SourceState};
 use super::volumes::Volumes;
@@ -28,6 +28,8 @@ use crate::settings::{LIMIT_MARGIN, Settings};
 pub const RESIDUAL_SLEW: f32 = 25_000.0;
 /// Missed ticks within a breath that raise an alarm.
 const MISSED_MAX: u32 = 5;
+/// Breaths in a row that end at the pressure limit and raise an alarm, whatever raised the pressure.
+const CUTS_MAX: u32 = 3;
 /// Fraction of the rise from PEEP to PIP that a good inspiration reaches.
 const GOOD_RISE: f32 = 0.7;
 /// Fraction of that rise from which a reading responds to the gas.
@@ -77,6 +79,8 @@ pub struct SupervisorState {
     /// Whether the inspiration was ended at the pressure limit, and whether by the gas, not by the patient.
     cut: bool,
     strike: bool,
+    /// Breaths in a row that were.
+    cuts: u32,
     missed: u32,
     proven: bool,
     /// Learned part of the last command, percent.
@@ -253,6 +257,10 @@ impl Supervisor {
     fn start_breath(&self, state: &mut SupervisorState, pressure: Option<f32>, settings: &Settings) {
         if let Some(fault) = state.ladder.breath_ended(state.cut && state.strike) {
             self.found(state, fault);
+        }
+        state.cuts = in_a_row(state.cuts, state.cut);
+        if state.cuts >= CUTS_MAX {
+            self.found(state, Fault::HighPressure);
         }
         if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
             state.breath.settings_changed();
@@ -441,6 +449,7 @@ impl Default for SupervisorState {
             unresponsive: None,
             cut: false,
             strike: true,
+            cuts: 0,
             missed: 0,
             proven: false,
             learned: 0.0,

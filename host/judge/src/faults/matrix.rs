@@ -268,8 +268,12 @@ const MACHINE: [FaultCase; 17] = [
     part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure, Fault::BaselineLow])
         .at(0)
         .not_ventilated(),
-    stuck("inspiratory valve stuck open", Failure::InspiratoryValveStuck(80.0), &[Fault::BaselineHigh])
-        .not_ventilated(),
+    stuck(
+        "inspiratory valve stuck open",
+        Failure::InspiratoryValveStuck(80.0),
+        &[Fault::BaselineHigh, Fault::HighPressure],
+    )
+    .not_ventilated(),
     stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse])
         .not_ventilated(),
     stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh])
