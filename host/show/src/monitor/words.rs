@@ -42,10 +42,10 @@ pub fn level(level: Level) -> &'static str {
     }
 }
 
-/// The indicated alarms, the most urgent first.
+/// The indicated alarms: the most urgent first, of equal ones those that are present.
 pub fn indicated(alarms: &AlarmStatus) -> Vec<Fault> {
     let mut faults: Vec<Fault> = alarms.indicated.faults().collect();
-    faults.sort_by_key(|fault| Reverse(fault.alarm().priority));
+    faults.sort_by_key(|fault| Reverse((fault.alarm().priority, alarms.present.has(*fault))));
     faults
 }
 
