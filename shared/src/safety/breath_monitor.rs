@@ -23,6 +23,8 @@ const TELLING_RISE: f32 = 3.0;
 
 /// Breaths after a change of settings that raise no alarm.
 const UNCHECKED_BREATHS: u32 = 2;
+/// Breaths in a row with a leak that make the earlier volumes useless; an occlusion looks like a leak for one breath.
+const LEAKY_BREATHS: u32 = 3;
 /// Breaths with a lower compliance after which it is taken for the lung's own.
 const NEW_LUNG: u32 = 20;
 /// Time for which the pressure of an inspiration must be back above PEEP after a disconnection, s.
@@ -65,6 +67,8 @@ pub struct BreathState {
     occluded: u32,
     /// Volume per pressure of the last good breath, mL/cmH2O.
     compliance: Option<f32>,
+    /// Breaths in a row with a leak.
+    leaky: u32,
     /// Breaths that are still not checked after a change of the settings.
     unchecked: u32,
 }
@@ -143,7 +147,10 @@ impl BreathMonitor {
     #[inline]
     pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
         let BreathInput { breath, tick, cut, pressure, command, volume, leaks } = *input;
-        if leaks {
+        if tick == 0 {
+            state.leaky = in_a_row(state.leaky, leaks);
+        }
+        if state.leaky >= LEAKY_BREATHS {
             // Volumes with and without a leak are not comparable.
             state.compliance = None;
         }
@@ -390,8 +397,16 @@ mod tests {
     fn a_leak_that_is_mended_is_no_occlusion() {
         let leaky = Seen { volume: 1300.0, ..GOOD };
         let leaks = |input: &mut BreathInput<'_>| input.leaks = input.volume > 1000.0;
-        assert_eq!(complaint(&[leaky, GOOD, GOOD]), Some((2, Fault::Occlusion)));
-        assert_eq!(complaint_with(&[leaky, GOOD, GOOD], leaks), None);
+        let breaths = [leaky, leaky, leaky, GOOD, GOOD, GOOD];
+        assert_eq!(complaint(&breaths), Some((4, Fault::Occlusion)));
+        assert_eq!(complaint_with(&breaths, leaks), None);
+        assert_eq!(
+            complaint_with(
+                &[GOOD, leaky, leaky, Seen { volume: 40.0, ..GOOD }, Seen { volume: 40.0, ..GOOD }],
+                leaks
+            ),
+            Some((4, Fault::Occlusion))
+        );
     }
 
     #[test]

@@ -230,3 +230,189 @@ impl SourceState {
         self.airway.is_sound() || self.outlet.is_sound()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PEEP: f32 = 5.0;
+
+    /// Both sensors with their state.
+    struct Run {
+        source: PressureSource,
+        state: SourceState,
+        tick: u32,
+    }
+
+    impl Run {
+        fn new() -> Self {
+            let source = PressureSource::new(1000, Monitors::ALL);
+            Self { source, state: SourceState::default(), tick: 0 }
+        }
+
+        /// A tick at these pressures, with the noise of working sensors.
+        fn tick(&mut self, airway: f32, outlet: f32) -> Chosen {
+            self.tick += 1;
+            let noise = |shift: u32| 0.07 * (((self.tick + shift) * 7 % 5) as f32 - 2.0);
+            let readings = Readings { airway: airway + noise(0), outlet: outlet + noise(2), flow: 0.0 };
+            self.source.check(&mut self.state, &readings, true)
+        }
+
+        fn ticks(&mut self, count: u32, airway: f32, outlet: f32) -> Chosen {
+            (0..count).map(|_| self.tick(airway, outlet)).last().unwrap_or_default()
+        }
+
+        /// The end of an expiration; whether a sensor is wrong.
+        fn expiration(&mut self, airway: f32, outlet: f32, flow: f32) -> bool {
+            for _ in 0..50 {
+                self.tick(airway, outlet);
+                let readings = Readings { airway, outlet, flow: 0.0 };
+                self.source.at_end(&mut self.state, &readings);
+            }
+            self.source.compare(&mut self.state, PEEP, flow)
+        }
+
+        fn plateau(&mut self, airway: f32, outlet: f32) {
+            self.source.at_plateau(&mut self.state, &Readings { airway, outlet, flow: 0.0 });
+        }
+    }
+
+    fn near(chosen: Chosen, pressure: f32) -> bool {
+        chosen.pressure.is_some_and(|chosen| (chosen - pressure).abs() < 0.5)
+    }
+
+    #[test]
+    fn the_airway_sensor_is_believed_and_the_outlet_sensor_in_its_place() {
+        let mut run = Run::new();
+        assert!(near(run.ticks(100, 20.0, 23.0), 20.0));
+        let lost = run.ticks(20, f32::NAN, 23.0);
+        assert!(near(lost, 23.0) && lost.fresh && !lost.lost);
+        assert_eq!(lost.findings[0], Some(Fault::ReadingNotANumber));
+        assert!(near(run.ticks(5050, 20.0, 23.0), 20.0), "sound for 5 s");
+    }
+
+    #[test]
+    fn a_sensor_that_returns_is_not_used_at_once() {
+        let mut run = Run::new();
+        run.ticks(100, 20.0, 23.0);
+        run.ticks(20, f32::NAN, 23.0);
+        assert!(near(run.ticks(4900, 20.0, 23.0), 23.0));
+    }
+
+    #[test]
+    fn without_either_there_is_no_pressure() {
+        let mut run = Run::new();
+        run.ticks(100, 20.0, 23.0);
+        let lost = run.ticks(20, f32::NAN, f32::NAN);
+        assert_eq!((lost.pressure, lost.fresh, lost.lost), (None, false, true));
+        assert!(!run.state.is_sound());
+        assert_eq!(lost.findings[1], Some(Fault::OutletSensorLost));
+    }
+
+    #[test]
+    fn a_machine_without_the_second_sensor_has_no_finding_about_it() {
+        let mut run = Run::new();
+        let chosen = run.ticks(1000, 20.0, f32::NAN);
+        assert!(near(chosen, 20.0) && chosen.findings == [None; 3] && run.state.is_sound());
+        assert!(!run.expiration(20.0, f32::NAN, 0.0));
+    }
+
+    #[test]
+    fn a_lost_sensor_does_not_count_before_its_first_reading() {
+        let mut run = Run::new();
+        let first = run.tick(f32::NAN, f32::NAN);
+        assert_eq!((first.pressure, first.lost), (None, false));
+        assert!(!run.state.is_sound());
+    }
+
+    #[test]
+    fn a_noisy_sensor_stands_back_behind_a_quiet_one() {
+        let mut run = Run::new();
+        let noisy = |n: u32| 20.0 + 1.2 * ((n * 7 % 5) as f32 - 2.0);
+        let quiet = (0..300).map(|n| run.tick(noisy(n), 23.0)).last().unwrap();
+        assert!(near(quiet, 23.0) && !quiet.noisy);
+        let mut run = Run::new();
+        let both = (0..300).map(|n| run.tick(noisy(n), noisy(n + 1))).last().unwrap();
+        assert!(both.noisy, "then the airway sensor it is");
+    }
+
+    #[test]
+    fn far_apart_for_20_ms_the_higher_one_counts() {
+        for (airway, outlet) in [(5.0, 20.0), (20.0, 5.0)] {
+            let mut run = Run::new();
+            run.ticks(100, 12.0, 12.0);
+            let before = run.ticks(19, airway, outlet);
+            assert!(near(before, airway) && before.findings[2].is_none() && before.doubtful);
+            let after = run.ticks(1, airway, outlet);
+            assert!(near(after, 20.0));
+            assert_eq!(after.findings[2], Some(Fault::SensorsDisagree));
+        }
+        let mut run = Run::new();
+        assert_eq!(run.ticks(1000, 20.0, 29.0).findings, [None; 3], "the tube's drop at full flow");
+    }
+
+    #[test]
+    fn after_two_expirations_the_sensor_closer_to_peep_is_believed() {
+        for (airway, outlet, believed) in
+            [(10.0, 5.2, 5.2), (5.3, 1.0, 5.3), (1.0, 5.0, 5.0), (5.0, 9.0, 5.0)]
+        {
+            let mut run = Run::new();
+            assert!(!run.expiration(airway, outlet, 0.0), "once may be a cough");
+            assert!(run.expiration(airway, outlet, 0.0));
+            assert!(near(run.tick(airway, outlet), believed), "{airway} and {outlet}");
+        }
+        let mut run = Run::new();
+        assert!(!(0..5).any(|_| run.expiration(5.0, 6.9, 0.0)), "within 2 cmH2O");
+        assert!(!(0..5).any(|_| run.expiration(5.0, 7.9, 0.3)), "explained by the flow in the tube");
+        assert!(
+            !(0..9).any(|n| run.expiration(5.0, if n % 2 == 0 { 9.0 } else { 5.0 }, 0.0)),
+            "never twice in a row"
+        );
+    }
+
+    #[test]
+    fn sensors_that_agree_again_in_three_whole_breaths_are_both_used() {
+        let wrong = || {
+            let mut run = Run::new();
+            run.expiration(10.0, 5.0, 0.0);
+            run.expiration(10.0, 5.0, 0.0);
+            run
+        };
+        let agree = |run: &mut Run, plateau: f32, count: u32| {
+            for _ in 0..count {
+                run.plateau(20.0, plateau);
+                run.expiration(5.5, 5.0, 0.0);
+            }
+            run.state.airway.doubted
+        };
+        assert!(agree(&mut wrong(), 22.0, 2) && !agree(&mut wrong(), 22.0, 3));
+        assert!(agree(&mut wrong(), 26.0, 9), "not at the end of the inspiration");
+    }
+
+    #[test]
+    fn of_two_sensors_the_one_that_does_not_respond_is_wrong() {
+        let readings = |airway, outlet| Readings { airway, outlet, flow: 0.0 };
+        for (airway, outlet) in [(5.0, 20.0), (20.0, 5.0)] {
+            let mut run = Run::new();
+            run.ticks(10, 5.0, 5.0);
+            assert!(run.source.unresponsive(&mut run.state, &readings(airway, outlet)));
+            assert_eq!(run.state.airway.doubted, airway < outlet);
+            assert_eq!(run.state.outlet.doubted, outlet < airway);
+        }
+        let mut run = Run::new();
+        run.ticks(10, 5.0, 5.0);
+        assert!(!run.source.unresponsive(&mut run.state, &readings(5.0, 6.5)), "neither responds");
+        assert!(run.state.is_sound() && !run.state.airway.doubted && !run.state.outlet.doubted);
+        run.ticks(20, f32::NAN, 5.0);
+        assert!(!run.source.unresponsive(&mut run.state, &readings(f32::NAN, 20.0)), "there is only one");
+    }
+
+    #[test]
+    fn a_comparison_that_is_left_out_takes_no_sensor_out_of_use() {
+        let mut run = Run::new();
+        run.source = PressureSource::new(1000, Monitors::ALL.without(Fault::SensorsDisagree));
+        assert!(!(0..4).any(|_| run.expiration(20.0, 5.0, 0.0)));
+        assert!(near(run.tick(20.0, 5.0), 20.0));
+        assert!(!run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet: 20.0, flow: 0.0 }));
+    }
+}

@@ -289,7 +289,27 @@ fn breaths_that_end_at_the_limit_lead_down_the_ladder_and_each_step_is_told() {
     };
     assert_eq!((told(), told()), ((Level::Learned, None), (Level::Learned, None)));
     assert_eq!(told(), (Level::Pid, Some(Fault::LearnedDistrusted)));
-    assert_eq!(told(), (Level::CappedPid, Some(Fault::CommandCapped)));
+    assert_eq!(told(), (Level::CappedPid, Some(Fault::HighPressure)), "three in a row");
+    assert_eq!(run.state.take_begun(), Some(Fault::CommandCapped));
+}
+
+#[test]
+fn breaths_that_a_cough_ends_are_no_strikes_and_three_in_a_row_an_alarm() {
+    let mut run = Run::new();
+    (0..2).for_each(|_| assert_eq!(run.inspire(SOFT, 30.0), None));
+    let mut alarms = Vec::new();
+    for _ in 0..4 {
+        for tick in 0..breath().total_ticks() {
+            let inspires = breath().phase(tick) == Phase::Inspiration;
+            let cough = if (700..750).contains(&tick) { 60.0 } else { 0.0 };
+            let rise = if inspires && !run.state.cut() { 0.02 * run.state.lung.volume() } else { 0.0 };
+            run.check(5.0 + rise + cough + dither(tick), Some(tick));
+            run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), !inspires);
+        }
+        alarms.extend(run.state.take_begun());
+    }
+    assert!(alarms.contains(&Fault::HighPressure) && run.state.level() < Level::CappedPid, "{alarms:?}");
+    assert!(!alarms.contains(&Fault::LearnedDistrusted), "the gas does not explain the pressure");
 }
 
 #[test]
