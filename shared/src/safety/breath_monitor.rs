@@ -5,7 +5,7 @@ use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::{Breath, Phase};
 
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
-const ABOVE_PEEP: f32 = 3.0;
+pub(super) const ABOVE_PEEP: f32 = 3.0;
 /// Pressure below PEEP at which PEEP counts as lost, cmH2O.
 const BELOW_PEEP: f32 = 2.0;
 /// Fraction of the rise from PEEP to PIP that an inspiration must reach.

@@ -5,6 +5,7 @@
 //! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
 //!   Not so unless the flow sensor shows that the gas gets out again.
 
+use super::breath_monitor::ABOVE_PEEP;
 use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::{Breath, Phase, period_s};
 use crate::math;
@@ -26,8 +27,6 @@ pub const TIGHT: f32 = 0.75;
 const OPEN: f32 = 0.6;
 /// Breaths in a row with such a compensation and loss that raise the alarm.
 const LEAKS: u32 = 3;
-/// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
-const ABOVE_PEEP: f32 = 3.0;
 /// Incomplete expirations in a row to which the ventilator responds.
 const IN_A_ROW: u32 = 2;
 /// Time before the end of the expiration from which a constant pressure has changed little, s.

@@ -36,8 +36,8 @@ const GOOD_RISE: f32 = 0.7;
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
 const RESPONSES: u32 = 2;
-/// Share of the inspired volume that comes out if the expiratory path is open.
-const COMES_OUT: f32 = 0.2;
+/// Share of the inspired volume below which the expiratory path is blocked.
+const BLOCKED: f32 = 0.2;
 /// Breaths without a finding after which its condition counts as gone.
 const HOLD_BREATHS: u32 = 2;
 
@@ -274,7 +274,7 @@ impl Supervisor {
         if self.expiration.start_breath(&mut state.expiration, expired) {
             self.found(state, Fault::Leak);
         }
-        if self.pressure.is_sustained(&state.pressure) && expired.is_some_and(|share| share < COMES_OUT) {
+        if self.pressure.is_sustained(&state.pressure) && expired.is_some_and(|share| share < BLOCKED) {
             self.found(state, Fault::SustainedPressure);
         }
     }
