@@ -27,5 +27,6 @@ pub mod safety;
 pub mod sensor;
 pub mod settings;
 pub mod timing;
+pub mod trigger;
 pub mod ventilator;
 pub mod weights;

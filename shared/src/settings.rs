@@ -25,6 +25,10 @@ pub struct Settings {
     pub expiratory_bias: f32,
     /// Airway pressure above which the inspiration is cut, cmH2O.
     pub pressure_limit: f32,
+    /// Fall of the airway pressure by which a patient's effort starts the breath, cmH2O; 0 for none.
+    pub trigger_pressure: f32,
+    /// Change of the flow by which a patient's effort starts the breath, L/min; 0 for none.
+    pub trigger_flow: f32,
 }
 
 /// Description of one setting.
@@ -57,6 +61,11 @@ impl Field {
 pub struct FieldIndex(pub u8);
 
 impl FieldIndex {
+    /// The index of the setting of this name; one past the last if there is none.
+    fn of(name: &str) -> Self {
+        Self(FIELDS.iter().take_while(|field| field.name != name).count() as u8)
+    }
+
     fn name(self) -> &'static str {
         FIELDS.get(usize::from(self.0)).map_or("a setting of another version", |field| field.name)
     }
@@ -79,6 +88,19 @@ macro_rules! fields {
                 Self { $($name: $default),* }
             }
         }
+
+        impl Settings {
+            /// Their values, in the order of [`FIELDS`].
+            pub fn values(&self) -> [f32; FIELDS.len()] {
+                [$(self.$name),*]
+            }
+
+            /// The settings with these values, in the order of [`FIELDS`].
+            pub fn from_values(values: [f32; FIELDS.len()]) -> Self {
+                let [$($name),*] = values;
+                Self { $($name),* }
+            }
+        }
     };
 }
 
@@ -91,6 +113,8 @@ fields! {
     fall_time,        "s",     0.0 ..= 2.0,   0.5,  "Time of the fall from PIP to PEEP";
     expiratory_bias,  "%",     0.0 ..= 20.0,  5.0,  "Inspiratory valve while the expiratory valve is open";
     pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0, "Pressure above which a breath is ended";
+    trigger_pressure, "cmH2O", 0.0 ..= 10.0,  0.4,  "Fall of the pressure by which an effort starts a breath, 0 for none";
+    trigger_flow,     "L/min", 0.0 ..= 20.0,  0.6,  "Change of the flow by which an effort starts a breath, 0 for none";
 }
 
 /// Every setting except PIP, which is first: the settings that the waveforms of a run have in common.
@@ -145,10 +169,25 @@ pub enum SettingsError {
         /// Requested period, microseconds.
         period_us: u32,
     },
+    /// A trigger is so sensitive that a sensor's noise would start breaths.
+    #[error(
+        "{} of {value} {1} is within the noise of a working sensor; use {lowest} {1} or more, or 0 for none",
+        .field.name(), .field.unit()
+    )]
+    TriggerInNoise {
+        /// The setting.
+        field: FieldIndex,
+        /// Requested value.
+        value: f32,
+        /// Lowest accepted value above zero.
+        lowest: f32,
+    },
 }
 
 /// Smallest distance of the pressure limit above PIP, cmH2O.
 pub const LIMIT_MARGIN: f32 = 5.0;
+/// Lowest trigger sensitivities: pressure, cmH2O, and flow, L/min.
+const LOWEST_TRIGGERS: (f32, f32) = (0.2, 0.5);
 
 impl Settings {
     /// Checks all bounds and the relations between settings.
@@ -168,6 +207,14 @@ impl Settings {
         if self.pressure_limit < self.pip + LIMIT_MARGIN {
             let (limit, pip, margin) = (self.pressure_limit, self.pip, LIMIT_MARGIN);
             return Err(SettingsError::LimitTooLow { limit, pip, margin });
+        }
+        for (name, value, lowest) in [
+            ("trigger_pressure", self.trigger_pressure, LOWEST_TRIGGERS.0),
+            ("trigger_flow", self.trigger_flow, LOWEST_TRIGGERS.1),
+        ] {
+            if value > 0.0 && value < lowest {
+                return Err(SettingsError::TriggerInNoise { field: FieldIndex::of(name), value, lowest });
+            }
         }
         let breath = 60.0 / self.rate;
         let inspiration = self.inspiratory_time + self.fall_time;
@@ -212,6 +259,26 @@ mod tests {
     fn a_breath_must_hold_its_inspiration() {
         let settings = Settings { rate: 60.0, ..Settings::default() };
         assert!(matches!(settings.validate(), Err(SettingsError::BreathTooShort { .. })));
+    }
+
+    #[test]
+    fn a_trigger_is_off_or_above_the_noise() {
+        let with = |trigger_pressure, trigger_flow| {
+            Settings { trigger_pressure, trigger_flow, ..Settings::default() }.validate()
+        };
+        assert_eq!((with(0.0, 0.0), with(0.2, 0.5)), (Ok(()), Ok(())));
+        let refused = with(0.19, 0.0).unwrap_err().to_string();
+        assert!(refused.starts_with("trigger_pressure of 0.19 cmH2O is within the noise"), "{refused}");
+        let refused = with(0.0, 0.49).unwrap_err().to_string();
+        assert!(refused.contains("use 0.5 L/min or more, or 0 for none"), "{refused}");
+    }
+
+    #[test]
+    fn values_and_settings_convert_both_ways() {
+        let settings = Settings { pip: 31.0, trigger_flow: 2.0, ..Settings::default() };
+        assert_eq!(Settings::from_values(settings.values()), settings);
+        let listed: std::vec::Vec<_> = FIELDS.iter().map(|field| field.value(&settings)).collect();
+        assert_eq!(listed, settings.values());
     }
 
     proptest! {

@@ -30,6 +30,10 @@ use crate::safety::monitors::Monitors;
 use crate::safety::supervisor::{Belief, Supervisor, SupervisorState};
 use crate::sensor::Readings;
 use crate::settings::{Settings, SettingsError};
+use crate::trigger::{Trigger, TriggerState};
+
+/// Breaths at the start that follow the clock alone: a leak is not known yet, and its sag looks like an effort.
+const FIRST_BREATHS: u32 = 1;
 
 /// Mode of the ventilator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,6 +90,7 @@ pub struct Ventilator<C = Controller> {
     spare: Pid,
     exploration: Option<Exploration>,
     supervisor: Supervisor,
+    trigger: Trigger,
 }
 
 /// State of a ventilator: everything that changes from tick to tick.
@@ -101,13 +106,23 @@ pub struct VentilatorState<S = ControllerState> {
     controller: S,
     spare: PidState,
     supervisor: SupervisorState,
+    trigger: TriggerState,
+    /// Whether an effort has started the running breath.
+    triggered: bool,
 }
 
 impl<C: ControlLaw> Ventilator<C> {
     /// A ventilator with a control period in microseconds.
     pub fn new(period_us: u32, controller: C) -> Self {
         let supervisor = Supervisor::new(period_us, Monitors::ALL);
-        Self { period_us, controller, spare: Pid::known_good(period_us), exploration: None, supervisor }
+        Self {
+            period_us,
+            controller,
+            spare: Pid::known_good(period_us),
+            exploration: None,
+            supervisor,
+            trigger: Trigger::new(period_us),
+        }
     }
 
     /// Enables only these monitors: for a plant that does not behave like a ventilator, or to show what a monitor prevents.
@@ -170,6 +185,8 @@ impl<C: ControlLaw> Ventilator<C> {
             controller: self.controller.initial_state(),
             spare: PidState::new(),
             supervisor: SupervisorState::default(),
+            trigger: TriggerState::default(),
+            triggered: false,
         }
     }
 
@@ -224,7 +241,12 @@ impl<C: ControlLaw> Ventilator<C> {
                 return Output { command, mode, sample: None, alarm: state.supervisor.take_begun() };
             }
         };
-        self.breathe(state, state.supervisor.reading(&readings, pressure), pressure)
+        let seen = state.supervisor.pressure_of_effort(pressure);
+        let effort = self.trigger.check(&mut state.trigger, &state.breath, state.tick, seen, readings.flow);
+        let mut output = self.breathe(state, state.supervisor.reading(&readings, pressure), pressure);
+        self.end_tick(state, effort);
+        output.alarm = state.supervisor.take_begun();
+        output
     }
 
     /// Runs one tick of a breath; `pressure` is the reading, or for a few milliseconds the last good one.
@@ -241,7 +263,7 @@ impl<C: ControlLaw> Ventilator<C> {
         };
         let (wanted, explore) = match phase {
             Phase::Inspiration => self.inspire(state, pressure, target),
-            Phase::Fall => (ControlOutput::plain(0.0), 0.0),
+            Phase::Fall => (ControlOutput::plain(state.supervisor.leak_compensation()), 0.0),
             Phase::Expiration => {
                 let bias = settings.expiratory_bias + state.supervisor.leak_compensation();
                 (ControlOutput::plain(bias), 0.0)
@@ -263,14 +285,22 @@ impl<C: ControlLaw> Ventilator<C> {
             u_out: command.u_out(),
             explore,
         };
+        Output { command, mode: state.mode, sample: Some(sample), alarm: None }
+    }
+
+    /// Ends a tick of a breath: the next one starts a breath if it is due or the patient inhales.
+    fn end_tick(&self, state: &mut VentilatorState<C::State>, effort: bool) {
+        let effort = effort && state.number >= FIRST_BREATHS;
+        if effort {
+            self.supervisor.triggered(&mut state.supervisor, &state.breath, state.tick);
+        }
         state.tick += 1;
-        let due = state.tick >= breath.total_ticks();
-        if due && !self.supervisor.expiration_goes_on(&state.supervisor, &breath, state.tick) {
-            state.tick = 0;
+        let due = state.tick >= state.breath.total_ticks()
+            && !self.supervisor.expiration_goes_on(&state.supervisor, &state.breath, state.tick);
+        if effort || due {
+            (state.tick, state.triggered) = (0, effort);
             state.number = state.number.wrapping_add(1);
         }
-        let alarm = state.supervisor.take_begun();
-        Output { command, mode: state.mode, sample: Some(sample), alarm }
     }
 
     /// The output of the level of the ladder that commands an inspiration, and the perturbation in it, percent.
@@ -343,6 +373,11 @@ impl<S> VentilatorState<S> {
         self.tick
     }
 
+    /// Whether an effort of the patient has started the running breath, or at tick 0 the next one.
+    pub fn triggered(&self) -> bool {
+        self.triggered
+    }
+
     /// Level of the ladder of trust that commands the inspiratory valve.
     pub fn level(&self) -> Level {
         self.supervisor.level()
@@ -357,7 +392,7 @@ impl<S> VentilatorState<S> {
     pub fn start(&mut self) {
         if self.mode == Mode::Standby {
             self.supervisor.begin();
-            (self.mode, self.number, self.tick) = (Mode::Ventilating, 0, 0);
+            (self.mode, self.number, self.tick, self.triggered) = (Mode::Ventilating, 0, 0, false);
         }
     }
 

@@ -22,7 +22,7 @@ const RECOIL: f64 = 40.0;
 /// Largest flow through the inspiratory valve.
 const FULL_FLOW: f64 = 2.0;
 
-/// A breath on the balloon at one PIP, cmH2O: PEEP 0, no bias flow, no fall, and a pressure limit above its highest
+/// A breath on the balloon at one PIP, cmH2O: PEEP 0, no bias flow, no fall, no trigger, and a pressure limit above its highest
 /// pressures.
 pub fn settings(pip: f32) -> Settings {
     let period_s = shared::breath::period_s(PERIOD_US);
@@ -35,6 +35,8 @@ pub fn settings(pip: f32) -> Settings {
         fall_time: 0.0,
         expiratory_bias: 0.0,
         pressure_limit: 70.0,
+        trigger_pressure: 0.0,
+        trigger_flow: 0.0,
     }
 }
 

@@ -20,11 +20,9 @@ use crate::ventilator::{Mode, Output};
 pub const RESUMES: u16 = 3;
 
 /// Number of settings.
-const COUNT: usize = 8;
+const COUNT: usize = FIELDS.len();
 /// Marks a complete copy; another layout has another one.
 const MAGIC: u32 = fnv(&[0x5072_6573, 1, COUNT as u32]);
-
-const _: () = assert!(FIELDS.len() == COUNT && size_of::<Settings>() == COUNT * size_of::<f32>());
 
 /// What a reset has interrupted ventilation by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,14 +73,14 @@ impl Copy {
         let words = self.settings.each_ref().map(Word::load);
         let sequence = self.sequence.load();
         let whole = self.magic.load() == MAGIC && self.checksum.load() == checksum(sequence, &words);
-        let settings = decode(words);
+        let settings = Settings::from_values(words.map(f32::from_bits));
         (whole && settings.validate().is_ok()).then_some((sequence, settings))
     }
 
     /// Writes it; valid only after the last store.
     fn write(&self, sequence: u32, settings: &Settings) {
         self.magic.store(0);
-        let words = encode(settings);
+        let words = settings.values().map(f32::to_bits);
         self.sequence.store(sequence);
         self.settings.iter().zip(words).for_each(|(cell, word)| cell.store(word));
         self.checksum.store(checksum(sequence, &words));
@@ -92,19 +90,6 @@ impl Copy {
     fn clear(&self) {
         self.magic.store(0);
     }
-}
-
-fn encode(settings: &Settings) -> [u32; COUNT] {
-    let Settings { pip, peep, rate, inspiratory_time, rise_time, fall_time, expiratory_bias, pressure_limit } =
-        *settings;
-    [pip, peep, rate, inspiratory_time, rise_time, fall_time, expiratory_bias, pressure_limit]
-        .map(f32::to_bits)
-}
-
-fn decode(words: [u32; COUNT]) -> Settings {
-    let [pip, peep, rate, inspiratory_time, rise_time, fall_time, expiratory_bias, pressure_limit] =
-        words.map(f32::from_bits);
-    Settings { pip, peep, rate, inspiratory_time, rise_time, fall_time, expiratory_bias, pressure_limit }
 }
 
 fn checksum(sequence: u32, words: &[u32; COUNT]) -> u32 {
@@ -440,14 +425,14 @@ mod tests {
         }
 
         #[test]
-        fn memory_with_any_content_resumes_nothing_invalid(words in prop::array::uniform8(any::<u32>()), sequence: u32) {
+        fn memory_with_any_content_resumes_nothing_invalid(words in prop::array::uniform(any::<u32>()), sequence: u32) {
             let memory = PrescriptionMemory::new();
             memory.copies[0].settings.iter().zip(words).for_each(|(cell, word)| cell.store(word));
             memory.copies[0].sequence.store(sequence);
             memory.copies[0].checksum.store(checksum(sequence, &words));
             memory.copies[0].magic.store(MAGIC);
             let found = resumed(&memory, HANG);
-            prop_assert_eq!(found.is_some(), decode(words).validate().is_ok());
+            prop_assert_eq!(found.is_some(), Settings::from_values(words.map(f32::from_bits)).validate().is_ok());
         }
 
         /// A reset at any store leaves the settings before or after it, and never others or none.

@@ -17,4 +17,4 @@ pub mod refusal;
 pub mod telemetry;
 
 /// Version of the protocol; it changes whenever the bytes of an existing message change.
-pub const PROTOCOL: u16 = 2;
+pub const PROTOCOL: u16 = 3;

@@ -2,6 +2,7 @@
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::windows::Windows;
 use crate::breath::{Breath, Phase};
 
 /// Pressure above PEEP at which an expiration counts as incomplete, cmH2O.
@@ -54,6 +55,8 @@ pub struct BreathMonitor {
 pub struct BreathState {
     pressure: Mean,
     command: Mean,
+    /// Pressure in the windows of the expiration.
+    rest: Windows<1>,
     gone: u32,
     /// Whether the patient is disconnected, and the ticks for which the pressure has been back.
     disconnected: bool,
@@ -173,23 +176,27 @@ impl BreathMonitor {
             return Some(Fault::Occlusion);
         }
         state.cut = cut;
-        if tick + self.end_of_phase >= end {
+        state.rest.add(breath, tick, self.end_of_phase, Some([pressure]));
+        if inspires && tick + self.end_of_phase >= end {
             state.pressure.add(pressure);
             state.command.add(command);
         }
         if tick + 1 != end {
             return None;
         }
+        if !inspires {
+            return self.expired(state, state.rest.last(), peep, cut);
+        }
         let (pressure, command) = (state.pressure.take(), state.command.take());
-        if state.unchecked > 0 {
-            state.unchecked -= u32::from(!inspires);
+        if cut || state.unchecked > 0 {
             return None;
         }
-        match (inspires, cut) {
-            (true, true) => None,
-            (true, false) => self.inspired(state, &BreathInput { pressure, command, ..*input }),
-            (false, cut) => self.expired(state, pressure - peep, cut),
-        }
+        self.inspired(state, &BreathInput { pressure, command, ..*input })
+    }
+
+    /// Checks an expiration that an effort ends early, by its pressure before that.
+    pub fn triggered(&self, state: &mut BreathState, breath: &Breath, cut: bool) -> Option<Fault> {
+        self.expired(state, state.rest.before(), breath.settings().peep, cut)
     }
 
     /// Checks an inspiration by the means over its end.
@@ -220,8 +227,20 @@ impl BreathMonitor {
         state.occluded >= self.occluded
     }
 
-    /// Checks an expiration by the mean pressure over its end.
-    fn expired(&self, state: &mut BreathState, above_peep: f32, cut: bool) -> Option<Fault> {
+    /// Checks an expiration by a mean pressure at its end.
+    fn expired(
+        &self,
+        state: &mut BreathState,
+        pressure: Option<[f32; 1]>,
+        peep: f32,
+        cut: bool,
+    ) -> Option<Fault> {
+        if state.unchecked > 0 {
+            state.unchecked -= 1;
+            return None;
+        }
+        let [pressure] = pressure?;
+        let above_peep = pressure - peep;
         state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
         // After a cough the lung contains less gas than at PEEP.
         state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
@@ -345,6 +364,30 @@ mod tests {
             None,
             "at the bound"
         );
+    }
+
+    #[test]
+    fn an_expiration_that_an_effort_ends_is_judged_by_its_pressure_before() {
+        let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
+        // Breaths that end at a tick, the last 50 ms of them at another pressure.
+        let triggered = |count: usize, pressure: f32, effort: f32, end: u32| {
+            let mut state = BreathState::default();
+            let mut found = None;
+            for _ in 0..count {
+                for tick in 0..end {
+                    let pressure = if tick + 50 >= end { effort } else { pressure };
+                    let input = BreathInput { pressure, ..GOOD.at(&breath, tick) };
+                    assert_eq!(monitor.check(&mut state, &input), None);
+                }
+                found = monitor.triggered(&mut state, &breath, false);
+            }
+            found
+        };
+        assert_eq!(triggered(2, 8.5, 5.0, 2500), Some(Fault::BaselineHigh));
+        assert_eq!(triggered(1, 8.5, 5.0, 2500), None);
+        assert_eq!(triggered(3, 2.5, 5.0, 2500), Some(Fault::BaselineLow));
+        assert_eq!(triggered(9, 5.0, 0.0, 2500), None, "the effort itself");
+        assert_eq!(triggered(9, 8.5, 8.5, 1590), None, "too short to tell");
     }
 
     #[test]

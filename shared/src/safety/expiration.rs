@@ -1,11 +1,13 @@
 //! What the ventilator does in expirations that do not go as they should.
 //!
-//! * The pressure falls below PEEP (a leak): a bounded flow through the inspiratory valve holds it; much flow is an alarm.
+//! * Gas leaks: a bounded flow through the inspiratory valve makes up for the leak that the flow sensor has measured in earlier
+//!   breaths, and for a pressure below PEEP all the same. So a leak does not look like an effort. Much flow is an alarm.
 //! * It is still falling when the next breath is due (obstruction, trapped gas): the expiration lasts longer.
 //! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
 //!   Not so unless the flow sensor shows that the gas gets out again.
 
 use super::breath_monitor::ABOVE_PEEP;
+use super::lung_estimator::command_for;
 use super::monitors::{Monitors, in_a_row, ticks};
 use crate::breath::{Breath, Phase, period_s};
 use crate::math;
@@ -19,13 +21,21 @@ const RISE: f32 = 40.0;
 const RELEASE: f32 = 8.0;
 /// Highest command of the compensation, percent.
 const BOUND: f32 = 40.0;
+/// Part of each breath's leak in the mean leak, after the first few.
+const LEARNED: f32 = 0.3;
+/// Flow of a leak at PEEP from which it is made up for in advance, and the flow beyond it that keeps the PEEP valve open, L/s.
+const KNOWN_LEAK: f32 = 0.015;
+const SURPLUS: f32 = 0.02;
 /// Compensation above which it tells of a leak, percent.
 const LEAK: f32 = 5.0;
 /// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
 pub const TIGHT: f32 = 0.75;
 /// Share below which the circuit leaks, whatever the compensation: a low PEEP needs none.
 const OPEN: f32 = 0.6;
-/// Breaths in a row with such a compensation and loss that raise the alarm.
+/// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
+/// or the flow sensor does not show the leak.
+const HELD: f32 = 12.0;
+/// Breaths in a row with such a compensation or loss that raise the alarm.
 const LEAKS: u32 = 3;
 /// Incomplete expirations in a row to which the ventilator responds.
 const IN_A_ROW: u32 = 2;
@@ -48,17 +58,26 @@ pub struct Expiration {
     period: f32,
     smoothing: f32,
     constant_for: u32,
-    /// Expirations after which a leak is an alarm.
+    /// Expirations after which a leak, or a PEEP that flow alone holds, is an alarm.
     leaks: u32,
+    held: u32,
 }
 
 /// State; all zero before the first breath.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ExpirationState {
-    /// Compensation of a leak, percent.
+    /// Mean leak, L/s at 1 cmH2O, and the command that makes up for it at PEEP, percent.
+    leak: f32,
+    advance: f32,
+    /// Breaths in the mean leak.
+    learnt: u32,
+    /// Compensation of what sags all the same, percent.
     compensation: f32,
-    /// Expirations in a row with a high one.
+    /// Breaths in a row that tell of a leak, and those whose PEEP flow alone holds.
     leaks: u32,
+    held: u32,
+    /// Lowest compensation in the breath: an effort raises it for a moment only.
+    lowest: f32,
     /// Smoothed pressure, and what it was [`CONSTANT_FOR`] before the end of the expiration, cmH2O.
     smooth: f32,
     earlier: f32,
@@ -81,6 +100,7 @@ impl Expiration {
             smoothing: math::lag_factor(SMOOTHING, period),
             constant_for: ticks(CONSTANT_FOR, period_us),
             leaks: enabled.limit(Fault::Leak, LEAKS),
+            held: enabled.limit(Fault::BaselineLow, LEAKS),
         }
     }
 
@@ -102,6 +122,7 @@ impl Expiration {
         if breath.phase(tick) == Phase::Expiration {
             let rate = if sag > 0.0 && !doubtful { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
+            state.lowest = state.lowest.min(state.compensation);
         }
         if tick + 1 == breath.total_ticks() {
             self.assess(state, breath.settings().peep);
@@ -116,14 +137,40 @@ impl Expiration {
         state.above = if state.incomplete >= IN_A_ROW && !state.falling { above } else { 0.0 };
     }
 
+    /// Assesses an expiration that an effort ends early: whether its pressure still falls is not known, so PIP stays.
+    pub fn triggered(&self, state: &mut ExpirationState, peep: f32) {
+        let above = state.smooth - peep;
+        state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
+        (state.falling, state.above) = (true, 0.0);
+    }
+
     /// Starts a breath after one of which this share of the volume came out, if that was measured: lets PIP follow the
-    /// baseline. True if breaths tell of a leak.
-    pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> bool {
+    /// baseline. A finding if breaths tell of a leak or of a PEEP valve that holds nothing.
+    pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> Option<Fault> {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
         state.shift = if comes_out { state.above } else { 0.0 };
-        let least = if state.compensation > LEAK { TIGHT } else { OPEN };
+        let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
         state.leaks = in_a_row(state.leaks, expired_share.is_some_and(|share| share < least));
-        state.leaks >= self.leaks
+        state.held = in_a_row(state.held, state.lowest > HELD);
+        state.lowest = state.compensation;
+        if state.leaks >= self.leaks {
+            return Some(Fault::Leak);
+        }
+        (state.held >= self.held).then_some(Fault::BaselineLow)
+    }
+
+    /// Learns the leak of a breath, L/s at 1 cmH2O, to make up for it in advance at this PEEP, cmH2O. Gas that stays in a lung
+    /// whose expiratory path is blocked is no leak.
+    pub fn learn_leak(&self, state: &mut ExpirationState, peep: f32, leak: f32) {
+        if state.incomplete > 0 {
+            (state.leak, state.advance, state.learnt) = (0.0, 0.0, 0);
+            return;
+        }
+        state.learnt = state.learnt.saturating_add(1);
+        let part = LEARNED.max(1.0 / state.learnt as f32);
+        state.leak += part * (leak.max(0.0) - state.leak);
+        let flow = state.leak * math::square_root(peep);
+        state.advance = if flow > KNOWN_LEAK { command_for(flow + SURPLUS) } else { 0.0 };
     }
 
     /// Whether the expiration goes on at a tick at which the next breath is due.
@@ -135,9 +182,9 @@ impl Expiration {
 }
 
 impl ExpirationState {
-    /// Command that holds PEEP against a leak, percent.
+    /// Command that holds PEEP against a leak, percent; from the fall on, so that its beginning does not look like an effort.
     pub fn compensation(&self) -> f32 {
-        self.compensation
+        (self.advance + self.compensation).min(BOUND)
     }
 
     /// Rise of PIP with a constant baseline, cmH2O.
@@ -208,14 +255,70 @@ mod tests {
         let leaks = |share, pressure: f32| {
             let (expiration, mut state) = breaths_with(4, 25.0, share, |_| pressure);
             state.compensation = state.compensation.max(if pressure < 4.5 { BOUND } else { 0.0 });
-            expiration.start_breath(&mut state, share)
+            expiration.start_breath(&mut state, share) == Some(Fault::Leak)
         };
         assert!(leaks(Some(0.7), 4.0) && leaks(Some(0.5), 5.0));
         assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.7), 5.0));
-        let (expiration, mut state) = breaths_with(1, 25.0, Some(0.5), |_| 4.0);
-        assert!(
-            !expiration.start_breath(&mut state, Some(0.5)) && expiration.start_breath(&mut state, Some(0.5))
-        );
+        let (expiration, mut state) = breaths_with(1, 25.0, Some(0.5), |_| 5.0);
+        assert_eq!(expiration.start_breath(&mut state, Some(0.5)), None);
+        assert_eq!(expiration.start_breath(&mut state, Some(0.5)), Some(Fault::Leak));
+    }
+
+    #[test]
+    fn a_peep_that_flow_alone_holds_is_a_finding() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        let mut held = |compensation, share| {
+            (state.compensation, state.lowest) = (compensation, compensation);
+            expiration.start_breath(&mut state, share)
+        };
+        assert_eq!([(); 3].map(|()| held(12.1, None)), [None, None, Some(Fault::BaselineLow)]);
+        assert_eq!(held(12.0, None), None);
+        assert_eq!([(); 3].map(|()| held(20.0, Some(1.0))), [None, None, Some(Fault::BaselineLow)]);
+    }
+
+    #[test]
+    fn a_leak_that_earlier_breaths_have_shown_is_made_up_for_in_advance() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        let learnt = |state: &mut ExpirationState, leak: f32, peep: f32| {
+            (0..40).for_each(|_| expiration.learn_leak(state, peep, leak));
+            state.compensation()
+        };
+        // 0.1 L/s at PEEP, and 0.02 L/s more: the valve's flow at 30 % is 0.303 L/s, at 20 % 0.161, at 10 % 0.046.
+        assert!((learnt(&mut state, 0.05, 4.0) - 16.43).abs() < 0.05, "{}", state.compensation());
+        assert!((learnt(&mut state, 0.05, 16.0) - 24.2).abs() < 0.1, "{}", state.compensation());
+        assert!(learnt(&mut state, 0.0074, 4.0).abs() < 1e-6, "a tight circuit");
+        assert!(learnt(&mut state, 0.0076, 4.0) > 5.0);
+        assert!(learnt(&mut state, -0.3, 4.0).abs() < 1e-6);
+        assert!((learnt(&mut state, 9.0, 4.0) - BOUND).abs() < 1e-6);
+        let mut mean = ExpirationState::default();
+        for (leak, expected) in [(0.1, 0.1), (0.0, 0.05), (0.0, 0.0333), (0.0, 0.0233), (0.1, 0.0463)] {
+            expiration.learn_leak(&mut mean, 4.0, leak);
+            assert!((mean.leak - expected).abs() < 1e-4, "{}", mean.leak);
+        }
+    }
+
+    #[test]
+    fn gas_that_a_blocked_valve_keeps_in_is_no_leak() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        expiration.learn_leak(&mut state, 5.0, 0.1);
+        assert!(state.compensation() > 5.0);
+        state.incomplete = 1;
+        expiration.learn_leak(&mut state, 5.0, 0.1);
+        assert!(state.compensation().abs() < 1e-6 && state.leak.abs() < 1e-6);
+    }
+
+    #[test]
+    fn an_expiration_that_an_effort_ends_moves_no_pip_and_counts_as_incomplete() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        state.smooth = 8.1;
+        expiration.triggered(&mut state, 5.0);
+        expiration.triggered(&mut state, 5.0);
+        expiration.start_breath(&mut state, Some(1.0));
+        assert!(state.shift(&breath()).abs() < 1e-6);
+        assert!(expiration.goes_on(&state, &breath(), 3000));
+        state.smooth = 8.0;
+        expiration.triggered(&mut state, 5.0);
+        assert_eq!(state.incomplete, 0, "at the bound");
     }
 
     #[test]

@@ -290,6 +290,13 @@ fn flow(opening: f32) -> f32 {
     FLOW[left] + (FLOW[left + 1] - FLOW[left]) * (place - left as f32)
 }
 
+/// Command at which the valve delivers a flow into a low pressure, percent.
+pub(super) fn command_for(flow: f32) -> f32 {
+    let right = FLOW.iter().position(|full| *full >= flow).unwrap_or(FLOW.len() - 1).max(1);
+    let (low, high) = (FLOW[right - 1], FLOW[right]);
+    10.0 * (right as f32 - 1.0 + math::limit((flow - low) / (high - low), 0.0, 1.0))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -299,6 +306,15 @@ mod tests {
 
     fn estimator() -> (LungEstimator, LungState) {
         (LungEstimator::new(PERIOD_US), LungState::default())
+    }
+
+    #[test]
+    fn the_command_for_a_flow_delivers_it() {
+        for percent in 0..=1000 {
+            let command = percent as f32 * 0.1;
+            assert!((command_for(flow(command)) - command).abs() < 1e-2, "{command} %");
+        }
+        assert!(command_for(-1.0).abs() < 1e-6 && (command_for(9.0) - 100.0).abs() < 1e-6);
     }
 
     /// An inspiration with a constant command into a lung; returns the ticks at which no response was reported.

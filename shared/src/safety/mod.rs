@@ -16,6 +16,7 @@
 //! | [`expiration`] | holds PEEP against a leak, lengthens expirations, lets PIP follow a constant baseline |
 //! | [`alarms`] | the table of alarms with priorities and actions |
 //! | [`indications`] | the alarms that are present or not yet acknowledged |
+//! | [`windows`] | means over the end of an expiration |
 //! | [`monitors`] | the set of enabled monitors, and their times in ticks |
 
 pub mod alarms;
@@ -33,3 +34,4 @@ pub mod reading_monitor;
 pub mod source;
 pub mod supervisor;
 pub mod volumes;
+pub mod windows;

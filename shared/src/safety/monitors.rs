@@ -55,12 +55,12 @@ pub(super) const fn reads_quickly(period_us: u32) -> bool {
 }
 
 /// Converts a monitor's time to control ticks, at least one.
-pub(super) fn ticks(seconds: f32, period_us: u32) -> u32 {
+pub(crate) fn ticks(seconds: f32, period_us: u32) -> u32 {
     math::ticks(seconds, period_us).max(1)
 }
 
 /// Counts consecutive ticks or breaths in which a condition is true, including this one.
-pub(super) fn in_a_row(before: u32, holds: bool) -> u32 {
+pub(crate) fn in_a_row(before: u32, holds: bool) -> u32 {
     if holds { before.saturating_add(1) } else { 0 }
 }
 

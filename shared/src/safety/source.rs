@@ -10,6 +10,8 @@
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::reading_monitor::{ReadingMonitor, ReadingState};
+use super::windows::Windows;
+use crate::breath::Breath;
 use crate::sensor::Readings;
 
 /// Largest plausible difference between outlet and airway, cmH2O: at full flow the tube between them drops up to 5.
@@ -57,8 +59,6 @@ struct SensorState {
     noisy: bool,
     /// Whether it lost the comparison with the other sensor.
     doubted: bool,
-    /// Sum of the readings at the end of the expiration.
-    end: f32,
 }
 
 impl SensorState {
@@ -73,8 +73,8 @@ pub struct SourceState {
     airway: SensorState,
     outlet: SensorState,
     apart: u32,
-    /// Readings of both sensors in their sums.
-    ends: u32,
+    /// Readings of airway and outlet in the windows of the expiration.
+    rest: Windows<2>,
     doubtful: u32,
     agreed: u32,
     /// Whether they agreed at the end of the inspiration.
@@ -173,13 +173,20 @@ impl PressureSource {
         ((believed.pressure, believed.fresh), fault)
     }
 
-    /// Adds the readings of a tick at the end of an expiration.
-    pub fn at_end(&self, state: &mut SourceState, readings: &Readings) {
-        if state.airway.exists && state.outlet.exists && !(readings.airway + readings.outlet).is_nan() {
-            state.airway.end += readings.airway;
-            state.outlet.end += readings.outlet;
-            state.ends += 1;
-        }
+    /// Records the readings of a tick of a breath, for [`Self::compare`]; `window` is the length of its means, ticks.
+    #[inline]
+    pub fn record(
+        &self,
+        state: &mut SourceState,
+        breath: &Breath,
+        tick: u32,
+        window: u32,
+        readings: &Readings,
+    ) {
+        let both =
+            state.airway.exists && state.outlet.exists && !(readings.airway + readings.outlet).is_nan();
+        let values = both.then_some([readings.airway, readings.outlet]);
+        state.rest.add(breath, tick, window, values);
     }
 
     /// Compares the sensors at the end of an inspiration.
@@ -199,16 +206,13 @@ impl PressureSource {
         outlet_rose.abs() > DOUBTFUL
     }
 
-    /// Compares the sensors over the end of an expiration at this PEEP, cmH2O, and flow of the valve, L/s; true if one of them
-    /// is wrong.
-    pub fn compare(&self, state: &mut SourceState, peep: f32, flow: f32) -> bool {
-        let count = core::mem::take(&mut state.ends);
-        let [airway, outlet] =
-            [&mut state.airway, &mut state.outlet].map(|sensor| core::mem::take(&mut sensor.end));
-        if count == 0 || state.airway.lost || state.outlet.lost {
+    /// Compares the sensors at the end of an expiration at this PEEP, cmH2O, and flow of the valve, L/s; true if one of them is
+    /// wrong. `triggered`: an effort ends it early.
+    pub fn compare(&self, state: &mut SourceState, peep: f32, flow: f32, triggered: bool) -> bool {
+        let means = if triggered { state.rest.before() } else { state.rest.last() };
+        let Some([airway, outlet]) = means.filter(|_| !state.airway.lost && !state.outlet.lost) else {
             return false;
-        }
-        let (airway, outlet) = (airway / count as f32, outlet / count as f32);
+        };
         let apart = (airway - outlet).abs();
         state.doubtful = in_a_row(state.doubtful, apart > DOUBTFUL + TUBE * flow);
         state.agreed = in_a_row(state.agreed, apart <= AGREE && state.agreed_at_plateau);
@@ -234,6 +238,8 @@ impl SourceState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use core::ops::Range;
 
     const PEEP: f32 = 5.0;
 
@@ -264,12 +270,18 @@ mod tests {
 
         /// The end of an expiration; whether a sensor is wrong.
         fn expiration(&mut self, airway: f32, outlet: f32, flow: f32) -> bool {
-            for _ in 0..50 {
+            self.rest(2900..3000, airway, outlet);
+            self.source.compare(&mut self.state, PEEP, flow, false)
+        }
+
+        /// Ticks of an expiration.
+        fn rest(&mut self, ticks: Range<u32>, airway: f32, outlet: f32) {
+            let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
+            for tick in ticks {
                 self.tick(airway, outlet);
                 let readings = Readings { airway, outlet, flow: 0.0 };
-                self.source.at_end(&mut self.state, &readings);
+                self.source.record(&mut self.state, &breath, tick, 50, &readings);
             }
-            self.source.compare(&mut self.state, PEEP, flow)
         }
 
         fn plateau(&mut self, airway: f32, outlet: f32) {
@@ -368,6 +380,18 @@ mod tests {
             !(0..9).any(|n| run.expiration(5.0, if n % 2 == 0 { 9.0 } else { 5.0 }, 0.0)),
             "never twice in a row"
         );
+    }
+
+    #[test]
+    fn an_expiration_that_an_effort_ends_is_compared_before_the_effort() {
+        let mut run = Run::new();
+        for _ in 0..2 {
+            run.rest(2000..2100, 5.0, 10.0);
+            run.rest(2100..2140, 4.5, 4.5);
+            let wrong = run.source.compare(&mut run.state, PEEP, 0.0, true);
+            assert_eq!(wrong, run.state.outlet.doubted);
+        }
+        assert!(run.state.outlet.doubted);
     }
 
     #[test]

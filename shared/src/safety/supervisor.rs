@@ -191,7 +191,7 @@ impl Supervisor {
         if tick == 0 {
             self.start_breath(state, pressure, breath.settings());
         }
-        state.volumes.add(readings.flow, breath.period_s());
+        state.volumes.add(readings.flow, pressure.unwrap_or(f32::NAN), breath.period_s());
         if state.level() == Level::Backup {
             self.found(state, Fault::BackupVentilation);
         }
@@ -200,14 +200,28 @@ impl Supervisor {
             None if breath.phase(tick) == Phase::Inspiration => self.lung.deliver(&mut state.lung),
             None => {}
         }
-        if tick + self.breath.end_of_phase() >= breath.total_ticks() && tick < breath.total_ticks() {
-            self.source.at_end(&mut state.source, readings);
-            if tick + 1 == breath.total_ticks() {
-                let (peep, flow) = (breath.settings().peep, state.lung.valve_flow());
-                if self.source.compare(&mut state.source, peep, flow) {
-                    self.found(state, Fault::SensorsDisagree);
-                }
-            }
+        self.source.record(&mut state.source, breath, tick, self.breath.end_of_phase(), readings);
+        if tick + 1 == breath.total_ticks() {
+            self.compare_sensors(state, breath, false);
+        }
+    }
+
+    fn compare_sensors(&self, state: &mut SupervisorState, breath: &Breath, triggered: bool) {
+        let (peep, flow) = (breath.settings().peep, state.lung.valve_flow());
+        if self.source.compare(&mut state.source, peep, flow, triggered) {
+            self.found(state, Fault::SensorsDisagree);
+        }
+    }
+
+    /// Ends an expiration at a tick, before the next breath is due, because the patient inhales.
+    pub fn triggered(&self, state: &mut SupervisorState, breath: &Breath, tick: u32) {
+        if tick + 1 >= breath.total_ticks() {
+            return;
+        }
+        self.compare_sensors(state, breath, true);
+        self.expiration.triggered(&mut state.expiration, breath.settings().peep);
+        if let Some(fault) = self.breath.triggered(&mut state.breath, breath, state.cut) {
+            self.found(state, fault);
         }
     }
 
@@ -271,8 +285,11 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
-        if self.expiration.start_breath(&mut state.expiration, expired) {
-            self.found(state, Fault::Leak);
+        if let Some(leak) = state.volumes.leak() {
+            self.expiration.learn_leak(&mut state.expiration, settings.peep, leak);
+        }
+        if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {
+            self.found(state, fault);
         }
         if self.pressure.is_sustained(&state.pressure) && expired.is_some_and(|share| share < BLOCKED) {
             self.found(state, Fault::SustainedPressure);
@@ -389,6 +406,11 @@ impl SupervisorState {
     /// The reading to record: that of the sensor in use, `pressure`, unless it stands in for a missing one.
     pub fn reading(&self, readings: &Readings, pressure: f32) -> f32 {
         if self.proven { pressure } else { readings.airway }
+    }
+
+    /// The pressure in which an effort shows, cmH2O: NaN unless it is a reading of this tick from a connected patient.
+    pub fn pressure_of_effort(&self, pressure: f32) -> f32 {
+        if self.proven && !self.breath.is_disconnected() { pressure } else { f32::NAN }
     }
 
     /// Whether a pressure sensor is sound.

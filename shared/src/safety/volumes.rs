@@ -1,4 +1,6 @@
-//! Volumes of each breath from the flow sensor at the airway.
+//! Volumes of each breath from the flow sensor at the airway, and the leak that they show.
+
+use crate::math;
 
 /// Share of a breath's ticks that must have a flow reading.
 const MEASURED: f32 = 0.9;
@@ -11,17 +13,24 @@ pub struct Volumes {
     /// Volumes so far, mL.
     inspired: f32,
     expired: f32,
+    /// Integral of the root of the pressure, s cmH2O^0.5.
+    root: f32,
     ticks: u32,
     measured: u32,
     /// Expired share of the inspired volume in the last breath, if the flow was measured.
     expired_share: Option<f32>,
+    /// Leak in the last breath, L/s at 1 cmH2O.
+    leak: Option<f32>,
 }
 
 impl Volumes {
-    /// Adds a tick of `period` seconds with a flow towards the patient, L/s; NaN without a reading.
+    /// Adds a tick of `period` seconds with a flow towards the patient, L/s, and a pressure, cmH2O; NaN without a reading.
     #[inline]
-    pub fn add(&mut self, flow: f32, period: f32) {
+    pub fn add(&mut self, flow: f32, pressure: f32, period: f32) {
         self.ticks += 1;
+        if !pressure.is_nan() {
+            self.root += math::square_root(pressure) * period;
+        }
         if flow.is_nan() {
             return;
         }
@@ -35,12 +44,20 @@ impl Volumes {
     pub fn start_breath(&mut self) {
         let known = self.measured as f32 >= MEASURED * self.ticks as f32 && self.inspired >= TELLING;
         let expired_share = known.then(|| self.expired / self.inspired);
-        *self = Self { expired_share, ..Self::default() };
+        // A leak is an orifice: its flow goes with the root of the pressure.
+        let leak = (known && self.root > 0.0).then(|| 1e-3 * (self.inspired - self.expired) / self.root);
+        *self = Self { expired_share, leak, ..Self::default() };
     }
 
     /// Expired share of the inspired volume in the last breath; none if the flow was not measured.
     pub fn expired_share(&self) -> Option<f32> {
         self.expired_share
+    }
+
+    /// Leak in the last breath, L/s at 1 cmH2O; none if flow or pressure were not measured. Gas that stays in the lung counts
+    /// as a leak too, but in the mean over breaths none does.
+    pub fn leak(&self) -> Option<f32> {
+        self.leak
     }
 }
 
@@ -52,7 +69,7 @@ mod tests {
     fn breath(volumes: &mut Volumes, share: f32, measured: impl Fn(u32) -> bool) {
         for tick in 0..3000 {
             let flow = if tick < 1000 { 0.4 } else { -0.2 * share };
-            volumes.add(if measured(tick) { flow } else { f32::NAN }, 0.001);
+            volumes.add(if measured(tick) { flow } else { f32::NAN }, 9.0, 0.001);
         }
         volumes.start_breath();
     }
@@ -64,6 +81,20 @@ mod tests {
             breath(&mut volumes, share, |_| true);
             assert!((volumes.expired_share().unwrap() - share).abs() < 1e-3);
         }
+    }
+
+    #[test]
+    fn a_leak_is_what_stays_away_by_the_root_of_the_pressure() {
+        let mut volumes = Volumes::default();
+        assert_eq!(volumes.leak(), None);
+        breath(&mut volumes, 0.7, |_| true);
+        // 120 of 400 mL in 3 s at 9 cmH2O: 0.04 L/s, and a third of that at 1 cmH2O.
+        assert!((volumes.leak().unwrap() - 0.04 / 3.0).abs() < 1e-4);
+        breath(&mut volumes, 0.7, |tick| tick % 5 != 0);
+        assert_eq!(volumes.leak(), None);
+        (0..3000).for_each(|_| volumes.add(0.1, f32::NAN, 0.001));
+        volumes.start_breath();
+        assert_eq!((volumes.leak(), volumes.expired_share()), (None, Some(0.0)), "no pressure");
     }
 
     #[test]

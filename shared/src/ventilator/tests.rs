@@ -310,3 +310,75 @@ proptest! {
         }
     }
 }
+
+/// Runs breaths in which the pressure falls by an effort from a tick on, until a breath starts; the ticks of each breath.
+fn breathe_with_efforts(
+    ventilator: &Ventilator,
+    settings: &Settings,
+    breaths: u32,
+    seen: impl Fn(u32) -> Readings,
+) -> Vec<(u32, bool)> {
+    let mut state = ventilator.standby(settings).unwrap();
+    state.start();
+    let mut lengths = Vec::new();
+    while state.breath_number() < breaths {
+        let tick = state.tick();
+        let before = state.breath_number();
+        ventilator.step(&mut state, seen(tick));
+        if state.breath_number() != before {
+            lengths.push((tick + 1, state.triggered()));
+        }
+    }
+    lengths
+}
+
+/// A pressure with an effort from a tick on.
+fn inhales(from: u32) -> impl Fn(u32) -> Readings {
+    move |tick| Readings::from(if tick < from { 5.0 } else { 3.0 })
+}
+
+#[test]
+fn an_effort_starts_the_next_breath_but_not_the_second_one() {
+    let settings = paper_settings(20.0);
+    let lengths = breathe_with_efforts(&ventilator(), &settings, 4, inhales(2000));
+    assert_eq!(lengths, [(3000, false), (2010, true), (2010, true), (2010, true)]);
+    let flow = |tick| Readings { flow: if tick < 2000 { -0.1 } else { -0.05 }, ..5.0.into() };
+    assert_eq!(breathe_with_efforts(&ventilator(), &settings, 3, flow)[1..], [(2010, true); 2]);
+}
+
+#[test]
+fn without_an_effort_or_a_trigger_the_clock_starts_the_breaths() {
+    let settings = paper_settings(20.0);
+    assert_eq!(breathe_with_efforts(&ventilator(), &settings, 6, |_| 5.0.into()), [(3000, false); 6]);
+    let off = Settings { trigger_pressure: 0.0, trigger_flow: 0.0, ..settings };
+    assert_eq!(breathe_with_efforts(&ventilator(), &off, 6, inhales(2000)), [(3000, false); 6]);
+    let dull = Settings { trigger_pressure: 2.1, ..settings };
+    assert_eq!(breathe_with_efforts(&ventilator(), &dull, 6, inhales(2000)), [(3000, false); 6]);
+}
+
+#[test]
+fn a_reading_that_stands_in_for_a_missing_one_is_no_effort() {
+    let settings = paper_settings(20.0);
+    let missing = |tick| Readings::from(if (2000..2003).contains(&tick) { f32::NAN } else { 5.0 });
+    assert_eq!(breathe_with_efforts(&ventilator(), &settings, 6, missing), [(3000, false); 6]);
+}
+
+#[test]
+fn in_the_last_tick_effort_and_clock_start_one_breath() {
+    let lengths = breathe_with_efforts(&ventilator(), &paper_settings(20.0), 6, inhales(2990));
+    assert_eq!(lengths[1..], [(3000, true); 5]);
+}
+
+#[test]
+fn a_restart_waits_for_the_clock_again() {
+    let ventilator = ventilator();
+    let mut state = started(&ventilator);
+    for _ in 0..20_000 {
+        let tick = state.tick();
+        ventilator.step(&mut state, inhales(2000)(tick));
+    }
+    assert!(state.triggered());
+    state.stop();
+    state.start();
+    assert!(!state.triggered());
+}

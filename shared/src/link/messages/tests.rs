@@ -29,16 +29,7 @@ fn hex<M: Serialize>(message: &M) -> String {
 }
 
 fn settings() -> impl Strategy<Value = Settings> {
-    prop::array::uniform8(-1.0e6f32..1.0e6).prop_map(|v| Settings {
-        pip: v[0],
-        peep: v[1],
-        rate: v[2],
-        inspiratory_time: v[3],
-        rise_time: v[4],
-        fall_time: v[5],
-        expiratory_bias: v[6],
-        pressure_limit: v[7],
-    })
+    prop::array::uniform(-1.0e6f32..1.0e6).prop_map(Settings::from_values)
 }
 
 fn exploration() -> impl Strategy<Value = Option<Exploration>> {
@@ -257,7 +248,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::GetSettings, "ac0201"),
         (
             Request::ApplySettings(Settings::default()),
-            "ac02020000a0410000a0400000a0410000803f000000000000003f0000a04000007042",
+            "ac02020000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f",
         ),
         (Request::Start, "ac0203"),
         (Request::Stop, "ac0204"),
@@ -282,7 +273,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::Reset, "ac020c"),
         (
             Request::QueueSettings(Settings::default()),
-            "ac020d0000a0410000a0400000a0410000803f000000000000003f0000a04000007042",
+            "ac020d0000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f",
         ),
         (Request::GetTiming { clear: true }, "ac020e01"),
         (Request::ResetPlant { seed: 128 }, "ac020f8001"),
@@ -314,10 +305,10 @@ fn the_bytes_of_every_response_are_pinned() {
     };
     let in_force = Settings::default();
     let responses = [
-        (Response::Identity(identity), "000500020001c80101e807020201000301070101000301026e6f"),
+        (Response::Identity(identity), "000500030001c80101e807020201000301070101000301026e6f"),
         (
             Response::Settings { in_force, pending: None },
-            "0005010000a0410000a0400000a0410000803f000000000000003f0000a0400000704200",
+            "0005010000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f00",
         ),
         (Response::Mode(Mode::Ventilating), "00050201"),
         (Response::Controller(ControllerChoice::Learned), "00050301"),
@@ -363,6 +354,14 @@ fn the_bytes_of_every_refusal_are_pinned() {
             "0900030000c03f0000803f",
         ),
         (Refusal::Settings(SettingsError::Period { period_us: 1 }), "09000401"),
+        (
+            Refusal::Settings(SettingsError::TriggerInNoise {
+                field: FieldIndex(8),
+                value: 0.5,
+                lowest: 1.0,
+            }),
+            "090005080000003f0000803f",
+        ),
         (Refusal::Gains, "0901"),
         (Refusal::Exploration, "0902"),
         (Refusal::Ventilating, "0903"),

@@ -1,0 +1,303 @@
+//! Detects that the patient starts to inhale, so that the next breath follows the effort and not the clock.
+//!
+//! An effort draws gas. In a lung at rest this lowers the airway pressure; in one that is still emptying it first slows the
+//! flow, while the open expiratory valve holds the pressure. Either signal can start the breath. In an expiration both have
+//! trends of their own, and sensors have offsets. So the mean over the latest [`BLOCK`] is compared with a line through the
+//! means before it. A passive lung empties ever more slowly, and leaves that line on the other side.
+
+use crate::breath::{Breath, Phase};
+use crate::math;
+use crate::safety::monitors::ticks;
+
+/// Time over which a signal is averaged, s.
+const BLOCK: f32 = 0.01;
+/// Blocks between the line and the latest one: an effort must not bend the line at once.
+const GAP: usize = 5;
+/// Smallest and largest number of blocks through which the line is drawn.
+const LINE: (usize, usize) = (12, 24);
+/// Blocks after the inspiration that belong to no line: the expiratory valve opens.
+const OPENING: usize = 20;
+/// Blocks that are kept.
+const KEPT: usize = 32;
+/// Multiple of the mean noise of a value below which a deviation can be noise: five standard deviations of the difference
+/// between a block and the line.
+const NOISES: f32 = 2.5;
+/// Time constant of the mean noise, s.
+const NOISE_TIME: f32 = 0.2;
+/// Part of the sensitivity within which a signal follows its line; only a signal that did can leave it. Muscles that relax while
+/// the lung empties bend the first lines.
+const ON_LINE: f32 = 0.5;
+/// Part of the sensitivity by which the signal itself must have risen within [`GAP`]: the end of an earlier effort or cough bends
+/// the line, and leaves the signal where it is.
+const RISE: f32 = 0.5;
+/// Litres per second in a litre per minute.
+const PER_MINUTE: f32 = 1.0 / 60.0;
+
+const _: () = assert!(LINE.1 + GAP < KEPT);
+
+/// Configuration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trigger {
+    /// [`BLOCK`] in ticks.
+    block: u32,
+    noise: f32,
+}
+
+/// State in an expiration.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TriggerState {
+    pressure: Signal,
+    flow: Signal,
+}
+
+/// A signal that rises with an effort.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Signal {
+    /// Sum and number of values in the running block.
+    sum: f32,
+    count: u32,
+    /// Means of the last blocks, a ring, and the number of blocks so far.
+    means: [f32; KEPT],
+    blocks: usize,
+    /// Mean distance of the values from the last block.
+    noise: f32,
+    on_line: bool,
+}
+
+impl Signal {
+    /// Mean of the block that ended `ago` blocks before the last one.
+    fn mean(&self, ago: usize) -> f32 {
+        self.means[(self.blocks + KEPT - 1 - ago) % KEPT]
+    }
+
+    /// Distance of the last block from the line through the blocks before it; none while these are too few.
+    fn deviation(&self) -> Option<f32> {
+        let count = self.blocks.checked_sub(OPENING + GAP).filter(|count| *count >= LINE.0)?.min(LINE.1);
+        let middle = 0.5 * (count - 1) as f32;
+        let (mut level, mut slope) = (0.0, 0.0);
+        for place in 0..count {
+            let mean = self.mean(GAP + count - place);
+            level += mean;
+            slope += (place as f32 - middle) * mean;
+        }
+        let n = count as f32;
+        let (level, slope) = (level / n, slope * 12.0 / (n * (n * n - 1.0)));
+        Some(self.mean(0) - level - slope * (middle + 1.0 + GAP as f32))
+    }
+}
+
+impl Trigger {
+    /// For a control period in microseconds.
+    pub fn new(period_us: u32) -> Self {
+        let noise = math::lag_factor(NOISE_TIME, crate::breath::period_s(period_us));
+        Self { block: ticks(BLOCK, period_us), noise }
+    }
+
+    /// Whether the patient starts to inhale in this tick of a breath, after the inspiration. `pressure` is a reliable
+    /// reading, cmH2O, and `flow` that of the flow sensor towards the patient, L/s; NaN where there is none.
+    #[inline]
+    pub fn check(
+        &self,
+        state: &mut TriggerState,
+        breath: &Breath,
+        tick: u32,
+        pressure: f32,
+        flow: f32,
+    ) -> bool {
+        if breath.phase(tick) == Phase::Inspiration {
+            if tick == 0 {
+                *state = TriggerState::default();
+            }
+            return false;
+        }
+        let settings = breath.settings();
+        let by_pressure = self.follow(&mut state.pressure, -pressure, settings.trigger_pressure);
+        let by_flow = self.follow(&mut state.flow, flow, settings.trigger_flow * PER_MINUTE);
+        by_pressure || by_flow
+    }
+
+    /// Whether a signal leaves its line upwards by more than the sensitivity; a sensitivity of zero is off.
+    fn follow(self, signal: &mut Signal, value: f32, sensitivity: f32) -> bool {
+        if value.is_nan() || sensitivity <= 0.0 {
+            *signal = Signal::default();
+            return false;
+        }
+        if signal.blocks > 0 {
+            signal.noise += self.noise * ((value - signal.mean(0)).abs() - signal.noise);
+        }
+        signal.sum += value;
+        signal.count += 1;
+        if signal.count < self.block {
+            return false;
+        }
+        signal.means[signal.blocks % KEPT] = signal.sum / signal.count as f32;
+        (signal.blocks, signal.sum, signal.count) = (signal.blocks + 1, 0.0, 0);
+        let Some(deviation) = signal.deviation() else { return false };
+        let bound = sensitivity.max(NOISES * signal.noise);
+        signal.on_line |= deviation < ON_LINE * bound;
+        let rise = signal.mean(0) - signal.mean(GAP);
+        signal.on_line && deviation > bound && rise > RISE * bound
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use crate::settings::Settings;
+    use proptest::prelude::*;
+
+    const PEEP: f32 = 5.0;
+    /// End of the inspiration of the paper's breath, and the earliest tick with a line: 20 blocks later, 12 for the line, 5 for
+    /// the gap.
+    const EXPIRES: u32 = 1000;
+    const EARLIEST: u32 = EXPIRES + 370;
+
+    fn breath(trigger_pressure: f32, trigger_flow: f32) -> Breath {
+        let settings = Settings { trigger_pressure, trigger_flow, ..paper_settings(25.0) };
+        Breath::new(&settings, DEFAULT_PERIOD_US).unwrap()
+    }
+
+    /// The first tick of the paper's breath at which an effort is found, by pressure and flow at each tick.
+    fn found(breath: &Breath, signals: impl Fn(u32) -> (f32, f32)) -> Option<u32> {
+        let (trigger, mut state) = (Trigger::new(DEFAULT_PERIOD_US), TriggerState::default());
+        (0..breath.total_ticks()).find(|tick| {
+            let (pressure, flow) = signals(*tick);
+            trigger.check(&mut state, breath, *tick, pressure, flow)
+        })
+    }
+
+    /// The fall of the pressure by an effort of 3 cmH2O that begins at a tick and lasts 1 s.
+    fn effort(tick: u32, begins: u32) -> f32 {
+        let since = tick.wrapping_sub(begins);
+        if since < 1000 { 3.0 * (core::f32::consts::PI * since as f32 * 1e-3).sin() } else { 0.0 }
+    }
+
+    /// Noise of a standard deviation, the same in each run.
+    fn noise(tick: u32, sd: f32) -> f32 {
+        let bits = tick.wrapping_add(1).wrapping_mul(2_654_435_761);
+        let uniform =
+            |shift: u32| (bits.rotate_left(shift).wrapping_mul(0x9e37_79b9) >> 8) as f32 / 16_777_216.0 - 0.5;
+        sd * (uniform(3) + uniform(9) + uniform(17) + uniform(26)) * 1.73
+    }
+
+    #[test]
+    fn an_effort_at_rest_is_found_by_its_pressure_within_100_ms() {
+        for begins in [EARLIEST, 1500, 2000, 2345, 2800] {
+            let at =
+                found(&breath(0.4, 0.0), |tick| (PEEP - effort(tick, begins) + noise(tick, 0.1), f32::NAN));
+            let delay = at.expect("found") - begins;
+            assert!((20..=100).contains(&delay), "{delay} ms");
+        }
+    }
+
+    #[test]
+    fn an_effort_in_a_lung_that_still_empties_is_found_by_its_flow() {
+        for (resistance, time_constant) in [(5.0, 250.0), (20.0, 400.0), (20.0, 1000.0), (50.0, 2500.0)] {
+            let flow = |tick: u32| {
+                let emptying = -0.5 * (-(tick.saturating_sub(EXPIRES) as f32) / time_constant).exp();
+                emptying + effort(tick, 2000) / resistance + noise(tick, 0.003)
+            };
+            let at = found(&breath(0.0, 0.6), |tick| (PEEP, flow(tick))).expect("found");
+            assert!((2010..=2100).contains(&at), "R {resistance}, {time_constant} ms: {at}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_found_before_the_valve_has_opened_and_a_line_is_drawn() {
+        for begins in EXPIRES..EARLIEST {
+            let at = found(&breath(0.4, 0.0), |tick| (PEEP - effort(tick, begins), f32::NAN));
+            assert!(at.is_none_or(|at| at >= EARLIEST + 9), "{at:?}");
+        }
+    }
+
+    #[test]
+    fn a_trend_is_no_effort_and_neither_is_a_lung_that_empties() {
+        let drift = |tick: u32| (9.0 - 0.002 * (tick.saturating_sub(EXPIRES)) as f32, f32::NAN);
+        assert_eq!(found(&breath(0.4, 0.6), drift), None);
+        for time_constant in [60.0, 100.0, 250.0, 400.0, 1000.0, 2500.0] {
+            let share = |tick: u32| (-(tick.saturating_sub(EXPIRES) as f32) / time_constant).exp();
+            let signals = |tick| (PEEP + 15.0 * share(tick), -1.5 * share(tick));
+            assert_eq!(found(&breath(0.2, 0.5), signals), None, "{time_constant} ms");
+        }
+    }
+
+    #[test]
+    fn a_change_counts_from_the_sensitivity_on() {
+        let step = |by: f32| move |tick: u32| (if tick < 2000 { PEEP } else { PEEP - by }, f32::NAN);
+        assert_eq!(found(&breath(1.0, 0.0), step(0.99)), None);
+        assert_eq!(found(&breath(1.0, 0.0), step(1.01)), Some(2009), "at the end of the block");
+        let flow = |by: f32| move |tick: u32| (PEEP, if tick < 2000 { 0.0 } else { by / 60.0 });
+        assert_eq!(found(&breath(0.0, 2.0), flow(1.99)), None);
+        assert_eq!(found(&breath(0.0, 2.0), flow(2.01)), Some(2009));
+        assert_eq!(found(&breath(1.0, 0.0), step(-3.0)), None, "a cough");
+    }
+
+    #[test]
+    fn a_sensitivity_of_zero_is_off() {
+        let signals = |tick| (PEEP - effort(tick, 2000), effort(tick, 2000));
+        assert_eq!(found(&breath(0.0, 0.0), signals), None);
+    }
+
+    #[test]
+    fn muscles_that_relax_while_the_lung_empties_are_no_effort() {
+        let flow = |tick: u32| {
+            let relaxed = tick.saturating_sub(EXPIRES + 300) as f32;
+            (PEEP, -0.6 * (-relaxed / 250.0).exp())
+        };
+        assert_eq!(found(&breath(0.0, 0.6), flow), None);
+    }
+
+    #[test]
+    fn the_end_of_an_effort_or_a_cough_is_no_effort() {
+        for peak in [1.0, 3.0] {
+            let effort = |tick| (PEEP - peak * effort(tick, 700), f32::NAN);
+            assert_eq!(found(&breath(0.4, 0.0), effort), None);
+        }
+        let cough = |tick: u32| (if (1800..2000).contains(&tick) { PEEP + 8.0 } else { PEEP }, f32::NAN);
+        assert!(found(&breath(0.4, 0.0), cough).is_none_or(|at| at >= 2000));
+    }
+
+    #[test]
+    fn a_noisy_sensor_is_less_sensitive_but_starts_no_breath() {
+        let quiet = |tick| (PEEP + noise(tick, 0.6), noise(tick, 0.03));
+        assert_eq!(found(&breath(0.2, 0.5), quiet), None);
+        let strong = |tick| (PEEP - 4.0 * effort(tick, 2000) + noise(tick, 0.6), f32::NAN);
+        assert!((2000..2200).contains(&found(&breath(0.2, 0.0), strong).expect("found")));
+    }
+
+    #[test]
+    fn after_a_missing_reading_a_line_is_drawn_first() {
+        let signals = |tick| (if tick == 1950 { f32::NAN } else { PEEP - effort(tick, 2000) }, f32::NAN);
+        let at = found(&breath(0.4, 0.0), signals);
+        assert!(at.is_none_or(|at| at >= 1951 + 369), "{at:?}");
+    }
+
+    #[test]
+    fn each_expiration_begins_with_a_new_line() {
+        let (trigger, breath) = (Trigger::new(DEFAULT_PERIOD_US), breath(0.4, 0.6));
+        let mut state = TriggerState::default();
+        (0..breath.total_ticks()).for_each(|tick| {
+            trigger.check(&mut state, &breath, tick, PEEP, 0.0);
+        });
+        trigger.check(&mut state, &breath, 0, PEEP, 0.0);
+        assert_eq!(state, TriggerState::default());
+    }
+
+    proptest! {
+        #[test]
+        fn no_reading_panics_or_starts_an_inspiration_of_its_own(
+            readings in prop::collection::vec((prop::num::f32::ANY, prop::num::f32::ANY), 1..200),
+            period_us in 250u32..50_000,
+        ) {
+            let settings = paper_settings(25.0);
+            let (trigger, mut state) = (Trigger::new(period_us), TriggerState::default());
+            let breath = Breath::new(&settings, period_us).unwrap();
+            for tick in 0..breath.total_ticks().min(5000) {
+                let (pressure, flow) = readings[tick as usize % readings.len()];
+                let found = trigger.check(&mut state, &breath, tick, pressure, flow);
+                prop_assert!(!found || breath.phase(tick) != Phase::Inspiration);
+            }
+        }
+    }
+}
