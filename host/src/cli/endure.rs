@@ -185,6 +185,20 @@ fn worst(results: &[PatientResult]) -> Table {
     )
 }
 
+/// How breaths followed efforts.
+fn efforts(summary: &Summary) -> String {
+    let Some(delay) = summary.trigger_delay_ms else {
+        return "no breath was triggered by an effort".to_owned();
+    };
+    format!(
+        "{:.0} % of the breaths triggered by efforts, median delay {delay} ms; {:.1} % of the efforts missed; {:.2} of 1,000 \
+         breaths triggered without an effort",
+        100.0 * summary.triggered_share,
+        100.0 * summary.efforts_missed_share,
+        summary.self_triggered_per_mille
+    )
+}
+
 fn totals(summary: &Summary) -> Vec<String> {
     let Summary { patients, patient_days, breaths, interruptions, .. } = summary;
     vec![
@@ -203,5 +217,6 @@ fn totals(summary: &Summary) -> Vec<String> {
             summary.peak_true,
             summary.peak_above_limit.max(0.0)
         ),
+        efforts(summary),
     ]
 }

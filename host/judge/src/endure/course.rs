@@ -11,6 +11,7 @@ use shared::settings::Settings;
 use shared::ventilator::Mode;
 
 use super::deserved::{Verdict, judge};
+use super::efforts::{EffortTick, EffortWatch};
 use super::missed::{Condition, MissedWatch};
 use super::patient::Patient;
 use super::tally::PatientResult;
@@ -113,6 +114,7 @@ pub fn run(
     if result.interruptions == 0 && result.longest_gap_s > APNOEA {
         result.interruptions = 1;
     }
+    result.efforts = stay.efforts.result().clone();
     result.breaths = u64::from(ventilation.breaths);
     result.seconds = seconds;
     result.minute_volume_share = ventilation.volume / sound_volume(patient, controller, seconds)?;
@@ -149,6 +151,7 @@ struct Stay<'a> {
     readings: Readings,
     history: History,
     watch: MissedWatch,
+    efforts: EffortWatch,
     volume: VolumeMeter,
     /// Number of settings changes made.
     changes: usize,
@@ -173,6 +176,7 @@ impl<'a> Stay<'a> {
             readings: Readings::from(settings.peep),
             history: History::new(patient),
             watch: MissedWatch::default(),
+            efforts: EffortWatch::default(),
             volume: VolumeMeter::new(threshold, bench.truth().lung_volume_ml, 0),
             changes: 0,
             at: (0, 0),
@@ -238,6 +242,9 @@ impl<'a> Stay<'a> {
         self.readings = Readings { airway, outlet, flow };
         // Outside a breath no phase ends.
         self.record(command, output.sample.map_or(0, |_| self.at.1));
+        if output.sample.is_some() {
+            self.follow_effort();
+        }
         self.volume.add(self.bench.truth().lung_volume_ml, ms);
     }
 
@@ -252,6 +259,17 @@ impl<'a> Stay<'a> {
                 self.tell(&Event::Missed(condition), ms, observer);
             }
         }
+    }
+
+    fn follow_effort(&mut self) {
+        let (truth, state) = (self.bench.truth(), self.rig.state());
+        self.efforts.add(&EffortTick {
+            muscle_pressure: truth.muscle_pressure,
+            efforts: truth.efforts,
+            tick: self.at.1,
+            inspiration: state.breath().inspiration_ticks(),
+            triggered: state.triggered(),
+        });
     }
 
     fn record(&mut self, command: ValveCommand, tick: u32) {

@@ -7,6 +7,7 @@
 
 pub mod course;
 pub mod deserved;
+pub mod efforts;
 pub mod missed;
 pub mod patient;
 pub mod sensor_truth;

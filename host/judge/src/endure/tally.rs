@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use shared::safety::alarms::{ALARMS, Fault, Priority};
 
 use super::deserved::Verdict;
+use super::efforts::Efforts;
 
 /// Seconds of a day.
 const DAY_S: f64 = 86_400.0;
@@ -44,6 +45,8 @@ pub struct PatientResult {
     pub alarms: BTreeMap<String, AlarmCount>,
     /// Conditions without an alarm, by name.
     pub missed: BTreeMap<String, u64>,
+    /// How breaths followed the patient's efforts.
+    pub efforts: Efforts,
 }
 
 impl PatientResult {
@@ -117,6 +120,14 @@ pub struct Summary {
     pub peak_above_limit: f64,
     /// Lowest minute volume of a patient, as a share of that of the passive patient without a leak.
     pub least_minute_volume_share: f64,
+    /// Breaths that efforts have started, as a share of the device's breaths.
+    pub triggered_share: f64,
+    /// Breaths that the device took for triggered ones without an effort, in a thousand breaths.
+    pub self_triggered_per_mille: f64,
+    /// Share of the efforts of at least 3 cmH2O in expirations that no breath followed.
+    pub efforts_missed_share: f64,
+    /// Median delay of a triggered breath behind the beginning of its effort, ms; none without one.
+    pub trigger_delay_ms: Option<u32>,
     /// Alarms by kind, without those that never occurred.
     pub alarms: Vec<AlarmRow>,
     /// The worst patients, the worst one first.
@@ -143,6 +154,10 @@ impl Summary {
         let mut worst: Vec<_> = results.iter().filter(|result| result.badness() != [0; 4]).cloned().collect();
         worst.sort_by_key(|result| std::cmp::Reverse(result.badness()));
         worst.truncate(WORST);
+        let mut efforts = Efforts::default();
+        for result in results {
+            efforts.add(&result.efforts);
+        }
         Self {
             patients: results.len() as u64,
             patient_days,
@@ -156,6 +171,10 @@ impl Summary {
             peak_true: highest(|result| result.peak_true),
             peak_above_limit: highest(|result| result.peak_above_limit),
             least_minute_volume_share: -highest(|result| -result.minute_volume_share),
+            triggered_share: efforts.triggered as f64 / efforts.breaths.max(1) as f64,
+            self_triggered_per_mille: efforts.self_triggered_per_mille(),
+            efforts_missed_share: efforts.missed_share(),
+            trigger_delay_ms: efforts.median_delay_ms(),
             alarms: alarms.filter(|row| row.deserved + row.undeserved > 0).collect(),
             worst,
         }

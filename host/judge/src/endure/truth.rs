@@ -36,7 +36,7 @@ pub struct BreathTruth {
     pub away_ms: u32,
     /// Mean pressure at the end of the inspiration, cmH2O; none before it has ended.
     pub plateau: Option<f64>,
-    /// Mean pressure at the end of the expiration, cmH2O.
+    /// Mean pressure at the end of the expiration, cmH2O; until then that of 50 to 100 ms ago.
     pub baseline: Option<f64>,
     /// Strongest effort and cough, cmH2O.
     pub effort: f64,
@@ -70,6 +70,9 @@ pub struct BreathTruth {
 pub(super) struct Sums {
     plateau: Mean,
     baseline: Mean,
+    /// Pressure in the running window of the expiration, and its mean over the window before that.
+    rest: Mean,
+    rested: Option<f64>,
     leak_at_end: Mean,
     /// Gas that leaked, and gas into lung and leak in the inspiration, mL.
     leaked: f64,
@@ -167,6 +170,14 @@ impl BreathTruth {
         self.trapped = truth.alveolar_pressure + truth.muscle_pressure - f64::from(self.settings.peep);
         if tick < inspiration && tick + END_OF_PHASE >= inspiration {
             self.plateau = Some(sums.plateau.add(pressure));
+        }
+        if tick >= inspiration && tick + END_OF_PHASE < total {
+            // An effort may end the expiration at any time: then this is its baseline.
+            let mean = sums.rest.add(pressure);
+            if sums.rest.count == END_OF_PHASE {
+                self.baseline = sums.rested.replace(mean);
+                sums.rest = Mean::default();
+            }
         }
         if tick < total && tick + END_OF_PHASE >= total {
             self.baseline = Some(sums.baseline.add(pressure));
