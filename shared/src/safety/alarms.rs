@@ -409,6 +409,12 @@ mod tests {
     }
 
     #[test]
+    fn the_responses_have_the_names_of_the_safety_document() {
+        let names = [Tell, Action::Pid, CappedPid, Backup, Vent].map(Action::name);
+        assert_eq!(names, ["report", "PID", "capped PID", "backup", "vent, latched"]);
+    }
+
+    #[test]
     fn names_and_texts_are_unique() {
         for (place, alarm) in ALARMS.iter().enumerate() {
             assert!(ALARMS[..place].iter().all(|other| other.id != alarm.id && other.text != alarm.text));
