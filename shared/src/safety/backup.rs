@@ -51,7 +51,7 @@ impl Backup {
     pub fn accept(&mut self, breath: &Breath) {
         let settings = breath.settings();
         let rise = settings.pip - settings.peep;
-        let changed = (rise - self.rise).abs() > f32::EPSILON;
+        let changed = rise.to_bits() != self.rise.to_bits();
         // Commands for another rise are no part of this mean.
         let weight = if self.profile.is_none() || changed { 1.0 } else { NEW_BREATH };
         let profile = self.profile.get_or_insert([0.0; BINS]);
@@ -122,6 +122,14 @@ mod tests {
     }
 
     #[test]
+    fn a_new_breath_has_three_tenths_of_the_mean() {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        good(&mut backup, &breath, |_| 30.0);
+        good(&mut backup, &breath, |_| 40.0);
+        assert!((backup.command(&breath, 500) - 33.0).abs() < 1e-3);
+    }
+
+    #[test]
     fn a_breath_that_was_not_good_is_forgotten() {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         good(&mut backup, &breath, |_| 30.0);
@@ -138,6 +146,18 @@ mod tests {
         // 200 mL within a second: 20 cmH2O in a lung of 10 mL/cmH2O.
         let command = Backup::new().command(&breath(25.0), 0);
         assert!((command * FLOW_PER_COMMAND - 0.2).abs() < 1e-4, "{command} %");
+        let short = Settings { inspiratory_time: 0.5, ..paper_settings(25.0) };
+        let short = Breath::new(&short, DEFAULT_PERIOD_US).unwrap();
+        let command = Backup::new().command(&short, 0);
+        assert!((command * FLOW_PER_COMMAND - 0.4).abs() < 1e-4, "{command} % in half a second");
+    }
+
+    #[test]
+    fn breaths_without_a_rise_tell_nothing_of_those_with_one() {
+        let mut backup = Backup::new();
+        good(&mut backup, &breath(5.0), |_| 3.0);
+        let command = backup.command(&breath(25.0), 500);
+        assert_eq!(command.to_bits(), Backup::new().command(&breath(25.0), 500).to_bits());
     }
 
     #[test]
@@ -151,13 +171,25 @@ mod tests {
     }
 
     #[test]
-    fn an_inspiration_of_few_ticks_uses_few_bins() {
-        let settings = Settings { inspiratory_time: 0.4, ..paper_settings(25.0) };
-        let breath = Breath::new(&settings, 20_000).unwrap();
-        let mut backup = Backup::new();
+    fn an_inspiration_of_few_ticks_uses_few_bins_and_leaves_the_others() {
+        let of = |inspiratory_time| {
+            Breath::new(&Settings { inspiratory_time, ..paper_settings(25.0) }, 20_000).unwrap()
+        };
+        let (breath, mut backup) = (of(0.4), Backup::new());
         good(&mut backup, &breath, |tick| tick as f32);
         for tick in 0..breath.inspiration_ticks() {
             assert!((backup.command(&breath, tick) - tick as f32).abs() < 1e-4);
         }
+        good(&mut backup, &of(0.6), |_| 10.0);
+        let means = [0, 1, 2].map(|tick| backup.command(&breath, tick));
+        let expected = [3.0, 1.0, 4.4];
+        assert!(means.iter().zip(expected).all(|(mean, e)| (mean - e).abs() < 1e-4), "{means:?}");
+    }
+
+    #[test]
+    fn a_tick_after_the_inspiration_has_the_last_command() {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        good(&mut backup, &breath, |tick| if tick < 985 { 10.0 } else { 50.0 });
+        assert!((backup.command(&breath, 5000) - 50.0).abs() < 1e-3);
     }
 }
