@@ -255,6 +255,7 @@ impl BreathMonitor {
 mod tests {
     use super::*;
     use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use std::vec::Vec;
 
     /// Input of the monitor in one breath: pressure and volume at the end of the inspiration, pressure at the end of the
     /// expiration, pressure until 50 ms before the end of each phase, a constant command.
@@ -485,5 +486,91 @@ mod tests {
             }
         };
         assert_eq!(complaint_with(&[weak; 4], one_high_command), None);
+    }
+
+    /// All faults in breaths that go on from a state, each with the index of its breath.
+    fn found(state: &mut BreathState, breath: &Breath, breaths: &[Seen]) -> Vec<(usize, Fault)> {
+        let monitor = BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL);
+        let ticks =
+            breaths.iter().enumerate().flat_map(|seen| (0..breath.total_ticks()).map(move |t| (seen, t)));
+        let mut found: Vec<_> = ticks
+            .filter_map(|((n, seen), tick)| Some((n, monitor.check(state, &seen.at(breath, tick))?)))
+            .collect();
+        found.dedup();
+        found
+    }
+
+    #[test]
+    fn after_a_change_of_settings_two_breaths_are_not_checked_and_those_before_are_forgotten() {
+        let changed = |before: &[Seen], after: &[Seen]| {
+            let mut state = BreathState::default();
+            found(&mut state, &breath(), before);
+            state.settings_changed();
+            found(&mut state, &breath(), after)
+        };
+        let (high, occluded) = (Seen { baseline: 8.5, ..GOOD }, Seen { volume: 360.0, ..CUT });
+        assert_eq!(changed(&[high], &[high; 4]), [(3, Fault::BaselineHigh)]);
+        assert_eq!(changed(&[GOOD], &[GOOD, GOOD, occluded, occluded]), [], "another volume is normal");
+        assert_eq!(changed(&[], &[CUT, CUT, occluded, occluded]), [], "as in breaths that are cut");
+    }
+
+    #[test]
+    fn a_lost_pressure_lies_two_below_peep_and_below_two_fifths_of_it() {
+        let settings = crate::settings::Settings { peep: 3.0, ..paper_settings(25.0) };
+        let at_3 = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+        let lost = |breath: &Breath, pressure| {
+            let seen = Seen { plateau: pressure, before: pressure, command: 100.0, ..GOOD };
+            found(&mut BreathState::default(), breath, &[seen]) == [(0, Fault::Disconnection)]
+        };
+        assert!(!lost(&at_3, 1.0) && lost(&at_3, 0.99));
+        assert!(!lost(&breath(), 2.0) && lost(&breath(), 1.99));
+    }
+
+    #[test]
+    fn the_patient_is_back_when_the_pressure_was_above_peep_for_fifty_milliseconds_of_an_inspiration() {
+        let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
+        let gone = Seen { plateau: 1.0, before: 1.0, command: 100.0, ..GOOD };
+        let still_gone = |pressures: &[f32]| {
+            let mut state = BreathState::default();
+            // The expiration at 5.1 cmH2O tells nothing.
+            assert_eq!(found(&mut state, &breath, &[gone]), [(0, Fault::Disconnection)]);
+            for (tick, pressure) in (0..).zip(pressures) {
+                monitor.check(&mut state, &BreathInput { pressure: *pressure, ..gone.at(&breath, tick) });
+            }
+            state.is_disconnected()
+        };
+        assert!(still_gone(&[]) && still_gone(&[5.1; 49]) && !still_gone(&[5.1; 50]));
+        assert!(still_gone(&[5.0; 999]), "at PEEP");
+        assert!(still_gone(&[[5.1; 49].as_slice(), &[5.0], &[5.1; 49]].concat()), "not at a stretch");
+    }
+
+    #[test]
+    fn a_lower_compliance_is_the_lungs_own_after_twenty_breaths() {
+        let stiff = Seen { volume: 40.0, ..GOOD };
+        let breaths = [[GOOD].as_slice(), &[stiff; 30]].concat();
+        let expected: Vec<_> = (2..=20).map(|n| (n, Fault::Occlusion)).collect();
+        assert_eq!(found(&mut BreathState::default(), &breath(), &breaths), expected);
+    }
+
+    #[test]
+    fn a_rise_of_three_or_less_tells_nothing_of_the_tube() {
+        let (at, above) =
+            (Seen { plateau: 8.0, volume: 1.0, ..GOOD }, Seen { plateau: 8.1, volume: 1.0, ..GOOD });
+        assert_eq!(complaint(&[GOOD, at, at, at]), None);
+        assert_eq!(complaint(&[GOOD, above, above]), Some((2, Fault::Occlusion)));
+    }
+
+    #[test]
+    fn the_end_of_a_phase_is_its_last_fifty_milliseconds() {
+        assert_eq!(BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL).end_of_phase(), 50);
+        // A mean of 8.0 cmH2O is at the bound; a single reading lifts it if it counts.
+        let high = |at: u32| {
+            complaint_with(&[Seen { baseline: 8.0, ..GOOD }; 2], |input| {
+                if input.tick == at {
+                    input.pressure = 20.0;
+                }
+            })
+        };
+        assert_eq!((high(2949), high(2950)), (None, Some((1, Fault::BaselineHigh))));
     }
 }
