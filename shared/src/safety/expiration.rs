@@ -363,4 +363,50 @@ mod tests {
             assert!(state.shift(&breath()).abs() < 1e-6);
         }
     }
+
+    #[test]
+    fn a_sag_of_one_raises_the_compensation_by_forty_a_second_and_its_end_lowers_it_by_eight() {
+        let change = |tick, pressure, doubtful| {
+            let mut state = ExpirationState { compensation: 10.0, ..ExpirationState::default() };
+            let expiration = Expiration::new(1000, Monitors::ALL);
+            expiration.observe(&mut state, &breath(), tick, pressure, doubtful);
+            (1e4 * (state.compensation() - 10.0) + 0.5).floor() as i32
+        };
+        assert_eq!((change(2000, 3.5, false), change(2000, 4.0, false)), (400, 200));
+        assert_eq!((change(2000, 4.5, false), change(2000, 3.5, true)), (-80, -80), "no sag");
+        assert_eq!(
+            (change(1499, 3.5, false), change(1500, 3.5, false)),
+            (0, 400),
+            "from the end of the fall on"
+        );
+    }
+
+    #[test]
+    fn an_expiration_at_a_bound_is_on_its_better_side() {
+        let (expiration, breath) = (Expiration::new(1000, Monitors::ALL), breath());
+        let second = |smooth, earlier| {
+            let mut state = ExpirationState { smooth, earlier, incomplete: 1, ..ExpirationState::default() };
+            expiration.assess(&mut state, 5.0);
+            (state.incomplete, state.falling, expiration.goes_on(&state, &breath, 3000))
+        };
+        assert_eq!(second(8.0, 9.0), (0, true, false), "3 cmH2O above PEEP");
+        assert_eq!(second(8.1, 9.0), (2, true, true));
+        assert_eq!(second(8.5, 9.0), (2, false, false), "a fall of half a cmH2O");
+        let state =
+            ExpirationState { smooth: 8.0, incomplete: 2, falling: true, ..ExpirationState::default() };
+        assert!(!expiration.goes_on(&state, &breath, 3000));
+    }
+
+    #[test]
+    fn the_shares_of_a_leak_and_of_gas_that_comes_out_are_exact() {
+        let expiration = Expiration::new(1000, Monitors::ALL);
+        let started = |compensation, share| {
+            let mut state =
+                ExpirationState { compensation, leaks: 2, above: 10.0, ..ExpirationState::default() };
+            (expiration.start_breath(&mut state, Some(share)), state.shift(&breath()) > 9.0)
+        };
+        assert_eq!([started(LEAK, 0.6), started(LEAK, 0.59)], [(false, true), (true, true)]);
+        assert_eq!([started(5.1, TIGHT), started(5.1, 0.74)], [(false, true), (true, true)]);
+        assert_eq!([started(0.0, 0.5), started(0.0, 0.49)], [(true, true), (true, false)]);
+    }
 }
