@@ -156,6 +156,35 @@ mod tests {
     }
 
     #[test]
+    fn each_has_a_hold_of_its_own_from_when_it_was_found_last() {
+        let (early, late) = (Fault::BaselineLow, Fault::Leak);
+        let mut alarms = Indications::default();
+        let mut pass = |ticks: u32, found: &[Fault]| {
+            (0..ticks).for_each(|_| alarms.tick(HOLD));
+            let present = [early, late].map(|fault| alarms.present().has(fault));
+            found.iter().for_each(|fault| alarms.found(*fault));
+            present
+        };
+        pass(0, &[early, late]);
+        assert_eq!(pass(60, &[late]), [true, true]);
+        assert_eq!(pass(HOLD - 60, &[]), [true, true]);
+        assert_eq!(pass(1, &[]), [false, true]);
+        assert_eq!(pass(59, &[]), [false, true]);
+        assert_eq!(pass(1, &[]), [false, false]);
+    }
+
+    #[test]
+    fn the_cause_of_backup_ventilation_is_what_is_wrong_with_the_reading() {
+        let mut alarms = Indications::default();
+        assert_eq!(alarms.cause_of_backup(), None);
+        alarms.found(Fault::HighPressure);
+        assert_eq!(alarms.cause_of_backup(), None);
+        alarms.found(Fault::ReadingFrozen);
+        alarms.found(Fault::BackupVentilation);
+        assert_eq!(alarms.cause_of_backup(), Some(Fault::ReadingFrozen));
+    }
+
+    #[test]
     fn one_that_returns_after_its_hold_begins_again() {
         let mut alarms = Indications::default();
         alarms.found(Fault::Occlusion);
