@@ -174,34 +174,40 @@ fn without_a_pressure_reading_breath_follows_breath() {
     let mut state = started(&ventilator);
     for _ in 0..3 {
         let good = run(&ventilator, &mut state, 500, 18.0).sample.unwrap();
-        assert!(good.u_in > 0.0);
+        assert!(good.u_in > 0.0 && state.has_sensor());
         run(&ventilator, &mut state, 500, 18.0);
         run(&ventilator, &mut state, 2000, 5.0);
     }
     let output = run(&ventilator, &mut state, 6500, f32::NAN);
     let sample = output.sample.unwrap();
     assert_eq!((output.mode, state.level(), sample.breath), (Mode::Ventilating, Level::Backup, 5));
-    assert!(sample.u_in > 0.0 && !sample.u_out && sample.pressure.is_nan());
+    assert!(sample.u_in > 0.0 && !sample.u_out && sample.pressure.is_nan() && !state.has_sensor());
+}
+
+/// Twelve seconds with a pressure in each expiration by its tick, in which all gas comes out again.
+fn circuit<C: ControlLaw>(
+    ventilator: &Ventilator<C>,
+    pressure: impl Fn(u32) -> f32,
+) -> (Vec<Sample>, VentilatorState<C::State>) {
+    let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+    state.start();
+    let mut samples = Vec::new();
+    for n in 0..12_000 {
+        let tick = state.tick();
+        let noise = 0.07 * ((n * 7 % 5) as f32 - 2.0);
+        let inspires = (tick as f32 * 0.2).min(20.0) + 5.0;
+        let pressure = if tick < 1000 { inspires } else { pressure(tick) };
+        let flow = if tick < 1000 { 0.4 } else { -0.2 };
+        let readings = Readings { flow, ..Readings::from(pressure + noise) };
+        samples.push(ventilator.step(&mut state, readings).sample.unwrap());
+    }
+    (samples, state)
 }
 
 #[test]
 fn an_expiration_that_still_falls_delays_the_next_breath_and_pip_follows_a_stuck_baseline() {
     let all = ventilator().with_monitors(Monitors::ALL);
-    let breathe = |pressure: &dyn Fn(u32) -> f32| {
-        let mut state = started(&all);
-        let mut last = Vec::new();
-        for n in 0..12_000 {
-            let tick = state.tick();
-            let noise = 0.07 * ((n * 7 % 5) as f32 - 2.0);
-            let inspires = (tick as f32 * 0.2).min(20.0) + 5.0;
-            let pressure = if tick < 1000 { inspires } else { pressure(tick) };
-            // What goes in comes out.
-            let flow = if tick < 1000 { 0.4 } else { -0.2 };
-            let readings = Readings { flow, ..Readings::from(pressure + noise) };
-            last.push(all.step(&mut state, readings).sample.unwrap());
-        }
-        last
-    };
+    let breathe = |pressure: &dyn Fn(u32) -> f32| circuit(&all, pressure).0;
     let longest = |samples: &[Sample]| samples.iter().map(|sample| sample.tick).max();
     let highest = |samples: &[Sample]| samples.iter().map(|sample| sample.target as i32).max();
     let sound = breathe(&|_| 5.0);
@@ -210,6 +216,43 @@ fn an_expiration_that_still_falls_delays_the_next_breath_and_pip_follows_a_stuck
     assert_eq!((longest(&slow), highest(&slow)), (Some(4420), Some(20)), "until it is 3 cmH2O above PEEP");
     let stuck = breathe(&|_| 12.0);
     assert_eq!((longest(&stuck), highest(&stuck)), (Some(2999), Some(27)));
+}
+
+/// Asks for nothing; remembers the highest PIP that it saw.
+struct Highest;
+
+impl ControlLaw for Highest {
+    type State = f32;
+
+    fn initial_state(&self) -> f32 {
+        0.0
+    }
+
+    fn start_breath(&self, _: &mut f32, _: f32) {}
+
+    fn step(&self, highest: &mut f32, seen: &Observation) -> ControlOutput {
+        *highest = highest.max(seen.pip);
+        ControlOutput::plain(0.0)
+    }
+
+    fn applied(&self, _: &mut f32, _: f32) {}
+}
+
+#[test]
+fn the_controller_sees_the_pip_that_follows_a_stuck_baseline() {
+    let all = Ventilator::new(DEFAULT_PERIOD_US, Highest).with_monitors(Monitors::ALL);
+    let highest = |baseline: f32| {
+        let falls = |tick| (25.0 - 0.1 * (tick - 1000) as f32).max(baseline);
+        circuit(&all, falls).1.controller as i32
+    };
+    assert_eq!((highest(5.0), highest(12.0)), (20, 27));
+}
+
+#[test]
+fn the_compensation_of_a_leak_is_added_to_the_bias() {
+    let (samples, _) = circuit(&ventilator().with_monitors(Monitors::ALL), |_| 4.0);
+    let last = samples.last().unwrap();
+    assert_eq!((last.phase, last.u_in as i32), (Phase::Expiration, 45), "a bias of 5 and at most 40");
 }
 
 #[test]
