@@ -432,6 +432,93 @@ mod tests {
     }
 
     #[test]
+    fn a_sensor_is_used_again_when_it_was_sound_for_five_seconds() {
+        for (count, believed) in [(4999, 23.0), (5000, 20.0)] {
+            let mut run = Run::new();
+            run.ticks(100, 20.0, 23.0);
+            run.ticks(20, f32::NAN, 23.0);
+            assert!(near(run.ticks(count, 20.0, 23.0), believed), "after {count} ms");
+        }
+        let mut noisy = Run::new();
+        (0..300).for_each(|n| _ = noisy.tick(20.0 + 1.2 * ((n * 7 % 5) as f32 - 2.0), 23.0));
+        assert!(near(noisy.ticks(4990, 20.0, 23.0), 23.0) && near(noisy.ticks(200, 20.0, 23.0), 20.0));
+    }
+
+    #[test]
+    fn sensors_that_are_as_far_apart_as_a_bound_agree() {
+        // Steps that are exact, and equal for both sensors.
+        let last = |apart: f32| {
+            let mut run = Run::new();
+            let reading = |n: u32| 12.0 + 0.25 * (n % 3) as f32;
+            let tick = |n| Readings { airway: reading(n), outlet: reading(n) + apart, flow: 0.0 };
+            (0..100).map(|n| run.source.check(&mut run.state, &tick(n), true)).last().unwrap()
+        };
+        assert_eq!([FAR_APART, -FAR_APART].map(|apart| last(apart).findings), [[None; 3]; 2]);
+        assert_eq!(last(FAR_APART + 0.25).findings[2], Some(Fault::SensorsDisagree));
+        assert_eq!(
+            [DOUBTFUL, -DOUBTFUL, 2.25, -2.25].map(|apart| last(apart).doubtful),
+            [false, false, true, true]
+        );
+        let silent = |outlet| {
+            let mut run = Run::new();
+            run.ticks(10, 5.0, 5.0);
+            run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet, flow: 0.0 })
+        };
+        assert_eq!([3.0, 7.0, 2.75, 7.25].map(silent), [false, false, true, true]);
+    }
+
+    #[test]
+    fn the_bounds_at_the_end_of_a_breath_are_exact() {
+        let wrong = |airway, outlet, flow| {
+            let mut run = Run::new();
+            (0..2).map(|_| run.expiration(airway, outlet, flow)).last() == Some(true)
+        };
+        assert!(!wrong(5.0, 7.0, 0.0) && wrong(5.0, 7.1, 0.0));
+        assert!(!wrong(5.0, 9.0, 0.5) && wrong(5.0, 9.1, 0.5), "4 cmH2O/(L/s) in the tube");
+        let used_again = |airway, plateau| {
+            let mut run = Run::new();
+            (0..2).for_each(|_| _ = run.expiration(10.0, 5.0, 0.0));
+            (0..3).for_each(|_| {
+                run.plateau(20.0, plateau);
+                run.expiration(airway, 5.0, 0.0);
+            });
+            !run.state.airway.doubted
+        };
+        assert!(used_again(6.0, 25.0) && !used_again(6.1, 25.0) && !used_again(6.0, 25.1));
+        let mut run = Run::new();
+        (0..2).for_each(|_| _ = run.expiration(PEEP + 2.5, PEEP - 2.5, 0.0));
+        assert!(run.state.outlet.doubted && !run.state.airway.doubted, "equally far from PEEP");
+    }
+
+    #[test]
+    fn readings_of_a_lost_sensor_are_not_compared() {
+        for lose_airway in [true, false] {
+            let mut run = Run::new();
+            run.ticks(100, 10.0, 5.0);
+            let lost = if lose_airway { (f32::NAN, 5.0) } else { (10.0, f32::NAN) };
+            run.ticks(20, lost.0, lost.1);
+            assert!(!(0..4).any(|_| run.expiration(10.0, 5.0, 0.0)), "not sound again");
+        }
+        // A single missing reading spoils no comparison.
+        for missing in [(f32::NAN, 5.0), (10.0, f32::NAN)] {
+            let mut run = Run::new();
+            let mut expiration = || {
+                run.source
+                    .at_end(&mut run.state, &Readings { airway: missing.0, outlet: missing.1, flow: 0.0 });
+                run.expiration(10.0, 5.0, 0.0)
+            };
+            assert!(!expiration() && expiration());
+        }
+        let mut run = Run::new();
+        run.ticks(100, 10.0, f32::NAN);
+        let only_out_of_range = Readings { airway: 10.0, outlet: 200.0, flow: 0.0 };
+        for _ in 0..4 {
+            run.source.at_end(&mut run.state, &only_out_of_range);
+            assert!(!run.source.compare(&mut run.state, PEEP, 0.0), "there is no second sensor");
+        }
+    }
+
+    #[test]
     fn a_comparison_that_is_left_out_takes_no_sensor_out_of_use() {
         let mut run = Run::new();
         run.source = PressureSource::new(1000, Monitors::ALL.without(Fault::SensorsDisagree));

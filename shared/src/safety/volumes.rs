@@ -107,4 +107,25 @@ mod tests {
         volumes.start_breath();
         assert_eq!(volumes.expired_share(), None);
     }
+
+    #[test]
+    fn nine_tenths_of_the_ticks_and_twenty_millilitres_are_enough() {
+        let known = |measured: u32| {
+            let mut volumes = Volumes::default();
+            for tick in 0..10 {
+                volumes.add(if tick < measured { 1.0 } else { f32::NAN }, 0.1);
+            }
+            volumes.start_breath();
+            volumes.expired_share().is_some()
+        };
+        assert!(known(9) && !known(8));
+        let of = |inspired: f32| {
+            let mut volumes = Volumes::default();
+            volumes.add(inspired / 1000.0, 1.0);
+            volumes.add(-0.01, 1.0);
+            volumes.start_breath();
+            volumes.expired_share()
+        };
+        assert_eq!((of(20.0), of(19.9)), (Some(0.5), None));
+    }
 }
