@@ -6,6 +6,8 @@ use core::ops::Range;
 use proptest::prelude::*;
 use std::vec::Vec;
 
+mod bounds;
+
 fn breath() -> Breath {
     Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US).unwrap()
 }

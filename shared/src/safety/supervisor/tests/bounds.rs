@@ -1,0 +1,196 @@
+//! Tests of the supervisor at its bounds: counts, shares and times of SAFETY.md to the tick.
+
+use super::*;
+
+#[test]
+fn an_alarm_is_present_for_two_breaths_after_its_condition() {
+    let mut run = Run::new();
+    run.missed(5);
+    (0..2).for_each(|_| good_breath(&mut run, false));
+    assert!(run.state.indications().present().has(Fault::MissedTicks));
+    run.check(5.0, Some(0));
+    assert!(!run.state.indications().present().has(Fault::MissedTicks));
+}
+
+#[test]
+fn what_another_part_has_found_has_the_response_of_its_row() {
+    let mut run = Run::new();
+    run.supervisor.raise(&mut run.state, Fault::Restarted);
+    assert_eq!((run.state.take_begun(), run.state.level()), (Some(Fault::Restarted), Level::Pid));
+}
+
+#[test]
+fn before_the_first_reading_nothing_is_known_and_after_five_missing_ones_no_sensor_is_sound() {
+    let mut run = Run::new();
+    let beliefs: Vec<_> = (0..5)
+        .map(|tick| run.supervisor.check(&mut run.state, &f32::NAN.into(), &breath(), Some(tick)))
+        .collect();
+    assert_eq!(beliefs, [[Belief::Nothing; 4].as_slice(), &[Belief::Lost]].concat());
+}
+
+#[test]
+fn gas_without_a_reading_counts_in_inspirations_alone() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(SOFT, 30.0), None);
+    let mut volume_after = |ticks: Range<u32>| {
+        for tick in ticks {
+            run.check(f32::NAN, Some(tick));
+            run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), tick >= 1000);
+        }
+        run.state.lung.volume()
+    };
+    let volume = volume_after(0..1000);
+    assert!((200.0..350.0).contains(&volume), "{volume} mL at 0.3 L/s");
+    assert_eq!(volume_after(1000..3000).to_bits(), volume.to_bits());
+}
+
+#[test]
+fn gas_explains_a_cut_if_it_predicts_half_of_the_way_from_pip_to_the_limit() {
+    // PIP is 20, the limit 60 cmH2O.
+    let strikes = |predicted: f32| {
+        let mut run = Run::new();
+        assert_eq!(run.inspire(STIFF, 30.0), None);
+        let (mut pressure, mut tick) = (5.0, 0);
+        while !run.state.cut() {
+            let reached = run.state.lung.predicted_pressure().unwrap() >= predicted;
+            pressure = if reached { pressure + 10.0 } else { 5.0 + 0.1 * run.state.lung.volume() };
+            run.check(pressure + dither(tick), Some(tick));
+            run.supervisor.command(&mut run.state, ControlOutput::plain(60.0), false);
+            tick += 1;
+        }
+        run.state.strike
+    };
+    assert_eq!([25.0, 37.0, 41.0].map(strikes), [false, false, true]);
+}
+
+#[test]
+fn the_sensors_are_compared_over_the_last_fifty_milliseconds_of_a_breath() {
+    // Each expiration is lengthened by 0.4 s.
+    let disagree = |apart: &dyn Fn(u32) -> f32| {
+        let mut run = Run::new();
+        for tick in (0..4).flat_map(|_| 0..3400) {
+            let airway = if tick < 1000 { 15.0 } else { 5.0 } + dither(tick);
+            let readings = Readings { outlet: airway + apart(tick), ..Readings::from(airway) };
+            run.check_all(readings, Some(tick));
+        }
+        run.state.indications().present().has(Fault::SensorsDisagree)
+    };
+    assert!(!disagree(&|tick| if (2950..3000).contains(&tick) { 1.9 } else { 9.0 }));
+    assert!([2950, 2999].iter().all(|at| disagree(&|tick| if tick == *at { 9.0 } else { 1.9 })));
+}
+
+/// The volumes of a breath of which this share came out again.
+fn expired(share: f32) -> Volumes {
+    let mut volumes = Volumes::default();
+    volumes.add(1.0, 1.0);
+    volumes.add(-share, 1.0);
+    volumes
+}
+
+#[test]
+fn volumes_of_which_less_than_three_quarters_come_out_tell_nothing_of_the_tube() {
+    let occlusion_after = |share| {
+        let mut run = Run::new();
+        for lung in [SOFT, SOFT, SOFT, STIFF, STIFF] {
+            run.state.volumes = expired(share);
+            assert_eq!(run.inspire(lung, 30.0), None);
+        }
+        run.state.indications().present().has(Fault::Occlusion)
+    };
+    assert!(occlusion_after(0.75) && !occlusion_after(0.74));
+}
+
+#[test]
+fn a_pressure_that_stays_up_for_a_quarter_of_a_minute_with_a_fifth_of_the_gas_inside_is_latched() {
+    let latched_in = |share| {
+        let mut run = Run::new();
+        (0..7).find(|_| {
+            run.state.volumes = expired(share);
+            // It falls when the valve opens, but not to PEEP.
+            run.breathe(0..2, 12.0, ControlOutput::plain(10.0));
+            run.breathe(2..1000, 25.0, ControlOutput::plain(10.0));
+            let falls = run.state.fault();
+            run.breathe(1000..1002, 25.0, ControlOutput::plain(5.0));
+            run.breathe(1002..3000, 12.0, ControlOutput::plain(5.0));
+            falls == Some(Fault::SustainedPressure)
+        })
+    };
+    assert_eq!((latched_in(0.2), latched_in(0.19)), (None, Some(5)));
+}
+
+#[test]
+fn a_disconnected_patient_gets_a_capped_probe_and_no_response_is_awaited() {
+    let mut run = Run::new();
+    (0..2).for_each(|_| assert_eq!(run.inspire(STIFF, 30.0), None));
+    run.breathe(0..1, 5.0, LEARNED);
+    let probe = run.breathe(1..1000, 0.0, ControlOutput::plain(90.0));
+    assert_eq!((run.state.level(), probe[998] as i32), (Level::Pid, 40));
+    for _ in 0..2 {
+        run.breathe(1000..3000, 0.0, ControlOutput::plain(5.0));
+        run.breathe(0..1000, 0.0, ControlOutput::plain(90.0));
+    }
+    let present = run.state.indications().present();
+    assert!(present.has(Fault::Disconnection) && !present.has(Fault::NoResponse));
+    run.breathe(0..50, 6.0, LEARNED);
+    assert_eq!(run.state.level(), Level::Learned);
+}
+
+/// A breath with this plateau, in cmH2O, at a command in percent that is recorded.
+fn breath_to(run: &mut Run, plateau: f32, command: f32) {
+    for tick in 0..breath().total_ticks() {
+        let inspires = breath().phase(tick) == Phase::Inspiration;
+        run.check(if inspires { plateau } else { 5.0 } + dither(tick), Some(tick));
+        run.supervisor.command(&mut run.state, ControlOutput::plain(command), !inspires);
+        if inspires {
+            run.supervisor.record(&mut run.state, &breath(), tick);
+        }
+    }
+}
+
+#[test]
+fn two_inspirations_in_a_row_to_three_tenths_of_the_rise_end_backup_ventilation() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 40.0), None);
+    run.silent_after();
+    // The last reading is 0.07 cmH2O above the plateau, and 4.5 above PEEP are wanted.
+    let levels = [9.5, 9.4, 9.5, 9.5].map(|plateau| {
+        breath_to(&mut run, plateau, 0.0);
+        run.state.level()
+    });
+    assert_eq!(levels, [Level::Backup, Level::Backup, Level::Backup, Level::Pid]);
+}
+
+#[test]
+fn an_inspiration_to_seven_tenths_of_the_rise_is_a_good_one() {
+    let backup_after = |plateau| {
+        let mut run = Run::new();
+        breath_to(&mut run, plateau, 10.0);
+        run.supervisor.backup_command(&run.state, &breath(), 500) as i32
+    };
+    let before = Backup::new().command(&breath(), 500) as i32;
+    assert_eq!((backup_after(15.4), backup_after(15.5)), (before, 10));
+}
+
+#[test]
+fn backup_ventilation_delivers_below_five_under_the_limit() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 30.0), None);
+    run.state.backup = Backup::new();
+    let predicted = run.state.lung.predicted_pressure().unwrap();
+    let command = |pressure_limit| {
+        let settings = Settings { pressure_limit, ..paper_settings(20.0) };
+        let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+        run.supervisor.backup_command(&run.state, &breath, 500)
+    };
+    assert!(predicted > 32.0 && command(predicted + 5.0).abs() < 1e-6 && command(predicted + 5.1) > 1.0);
+}
+
+#[test]
+fn a_noisy_sensor_beside_a_quiet_one_is_no_reason_for_the_cap() {
+    let mut run = Run::new();
+    for tick in 0..200 {
+        let airway = 15.0 + 1.2 * ((tick * 7 % 5) as f32 - 2.0);
+        run.check_all(Readings { outlet: 15.0 + dither(tick), ..Readings::from(airway) }, Some(tick));
+    }
+    assert_eq!((run.state.take_begun(), run.state.level()), (Some(Fault::ReadingNoisy), Level::Learned));
+}
