@@ -142,7 +142,7 @@ mod tests {
     fn it_is_indicated_until_its_condition_is_gone_and_it_is_acknowledged() {
         let mut alarms = Indications::default();
         alarms.found(Fault::Disconnection);
-        assert!(alarms.acknowledge());
+        assert!(alarms.indicated().has(Fault::Disconnection) && alarms.acknowledge());
         assert!(alarms.indicated().has(Fault::Disconnection), "still present");
         (0..=HOLD).for_each(|_| alarms.tick(HOLD));
         assert!(alarms.indicated().is_empty());

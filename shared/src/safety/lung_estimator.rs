@@ -408,7 +408,8 @@ mod tests {
             (100.0, 1.67),
         ];
         for (opening, expected) in curve.into_iter().chain([(130.0, 1.67), (f32::NAN, 0.0)]) {
-            assert!((flow(opening) - expected).abs() < 1e-5, "{opening} %: {}", flow(opening));
+            let open = LungState { opening, ..LungState::default() };
+            assert!((open.valve_flow() - expected).abs() < 1e-5, "{opening} %: {}", open.valve_flow());
         }
     }
 
@@ -425,6 +426,14 @@ mod tests {
             let (found, volume) = open(pressure);
             assert!((found - flow).abs() < 1e-5 && (volume - 2.0 * flow).abs() < 1e-5, "{pressure} cmH2O");
         }
+    }
+
+    #[test]
+    fn without_a_reading_the_predicted_pressure_takes_flow_away() {
+        let (estimator, _) = estimator();
+        let mut state = LungState { opening: 100.0, start: 40.0, ..predicting(60.0) };
+        estimator.deliver(&mut state);
+        assert!((state.flow - 0.67 * 1.67).abs() < 1e-5, "{} L/s against 100 cmH2O", state.flow);
     }
 
     /// Ticks of an inspiration: volume, flow, and the rise that these make of it.
