@@ -183,8 +183,8 @@ impl PressureSource {
         window: u32,
         readings: &Readings,
     ) {
-        let both =
-            state.airway.exists && state.outlet.exists && !(readings.airway + readings.outlet).is_nan();
+        let finite = readings.airway.is_finite() && readings.outlet.is_finite();
+        let both = state.airway.exists && state.outlet.exists && finite;
         let values = both.then_some([readings.airway, readings.outlet]);
         state.rest.add(breath, tick, window, values);
     }
@@ -366,7 +366,7 @@ mod tests {
     #[test]
     fn after_two_expirations_the_sensor_closer_to_peep_is_believed() {
         for (airway, outlet, believed) in
-            [(10.0, 5.2, 5.2), (5.3, 1.0, 5.3), (1.0, 5.0, 5.0), (5.0, 9.0, 5.0)]
+            [(10.0, 5.2, 5.2), (5.3, 1.0, 5.3), (1.0, 5.0, 5.0), (5.0, 9.0, 5.0), (6.0, 3.9, 6.0)]
         {
             let mut run = Run::new();
             assert!(!run.expiration(airway, outlet, 0.0), "once may be a cough");
@@ -462,9 +462,11 @@ mod tests {
         let silent = |outlet| {
             let mut run = Run::new();
             run.ticks(10, 5.0, 5.0);
-            run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet, flow: 0.0 })
+            let found = run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet, flow: 0.0 });
+            (found, run.state.airway.doubted, run.state.outlet.doubted)
         };
-        assert_eq!([3.0, 7.0, 2.75, 7.25].map(silent), [false, false, true, true]);
+        assert_eq!([3.0, 7.0].map(silent), [(false, false, false); 2]);
+        assert_eq!([2.75, 7.25].map(silent), [(true, false, true), (true, true, false)]);
     }
 
     #[test]
@@ -492,15 +494,19 @@ mod tests {
 
     #[test]
     fn readings_of_a_lost_sensor_are_not_compared() {
-        for lose_airway in [true, false] {
+        for lost in [(f32::NAN, 5.0), (10.0, f32::NAN)] {
             let mut run = Run::new();
             run.ticks(100, 10.0, 5.0);
-            let lost = if lose_airway { (f32::NAN, 5.0) } else { (10.0, f32::NAN) };
             run.ticks(20, lost.0, lost.1);
             assert!(!(0..4).any(|_| run.expiration(10.0, 5.0, 0.0)), "not sound again");
+            let apart = run.ticks(100, 18.0, 5.0);
+            assert!(!apart.doubtful && apart.findings[2].is_none());
+            assert!(
+                !run.source.unresponsive(&mut run.state, &Readings { airway: 18.0, outlet: 5.0, flow: 0.0 })
+            );
         }
         // A single missing reading spoils no comparison.
-        for missing in [(f32::NAN, 5.0), (10.0, f32::NAN)] {
+        for missing in [(f32::NAN, 5.0), (10.0, f32::NAN), (f32::INFINITY, 5.0), (10.0, f32::INFINITY)] {
             let mut run = Run::new();
             let mut expiration = || {
                 run.source

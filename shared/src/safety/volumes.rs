@@ -121,8 +121,8 @@ mod tests {
         assert!(known(9) && !known(8));
         let of = |inspired: f32| {
             let mut volumes = Volumes::default();
-            volumes.add(inspired / 1000.0, 1.0);
-            volumes.add(-0.01, 1.0);
+            volumes.add(inspired / 500.0, 0.5);
+            volumes.add(-0.02, 0.5);
             volumes.start_breath();
             volumes.expired_share()
         };
