@@ -403,7 +403,7 @@ mod tests {
         let started = |compensation, share| {
             let mut state =
                 ExpirationState { compensation, leaks: 2, above: 10.0, ..ExpirationState::default() };
-            (expiration.start_breath(&mut state, Some(share)), state.shift(&breath()) > 9.0)
+            (expiration.start_breath(&mut state, Some(share)).is_some(), state.shift(&breath()) > 9.0)
         };
         assert_eq!([started(LEAK, 0.6), started(LEAK, 0.59)], [(false, true), (true, true)]);
         assert_eq!([started(5.1, TIGHT), started(5.1, 0.74)], [(false, true), (true, true)]);

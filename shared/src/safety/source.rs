@@ -276,12 +276,16 @@ mod tests {
 
         /// Ticks of an expiration.
         fn rest(&mut self, ticks: Range<u32>, airway: f32, outlet: f32) {
-            let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
             for tick in ticks {
                 self.tick(airway, outlet);
-                let readings = Readings { airway, outlet, flow: 0.0 };
-                self.source.record(&mut self.state, &breath, tick, 50, &readings);
+                self.record(tick, airway, outlet);
             }
+        }
+
+        fn record(&mut self, tick: u32, airway: f32, outlet: f32) {
+            let breath = Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap();
+            let readings = Readings { airway, outlet, flow: 0.0 };
+            self.source.record(&mut self.state, &breath, tick, 50, &readings);
         }
 
         fn plateau(&mut self, airway: f32, outlet: f32) {
@@ -509,18 +513,16 @@ mod tests {
         for missing in [(f32::NAN, 5.0), (10.0, f32::NAN), (f32::INFINITY, 5.0), (10.0, f32::INFINITY)] {
             let mut run = Run::new();
             let mut expiration = || {
-                run.source
-                    .at_end(&mut run.state, &Readings { airway: missing.0, outlet: missing.1, flow: 0.0 });
+                run.record(2999, missing.0, missing.1);
                 run.expiration(10.0, 5.0, 0.0)
             };
             assert!(!expiration() && expiration());
         }
         let mut run = Run::new();
         run.ticks(100, 10.0, f32::NAN);
-        let only_out_of_range = Readings { airway: 10.0, outlet: 200.0, flow: 0.0 };
         for _ in 0..4 {
-            run.source.at_end(&mut run.state, &only_out_of_range);
-            assert!(!run.source.compare(&mut run.state, PEEP, 0.0), "there is no second sensor");
+            run.record(2999, 10.0, 200.0);
+            assert!(!run.source.compare(&mut run.state, PEEP, 0.0, false), "there is no second sensor");
         }
     }
 

@@ -113,7 +113,7 @@ mod tests {
         let known = |measured: u32| {
             let mut volumes = Volumes::default();
             for tick in 0..10 {
-                volumes.add(if tick < measured { 1.0 } else { f32::NAN }, 0.1);
+                volumes.add(if tick < measured { 1.0 } else { f32::NAN }, 9.0, 0.1);
             }
             volumes.start_breath();
             volumes.expired_share().is_some()
@@ -121,8 +121,8 @@ mod tests {
         assert!(known(9) && !known(8));
         let of = |inspired: f32| {
             let mut volumes = Volumes::default();
-            volumes.add(inspired / 500.0, 0.5);
-            volumes.add(-0.02, 0.5);
+            volumes.add(inspired / 500.0, 9.0, 0.5);
+            volumes.add(-0.02, 9.0, 0.5);
             volumes.start_breath();
             volumes.expired_share()
         };
