@@ -13,10 +13,11 @@ use xshell::{Shell, cmd};
 /// The release of cargo-mutants; [`LIST`] names mutations in its words.
 const VERSION: &str = "27.1.0";
 /// What is mutated: all that decides about a valve, and what stands between a host or a flash and that.
-const AREAS: [&str; 6] = [
+const AREAS: [&str; 7] = [
     "shared/src/safety/**",
     "shared/src/control/**",
     "shared/src/ventilator.rs",
+    "shared/src/trigger.rs",
     "shared/src/device/**",
     "shared/src/weights/**",
     "shared/src/link/**",
