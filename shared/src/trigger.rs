@@ -65,6 +65,11 @@ struct Signal {
 }
 
 impl Signal {
+    /// Forgets all values. The means stay in memory, out of use.
+    fn restart(&mut self) {
+        (self.sum, self.count, self.blocks, self.noise, self.on_line) = (0.0, 0, 0, 0.0, false);
+    }
+
     /// Mean of the block that ended `ago` blocks before the last one.
     fn mean(&self, ago: usize) -> f32 {
         self.means[(self.blocks + KEPT - 1 - ago) % KEPT]
@@ -106,7 +111,8 @@ impl Trigger {
     ) -> bool {
         if breath.phase(tick) == Phase::Inspiration {
             if tick == 0 {
-                *state = TriggerState::default();
+                state.pressure.restart();
+                state.flow.restart();
             }
             return false;
         }
@@ -119,7 +125,7 @@ impl Trigger {
     /// Whether a signal leaves its line upwards by more than the sensitivity; a sensitivity of zero is off.
     fn follow(self, signal: &mut Signal, value: f32, sensitivity: f32) -> bool {
         if value.is_nan() || sensitivity <= 0.0 {
-            *signal = Signal::default();
+            signal.restart();
             return false;
         }
         if signal.blocks > 0 {
@@ -277,11 +283,13 @@ mod tests {
     fn each_expiration_begins_with_a_new_line() {
         let (trigger, breath) = (Trigger::new(DEFAULT_PERIOD_US), breath(0.4, 0.6));
         let mut state = TriggerState::default();
-        (0..breath.total_ticks()).for_each(|tick| {
-            trigger.check(&mut state, &breath, tick, PEEP, 0.0);
-        });
-        trigger.check(&mut state, &breath, 0, PEEP, 0.0);
-        assert_eq!(state, TriggerState::default());
+        let mut breathe = |pressure: f32| {
+            (0..breath.total_ticks()).any(|tick| trigger.check(&mut state, &breath, tick, pressure, 0.0))
+        };
+        assert!(!breathe(20.0) && !breathe(PEEP), "a new PEEP is no effort");
+        for signal in [state.pressure, state.flow] {
+            assert!(signal.blocks == 200 && signal.noise < 1e-6);
+        }
     }
 
     proptest! {

@@ -25,7 +25,7 @@ impl<const N: usize> Windows<N> {
     /// Adds the values of a tick of a breath, if there are any and the tick belongs to a window of `length` ticks.
     #[inline]
     pub fn add(&mut self, breath: &Breath, tick: u32, length: u32, values: Option<[f32; N]>) {
-        if breath.phase(tick) == Phase::Inspiration {
+        if tick == 0 {
             *self = Self::default();
         }
         let left = breath.total_ticks().saturating_sub(tick);
