@@ -167,7 +167,8 @@ impl<'a> Prescription<'a> {
         let failed = interruption == Some(Interruption::Program);
         let found = memory.newest().filter(|_| interruption.is_some());
         let found = found.filter(|_| !failed || memory.resumes() < RESUMES);
-        let (place, sequence) = found.map_or((0, 0), |(place, sequence, _)| (1 - place, sequence + 1));
+        let (place, sequence) =
+            found.map_or((0, 0), |(place, sequence, _)| (1 - place, sequence.wrapping_add(1)));
         let due = found.map(|(_, _, settings)| settings);
         let mut prescription = Self { memory, due, failed, kept: due, place, sequence };
         if due.is_none() {
@@ -355,6 +356,34 @@ mod tests {
         assert_eq!(resumed(&memory, HANG), None, "which has cleared it");
     }
 
+    /// Whichever copy was written last, and wherever a reset interrupts the clearing.
+    #[test]
+    fn a_stop_leaves_none_of_the_copies_and_a_reset_meanwhile_never_the_older_one() {
+        for (written, stores) in (1..=4).flat_map(|written| (0..=2).map(move |stores| (written, stores))) {
+            let memory = PrescriptionMemory::new();
+            let mut run = Run::start(&memory, None);
+            (0..written).for_each(|n| run.ventilate(&paper_settings(10.0 + n as f32), 1));
+            let last = memory.newest().map(|(_, _, settings)| settings);
+            fuse::set(stores);
+            run.ask(ControlRequest::Stop);
+            run.ticks(1);
+            fuse::set(usize::MAX);
+            let found = memory.newest().map(|(_, _, settings)| settings);
+            assert_eq!(found, last.filter(|_| stores < 2), "{written} written, {stores} cleared");
+        }
+    }
+
+    #[test]
+    fn the_sequence_number_wraps() {
+        let memory = PrescriptionMemory::new();
+        memory.copies[1].write(u32::MAX, &paper_settings(15.0));
+        let mut run = Run::start(&memory, DIP);
+        run.ticks(1);
+        run.ventilate(&paper_settings(30.0), 1);
+        assert_eq!(memory.newest().map(|(place, sequence, _)| (place, sequence)), Some((0, 0)));
+        assert_eq!(resumed(&memory, DIP), Some(paper_settings(30.0)));
+    }
+
     #[test]
     fn a_program_that_fails_before_each_breath_ends_in_standby() {
         let memory = PrescriptionMemory::new();
@@ -383,6 +412,8 @@ mod tests {
         run.ticks(100);
         assert!(run.prescription.is_due(), "it waits");
         assert!(waiting().prescription.is_due(), "a reset meanwhile changes nothing");
+        run.ask(ControlRequest::Status);
+        assert!(run.prescription.is_due() && memory.newest().is_some(), "nor does a question");
         run.ventilate(&paper_settings(10.0), 1);
         assert!(!run.prescription.is_due());
         assert_eq!(resumed(&memory, DIP), Some(paper_settings(10.0)));
