@@ -205,5 +205,8 @@ mod tests {
         assert_eq!(Residual::new(spec(1.0), constant(f32::NAN)), Err(ResidualError::Weights));
         let stopped = ResidualSpec { period_us: 0, ..spec(1.0) };
         assert_eq!(Residual::new(stopped, Network::zero()), Err(ResidualError::Period(0)));
+        let period = |period_us| ResidualSpec { period_us, ..spec(1.0) }.check_bounds();
+        assert_eq!([250, 50_000].map(period), [Ok(()); 2]);
+        assert_eq!([249, 50_001].map(period), [249, 50_001].map(|us| Err(ResidualError::Period(us))));
     }
 }

@@ -162,7 +162,9 @@ mod tests {
         let mut pass = |ticks: u32, found: &[Fault]| {
             (0..ticks).for_each(|_| alarms.tick(HOLD));
             let present = [early, late].map(|fault| alarms.present().has(fault));
-            found.iter().for_each(|fault| alarms.found(*fault));
+            for fault in found {
+                alarms.found(*fault);
+            }
             present
         };
         pass(0, &[early, late]);
