@@ -169,9 +169,11 @@ impl Supervisor {
         match self.pressure.check(&mut state.pressure, &input) {
             PressureFinding::Normal => {}
             PressureFinding::EndInspiration => {
-                if !state.cut && !state.venting {
+                if !state.cut {
                     state.strike = state.lung.explains(0.5 * (limit + settings.pip));
-                    self.lung.end_inspiration(&mut state.lung);
+                    if !state.venting {
+                        self.lung.end_inspiration(&mut state.lung);
+                    }
                 }
                 state.cut = true;
             }

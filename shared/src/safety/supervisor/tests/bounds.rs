@@ -200,3 +200,19 @@ fn a_noisy_sensor_beside_a_quiet_one_is_no_reason_for_the_cap() {
     }
     assert_eq!((run.state.take_begun(), run.state.level()), (Some(Fault::ReadingNoisy), Level::Learned));
 }
+
+#[test]
+fn coughs_in_expirations_are_no_strikes() {
+    let mut run = Run::new();
+    (0..2).for_each(|_| assert_eq!(run.inspire(SOFT, 30.0), None));
+    let mut alarms = Vec::new();
+    for tick in (0..4).flat_map(|_| 0..breath().total_ticks()) {
+        let inspires = breath().phase(tick) == Phase::Inspiration;
+        let cough = if (1700..1750).contains(&tick) { 60.0 } else { 0.0 };
+        let rise = if inspires { 0.02 * run.state.lung.volume() } else { 0.0 };
+        run.check(5.0 + rise + cough + dither(tick), Some(tick));
+        run.supervisor.command(&mut run.state, ControlOutput::plain(30.0), !inspires);
+        alarms.extend(run.state.take_begun());
+    }
+    assert_eq!((alarms, run.state.level()), (Vec::from([Fault::HighPressure]), Level::Learned));
+}
