@@ -190,7 +190,8 @@ impl ExpirationState {
     /// Rise of PIP with a constant baseline, cmH2O.
     pub fn shift(&self, breath: &Breath) -> f32 {
         let settings = breath.settings();
-        math::limit(self.shift, 0.0, settings.pressure_limit - BELOW_LIMIT - settings.pip)
+        let highest = settings.pressure_limit - BELOW_LIMIT - settings.pip;
+        math::limit(self.shift, 0.0, highest.max(0.0))
     }
 }
 
@@ -198,6 +199,7 @@ impl ExpirationState {
 mod tests {
     use super::*;
     use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use crate::settings::Settings;
 
     fn breath() -> Breath {
         Breath::new(&paper_settings(25.0), DEFAULT_PERIOD_US).unwrap()
@@ -349,7 +351,7 @@ mod tests {
         let (expiration, state) = breaths(2, 25.0, |_| 15.0);
         assert!((state.shift(&breath()) - 10.0).abs() < 0.1);
         assert!(!expiration.goes_on(&state, &breath(), 3000), "it would not fall any further");
-        let tight = crate::settings::Settings { pressure_limit: 36.0, ..paper_settings(25.0) };
+        let tight = Settings { pressure_limit: 36.0, ..paper_settings(25.0) };
         let tight = Breath::new(&tight, DEFAULT_PERIOD_US).unwrap();
         assert!((state.shift(&tight) - 4.0).abs() < 1e-3);
         let (_, back) = breaths(3, 25.0, |_| 5.0);
@@ -408,5 +410,15 @@ mod tests {
         assert_eq!([started(LEAK, 0.6), started(LEAK, 0.59)], [(false, true), (true, true)]);
         assert_eq!([started(5.1, TIGHT), started(5.1, 0.74)], [(false, true), (true, true)]);
         assert_eq!([started(0.0, 0.5), started(0.0, 0.49)], [(true, true), (true, false)]);
+    }
+
+    #[test]
+    fn pip_is_never_lowered_however_close_the_limit() {
+        let close = Settings { pressure_limit: 30.0, ..paper_settings(25.0) };
+        let close = Breath::new(&close, DEFAULT_PERIOD_US).unwrap();
+        for shift in [0.0, 10.0] {
+            let state = ExpirationState { shift, ..ExpirationState::default() };
+            assert!(state.shift(&close).abs() < 1e-6, "{}", state.shift(&close));
+        }
     }
 }
