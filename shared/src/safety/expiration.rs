@@ -115,7 +115,8 @@ impl Expiration {
         doubtful: bool,
     ) {
         state.smooth += self.smoothing * (pressure - state.smooth);
-        if tick + self.constant_for == breath.total_ticks() && breath.phase(tick) == Phase::Expiration {
+        // In a shorter expiration from its start on: there the fall counts too, which errs on the side of a longer one.
+        if tick + self.constant_for <= breath.total_ticks() || breath.phase(tick) == Phase::Inspiration {
             state.earlier = state.smooth;
         }
         let sag = breath.settings().peep - SAG - pressure;
@@ -410,6 +411,24 @@ mod tests {
         assert_eq!([started(LEAK, 0.6), started(LEAK, 0.59)], [(false, true), (true, true)]);
         assert_eq!([started(5.1, TIGHT), started(5.1, 0.74)], [(false, true), (true, true)]);
         assert_eq!([started(0.0, 0.5), started(0.0, 0.49)], [(true, true), (true, false)]);
+    }
+
+    #[test]
+    fn a_short_expiration_that_still_falls_lasts_longer_and_pip_does_not_rise() {
+        // At 60 breaths a minute expiration and fall take 0.6 s, of which the fall takes 0.17.
+        let settings =
+            Settings { rate: 60.0, inspiratory_time: 0.4, fall_time: 0.17, ..paper_settings(25.0) };
+        let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+        let (expiration, mut state) = (Expiration::new(1000, Monitors::ALL), ExpirationState::default());
+        for tick in (0..3).flat_map(|_| 0..1000_u32) {
+            let pressure = 25.0 - 0.02 * tick.saturating_sub(400) as f32;
+            expiration.observe(&mut state, &breath, tick, pressure, false);
+            if tick == 999 {
+                expiration.start_breath(&mut state, Some(1.0));
+            }
+        }
+        assert!(expiration.goes_on(&state, &breath, 1000));
+        assert!(state.shift(&breath).abs() < 1e-6);
     }
 
     #[test]
