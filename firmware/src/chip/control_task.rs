@@ -1,4 +1,4 @@
-//! The control task: it runs one tick of the device per millisecond and feeds the watchdog last.
+//! The control task: it runs one tick of the device per millisecond, and last silences the sounder and feeds the watchdog.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
@@ -17,6 +17,7 @@ use shared::weights::slots::Slot;
 use static_cell::StaticCell;
 
 use super::board::{CORE_CLOCK, PlantInterface, SelectedPlant};
+use super::drivers::alarm_outputs::AlarmOutputs;
 use super::drivers::watchdog::Watchdog;
 use super::drivers::{clock, link_uart, oscillator, supply};
 
@@ -51,6 +52,7 @@ pub async fn run(
     mut recorder: Recorder<'static>,
     mut prescription: Prescription<'static>,
     mut plant: SelectedPlant,
+    mut alarms: AlarmOutputs,
     mut watchdog: Watchdog,
 ) {
     let mut before = None;
@@ -80,6 +82,7 @@ pub async fn run(
         let work = clock::now().wrapping_sub(read);
         control.record(&TickTime { latency, work, period, missed });
         before = Some((number, begun));
+        alarms.apply(control.signals());
         watchdog.pet();
     }
 }

@@ -78,7 +78,7 @@ fn start() {
     let spawner = CONTROL.start(interrupt::CAN2_SCE);
     board.watchdog.unleash();
     spawner.spawn(taken_once(
-        control_task::run(control, recorder, prescription, board.plant, board.watchdog).ok(),
+        control_task::run(control, recorder, prescription, board.plant, board.alarms, board.watchdog).ok(),
     ));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0)

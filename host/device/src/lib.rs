@@ -15,6 +15,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use shared::device::annunciator::AudioStatus;
 use shared::explore::Exploration;
 use shared::link::PROTOCOL;
 use shared::link::messages::{
@@ -207,6 +208,23 @@ impl Device {
     pub fn alarms(&mut self) -> Result<AlarmStatus, DeviceError> {
         match self.request(&Request::GetAlarms)? {
             Response::Alarms(alarms) => Ok(alarms),
+            _ => Err(DeviceError::Unexpected),
+        }
+    }
+
+    /// Pauses the sounder for this many seconds; 0 ends the pause.
+    pub fn pause_audio(&mut self, seconds: u16) -> Result<AudioStatus, DeviceError> {
+        self.expect_audio(&Request::PauseAudio { seconds })
+    }
+
+    /// State of the sounder.
+    pub fn audio(&mut self) -> Result<AudioStatus, DeviceError> {
+        self.expect_audio(&Request::GetAudio)
+    }
+
+    fn expect_audio(&mut self, request: &Request) -> Result<AudioStatus, DeviceError> {
+        match self.request(request)? {
+            Response::Audio(audio) => Ok(audio),
             _ => Err(DeviceError::Unexpected),
         }
     }

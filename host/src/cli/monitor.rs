@@ -7,6 +7,7 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
+use shared::device::annunciator::AudioStatus;
 use shared::link::messages::{AlarmStatus, DeviceIdentity};
 use shared::safety::alarms::Fault;
 use shared::safety::ladder::Level;
@@ -32,8 +33,9 @@ Examples:
   trainer monitor --port tcp:localhost:5555 --plain | tee night.log
   trainer monitor --port COM3 --once --json -
 
-Keys: space starts and stops, a acknowledges all alarms, up and down change PIP, left and right the
-rate, p switches between PID and learned weights, q quits. The monitor sends only the request for
+Keys: space starts and stops, a acknowledges all alarms, m pauses the sounder for 120 s or ends the
+pause, up and down change PIP, left and right the rate, p switches between PID and learned weights,
+q quits. The monitor sends only the request for
 telemetry and what a key asks for. Quitting leaves the device as it is; ventilation continues.")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
@@ -98,6 +100,7 @@ struct State {
     settings: Settings,
     next_settings: Option<Settings>,
     alarms: Alarms,
+    audio: AudioStatus,
     ticks: TickTimes,
     line: LineCounters,
 }
@@ -125,15 +128,16 @@ fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
     let identity = device.identify()?;
     let (settings, next_settings) = device.settings()?;
     let alarms = device.alarms()?.into();
+    let audio = device.audio()?;
     let ticks = device.timing(false)?;
     let (port, line) = (args.port.to_string(), device.counters());
-    let state = State { port, identity, settings, next_settings, alarms, ticks, line };
+    let state = State { port, identity, settings, next_settings, alarms, audio, ticks, line };
     args.output.table(&table(&state));
     args.output.finish(&state)
 }
 
 fn table(state: &State) -> Table {
-    let State { identity, alarms, ticks, .. } = state;
+    let State { identity, alarms, audio, ticks, .. } = state;
     let us = |cycles: f32| format!("{:.1} us", ticks.microseconds(cycles));
     let mut table = Table::new("", &["device", &state.port]);
     let mut row = |name: &str, value: String| table.row(vec![Cell::text(name), Cell::text(value)]);
@@ -148,6 +152,7 @@ fn table(state: &State) -> Table {
     if alarms.indicated.is_empty() {
         row("alarm", "none is indicated".to_owned());
     }
+    row("sounder", words::audio(audio));
     for field in FIELDS {
         row(&words::name(field), words::setting(field, &state.settings, state.next_settings.as_ref()));
     }
@@ -195,8 +200,9 @@ mod tests {
         let settings = Settings::default();
         let next_settings = Some(Settings { pip: 25.0, ..settings });
         let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());
-        let alarms = AlarmStatus::default().into();
-        let text = table(&State { port, identity, settings, next_settings, alarms, ticks, line }).to_plain();
+        let (alarms, audio) = (AlarmStatus::default().into(), AudioStatus::default());
+        let state = State { port, identity, settings, next_settings, alarms, audio, ticks, line };
+        let text = table(&state).to_plain();
         assert!(text.contains("20 cmH2O, 25 from the next breath on"), "{text}");
         assert_eq!(text.matches("from the next breath on").count(), 1, "{text}");
     }

@@ -186,7 +186,8 @@ impl PortSource {
                     self.be_heard(batch.samples.len())?;
                 }
                 Ok(Event::Alarm { fault, .. }) => self.heed(fault)?,
-                Ok(Event::Breath(_)) => {}
+                // An alarm of an earlier recording is none of this one.
+                Ok(Event::Breath(_) | Event::Unacknowledged { .. }) => {}
                 Err(RecvTimeoutError::Timeout) => return Err(SourceError::Silent { breath }),
                 Err(RecvTimeoutError::Disconnected) => {
                     return Err(DeviceError::Gone(self.device.address().clone()).into());

@@ -7,6 +7,8 @@
 
 use heapless::Deque;
 
+use super::alarm_events::AlarmEvents;
+use super::annunciator::{Annunciator, Signals};
 use super::{ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
 use crate::breath::Breath;
 use crate::control::Controller;
@@ -66,6 +68,8 @@ pub struct Control {
     tick: u64,
     dropped: u32,
     host: HostWatch,
+    annunciator: Annunciator,
+    alarm_events: AlarmEvents,
     seed: Option<u64>,
     /// PEEP last sent to the plant, cmH2O.
     peep: Option<f32>,
@@ -104,6 +108,8 @@ impl Control {
             tick: 0,
             dropped: 0,
             host: HostWatch::new(period_us),
+            annunciator: Annunciator::new(period_us),
+            alarm_events: AlarmEvents::new(period_us),
             seed: None,
             peep: None,
         })
@@ -178,7 +184,14 @@ impl Control {
         if self.host.is_gone(self.state.mode() == Mode::Ventilating) {
             self.go_on_alone();
         }
-        self.ventilator.step(&mut self.state, readings)
+        let output = self.ventilator.step(&mut self.state, readings);
+        self.annunciator.step(self.state.indications());
+        output
+    }
+
+    /// Levels of the sounder and the lamps after the last step.
+    pub fn signals(&self) -> Signals {
+        self.annunciator.signals()
     }
 
     /// Handles a silent host: raises the alarm and ends exploration, which nobody supervises any more.
@@ -212,12 +225,17 @@ impl Control {
         }
     }
 
-    /// Reports the results of a step through `room`, which returns false if it has no room for a report.
+    /// Reports the results of a step through `room`, which returns false if it has no room for a report. Alarms that found no
+    /// room before come first, so that no sample takes their place.
     #[inline]
     pub fn report(&mut self, output: &Output, room: &mut dyn FnMut(ControlReport) -> bool) {
         let tick = self.tick.wrapping_sub(1);
         let counters = tick.is_multiple_of(COUNTERS_EVERY).then(|| self.counters());
         let before = core::mem::replace(&mut self.status.mode, output.mode);
+        let waiting = self.alarm_events.are_waiting();
+        if waiting {
+            self.alarm_events.report(room);
+        }
         let mut send = |report| {
             if !room(report) {
                 self.dropped = self.dropped.saturating_add(1);
@@ -235,11 +253,15 @@ impl Control {
         if let (Mode::Fault(_), true) = (output.mode, before != output.mode) {
             self.queue.clear();
         }
-        if let Some(fault) = output.alarm {
-            send(ControlReport::Alarm { fault, tick });
-        }
         if let Some(counters) = counters {
             send(ControlReport::Counters(counters));
+        }
+        if let Some(fault) = output.alarm {
+            self.alarm_events.begin(fault, tick);
+        }
+        self.alarm_events.tick(self.state.indications().unacknowledged());
+        if !waiting && self.alarm_events.are_waiting() {
+            self.alarm_events.report(room);
         }
     }
 
@@ -282,6 +304,8 @@ impl Control {
             ControlRequest::Timing { clear } => Ok(self.timing(clear)),
             ControlRequest::ResetPlant(seed) => self.reset_plant(seed),
             ControlRequest::Alarms => Ok(Response::Alarms(self.alarms())),
+            ControlRequest::PauseAudio(seconds) => self.annunciator.pause(seconds).map(Response::Audio),
+            ControlRequest::Audio => Ok(Response::Audio(self.annunciator.status())),
         };
         ControlReply::Response(response.unwrap_or_else(Response::Refused))
     }

@@ -8,11 +8,13 @@
 //! | [`control`] | once per control tick | ventilator, queued breaths, breath meter, tick statistics |
 //! | [`server`] | when bytes or reports arrive | requests and their answers, telemetry batches, uploads |
 //!
-//! [`prescription`] keeps the settings of a running ventilation through a reset.
+//! [`annunciator`] drives sounder and lamps, and [`prescription`] keeps the settings of a running ventilation through a reset.
 //!
 //! The server sends one [`ControlRequest`] at a time to the control half and gets one [`ControlReply`]; the control half also
 //! sends unrequested [`ControlReport`]s. Neither half blocks: the caller passes requests, replies and reports between them.
 
+mod alarm_events;
+pub mod annunciator;
 pub mod control;
 pub mod prescription;
 pub mod server;
@@ -59,6 +61,10 @@ pub enum ControlRequest {
     ResetPlant(u64),
     /// Report the alarms and the level of the ladder.
     Alarms,
+    /// Pause the sounder for this many seconds; 0 ends the pause.
+    PauseAudio(u16),
+    /// Report the state of the sounder.
+    Audio,
 }
 
 /// The control half's answer to a request.
@@ -98,6 +104,13 @@ pub enum ControlReport {
         /// The alarm's fault.
         fault: Fault,
         /// Control tick since the device started.
+        tick: u64,
+    },
+    /// An alarm has not been acknowledged yet; repeated after its [`ControlReport::Alarm`].
+    Unacknowledged {
+        /// The alarm's fault.
+        fault: Fault,
+        /// Control tick at which it began.
         tick: u64,
     },
     /// Ventilation has stopped.

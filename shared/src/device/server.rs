@@ -130,6 +130,8 @@ impl<'a> Server<'a> {
             Request::Stop => (Continuation::Forward, ControlRequest::Stop),
             Request::Acknowledge => (Continuation::Forward, ControlRequest::Acknowledge),
             Request::GetAlarms => (Continuation::Forward, ControlRequest::Alarms),
+            Request::PauseAudio { seconds } => (Continuation::Forward, ControlRequest::PauseAudio(*seconds)),
+            Request::GetAudio => (Continuation::Forward, ControlRequest::Audio),
             Request::SetController(choice) => (Continuation::Forward, ControlRequest::Controller(*choice)),
             Request::SetExploration(choice) => (Continuation::Forward, ControlRequest::Exploration(*choice)),
             Request::GetTiming { clear } => (Continuation::Forward, ControlRequest::Timing { clear: *clear }),
@@ -241,6 +243,9 @@ impl<'a> Server<'a> {
             ControlReport::Breath(summary) => (None, Some(Event::Breath(summary))),
             ControlReport::Stopped => (self.batcher.flush(&self.counters), None),
             ControlReport::Alarm { fault, tick } => (None, Some(Event::Alarm { fault, tick })),
+            ControlReport::Unacknowledged { fault, tick } => {
+                (None, Some(Event::Unacknowledged { fault, tick }))
+            }
         };
         events.extend(batch.map(Event::Telemetry).into_iter().chain(event).map(ToHost::Event));
         events

@@ -18,7 +18,7 @@ use crate::control::pid::PidGains;
 use crate::explore::Exploration;
 use crate::recorder::{Page, RecorderPart, RecorderStatus};
 use crate::reset::ResetCause;
-use crate::safety::alarms::Fault;
+use crate::safety::alarms::{Fault, Priority};
 use crate::safety::indications::FaultSet;
 use crate::safety::ladder::Level;
 use crate::settings::Settings;
@@ -30,6 +30,8 @@ use crate::weights::slots::{Slot, SlotState};
 pub const CHUNK_BYTES: usize = 128;
 /// Longest failure message, bytes.
 pub const FAILURE_BYTES: usize = 120;
+/// Longest audio pause, s.
+pub const AUDIO_PAUSE_MAX: u16 = 120;
 
 /// Message from host to device.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -109,6 +111,13 @@ pub enum Request {
     ClearRecorder,
     /// Reports the alarms and the level of the ladder; answered by [`Response::Alarms`].
     GetAlarms,
+    /// Pauses the sounder; the lamps stay. Answered by [`Response::Audio`].
+    PauseAudio {
+        /// Length of the pause, s, at most [`AUDIO_PAUSE_MAX`]; 0 ends a pause.
+        seconds: u16,
+    },
+    /// Reports the state of the sounder; answered by [`Response::Audio`].
+    GetAudio,
 }
 
 /// Choice of the controller.
@@ -187,6 +196,8 @@ pub enum Response {
     Recorded(Page),
     /// Alarms, and the level of the ladder.
     Alarms(AlarmStatus),
+    /// State of the sounder.
+    Audio(AudioStatus),
 }
 
 /// The alarms of a device, and what commands its inspiratory valve because of them.
@@ -198,6 +209,15 @@ pub struct AlarmStatus {
     pub indicated: FaultSet,
     /// Level of the ladder of trust.
     pub level: Level,
+}
+
+/// State of the sounder of a device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AudioStatus {
+    /// Priority of the most urgent alarm that nobody has acknowledged; it sounds unless paused.
+    pub priority: Option<Priority>,
+    /// Rest of the audio pause, s, rounded up; 0 without one.
+    pub pause_left: u16,
 }
 
 /// The greeting: identity and state of a device.
@@ -258,6 +278,13 @@ pub enum Event {
         /// The alarm's fault.
         fault: Fault,
         /// Control tick since the device started.
+        tick: u64,
+    },
+    /// An alarm that nobody has acknowledged; repeated for a host that missed its [`Event::Alarm`].
+    Unacknowledged {
+        /// The alarm's fault.
+        fault: Fault,
+        /// Control tick at which it began, as in its [`Event::Alarm`].
         tick: u64,
     },
 }

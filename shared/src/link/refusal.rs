@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::messages::AUDIO_PAUSE_MAX;
 use crate::settings::SettingsError;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
 
@@ -65,6 +66,14 @@ pub enum Refusal {
         "no pressure sensor is sound; check its supply and wiring, and start once the reading has been sound for 5 s"
     )]
     NoSensor,
+    /// The audio pause is too long.
+    #[error(
+        "an audio pause lasts at most {AUDIO_PAUSE_MAX} s; request a shorter one, and repeat it if necessary"
+    )]
+    PauseTooLong,
+    /// There is no sound to pause.
+    #[error("no alarm sounds: there is nothing to pause")]
+    NothingSounds,
 }
 
 #[cfg(test)]

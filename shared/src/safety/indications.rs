@@ -39,11 +39,13 @@ impl FaultSet {
         Fault::all().filter(move |fault| self.has(*fault))
     }
 
-    fn add(&mut self, fault: Fault) {
+    /// Adds a fault.
+    pub fn add(&mut self, fault: Fault) {
         self.0 |= 1 << fault as u32;
     }
 
-    fn remove(&mut self, fault: Fault) {
+    /// Removes a fault.
+    pub fn remove(&mut self, fault: Fault) {
         self.0 &= !(1 << fault as u32);
     }
 }
@@ -107,6 +109,11 @@ impl Indications {
     /// Alarms whose condition holds.
     pub fn present(&self) -> FaultSet {
         self.present
+    }
+
+    /// Alarms that an operator has yet to acknowledge; their condition may be gone.
+    pub fn unacknowledged(&self) -> FaultSet {
+        self.unacknowledged
     }
 
     /// The finding that left no pressure reading to control with.

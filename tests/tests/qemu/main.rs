@@ -3,6 +3,7 @@
 //! Run them with `cargo xtask qemu-test`, which builds the images. The results do not depend on the machine's speed: time on
 //! the board is virtual and stops while the plant computes.
 
+mod alarms;
 mod control;
 mod failures;
 mod link;
@@ -148,7 +149,7 @@ impl Samples {
                         return;
                     }
                 }
-                Event::Breath(_) => {}
+                Event::Breath(_) | Event::Unacknowledged { .. } => {}
                 Event::Alarm { fault, .. } => panic!("{fault:?}"),
             }
         }

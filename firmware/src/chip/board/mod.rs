@@ -22,6 +22,7 @@ use shared::timing::WATCHDOG_US;
 
 pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
 
+use super::drivers::alarm_outputs::AlarmOutputs;
 use super::drivers::flash::{WeightsFlash, accelerate};
 use super::drivers::watchdog::Watchdog;
 use super::drivers::{oscillator, taken_once};
@@ -47,6 +48,8 @@ pub trait PlantInterface {
 pub struct Board {
     /// Sensors and valves.
     pub plant: SelectedPlant,
+    /// Sounder and alarm lamps.
+    pub alarms: AlarmOutputs,
     /// The watchdog, not yet started.
     pub watchdog: Watchdog,
     /// The flash with the weights slots.
@@ -60,12 +63,14 @@ pub struct Board {
 impl Board {
     fn new(
         plant: SelectedPlant,
+        alarms: AlarmOutputs,
         crystal: bool,
         watchdog: Peri<'static, IWDG>,
         flash: Peri<'static, FLASH>,
     ) -> Self {
         Self {
             plant,
+            alarms,
             watchdog: Watchdog::new(watchdog, WATCHDOG_US),
             flash: WeightsFlash::new(flash),
             crystal,

@@ -7,6 +7,9 @@
 //! | PA4 | ADC1 channel 4, pressure across the flow meter | input |
 //! | PA6 | inspiratory proportional valve, PWM of TIM3 channel 1 | pulled low: closed |
 //! | PB0 | expiratory valve, high closes it | pulled low: open |
+//! | PB12 | silences the sounder while it changes its level in every tick | floats: sounds |
+//! | PB13 | red alarm lamp | pulled low: off |
+//! | PB14 | yellow alarm lamp | pulled low: off |
 //! | PA9, PA10 | USART1, the link | idle high by pull-up |
 //! | PA2, PA3 | USART2, the plant line (hardware in the loop only) | idle high by pull-up |
 
@@ -18,7 +21,7 @@ use embassy_stm32::time::Hertz;
 
 #[cfg(not(feature = "hil"))]
 use super::super::drivers::{adc::Adc, valves::Valves};
-use super::super::drivers::{link_uart, open_serial};
+use super::super::drivers::{alarm_outputs::AlarmOutputs, link_uart, open_serial};
 use super::{Board, SelectedPlant, start_clocks};
 
 /// Clock of the core and of `SysTick`.
@@ -48,5 +51,6 @@ pub(super) fn start() -> Board {
         open_serial(chip.USART2, chip.PA3, chip.PA2);
         SelectedPlant::new()
     };
-    Board::new(plant, crystal, chip.IWDG, chip.FLASH)
+    let alarms = AlarmOutputs::new([chip.PB12.into(), chip.PB13.into(), chip.PB14.into()]);
+    Board::new(plant, alarms, crystal, chip.IWDG, chip.FLASH)
 }

@@ -7,6 +7,9 @@
 //! | PA4 | A2 | ADC1 channel 4, pressure across the flow meter | input |
 //! | PA6 | D12 | inspiratory proportional valve, PWM of TIM3 channel 1 | pulled low: closed |
 //! | PB10 | D6 | expiratory valve, high closes it | pulled low: open |
+//! | PA8 | D7 | silences the sounder while it changes its level in every tick | floats: sounds |
+//! | PC7 | D9 | red alarm lamp | pulled low: off |
+//! | PB6 | D10 | yellow alarm lamp | pulled low: off |
 //! | PA9, PA10 | D8, D2 | USART1, the link | idle high by pull-up |
 //! | PA2, PA3 | USB of the debugger | USART2, the plant line (hardware in the loop only) | idle high by pull-up |
 
@@ -18,7 +21,7 @@ use embassy_stm32::time::Hertz;
 
 #[cfg(not(feature = "hil"))]
 use super::super::drivers::{adc::Adc, valves::Valves};
-use super::super::drivers::{link_uart, open_serial};
+use super::super::drivers::{alarm_outputs::AlarmOutputs, link_uart, open_serial};
 use super::{Board, SelectedPlant, start_clocks};
 
 /// Clock of the core and of `SysTick`.
@@ -48,5 +51,6 @@ pub(super) fn start() -> Board {
         open_serial(chip.USART2, chip.PA3, chip.PA2);
         SelectedPlant::new()
     };
-    Board::new(plant, crystal, chip.IWDG, chip.FLASH)
+    let alarms = AlarmOutputs::new([chip.PA8.into(), chip.PC7.into(), chip.PB6.into()]);
+    Board::new(plant, alarms, crystal, chip.IWDG, chip.FLASH)
 }

@@ -2,6 +2,7 @@
 
 #[cfg(not(feature = "hil"))]
 pub mod adc;
+pub mod alarm_outputs;
 #[cfg(not(feature = "hil"))]
 pub mod bedside;
 pub mod clock;

@@ -24,8 +24,7 @@ const NUMBERS_WIDTH: u16 = 46;
 /// Width below which a chart is omitted, characters.
 const LEAST_CHART: u16 = 30;
 /// Help line for the keys.
-const KEYS: &str =
-    "space start/stop  a acknowledge  ↑↓ PIP  ←→ rate  p PID/learned  q quit (ventilation continues)";
+const KEYS: &str = "space start/stop  a acknowledge  m audio pause  q quit  ↑↓ PIP  ←→ rate  p PID/learned";
 
 /// Draws a view on the whole terminal.
 pub fn draw(frame: &mut Frame, view: &View) {
@@ -229,6 +228,9 @@ fn indicated(view: &View) -> Vec<Line<'static>> {
     };
     let faults = words::indicated(alarms);
     let mut lines = vec![ladder(alarms.level)];
+    if let Some(audio) = view.audio.filter(|audio| audio.pause_left > 0) {
+        lines.push(Line::from(format!("sounder: {}", words::audio(&audio))).yellow());
+    }
     let line = |fault: &Fault| {
         let line = Line::from(words::alarm(*fault, alarms));
         match fault.alarm().priority {

@@ -2,8 +2,10 @@
 //!
 //! A line is written when something changes, not at every poll.
 
+use std::collections::BTreeMap;
+
 use shared::link::messages::{AlarmStatus, ControllerChoice, Event, Request, Response};
-use shared::safety::alarms::Action;
+use shared::safety::alarms::{Action, Fault};
 use shared::safety::indications::FaultSet;
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
@@ -23,6 +25,9 @@ pub struct Lines {
     settings: Option<Settings>,
     level: Option<Level>,
     indicated: Option<FaultSet>,
+    paused: bool,
+    /// Tick of the last alarm of each kind.
+    alarms: BTreeMap<Fault, u64>,
     losses: Losses,
 }
 
@@ -51,13 +56,19 @@ impl Lines {
                 "breath {}: mean error {:.2}, peak {:.1}, end {:.1} cmH2O",
                 breath.breath, breath.mean_absolute_error, breath.peak_pressure, breath.end_pressure
             )),
-            Event::Alarm { fault, tick } => {
-                if fault.alarm().action == Action::Vent {
-                    self.mode = Some(Mode::Fault(*fault));
-                }
-                Some(format!("alarm {}: {}", words::moment(*tick, self.period_us), words::fault(*fault)))
+            Event::Alarm { fault, tick } => Some(self.alarmed(*fault, *tick)),
+            Event::Unacknowledged { fault, tick } => {
+                (self.alarms.get(fault) != Some(tick)).then(|| self.alarmed(*fault, *tick))
             }
         }
+    }
+
+    fn alarmed(&mut self, fault: Fault, tick: u64) -> String {
+        if fault.alarm().action == Action::Vent {
+            self.mode = Some(Mode::Fault(fault));
+        }
+        self.alarms.insert(fault, tick);
+        format!("alarm {}: {}", words::moment(tick, self.period_us), words::fault(fault))
     }
 
     fn learn(&mut self, response: &Response) -> Vec<String> {
@@ -79,6 +90,12 @@ impl Lines {
                 lines.extend(changed(&mut self.level, alarms.level).map(level));
                 if changed(&mut self.indicated, alarms.indicated).is_some() {
                     lines.push(indicated(alarms));
+                }
+            }
+            Response::Audio(audio) => {
+                let paused = audio.pause_left > 0;
+                if std::mem::replace(&mut self.paused, paused) != paused {
+                    lines.push(format!("sounder: {}", words::audio(audio)));
                 }
             }
             Response::Settings { in_force, .. } => {
@@ -135,6 +152,8 @@ fn name(request: &Request) -> &'static str {
         Request::Identify => "identify",
         Request::GetSettings => "settings",
         Request::GetAlarms => "alarms",
+        Request::GetAudio => "sounder",
+        Request::PauseAudio { .. } => "audio pause",
         Request::GetTiming { .. } => "tick times",
         Request::Telemetry { .. } => "telemetry",
         _ => "request",

@@ -25,11 +25,12 @@ const LEAVE_TIME: Duration = Duration::from_secs(1);
 /// Largest number of events forwarded between two checks for requests.
 const EVENTS_AT_ONCE: usize = 1000;
 /// Requests of a poll. Their answers also reveal restarts; the greeting comes first and gives the cause.
-const POLLED: [Request; 5] = [
+const POLLED: [Request; 6] = [
     Request::Identify,
     Request::Telemetry { on: true },
     Request::GetSettings,
     Request::GetAlarms,
+    Request::GetAudio,
     Request::GetTiming { clear: false },
 ];
 

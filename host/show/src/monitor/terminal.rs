@@ -36,6 +36,7 @@ pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
     let key = match event.code {
         KeyCode::Char(' ') => Key::StartStop,
         KeyCode::Char('a') => Key::Acknowledge,
+        KeyCode::Char('m') => Key::PauseAudio,
         KeyCode::Char('p') => Key::Controller,
         KeyCode::Up => Key::PipUp,
         KeyCode::Down => Key::PipDown,
@@ -45,7 +46,7 @@ pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
         _ => return None,
     };
     // A key held down must not start and stop a ventilator alternately.
-    let once = matches!(key, Key::StartStop | Key::Acknowledge | Key::Controller);
+    let once = matches!(key, Key::StartStop | Key::Acknowledge | Key::PauseAudio | Key::Controller);
     (event.kind == KeyEventKind::Press || !once).then_some(Pressed::Key(key))
 }
 

@@ -8,6 +8,7 @@ use ratatui::style::Color;
 use shared::breath::Phase;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
+use shared::device::annunciator::AudioStatus;
 use shared::link::PROTOCOL;
 use shared::link::messages::{
     AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, Response,
@@ -15,7 +16,7 @@ use shared::link::messages::{
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
 use shared::reset::ResetCause;
-use shared::safety::alarms::Fault;
+use shared::safety::alarms::{Fault, Priority};
 use shared::safety::indications::FaultSet;
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
@@ -122,6 +123,12 @@ fn alarms(present: &[Fault], gone: &[Fault], level: Level) -> News {
     answer(Request::GetAlarms, Response::Alarms(AlarmStatus { present, indicated, level }))
 }
 
+/// The answer of a sounder that sounds for an alarm of high priority, and is paused for so many seconds more.
+fn sounder(pause_left: u16) -> News {
+    let audio = AudioStatus { priority: Some(Priority::High), pause_left };
+    answer(Request::GetAudio, Response::Audio(audio))
+}
+
 fn breath(number: u32) -> News {
     News::Event(Event::Breath(BreathSummary {
         breath: number,
@@ -161,7 +168,8 @@ mod keys {
 
     #[test]
     fn before_the_device_has_told_its_state_no_key_sends_anything() {
-        let keys = [Key::StartStop, Key::Acknowledge, Key::PipUp, Key::RateDown, Key::Controller];
+        let keys =
+            [Key::StartStop, Key::Acknowledge, Key::PauseAudio, Key::PipUp, Key::RateDown, Key::Controller];
         for key in keys {
             let mut view = view_after([]);
             assert_eq!(view.press(key), None, "{key:?}");
@@ -196,6 +204,18 @@ mod keys {
             (view.press(Key::Acknowledge), view.mode),
             (Some(Request::Acknowledge), Some(Mode::Ventilating))
         );
+    }
+
+    #[test]
+    fn m_pauses_the_sounder_for_the_longest_time_and_ends_the_pause() {
+        let mut view = ventilating();
+        view.take(&sounder(0));
+        assert_eq!(view.press(Key::PauseAudio), Some(Request::PauseAudio { seconds: 120 }));
+        view.take(&sounder(87));
+        assert_eq!(view.press(Key::PauseAudio), Some(Request::PauseAudio { seconds: 0 }));
+        let refused = Refusal::NothingSounds.to_string();
+        view.take(&News::Answer { request: Request::PauseAudio { seconds: 120 }, result: Err(refused) });
+        assert_eq!(warning(&view), "no alarm sounds: there is nothing to pause");
     }
 
     #[test]
@@ -275,6 +295,8 @@ mod keys {
         assert_eq!(plain(KeyCode::Char(' ')), Some(Pressed::Key(Key::StartStop)));
         assert_eq!(plain(KeyCode::Char('a')), Some(Pressed::Key(Key::Acknowledge)));
         assert_eq!(plain(KeyCode::Char('p')), Some(Pressed::Key(Key::Controller)));
+        assert_eq!(plain(KeyCode::Char('m')), Some(Pressed::Key(Key::PauseAudio)));
+        assert_eq!(held(KeyCode::Char('m')), None);
         assert_eq!(plain(KeyCode::Up), Some(Pressed::Key(Key::PipUp)));
         assert_eq!(plain(KeyCode::Down), Some(Pressed::Key(Key::PipDown)));
         assert_eq!(plain(KeyCode::Right), Some(Pressed::Key(Key::RateUp)));
@@ -321,6 +343,15 @@ mod state {
     fn breaths_of_an_earlier_start_go_when_it_starts_again() {
         let view = view_after([breath(0), breath(1), breath(2), breath(0)]);
         assert_eq!(view.breaths.iter().map(|breath| breath.breath).collect::<Vec<_>>(), [0]);
+    }
+
+    #[test]
+    fn a_repeated_alarm_is_told_only_to_a_monitor_that_missed_it() {
+        let again = |tick| News::Event(Event::Unacknowledged { fault: Fault::Leak, tick });
+        let view = view_after([alarm(Fault::Leak), again(4321), again(4321), again(9000), again(4321)]);
+        assert_eq!(view.alarms.iter().map(|alarm| alarm.tick).collect::<Vec<_>>(), [9000, 4321]);
+        let missed = view_after([News::Event(Event::Unacknowledged { fault: Fault::HardLimit, tick: 1 })]);
+        assert_eq!(missed.mode, Some(Mode::Fault(Fault::HardLimit)));
     }
 
     #[test]
@@ -448,6 +479,7 @@ mod pictures {
         let present = [Fault::Leak, Fault::LearnedDistrusted, Fault::BackupVentilation];
         let gone = [Fault::Restarted, Fault::CommandCapped];
         view.take(&alarms(&present, &gone, Level::Backup));
+        view.take(&sounder(87));
         insta::assert_snapshot!(picture(&view, 120, 36).backend());
     }
 
@@ -525,6 +557,12 @@ mod lines {
             breath(0),
             News::Traffic(losses),
             alarm(Fault::Leak),
+            News::Event(Event::Unacknowledged { fault: Fault::Leak, tick: 4321 }),
+            News::Event(Event::Unacknowledged { fault: Fault::Restarted, tick: 12 }),
+            sounder(0),
+            sounder(120),
+            sounder(119),
+            sounder(0),
             alarms(&[Fault::Leak, Fault::HostSilent], &[Fault::Restarted], Level::Pid),
             alarms(&[Fault::HostSilent], &[], Level::Pid),
             alarms(&[], &[], Level::Learned),

@@ -7,6 +7,7 @@
 use std::collections::VecDeque;
 
 use shared::control::pid::PidGains;
+use shared::device::annunciator::{AUDIO_PAUSE_MAX, AudioStatus};
 use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, Event, Request, Response};
 use shared::link::telemetry::BreathSummary;
 use shared::safety::alarms::{Action, Fault};
@@ -35,6 +36,8 @@ pub enum Key {
     StartStop,
     /// Acknowledge all alarms, and leave the latched safe state.
     Acknowledge,
+    /// Pause the sounder for the longest time, or end the pause.
+    PauseAudio,
     /// Higher PIP.
     PipUp,
     /// Lower PIP.
@@ -78,6 +81,8 @@ pub struct View {
     pub(super) times: Option<TickTimes>,
     /// Alarms as the device reported them last, and the level of the ladder.
     pub(super) status: Option<AlarmStatus>,
+    /// State of the sounder.
+    pub(super) audio: Option<AudioStatus>,
     pub(super) traffic: LineCounters,
     pub(super) window: TelemetryWindow,
     /// Breaths, newest first.
@@ -127,12 +132,20 @@ impl View {
                 }
                 remember(&mut self.breaths, *breath);
             }
-            Event::Alarm { fault, tick } => {
-                remember(&mut self.alarms, AlarmEntry { fault: *fault, tick: *tick });
-                if fault.alarm().action == Action::Vent {
-                    self.mode = Some(Mode::Fault(*fault));
+            Event::Alarm { fault, tick } => self.alarmed(AlarmEntry { fault: *fault, tick: *tick }),
+            Event::Unacknowledged { fault, tick } => {
+                let alarm = AlarmEntry { fault: *fault, tick: *tick };
+                if !self.alarms.contains(&alarm) {
+                    self.alarmed(alarm);
                 }
             }
+        }
+    }
+
+    fn alarmed(&mut self, alarm: AlarmEntry) {
+        remember(&mut self.alarms, alarm);
+        if alarm.fault.alarm().action == Action::Vent {
+            self.mode = Some(Mode::Fault(alarm.fault));
         }
     }
 
@@ -164,6 +177,7 @@ impl View {
             Response::Mode(mode) => self.mode = Some(*mode),
             Response::Controller(choice) => self.chosen(*choice),
             Response::Alarms(alarms) => self.status = Some(*alarms),
+            Response::Audio(audio) => self.audio = Some(*audio),
             Response::Timing(times) => {
                 if self.times.is_some_and(|before| times.ticks < before.ticks) {
                     self.started_anew();
@@ -229,6 +243,9 @@ impl View {
                 Mode::Standby | Mode::Fault(_) => Request::Start,
             }),
             Key::Acknowledge => self.mode.map(|_| Request::Acknowledge),
+            Key::PauseAudio => self.audio.map(|audio| Request::PauseAudio {
+                seconds: if audio.pause_left > 0 { 0 } else { AUDIO_PAUSE_MAX },
+            }),
             Key::PipUp => self.changed(|settings| settings.pip += PIP_STEP),
             Key::PipDown => self.changed(|settings| settings.pip -= PIP_STEP),
             Key::RateUp => self.changed(|settings| settings.rate += RATE_STEP),
@@ -274,8 +291,8 @@ fn remember<T>(list: &mut VecDeque<T>, newest: T) {
 
 /// Whether the monitor polls this itself.
 fn asked_by_itself(request: &Request) -> bool {
-    use Request::{GetAlarms, GetSettings, GetTiming, Identify, Telemetry};
-    matches!(request, Identify | GetSettings | GetAlarms | GetTiming { .. } | Telemetry { .. })
+    use Request::{GetAlarms, GetAudio, GetSettings, GetTiming, Identify, Telemetry};
+    matches!(request, Identify | GetSettings | GetAlarms | GetAudio | GetTiming { .. } | Telemetry { .. })
 }
 
 /// A message for a completed request; `None` if the change shows elsewhere.
@@ -285,6 +302,7 @@ fn note(response: &Response) -> Option<Notice> {
             let Settings { pip, rate, .. } = pending.unwrap_or(*in_force);
             format!("from the next breath on: PIP {pip} cmH2O, rate {rate} /min")
         }
+        Response::Audio(audio) => format!("sounder: {}", words::audio(audio)),
         Response::Controller(choice) => format!("from the next breath on: {}", words::controller(*choice)),
         _ => return None,
     };

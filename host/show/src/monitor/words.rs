@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 
+use shared::device::annunciator::AudioStatus;
 use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind};
 use shared::reset::ResetCause;
 use shared::safety::alarms::{Fault, Priority};
@@ -53,6 +54,17 @@ pub fn indicated(alarms: &AlarmStatus) -> Vec<Fault> {
 pub fn alarm(indicated: Fault, alarms: &AlarmStatus) -> String {
     let gone = if alarms.present.has(indicated) { "" } else { " (gone)" };
     format!("{}: {}{gone}", priority(indicated.alarm().priority), fault(indicated))
+}
+
+/// The state of the sounder.
+pub fn audio(audio: &AudioStatus) -> String {
+    match audio {
+        AudioStatus { pause_left: 0, priority: None } => "no alarm sounds".to_owned(),
+        AudioStatus { pause_left: 0, priority: Some(sounding) } => {
+            format!("sounds for an alarm of {} priority", priority(*sounding))
+        }
+        AudioStatus { pause_left, .. } => format!("paused, {pause_left} s left"),
+    }
 }
 
 /// The running controller.

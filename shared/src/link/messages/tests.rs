@@ -77,6 +77,8 @@ fn request() -> impl Strategy<Value = Request> {
         any::<u32>().prop_map(|from| Request::ReadRecorder { part: RecorderPart::Slow, from }),
         Just(Request::ClearRecorder),
         Just(Request::GetAlarms),
+        any::<u16>().prop_map(|seconds| Request::PauseAudio { seconds }),
+        Just(Request::GetAudio),
     ]
 }
 
@@ -149,6 +151,7 @@ fn response() -> impl Strategy<Value = Response> {
             })
         }),
         any::<(u32, u32)>().prop_map(|(present, indicated)| Response::Alarms(alarms(present, indicated))),
+        any::<u16>().prop_map(|pause_left| Response::Audio(AudioStatus { pause_left, ..AUDIO })),
     ]
 }
 
@@ -156,6 +159,8 @@ fn alarms(present: u32, indicated: u32) -> AlarmStatus {
     let [present, indicated] = [present, indicated].map(FaultSet::from_bits);
     AlarmStatus { present, indicated, level: Level::CappedPid }
 }
+
+const AUDIO: AudioStatus = AudioStatus { priority: Some(Priority::Medium), pause_left: 120 };
 
 const TIMES: TickTimes = TickTimes {
     core_hz: 1024,
@@ -219,6 +224,7 @@ fn event() -> impl Strategy<Value = Event> {
             end_pressure: 5.0,
         })),
         any::<u64>().prop_map(|tick| Event::Alarm { fault: Fault::HighPressure, tick }),
+        any::<u64>().prop_map(|tick| Event::Unacknowledged { fault: Fault::HighPressure, tick }),
     ]
 }
 
@@ -281,6 +287,8 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::ReadRecorder { part: RecorderPart::Log, from: 300 }, "ac021102ac02"),
         (Request::ClearRecorder, "ac0212"),
         (Request::GetAlarms, "ac0213"),
+        (Request::PauseAudio { seconds: 300 }, "ac0214ac02"),
+        (Request::GetAudio, "ac0215"),
     ];
     for (request, expected) in requests {
         let message = ToDevice { sequence: 300, request };
@@ -332,6 +340,7 @@ fn the_bytes_of_every_response_are_pinned() {
             "00050d018001020708",
         ),
         (Response::Alarms(alarms(1, 0x8000_0001)), "00050e01818080800802"),
+        (Response::Audio(AUDIO), "00050f010178"),
     ];
     for (response, expected) in responses {
         let message = ToHost::Response { sequence: 5, response };
@@ -379,6 +388,8 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::QueueFull, "090e"),
         (Refusal::NoPlant, "090f"),
         (Refusal::NoSensor, "0910"),
+        (Refusal::PauseTooLong, "0911"),
+        (Refusal::NothingSounds, "0912"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);
@@ -402,6 +413,7 @@ fn the_bytes_of_every_event_are_pinned() {
         (Event::Alarm { fault: Fault::ReadingNotANumber, tick: 1 }, "01020001"),
         (Event::Alarm { fault: Fault::ReadingOutOfRange, tick: 1 }, "01020101"),
         (Event::Alarm { fault: Fault::HighPressure, tick: 1 }, "01020201"),
+        (Event::Unacknowledged { fault: Fault::HighPressure, tick: 1 }, "01030201"),
     ];
     for (event, expected) in events {
         assert_eq!(hex(&ToHost::Event(event.clone())), expected, "{event:?}");
