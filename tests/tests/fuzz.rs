@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use shared::breath::paper_settings;
+use shared::device::self_test::Check;
 use shared::explore::Exploration;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{CHUNK_BYTES, ControllerChoice, Event, Request, ToDevice, ToHost, read_request};
@@ -147,6 +148,10 @@ fn requests() -> Vec<Request> {
         Request::ReadRecorder { part: RecorderPart::Log, from: 0 },
         Request::ClearRecorder,
         Request::GetAlarms,
+        Request::PauseAudio { seconds: 120 },
+        Request::GetAudio,
+        Request::GetSelfTest,
+        Request::RunSelfTest(Check::Circuit),
         Request::Reset,
     ]
 }
@@ -165,7 +170,8 @@ fn replies(frames: &[u8]) -> Vec<ToHost> {
     let breath =
         BreathSummary { breath: 7, mean_absolute_error: 1.5, peak_pressure: 21.0, end_pressure: 5.0 };
     let alarm = Event::Alarm { fault: Fault::HighPressure, tick: 1 << 33 };
-    let events = [Event::Breath(breath), alarm].map(ToHost::Event);
+    let again = Event::Unacknowledged { fault: Fault::HighPressure, tick: 1 << 33 };
+    let events = [Event::Breath(breath), alarm, again].map(ToHost::Event);
     targets::conversation(frames).into_iter().chain(events).collect()
 }
 

@@ -8,7 +8,7 @@ use object::{Object, ObjectSection, elf};
 use xshell::{Shell, cmd};
 
 use crate::memory::{self, Region};
-use crate::{CHIP_PROFILE, CHIP_TARGET};
+use crate::{CHIP_PROFILE, CHIP_TARGET, checksum};
 
 /// A section of an image.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -71,14 +71,14 @@ pub fn build(shell: &Shell) -> Result<Images> {
     let hil = compile(shell, "hil", &["--features", "hil"])?;
     let board = compile(shell, "board", &[])?;
     build_for_chip(shell, &["-p", "shim", "--bin", "shim"])?;
-    let shim = keep(shell, "shim", "shim")?;
+    let shim = keep(shell, "shim", "shim", Ok)?;
     Ok(Images { board, hil, shim })
 }
 
 /// Builds the probe, a firmware that tests the emulation, next to the other images.
 pub fn build_probe(shell: &Shell) -> Result<()> {
     build_for_chip(shell, &["-p", "shim", "--example", "probe"])?;
-    keep(shell, "examples/probe", "probe")?;
+    keep(shell, "examples/probe", "probe", Ok)?;
     Ok(())
 }
 
@@ -88,10 +88,10 @@ pub fn build_cost(shell: &Shell) -> Result<PathBuf> {
     Ok(chip_folder(shell).join("cost"))
 }
 
-/// Builds the firmware with some features and keeps the image under its own name.
+/// Builds the firmware with some features and keeps the image, with its checksum, under its own name.
 fn compile(shell: &Shell, name: &str, features: &[&str]) -> Result<PathBuf> {
     build_for_chip(shell, &[&["-p", "firmware", "--bin", "firmware"], features].concat())?;
-    keep(shell, "firmware", name)
+    keep(shell, "firmware", name, checksum::sealed)
 }
 
 /// Builds a program for the chip.
@@ -104,13 +104,19 @@ fn build_for_chip(shell: &Shell, program: &[&str]) -> Result<()> {
 
 /// Copies a built program to a folder where no build with other features overwrites it. An identical file is not
 /// overwritten, so that its age shows when the image changed.
-fn keep(shell: &Shell, built: &str, name: &str) -> Result<PathBuf> {
+fn keep(
+    shell: &Shell,
+    built: &str,
+    name: &str,
+    finish: impl Fn(Vec<u8>) -> Result<Vec<u8>>,
+) -> Result<PathBuf> {
     let folder = cargo_folder(shell).join("firmware");
     shell.create_dir(&folder)?;
     let from = chip_folder(shell).join(built);
     let to = folder.join(format!("{name}.elf"));
-    if std::fs::read(&to).ok() != Some(read(&from)?) {
-        shell.copy_file(from, &to)?;
+    let image = finish(read(&from)?).with_context(|| from.display().to_string())?;
+    if std::fs::read(&to).ok().as_ref() != Some(&image) {
+        shell.write_file(&to, image)?;
     }
     Ok(to)
 }

@@ -1,6 +1,7 @@
 //! Build and check automation: `cargo xtask <command>`, from anywhere in the repository.
 #![forbid(unsafe_code)]
 
+mod checksum;
 mod ci;
 mod cost;
 mod faults;

@@ -16,6 +16,7 @@ mod failure;
 mod link_task;
 mod prescription;
 mod recorder;
+mod self_test;
 
 use cortex_m_rt::entry;
 use defmt::{Debug2Format, info};
@@ -25,6 +26,7 @@ use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::prescription::Interruption;
+use shared::device::self_test::BootFindings;
 use shared::device::server::DeviceFacts;
 use shared::recorder::{ChipEvent, Recorder};
 use shared::reset::ResetCause;
@@ -47,6 +49,7 @@ fn main() -> ! {
 /// Starts everything. It is a separate function because `main` never returns and so never frees its stack frame.
 #[inline(never)]
 fn start() {
+    let memory = self_test::is_memory_sound();
     let failure = failure::of_last_run();
     let mut board = board::start();
     let reset = reset::cause();
@@ -64,6 +67,8 @@ fn start() {
     let was_low = failure.as_deref() == Some(failure::SUPPLY_LOW);
     let prescription = prescription::attach(Interruption::of(reset, failure.is_some(), was_low));
     check_supply(&recorder, reset, was_low);
+    let program = self_test::is_program_sound();
+    control.require_self_test(&BootFindings { program, memory: Some(memory), slots });
     control.report_boot(reset, recorder.interrupted(), &slots);
     let facts = DeviceFacts {
         firmware: link_task::VERSION,

@@ -16,6 +16,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use shared::device::annunciator::AudioStatus;
+use shared::device::self_test::{Check, Outcome, Report};
 use shared::explore::Exploration;
 use shared::link::PROTOCOL;
 use shared::link::messages::{
@@ -35,6 +36,10 @@ use port::{Address, Port, PortError};
 const ANSWER_TIME: Duration = Duration::from_millis(1500);
 /// Number of times that a request is sent.
 const ATTEMPTS: usize = 4;
+/// Longest wait for the self-test before a start.
+const SELF_TEST_TIME: Duration = Duration::from_secs(30);
+/// Longest wait for a check of the self-test.
+const CHECK_TIME: Duration = Duration::from_mins(5);
 /// Longest time for a device to return after a restart.
 const RESTART_TIME: Duration = Duration::from_secs(20);
 
@@ -189,9 +194,40 @@ impl Device {
         }
     }
 
-    /// Starts ventilation.
+    /// Starts ventilation; waits a few seconds for the end of a self-test.
     pub fn start(&mut self) -> Result<Mode, DeviceError> {
-        self.expect_mode(&Request::Start)
+        let deadline = Instant::now() + SELF_TEST_TIME;
+        loop {
+            match self.expect_mode(&Request::Start) {
+                Err(DeviceError::Refused(Refusal::SelfTestRuns)) if Instant::now() < deadline => {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                other => return other,
+            }
+        }
+    }
+
+    /// Results of the self-test.
+    pub fn self_test(&mut self) -> Result<Report, DeviceError> {
+        self.expect_report(&Request::GetSelfTest)
+    }
+
+    /// Runs a check of the self-test to its end, and returns all results.
+    pub fn run_check(&mut self, check: Check) -> Result<Report, DeviceError> {
+        let mut report = self.expect_report(&Request::RunSelfTest(check))?;
+        let deadline = Instant::now() + CHECK_TIME;
+        while report.iter().any(|result| result.outcome == Outcome::Runs) && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(20));
+            report = self.self_test()?;
+        }
+        Ok(report)
+    }
+
+    fn expect_report(&mut self, request: &Request) -> Result<Report, DeviceError> {
+        match self.request(request)? {
+            Response::SelfTest(report) => Ok(report),
+            _ => Err(DeviceError::Unexpected),
+        }
     }
 
     /// Stops ventilation.

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::device::control::Control;
+use shared::device::self_test::BootFindings;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{DeviceKind, ToDevice, ToHost, read_request};
@@ -266,6 +267,7 @@ fn boot<'a>(
     };
     let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
     let mut control = control.expect("the default control period is in bounds");
+    control.require_self_test(&BootFindings { program: None, memory: None, slots });
     control.report_boot(reset, recorder.interrupted(), &slots);
     (control, Server::new(facts, memory), recorder)
 }

@@ -27,6 +27,7 @@ mod port_args;
 #[cfg(unix)]
 mod qemu;
 mod reproduce;
+mod self_test;
 mod settings_args;
 mod torture;
 mod train;
@@ -71,6 +72,8 @@ enum Command {
     Faults(faults::Args),
     Torture(torture::Args),
     Endure(endure::Args),
+    #[command(name = "selftest")]
+    SelfTest(self_test::Args),
     Blackbox(blackbox::Args),
 }
 
@@ -114,6 +117,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Faults(args) => faults::run(args),
         Command::Torture(args) => torture::run(args),
         Command::Endure(args) => endure::run(args),
+        Command::SelfTest(args) => self_test::run(args),
         Command::Blackbox(args) => blackbox::run(args),
     }
 }

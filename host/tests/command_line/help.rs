@@ -22,6 +22,7 @@ fn every_command_explains_itself() {
         "reproduce",
         "identify",
         "monitor",
+        "selftest",
         "blackbox",
         "faults",
         "torture",

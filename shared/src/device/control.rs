@@ -9,6 +9,7 @@ use heapless::Deque;
 
 use super::alarm_events::AlarmEvents;
 use super::annunciator::{Annunciator, Signals};
+use super::self_test::{BootFindings, Check, SelfTest};
 use super::{ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
 use crate::breath::Breath;
 use crate::control::Controller;
@@ -70,6 +71,7 @@ pub struct Control {
     host: HostWatch,
     annunciator: Annunciator,
     alarm_events: AlarmEvents,
+    self_test: SelfTest,
     seed: Option<u64>,
     /// PEEP last sent to the plant, cmH2O.
     peep: Option<f32>,
@@ -110,6 +112,7 @@ impl Control {
             host: HostWatch::new(period_us),
             annunciator: Annunciator::new(period_us),
             alarm_events: AlarmEvents::new(period_us),
+            self_test: SelfTest::none(period_us),
             seed: None,
             peep: None,
         })
@@ -131,6 +134,11 @@ impl Control {
         if slots.iter().any(|slot| matches!(slot, SlotState::Torn | SlotState::Invalid(_))) {
             self.raise(Fault::WeightsRefused);
         }
+    }
+
+    /// Lets ventilation start only after the self-test, which begins with what the start of the chip has found.
+    pub fn require_self_test(&mut self, boot: &BootFindings) {
+        self.self_test = SelfTest::after_boot(self.ventilator.period_us(), boot);
     }
 
     fn raise(&mut self, fault: Fault) {
@@ -184,7 +192,13 @@ impl Control {
         if self.host.is_gone(self.state.mode() == Mode::Ventilating) {
             self.go_on_alone();
         }
-        let output = self.ventilator.step(&mut self.state, readings);
+        let readings = self.self_test.zeroed(readings.into());
+        let mut output = self.ventilator.step(&mut self.state, readings);
+        if output.mode != Mode::Ventilating {
+            let alarm = output.alarm.is_some() || output.mode != Mode::Standby;
+            let command = self.self_test.step(&readings, self.state.breath().settings(), alarm);
+            output.command = command.unwrap_or(output.command);
+        }
         self.annunciator.step(self.state.indications());
         output
     }
@@ -271,10 +285,11 @@ impl Control {
         Counters { dropped, corrupt_frames: 0, missed_ticks, worst_tick_us, mean_tick_us }
     }
 
-    /// The flight recorder's input for a step: reading, output, and the ticks missed before it.
+    /// The flight recorder's input for a step: the airway sensor's reading, output, and the ticks missed before it.
     #[inline]
     pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;
+        let reading = reading - self.self_test.airway_zero();
         Moment { reading, output, settings: self.state.breath().settings(), learned, missed }
     }
 
@@ -305,6 +320,7 @@ impl Control {
             ControlRequest::ResetPlant(seed) => self.reset_plant(seed),
             ControlRequest::Alarms => Ok(Response::Alarms(self.alarms())),
             ControlRequest::PauseAudio(seconds) => self.annunciator.pause(seconds).map(Response::Audio),
+            ControlRequest::SelfTest(check) => self.test(check),
             ControlRequest::Audio => Ok(Response::Audio(self.annunciator.status())),
         };
         ControlReply::Response(response.unwrap_or_else(Response::Refused))
@@ -343,6 +359,7 @@ impl Control {
             if self.tick > 0 && !self.state.has_sensor() {
                 return Err(Refusal::NoSensor);
             }
+            self.self_test.permit()?;
             self.meter = BreathMeter::default();
             self.state.start();
         }
@@ -351,12 +368,23 @@ impl Control {
 
     fn stop(&mut self) -> Response {
         self.state.stop();
+        self.self_test.abort();
         self.queue.clear();
         Response::Mode(self.state.mode())
     }
 
     fn acknowledge(&mut self) -> Result<Response, Refusal> {
         if self.state.acknowledge() { Ok(Response::Mode(self.state.mode())) } else { Err(Refusal::NoFault) }
+    }
+
+    fn test(&mut self, check: Option<Check>) -> Result<Response, Refusal> {
+        match (check, self.state.mode()) {
+            (None, _) => {}
+            (Some(_), Mode::Ventilating) => return Err(Refusal::Ventilating),
+            (Some(_), Mode::Fault(_)) => return Err(Refusal::FaultLatched),
+            (Some(check), Mode::Standby) => self.self_test.begin(check)?,
+        }
+        Ok(Response::SelfTest(self.self_test.report()))
     }
 
     fn alarms(&self) -> AlarmStatus {

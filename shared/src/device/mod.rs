@@ -8,7 +8,8 @@
 //! | [`control`] | once per control tick | ventilator, queued breaths, breath meter, tick statistics |
 //! | [`server`] | when bytes or reports arrive | requests and their answers, telemetry batches, uploads |
 //!
-//! [`annunciator`] drives sounder and lamps, and [`prescription`] keeps the settings of a running ventilation through a reset.
+//! [`self_test`] decides whether ventilation may start, [`annunciator`] drives sounder and lamps, and [`prescription`] keeps the
+//! settings of a running ventilation through a reset.
 //!
 //! The server sends one [`ControlRequest`] at a time to the control half and gets one [`ControlReply`]; the control half also
 //! sends unrequested [`ControlReport`]s. Neither half blocks: the caller passes requests, replies and reports between them.
@@ -17,6 +18,7 @@ mod alarm_events;
 pub mod annunciator;
 pub mod control;
 pub mod prescription;
+pub mod self_test;
 pub mod server;
 mod upload;
 
@@ -30,6 +32,7 @@ use crate::link::telemetry::{BreathSummary, Counters};
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Sample};
+use self_test::Check;
 
 /// A request from the server to the control half.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,6 +68,8 @@ pub enum ControlRequest {
     PauseAudio(u16),
     /// Report the state of the sounder.
     Audio,
+    /// Begin a check of the self-test, if one is named, and report its results.
+    SelfTest(Option<Check>),
 }
 
 /// The control half's answer to a request.

@@ -132,6 +132,8 @@ impl<'a> Server<'a> {
             Request::GetAlarms => (Continuation::Forward, ControlRequest::Alarms),
             Request::PauseAudio { seconds } => (Continuation::Forward, ControlRequest::PauseAudio(*seconds)),
             Request::GetAudio => (Continuation::Forward, ControlRequest::Audio),
+            Request::GetSelfTest => (Continuation::Forward, ControlRequest::SelfTest(None)),
+            Request::RunSelfTest(check) => (Continuation::Forward, ControlRequest::SelfTest(Some(*check))),
             Request::SetController(choice) => (Continuation::Forward, ControlRequest::Controller(*choice)),
             Request::SetExploration(choice) => (Continuation::Forward, ControlRequest::Exploration(*choice)),
             Request::GetTiming { clear } => (Continuation::Forward, ControlRequest::Timing { clear: *clear }),

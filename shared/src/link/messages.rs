@@ -13,6 +13,7 @@ use thiserror::Error;
 
 use super::PROTOCOL;
 use super::refusal::Refusal;
+use super::self_test::{Check, Report};
 use super::telemetry::{BreathSummary, TelemetryBatch};
 use crate::control::pid::PidGains;
 use crate::explore::Exploration;
@@ -118,6 +119,10 @@ pub enum Request {
     },
     /// Reports the state of the sounder; answered by [`Response::Audio`].
     GetAudio,
+    /// Reports the results of the self-test; answered by [`Response::SelfTest`].
+    GetSelfTest,
+    /// Begins a check of the self-test, in standby; answered by [`Response::SelfTest`].
+    RunSelfTest(Check),
 }
 
 /// Choice of the controller.
@@ -198,6 +203,8 @@ pub enum Response {
     Alarms(AlarmStatus),
     /// State of the sounder.
     Audio(AudioStatus),
+    /// Results of the self-test.
+    SelfTest(Report),
 }
 
 /// The alarms of a device, and what commands its inspiratory valve because of them.

@@ -14,6 +14,7 @@ pub mod frame;
 pub mod messages;
 pub mod plant_link;
 pub mod refusal;
+pub mod self_test;
 pub mod telemetry;
 
 /// Version of the protocol; it changes whenever the bytes of an existing message change.

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::messages::AUDIO_PAUSE_MAX;
+use super::self_test::{Finding, Step};
 use crate::settings::SettingsError;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
 
@@ -74,6 +75,17 @@ pub enum Refusal {
     /// There is no sound to pause.
     #[error("no alarm sounds: there is nothing to pause")]
     NothingSounds,
+    /// A step of the self-test has failed.
+    #[error("the self-test of the {} has failed: {finding}", .step.name())]
+    SelfTestFailed {
+        /// The step.
+        step: Step,
+        /// What it found.
+        finding: Finding,
+    },
+    /// The self-test has not ended.
+    #[error("the self-test has not ended; wait a few seconds and try again")]
+    SelfTestRuns,
 }
 
 #[cfg(test)]

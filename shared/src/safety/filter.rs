@@ -3,6 +3,9 @@
 use crate::control::COMMAND_MAX;
 use crate::math;
 
+/// Largest command of the self-test, percent.
+const TEST_MAX: f32 = 20.0;
+
 /// Command for the valves. Its fields are private and only the safety filter constructs it, so no controller can
 /// bypass the filter.
 ///
@@ -24,6 +27,10 @@ use crate::math;
 /// ```compile_fail,E0624
 /// let command = shared::safety::filter::ValveCommand::limited(80.0, false);
 /// ```
+/// The self-test of the device has a constructor of its own, with a far lower limit, which no other crate can call either:
+/// ```compile_fail,E0624
+/// let command = shared::safety::filter::ValveCommand::of_test(20.0, false, 5.0, 85.0);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ValveCommand {
     u_in: f32,
@@ -37,6 +44,11 @@ impl ValveCommand {
     /// A command limited to the valve's range; NaN closes the inspiratory valve.
     pub(super) fn limited(u_in: f32, u_out: bool) -> Self {
         Self { u_in: math::limit(u_in, 0.0, COMMAND_MAX), u_out }
+    }
+
+    /// A command of the self-test, in standby: limited to [`TEST_MAX`], and safe unless the reading is below a ceiling, cmH2O.
+    pub(crate) fn of_test(u_in: f32, u_out: bool, reading: f32, ceiling: f32) -> Self {
+        if reading < ceiling { Self { u_in: math::limit(u_in, 0.0, TEST_MAX), u_out } } else { Self::SAFE }
     }
 
     /// Inspiratory valve, percent of full opening.
@@ -61,6 +73,21 @@ mod tests {
             let command = ValveCommand::limited(asked, u_out);
             prop_assert!((0.0..=100.0).contains(&command.u_in()));
             prop_assert_eq!(command.u_out(), u_out);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_test_opens_the_valve_far_or_above_its_ceiling(
+            asked in prop::num::f32::ANY, u_out: bool, reading in prop::num::f32::ANY, ceiling in 0.0f32..100.0,
+        ) {
+            let command = ValveCommand::of_test(asked, u_out, reading, ceiling);
+            prop_assert!((0.0..=20.0).contains(&command.u_in()));
+            if reading < ceiling {
+                prop_assert_eq!(command.u_out(), u_out);
+            } else {
+                prop_assert_eq!(command, ValveCommand::SAFE);
+            }
         }
     }
 

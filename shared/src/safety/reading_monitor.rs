@@ -13,7 +13,7 @@ pub const JUMP_MAX: f32 = 15.0;
 /// Highest standard deviation of a working sensor's noise, cmH2O.
 pub const NOISE_MAX: f32 = 0.4;
 /// Mean absolute second difference of white noise with a standard deviation of 1: `sqrt(6) sqrt(2 / pi)`.
-const SECOND_DIFFERENCE: f32 = 1.954;
+pub const SECOND_DIFFERENCE: f32 = 1.954;
 /// Weight of a new second difference in their mean.
 const NOISE_SHARE: f32 = 0.02;
 /// Good readings that cancel one missing reading.

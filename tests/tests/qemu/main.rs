@@ -8,6 +8,7 @@ mod control;
 mod failures;
 mod link;
 mod recovery;
+mod self_test;
 mod weights;
 
 use std::collections::BTreeMap;

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use shared::link::messages::Request;
+use shared::link::messages::{Request, Response};
 
 use super::News;
 use device::{Device, DeviceError};
@@ -154,7 +154,11 @@ impl Watcher {
 
     /// Sends a request and forwards the answer.
     fn ask(&mut self, request: Request) -> Result<(), End> {
-        let answer = self.device.request(&request);
+        let answer = match request {
+            // A key pressed soon after the device's start waits for its self-test.
+            Request::Start => self.device.start().map(Response::Mode),
+            _ => self.device.request(&request),
+        };
         let result = answer.as_ref().cloned().map_err(ToString::to_string);
         self.tell(News::Answer { request, result })?;
         // After the answer, which may be older than an alarm that arrived in the meantime.

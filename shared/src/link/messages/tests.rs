@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::breath::Phase;
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
+use crate::link::self_test::{Finding, Outcome, REPORT_STEPS, Step, StepResult};
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
 use crate::recorder::{Held, PAGE_BYTES, RecordingState};
 use crate::reset::ResetCause;
@@ -79,6 +80,8 @@ fn request() -> impl Strategy<Value = Request> {
         Just(Request::GetAlarms),
         any::<u16>().prop_map(|seconds| Request::PauseAudio { seconds }),
         Just(Request::GetAudio),
+        Just(Request::GetSelfTest),
+        Just(Request::RunSelfTest(Check::Relief)),
     ]
 }
 
@@ -152,6 +155,10 @@ fn response() -> impl Strategy<Value = Response> {
         }),
         any::<(u32, u32)>().prop_map(|(present, indicated)| Response::Alarms(alarms(present, indicated))),
         any::<u16>().prop_map(|pause_left| Response::Audio(AudioStatus { pause_left, ..AUDIO })),
+        prop::collection::vec(-100.0f32..100.0, 0..=REPORT_STEPS).prop_map(|values| {
+            let result = |value| StepResult { outcome: Outcome::Failed(Finding::Leak), value };
+            Response::SelfTest(values.into_iter().map(result).collect())
+        }),
     ]
 }
 
@@ -289,6 +296,10 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::GetAlarms, "ac0213"),
         (Request::PauseAudio { seconds: 300 }, "ac0214ac02"),
         (Request::GetAudio, "ac0215"),
+        (Request::GetSelfTest, "ac0216"),
+        (Request::RunSelfTest(Check::Zero), "ac021700"),
+        (Request::RunSelfTest(Check::Circuit), "ac021701"),
+        (Request::RunSelfTest(Check::Relief), "ac021702"),
     ];
     for (request, expected) in requests {
         let message = ToDevice { sequence: 300, request };
@@ -341,6 +352,15 @@ fn the_bytes_of_every_response_are_pinned() {
         ),
         (Response::Alarms(alarms(1, 0x8000_0001)), "00050e01818080800802"),
         (Response::Audio(AUDIO), "00050f010178"),
+        (
+            Response::SelfTest(
+                [Outcome::NotRun, Outcome::Runs, Outcome::Passed, Outcome::Failed(Finding::Alarm)]
+                    .into_iter()
+                    .map(|outcome| StepResult { outcome, value: 1.0 })
+                    .collect(),
+            ),
+            "00051004000000803f010000803f020000803f03110000803f",
+        ),
     ];
     for (response, expected) in responses {
         let message = ToHost::Response { sequence: 5, response };
@@ -390,6 +410,8 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::NoSensor, "0910"),
         (Refusal::PauseTooLong, "0911"),
         (Refusal::NothingSounds, "0912"),
+        (Refusal::SelfTestFailed { step: Step::Relief, finding: Finding::Program }, "09130700"),
+        (Refusal::SelfTestRuns, "0914"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);

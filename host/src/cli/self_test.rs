@@ -1,0 +1,121 @@
+//! `trainer selftest`: runs and shows the self-test of a device.
+
+use anyhow::bail;
+use serde::Serialize;
+use shared::device::self_test::{Check, Outcome, Report, Step, StepResult};
+
+use super::common::stopped;
+use super::output::OutputArgs;
+use device::Device;
+use device::port::Address;
+use show::report::{Cell, Table};
+
+/// Show the results of a device's self-test, and run its checks on request
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer selftest --port /dev/ttyACM0
+  trainer selftest --port /dev/ttyACM0 --zero
+  trainer selftest --port tcp:localhost:5555 --circuit --json -
+
+A device tests its program, weights, memory and sensors at each start. The checks given as flags
+run in standby, in the order above; two of them move the valves, so never run them with a patient
+at the machine. A step that fails prevents ventilation from starting; the exit code is then 1.
+Repeat a check to clear its failure.")]
+pub struct Args {
+    /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
+    #[arg(long, value_name = "PORT")]
+    port: Address,
+    /// Zero the pressure sensors: open the circuit to the air first
+    #[arg(long)]
+    zero: bool,
+    /// Check valves, leak and compliance with a test lung at the patient port
+    #[arg(long)]
+    circuit: bool,
+    /// Check the relief valve (up to 85 cmH2O): close the patient port first
+    #[arg(long, conflicts_with = "circuit")]
+    relief: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// A row of `--json`.
+#[derive(Debug, Serialize)]
+struct Row {
+    step: &'static str,
+    result: &'static str,
+    reason: Option<String>,
+    /// None where nothing was measured.
+    value: Option<f32>,
+    unit: Option<&'static str>,
+}
+
+impl Row {
+    fn new((step, result): (Step, &StepResult)) -> Self {
+        let (name, reason) = match result.outcome {
+            Outcome::NotRun => ("not run", None),
+            Outcome::Runs => ("runs", None),
+            Outcome::Passed => ("passed", None),
+            Outcome::Failed(finding) => ("failed", Some(finding.to_string())),
+        };
+        let value = Some(result.value).filter(|value| value.is_finite());
+        // A failure's value can have the unit of another quantity; its reason says what it means.
+        let unit = step.unit().filter(|_| value.is_some() && result.outcome == Outcome::Passed);
+        Self { step: step.name(), result: name, reason, value, unit }
+    }
+
+    fn measured(&self) -> String {
+        match (self.value, self.unit) {
+            (Some(value), Some(unit)) => format!("{value:.2} {unit}"),
+            _ => String::new(),
+        }
+    }
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let mut device = Device::connect(&args.port)?;
+    device.identify()?;
+    let checks = [(args.zero, Check::Zero), (args.circuit, Check::Circuit), (args.relief, Check::Relief)];
+    for (_, check) in checks.into_iter().filter(|(wanted, _)| *wanted) {
+        if !stopped() {
+            device.run_check(check)?;
+        }
+    }
+    let rows = rows(&device.self_test()?);
+    args.output.table(&table(&rows));
+    args.output.finish(&rows)?;
+    match rows.iter().find(|row| row.reason.is_some()) {
+        Some(Row { step, reason, .. }) => bail!("{step}: {}", reason.as_deref().unwrap_or_default()),
+        None => Ok(()),
+    }
+}
+
+fn rows(report: &Report) -> Vec<Row> {
+    Step::ALL.into_iter().zip(report).map(Row::new).collect()
+}
+
+fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new("", &["step", "result", "measured"]);
+    for row in rows {
+        table.row(vec![Cell::text(row.step), Cell::text(row.result), Cell::text(row.measured())]);
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared::device::self_test::Finding;
+
+    #[test]
+    fn a_step_shows_its_result_its_value_and_the_reason_of_a_failure() {
+        let row = |outcome, value| Row::new((Step::Circuit, &StepResult { outcome, value }));
+        let passed = row(Outcome::Passed, 21.26);
+        assert_eq!((passed.result, passed.measured()), ("passed", "21.26 mL/cmH2O".to_owned()));
+        assert_eq!(row(Outcome::Passed, f32::NAN).measured(), "");
+        let failed = row(Outcome::Failed(Finding::Leak), 4.0);
+        assert!(failed.reason.unwrap().contains("leaks"));
+        let text = table(&[row(Outcome::NotRun, f32::NAN)]).to_plain();
+        assert!(text.contains("circuit") && text.contains("not run"), "{text}");
+    }
+}
