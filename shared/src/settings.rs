@@ -135,8 +135,11 @@ pub enum SettingsError {
         /// Highest accepted value.
         max: f32,
     },
-    /// PIP is below PEEP.
-    #[error("PIP ({pip} cmH2O) is below PEEP ({peep} cmH2O); raise pip or lower peep")]
+    /// PIP is below PEEP or too close to it.
+    #[error(
+        "PIP ({pip} cmH2O) must be at least {} cmH2O above PEEP ({peep} cmH2O); raise pip or lower peep",
+        LEAST_RISE
+    )]
     PipBelowPeep {
         /// Requested PIP, cmH2O.
         pip: f32,
@@ -184,6 +187,8 @@ pub enum SettingsError {
     },
 }
 
+/// Smallest rise from PEEP to PIP, cmH2O: a smaller one ventilates nobody, and the monitors cannot tell it from noise.
+pub const LEAST_RISE: f32 = 2.0;
 /// Smallest distance of the pressure limit above PIP, cmH2O.
 pub const LIMIT_MARGIN: f32 = 5.0;
 /// Lowest trigger sensitivities: pressure, cmH2O, and flow, L/min.
@@ -201,7 +206,7 @@ impl Settings {
                 return Err(SettingsError::OutOfBounds { field: FieldIndex(index), value, min, max });
             }
         }
-        if self.pip < self.peep {
+        if self.pip < self.peep + LEAST_RISE {
             return Err(SettingsError::PipBelowPeep { pip: self.pip, peep: self.peep });
         }
         if self.pressure_limit < self.pip + LIMIT_MARGIN {
@@ -250,6 +255,16 @@ mod tests {
     }
 
     #[test]
+    fn pip_must_be_above_peep_by_a_rise_that_ventilates() {
+        let settings = |pip| Settings { pip, peep: 10.0, ..Settings::default() };
+        assert_eq!(settings(12.0).validate(), Ok(()));
+        for pip in [11.9, 10.0, 6.0] {
+            let refused = settings(pip).validate().unwrap_err();
+            assert!(refused.to_string().contains("at least 2 cmH2O above PEEP (10 cmH2O)"), "{refused}");
+        }
+    }
+
+    #[test]
     fn the_limit_must_leave_room_above_pip() {
         let settings = Settings { pip: 40.0, pressure_limit: 44.0, ..Settings::default() };
         assert!(matches!(settings.validate(), Err(SettingsError::LimitTooLow { .. })));
@@ -289,7 +304,7 @@ mod tests {
             let settings = Settings { pip, peep, rate, inspiratory_time, ..Settings::default() };
             if settings.validate().is_ok() {
                 prop_assert!(FIELDS.iter().all(|f| f.value(&settings) >= f.min && f.value(&settings) <= f.max));
-                prop_assert!(pip >= peep);
+                prop_assert!(pip >= peep + LEAST_RISE);
             }
         }
     }

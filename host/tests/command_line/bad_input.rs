@@ -96,7 +96,7 @@ fn a_pressure_that_is_no_number() {
 fn settings_that_cannot_be() {
     let place = Place::new();
     assert!(place.refused("collect --out a.parquet --peep 30 --pips 10").contains("peep is 30 cmH2O"));
-    assert!(place.refused("collect --out a.parquet --peep 15 --pips 10").contains("below PEEP"));
+    assert!(place.refused("collect --out a.parquet --peep 15 --pips 10").contains("above PEEP"));
     assert!(place.refused("evaluate --pips 30 --pressure-limit 32").contains("pressure limit"));
     assert!(place.refused("tune-pid --rate 60 --inspiratory-time 2").contains("lower the rate"));
     assert!(place.refused("collect --out a.parquet --period-us 1500").contains("1500 us"));

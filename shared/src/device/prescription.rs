@@ -425,7 +425,7 @@ mod tests {
 
     /// Settings that pass validation.
     fn settings() -> impl Strategy<Value = Settings> {
-        let drawn = (5.0f32..40.0, 0.0f32..5.0, 4.0f32..30.0, 0.2f32..1.0, 45.0f32..70.0);
+        let drawn = (7.0f32..40.0, 0.0f32..5.0, 4.0f32..30.0, 0.2f32..1.0, 45.0f32..70.0);
         drawn.prop_map(|(pip, peep, rate, inspiratory_time, pressure_limit)| Settings {
             pip,
             peep,
