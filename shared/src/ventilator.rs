@@ -315,7 +315,7 @@ impl<C: ControlLaw> Ventilator<C> {
         let seen = Observation { pressure, target, pip, peep: breath.settings().peep, tick };
         // In every tick, so that it has no start of its own when its turn comes.
         let spare = self.spare.step(&mut state.spare, &seen, 0.0);
-        match state.supervisor.level() {
+        match self.supervisor.level(&state.supervisor) {
             Level::Backup => {
                 let command = self.supervisor.backup_command(&state.supervisor, &breath, tick);
                 (ControlOutput::plain(command), 0.0)

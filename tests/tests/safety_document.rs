@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use judge::faults::matrix::cases;
+use judge::faults::cases::{LIMIT, cases};
 use shared::safety::alarms::{ALARMS, Priority};
 
 fn document() -> PathBuf {
@@ -38,11 +38,11 @@ fn faults() -> String {
         let monitors: Vec<String> =
             case.monitors.iter().map(|monitor| format!("`{}`", monitor.alarm().id)).collect();
         let monitors = if monitors.is_empty() {
-            "none; only the pressure is judged".to_owned()
+            "none; pressure and ventilation are judged".to_owned()
         } else {
             monitors.join(", ")
         };
-        writeln!(table, "| {} | {monitors} | {:.0} |", case.name, case.peak_allowed).unwrap();
+        writeln!(table, "| {} | {monitors} | {:.0} |", case.name, case.peak_allowed(LIMIT)).unwrap();
     }
     table
 }

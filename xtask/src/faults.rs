@@ -5,18 +5,25 @@ use xshell::Shell;
 
 use crate::trainer::Trainer;
 
-/// Runs the fault matrix, ten thousand breaths without a fault, and a short torture test.
+/// Runs the fault matrix, once also at the highest pressure limit, ten thousand breaths without a fault, and short torture
+/// tests.
 pub fn faults(shell: &Shell) -> Result<()> {
     let trainer = Trainer::build(shell)?;
-    ["faults", "faults --nominal 10080", "torture --breaths 20000"]
-        .iter()
-        .try_for_each(|line| trainer.run(line, &[]))
+    [
+        "faults",
+        "faults --limit 70 --seeds 1",
+        "faults --nominal 10080",
+        "torture --breaths 20000",
+        "torture --breaths 2000 --limit 70",
+    ]
+    .iter()
+    .try_for_each(|line| trainer.run(line, &[]))
 }
 
-/// Removes the monitors one by one and requires that a row of the fault matrix fails each time, which proves that each
-/// monitor is needed.
+/// Removes the monitors and responses one by one and requires that a row of the fault matrix fails each time, which proves
+/// that each one is needed.
 pub fn mutate_monitors(shell: &Shell) -> Result<()> {
     Trainer::build(shell)?.run("faults --mutate", &[]).context(
-        "a monitor can be removed without a failing row of the fault matrix; the table above shows which one",
+        "a monitor or a response can be removed without a failing row of the fault matrix; the table above shows which one",
     )
 }

@@ -10,7 +10,8 @@ use super::bars::with_bars;
 use super::common::benches;
 use super::output::OutputArgs;
 use data::provenance::Provenance;
-use judge::faults::matrix::{FaultRow, false_alarms, matrix, without_each_monitor};
+use judge::faults::cases::{LIMIT, LIMITS};
+use judge::faults::matrix::{FaultRow, false_alarms, matrix, without_each_part};
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
@@ -21,14 +22,17 @@ use show::report::{Block, Cell, Report, Section, Table};
 Examples:
   trainer faults
   trainer faults --lung R5C10 --json faults.json --html faults.html
+  trainer faults --limit 60                                 # another pressure limit
   trainer faults --without reading-frozen --lung R20C20     # the rows that need this monitor
-  trainer faults --mutate                                   # the same for each monitor
+  trainer faults --mutate                                   # the same for each monitor and response
   trainer faults --nominal 10000                            # false alarms with effort and coughs
 
 A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a sound
 machine, no gap longer than two breaths) unless no command can move the gas, the venting command
 follows within 200 ms of a reading above the limit, and the true airway pressure stays below its
-bound. The command fails if a row fails.")]
+bound: 20 cmH2O above the limit, but never more than the 75 cmH2O that the relief valve allows.
+Patients who breathe and changes of the settings must raise no high-priority alarm. The command
+fails if a row fails.")]
 pub struct Args {
     /// Lung such as R20C20, or `paper` for its nine lungs; repeatable
     #[arg(long, value_name = "NAME", default_value = "paper")]
@@ -36,10 +40,13 @@ pub struct Args {
     /// Seeds of the sensor noise
     #[arg(long, value_name = "N,..", value_delimiter = ',', default_values_t = [1, 2])]
     seeds: Vec<u64>,
+    /// Pressure limit, cmH2O; rows about breaths that end at the limit have a lower one of their own
+    #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = limit)]
+    limit: f32,
     /// Switch off this monitor
     #[arg(long, value_name = "ID")]
     without: Option<String>,
-    /// Switch off each monitor in turn and require at least one row to fail
+    /// Leave out each monitor and each response in turn and require at least one row to fail
     #[arg(long, conflicts_with = "without")]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs
@@ -50,6 +57,14 @@ pub struct Args {
     html: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+/// Parses a pressure limit.
+pub fn limit(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(limit) if limit >= LIMITS.0 && limit <= LIMITS.1 => Ok(limit),
+        _ => Err(format!("give a limit from {} to {} cmH2O", LIMITS.0, LIMITS.1)),
+    }
 }
 
 /// The content of `--json`.
@@ -72,10 +87,10 @@ fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
         Some(id) => Monitors::ALL.without(named(id)?),
         None => Monitors::ALL,
     };
-    let rows = with_bars(|progress| matrix(lungs, &args.seeds, monitors, progress))?;
+    let rows = with_bars(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
     let table = table(&rows);
     args.output.table(&table);
-    args.output.report(args.html.as_ref(), || Ok(report(table)))?;
+    args.output.report(args.html.as_ref(), || Ok(report(table, args.limit)))?;
     let (failed, all) = (rows.iter().filter(|row| !row.pass).count(), rows.len());
     args.output.finish(&Summary { rows })?;
     if failed > 0 {
@@ -86,16 +101,17 @@ fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
 }
 
 fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
-    let found = with_bars(|progress| without_each_monitor(lungs, &args.seeds, progress))?;
-    let mut table = Table::new("Rows that fail without a monitor", &["without", "rows that fail"]);
-    for (monitor, failed) in &found {
-        table.row(vec![Cell::text(monitor.alarm().id), Cell::text(failed.join("; "))]);
+    let found = with_bars(|progress| without_each_part(lungs, &args.seeds, progress))?;
+    let mut table =
+        Table::new("Rows that fail without a monitor or a response", &["without", "rows that fail"]);
+    for (part, failed) in &found {
+        table.row(vec![Cell::text(part.name()), Cell::text(failed.join("; "))]);
     }
     let unnoticed: Vec<_> =
-        found.iter().filter(|(_, failed)| failed.is_empty()).map(|(monitor, _)| monitor.alarm().id).collect();
+        found.iter().filter(|(_, failed)| failed.is_empty()).map(|(part, _)| part.name()).collect();
     args.output.table(&table);
     if !unnoticed.is_empty() {
-        bail!("no row fails without {}: add a fault that needs the monitor", unnoticed.join(", "));
+        bail!("no row fails without {}: add a fault that needs it", unnoticed.join(", "));
     }
     Ok(())
 }
@@ -156,10 +172,10 @@ fn table(rows: &[FaultRow]) -> Table {
     table
 }
 
-fn report(table: Table) -> Report {
+fn report(table: Table, limit: f32) -> Report {
     Report {
         title: "Faults and the monitors that detect them".into(),
-        subtitle: "Every fault on every lung of the virtual bench, alarm limit at 40 cmH2O.".into(),
+        subtitle: format!("Every fault on every lung of the virtual bench, pressure limit at {limit} cmH2O."),
         sections: vec![Section {
             heading: "Matrix".into(),
             text: "The longest time over the seeds from the fault to the alarm, and the highest true airway pressure after it."

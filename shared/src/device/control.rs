@@ -24,6 +24,7 @@ use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::safety::host::HostWatch;
 use crate::safety::monitors::Monitors;
+use crate::safety::responses;
 use crate::sensor::Readings;
 use crate::settings::Settings;
 use crate::timing::{TickTime, TickTimer};
@@ -156,7 +157,9 @@ impl Control {
     /// [`Refusal::Settings`] for settings out of bounds; the device then stays in standby.
     pub fn resume(&mut self, prescription: &Settings) -> Result<(), Refusal> {
         self.ventilator.apply(&mut self.state, prescription)?;
-        self.state.resume();
+        if self.ventilator.monitors().responses().has(responses::Response::Resume) {
+            self.state.resume();
+        }
         Ok(())
     }
 

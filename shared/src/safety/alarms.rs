@@ -15,7 +15,7 @@ pub enum Fault {
     HighPressure,
     /// Readings change faster than a pressure can.
     ReadingJumps,
-    /// The reading does not change at all, not even by noise.
+    /// The reading does not change although the pressure must.
     ReadingFrozen,
     /// The reading is far noisier than that of a working sensor.
     ReadingNoisy,
@@ -183,7 +183,8 @@ pub const ALARMS: [Alarm; 24] = [
         "reading-frozen",
         (High, Backup),
         [
-            "the same reading, to the last bit, for 40 ms of a breath",
+            "the same reading, to the last bit, for 60 ms in which it must change: the other pressure sensor moves by \
+             more than 2 cmH2O, gas flows in more than 2 below the target, or out more than 5 above PEEP",
             SOUND_AGAIN,
             "pressure reading is frozen",
         ],
@@ -268,7 +269,8 @@ pub const ALARMS: [Alarm; 24] = [
         "occlusion",
         (High, Action::Pid),
         [
-            "less than a third of the last good breath's volume per pressure rise in 2 breaths in a row",
+            "less than a third of the last good breath's volume per pressure rise in 2 breaths in a row, of which less than half \
+             comes out again; in 4 if it does",
             GONE,
             "tube occluded",
         ],
@@ -279,7 +281,7 @@ pub const ALARMS: [Alarm; 24] = [
         (High, Backup),
         [
             "40 ms with less than 12 % of a predicted rise above 10 cmH2O, or 20 ms with no change over 64 ms that should \
-             bring one",
+             bring one; not if two pressure sensors agree, the gas reaches the patient and the rise is below 25 cmH2O",
             "2 inspirations in a row raise the pressure",
             "pressure does not respond to the valve",
         ],

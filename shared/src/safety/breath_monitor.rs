@@ -19,11 +19,17 @@ const OPEN_END: f32 = 0.4;
 const FILLING: f32 = 30.0;
 /// Fraction of the earlier compliance below which the tube counts as occluded.
 const OCCLUDED: f32 = 1.0 / 3.0;
+/// Share of a breath's volume that comes out of a lung behind an open or narrowed tube: behind an occluded one the gas stays in
+/// the circuit.
+const COMES_OUT: f32 = 0.5;
+/// Breaths in a row with a low compliance that are a fault although the gas comes out: a patient's efforts can take the
+/// volume of a few.
+const NARROWED_BREATHS: u32 = 4;
 /// Smallest rise from which a compliance is estimated, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
 /// Breaths after a change of settings that raise no alarm.
-const UNCHECKED_BREATHS: u32 = 2;
+pub(super) const UNCHECKED_BREATHS: u32 = 2;
 /// Breaths in a row with a leak that make the earlier volumes useless; an occlusion looks like a leak for one breath.
 const LEAKY_BREATHS: u32 = 3;
 /// Breaths with a lower compliance after which it is taken for the lung's own.
@@ -70,6 +76,11 @@ pub struct BreathState {
     occluded: u32,
     /// Volume per pressure of the last good breath, mL/cmH2O.
     compliance: Option<f32>,
+    /// Volumes of the last breath with a lower one, mL: the delivered one, and that with which it is no occlusion.
+    delivered: f32,
+    normal: f32,
+    /// Whether the gas of that breath came out.
+    came_out: bool,
     /// Breaths in a row with a leak.
     leaky: u32,
     /// Breaths that are still not checked after a change of the settings.
@@ -80,6 +91,14 @@ impl BreathState {
     /// The settings have changed: the next breaths are not comparable with those before, and are not checked.
     pub fn settings_changed(&mut self) {
         *self = Self { unchecked: UNCHECKED_BREATHS, ..Self::default() };
+    }
+
+    /// Ends a breath of which this volume came out, mL.
+    fn breath_ended(&mut self, expired: Option<f32>) {
+        if expired.is_some_and(|expired| expired >= self.normal) {
+            self.occluded = 0;
+        }
+        self.came_out = expired.is_some_and(|expired| expired >= COMES_OUT * self.delivered);
     }
 
     /// Whether the airway is open, by the running inspiration.
@@ -105,6 +124,8 @@ pub struct BreathInput<'a> {
     pub volume: f32,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
+    /// Volume that came out in the last breath, mL; none if the flow was not measured.
+    pub expired: Option<f32>,
 }
 
 /// Running mean over the end of a phase.
@@ -149,9 +170,10 @@ impl BreathMonitor {
     /// Checks one tick. An inspiration that is ended at the pressure limit is checked for occlusion only.
     #[inline]
     pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
-        let BreathInput { breath, tick, cut, pressure, command, volume, leaks } = *input;
+        let BreathInput { breath, tick, cut, pressure, command, volume, leaks, expired } = *input;
         if tick == 0 {
             state.leaky = in_a_row(state.leaky, leaks);
+            state.breath_ended(expired);
         }
         if state.leaky >= LEAKY_BREATHS {
             // Volumes with and without a leak are not comparable.
@@ -172,7 +194,7 @@ impl BreathMonitor {
         }
         // A high baseline has another cause.
         let cut_now = inspires && cut && !state.cut && state.high == 0 && state.unchecked == 0;
-        if cut_now && self.occluded(state, pressure - peep, volume) {
+        if cut_now && self.occluded(state, pressure - peep, volume, true) {
             return Some(Fault::Occlusion);
         }
         state.cut = cut;
@@ -205,26 +227,30 @@ impl BreathMonitor {
         let rise = end.pressure - settings.peep;
         let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
         state.weak = in_a_row(state.weak, weak);
-        let occluded = self.occluded(state, rise, end.volume);
+        let occluded = self.occluded(state, rise, end.volume, false);
         if state.weak >= self.weak {
             return Some(Fault::LowPressure);
         }
         occluded.then_some(Fault::Occlusion)
     }
 
-    /// Compares the ratio of volume to rise with that of the last good breath; whether the tube is occluded.
-    fn occluded(&self, state: &mut BreathState, rise: f32, volume: f32) -> bool {
+    /// Compares the ratio of volume to rise with that of the last good breath; whether the tube is occluded. A patient's
+    /// effort or cough changes the ratio too, but then the gas comes out.
+    fn occluded(&self, state: &mut BreathState, rise: f32, volume: f32, cut: bool) -> bool {
         if rise <= TELLING_RISE {
             return false;
         }
         let compliance = volume / rise;
         let occluded = state.compliance.is_some_and(|before| compliance < OCCLUDED * before);
         state.occluded = in_a_row(state.occluded, occluded);
+        // A breath that a cough ends has little gas, all of which comes out.
+        let normal = if cut { COMES_OUT * volume } else { OCCLUDED * rise * state.compliance.unwrap_or(0.0) };
+        (state.delivered, state.normal) = (volume, normal);
         // The new compliance is believed in the end: a lung can change for good, and the alarm has long been raised.
         if !occluded || state.occluded >= NEW_LUNG {
             state.compliance = Some(compliance);
         }
-        state.occluded >= self.occluded
+        state.occluded >= self.occluded && (!state.came_out || state.occluded >= NARROWED_BREATHS)
     }
 
     /// Checks an expiration by a mean pressure at its end.
@@ -305,7 +331,7 @@ mod tests {
                 }
             };
             let cut = cut.is_some_and(|cut| tick >= cut);
-            BreathInput { breath, tick, cut, pressure, command, volume, leaks: false }
+            BreathInput { breath, tick, cut, pressure, command, volume, leaks: false, expired: None }
         }
     }
 
@@ -435,6 +461,38 @@ mod tests {
         let filled = |volume| Seen { volume, ..GOOD };
         assert_eq!(complaint(&[filled(480.0), filled(160.0), filled(160.0)]), None);
         assert_eq!(complaint(&[filled(480.0), filled(159.0), filled(159.0)]), Some((2, Fault::Occlusion)));
+    }
+
+    #[test]
+    fn gas_that_comes_out_has_been_in_the_lung_whatever_the_ratio_of_volume_and_pressure() {
+        let low = Seen { volume: 100.0, ..GOOD };
+        let expired = |volume| move |input: &mut BreathInput<'_>| input.expired = Some(volume);
+        let with = |breaths: &[Seen], volume| complaint_with(breaths, expired(volume));
+        // A third of 20 cmH2O at 20 mL/cmH2O, and half of the delivered volume.
+        assert_eq!(with(&[GOOD, low, low, low, low, low, low], 134.0), None, "an effort took the gas before");
+        assert_eq!(
+            with(&[GOOD, low, low, low, low, low], 132.0),
+            Some((4, Fault::Occlusion)),
+            "a narrowed tube"
+        );
+        assert_eq!(with(&[GOOD, low, low, low, low], 50.0), Some((4, Fault::Occlusion)));
+        assert_eq!(with(&[GOOD, low, low], 49.0), Some((2, Fault::Occlusion)), "it stays in the circuit");
+        let cough = Seen { volume: 60.0, ..CUT };
+        assert_eq!(with(&[GOOD, cough, cough, cough, cough, cough, cough], 30.0), None);
+        assert_eq!(with(&[GOOD, cough, cough], 29.0), Some((2, Fault::Occlusion)));
+    }
+
+    #[test]
+    fn a_lengthened_expiration_is_no_part_of_the_next_inspirations_mean() {
+        let (monitor, mut state) = (BreathMonitor::new(1000, Monitors::ALL), BreathState::default());
+        let breath = breath();
+        let low = Seen { volume: 160.0, ..GOOD };
+        let found = [GOOD, low, low].iter().find_map(|seen| {
+            (0..breath.total_ticks() + 900)
+                .find_map(|tick| monitor.check(&mut state, &seen.at(&breath, tick)))
+        });
+        assert_eq!(found, None, "8 mL/cmH2O after 20");
+        assert!(state.compliance.is_some_and(|compliance| (compliance - 8.0).abs() < 0.1));
     }
 
     #[test]

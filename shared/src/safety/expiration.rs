@@ -6,9 +6,10 @@
 //! * It stands constant above PEEP (the PEEP valve is stuck): PIP rises by as much, so that the breaths keep their volume.
 //!   Not so unless the flow sensor shows that the gas gets out again.
 
-use super::breath_monitor::ABOVE_PEEP;
+use super::breath_monitor::{ABOVE_PEEP, UNCHECKED_BREATHS};
 use super::lung_estimator::command_for;
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::responses::{Response, Responses};
 use crate::breath::{Breath, Phase, period_s};
 use crate::math;
 use crate::safety::alarms::Fault;
@@ -55,6 +56,7 @@ const SMOOTHING: f32 = 0.02;
 pub struct Expiration {
     /// Whether the monitor of the baseline is enabled.
     enabled: bool,
+    responses: Responses,
     period: f32,
     smoothing: f32,
     constant_for: u32,
@@ -78,6 +80,8 @@ pub struct ExpirationState {
     held: u32,
     /// Lowest compensation in the breath: an effort raises it for a moment only.
     lowest: f32,
+    /// Breaths that are still not compared after a change of the settings.
+    unchecked: u32,
     /// Smoothed pressure, and what it was [`CONSTANT_FOR`] before the end of the expiration, cmH2O.
     smooth: f32,
     earlier: f32,
@@ -96,6 +100,7 @@ impl Expiration {
         let period = period_s(period_us);
         Self {
             enabled: enabled.has(Fault::BaselineHigh),
+            responses: enabled.responses(),
             period,
             smoothing: math::lag_factor(SMOOTHING, period),
             constant_for: ticks(CONSTANT_FOR, period_us),
@@ -121,7 +126,8 @@ impl Expiration {
         }
         let sag = breath.settings().peep - SAG - pressure;
         if breath.phase(tick) == Phase::Expiration {
-            let rate = if sag > 0.0 && !doubtful { RISE * sag } else { -RELEASE };
+            let holds = sag > 0.0 && !doubtful && self.responses.has(Response::LeakCompensation);
+            let rate = if holds { RISE * sag } else { -RELEASE };
             state.compensation = math::limit(state.compensation + rate * self.period, 0.0, BOUND);
             state.lowest = state.lowest.min(state.compensation);
         }
@@ -149,9 +155,12 @@ impl Expiration {
     /// baseline. A finding if breaths tell of a leak or of a PEEP valve that holds nothing.
     pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> Option<Fault> {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
-        state.shift = if comes_out { state.above } else { 0.0 };
+        let follows = comes_out && self.responses.has(Response::HigherPip);
+        state.shift = if follows { state.above } else { 0.0 };
         let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
-        state.leaks = in_a_row(state.leaks, expired_share.is_some_and(|share| share < least));
+        let lost = state.unchecked == 0 && expired_share.is_some_and(|share| share < least);
+        state.leaks = in_a_row(state.leaks, lost);
+        state.unchecked = state.unchecked.saturating_sub(1);
         state.held = in_a_row(state.held, state.lowest > HELD);
         state.lowest = state.compensation;
         if state.leaks >= self.leaks {
@@ -171,7 +180,8 @@ impl Expiration {
         let part = LEARNED.max(1.0 / state.learnt as f32);
         state.leak += part * (leak.max(0.0) - state.leak);
         let flow = state.leak * math::square_root(peep);
-        state.advance = if flow > KNOWN_LEAK { command_for(flow + SURPLUS) } else { 0.0 };
+        let holds = flow > KNOWN_LEAK && self.responses.has(Response::LeakCompensation);
+        state.advance = if holds { command_for(flow + SURPLUS) } else { 0.0 };
     }
 
     /// Whether the expiration goes on at a tick at which the next breath is due.
@@ -183,6 +193,11 @@ impl Expiration {
 }
 
 impl ExpirationState {
+    /// The settings have changed, in the breath that starts now: it and the next one tell of no leak, nor does the last one.
+    pub fn settings_changed(&mut self) {
+        self.unchecked = UNCHECKED_BREATHS + 1;
+    }
+
     /// Command that holds PEEP against a leak, percent; from the fall on, so that its beginning does not look like an effort.
     pub fn compensation(&self) -> f32 {
         (self.advance + self.compensation).min(BOUND)
@@ -322,6 +337,14 @@ mod tests {
         state.smooth = 8.0;
         expiration.triggered(&mut state, 5.0);
         assert_eq!(state.incomplete, 0, "at the bound");
+    }
+
+    #[test]
+    fn the_breaths_around_a_change_of_the_settings_tell_of_no_leak() {
+        let (expiration, mut state) = breaths_with(2, 25.0, Some(0.5), |_| 5.0);
+        state.settings_changed();
+        let told = (1..9).find(|_| expiration.start_breath(&mut state, Some(0.5)).is_some());
+        assert_eq!(told, Some(6), "the last breath, two new ones, and three that count");
     }
 
     #[test]

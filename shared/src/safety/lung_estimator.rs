@@ -35,7 +35,7 @@ const ANSWER: f32 = 0.12;
 /// Largest fall below the starting pressure; a larger one means that gas is lost, cmH2O.
 const FALL: f32 = 1.5;
 /// Ticks over which the change is predicted, to detect a reading that freezes in the middle of an inspiration.
-const WINDOW: usize = 64;
+pub const WINDOW: usize = 64;
 /// Smallest delivered volume from which the lung is estimated, mL.
 const TELLING_VOLUME: f32 = 20.0;
 /// Shortest inspiration from which the lung is estimated, s: a shorter one has filled little but the tube.
@@ -145,6 +145,8 @@ pub struct LungState {
     /// The last ticks, and the number of ticks in this inspiration.
     past: [PastTick; WINDOW],
     ticks: usize,
+    /// Predicted change in the last [`WINDOW`] ticks, cmH2O.
+    growth: f32,
 }
 
 impl LungEstimator {
@@ -197,8 +199,9 @@ impl LungEstimator {
         self.count(state, pressure);
         let rise = pressure - state.start;
         state.sums.add(state.volume, state.flow, rise);
-        let predicted = state.predicted_rise();
         let (before, between) = (state.before(WINDOW), state.before(WINDOW / 2));
+        let predicted = state.predicted_rise();
+        state.growth = predicted - before.predicted;
         state.past[state.ticks % WINDOW] = PastTick { pressure, predicted };
         state.ticks += 1;
         // A pressure that has fallen below its start means an open tube, which another monitor detects.
@@ -207,7 +210,7 @@ impl LungEstimator {
         let still = |past: PastTick| (pressure - past.pressure).abs() < STANDS;
         // After a cough the pressure can be back at an earlier value without having been constant in between.
         let stands = still(before) && still(between) && rise > -FALL;
-        state.standing = in_a_row(state.standing, stands && predicted - before.predicted > TELLING_RISE);
+        state.standing = in_a_row(state.standing, stands && state.growth > TELLING_RISE);
         state.unanswered >= self.unanswered || state.standing >= self.standing
     }
 }
@@ -216,6 +219,11 @@ impl LungState {
     /// Flow of the valve into ambient pressure, L/s.
     pub fn valve_flow(&self) -> f32 {
         flow(self.opening)
+    }
+
+    /// Change that the delivered gas must have brought in the last [`WINDOW`] ticks of the inspiration, cmH2O.
+    pub fn growth(&self) -> f32 {
+        self.growth
     }
 
     /// Volume delivered so far in this inspiration, mL.
@@ -228,7 +236,7 @@ impl LungState {
     pub fn start_inspiration(&mut self, pressure: f32, peep: f32) {
         let pressure = pressure.min(peep);
         (self.start, self.volume, self.sums) = (pressure, 0.0, Sums::default());
-        (self.unanswered, self.standing, self.ticks) = (0, 0, 0);
+        (self.unanswered, self.standing, self.ticks, self.growth) = (0, 0, 0, 0.0);
     }
 
     /// The tick `ticks` ago, at most [`WINDOW`]; the start of a shorter inspiration.
@@ -240,8 +248,13 @@ impl LungState {
         }
     }
 
-    /// The lower rise that the last two estimates predict: a patient's effort may have falsified one of them.
-    fn predicted_rise(&self) -> f32 {
+    /// Flow of the last tick, L/s.
+    pub fn flow(&self) -> f32 {
+        self.flow
+    }
+
+    /// The lower rise that the last two estimates predict, cmH2O: a patient's effort may have falsified one of them.
+    pub fn predicted_rise(&self) -> f32 {
         let rise = |lung: LungEstimate| lung.rise(self.volume, self.flow);
         match self.lungs {
             [Some(last), Some(before)] => rise(last).min(rise(before)),
@@ -279,6 +292,7 @@ impl Default for LungState {
             standing: 0,
             past: [PastTick { pressure: 0.0, predicted: 0.0 }; WINDOW],
             ticks: 0,
+            growth: 0.0,
         }
     }
 }

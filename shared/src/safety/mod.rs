@@ -6,6 +6,7 @@
 //! | [`supervisor`] | everything between a controller's output and the valves |
 //! | [`source`] | chooses the pressure sensor that is believed |
 //! | [`reading_monitor`] | checks that a sensor works |
+//! | [`expected`] | the change of the pressure that the commands must bring |
 //! | [`pressure_monitor`] | checks that the pressure is within its limits |
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
@@ -18,10 +19,12 @@
 //! | [`indications`] | the alarms that are present or not yet acknowledged |
 //! | [`windows`] | means over the end of an expiration |
 //! | [`monitors`] | the set of enabled monitors, and their times in ticks |
+//! | [`responses`] | the set of enabled responses |
 
 pub mod alarms;
 pub mod backup;
 pub mod breath_monitor;
+pub mod expected;
 pub mod expiration;
 pub mod filter;
 pub mod host;
@@ -31,6 +34,7 @@ pub mod lung_estimator;
 pub mod monitors;
 pub mod pressure_monitor;
 pub mod reading_monitor;
+pub mod responses;
 pub mod source;
 pub mod supervisor;
 pub mod volumes;

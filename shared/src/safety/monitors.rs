@@ -1,6 +1,7 @@
-//! The set of enabled monitors, and helpers that all monitors use.
+//! The set of enabled monitors and responses, and helpers that all monitors use.
 
 use super::alarms::Fault;
+use super::responses::{Response, Responses};
 use crate::math;
 
 /// Longest control period at which consecutive readings allow a check of the sensor's noise and jumps, microseconds.
@@ -9,33 +10,48 @@ const QUICK_PERIOD_US: u32 = 5000;
 /// Limit of a disabled monitor: at 1 kHz a counter takes 49 days to reach it.
 const NEVER: u32 = u32::MAX;
 
-/// A set of monitors, named by the fault that they detect.
+/// A set of monitors, named by the fault that they detect, and of responses.
 ///
 /// A ventilator uses [`Monitors::ALL`]. A plant of another kind (no noise, another valve) uses the monitors that suit it,
-/// and a test can leave out a monitor to show that it is needed.
+/// and a test can leave out a monitor or a response to show that it is needed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Monitors(u32);
+pub struct Monitors {
+    monitors: u32,
+    responses: Responses,
+}
 
 impl Monitors {
-    /// All monitors.
-    pub const ALL: Self = Self(u32::MAX);
+    /// All monitors and responses.
+    pub const ALL: Self = Self { monitors: u32::MAX, responses: Responses::ALL };
     /// The monitors that suit any plant: they check that the reading is a number in range and the pressure within its limits.
-    pub const ANY_PLANT: Self = Self(
-        1 << Fault::ReadingNotANumber as u32
+    pub const ANY_PLANT: Self = Self {
+        monitors: 1 << Fault::ReadingNotANumber as u32
             | 1 << Fault::ReadingOutOfRange as u32
             | 1 << Fault::HighPressure as u32
             | 1 << Fault::HardLimit as u32,
-    );
+        responses: Responses::ALL,
+    };
 
     /// The same set without one monitor.
     #[must_use]
     pub const fn without(self, fault: Fault) -> Self {
-        Self(self.0 & !(1 << fault as u32))
+        Self { monitors: self.monitors & !(1 << fault as u32), ..self }
+    }
+
+    /// The same set without one response.
+    #[must_use]
+    pub const fn without_response(self, response: Response) -> Self {
+        Self { responses: self.responses.without(response), ..self }
+    }
+
+    /// The enabled responses.
+    pub const fn responses(self) -> Responses {
+        self.responses
     }
 
     /// Whether a monitor is enabled.
     pub const fn has(self, fault: Fault) -> bool {
-        self.0 & 1 << fault as u32 != 0
+        self.monitors & 1 << fault as u32 != 0
     }
 
     /// The limit of a monitor's counter: `limit`, or [`NEVER`] if the monitor is disabled.
@@ -75,6 +91,14 @@ mod tests {
             let monitors = Monitors::ALL.without(left_out);
             assert!(Fault::all().all(|fault| monitors.has(fault) == (fault != left_out)));
         }
+    }
+
+    #[test]
+    fn a_response_left_out_leaves_every_monitor() {
+        let without = Monitors::ALL.without_response(Response::Backup);
+        assert_eq!(without.responses(), Responses::ALL.without(Response::Backup));
+        assert!(Fault::all().all(|fault| without.has(fault)));
+        assert_eq!(Monitors::ALL.without(Fault::Leak).responses(), Responses::ALL);
     }
 
     #[test]

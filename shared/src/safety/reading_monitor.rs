@@ -1,7 +1,8 @@
 //! Checks that the pressure sensor works.
 //!
-//! An implausible reading is replaced by the last good one, for a few milliseconds. A working sensor always shows some
-//! noise and never jumps; a reading without noise is frozen.
+//! An implausible reading is replaced by the last good one, for a few milliseconds. A working sensor never jumps. A reading
+//! that repeats itself to the last bit while the pressure must change is frozen; while the pressure may stand still, a quiet
+//! sensor with a coarse quantum repeats itself too.
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, reads_quickly, ticks};
@@ -20,8 +21,10 @@ const NOISE_SHARE: f32 = 0.02;
 const MAKE_UP: u32 = 9;
 /// Time for which readings may be missing, s.
 const MISSING: f32 = 0.005;
-/// Time for which a reading may stay the same to the last bit, s.
-const FROZEN: f32 = 0.04;
+/// Time for which a reading may stay the same to the last bit although the pressure must change, s.
+const FROZEN: f32 = 0.06;
+/// Time from which a reading stands still, s: longer than a working sensor repeats itself while the pressure changes.
+const STANDS: f32 = 0.02;
 
 /// Checks the sensor by its readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,9 +36,10 @@ pub struct ReadingMonitor {
     jump: f32,
     /// Highest mean absolute second difference, cmH2O.
     noise: f32,
-    /// [`MISSING`] and [`FROZEN`] in ticks.
+    /// [`MISSING`], [`FROZEN`] and [`STANDS`] in ticks.
     missing: u32,
     frozen: u32,
+    stands: u32,
 }
 
 /// State of the reading monitor.
@@ -49,7 +53,9 @@ pub struct ReadingState {
     problems: [u32; 3],
     /// Consecutive ticks without a good reading.
     gap: u32,
+    /// Ticks for which the reading has been the same, and how many of them it had to change in.
     same: u32,
+    frozen: u32,
     second_difference: f32,
 }
 
@@ -65,6 +71,16 @@ pub struct Believed {
 }
 
 impl ReadingState {
+    /// The last good reading, cmH2O.
+    pub fn last_good(&self) -> Option<f32> {
+        self.last_good
+    }
+
+    /// Whether the reading has just changed.
+    pub fn changed(&self) -> bool {
+        self.same == 0
+    }
+
     /// The most frequent problem.
     fn main_problem(&self) -> Fault {
         let [no_number, out_of_range, jumps] = self.problems;
@@ -91,12 +107,19 @@ impl ReadingMonitor {
             noise: enabled.highest(Fault::ReadingNoisy, NOISE_MAX * SECOND_DIFFERENCE),
             missing: ticks(MISSING, period_us),
             frozen: enabled.limit(Fault::ReadingFrozen, ticks(FROZEN, period_us)),
+            stands: ticks(STANDS, period_us),
         }
     }
 
-    /// Checks one reading. `moving`: a breath runs, so noise and frozen readings are checked.
+    /// Whether a sensor stands still.
+    pub fn stands(&self, state: &ReadingState) -> bool {
+        state.same >= self.stands
+    }
+
+    /// Checks one reading. `breathes`: a breath runs, so noise and frozen readings are checked. `moves`: the pressure must
+    /// change.
     #[inline]
-    pub fn check(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Believed {
+    pub fn check(&self, state: &mut ReadingState, reading: f32, breathes: bool, moves: bool) -> Believed {
         if let Some(problem) = self.problem(state, reading) {
             return self.bridge(state, problem);
         }
@@ -104,7 +127,7 @@ impl ReadingMonitor {
         if state.debt == 0 {
             state.problems = [0; 3];
         }
-        let fault = self.good(state, reading, moving);
+        let fault = self.good(state, reading, breathes, moves);
         Believed { pressure: Some(reading), fresh: true, fault }
     }
 
@@ -137,17 +160,20 @@ impl ReadingMonitor {
         Believed { pressure: state.last_good, fresh: false, fault }
     }
 
-    fn good(&self, state: &mut ReadingState, reading: f32, moving: bool) -> Option<Fault> {
+    fn good(&self, state: &mut ReadingState, reading: f32, breathes: bool, moves: bool) -> Option<Fault> {
         let (last, before) = (state.last_good.replace(reading), state.before);
         state.before = last.unwrap_or(reading);
-        let (Some(last), 0, true, true) = (last, state.gap, moving, self.quick) else {
-            (state.gap, state.same, state.before) = (0, 0, reading);
+        let (Some(last), 0, true, true) = (last, state.gap, breathes, self.quick) else {
+            (state.gap, state.same, state.frozen, state.before) = (0, 0, 0, reading);
             return None;
         };
-        state.same = in_a_row(state.same, reading.to_bits() == last.to_bits());
+        let same = reading.to_bits() == last.to_bits();
+        state.same = in_a_row(state.same, same);
+        // Once frozen it stays so until it changes.
+        state.frozen = if same { state.frozen.saturating_add(u32::from(moves)) } else { 0 };
         let second_difference = (reading - 2.0 * last + before).abs();
         state.second_difference += NOISE_SHARE * (second_difference - state.second_difference);
-        if state.same >= self.frozen {
+        if state.frozen >= self.frozen {
             return Some(Fault::ReadingFrozen);
         }
         (state.second_difference > self.noise).then_some(Fault::ReadingNoisy)
@@ -172,7 +198,7 @@ mod tests {
         let (monitor, mut state) = monitor(enabled);
         readings
             .into_iter()
-            .map(|reading| monitor.check(&mut state, reading, true).fault)
+            .map(|reading| monitor.check(&mut state, reading, true, true).fault)
             .fold(None, Option::or)
     }
 
@@ -188,9 +214,9 @@ mod tests {
     #[test]
     fn a_missing_reading_is_bridged_by_the_last_good_one() {
         let (monitor, mut state) = monitor(Monitors::ALL);
-        assert_eq!(monitor.check(&mut state, f32::NAN, true).pressure, None);
-        monitor.check(&mut state, 12.0, true);
-        let bridged = monitor.check(&mut state, f32::NAN, true);
+        assert_eq!(monitor.check(&mut state, f32::NAN, true, true).pressure, None);
+        monitor.check(&mut state, 12.0, true, true);
+        let bridged = monitor.check(&mut state, f32::NAN, true, true);
         assert_eq!(bridged, Believed { pressure: Some(12.0), fresh: false, fault: None });
     }
 
@@ -221,7 +247,10 @@ mod tests {
     fn a_reading_may_jump_by_the_highest_jump_for_each_millisecond_since_the_last() {
         let believed = |readings: &[f32]| {
             let (monitor, mut state) = monitor(Monitors::ALL);
-            readings.iter().map(|reading| monitor.check(&mut state, *reading, true).fresh).collect::<Vec<_>>()
+            readings
+                .iter()
+                .map(|reading| monitor.check(&mut state, *reading, true, true).fresh)
+                .collect::<Vec<_>>()
         };
         assert_eq!(believed(&[0.0, JUMP_MAX]), [true, true]);
         assert_eq!(believed(&[0.0, JUMP_MAX + 0.1]), [true, false]);
@@ -235,24 +264,47 @@ mod tests {
         let noise = NOISE_MAX * SECOND_DIFFERENCE;
         let at_the_bound = |second_difference| {
             let mut state = ReadingState { last_good: Some(0.0), second_difference, ..state };
-            monitor.check(&mut state, noise, true).fault
+            monitor.check(&mut state, noise, true, true).fault
         };
         assert_eq!((at_the_bound(noise), at_the_bound(1.01 * noise)), (None, Some(Fault::ReadingNoisy)));
     }
 
     #[test]
-    fn a_reading_that_stands_still_is_frozen_and_a_living_one_is_not() {
+    fn a_reading_that_stands_still_while_the_pressure_must_change_is_frozen() {
         assert_eq!(found(alive(5.0).take(3000)), None);
-        assert_eq!(found([5.0; 40]), None);
-        assert_eq!(found([5.0; 41]), Some(Fault::ReadingFrozen));
+        assert_eq!(found([5.0; 60]), None);
+        assert_eq!(found([5.0; 61]), Some(Fault::ReadingFrozen));
         assert_eq!(feed(Monitors::ALL.without(Fault::ReadingFrozen), [5.0; 3000]), None);
+        let changes = (0..3000).map(|n| if n % 60 == 0 { 5.1 } else { 5.0 });
+        assert_eq!(found(changes), None);
+    }
+
+    #[test]
+    fn only_the_ticks_count_in_which_the_pressure_must_change() {
+        let (monitor, mut state) = monitor(Monitors::ALL);
+        let mut fault = |moves| monitor.check(&mut state, 5.0, true, moves).fault;
+        assert!((0..3000).all(|_| fault(false).is_none()), "a quiet sensor at a constant pressure");
+        assert!((0..59).all(|_| fault(true).is_none() && fault(false).is_none()));
+        assert_eq!(fault(true), Some(Fault::ReadingFrozen));
+        assert_eq!(fault(false), Some(Fault::ReadingFrozen), "until it changes");
+        assert_eq!(monitor.check(&mut state, 5.1, true, true).fault, None);
+    }
+
+    #[test]
+    fn a_reading_stands_still_after_twenty_repetitions() {
+        let (monitor, mut state) = monitor(Monitors::ALL);
+        for repetitions in 0..30 {
+            monitor.check(&mut state, 5.0, true, false);
+            assert_eq!(monitor.stands(&state), repetitions >= 20, "{repetitions}");
+            assert_eq!(state.changed(), repetitions == 0);
+        }
     }
 
     #[test]
     fn a_resting_ventilator_may_have_a_sensor_that_stands_still() {
         let (monitor, mut state) = monitor(Monitors::ALL);
         for _ in 0..1000 {
-            assert_eq!(monitor.check(&mut state, 0.0, false).fault, None);
+            assert_eq!(monitor.check(&mut state, 0.0, false, true).fault, None);
         }
     }
 
@@ -280,7 +332,7 @@ mod tests {
         ) {
             let (monitor, mut state) = monitor(Monitors::ALL);
             for reading in readings {
-                let believed = monitor.check(&mut state, reading, true);
+                let believed = monitor.check(&mut state, reading, true, true);
                 if let Some(pressure) = believed.pressure {
                     prop_assert!((SENSOR_RANGE.0..=SENSOR_RANGE.1).contains(&pressure));
                 }

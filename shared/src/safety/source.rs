@@ -1,17 +1,20 @@
 //! Chooses the pressure sensor that is believed: that at the airway, or that at the machine's outlet.
 //!
 //! Each sensor has a [`super::reading_monitor`] of its own; one that fails a check is not used until it has been sound for
-//! some seconds. Two sound sensors that disagree are judged at the end of expirations, where the mechanical PEEP valve sets
+//! some seconds. Each is the other's witness: a reading that stands still while the other sensor moves is frozen. Two sound sensors that disagree are judged at the end of expirations, where the mechanical PEEP valve sets
 //! the pressure and hardly any flow separates airway and outlet: the sensor that is closer to PEEP is believed. Until then a
 //! large difference counts with its higher pressure.
 //!
 //! A machine without the second sensor passes NaN for it and has only the first.
 
 use super::alarms::Fault;
+use super::expected::Expected;
 use super::monitors::{Monitors, in_a_row, ticks};
 use super::reading_monitor::{ReadingMonitor, ReadingState};
+use super::responses::Response;
 use super::windows::Windows;
-use crate::breath::Breath;
+use crate::breath::{Breath, period_s};
+use crate::math;
 use crate::sensor::Readings;
 
 /// Largest plausible difference between outlet and airway, cmH2O: at full flow the tube between them drops up to 5.
@@ -30,6 +33,10 @@ const AGREE: f32 = 1.0;
 const AGREED_BREATHS: u32 = 3;
 /// Difference at the end of the inspiration up to which they agree, cmH2O: there may still be flow in the tube.
 const AGREE_AT_PLATEAU: f32 = 5.0;
+/// Change of the other sensor, beyond that of the drop in the tube, with which a sensor cannot stand still, cmH2O.
+const MOVED: f32 = 2.0;
+/// Time constant of the smoothed readings, s: noise alone must not look like a change.
+const SMOOTHING: f32 = 0.01;
 /// Time without a finding after which a sensor is used again, s.
 const SOUND_AGAIN: f32 = 5.0;
 
@@ -41,6 +48,7 @@ pub struct PressureSource {
     /// [`APART`] and [`SOUND_AGAIN`] in ticks.
     apart: u32,
     sound_again: u32,
+    smoothing: f32,
     /// Expirations after which the worse sensor is not used.
     doubtful: u32,
 }
@@ -59,11 +67,23 @@ struct SensorState {
     noisy: bool,
     /// Whether it lost the comparison with the other sensor.
     doubted: bool,
+    /// Smoothed reading, cmH2O.
+    smooth: f32,
+    /// When the reading last changed: smoothed reading of the other sensor, cmH2O, and flow of the valve, L/s.
+    other_then: f32,
+    flow_then: f32,
 }
 
 impl SensorState {
     fn is_sound(&self) -> bool {
         self.exists && !self.lost && !self.doubted
+    }
+
+    /// Remembers the other sensor and the flow when the reading changes.
+    fn witness(&mut self, other: f32, flow: f32) {
+        if self.reading.changed() {
+            (self.other_then, self.flow_then) = (other, flow);
+        }
     }
 }
 
@@ -108,19 +128,33 @@ impl PressureSource {
             monitor: ReadingMonitor::new(period_us, enabled),
             apart: compared(ticks(APART, period_us)),
             sound_again: ticks(SOUND_AGAIN, period_us),
+            smoothing: math::lag_factor(SMOOTHING, period_s(period_us)),
             doubtful: compared(DOUBTFUL_BREATHS),
         }
     }
 
-    /// Checks the readings of one tick. `moving`: a breath runs.
+    /// Checks the readings of one tick, in which the commands predict this course of the pressure and this flow of the
+    /// valve, L/s.
     #[inline]
-    pub fn check(&self, state: &mut SourceState, readings: &Readings, moving: bool) -> Chosen {
-        let (airway, airway_fault) = self.judge(&mut state.airway, readings.airway, moving);
+    pub fn check(
+        &self,
+        state: &mut SourceState,
+        readings: &Readings,
+        expected: Expected,
+        flow: f32,
+    ) -> Chosen {
+        let breathes = expected.breathes();
+        let moves = [(&state.airway, &state.outlet), (&state.outlet, &state.airway)]
+            .map(|(sensor, other)| self.must_change(sensor, other, expected, flow));
+        let (airway, airway_fault) = self.judge(&mut state.airway, readings.airway, breathes, moves[0]);
         if !state.outlet.exists && readings.outlet.is_nan() {
             let findings = [airway_fault, None, None];
             return Self::alone(&state.airway, airway, findings);
         }
-        let (outlet, outlet_fault) = self.judge(&mut state.outlet, readings.outlet, moving);
+        let (outlet, outlet_fault) = self.judge(&mut state.outlet, readings.outlet, breathes, moves[1]);
+        let smooth = [state.airway.smooth, state.outlet.smooth];
+        state.airway.witness(smooth[1], flow);
+        state.outlet.witness(smooth[0], flow);
         // A finding about a sensor that was never there is none.
         let outlet_fault = outlet_fault.filter(|_| state.outlet.exists).map(|_| Fault::OutletSensorLost);
         let both = state.airway.is_sound() && state.outlet.is_sound();
@@ -133,12 +167,21 @@ impl PressureSource {
             (true, true) => (disagree && higher) || (state.airway.noisy && !state.outlet.noisy),
             (_, sound) => sound,
         };
-        let chosen = if use_outlet {
+        let chosen = if use_outlet && self.enabled.responses().has(Response::OtherSensor) {
             Self::alone(&state.outlet, outlet, findings)
         } else {
             Self::alone(&state.airway, airway, findings)
         };
         Chosen { doubtful: both && (readings.airway - readings.outlet).abs() > DOUBTFUL, ..chosen }
+    }
+
+    /// Whether the reading of a sensor cannot stay the same: the other one has moved by more than the drop in the tube, or
+    /// the commands predict a change and no other sensor denies it.
+    fn must_change(&self, sensor: &SensorState, other: &SensorState, expected: Expected, flow: f32) -> bool {
+        let tube = TUBE * (flow - sensor.flow_then).abs();
+        let moved = other.is_sound() && (other.smooth - sensor.other_then).abs() > MOVED + tube;
+        let denied = other.is_sound() && !self.monitor.stands(&other.reading);
+        moved || (!denied && sensor.reading.last_good().is_some_and(|pressure| expected.moves(pressure)))
     }
 
     /// The choice of one sensor.
@@ -157,9 +200,14 @@ impl PressureSource {
         &self,
         state: &mut SensorState,
         reading: f32,
-        moving: bool,
+        breathes: bool,
+        moves: bool,
     ) -> ((Option<f32>, bool), Option<Fault>) {
-        let believed = self.monitor.check(&mut state.reading, reading, moving);
+        let believed = self.monitor.check(&mut state.reading, reading, breathes, moves);
+        if believed.fresh {
+            let share = if state.exists { self.smoothing } else { 1.0 };
+            state.smooth += share * (reading - state.smooth);
+        }
         state.exists |= believed.fresh;
         let fault = believed.fault.filter(|fault| self.enabled.has(*fault));
         match fault {
@@ -194,16 +242,16 @@ impl PressureSource {
         state.agreed_at_plateau = (readings.airway - readings.outlet).abs() <= AGREE_AT_PLATEAU;
     }
 
-    /// Judges the sensors when the pressure does not respond to the gas: the one that responded less is not used. Returns
-    /// whether there is another one.
-    pub fn unresponsive(&self, state: &mut SourceState, readings: &Readings) -> bool {
+    /// Judges the sensors when the pressure does not respond to the gas of this flow, L/s: the one that responded less is
+    /// not used. Returns whether there is another one.
+    pub fn unresponsive(&self, state: &mut SourceState, readings: &Readings, flow: f32) -> bool {
         if !self.enabled.has(Fault::SensorsDisagree) || !state.airway.is_sound() || !state.outlet.is_sound() {
             return false;
         }
         let outlet_rose = readings.outlet - readings.airway;
-        state.airway.doubted = outlet_rose > DOUBTFUL;
+        state.airway.doubted = outlet_rose > DOUBTFUL + TUBE * flow;
         state.outlet.doubted = outlet_rose < -DOUBTFUL;
-        outlet_rose.abs() > DOUBTFUL
+        state.airway.doubted || state.outlet.doubted
     }
 
     /// Compares the sensors at the end of an expiration at this PEEP, cmH2O, and flow of the valve, L/s; true if one of them is
@@ -229,6 +277,11 @@ impl PressureSource {
 }
 
 impl SourceState {
+    /// Whether both pressure sensors are sound.
+    pub fn are_both_sound(&self) -> bool {
+        self.airway.is_sound() && self.outlet.is_sound()
+    }
+
     /// Whether a pressure sensor is sound.
     pub fn is_sound(&self) -> bool {
         self.airway.is_sound() || self.outlet.is_sound()
@@ -261,7 +314,7 @@ mod tests {
             self.tick += 1;
             let noise = |shift: u32| 0.07 * (((self.tick + shift) * 7 % 5) as f32 - 2.0);
             let readings = Readings { airway: airway + noise(0), outlet: outlet + noise(2), flow: 0.0 };
-            self.source.check(&mut self.state, &readings, true)
+            self.source.check(&mut self.state, &readings, Expected::Any, 0.0)
         }
 
         fn ticks(&mut self, count: u32, airway: f32, outlet: f32) -> Chosen {
@@ -423,16 +476,79 @@ mod tests {
         for (airway, outlet) in [(5.0, 20.0), (20.0, 5.0)] {
             let mut run = Run::new();
             run.ticks(10, 5.0, 5.0);
-            assert!(run.source.unresponsive(&mut run.state, &readings(airway, outlet)));
+            assert!(run.source.unresponsive(&mut run.state, &readings(airway, outlet), 0.5));
             assert_eq!(run.state.airway.doubted, airway < outlet);
             assert_eq!(run.state.outlet.doubted, outlet < airway);
         }
         let mut run = Run::new();
         run.ticks(10, 5.0, 5.0);
-        assert!(!run.source.unresponsive(&mut run.state, &readings(5.0, 6.5)), "neither responds");
+        assert!(!run.source.unresponsive(&mut run.state, &readings(5.0, 6.5), 0.0), "neither responds");
+        assert!(!run.source.unresponsive(&mut run.state, &readings(5.0, 10.9), 1.0), "the flow in the tube");
+        assert!(!run.source.unresponsive(&mut run.state, &readings(6.9, 5.0), 1.0), "within 2 cmH2O");
+        assert!(run.state.are_both_sound());
         assert!(run.state.is_sound() && !run.state.airway.doubted && !run.state.outlet.doubted);
         run.ticks(20, f32::NAN, 5.0);
-        assert!(!run.source.unresponsive(&mut run.state, &readings(f32::NAN, 20.0)), "there is only one");
+        assert!(
+            !run.source.unresponsive(&mut run.state, &readings(f32::NAN, 20.0), 0.0),
+            "there is only one"
+        );
+        assert!(!run.state.are_both_sound());
+    }
+
+    /// Tick at which a sensor that stands still is found, while the other one rises by so much per tick, cmH2O, and the
+    /// flow by so much, L/s.
+    fn frozen(rise: f32, flow: f32, airway_stands: bool, expected: Expected) -> Option<u32> {
+        let mut run = Run::new();
+        run.ticks(100, 12.0, 12.0);
+        (1..400).find(|tick| {
+            let living = 12.0 + rise * *tick as f32 + 0.07 * (tick % 3) as f32;
+            let [airway, outlet] = if airway_stands { [12.0, living] } else { [living, 12.0] };
+            let readings = Readings { airway, outlet, flow: 0.0 };
+            let chosen = run.source.check(&mut run.state, &readings, expected, flow * *tick as f32);
+            let found = [Some(Fault::ReadingFrozen), Some(Fault::OutletSensorLost)];
+            chosen.findings[usize::from(!airway_stands)] == found[usize::from(!airway_stands)]
+        })
+    }
+
+    #[test]
+    fn a_sensor_that_stands_still_while_the_other_one_moves_is_frozen() {
+        for airway_stands in [true, false] {
+            // 2 cmH2O, the smoothing's 10 ms, and 60 ms.
+            let found = frozen(0.05, 0.0, airway_stands, Expected::Any);
+            assert!(found.is_some_and(|tick| (100..120).contains(&tick)), "{found:?}");
+            assert_eq!(frozen(0.0, 0.0, airway_stands, Expected::Any), None, "nothing moves");
+            assert_eq!(
+                frozen(0.05, 0.02, airway_stands, Expected::Any),
+                None,
+                "the flow in the tube explains it"
+            );
+            assert_eq!(
+                frozen(0.0, 0.0, airway_stands, Expected::RiseTo(25.0)),
+                None,
+                "the other one denies it"
+            );
+        }
+    }
+
+    #[test]
+    fn sensors_that_both_stand_still_or_an_only_one_are_judged_by_what_the_commands_predict() {
+        let found = |outlet: f32, expected| {
+            let mut run = Run::new();
+            run.ticks(100, 12.0, if outlet.is_nan() { outlet } else { 12.0 });
+            let readings = Readings { airway: 12.0, outlet, flow: 0.0 };
+            (1..400).find(|_| {
+                run.source.check(&mut run.state, &readings, expected, 0.0).findings[0]
+                    == Some(Fault::ReadingFrozen)
+            })
+        };
+        assert_eq!(found(f32::NAN, Expected::RiseTo(25.0)), Some(61));
+        assert_eq!(found(f32::NAN, Expected::FallTo(5.0)), Some(61));
+        assert_eq!(
+            found(12.0, Expected::FallTo(5.0)),
+            Some(81),
+            "20 ms to see that the other one stands too"
+        );
+        assert_eq!((found(f32::NAN, Expected::Any), found(12.0, Expected::RiseTo(13.0))), (None, None));
     }
 
     #[test]
@@ -455,7 +571,7 @@ mod tests {
             let mut run = Run::new();
             let reading = |n: u32| 12.0 + 0.25 * (n % 3) as f32;
             let tick = |n| Readings { airway: reading(n), outlet: reading(n) + apart, flow: 0.0 };
-            (0..100).map(|n| run.source.check(&mut run.state, &tick(n), true)).last().unwrap()
+            (0..100).map(|n| run.source.check(&mut run.state, &tick(n), Expected::Any, 0.0)).last().unwrap()
         };
         assert_eq!([FAR_APART, -FAR_APART].map(|apart| last(apart).findings), [[None; 3]; 2]);
         assert_eq!(last(FAR_APART + 0.25).findings[2], Some(Fault::SensorsDisagree));
@@ -466,7 +582,8 @@ mod tests {
         let silent = |outlet| {
             let mut run = Run::new();
             run.ticks(10, 5.0, 5.0);
-            let found = run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet, flow: 0.0 });
+            let found =
+                run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet, flow: 0.0 }, 0.0);
             (found, run.state.airway.doubted, run.state.outlet.doubted)
         };
         assert_eq!([3.0, 7.0].map(silent), [(false, false, false); 2]);
@@ -505,9 +622,11 @@ mod tests {
             assert!(!(0..4).any(|_| run.expiration(10.0, 5.0, 0.0)), "not sound again");
             let apart = run.ticks(100, 18.0, 5.0);
             assert!(!apart.doubtful && apart.findings[2].is_none());
-            assert!(
-                !run.source.unresponsive(&mut run.state, &Readings { airway: 18.0, outlet: 5.0, flow: 0.0 })
-            );
+            assert!(!run.source.unresponsive(
+                &mut run.state,
+                &Readings { airway: 18.0, outlet: 5.0, flow: 0.0 },
+                0.0
+            ));
         }
         // A single missing reading spoils no comparison.
         for missing in [(f32::NAN, 5.0), (10.0, f32::NAN), (f32::INFINITY, 5.0), (10.0, f32::INFINITY)] {
@@ -532,6 +651,7 @@ mod tests {
         run.source = PressureSource::new(1000, Monitors::ALL.without(Fault::SensorsDisagree));
         assert!(!(0..4).any(|_| run.expiration(20.0, 5.0, 0.0)));
         assert!(near(run.tick(20.0, 5.0), 20.0));
-        assert!(!run.source.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet: 20.0, flow: 0.0 }));
+        let readings = Readings { airway: 5.0, outlet: 20.0, flow: 0.0 };
+        assert!(!run.source.unresponsive(&mut run.state, &readings, 0.0));
     }
 }

@@ -9,13 +9,15 @@
 use super::alarms::{Action, Fault};
 use super::backup::Backup;
 use super::breath_monitor::{BreathInput, BreathMonitor, BreathState};
+use super::expected::Expected;
 use super::expiration::{Expiration, ExpirationState, TIGHT};
 use super::filter::ValveCommand;
 use super::indications::Indications;
 use super::ladder::{CAP, Ladder, Level};
 use super::lung_estimator::{LungEstimator, LungState};
-use super::monitors::{Monitors, in_a_row};
+use super::monitors::{Monitors, in_a_row, ticks};
 use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
+use super::responses::{Response, Responses};
 use super::source::{PressureSource, SourceState};
 use super::volumes::Volumes;
 use crate::breath::{Breath, Phase, period_s};
@@ -38,6 +40,12 @@ const RESPONSE: f32 = 0.3;
 const RESPONSES: u32 = 2;
 /// Share of the inspired volume below which the expiratory path is blocked.
 const BLOCKED: f32 = 0.2;
+/// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
+const REACHES: f32 = 0.5;
+/// Rise that a patient's strongest effort takes away, cmH2O.
+const EFFORT: f32 = 25.0;
+/// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
+const OPENED: f32 = 0.04;
 /// Breaths without a finding after which its condition counts as gone.
 const HOLD_BREATHS: u32 = 2;
 
@@ -52,6 +60,8 @@ pub struct Supervisor {
     expiration: Expiration,
     /// Largest change of the learned part in a tick, percent.
     slew: f32,
+    /// [`OPENED`] in ticks.
+    opened: u32,
 }
 
 /// State of the monitors, of the responses and of the latched fault.
@@ -86,7 +96,8 @@ pub struct SupervisorState {
     /// Learned part of the last command, percent.
     learned: f32,
     applied: f32,
-    venting: bool,
+    /// Ticks for which the expiratory valve has been commanded open.
+    open: u32,
 }
 
 /// What the supervisor knows about the pressure of a tick.
@@ -111,12 +122,22 @@ impl Supervisor {
             lung: LungEstimator::new(period_us),
             expiration: Expiration::new(period_us, monitors),
             slew: RESIDUAL_SLEW * period_s(period_us),
+            opened: ticks(OPENED, period_us),
         }
     }
 
     /// The enabled monitors.
     pub fn monitors(&self) -> Monitors {
         self.monitors
+    }
+
+    fn responses(&self) -> Responses {
+        self.monitors.responses()
+    }
+
+    /// Level of the ladder that commands the inspiratory valve.
+    pub fn level(&self, state: &SupervisorState) -> Level {
+        self.responses().level(state.level())
     }
 
     /// Reports ticks missed since the last one.
@@ -142,7 +163,9 @@ impl Supervisor {
         tick: Option<u32>,
     ) -> Belief {
         state.indications.tick(HOLD_BREATHS * breath.total_ticks());
-        let chosen = self.source.check(&mut state.source, readings, tick.is_some());
+        let expected = self.expected(state, readings.flow, breath, tick);
+        let flow = state.lung.valve_flow();
+        let chosen = self.source.check(&mut state.source, readings, expected, flow);
         (state.proven, state.lost) = (chosen.fresh, chosen.lost);
         (state.noisy, state.doubtful) = (chosen.noisy, chosen.doubtful);
         for fault in chosen.findings.into_iter().flatten() {
@@ -162,16 +185,27 @@ impl Supervisor {
         }
     }
 
+    /// The course of the pressure that the commands of the last ticks predict.
+    fn expected(&self, state: &SupervisorState, flow: f32, breath: &Breath, tick: Option<u32>) -> Expected {
+        let Some(tick) = tick else { return Expected::Rest };
+        if state.open >= self.opened {
+            return Expected::expiration(breath.settings().peep, flow);
+        }
+        // Until the lung estimate has begun with the inspiration, it tells of the last one.
+        let inspires = tick > 0 && breath.phase(tick) == Phase::Inspiration && !state.cut;
+        if inspires { Expected::inspiration(breath.target(tick), state.lung.growth()) } else { Expected::Any }
+    }
+
     fn check_pressure(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
         let settings = breath.settings();
         let (limit, peep) = (settings.pressure_limit, settings.peep);
-        let input = PressureInput { pressure, limit, peep, venting: state.venting };
+        let input = PressureInput { pressure, limit, peep, venting: state.open > 0 };
         match self.pressure.check(&mut state.pressure, &input) {
             PressureFinding::Normal => {}
             PressureFinding::EndInspiration => {
                 if !state.cut {
                     state.strike = state.lung.explains(0.5 * (limit + settings.pip));
-                    if !state.venting {
+                    if state.open == 0 {
                         self.lung.end_inspiration(&mut state.lung);
                     }
                 }
@@ -237,12 +271,12 @@ impl Supervisor {
     ) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         if inspires && !state.cut && self.lung.check(&mut state.lung, pressure) {
-            let other_sensor = self.source.unresponsive(&mut state.source, readings);
-            self.found(state, if other_sensor { Fault::SensorsDisagree } else { Fault::NoResponse });
+            self.unresponsive(state, readings);
         }
         let (command, volume) = (state.applied, state.lung.volume());
         let leaks = state.volumes.expired_share().is_some_and(|share| share < TIGHT);
-        let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume, leaks };
+        let expired = state.volumes.expired();
+        let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume, leaks, expired };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
@@ -250,6 +284,19 @@ impl Supervisor {
         if tick + 1 == breath.inspiration_ticks() && !state.cut {
             self.source.at_plateau(&mut state.source, readings);
             self.inspired(state, pressure, breath);
+        }
+    }
+
+    /// Finds why the pressure does not respond to the gas. If the gas reaches the patient, and two sound sensors agree, a
+    /// patient draws it in.
+    fn unresponsive(&self, state: &mut SupervisorState, readings: &Readings) {
+        let flow = state.lung.flow();
+        if self.source.unresponsive(&mut state.source, readings, flow) {
+            return self.found(state, Fault::SensorsDisagree);
+        }
+        let reaches = readings.flow >= REACHES * flow && state.lung.predicted_rise() < EFFORT;
+        if !(reaches && state.source.are_both_sound()) {
+            self.found(state, Fault::NoResponse);
         }
     }
 
@@ -280,6 +327,7 @@ impl Supervisor {
         }
         if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
             state.breath.settings_changed();
+            state.expiration.settings_changed();
         }
         (state.cut, state.strike, state.missed, state.learned) = (false, true, 0, 0.0);
         let pressure = pressure.filter(|_| !state.breath.is_disconnected());
@@ -328,7 +376,8 @@ impl Supervisor {
     /// pressure close to the limit.
     pub fn backup_command(&self, state: &SupervisorState, breath: &Breath, tick: u32) -> f32 {
         let highest = breath.settings().pressure_limit - LIMIT_MARGIN;
-        let safe = state.lung.predicted_pressure().is_none_or(|pressure| pressure < highest);
+        let responds = self.responses().has(Response::Backup);
+        let safe = responds && state.lung.predicted_pressure().is_none_or(|pressure| pressure < highest);
         if safe { state.backup.command(breath, tick) } else { 0.0 }
     }
 
@@ -345,7 +394,7 @@ impl Supervisor {
         let u_in = self.trusted_part(state, output);
         let vents = state.fault.is_some() || (state.cut && !u_out);
         let command = if vents { ValveCommand::SAFE } else { ValveCommand::limited(u_in, u_out) };
-        (state.applied, state.venting) = (command.u_in(), command.u_out());
+        (state.applied, state.open) = (command.u_in(), in_a_row(state.open, command.u_out()));
         self.lung.applied(&mut state.lung, command.u_in());
         command
     }
@@ -353,7 +402,7 @@ impl Supervisor {
     /// The trusted part of the output, percent. The learned part fades in and out at the slew, so that no hand-over is a
     /// larger step; the cap takes effect at once.
     fn trusted_part(&self, state: &mut SupervisorState, output: ControlOutput) -> f32 {
-        let level = state.level();
+        let level = self.level(state);
         let trusted = state.proven && level == Level::Learned;
         let wanted = if trusted { output.command - output.base } else { 0.0 };
         let change = wanted - state.learned;
@@ -478,7 +527,7 @@ impl Default for SupervisorState {
             proven: false,
             learned: 0.0,
             applied: 0.0,
-            venting: true,
+            open: 1,
         }
     }
 }

@@ -17,7 +17,8 @@ pub struct Volumes {
     root: f32,
     ticks: u32,
     measured: u32,
-    /// Expired share of the inspired volume in the last breath, if the flow was measured.
+    /// Expired volume of the last breath, mL, and its share of the inspired one, if the flow was measured.
+    last: Option<f32>,
     expired_share: Option<f32>,
     /// Leak in the last breath, L/s at 1 cmH2O.
     leak: Option<f32>,
@@ -42,11 +43,18 @@ impl Volumes {
 
     /// Ends a breath and starts the next one.
     pub fn start_breath(&mut self) {
-        let known = self.measured as f32 >= MEASURED * self.ticks as f32 && self.inspired >= TELLING;
+        let known = self.measured as f32 >= MEASURED * self.ticks as f32 && self.ticks > 0;
+        let last = known.then_some(self.expired);
+        let known = known && self.inspired >= TELLING;
         let expired_share = known.then(|| self.expired / self.inspired);
         // A leak is an orifice: its flow goes with the root of the pressure.
         let leak = (known && self.root > 0.0).then(|| 1e-3 * (self.inspired - self.expired) / self.root);
-        *self = Self { expired_share, leak, ..Self::default() };
+        *self = Self { last, expired_share, leak, ..Self::default() };
+    }
+
+    /// Expired volume of the last breath, mL; none if the flow was not measured.
+    pub fn expired(&self) -> Option<f32> {
+        self.last
     }
 
     /// Expired share of the inspired volume in the last breath; none if the flow was not measured.
@@ -95,6 +103,18 @@ mod tests {
         (0..3000).for_each(|_| volumes.add(0.1, f32::NAN, 0.001));
         volumes.start_breath();
         assert_eq!((volumes.leak(), volumes.expired_share()), (None, Some(0.0)), "no pressure");
+    }
+
+    #[test]
+    fn what_comes_out_is_known_however_little_went_in() {
+        let mut volumes = Volumes::default();
+        breath(&mut volumes, 0.5, |_| true);
+        assert!(volumes.expired().is_some_and(|expired| (expired - 200.0).abs() < 0.1));
+        volumes.add(0.0, 9.0, 0.001);
+        volumes.start_breath();
+        assert_eq!((volumes.expired(), volumes.expired_share()), (Some(0.0), None));
+        breath(&mut volumes, 0.5, |tick| tick % 5 != 0);
+        assert_eq!(volumes.expired(), None);
     }
 
     #[test]

@@ -33,7 +33,7 @@ use progress::{Progress, Stage, Task};
 use tally::{PatientResult, Summary};
 use ventilator::SourceError;
 
-use crate::faults::matrix::SOUND;
+use crate::faults::hostile::SOUND;
 
 /// Patients per thread between two saves.
 const BATCH: usize = 4;

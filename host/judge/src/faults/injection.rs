@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use shared::reset::ResetCause;
 use shared::sensor::Readings;
+use shared::settings::Settings;
 use shared::timing::WATCHDOG_MAX_US;
 
 use plant::bench::Failure;
@@ -34,6 +35,8 @@ pub enum Injection {
     Drift(f32),
     /// The reading has this offset, cmH2O.
     Offset(f32),
+    /// The reading of the outlet's pressure sensor has this offset, cmH2O.
+    OutletOffset(f32),
     /// The reading gets additional noise of this standard deviation, cmH2O.
     Noise(f32),
     /// This share of the readings is missing.
@@ -58,6 +61,10 @@ pub enum Injection {
     BrownOut,
     /// The patient coughs with this peak, cmH2O, in the middle of every inspiration.
     Coughs(f64),
+    /// The patient coughs six times in a row with this peak, cmH2O, in every third breath of 3 s.
+    CoughTrains(f64),
+    /// The operator enters another rate, 1/min, and inspiratory time, s.
+    NewTiming(f32, f32),
     /// The host stops sending.
     HostSilent,
     /// Another host connects and sends its own settings and gains.
@@ -98,6 +105,7 @@ impl SensorFault {
         let none = f32::NAN;
         match self.injection {
             Injection::OutletLost => Readings { outlet: none, ..readings },
+            Injection::OutletOffset(offset) => Readings { outlet: readings.outlet + offset, ..readings },
             Injection::BothLost => Readings { airway: none, outlet: none, ..readings },
             Injection::FlowLost => Readings { flow: none, ..readings },
             _ => Readings { airway: self.reading(readings.airway), ..readings },
@@ -142,7 +150,25 @@ pub enum Task {
     Boots,
 }
 
+/// Time between two trains of coughs, and between two coughs of a train, ms; coughs of a train.
+const TRAIN_MS: (u32, u32) = (9000, 500);
+const TRAIN: u32 = 6;
+
 impl Injection {
+    /// Whether a cough of a train begins `ms` milliseconds after the first.
+    pub fn coughs(ms: u32) -> bool {
+        let since = ms % TRAIN_MS.0;
+        since.is_multiple_of(TRAIN_MS.1) && since / TRAIN_MS.1 < TRAIN
+    }
+
+    /// The settings after it, if these were in force before.
+    pub fn settings(self, before: Settings) -> Settings {
+        match self {
+            Self::NewTiming(rate, inspiratory_time) => Settings { rate, inspiratory_time, ..before },
+            _ => before,
+        }
+    }
+
     /// The state of the control task `ms` milliseconds after the fault.
     pub fn task(self, ms: u32) -> Task {
         match self {
@@ -174,6 +200,12 @@ mod tests {
         let missing = readings(Injection::Dropped(0.3)).iter().filter(|p| p.is_nan()).count();
         assert!((250..350).contains(&missing), "{missing}");
         assert!((swapped(swapped(17.0)) - 17.0).abs() < 0.01 && (swapped(17.0) - 17.0).abs() > 5.0);
+    }
+
+    #[test]
+    fn trains_have_six_coughs_in_three_seconds() {
+        let coughs: Vec<_> = (0..12_000).filter(|ms| Injection::coughs(*ms)).collect();
+        assert_eq!(coughs[..7], [0, 500, 1000, 1500, 2000, 2500, 9000]);
     }
 
     #[test]

@@ -1,108 +1,31 @@
-//! The fault matrix: every fault on every lung, with the monitor that must fire.
+//! The fault matrix: every case on every lung, and whether its row passes.
 
 use std::sync::Mutex;
 
 use serde::Serialize;
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
-use shared::control::Controller;
-use shared::control::features::FeatureSpec;
-use shared::control::network::Network;
-use shared::control::pid::{Pid, PidGains};
-use shared::control::residual::{Residual, ResidualSpec};
-use shared::safety::alarms::{Action, Fault};
+use shared::breath::{PAPER_PIPS, paper_settings};
+use shared::safety::alarms::{Action, Fault, Priority};
 use shared::safety::monitors::Monitors;
+use shared::safety::responses::Response;
 use shared::settings::Settings;
 
-use super::injection::Damage;
-use super::injection::Injection::{
-    self, BothLost, BrownOut, Coughs, Drift, Dropped, FlowLost, Hang, HostSilent, MissedTicks, Noise,
-    NoisyAt, Offset, OtherHost, OutletLost, Reads, StuckAt, StuckAtLast, SwappedBytes, Weights,
-};
+use super::cases::{BREATH_MS, FaultCase, LIMIT, Required, cases};
+use super::hostile::sound_controller;
+use super::injection::Injection;
 use super::trial::{Trial, TrialOutcome, run};
 use super::volume::Ventilation;
 use crate::evaluate::side_by_side;
-use plant::bench::{BenchConfig, Failure};
+use plant::bench::BenchConfig;
 use plant::locked;
 use progress::{Progress, Stage};
 use ventilator::SourceError;
 
-/// Pressure limit of all trials, cmH2O.
-pub const LIMIT: f32 = 40.0;
-/// PIP of all trials, cmH2O.
-const PIP: f32 = 25.0;
 /// Longest time from crossing the limit to the venting command, ms.
 pub const VENT_WITHIN_MS: u32 = 200;
-/// Highest true pressure if the valves obey, and if one of them is stuck, cmH2O.
-pub const PEAKS: (f64, f64) = (60.0, 75.0);
-/// In the middle of the third inspiration, ms.
-const MID_INSPIRATION_MS: u32 = 6400;
-/// Just before the fourth inspiration, ms.
-const BEFORE_MS: u32 = 8900;
-/// In the middle of the second inspiration at 4 breaths a minute, ms.
-const SLOW_INSPIRATION_MS: u32 = 15_500;
-/// A breath at the usual rate, ms.
-const BREATH_MS: u32 = 3000;
 /// Longest time from the venting command to a pressure near PEEP if the valves obey, ms: two breaths.
 const BACK_WITHIN_MS: u32 = 2 * BREATH_MS;
-/// Smallest share of the sound machine's minute volume that must remain.
-pub const VOLUME_SHARE: f64 = 0.8;
-/// Longest gap without a delivered breath: two breaths; after a reset 3 s, ms.
-const GAP_MS: u32 = 2 * BREATH_MS;
-const GAP_AFTER_RESET_MS: u32 = 3000;
 /// Number of breaths of a fault-free run.
 const NOMINAL_BREATHS: u32 = 10;
-/// Duration of a trial after its fault, ms.
-const WATCHED_MS: u32 = 21_000;
-
-use CaseController::{Alternating, Greedy, Ringing, Sound};
-
-/// The controller of a trial.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum CaseController {
-    /// The PID that is best for all the paper's lungs.
-    Sound,
-    /// A PID that rings on every lung.
-    Ringing,
-    /// A network that always requests 100 % more.
-    Greedy,
-    /// A network that alternates between 100 % more and 100 % less.
-    Alternating,
-}
-
-/// A fault and the expected reaction.
-#[derive(Clone, Copy, Debug)]
-pub struct FaultCase {
-    /// Name in tables.
-    pub name: &'static str,
-    /// The injected fault.
-    pub injection: Injection,
-    /// The alarms that must occur; if empty, only the pressure is judged.
-    pub monitors: &'static [Fault],
-    controller: CaseController,
-    onset_ms: u32,
-    settings: fn() -> Settings,
-    /// Highest true airway pressure after it, cmH2O.
-    pub peak_allowed: f64,
-    /// Longest time until the first of the monitors fires, ms.
-    within_ms: u32,
-    /// Duration of the trial after the fault, ms.
-    watched_ms: u32,
-    /// What ventilation must go on.
-    ventilation: Required,
-    /// Lowest resistance of a lung with which the fault is possible, cmH2O/(L/s).
-    least_resistance: f64,
-}
-
-/// Ventilation that a row requires after its fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Required {
-    /// None: with this fault no command moves gas in and out, or breaths are cut at first.
-    Impossible,
-    /// No gap longer than [`GAP_MS`].
-    Breaths,
-    /// The same with the share [`VOLUME_SHARE`] and another longest gap, ms.
-    GapWithin(u32),
-}
 
 /// Result of a fault on a lung.
 #[derive(Clone, Debug, Serialize)]
@@ -139,243 +62,6 @@ pub struct FaultRow {
     pub pass: bool,
 }
 
-fn usual() -> Settings {
-    Settings { pressure_limit: LIMIT, ..paper_settings(PIP) }
-}
-
-/// Settings with a pressure limit that a cough exceeds on every lung.
-fn tight() -> Settings {
-    Settings { pressure_limit: PIP + 8.0, ..usual() }
-}
-
-/// Settings with a limit that a controller can reach on every lung.
-fn low() -> Settings {
-    Settings { pip: 12.0, pressure_limit: 17.0, ..usual() }
-}
-
-/// Settings with a PEEP whose loss shows on every lung.
-fn high_peep() -> Settings {
-    Settings { peep: 10.0, pip: 30.0, ..usual() }
-}
-
-/// Settings with four breaths a minute.
-fn slow() -> Settings {
-    Settings { rate: 4.0, ..usual() }
-}
-
-const fn case(name: &'static str, injection: Injection, monitors: &'static [Fault]) -> FaultCase {
-    FaultCase {
-        name,
-        injection,
-        monitors,
-        controller: Sound,
-        onset_ms: MID_INSPIRATION_MS,
-        settings: usual,
-        peak_allowed: PEAKS.0,
-        within_ms: WATCHED_MS,
-        watched_ms: WATCHED_MS,
-        ventilation: Required::GapWithin(GAP_MS),
-        least_resistance: 0.0,
-    }
-}
-
-/// A part of the machine that fails.
-const fn part(name: &'static str, failure: Failure, monitors: &'static [Fault]) -> FaultCase {
-    case(name, Injection::Part(failure), monitors)
-}
-
-/// A valve that no longer obeys.
-const fn stuck(name: &'static str, failure: Failure, monitors: &'static [Fault]) -> FaultCase {
-    FaultCase { peak_allowed: PEAKS.1, ..part(name, failure, monitors) }
-}
-
-impl FaultCase {
-    const fn at(self, onset_ms: u32) -> Self {
-        Self { onset_ms, ..self }
-    }
-
-    /// Requires detection before the next breath ends.
-    const fn within_a_breath(self) -> Self {
-        Self { within_ms: BREATH_MS, ..self }
-    }
-
-    /// Requires no ventilation: no command moves gas, or every breath is cut until the ladder has replaced the controller.
-    const fn not_ventilated(self) -> Self {
-        Self { ventilation: Required::Impossible, ..self }
-    }
-
-    /// Watches for longer, which is how long the monitors may take.
-    const fn watched(self, watched_ms: u32) -> Self {
-        Self { watched_ms, within_ms: watched_ms, ..self }
-    }
-
-    /// Requires that breaths go on, of whatever volume.
-    const fn of_any_volume(self) -> Self {
-        Self { ventilation: Required::Breaths, ..self }
-    }
-
-    /// Leaves out lungs with a lower resistance, cmH2O/(L/s): in them no flow of the valve's raises the pressure so far.
-    const fn with_resistance(self, least_resistance: f64) -> Self {
-        Self { least_resistance, ..self }
-    }
-
-    const fn resumed(self) -> Self {
-        Self { ventilation: Required::GapWithin(GAP_AFTER_RESET_MS), ..self }
-    }
-
-    const fn with(self, settings: fn() -> Settings) -> Self {
-        Self { settings, ..self }
-    }
-
-    const fn run_by(self, controller: CaseController) -> Self {
-        Self { controller, ..self }
-    }
-}
-
-/// Faults of the sensor.
-const SENSOR: [FaultCase; 17] = [
-    case("reading stuck at its last value", StuckAtLast, &[Fault::ReadingFrozen]),
-    case("reading stuck at PEEP", StuckAt(5.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
-    case("reading stuck at 0", StuckAt(0.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
-    case("reading stuck at PEEP with normal noise", NoisyAt(5.0), &[Fault::SensorsDisagree])
-        .at(BEFORE_MS)
-        .within_a_breath(),
-    case("reading is not a number", Reads(f32::NAN), &[Fault::ReadingNotANumber]),
-    case("reading is infinite", Reads(f32::INFINITY), &[Fault::ReadingOutOfRange]),
-    case("reading drifts up by 1 cmH2O/s", Drift(1.0), &[Fault::SensorsDisagree]),
-    case("reading drifts down by 1 cmH2O/s", Drift(-1.0), &[Fault::SensorsDisagree]),
-    case("reading is 5 cmH2O too high", Offset(5.0), &[Fault::SensorsDisagree]),
-    case("reading is 5 cmH2O too low", Offset(-5.0), &[Fault::SensorsDisagree]),
-    case("sensor noise ten times higher", Noise(1.0), &[Fault::ReadingNoisy]),
-    case("one third of the readings lost", Dropped(0.33), &[Fault::ReadingNotANumber]),
-    case("bytes swapped in one third of the readings", SwappedBytes(0.33), &[Fault::ReadingJumps]),
-    case("outlet sensor lost", OutletLost, &[Fault::OutletSensorLost]),
-    case("both pressure sensors lost", BothLost, &[Fault::BackupVentilation]),
-    case("both pressure sensors lost before a breath", BothLost, &[Fault::BackupVentilation]).at(BEFORE_MS),
-    case("flow sensor lost", FlowLost, &[]),
-];
-
-/// Faults of machine and breathing circuit.
-const MACHINE: [FaultCase; 17] = [
-    part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS).not_ventilated(),
-    stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]).not_ventilated(),
-    part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]).not_ventilated(),
-    case("patient disconnected for 5 s", Injection::Reconnected(5000), &[Fault::Disconnection])
-        .not_ventilated(),
-    part("leak of 0.2 L/s", Failure::Leak(0.2), &[]).at(BEFORE_MS),
-    part("leak of 0.5 L/s", Failure::Leak(0.5), &[]).at(BEFORE_MS),
-    part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::Leak]).at(BEFORE_MS),
-    part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure, Fault::BaselineLow])
-        .at(0)
-        .not_ventilated(),
-    stuck(
-        "inspiratory valve stuck open",
-        Failure::InspiratoryValveStuck(80.0),
-        &[Fault::BaselineHigh, Fault::HighPressure],
-    )
-    .not_ventilated(),
-    stuck("inspiratory valve stuck closed", Failure::InspiratoryValveStuck(0.0), &[Fault::NoResponse])
-        .not_ventilated(),
-    stuck("expiratory valve stuck closed", Failure::ExpiratoryValveClosed, &[Fault::BaselineHigh])
-        .not_ventilated(),
-    stuck(
-        "expiratory valve stuck closed at 4 breaths/min",
-        Failure::ExpiratoryValveClosed,
-        &[Fault::SustainedPressure],
-    )
-    .with(slow)
-    .at(SLOW_INSPIRATION_MS)
-    .watched(66_000)
-    .not_ventilated(),
-    stuck("both valves stuck", Failure::BothValvesStuck(80.0), &[Fault::HardLimit]).not_ventilated(),
-    stuck("PEEP valve stuck at 15 cmH2O", Failure::PeepValveStuck(15.0), &[Fault::BaselineHigh]),
-    stuck("PEEP valve stuck at 0", Failure::PeepValveStuck(0.0), &[Fault::BaselineLow]).with(high_peep),
-    part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]).not_ventilated(),
-    case("cough in every breath", Coughs(25.0), &[]).with(tight),
-];
-
-/// Faults of chip and controller.
-const CONTROL: [FaultCase; 12] = [
-    case("10 of every 100 control ticks missed", MissedTicks(10), &[Fault::MissedTicks]),
-    case("control task hangs", Hang, &[Fault::Restarted]).resumed(),
-    case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]).resumed(),
-    case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
-    case("a second host sends other settings and gains", OtherHost, &[]).of_any_volume(),
-    case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
-        .run_by(Greedy),
-    case("power lost while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
-        .run_by(Greedy),
-    case("network that always requests 100 % more", Injection::Controller, &[]).run_by(Greedy),
-    case("network that drives each breath to the limit", Injection::Controller, &[Fault::LearnedDistrusted])
-        .with(low)
-        .run_by(Greedy)
-        .at(0)
-        .not_ventilated(),
-    case("PID that drives each breath to the limit", Injection::Controller, &[Fault::CommandCapped])
-        .with(low)
-        .run_by(Ringing)
-        .with_resistance(20.0)
-        .at(0)
-        .not_ventilated(),
-    case("network that alternates between fully open and closed", Injection::Controller, &[])
-        .run_by(Alternating),
-    case("oscillating PID", Injection::Controller, &[]).run_by(Ringing),
-];
-
-/// All faults.
-pub fn cases() -> impl Iterator<Item = &'static FaultCase> {
-    SENSOR.iter().chain(&MACHINE).chain(&CONTROL)
-}
-
-/// The PID that is best for all the paper's lungs.
-pub(crate) const SOUND: PidGains = PidGains { p: 6.098, i: 290.6, d: 0.2094 };
-/// The same without its integral, which would counteract a greedy network.
-const WITHOUT_INTEGRAL: PidGains = PidGains { i: 0.0, ..SOUND };
-/// Gains that ring on every lung.
-const RINGING: PidGains = PidGains { p: 60.0, i: 3000.0, d: 0.0 };
-
-impl CaseController {
-    fn controller(self) -> Result<Controller, SourceError> {
-        let pid = |gains| Pid::new(gains, DEFAULT_PERIOD_US).map(Controller::Pid);
-        let built = match self {
-            Sound => pid(SOUND).ok(),
-            Ringing => pid(RINGING).ok(),
-            Greedy => full_authority(WITHOUT_INTEGRAL, greedy()),
-            Alternating => full_authority(SOUND, alternating()),
-        };
-        built.ok_or(SourceError::Stopped)
-    }
-}
-
-/// A learned controller with full authority over a PID.
-pub(super) fn full_authority(gains: PidGains, network: Network) -> Option<Controller> {
-    let spec = ResidualSpec {
-        period_us: DEFAULT_PERIOD_US,
-        gains,
-        lambda: 1.0,
-        authority: 100.0,
-        features: FeatureSpec::default(),
-    };
-    Residual::new(spec, network).ok().map(Controller::Residual)
-}
-
-fn greedy() -> Network {
-    let mut network = Network::zero();
-    network.output.bias[0] = 1.0;
-    network
-}
-
-/// Requests nothing after a command above 50 %, everything after one below.
-fn alternating() -> Network {
-    let mut network = Network::zero();
-    let last_command = shared::control::features::PAST_COMMANDS.start;
-    network.hidden_1.weights[0][last_command] = 100.0;
-    network.hidden_1.bias[0] = -100.0;
-    network.hidden_2.weights[0][0] = 100.0;
-    network.output.weights[0][0] = -2.0;
-    network
-}
-
 /// Runs this number of breaths, shared between the lungs, with effort and coughs but no fault, under the PID that is
 /// best for all the paper's lungs; returns the alarms.
 ///
@@ -386,7 +72,7 @@ pub fn false_alarms(
     breaths: u32,
     progress: &Progress<'_>,
 ) -> Result<Vec<(String, Fault)>, SourceError> {
-    let controller = &Sound.controller()?;
+    let controller = &sound_controller()?;
     let each = breaths.div_ceil(lungs.len().max(1) as u32);
     let runs: Vec<(u64, BenchConfig)> = (0..u64::from(each / NOMINAL_BREATHS))
         .flat_map(|seed| lungs.iter().map(move |lung| (seed, lively(lung, seed))))
@@ -401,6 +87,7 @@ pub fn false_alarms(
             injection: Injection::Controller,
             onset_ms: 0,
             watched_ms: NOMINAL_BREATHS * BREATH_MS,
+            judged_after_ms: 0,
             seed: *seed,
         })?;
         let alarms = outcome.alarms.iter().map(|(fault, _)| (bench.name.clone(), *fault));
@@ -420,63 +107,96 @@ fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
     bench
 }
 
-/// Switches off each monitor in turn; returns the faults whose rows then fail. Without such a fault, a monitor is
-/// unproven.
+/// What can be left out of the monitors and responses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The monitor of a fault.
+    Monitor(Fault),
+    /// A response.
+    Response(Response),
+}
+
+impl Part {
+    /// All monitors and responses.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Fault::all().map(Self::Monitor).chain(Response::ALL.map(Self::Response))
+    }
+
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Monitor(fault) => fault.alarm().id,
+            Self::Response(response) => response.name(),
+        }
+    }
+
+    /// All other monitors and responses.
+    fn others(self) -> Monitors {
+        match self {
+            Self::Monitor(fault) => Monitors::ALL.without(fault),
+            Self::Response(response) => Monitors::ALL.without_response(response),
+        }
+    }
+}
+
+/// Leaves out each monitor and each response in turn; returns the faults whose rows then fail. Without such a fault, the part
+/// is unproven.
 ///
 /// # Errors
 /// See [`matrix`].
-pub fn without_each_monitor(
+pub fn without_each_part(
     lungs: &[BenchConfig],
     seeds: &[u64],
     progress: &Progress<'_>,
-) -> Result<Vec<(Fault, Vec<&'static str>)>, SourceError> {
-    let missed = |monitor: Fault| {
-        let progress = progress.of(monitor.alarm().id);
-        let rows = matrix(lungs, seeds, Monitors::ALL.without(monitor), &progress)?;
+) -> Result<Vec<(Part, Vec<&'static str>)>, SourceError> {
+    let missed = |part: Part| {
+        let progress = progress.of(part.name());
+        let rows = matrix(lungs, seeds, LIMIT, part.others(), &progress)?;
         let mut failed: Vec<_> = rows.iter().filter(|row| !row.pass).map(|row| row.fault).collect();
         failed.dedup();
-        Ok((monitor, failed))
+        Ok((part, failed))
     };
-    Fault::all().map(missed).collect()
+    Part::all().map(missed).collect()
 }
 
-/// Runs every case on every lung under every seed.
+/// Runs every case on every lung under every seed, with a pressure limit in cmH2O.
 ///
 /// # Errors
 /// A bench that is refused, or the request to stop.
 pub fn matrix(
     lungs: &[BenchConfig],
     seeds: &[u64],
+    limit: f32,
     monitors: Monitors,
     progress: &Progress<'_>,
 ) -> Result<Vec<FaultRow>, SourceError> {
     let cells: Vec<_> = cases()
         .flat_map(|case| lungs.iter().map(move |lung| (case, lung)))
-        .filter(|(case, lung)| lung.lung.first.resistance_cmh2o_per_l_s >= case.least_resistance)
+        .filter(|(case, lung)| case.is_possible(lung))
         .collect();
     let task = progress.task(Stage::Faults, cells.len());
     let sound = SoundRuns::default();
-    side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, monitors, &sound))
+    side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, (limit, monitors), &sound))
 }
 
 /// Runs without a fault, shared by all cases with the same settings and times.
 #[derive(Default)]
 struct SoundRuns(Mutex<Vec<(SoundKey, Ventilation)>>);
 
-/// What such a run depends on: lung, settings, onset and end of the fault, ms, seed.
-type SoundKey = (String, Settings, [u32; 2], u64);
+/// What such a run depends on: lung, settings, times of the fault, of the judgement and of the end, ms, seed.
+type SoundKey = (String, Settings, [u32; 3], u64);
 
 impl SoundRuns {
-    /// What the lung gets of a sound machine in the time of a trial.
+    /// What the passive lung gets of a sound machine in the time of a trial.
     fn of(&self, trial: &Trial<'_>) -> Result<Ventilation, SourceError> {
-        let times = [trial.onset_ms, trial.watched_ms];
+        let times = [trial.onset_ms, trial.judged_after_ms, trial.watched_ms];
         let key = (trial.bench.name.clone(), trial.settings, times, trial.seed);
         let known =
             |runs: &[(SoundKey, Ventilation)]| runs.iter().find(|(of, _)| *of == key).map(|run| run.1);
         if let Some(known) = known(&locked(&self.0)) {
             return Ok(known);
         }
-        let controller = Sound.controller()?;
+        let controller = sound_controller()?;
         let outcome = run(&Trial {
             controller: &controller,
             monitors: Monitors::ALL,
@@ -492,36 +212,57 @@ fn cell(
     case: &FaultCase,
     lung: &BenchConfig,
     seeds: &[u64],
-    monitors: Monitors,
+    (limit, monitors): (f32, Monitors),
     sound: &SoundRuns,
 ) -> Result<FaultRow, SourceError> {
     let controller = case.controller.controller()?;
+    let bench = case.bench(lung);
     let trial = |seed: u64| Trial {
-        bench: lung,
-        settings: (case.settings)(),
+        bench: &bench,
+        settings: (case.settings)(limit),
         controller: &controller,
         monitors,
         injection: case.injection,
         onset_ms: case.onset_ms,
         watched_ms: case.watched_ms,
+        judged_after_ms: case.judged_after_ms,
         seed,
     };
+    let passive = |seed: u64| Trial { bench: lung, settings: case.settings_after(limit), ..trial(seed) };
     let outcomes = seeds.iter().map(|seed| run(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
-    let sound = seeds.iter().map(|seed| sound.of(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
-    Ok(row(case, lung, &outcomes, &sound))
+    let sound = seeds.iter().map(|seed| sound.of(&passive(*seed))).collect::<Result<Vec<_>, _>>()?;
+    Ok(row(case, lung, limit, &outcomes, &sound))
 }
 
-fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &[Ventilation]) -> FaultRow {
+/// The alarms that a case requires at a pressure limit, cmH2O: at a limit above the usual one the pressure of a soft lung stays
+/// below it.
+fn required(case: &FaultCase, limit: f32) -> impl Iterator<Item = Fault> {
+    case.monitors.iter().copied().filter(move |fault| limit <= LIMIT || *fault != Fault::HighPressure)
+}
+
+fn row(
+    case: &FaultCase,
+    lung: &BenchConfig,
+    limit: f32,
+    outcomes: &[TrialOutcome],
+    sound: &[Ventilation],
+) -> FaultRow {
     let longest = |of: &dyn Fn(&TrialOutcome) -> Option<u32>| outcomes.iter().filter_map(of).max();
-    let detected = |outcome: &TrialOutcome| outcome.time_to(*case.monitors.first()?);
-    let fired = |outcome: &TrialOutcome| case.monitors.iter().all(|m| outcome.time_to(*m).is_some());
+    let detected = |outcome: &TrialOutcome| outcome.time_to(required(case, limit).next()?);
+    let fired =
+        |outcome: &TrialOutcome| required(case, limit).all(|monitor| outcome.time_to(monitor).is_some());
+    let unwanted = |(fault, _): &(Fault, u32)| {
+        case.never.contains(fault) || (case.quiet && fault.alarm().priority == Priority::High)
+    };
     let always = outcomes.iter().all(fired);
-    let shown = outcomes.iter().find(|outcome| !fired(outcome)).or(outcomes.last());
+    let shown = outcomes
+        .iter()
+        .find(|outcome| !fired(outcome) || outcome.alarms.iter().any(unwanted))
+        .or(outcomes.last());
     let peak_true = outcomes.iter().map(|outcome| outcome.peak_true).fold(0.0, f64::max);
     let limit_to_vent_ms = longest(&|outcome| outcome.limit_to_vent_ms);
     let back_at_peep_ms = longest(&|outcome| outcome.back_at_peep_ms);
     let detect_ms = if always { longest(&detected) } else { None };
-    let obey = case.peak_allowed < PEAKS.1;
     let back = |outcome: &TrialOutcome| {
         outcome.vented_ms.is_none() || outcome.back_at_peep_ms.is_some_and(|ms| ms <= BACK_WITHIN_MS)
     };
@@ -530,16 +271,18 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &
     let minute_volume_share = outcomes.iter().zip(sound).map(share).fold(f64::INFINITY, f64::min);
     let ventilated = match case.ventilation {
         Required::Impossible => true,
-        Required::Breaths => gap_ms <= GAP_MS,
-        Required::GapWithin(ms) => {
-            gap_ms <= ms.max(pause_ms(&(case.settings)())) && minute_volume_share >= VOLUME_SHARE
+        Required::Breaths => gap_ms <= case.longest_gap_ms(limit),
+        Required::GapWithin(_) => {
+            gap_ms <= case.longest_gap_ms(limit) && minute_volume_share >= case.least_share
         }
     };
+    let peak_allowed = case.peak_allowed(limit);
+    let quiet = !outcomes.iter().any(|outcome| outcome.alarms.iter().any(unwanted));
     let action = outcomes.last().and_then(TrialOutcome::action);
     FaultRow {
         fault: case.name,
         lung: lung.name.clone(),
-        monitor: case.monitors.iter().map(|monitor| monitor.alarm().id).collect(),
+        monitor: required(case, limit).map(|monitor| monitor.alarm().id).collect(),
         detect_ms,
         action,
         breaths_delivered: outcomes.iter().map(|outcome| outcome.ventilation.breaths).min().unwrap_or(0),
@@ -547,20 +290,16 @@ fn row(case: &FaultCase, lung: &BenchConfig, outcomes: &[TrialOutcome], sound: &
         minute_volume_share,
         response: action.map_or("none", Action::name),
         peak_true,
-        peak_allowed: case.peak_allowed,
+        peak_allowed,
         back_at_peep_ms,
         limit_to_vent_ms,
         alarms: shown.iter().flat_map(|outcome| &outcome.alarms).map(|(fault, _)| fault.alarm().id).collect(),
         pass: always
-            && peak_true <= case.peak_allowed
+            && peak_true <= peak_allowed
             && limit_to_vent_ms.is_none_or(|ms| ms <= VENT_WITHIN_MS)
             && detect_ms.is_none_or(|ms| ms <= case.within_ms)
-            && (!obey || outcomes.iter().all(back))
-            && ventilated,
+            && (!case.obeys || outcomes.iter().all(back))
+            && ventilated
+            && quiet,
     }
-}
-
-/// Longest gap at these settings without counting as one, ms: two breaths without their inspiration.
-fn pause_ms(settings: &Settings) -> u32 {
-    (1000.0 * (2.0 * 60.0 / settings.rate - settings.inspiratory_time)) as u32
 }

@@ -18,11 +18,11 @@ use shared::control::Controller;
 use shared::control::network::Network;
 use shared::control::pid::{Pid, PidGains};
 use shared::safety::monitors::Monitors;
-use shared::settings::Settings;
+use shared::settings::{LIMIT_MARGIN, Settings};
 use thiserror::Error;
 
+use super::hostile::full_authority;
 use super::injection::Injection;
-use super::matrix::full_authority;
 use super::trial::{Trial, run};
 use data::files::{read_json, write_json_indented};
 use plant::bench::{BenchConfig, Failure};
@@ -31,10 +31,10 @@ use ventilator::SourceError;
 
 /// Number of breaths per run.
 pub const BREATHS_PER_RUN: u64 = 10;
-/// Pressure limit, cmH2O.
-pub const LIMIT: f32 = 40.0;
-/// Highest true airway pressure, cmH2O.
-pub const BOUND: f64 = 60.0;
+/// Highest true airway pressure above the pressure limit, cmH2O.
+pub const ABOVE_LIMIT: f64 = 15.0;
+/// Highest PIP, cmH2O.
+const HIGHEST_PIP: f32 = 50.0;
 /// Earliest time of a fault, ms: the lung estimator needs two breaths first.
 const WARM_UP_MS: u32 = 6000;
 /// Number of runs between two checks for a stop request.
@@ -52,9 +52,9 @@ pub enum TortureError {
     /// The progress file could not be used.
     #[error("cannot use {}: {source}", path.display())]
     File { path: PathBuf, source: io::Error },
-    /// The file belongs to a test with another seed.
-    #[error("{} belongs to seed {seed}: choose another file or that seed", path.display())]
-    OtherSeed { path: PathBuf, seed: u64 },
+    /// The file belongs to a test with another seed or limit.
+    #[error("{} belongs to seed {seed} and limit {limit}: choose another file or these", path.display())]
+    OtherTest { path: PathBuf, seed: u64, limit: f32 },
 }
 
 /// Progress and results of a torture test; when saved, the test can continue later.
@@ -62,6 +62,8 @@ pub enum TortureError {
 pub struct Torture {
     /// Seed of all random numbers.
     pub seed: u64,
+    /// Pressure limit, cmH2O.
+    pub limit: f32,
     /// Number of breaths done.
     pub breaths: u64,
     /// Highest true airway pressure, cmH2O.
@@ -76,20 +78,25 @@ pub struct Torture {
 
 impl Torture {
     /// A test at its beginning.
-    pub fn new(seed: u64) -> Self {
-        Self { seed, breaths: 0, peak_true: 0.0, worst_run: 0, above_limit: 0, latched: 0 }
+    pub fn new(seed: u64, limit: f32) -> Self {
+        Self { seed, limit, breaths: 0, peak_true: 0.0, worst_run: 0, above_limit: 0, latched: 0 }
     }
 
-    /// The progress that an earlier test with this seed saved in a file, or a new test.
+    /// Highest true airway pressure allowed, cmH2O.
+    pub fn bound(&self) -> f64 {
+        f64::from(self.limit) + ABOVE_LIMIT
+    }
+
+    /// The progress that an earlier test with this seed and limit saved in a file, or a new test.
     ///
     /// # Errors
-    /// A file that cannot be read, or that has another seed.
-    pub fn resume(file: &Path, seed: u64) -> Result<Self, TortureError> {
-        let kept: Self = read_json(file).map_err(failure(file))?.unwrap_or_else(|| Self::new(seed));
-        if kept.seed == seed {
+    /// A file that cannot be read, or that has another seed or limit.
+    pub fn resume(file: &Path, seed: u64, limit: f32) -> Result<Self, TortureError> {
+        let kept: Self = read_json(file).map_err(failure(file))?.unwrap_or_else(|| Self::new(seed, limit));
+        if (kept.seed, kept.limit.to_bits()) == (seed, limit.to_bits()) {
             Ok(kept)
         } else {
-            Err(TortureError::OtherSeed { path: file.to_owned(), seed: kept.seed })
+            Err(TortureError::OtherTest { path: file.to_owned(), seed: kept.seed, limit: kept.limit })
         }
     }
 
@@ -109,12 +116,12 @@ impl Torture {
             let first = self.breaths / BREATHS_PER_RUN;
             let last = (first + BATCH).min(breaths.div_ceil(BREATHS_PER_RUN));
             let found: Result<Vec<_>, SourceError> =
-                (first..last).into_par_iter().map(|number| torment(self.seed, number)).collect();
+                (first..last).into_par_iter().map(|number| torment(self.seed, self.limit, number)).collect();
             for (number, (peak, latched)) in (first..).zip(found?) {
                 if peak > self.peak_true {
                     (self.peak_true, self.worst_run) = (peak, number);
                 }
-                self.above_limit += u64::from(peak > BOUND);
+                self.above_limit += u64::from(peak > self.bound());
                 self.latched += u64::from(latched);
             }
             self.breaths = last * BREATHS_PER_RUN;
@@ -133,14 +140,14 @@ fn failure(file: &Path) -> impl FnOnce(io::Error) -> TortureError {
 }
 
 /// Performs one run; returns its highest true pressure and whether it ended in the safe state.
-fn torment(seed: u64, number: u64) -> Result<(f64, bool), SourceError> {
+fn torment(seed: u64, limit: f32, number: u64) -> Result<(f64, bool), SourceError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(number);
     let [resistance, compliance] = LUNGS.map(|(low, high)| rng.random_range(low..=high));
     let mut bench = BenchConfig::paper(resistance, compliance);
     bench.unit.number = rng.random_range(0..1000);
-    let settings =
-        Settings { pressure_limit: LIMIT, ..paper_settings(rng.random_range(8.0_f32..=LIMIT - 5.0)) };
+    let highest = (limit - LIMIT_MARGIN).min(HIGHEST_PIP);
+    let settings = Settings { pressure_limit: limit, ..paper_settings(rng.random_range(8.0_f32..=highest)) };
     let controller = hostile(&mut rng).ok_or(SourceError::Stopped)?;
     let watched_ms = 3000 * BREATHS_PER_RUN as u32;
     let onset_ms = rng.random_range(WARM_UP_MS..watched_ms / 2);
@@ -152,6 +159,7 @@ fn torment(seed: u64, number: u64) -> Result<(f64, bool), SourceError> {
         injection: fault(&mut rng),
         onset_ms,
         watched_ms: watched_ms - onset_ms,
+        judged_after_ms: 0,
         seed: rng.random(),
     };
     let outcome = run(&trial)?;
@@ -197,9 +205,10 @@ fn fault(rng: &mut ChaCha8Rng) -> Injection {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::faults::cases::LIMIT;
 
     fn tortured(breaths: u64) -> Torture {
-        let mut torture = Torture::new(3);
+        let mut torture = Torture::new(3, LIMIT);
         torture.advance(breaths, None, &Progress::silent()).unwrap();
         torture
     }
@@ -216,11 +225,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("torture.json");
         for breaths in [200, 500] {
-            let mut part = Torture::resume(&file, 3).unwrap();
+            let mut part = Torture::resume(&file, 3, LIMIT).unwrap();
             part.advance(breaths, Some(&file), &Progress::silent()).unwrap();
         }
-        assert_eq!(Torture::resume(&file, 3).unwrap(), tortured(500));
-        let refused = Torture::resume(&file, 4).unwrap_err().to_string();
-        assert!(refused.contains("belongs to seed 3"), "{refused}");
+        assert_eq!(Torture::resume(&file, 3, LIMIT).unwrap(), tortured(500));
+        for (seed, limit) in [(4, LIMIT), (3, 60.0)] {
+            let refused = Torture::resume(&file, seed, limit).unwrap_err().to_string();
+            assert!(refused.contains("belongs to seed 3 and limit 40"), "{refused}");
+        }
     }
 }

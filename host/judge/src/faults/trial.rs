@@ -46,6 +46,8 @@ pub struct Trial<'a> {
     pub onset_ms: u32,
     /// Duration of the trial after the fault, ms.
     pub watched_ms: u32,
+    /// Time after the fault from which ventilation is measured, ms.
+    pub judged_after_ms: u32,
     /// Seed of all noise.
     pub seed: u64,
 }
@@ -119,7 +121,7 @@ pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     let bench = Bench::new(trial.bench, trial.settings.peep, trial.seed)?;
     let mut run = Run {
         rig: Rig::started(trial.controller, &trial.settings, trial.monitors, exploration)?,
-        delivered_ml: DELIVERED * tidal_volume_ml(trial.bench, &trial.settings),
+        delivered_ml: DELIVERED * tidal_volume_ml(trial.bench, &trial.injection.settings(trial.settings)),
         volume: VolumeMeter::new(0.0, 0.0, 0),
         bench,
         sensor: SensorFault::new(trial.injection, rng.clone()),
@@ -182,8 +184,8 @@ impl Run<'_> {
         };
         let volume = f64::from(self.bench.pressures().lung_volume);
         match since {
-            None | Some(0) => self.volume = VolumeMeter::new(self.delivered_ml, volume, ms),
-            Some(_) => self.volume.add(volume, ms),
+            Some(since) if since > self.trial.judged_after_ms => self.volume.add(volume, ms),
+            _ => self.volume = VolumeMeter::new(self.delivered_ml, volume, ms),
         }
         if let Some(since) = since {
             self.watch(since);
@@ -200,6 +202,10 @@ impl Run<'_> {
             (Injection::Reconnected(_), 0) => self.bench.fail(Failure::Disconnected),
             (Injection::Reconnected(after), since) if since == after => self.bench.restore(),
             (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
+            (Injection::CoughTrains(peak), since) if Injection::coughs(since) => self.bench.cough(peak),
+            (Injection::NewTiming(..), 0) => {
+                self.rig.apply(self.trial.injection.settings(self.trial.settings));
+            }
             _ => {}
         }
         self.readings = self.sensor.readings(self.readings);
