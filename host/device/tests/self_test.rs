@@ -62,10 +62,9 @@ impl Machine {
     }
 
     fn ask(&mut self, request: &ControlRequest) -> Response {
-        match self.control.execute(request) {
-            ControlReply::Response(response) => response,
-            other => panic!("{other:?}"),
-        }
+        let reply = self.control.execute(request);
+        let ControlReply::Response(response) = reply else { panic!("{reply:?}") };
+        response
     }
 
     fn start(&mut self) -> Response {

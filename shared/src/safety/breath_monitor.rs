@@ -217,8 +217,21 @@ impl BreathMonitor {
     }
 
     /// Checks an expiration that an effort ends early, by its pressure before that.
-    pub fn triggered(&self, state: &mut BreathState, breath: &Breath, cut: bool) -> Option<Fault> {
-        self.expired(state, state.rest.before(), breath.settings().peep, cut)
+    /// `emptied`: it lasted long enough to have a baseline.
+    pub fn triggered(
+        &self,
+        state: &mut BreathState,
+        breath: &Breath,
+        emptied: bool,
+        cut: bool,
+    ) -> Option<Fault> {
+        let high = state.high;
+        let fault = self.expired(state, state.rest.before(), breath.settings().peep, cut);
+        if emptied {
+            return fault;
+        }
+        state.high = high;
+        fault.filter(|fault| *fault != Fault::BaselineHigh)
     }
 
     /// Checks an inspiration by the means over its end.
@@ -406,12 +419,14 @@ mod tests {
                     let input = BreathInput { pressure, ..GOOD.at(&breath, tick) };
                     assert_eq!(monitor.check(&mut state, &input), None);
                 }
-                found = monitor.triggered(&mut state, &breath, false);
+                found = monitor.triggered(&mut state, &breath, end > 1800, false);
             }
             found
         };
         assert_eq!(triggered(2, 8.5, 5.0, 2500), Some(Fault::BaselineHigh));
         assert_eq!(triggered(1, 8.5, 5.0, 2500), None);
+        assert_eq!(triggered(9, 8.5, 5.0, 1800), None, "still emptying");
+        assert_eq!(triggered(3, 2.5, 5.0, 1800), Some(Fault::BaselineLow));
         assert_eq!(triggered(3, 2.5, 5.0, 2500), Some(Fault::BaselineLow));
         assert_eq!(triggered(9, 5.0, 0.0, 2500), None, "the effort itself");
         assert_eq!(triggered(9, 8.5, 8.5, 1590), None, "too short to tell");

@@ -24,6 +24,8 @@ const RELEASE: f32 = 8.0;
 const BOUND: f32 = 40.0;
 /// Part of each breath's leak in the mean leak, after the first few.
 const LEARNED: f32 = 0.3;
+/// Leak that is an open tube, L/s at 1 cmH2O: 0.8 L/s at 30 cmH2O. No flow makes up for it.
+const OPEN_TUBE: f32 = 0.15;
 /// Flow of a leak at PEEP from which it is made up for in advance, and the flow beyond it that keeps the PEEP valve open, L/s.
 const KNOWN_LEAK: f32 = 0.015;
 const SURPLUS: f32 = 0.02;
@@ -109,7 +111,7 @@ impl Expiration {
         }
     }
 
-    /// Records the pressure of a tick of a breath, cmH2O. A doubtful pressure raises no flow.
+    /// Records the pressure of a tick of a breath, cmH2O. A doubtful pressure, or that of an open tube, raises no flow.
     #[inline]
     pub fn observe(
         &self,
@@ -145,9 +147,12 @@ impl Expiration {
     }
 
     /// Assesses an expiration that an effort ends early: whether its pressure still falls is not known, so PIP stays.
-    pub fn triggered(&self, state: &mut ExpirationState, peep: f32) {
+    /// `emptied`: it lasted long enough to have a baseline.
+    pub fn triggered(&self, state: &mut ExpirationState, peep: f32, emptied: bool) {
         let above = state.smooth - peep;
-        state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
+        if emptied {
+            state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
+        }
         (state.falling, state.above) = (true, 0.0);
     }
 
@@ -172,6 +177,9 @@ impl Expiration {
     /// Learns the leak of a breath, L/s at 1 cmH2O, to make up for it in advance at this PEEP, cmH2O. Gas that stays in a lung
     /// whose expiratory path is blocked is no leak.
     pub fn learn_leak(&self, state: &mut ExpirationState, peep: f32, leak: f32) {
+        if leak > OPEN_TUBE {
+            return;
+        }
         if state.incomplete > 0 {
             (state.leak, state.advance, state.learnt) = (0.0, 0.0, 0);
             return;
@@ -307,7 +315,9 @@ mod tests {
         assert!(learnt(&mut state, 0.0074, 4.0).abs() < 1e-6, "a tight circuit");
         assert!(learnt(&mut state, 0.0076, 4.0) > 5.0);
         assert!(learnt(&mut state, -0.3, 4.0).abs() < 1e-6);
-        assert!((learnt(&mut state, 9.0, 4.0) - BOUND).abs() < 1e-6);
+        assert!((learnt(&mut state, OPEN_TUBE, 16.0) - BOUND).abs() < 1e-6);
+        learnt(&mut state, 0.0, 4.0);
+        assert!(learnt(&mut state, 0.151, 4.0).abs() < 1e-6, "a disconnected patient");
         let mut mean = ExpirationState::default();
         for (leak, expected) in [(0.1, 0.1), (0.0, 0.05), (0.0, 0.0333), (0.0, 0.0233), (0.1, 0.0463)] {
             expiration.learn_leak(&mut mean, 4.0, leak);
@@ -329,13 +339,15 @@ mod tests {
     fn an_expiration_that_an_effort_ends_moves_no_pip_and_counts_as_incomplete() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         state.smooth = 8.1;
-        expiration.triggered(&mut state, 5.0);
-        expiration.triggered(&mut state, 5.0);
+        expiration.triggered(&mut state, 5.0, true);
+        expiration.triggered(&mut state, 5.0, true);
         expiration.start_breath(&mut state, Some(1.0));
         assert!(state.shift(&breath()).abs() < 1e-6);
         assert!(expiration.goes_on(&state, &breath(), 3000));
         state.smooth = 8.0;
-        expiration.triggered(&mut state, 5.0);
+        expiration.triggered(&mut state, 5.0, false);
+        assert_eq!(state.incomplete, 2, "still emptying");
+        expiration.triggered(&mut state, 5.0, true);
         assert_eq!(state.incomplete, 0, "at the bound");
     }
 

@@ -46,6 +46,8 @@ const REACHES: f32 = 0.5;
 const EFFORT: f32 = 25.0;
 /// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
 const OPENED: f32 = 0.04;
+/// Time after an inspiration from which a pressure above PEEP is a baseline, not that of a lung which still empties, s.
+const EMPTIED: f32 = 0.8;
 /// Breaths without a finding after which its condition counts as gone.
 const HOLD_BREATHS: u32 = 2;
 
@@ -60,8 +62,9 @@ pub struct Supervisor {
     expiration: Expiration,
     /// Largest change of the learned part in a tick, percent.
     slew: f32,
-    /// [`OPENED`] in ticks.
+    /// [`OPENED`] and [`EMPTIED`] in ticks.
     opened: u32,
+    emptied: u32,
 }
 
 /// State of the monitors, of the responses and of the latched fault.
@@ -123,6 +126,7 @@ impl Supervisor {
             expiration: Expiration::new(period_us, monitors),
             slew: RESIDUAL_SLEW * period_s(period_us),
             opened: ticks(OPENED, period_us),
+            emptied: ticks(EMPTIED, period_us),
         }
     }
 
@@ -255,8 +259,9 @@ impl Supervisor {
             return;
         }
         self.compare_sensors(state, breath, true);
-        self.expiration.triggered(&mut state.expiration, breath.settings().peep);
-        if let Some(fault) = self.breath.triggered(&mut state.breath, breath, state.cut) {
+        let emptied = tick.saturating_sub(breath.inspiration_ticks()) >= self.emptied;
+        self.expiration.triggered(&mut state.expiration, breath.settings().peep, emptied);
+        if let Some(fault) = self.breath.triggered(&mut state.breath, breath, emptied, state.cut) {
             self.found(state, fault);
         }
     }
@@ -280,7 +285,8 @@ impl Supervisor {
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
-        self.expiration.observe(&mut state.expiration, breath, tick, pressure, state.doubtful);
+        let unsure = state.doubtful || state.breath.is_disconnected();
+        self.expiration.observe(&mut state.expiration, breath, tick, pressure, unsure);
         if tick + 1 == breath.inspiration_ticks() && !state.cut {
             self.source.at_plateau(&mut state.source, readings);
             self.inspired(state, pressure, breath);
@@ -335,7 +341,7 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
-        if let Some(leak) = state.volumes.leak() {
+        if let Some(leak) = state.volumes.leak().filter(|_| !state.breath.is_disconnected()) {
             self.expiration.learn_leak(&mut state.expiration, settings.peep, leak);
         }
         if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {

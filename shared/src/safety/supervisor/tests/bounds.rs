@@ -84,8 +84,8 @@ fn the_sensors_are_compared_over_the_last_fifty_milliseconds_of_a_breath() {
 /// The volumes of a breath of which this share came out again.
 fn expired(share: f32) -> Volumes {
     let mut volumes = Volumes::default();
-    volumes.add(1.0, f32::NAN, 1.0);
-    volumes.add(-share, f32::NAN, 1.0);
+    volumes.add(0.03125, f32::NAN, 1.0);
+    volumes.add(-0.03125 * share, f32::NAN, 1.0);
     volumes
 }
 
