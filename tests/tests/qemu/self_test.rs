@@ -22,8 +22,9 @@ fn tested(device: &mut Device) -> Vec<Outcome> {
 
 #[test]
 fn a_sound_board_passes_and_damage_to_its_program_prevents_ventilation() {
-    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     use Outcome::{Failed, NotRun, Passed};
+
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     let sound = [Passed, Passed, Passed, Passed, NotRun, NotRun, NotRun, NotRun];
     assert_eq!(tested(&mut device), sound);
     // In the vector table, the entry of an interrupt that never occurs.
