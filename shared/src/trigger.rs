@@ -19,9 +19,9 @@ const LINE: (usize, usize) = (12, 24);
 const OPENING: usize = 20;
 /// Blocks that are kept.
 const KEPT: usize = 32;
-/// Multiple of the mean noise of a value below which a deviation can be noise: five standard deviations of the difference
-/// between a block and the line.
-const NOISES: f32 = 2.5;
+/// Multiple of the mean noise of a value below which a deviation of a block of one value can be noise: five standard deviations
+/// of the difference between block and line. Longer blocks are quieter by the root of their length.
+const NOISES: f32 = 7.9;
 /// Time constant of the mean noise, s.
 const NOISE_TIME: f32 = 0.2;
 /// Part of the sensitivity within which a signal follows its line; only a signal that did can leave it. Muscles that relax while
@@ -38,8 +38,9 @@ const _: () = assert!(LINE.1 + GAP < KEPT);
 /// Configuration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trigger {
-    /// [`BLOCK`] in ticks.
+    /// [`BLOCK`] in ticks, and [`NOISES`] for such a block.
     block: u32,
+    noises: f32,
     noise: f32,
 }
 
@@ -95,7 +96,8 @@ impl Trigger {
     /// For a control period in microseconds.
     pub fn new(period_us: u32) -> Self {
         let noise = math::lag_factor(NOISE_TIME, crate::breath::period_s(period_us));
-        Self { block: ticks(BLOCK, period_us), noise }
+        let block = ticks(BLOCK, period_us);
+        Self { block, noises: NOISES / math::square_root(block as f32), noise }
     }
 
     /// Whether the patient starts to inhale in this tick of a breath, after the inspiration. `pressure` is a reliable
@@ -139,7 +141,7 @@ impl Trigger {
         signal.means[signal.blocks % KEPT] = signal.sum / signal.count as f32;
         (signal.blocks, signal.sum, signal.count) = (signal.blocks + 1, 0.0, 0);
         let Some(deviation) = signal.deviation() else { return false };
-        let bound = sensitivity.max(NOISES * signal.noise);
+        let bound = sensitivity.max(self.noises * signal.noise);
         signal.on_line |= deviation < ON_LINE * bound;
         let rise = signal.mean(0) - signal.mean(GAP);
         signal.on_line && deviation > bound && rise > RISE * bound
@@ -270,6 +272,20 @@ mod tests {
         assert_eq!(found(&breath(0.2, 0.5), quiet), None);
         let strong = |tick| (PEEP - 4.0 * effort(tick, 2000) + noise(tick, 0.6), f32::NAN);
         assert!((2000..2200).contains(&found(&breath(0.2, 0.0), strong).expect("found")));
+    }
+
+    #[test]
+    fn at_a_long_control_period_noise_starts_no_breath() {
+        for period_us in [1000, 2000, 7000, 30_000] {
+            let settings = Settings { trigger_pressure: 0.2, trigger_flow: 0.5, ..paper_settings(25.0) };
+            let (trigger, breath) = (Trigger::new(period_us), Breath::new(&settings, period_us).unwrap());
+            let mut state = TriggerState::default();
+            for tick in 0..20 * breath.total_ticks() {
+                let (pressure, flow) = (PEEP + noise(tick, 0.2), noise(tick + 7, 0.01));
+                let found = trigger.check(&mut state, &breath, tick % breath.total_ticks(), pressure, flow);
+                assert!(!found, "{period_us} us, tick {tick}");
+            }
+        }
     }
 
     #[test]

@@ -316,7 +316,7 @@ mod tests {
         let text = std::fs::read_to_string(Path::new("..").join(CEILINGS)).unwrap();
         let ceilings: Ceilings = toml::from_str(&text).unwrap();
         assert!(ceilings.parts[REFERENCE] <= 7_011 && ceilings.parts["tick"] <= 25_000);
-        assert!(ceilings.flash_bytes <= 128 * 1024 && ceilings.ram_bytes <= 48 * 1024);
+        assert!(ceilings.flash_bytes <= 256 * 1024 && ceilings.ram_bytes <= 48 * 1024);
     }
 
     #[test]
