@@ -2,7 +2,7 @@
 //!
 //! An effort draws gas. In a lung at rest this lowers the airway pressure; in one that is still emptying it first slows the
 //! flow, while the open expiratory valve holds the pressure. Either signal can start the breath. In an expiration both have
-//! trends of their own, and sensors have offsets. So the mean over the latest [`BLOCK`] is compared with a line through the
+//! trends of their own, and sensors have offsets. So the mean over the latest 10 ms is compared with a line through the
 //! means before it. A passive lung empties ever more slowly, and leaves that line on the other side.
 
 use crate::breath::{Breath, Phase};

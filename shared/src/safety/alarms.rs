@@ -238,7 +238,7 @@ pub const ALARMS: [Alarm; 24] = [
         (Medium, Tell),
         [
             "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit, or 3 in a row with \
-             a command of more than 12 % above the bias to hold PEEP",
+             a command of more than 20 % above the bias to hold PEEP",
             GONE,
             "pressure below PEEP: check for leaks",
         ],

@@ -37,7 +37,7 @@ pub const TIGHT: f32 = 0.75;
 const OPEN: f32 = 0.6;
 /// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
 /// or the flow sensor does not show the leak.
-const HELD: f32 = 12.0;
+const HELD: f32 = 20.0;
 /// Breaths in a row with such a compensation or loss that raise the alarm.
 const LEAKS: u32 = 3;
 /// Incomplete expirations in a row to which the ventilator responds.
@@ -297,9 +297,9 @@ mod tests {
             (state.compensation, state.lowest) = (compensation, compensation);
             expiration.start_breath(&mut state, share)
         };
-        assert_eq!([(); 3].map(|()| held(12.1, None)), [None, None, Some(Fault::BaselineLow)]);
-        assert_eq!(held(12.0, None), None);
-        assert_eq!([(); 3].map(|()| held(20.0, Some(1.0))), [None, None, Some(Fault::BaselineLow)]);
+        assert_eq!([(); 3].map(|()| held(20.1, None)), [None, None, Some(Fault::BaselineLow)]);
+        assert_eq!(held(20.0, None), None);
+        assert_eq!([(); 3].map(|()| held(30.0, Some(1.0))), [None, None, Some(Fault::BaselineLow)]);
     }
 
     #[test]

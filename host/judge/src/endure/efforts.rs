@@ -1,7 +1,7 @@
 //! How well breaths follow the patient: efforts that start no breath, delays, and breaths that no effort has started.
 //!
-//! An effort can be missed only if it begins in an expiration, later than [`REFRACTORY_MS`] after the inspiration: before
-//! that the ventilator is not to respond. It is followed if a breath begins before it ends.
+//! An effort can be missed only if it begins in an expiration, later than 0.3 s after the inspiration: before that the
+//! ventilator is not to respond. It is followed if a breath begins before it ends.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +11,7 @@ pub const TELLING_CMH2O: f64 = 3.0;
 const REFRACTORY_MS: u32 = 300;
 /// Time after an effort or a cough in which its end may still move the gas, ms.
 const SETTLES_MS: u32 = 300;
-/// Bins of the delays, of [`BIN_MS`] each; the last one is open-ended.
+/// Bins of the delays, of `BIN_MS` each; the last one is open-ended.
 const BINS: usize = 60;
 /// See [`BINS`].
 const BIN_MS: u32 = 10;
