@@ -237,7 +237,7 @@ pub const ALARMS: [Alarm; 24] = [
         "baseline-low",
         (Medium, Tell),
         [
-            "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit, or 3 in a row with \
+            "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit, or 5 in a row with \
              a command of more than 20 % above the bias to hold PEEP",
             GONE,
             "pressure below PEEP: check for leaks",
@@ -378,7 +378,7 @@ pub const ALARMS: [Alarm; 24] = [
         "leak",
         (Medium, Tell),
         [
-            "less than 60 % of the inspired volume comes out in 3 breaths in a row, or less than 75 % if holding PEEP takes a \
+            "less than 60 % of the inspired volume comes out in 5 breaths in a row, or less than 75 % if holding PEEP takes a \
              command of more than 5 % above the bias",
             GONE,
             "leak: check tube and mask",

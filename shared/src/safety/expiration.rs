@@ -39,7 +39,7 @@ const OPEN: f32 = 0.6;
 /// or the flow sensor does not show the leak.
 const HELD: f32 = 20.0;
 /// Breaths in a row with such a compensation or loss that raise the alarm.
-const LEAKS: u32 = 3;
+const LEAKS: u32 = 5;
 /// Incomplete expirations in a row to which the ventilator responds.
 const IN_A_ROW: u32 = 2;
 /// Time before the end of the expiration from which a constant pressure has changed little, s.
@@ -279,13 +279,13 @@ mod tests {
     #[test]
     fn a_leak_takes_compensation_and_gas_and_an_effort_compensation_alone() {
         let leaks = |share, pressure: f32| {
-            let (expiration, mut state) = breaths_with(4, 25.0, share, |_| pressure);
+            let (expiration, mut state) = breaths_with(6, 25.0, share, |_| pressure);
             state.compensation = state.compensation.max(if pressure < 4.5 { BOUND } else { 0.0 });
             expiration.start_breath(&mut state, share) == Some(Fault::Leak)
         };
         assert!(leaks(Some(0.7), 4.0) && leaks(Some(0.5), 5.0));
         assert!(!leaks(Some(0.9), 4.0) && !leaks(None, 4.0) && !leaks(Some(0.7), 5.0));
-        let (expiration, mut state) = breaths_with(1, 25.0, Some(0.5), |_| 5.0);
+        let (expiration, mut state) = breaths_with(3, 25.0, Some(0.5), |_| 5.0);
         assert_eq!(expiration.start_breath(&mut state, Some(0.5)), None);
         assert_eq!(expiration.start_breath(&mut state, Some(0.5)), Some(Fault::Leak));
     }
@@ -297,9 +297,12 @@ mod tests {
             (state.compensation, state.lowest) = (compensation, compensation);
             expiration.start_breath(&mut state, share)
         };
-        assert_eq!([(); 3].map(|()| held(20.1, None)), [None, None, Some(Fault::BaselineLow)]);
+        assert_eq!([(); 5].map(|()| held(20.1, None)), [None, None, None, None, Some(Fault::BaselineLow)]);
         assert_eq!(held(20.0, None), None);
-        assert_eq!([(); 3].map(|()| held(30.0, Some(1.0))), [None, None, Some(Fault::BaselineLow)]);
+        assert_eq!(
+            [(); 5].map(|()| held(30.0, Some(1.0))),
+            [None, None, None, None, Some(Fault::BaselineLow)]
+        );
     }
 
     #[test]
@@ -440,7 +443,7 @@ mod tests {
         let expiration = Expiration::new(1000, Monitors::ALL);
         let started = |compensation, share| {
             let mut state =
-                ExpirationState { compensation, leaks: 2, above: 10.0, ..ExpirationState::default() };
+                ExpirationState { compensation, leaks: LEAKS - 1, above: 10.0, ..ExpirationState::default() };
             (expiration.start_breath(&mut state, Some(share)).is_some(), state.shift(&breath()) > 9.0)
         };
         assert_eq!([started(LEAK, 0.6), started(LEAK, 0.59)], [(false, true), (true, true)]);

@@ -47,7 +47,7 @@ const EFFORT: f32 = 25.0;
 /// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
 const OPENED: f32 = 0.04;
 /// Time after an inspiration from which a pressure above PEEP is a baseline, not that of a lung which still empties, s.
-const EMPTIED: f32 = 0.8;
+const EMPTIED: f32 = 1.0;
 /// Breaths without a finding after which its condition counts as gone.
 const HOLD_BREATHS: u32 = 2;
 
