@@ -242,9 +242,56 @@ mod tests {
     }
 
     #[test]
+    fn a_change_by_the_sensitivity_itself_is_no_effort() {
+        let step = |tick: u32| (if tick < 2000 { 0.0 } else { -1.0 }, f32::NAN);
+        assert_eq!(found(&breath(1.0, 0.0), step), None);
+    }
+
+    #[test]
+    fn a_line_of_any_slope_is_followed_exactly() {
+        for blocks in [LINE.0 + OPENING + GAP, LINE.1 + OPENING + GAP, 100] {
+            let mut signal = Signal { blocks, ..Signal::default() };
+            (blocks - KEPT..blocks).for_each(|block| signal.means[block % KEPT] = 0.5 * block as f32);
+            assert!(signal.deviation().unwrap().abs() < 1e-3, "{:?}", signal.deviation());
+        }
+    }
+
+    #[test]
+    fn half_the_sensitivity_away_from_the_line_a_signal_does_not_follow_it() {
+        // The line is drawn at the end of block 37, which is off it by this much; the effort is in the next one.
+        let after = |by: f32| {
+            found(&breath(1.0, 0.0), |tick| {
+                let pressure = match tick.saturating_sub(EXPIRES) / 10 {
+                    ..36 => 0.0,
+                    36 => -by,
+                    37.. => -2.0,
+                };
+                (pressure, f32::NAN)
+            })
+        };
+        assert_eq!((after(0.5), after(0.49)), (None, Some(EARLIEST + 9)));
+    }
+
+    #[test]
+    fn a_signal_that_rises_by_half_the_sensitivity_itself_is_no_effort() {
+        // A signal that falls by 0.125 cmH2O in each block, until one that is higher than five blocks before.
+        let rises = |by: f32| {
+            found(&breath(1.0, 0.0), |tick| {
+                let block = tick.saturating_sub(EXPIRES) / 10;
+                let line = |block: u32| -0.125 * block as f32;
+                let signal = if block == 100 { line(95) + by } else { line(block) };
+                (-signal, f32::NAN)
+            })
+        };
+        assert_eq!((rises(0.5), rises(0.625)), (None, Some(2009)));
+    }
+
+    #[test]
     fn a_sensitivity_of_zero_is_off() {
         let signals = |tick| (PEEP - effort(tick, 2000), effort(tick, 2000));
         assert_eq!(found(&breath(0.0, 0.0), signals), None);
+        let step = |tick| if tick < 2000 { (PEEP, 0.0) } else { (PEEP - 3.0, 1.0) };
+        assert_eq!(found(&breath(0.0, 0.0), step), None);
     }
 
     #[test]
@@ -293,6 +340,16 @@ mod tests {
         let signals = |tick| (if tick == 1950 { f32::NAN } else { PEEP - effort(tick, 2000) }, f32::NAN);
         let at = found(&breath(0.4, 0.0), signals);
         assert!(at.is_none_or(|at| at >= 1951 + 369), "{at:?}");
+        let step = |tick| {
+            if tick == 1950 {
+                f32::NAN
+            } else if tick < 2301 {
+                PEEP
+            } else {
+                PEEP - 3.0
+            }
+        };
+        assert_eq!(found(&breath(0.4, 0.0), |tick| (step(tick), f32::NAN)), None, "no line yet to leave");
     }
 
     #[test]
