@@ -329,6 +329,17 @@ mod tests {
     }
 
     #[test]
+    fn a_leak_at_the_bound_needs_no_flow() {
+        let expiration = Expiration::new(1000, Monitors::ALL);
+        let compensation = |leak: f32| {
+            let mut state = ExpirationState::default();
+            expiration.learn_leak(&mut state, 1.0, leak);
+            state.compensation()
+        };
+        assert!(compensation(KNOWN_LEAK).abs() < 1e-6 && compensation(1.01 * KNOWN_LEAK) > 5.0);
+    }
+
+    #[test]
     fn gas_that_a_blocked_valve_keeps_in_is_no_leak() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         expiration.learn_leak(&mut state, 5.0, 0.1);

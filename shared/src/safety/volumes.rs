@@ -125,7 +125,7 @@ mod tests {
         breath(&mut volumes, 1.0, |tick| tick % 20 != 0);
         assert!(volumes.expired_share().is_some(), "few are missing");
         volumes.start_breath();
-        assert_eq!(volumes.expired_share(), None);
+        assert_eq!((volumes.expired(), volumes.expired_share()), (None, None), "no tick");
     }
 
     #[test]
