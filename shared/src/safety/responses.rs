@@ -99,4 +99,12 @@ mod tests {
         assert_eq!(levels(Responses::ALL.without(Response::CappedPid)), [Learned, Pid, Pid, Backup]);
         assert_eq!(levels(Responses::ALL.without(Response::Pid)), [Learned, Learned, CappedPid, Backup]);
     }
+
+    #[test]
+    fn each_response_has_a_name_of_its_own() {
+        for (place, response) in Response::ALL.into_iter().enumerate() {
+            assert!(!response.name().is_empty());
+            assert!(Response::ALL[..place].iter().all(|other| other.name() != response.name()));
+        }
+    }
 }
