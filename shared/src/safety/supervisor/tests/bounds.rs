@@ -216,3 +216,123 @@ fn coughs_in_expirations_are_no_strikes() {
     }
     assert_eq!((alarms, run.state.level()), (Vec::from([Fault::HighPressure]), Level::Learned));
 }
+
+#[test]
+fn the_commands_of_the_last_ticks_predict_the_course_of_the_pressure() {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 40.0), None);
+    for tick in 0..100 {
+        run.check(5.0 + 0.1 * run.state.lung.volume() + dither(tick), Some(tick));
+        run.command(ControlOutput::plain(40.0));
+    }
+    let expected = |state: &SupervisorState, tick| run.supervisor.expected(state, f32::NAN, &breath(), tick);
+    assert_eq!(expected(&run.state, None), Expected::Rest);
+    assert_eq!(expected(&run.state, Some(100)), Expected::RiseTo(20.0));
+    assert_eq!(expected(&run.state, Some(0)), Expected::Any, "the estimate is that of the last breath");
+    assert_eq!(expected(&run.state, Some(1000)), Expected::Any, "no inspiration");
+    let cut = SupervisorState { cut: true, ..run.state.clone() };
+    assert_eq!(expected(&cut, Some(100)), Expected::Any);
+    let open = |open| expected(&SupervisorState { open, ..run.state.clone() }, Some(1040));
+    assert_eq!((open(39), open(40)), (Expected::Any, Expected::FallTo(5.0)), "the valve takes 40 ms");
+}
+
+#[test]
+fn each_expiration_is_compared_once_whether_the_clock_or_an_effort_ends_it() {
+    let disagree = |breaths: u32, ticks: u32, effort: bool| {
+        let mut run = Run::new();
+        for _ in 0..breaths {
+            for tick in 0..ticks {
+                let (pressure, apart) = if tick < 1000 { (15.0, 0.0) } else { (5.0, 5.0) };
+                let outlet = pressure + apart + dither(tick + 3);
+                run.check_all(Readings { outlet, ..Readings::from(pressure + dither(tick)) }, Some(tick));
+            }
+            if effort {
+                run.supervisor.triggered(&mut run.state, &breath(), ticks - 1);
+            }
+        }
+        run.state.indications().present().has(Fault::SensorsDisagree)
+    };
+    assert!(disagree(2, 3000, false) && !disagree(2, 2999, false));
+    assert!(disagree(2, 2500, true) && !disagree(1, 2500, true));
+    assert!(!disagree(1, 3000, true), "an effort in the last tick");
+}
+
+#[test]
+fn eight_tenths_of_a_second_after_the_inspiration_an_effort_ends_an_expiration_with_a_baseline() {
+    let high = |last: u32| {
+        let mut run = Run::new();
+        for _ in 0..2 {
+            for tick in 0..=last {
+                run.check(if tick < 1000 { 20.0 } else { 12.0 } + dither(tick), Some(tick));
+            }
+            run.supervisor.triggered(&mut run.state, &breath(), last);
+        }
+        run.state.indications().present().has(Fault::BaselineHigh)
+    };
+    assert_eq!((high(1799), high(1800)), (false, true));
+}
+
+#[test]
+fn a_doubtful_pressure_below_peep_raises_no_flow() {
+    let compensation = |outlet: f32| {
+        let mut run = Run::new();
+        for tick in 0..2000 {
+            let (airway, outlet) = if tick < 1000 { (15.0, 15.0) } else { (3.0, outlet) };
+            let outlet = outlet + dither(tick + 3);
+            run.check_all(Readings { outlet, ..Readings::from(airway + dither(tick)) }, Some(tick));
+        }
+        run.state.leak_compensation()
+    };
+    assert!(compensation(3.0) > 20.0 && compensation(6.0).abs() < 1e-6);
+}
+
+#[test]
+fn gas_that_a_patient_draws_in_is_no_missing_response() {
+    // The sensors stay at PEEP, the flow sensor shows a share of the valve's flow, and this rise has been predicted.
+    let missing = |share: f32, predicted: f32, second_sensor: bool| {
+        let mut run = Run::new();
+        assert_eq!(run.inspire(STIFF, 30.0), None);
+        let outlet = |pressure: f32| if second_sensor { pressure } else { f32::NAN };
+        for tick in 0.. {
+            let pressure = 5.0 + 0.1 * run.state.lung.volume();
+            let readings = Readings { outlet: outlet(pressure + dither(tick + 3)), ..pressure.into() };
+            run.check_all(readings, Some(tick));
+            run.command(ControlOutput::plain(60.0));
+            if run.state.lung.predicted_rise() > predicted {
+                break;
+            }
+        }
+        assert!((0.7..0.83).contains(&run.state.lung.flow()), "L/s at 60 %, less the back-pressure");
+        let flow = share * run.state.lung.flow();
+        run.supervisor.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet: outlet(5.0), flow });
+        run.state.indications().present().has(Fault::NoResponse)
+    };
+    assert!(!missing(0.5, 12.0, true) && missing(0.49, 12.0, true), "half of the flow reaches the patient");
+    assert!(!missing(1.0, 24.0, true) && missing(1.0, 25.0, true), "no effort takes away 25 cmH2O");
+    assert!(missing(1.0, 12.0, false), "nothing confirms the only sensor");
+}
+
+#[test]
+fn a_leak_is_learned_from_a_connected_patient_alone() {
+    let learned = |disconnected: bool| {
+        let mut run = Run::new();
+        run.breathe(0..1, 5.0, ControlOutput::plain(50.0));
+        run.breathe(1..400, if disconnected { 0.0 } else { 15.0 }, ControlOutput::plain(50.0));
+        assert_eq!(run.state.breath.is_disconnected(), disconnected);
+        // 0.2 L in 1 s at 9 cmH2O, of which nothing comes out.
+        run.state.volumes = Volumes::default();
+        run.state.volumes.add(0.2, 9.0, 1.0);
+        run.check(5.0, Some(0));
+        run.state.leak_compensation()
+    };
+    assert!(learned(false) > 10.0 && learned(true).abs() < 1e-6);
+}
+
+#[test]
+fn an_effort_shows_in_a_reading_of_this_tick_alone() {
+    let mut run = Run::new();
+    run.check(5.0, Some(0));
+    assert_eq!(run.state.pressure_of_effort(5.0).to_bits(), 5.0_f32.to_bits());
+    assert_eq!(run.check(f32::NAN, Some(1)), Some(5.0));
+    assert!(run.state.pressure_of_effort(5.0).is_nan());
+}
