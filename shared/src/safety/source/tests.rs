@@ -353,3 +353,38 @@ fn a_comparison_that_is_left_out_takes_no_sensor_out_of_use() {
     let readings = Readings { airway: 5.0, outlet: 20.0, flow: 0.0 };
     assert!(!run.source.unresponsive(&mut run.state, &readings, 0.0));
 }
+
+#[test]
+fn a_change_beyond_the_bound_and_the_change_of_the_flow_is_one_that_a_sensor_must_show() {
+    // Both flows in L/s: when the reading last changed, and now.
+    let must_change = |change: f32, flow_then: f32, flow: f32| {
+        let run = Run::new();
+        let sensor = SensorState { exists: true, other_then: 12.0, flow_then, ..SensorState::default() };
+        let other = SensorState { exists: true, smooth: 12.0 + change, ..SensorState::default() };
+        run.source.must_change(&sensor, &other, Expected::Any, flow)
+    };
+    assert!(!must_change(MOVED, 0.0, 0.0) && must_change(2.125, 0.0, 0.0) && must_change(-2.125, 0.0, 0.0));
+    assert!(!must_change(4.0, 0.0, 0.5) && must_change(4.125, 0.0, 0.5));
+    assert!(must_change(2.125, 1.0, 1.0), "a steady flow explains no change");
+}
+
+#[test]
+fn smoothed_readings_follow_with_a_time_constant_of_10_ms() {
+    let mut run = Run::new();
+    run.ticks(100, 12.0, 12.0);
+    run.ticks(10, 22.0, 22.0);
+    assert!([run.state.airway, run.state.outlet].iter().all(|sensor| (17.5..19.0).contains(&sensor.smooth)));
+}
+
+#[test]
+fn a_missing_reading_in_the_last_window_spoils_no_comparison() {
+    for missing in [(f32::NAN, 5.0), (10.0, f32::NAN), (f32::INFINITY, 5.0), (10.0, f32::INFINITY)] {
+        let mut run = Run::new();
+        let mut expiration = || {
+            run.rest(2900..2999, 10.0, 5.0);
+            run.record(2999, missing.0, missing.1);
+            run.source.compare(&mut run.state, PEEP, 0.0, false)
+        };
+        assert!(!expiration() && expiration());
+    }
+}
