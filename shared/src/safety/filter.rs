@@ -95,4 +95,11 @@ mod tests {
     fn a_nan_closes_the_inspiratory_valve() {
         assert!(ValveCommand::limited(f32::NAN, false).u_in().abs() < f32::EPSILON);
     }
+
+    #[test]
+    fn a_test_is_safe_at_its_ceiling_and_without_a_reading() {
+        let test = |reading| ValveCommand::of_test(20.0, false, reading, 85.0);
+        assert_eq!([test(85.0), test(f32::NAN)], [ValveCommand::SAFE; 2]);
+        assert_eq!((test(84.9).u_in().to_bits(), test(84.9).u_out()), (20.0_f32.to_bits(), false));
+    }
 }
