@@ -1,4 +1,5 @@
 mod alarms;
+mod self_test;
 
 use std::boxed::Box;
 use std::vec::Vec;

@@ -128,3 +128,22 @@ fn an_alarm_whose_frame_was_lost_arrives_again_until_it_is_acknowledged() {
     rig.run_at(15_000, f32::NAN);
     assert_eq!(again(&rig), 0);
 }
+
+#[test]
+fn each_tick_reports_one_alarm_and_the_first_in_the_tick_in_which_it_begins() {
+    let reports = |slot: SlotState, room: &[bool]| -> Vec<usize> {
+        let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+        control.report_boot(ResetCause::Watchdog, false, &[slot, SlotState::Empty]);
+        let mut tick = |room: bool| {
+            let (output, mut count) = (control.step(5.0), 0);
+            control.report(&output, &mut |report| {
+                count += usize::from(room && matches!(report, ControlReport::Alarm { .. }));
+                room
+            });
+            count
+        };
+        room.iter().map(|room| tick(*room)).collect()
+    };
+    assert_eq!(reports(SlotState::Empty, &[true; 3]), [1, 0, 0]);
+    assert_eq!(reports(SlotState::Torn, &[false, false, true, true, true]), [0, 0, 1, 1, 0]);
+}
