@@ -88,6 +88,19 @@ fn a_sound_circuit_passes_with_its_compliance_and_rise_time() {
 }
 
 #[test]
+fn a_check_of_the_circuit_takes_its_times() {
+    let (mut test, mut machine, mut command) = (SelfTest::none(PERIOD_US), MACHINE, ValveCommand::SAFE);
+    test.begin(Check::Circuit).unwrap();
+    let ticks = (1..10_000).find(|_| {
+        let readings = machine.step(command);
+        command = test.step(&readings, &Settings::default(), false).unwrap_or(ValveCommand::SAFE);
+        test.report()[Step::Valves as usize].outcome != Runs
+    });
+    // Rest 0.2 s, rise 2 s, spread 0.5 s, hold 1 s, release 2 s.
+    assert!(ticks.is_some_and(|ticks| (5690..=5715).contains(&ticks)), "{ticks:?}");
+}
+
+#[test]
 fn the_compliance_has_its_bounds() {
     let circuit = |meter| outcomes(Machine { meter, ..MACHINE }, Check::Circuit)[1];
     assert_eq!([circuit(0.03), circuit(5.9)], [Passed; 2]);
