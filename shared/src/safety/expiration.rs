@@ -370,7 +370,7 @@ mod tests {
         let (expiration, mut state) = breaths_with(2, 25.0, Some(0.5), |_| 5.0);
         state.settings_changed();
         let told = (1..9).find(|_| expiration.start_breath(&mut state, Some(0.5)).is_some());
-        assert_eq!(told, Some(6), "the last breath, two new ones, and three that count");
+        assert_eq!(told, Some(8), "the last breath, two new ones, and five that count");
     }
 
     #[test]
