@@ -362,3 +362,62 @@ fn the_first_failed_step_is_the_reason() {
     let text = std::string::ToString::to_string(&refused);
     assert!(text.contains("self-test of the program has failed: the program in flash is damaged"), "{text}");
 }
+
+/// The outcomes of a check whose airway pressure is a function of its tick, with a flow of 0.15 L/s throughout.
+fn by_tick(check: Check, pressure: impl Fn(u32) -> f32) -> [StepResult; 3] {
+    let mut test = SelfTest::none(PERIOD_US);
+    test.begin(check).unwrap();
+    for tick in 0..9000 {
+        test.step(&at_rest(pressure(tick), f32::NAN, 0.15), &Settings::default(), false);
+    }
+    let report = test.report();
+    [Step::Valves, Step::Circuit, Step::Relief].map(|step| report[step as usize])
+}
+
+#[test]
+fn the_bounds_of_the_circuit_check_are_exact() {
+    // A rise after 0.1 s of the fill, a pressure in the middle of the hold, and one that is left in the end.
+    let circuit = |rise: f32, held: f32, left: f32| {
+        let [valves, circuit, _] = by_tick(Check::Circuit, |tick| match tick {
+            ..300 => PEEP,
+            300..1200 => PEEP + rise,
+            1200..2000 => PEEP + held,
+            2000.. => PEEP + left,
+        });
+        (valves.outcome, circuit)
+    };
+    let (valves, sound) = circuit(15.0, 15.0, 3.0);
+    assert!(valves == Passed && sound.outcome == Passed && (sound.value - 1.0).abs() < 0.05, "{sound:?}");
+    assert_eq!(circuit(15.0, 15.0, 3.5).0, Failed(Finding::NoFall));
+    assert_eq!(
+        [circuit(30.0, 30.0, 0.0).0, circuit(30.5, 30.5, 0.0).0],
+        [Passed, Failed(Finding::RisesByItself)]
+    );
+    assert_eq!(
+        [circuit(15.0, 18.0, 0.0).0, circuit(15.0, 18.5, 0.0).0],
+        [Passed, Failed(Finding::RisesByItself)]
+    );
+    assert_eq!(circuit(15.0, 12.0, 0.0).1.outcome, Passed);
+    let leak = circuit(15.0, 11.0, 0.0).1;
+    assert!(leak.outcome == Failed(Finding::Leak) && (leak.value - 4.0).abs() < 1e-3, "{leak:?}");
+}
+
+#[test]
+fn the_bounds_of_the_relief_valve_are_exact() {
+    let opens = |pressure: f32| {
+        by_tick(Check::Relief, |tick| if (300..1000).contains(&tick) { pressure } else { PEEP })[2].outcome
+    };
+    assert_eq!([opens(60.0), opens(80.0)], [Passed; 2]);
+    assert_eq!([opens(59.9), opens(80.1)], [Failed(Finding::ReliefEarly), Failed(Finding::ReliefLate)]);
+}
+
+#[test]
+fn a_mean_flow_at_the_bound_passes() {
+    // 32 ticks, so that the mean is exact.
+    let mut test = SelfTest::after_boot(15_625, &SOUND);
+    for tick in 0..32 {
+        let flow = if tick == 0 { 32.0 * 0.3 } else { 0.0 };
+        test.step(&at_rest(PEEP, PEEP, flow), &Settings::default(), false);
+    }
+    assert_eq!(test.report()[Step::Sensors as usize].outcome, Passed);
+}
