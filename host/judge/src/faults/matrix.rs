@@ -117,9 +117,10 @@ pub enum Part {
 }
 
 impl Part {
-    /// All monitors and responses.
+    /// All monitors, and the responses that a row needs: without the step to the PID the step to the capped one takes its place.
     pub fn all() -> impl Iterator<Item = Self> {
-        Fault::all().map(Self::Monitor).chain(Response::ALL.map(Self::Response))
+        let responses = Response::ALL.into_iter().filter(|response| *response != Response::Pid);
+        Fault::all().map(Self::Monitor).chain(responses.map(Self::Response))
     }
 
     /// Its name in tables.
