@@ -40,6 +40,9 @@ impl Valves {
     }
 
     /// Drives the valves; only the safety filter can make a command.
+    ///
+    /// Never inlined, so that a debugger can stop at every command (the tests of the image do).
+    #[inline(never)]
     pub fn apply(&mut self, command: &ValveCommand) {
         let mut inspiratory = self.inspiratory.ch1();
         // The command is within 0 to COMMAND_MAX, and the conversion rounds down.
