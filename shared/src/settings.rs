@@ -187,7 +187,7 @@ pub enum SettingsError {
     },
 }
 
-/// Smallest rise from PEEP to PIP, cmH2O: a smaller one ventilates nobody, and the monitors cannot tell it from noise.
+/// Smallest rise from PEEP to PIP, cmH2O: a smaller one moves too little gas, and the monitors cannot distinguish it from noise.
 pub const LEAST_RISE: f32 = 2.0;
 /// Smallest distance of the pressure limit above PIP, cmH2O.
 pub const LIMIT_MARGIN: f32 = 5.0;

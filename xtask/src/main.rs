@@ -48,7 +48,7 @@ enum Command {
     Cost(cost::Arguments),
     /// Check SAFETY.md's claims: run the fault matrix, breaths without a fault, and a torture test
     Faults,
-    /// Prove that every safety monitor is needed: without it the fault matrix must fail
+    /// Prove that every safety monitor and response is needed: without it the fault matrix must fail
     MutateMonitors,
     /// Mutate the core and check that its tests detect each mutant
     Mutants(mutants::Arguments),

@@ -28,7 +28,7 @@ use show::report::{Cell, Table};
 Examples:
   trainer endure --patients 20 --hours 1
   trainer endure --patients 1000 --hours 24 --seed 7 --keep endure.json --json result.json
-  trainer endure --seed 7 --hours 24 --patient 123     # one of them again, with each alarm and its reason
+  trainer endure --seed 7 --hours 24 --patient 123     # one patient, with each alarm
   trainer endure --controller out/once/controller.safetensors
 
 Lung, breathing, coughs, leaks, machine and settings are drawn from the seed and the patient's

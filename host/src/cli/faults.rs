@@ -46,7 +46,7 @@ pub struct Args {
     /// Switch off this monitor
     #[arg(long, value_name = "ID")]
     without: Option<String>,
-    /// Leave out each monitor and each response in turn and require at least one row to fail
+    /// Leave out each monitor, and each response but the step to the PID, in turn, and require at least one row to fail
     #[arg(long, conflicts_with = "without")]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs

@@ -35,8 +35,8 @@ Examples:
 
 Keys: space starts and stops, a acknowledges all alarms, m pauses the sounder for 120 s or ends the
 pause, up and down change PIP, left and right the rate, p switches between PID and learned weights,
-q quits. The monitor sends only the request for
-telemetry and what a key asks for. Quitting leaves the device as it is; ventilation continues.")]
+q quits. The monitor only reads the state of the device and sends the request of a key. Quitting leaves
+the device as it is; ventilation continues.")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]

@@ -22,7 +22,7 @@ use plant::bench::BenchConfig;
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 use ventilator::PlantSource;
 
-/// Search the best P, I, PI and PID controllers for one or several lungs
+/// Search for the best P, I, PI and PID controllers for one or several lungs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

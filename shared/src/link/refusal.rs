@@ -76,7 +76,7 @@ pub enum Refusal {
     #[error("no alarm sounds: there is nothing to pause")]
     NothingSounds,
     /// A step of the self-test has failed.
-    #[error("the self-test of the {} has failed: {finding}", .step.name())]
+    #[error("the self-test step '{}' has failed: {finding}", .step.name())]
     SelfTestFailed {
         /// The step.
         step: Step,

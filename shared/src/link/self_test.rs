@@ -82,7 +82,9 @@ pub enum Finding {
     #[error("a pressure reading is noisy at rest; check the sensor's supply and ground")]
     Noisy,
     /// The pressure at rest is not between that of the air and PEEP.
-    #[error("the pressure at rest is implausible; remove the patient, open the circuit, zero the sensors")]
+    #[error(
+        "the pressure at rest is implausible; disconnect the patient, open the circuit, and zero the sensors"
+    )]
     NotAtRest,
     /// The pressure sensors differ at rest.
     #[error("the pressure sensors differ at rest; open the circuit and zero them, or replace one")]
@@ -92,7 +94,7 @@ pub enum Finding {
     FlowAtRest,
     /// A zero is too far off.
     #[error(
-        "a sensor reads too much to be at the pressure of the air; open the circuit, or replace the sensor"
+        "a sensor's zero is off by more than 2 cmH2O; open the circuit to the air, or replace the sensor"
     )]
     ZeroTooFar,
     /// The pressure did not rise.
@@ -119,7 +121,7 @@ pub enum Finding {
     #[error("the relief valve opens too early; adjust or replace it")]
     ReliefEarly,
     /// The relief valve did not open.
-    #[error("the relief valve does not open in time; adjust or replace it")]
+    #[error("the relief valve opens too late or not at all; adjust or replace it")]
     ReliefLate,
     /// An alarm ended the step.
     #[error("an alarm ended the test; find its cause, acknowledge it and repeat the test")]

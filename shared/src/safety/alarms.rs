@@ -53,7 +53,7 @@ pub enum Fault {
     OutletSensorLost,
     /// No pressure sensor is sound: the commands of earlier breaths are repeated.
     BackupVentilation,
-    /// Holding PEEP takes a considerable flow.
+    /// Much of the inspired volume does not come out again.
     Leak,
 }
 
@@ -163,7 +163,7 @@ pub const ALARMS: [Alarm; 24] = [
         "high-pressure",
         (High, Tell),
         [
-            "3 breaths in a row end at the pressure limit, or one whose gas raised it so far under the capped PID",
+            "3 breaths in a row end at the pressure limit, or one does so under the capped PID because of its gas",
             GONE,
             "pressure above its limit",
         ],
@@ -226,8 +226,9 @@ pub const ALARMS: [Alarm; 24] = [
         "baseline-high",
         (High, Tell),
         [
-            "more than 3 cmH2O above PEEP at the end of 2 expirations in a row; expirations that are still falling then \
-             last up to half a breath longer, and PIP rises with a constant baseline, up to 7 cmH2O below the limit",
+            "more than 3 cmH2O above PEEP at the end of 2 expirations in a row, or of 4 if efforts end them early; then an \
+             expiration in which the pressure still falls lasts up to half a breath longer, and PIP rises with a constant \
+             baseline, up to 7 cmH2O below the limit",
             GONE,
             "pressure does not return to PEEP",
         ],
@@ -237,8 +238,8 @@ pub const ALARMS: [Alarm; 24] = [
         "baseline-low",
         (Medium, Tell),
         [
-            "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit, or 5 in a row with \
-             a command of more than 20 % above the bias to hold PEEP",
+            "more than 2 cmH2O below PEEP at the end of 3 breaths in a row, none of them cut at the limit, or 5 in a row \
+             with a command of more than 20 % above the bias to hold PEEP, without an effort",
             GONE,
             "pressure below PEEP: check for leaks",
         ],
@@ -269,8 +270,8 @@ pub const ALARMS: [Alarm; 24] = [
         "occlusion",
         (High, Action::Pid),
         [
-            "less than a third of the last good breath's volume per pressure rise in 2 breaths in a row, of which less than half \
-             comes out again; in 4 if it does",
+            "in 2 breaths in a row less than a third of the volume per pressure rise of the last good breaths, and less than \
+             half of the gas reaches the patient or comes out again; in 10 breaths in a row if more does",
             GONE,
             "tube occluded",
         ],
@@ -280,8 +281,9 @@ pub const ALARMS: [Alarm; 24] = [
         "no-response",
         (High, Backup),
         [
-            "40 ms with less than 12 % of a predicted rise above 10 cmH2O, or 20 ms with no change over 64 ms that should \
-             bring one; not if two pressure sensors agree, the gas reaches the patient and the rise is below 25 cmH2O",
+            "for 40 ms less than 12 % of a predicted rise of more than 10 cmH2O, or for 20 ms no change over the last 64 ms \
+             although such a rise is predicted; not if two pressure sensors agree, the gas reaches the patient, and the \
+             pressure is up or less than 30 cmH2O are missing (40 in a breath that an effort has started)",
             "2 inspirations in a row raise the pressure",
             "pressure does not respond to the valve",
         ],
@@ -337,7 +339,7 @@ pub const ALARMS: [Alarm; 24] = [
         "restarted",
         (High, Action::Pid),
         [
-            "a reset by the watchdog, by a supply dip or during ventilation, which then resumes with its settings",
+            "a reset by the watchdog or a supply dip, or any reset during ventilation; see SAFETY.md for when it resumes",
             "an operator acknowledges",
             "device restarted by itself",
         ],

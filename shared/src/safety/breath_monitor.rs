@@ -19,12 +19,14 @@ const OPEN_END: f32 = 0.4;
 const FILLING: f32 = 30.0;
 /// Fraction of the earlier compliance below which the tube counts as occluded.
 const OCCLUDED: f32 = 1.0 / 3.0;
-/// Share of a breath's volume that comes out of a lung behind an open or narrowed tube: behind an occluded one the gas stays in
-/// the circuit.
-const COMES_OUT: f32 = 0.5;
-/// Breaths in a row with a low compliance that are a fault although the gas comes out: a patient's efforts can take the
-/// volume of a few.
-const NARROWED_BREATHS: u32 = 4;
+/// Share of the delivered volume that passes an open or narrowed tube to the patient, and comes out again. With an occluded one
+/// the gas stays in the circuit.
+const PASSES: f32 = 0.5;
+/// Breaths in a row with a low compliance that are a fault although gas passes the tube: efforts against the machine can take
+/// the volume of several.
+const NARROWED_BREATHS: u32 = 10;
+/// Breaths in a row that end above PEEP and are a fault although efforts end them early: a few can follow double efforts.
+const TRAPPED_BREATHS: u32 = 4;
 /// Smallest rise from which a compliance is estimated, cmH2O.
 const TELLING_RISE: f32 = 3.0;
 
@@ -51,6 +53,7 @@ pub struct BreathMonitor {
     connected: u32,
     /// Consecutive breaths with a condition that make it a fault.
     high: u32,
+    above: u32,
     low: u32,
     weak: u32,
     occluded: u32,
@@ -69,14 +72,16 @@ pub struct BreathState {
     back: u32,
     /// Whether the running inspiration was ended at the pressure limit.
     cut: bool,
-    /// Consecutive breaths with each condition.
+    /// Consecutive breaths that end above PEEP, without those that efforts end early and with them.
     high: u32,
+    above: u32,
+    /// Consecutive breaths with each further condition.
     low: u32,
     weak: u32,
     occluded: u32,
-    /// Volume per pressure of the last good breath, mL/cmH2O.
-    compliance: Option<f32>,
-    /// Volumes of the last breath with a lower one, mL: the delivered one, and that with which it is no occlusion.
+    /// Volume per pressure of the last two good breaths, mL/cmH2O, the newer first: an effort may have raised one of them.
+    compliances: [Option<f32>; 2],
+    /// Volumes of the last breath with a lower one, mL: the delivered one, and the expired one with which it is no occlusion.
     delivered: f32,
     normal: f32,
     /// Whether the gas of that breath came out.
@@ -98,7 +103,12 @@ impl BreathState {
         if expired.is_some_and(|expired| expired >= self.normal) {
             self.occluded = 0;
         }
-        self.came_out = expired.is_some_and(|expired| expired >= COMES_OUT * self.delivered);
+        self.came_out = expired.is_some_and(|expired| expired >= PASSES * self.delivered);
+    }
+
+    /// The lower volume per pressure of the last two good breaths, mL/cmH2O.
+    fn compliance(&self) -> Option<f32> {
+        self.compliances.into_iter().flatten().reduce(f32::min)
     }
 
     /// Whether the airway is open, by the running inspiration.
@@ -122,6 +132,8 @@ pub struct BreathInput<'a> {
     pub command: f32,
     /// Volume delivered so far in this inspiration, mL.
     pub volume: f32,
+    /// Volume that has reached the patient so far, mL; none if the flow is not measured.
+    pub reached: Option<f32>,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
     /// Volume that came out in the last breath, mL; none if the flow was not measured.
@@ -156,6 +168,7 @@ impl BreathMonitor {
             disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
             connected: ticks(CONNECTED, period_us),
             high: enabled.limit(Fault::BaselineHigh, 2),
+            above: enabled.limit(Fault::BaselineHigh, TRAPPED_BREATHS),
             low: enabled.limit(Fault::BaselineLow, 3),
             weak: enabled.limit(Fault::LowPressure, 2),
             occluded: enabled.limit(Fault::Occlusion, 2),
@@ -170,14 +183,14 @@ impl BreathMonitor {
     /// Checks one tick. An inspiration that is ended at the pressure limit is checked for occlusion only.
     #[inline]
     pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
-        let BreathInput { breath, tick, cut, pressure, command, volume, leaks, expired } = *input;
+        let BreathInput { breath, tick, cut, pressure, command, leaks, expired, .. } = *input;
         if tick == 0 {
             state.leaky = in_a_row(state.leaky, leaks);
             state.breath_ended(expired);
         }
         if state.leaky >= LEAKY_BREATHS {
             // Volumes with and without a leak are not comparable.
-            state.compliance = None;
+            state.compliances = [None; 2];
         }
         let peep = breath.settings().peep;
         let inspires = breath.phase(tick) == Phase::Inspiration;
@@ -194,7 +207,7 @@ impl BreathMonitor {
         }
         // A high baseline has another cause.
         let cut_now = inspires && cut && !state.cut && state.high == 0 && state.unchecked == 0;
-        if cut_now && self.occluded(state, pressure - peep, volume, true) {
+        if cut_now && self.occluded(state, pressure - peep, input) {
             return Some(Fault::Occlusion);
         }
         state.cut = cut;
@@ -225,13 +238,17 @@ impl BreathMonitor {
         emptied: bool,
         cut: bool,
     ) -> Option<Fault> {
-        let high = state.high;
+        let before = state.high;
         let fault = self.expired(state, state.rest.before(), breath.settings().peep, cut);
-        if emptied {
-            return fault;
+        if !emptied {
+            state.high = before;
         }
-        state.high = high;
-        fault.filter(|fault| *fault != Fault::BaselineHigh)
+        fault.filter(|fault| *fault != Fault::BaselineHigh || emptied || self.is_trapped(state))
+    }
+
+    /// Whether the pressure has stayed above PEEP for so many breaths that gas is trapped, however short the expirations are.
+    fn is_trapped(&self, state: &BreathState) -> bool {
+        state.above >= self.above
     }
 
     /// Checks an inspiration by the means over its end.
@@ -240,30 +257,32 @@ impl BreathMonitor {
         let rise = end.pressure - settings.peep;
         let weak = rise < REACHED * (settings.pip - settings.peep) && end.command > WIDE_OPEN;
         state.weak = in_a_row(state.weak, weak);
-        let occluded = self.occluded(state, rise, end.volume, false);
+        let occluded = self.occluded(state, rise, end);
         if state.weak >= self.weak {
             return Some(Fault::LowPressure);
         }
         occluded.then_some(Fault::Occlusion)
     }
 
-    /// Compares the ratio of volume to rise with that of the last good breath; whether the tube is occluded. A patient's
-    /// effort or cough changes the ratio too, but then the gas comes out.
-    fn occluded(&self, state: &mut BreathState, rise: f32, volume: f32, cut: bool) -> bool {
+    /// Compares the ratio of volume to rise with that of the last good breaths; whether the tube is occluded. A patient's
+    /// effort or cough changes the ratio too, but gas passes the tube.
+    fn occluded(&self, state: &mut BreathState, rise: f32, end: &BreathInput<'_>) -> bool {
+        let BreathInput { volume, reached, cut, .. } = *end;
         if rise <= TELLING_RISE {
             return false;
         }
-        let compliance = volume / rise;
-        let occluded = state.compliance.is_some_and(|before| compliance < OCCLUDED * before);
+        let (compliance, before) = (volume / rise, state.compliance());
+        let occluded = before.is_some_and(|before| compliance < OCCLUDED * before);
         state.occluded = in_a_row(state.occluded, occluded);
         // A breath that a cough ends has little gas, all of which comes out.
-        let normal = if cut { COMES_OUT * volume } else { OCCLUDED * rise * state.compliance.unwrap_or(0.0) };
+        let normal = if cut { PASSES * volume } else { OCCLUDED * rise * before.unwrap_or(0.0) };
         (state.delivered, state.normal) = (volume, normal);
         // The new compliance is believed in the end: a lung can change for good, and the alarm has long been raised.
         if !occluded || state.occluded >= NEW_LUNG {
-            state.compliance = Some(compliance);
+            state.compliances = [Some(compliance), state.compliances[0]];
         }
-        state.occluded >= self.occluded && (!state.came_out || state.occluded >= NARROWED_BREATHS)
+        let passes = state.came_out || reached.is_some_and(|reached| reached >= PASSES * volume);
+        state.occluded >= self.occluded && (!passes || state.occluded >= NARROWED_BREATHS)
     }
 
     /// Checks an expiration by a mean pressure at its end.
@@ -281,9 +300,10 @@ impl BreathMonitor {
         let [pressure] = pressure?;
         let above_peep = pressure - peep;
         state.high = in_a_row(state.high, above_peep > ABOVE_PEEP);
+        state.above = in_a_row(state.above, above_peep > ABOVE_PEEP);
         // After a cough the lung contains less gas than at PEEP.
         state.low = in_a_row(state.low, above_peep < -BELOW_PEEP && !cut);
-        if state.high >= self.high {
+        if state.high >= self.high || self.is_trapped(state) {
             return Some(Fault::BaselineHigh);
         }
         (state.low >= self.low).then_some(Fault::BaselineLow)

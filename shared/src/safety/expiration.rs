@@ -29,7 +29,7 @@ const OPEN_TUBE: f32 = 0.15;
 /// Flow of a leak at PEEP from which it is made up for in advance, and the flow beyond it that keeps the PEEP valve open, L/s.
 const KNOWN_LEAK: f32 = 0.015;
 const SURPLUS: f32 = 0.02;
-/// Compensation above which it tells of a leak, percent.
+/// Compensation above which it indicates a leak, percent.
 const LEAK: f32 = 5.0;
 /// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
 pub const TIGHT: f32 = 0.75;
@@ -77,7 +77,7 @@ pub struct ExpirationState {
     learnt: u32,
     /// Compensation of what sags all the same, percent.
     compensation: f32,
-    /// Breaths in a row that tell of a leak, and those whose PEEP flow alone holds.
+    /// Breaths in a row that indicate a leak, and those whose PEEP flow alone holds.
     leaks: u32,
     held: u32,
     /// Lowest compensation in the breath: an effort raises it for a moment only.
@@ -147,9 +147,13 @@ impl Expiration {
     }
 
     /// Assesses an expiration that an effort ends early: whether its pressure still falls is not known, so PIP stays.
-    /// `emptied`: it lasted long enough to have a baseline.
-    pub fn triggered(&self, state: &mut ExpirationState, peep: f32, emptied: bool) {
+    /// `emptied`: it lasted long enough to have a baseline; `inhales`: gas flows to the patient while the pressure falls.
+    pub fn triggered(&self, state: &mut ExpirationState, peep: f32, emptied: bool, inhales: bool) {
         let above = state.smooth - peep;
+        // What the effort has added is not needed after it. Without an effort, the flow has held PEEP.
+        let before = state.lowest;
+        state.lowest = if inhales { before } else { state.compensation };
+        state.compensation = before;
         if emptied {
             state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         }
@@ -157,7 +161,7 @@ impl Expiration {
     }
 
     /// Starts a breath after one of which this share of the volume came out, if that was measured: lets PIP follow the
-    /// baseline. A finding if breaths tell of a leak or of a PEEP valve that holds nothing.
+    /// baseline. A finding if breaths indicate a leak or a PEEP valve that holds nothing.
     pub fn start_breath(&self, state: &mut ExpirationState, expired_share: Option<f32>) -> Option<Fault> {
         let comes_out = expired_share.is_some_and(|share| share >= COMES_OUT);
         let follows = comes_out && self.responses.has(Response::HigherPip);
@@ -201,7 +205,7 @@ impl Expiration {
 }
 
 impl ExpirationState {
-    /// The settings have changed, in the breath that starts now: it and the next one tell of no leak, nor does the last one.
+    /// The settings have changed, in the breath that starts now: neither it nor the next one indicates a leak, nor does the last one.
     pub fn settings_changed(&mut self) {
         self.unchecked = UNCHECKED_BREATHS + 1;
     }
@@ -306,6 +310,29 @@ mod tests {
     }
 
     #[test]
+    fn an_effort_leaves_no_compensation_behind() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        for inhales in [true, false] {
+            (state.compensation, state.lowest) = (30.0, 12.0);
+            expiration.triggered(&mut state, 5.0, false, inhales);
+            assert!((state.compensation() - 12.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn flow_that_holds_peep_is_found_in_breaths_that_no_effort_has_started() {
+        let found = |inhales: bool, flow: f32| {
+            let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+            (0..5).any(|_| {
+                (state.compensation, state.lowest) = (flow, 5.0);
+                expiration.triggered(&mut state, 5.0, false, inhales);
+                expiration.start_breath(&mut state, None) == Some(Fault::BaselineLow)
+            })
+        };
+        assert!(found(false, 20.1) && !found(false, 20.0) && !found(true, 30.0));
+    }
+
+    #[test]
     fn a_leak_that_earlier_breaths_have_shown_is_made_up_for_in_advance() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         let learnt = |state: &mut ExpirationState, leak: f32, peep: f32| {
@@ -353,15 +380,15 @@ mod tests {
     fn an_expiration_that_an_effort_ends_moves_no_pip_and_counts_as_incomplete() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         state.smooth = 8.1;
-        expiration.triggered(&mut state, 5.0, true);
-        expiration.triggered(&mut state, 5.0, true);
+        expiration.triggered(&mut state, 5.0, true, true);
+        expiration.triggered(&mut state, 5.0, true, true);
         expiration.start_breath(&mut state, Some(1.0));
         assert!(state.shift(&breath()).abs() < 1e-6);
         assert!(expiration.goes_on(&state, &breath(), 3000));
         state.smooth = 8.0;
-        expiration.triggered(&mut state, 5.0, false);
+        expiration.triggered(&mut state, 5.0, false, true);
         assert_eq!(state.incomplete, 2, "still emptying");
-        expiration.triggered(&mut state, 5.0, true);
+        expiration.triggered(&mut state, 5.0, true, true);
         assert_eq!(state.incomplete, 0, "at the bound");
     }
 

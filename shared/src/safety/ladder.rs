@@ -1,7 +1,8 @@
 //! The ladder of trust: learned controller, its PID, the compiled-in PID with a capped command, backup ventilation.
 //!
-//! A breath whose gas raises the pressure to its limit is a strike; a cough is none. Strikes lead down to the capped PID; clean breaths lead up again,
-//! after each return more of them. Backup ventilation is no matter of strikes: it runs while no pressure reading is sound.
+//! A breath whose gas raises the pressure to its limit is a strike; a cough is none. Strikes lead down to the capped PID; clean
+//! breaths lead up again, after each return more of them. Backup ventilation does not depend on strikes: it runs while no
+//! pressure reading is sound.
 
 use serde::{Deserialize, Serialize};
 

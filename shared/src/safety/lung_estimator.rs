@@ -34,6 +34,9 @@ const STANDS: f32 = 0.6;
 const ANSWER: f32 = 0.12;
 /// Largest fall below the starting pressure; a larger one means that gas is lost, cmH2O.
 const FALL: f32 = 1.5;
+/// Estimates that are kept, and the newest of them that tell how far the gas may have raised the pressure.
+const ESTIMATES: usize = 4;
+const HIGHEST_OF: usize = 2;
 /// Ticks over which the change is predicted, to detect a reading that freezes in the middle of an inspiration.
 pub const WINDOW: usize = 64;
 /// Smallest delivered volume from which the lung is estimated, mL.
@@ -138,8 +141,8 @@ pub struct LungState {
     /// Pressure at the start of the inspiration, cmH2O.
     start: f32,
     sums: Sums,
-    /// Estimates from the last two inspirations that allowed one, the newer first.
-    lungs: [Option<LungEstimate>; 2],
+    /// Estimates from the last inspirations that allowed one, the newest first.
+    lungs: [Option<LungEstimate>; ESTIMATES],
     unanswered: u32,
     standing: u32,
     /// The last ticks, and the number of ticks in this inspiration.
@@ -178,7 +181,8 @@ impl LungEstimator {
             return;
         }
         if let Some(lung) = state.sums.solve() {
-            state.lungs = [Some(lung), state.lungs[0]];
+            state.lungs.rotate_right(1);
+            state.lungs[0] = Some(lung);
         }
     }
 
@@ -253,14 +257,19 @@ impl LungState {
         self.flow
     }
 
-    /// The lower rise that the last two estimates predict, cmH2O: a patient's effort may have falsified one of them.
+    /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.
     pub fn predicted_rise(&self) -> f32 {
-        let rise = |lung: LungEstimate| lung.rise(self.volume, self.flow);
-        match self.lungs {
-            [Some(last), Some(before)] => rise(last).min(rise(before)),
-            [Some(lung), None] | [None, Some(lung)] => rise(lung),
-            [None, None] => rise(LungEstimate::SOFTEST),
-        }
+        self.rises(ESTIMATES).reduce(f32::min).unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
+    }
+
+    /// Rises that the newest estimates predict, cmH2O.
+    fn rises(&self, newest: usize) -> impl Iterator<Item = f32> {
+        self.lungs.iter().take(newest).flatten().map(|lung| self.rise(*lung))
+    }
+
+    /// Rise of the running inspiration in a lung, cmH2O.
+    fn rise(&self, lung: LungEstimate) -> f32 {
+        lung.rise(self.volume, self.flow)
     }
 
     /// Whether the delivered gas explains a pressure, cmH2O; assumed without an estimate. A cough or an occluded tube raises
@@ -271,8 +280,7 @@ impl LungState {
 
     /// The highest pressure that the last two estimates predict, cmH2O; none without an estimate.
     pub fn predicted_pressure(&self) -> Option<f32> {
-        let rises = self.lungs.iter().flatten().map(|lung| lung.rise(self.volume, self.flow));
-        rises.reduce(f32::max).map(|rise| self.start + rise)
+        self.rises(HIGHEST_OF).reduce(f32::max).map(|rise| self.start + rise)
     }
 }
 
@@ -287,7 +295,7 @@ impl Default for LungState {
             volume: 0.0,
             start: 0.0,
             sums: Sums::default(),
-            lungs: [None; 2],
+            lungs: [None; ESTIMATES],
             unanswered: 0,
             standing: 0,
             past: [PastTick { pressure: 0.0, predicted: 0.0 }; WINDOW],
@@ -498,7 +506,7 @@ mod tests {
     /// A closed valve that has delivered what makes this rise, cmH2O.
     fn predicting(rise: f32) -> LungState {
         let lung = LungEstimate { elastance: 1.0, resistance: 0.0 };
-        LungState { volume: rise, lungs: [Some(lung), None], ..LungState::default() }
+        LungState { volume: rise, lungs: [Some(lung), None, None, None], ..LungState::default() }
     }
 
     /// At which of 200 ticks a rise was first called silent, while the predicted one grows by so much in a tick.
@@ -539,15 +547,38 @@ mod tests {
         assert_eq!(silent(LungState { start: 39.9, ..gone }, 0.5, |_| 38.5), Some(39), "hardly below");
     }
 
+    /// The state after 100 mL, at 0.5 L/s, with the estimates of these elastances and resistances.
+    fn estimated(lungs: [Option<(f32, f32)>; ESTIMATES]) -> LungState {
+        let lungs =
+            lungs.map(|lung| lung.map(|(elastance, resistance)| LungEstimate { elastance, resistance }));
+        LungState { volume: 100.0, flow: 0.5, lungs, ..LungState::default() }
+    }
+
+    const SOFT: Option<(f32, f32)> = Some((0.05, 10.0));
+    const STIFF: Option<(f32, f32)> = Some((0.2, 4.0));
+
     #[test]
-    fn of_two_lungs_the_one_that_rises_less_is_believed() {
-        let lung = |elastance, resistance| Some(LungEstimate { elastance, resistance });
-        let rise =
-            |lungs| LungState { volume: 100.0, flow: 0.5, lungs, ..LungState::default() }.predicted_rise();
-        let (soft, stiff) = (lung(0.05, 10.0), lung(0.2, 4.0));
-        assert!((rise([soft, stiff]) - 10.0).abs() < 1e-4 && (rise([stiff, soft]) - 10.0).abs() < 1e-4);
-        assert!((rise([stiff, None]) - 22.0).abs() < 1e-4 && (rise([None, stiff]) - 22.0).abs() < 1e-4);
-        assert!((rise([None, None]) - 100.0 / 120.0).abs() < 1e-4);
+    fn of_four_lungs_the_one_that_rises_least_is_believed() {
+        let rise = |lungs| estimated(lungs).predicted_rise();
+        for place in 0..ESTIMATES {
+            let mut lungs = [STIFF; ESTIMATES];
+            lungs[place] = SOFT;
+            assert!((rise(lungs) - 10.0).abs() < 1e-4);
+            let mut only = [None; ESTIMATES];
+            only[place] = STIFF;
+            assert!((rise(only) - 22.0).abs() < 1e-4);
+        }
+        assert!((rise([None; ESTIMATES]) - 100.0 / 120.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn the_highest_pressure_is_that_of_the_newest_two_lungs() {
+        let highest = |lungs| estimated(lungs).predicted_pressure();
+        for lungs in [[SOFT, STIFF, None, None], [STIFF, SOFT, SOFT, SOFT]] {
+            assert!((highest(lungs).unwrap() - 22.0).abs() < 1e-4);
+        }
+        assert!((highest([SOFT, SOFT, STIFF, STIFF]).unwrap() - 10.0).abs() < 1e-4);
+        assert_eq!(highest([None; ESTIMATES]), None);
     }
 
     #[test]
@@ -585,7 +616,7 @@ mod tests {
             estimator().0.end_inspiration(&mut state);
             state.lungs.map(|lung| lung.map(|lung| (100.0 * lung.elastance + 0.5) as i32))
         };
-        assert_eq!(after(TELLING_VOLUME), [Some(5), Some(100)], "the newer first");
-        assert_eq!(after(TELLING_VOLUME - 0.1), [Some(100), None]);
+        assert_eq!(after(TELLING_VOLUME), [Some(5), Some(100), None, None], "the newest first");
+        assert_eq!(after(TELLING_VOLUME - 0.1), [Some(100), None, None, None]);
     }
 }

@@ -1,9 +1,10 @@
 //! Chooses the pressure sensor that is believed: that at the airway, or that at the machine's outlet.
 //!
 //! Each sensor has a [`super::reading_monitor`] of its own; one that fails a check is not used until it has been sound for
-//! some seconds. Each is the other's witness: a reading that stands still while the other sensor moves is frozen. Two sound sensors that disagree are judged at the end of expirations, where the mechanical PEEP valve sets
-//! the pressure and hardly any flow separates airway and outlet: the sensor that is closer to PEEP is believed. Until then a
-//! large difference counts with its higher pressure.
+//! some seconds. Each is the other's witness: a reading that stands still while the other sensor moves is frozen. Two sound
+//! sensors that disagree are compared at the end of expirations, where the mechanical PEEP valve sets the pressure and hardly
+//! any flow separates airway and outlet: the sensor that is closer to PEEP is used. Until then a large difference counts with
+//! its higher pressure.
 //!
 //! A machine without the second sensor passes NaN for it and has only the first.
 

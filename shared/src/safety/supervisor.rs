@@ -42,8 +42,13 @@ const RESPONSES: u32 = 2;
 const BLOCKED: f32 = 0.2;
 /// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
 const REACHES: f32 = 0.5;
-/// Rise that a patient's strongest effort takes away, cmH2O.
-const EFFORT: f32 = 25.0;
+/// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.
+const INHALES: f32 = 0.05;
+/// Modelled flow below which no flow need reach the patient, L/s.
+const LITTLE_FLOW: f32 = 0.1;
+/// Predicted rise that a patient takes away, cmH2O: by an effort during a breath, and in a breath that an effort has started.
+const EFFORT: f32 = 30.0;
+const TRIGGERED_EFFORT: f32 = 40.0;
 /// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
 const OPENED: f32 = 0.04;
 /// Time after an inspiration from which a pressure above PEEP is a baseline, not that of a lung which still empties, s.
@@ -89,6 +94,9 @@ pub struct SupervisorState {
     doubtful: bool,
     /// While the reading does not respond to the gas: inspirations in a row to which it did.
     unresponsive: Option<u32>,
+    /// Whether an effort has started the running breath, or starts the next one.
+    triggered: bool,
+    triggers: bool,
     /// Whether the inspiration was ended at the pressure limit, and whether by the gas, not by the patient.
     cut: bool,
     strike: bool,
@@ -255,12 +263,14 @@ impl Supervisor {
 
     /// Ends an expiration at a tick, before the next breath is due, because the patient inhales.
     pub fn triggered(&self, state: &mut SupervisorState, breath: &Breath, tick: u32) {
+        state.triggers = true;
         if tick + 1 >= breath.total_ticks() {
             return;
         }
         self.compare_sensors(state, breath, true);
         let emptied = tick.saturating_sub(breath.inspiration_ticks()) >= self.emptied;
-        self.expiration.triggered(&mut state.expiration, breath.settings().peep, emptied);
+        let inhales = state.volumes.surge() > INHALES;
+        self.expiration.triggered(&mut state.expiration, breath.settings().peep, emptied, inhales);
         if let Some(fault) = self.breath.triggered(&mut state.breath, breath, emptied, state.cut) {
             self.found(state, fault);
         }
@@ -276,12 +286,13 @@ impl Supervisor {
     ) {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         if inspires && !state.cut && self.lung.check(&mut state.lung, pressure) {
-            self.unresponsive(state, readings);
+            self.unresponsive(state, pressure, readings, breath.settings());
         }
         let (command, volume) = (state.applied, state.lung.volume());
         let leaks = state.volumes.expired_share().is_some_and(|share| share < TIGHT);
         let expired = state.volumes.expired();
-        let input = BreathInput { breath, tick, cut: state.cut, pressure, command, volume, leaks, expired };
+        let (cut, reached) = (state.cut, state.volumes.inspired());
+        let input = BreathInput { breath, tick, cut, pressure, command, volume, reached, leaks, expired };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
@@ -294,14 +305,24 @@ impl Supervisor {
     }
 
     /// Finds why the pressure does not respond to the gas. If the gas reaches the patient, and two sound sensors agree, a
-    /// patient draws it in.
-    fn unresponsive(&self, state: &mut SupervisorState, readings: &Readings) {
+    /// patient draws it in: either the pressure stays up all the same, or no more is missing than an effort takes away.
+    fn unresponsive(
+        &self,
+        state: &mut SupervisorState,
+        pressure: f32,
+        readings: &Readings,
+        settings: &Settings,
+    ) {
         let flow = state.lung.flow();
         if self.source.unresponsive(&mut state.source, readings, flow) {
             return self.found(state, Fault::SensorsDisagree);
         }
-        let reaches = readings.flow >= REACHES * flow && state.lung.predicted_rise() < EFFORT;
-        if !(reaches && state.source.are_both_sound()) {
+        let rise = pressure - settings.peep;
+        let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
+        let effort = if state.triggered { TRIGGERED_EFFORT } else { EFFORT };
+        let drawn_in = stays_up || state.lung.predicted_rise() - rise < effort;
+        let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
+        if !(reaches && drawn_in && state.source.are_both_sound()) {
             self.found(state, Fault::NoResponse);
         }
     }
@@ -336,6 +357,7 @@ impl Supervisor {
             state.expiration.settings_changed();
         }
         (state.cut, state.strike, state.missed, state.learned) = (false, true, 0, 0.0);
+        state.triggered = core::mem::take(&mut state.triggers);
         let pressure = pressure.filter(|_| !state.breath.is_disconnected());
         state.lung.start_inspiration(pressure.unwrap_or(settings.peep), settings.peep);
         state.backup.start_breath();
@@ -526,6 +548,8 @@ impl Default for SupervisorState {
             noisy: false,
             doubtful: false,
             unresponsive: None,
+            triggered: false,
+            triggers: false,
             cut: false,
             strike: true,
             cuts: 0,

@@ -7,6 +7,9 @@ const MEASURED: f32 = 0.9;
 /// Smallest inspired volume that is compared with the expired one, mL.
 const TELLING: f32 = 20.0;
 
+/// Time constant of the smoothed flow, s.
+const SMOOTHING: f32 = 0.05;
+
 /// Volumes of the running breath, and the last one's result.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Volumes {
@@ -17,6 +20,9 @@ pub struct Volumes {
     root: f32,
     ticks: u32,
     measured: u32,
+    /// Last flow, L/s, and its smoothed value.
+    flow: f32,
+    smooth: f32,
     /// Expired volume of the last breath, mL, and its share of the inspired one, if the flow was measured.
     last: Option<f32>,
     expired_share: Option<f32>,
@@ -33,23 +39,42 @@ impl Volumes {
             self.root += math::square_root(pressure) * period;
         }
         if flow.is_nan() {
+            self.smooth = self.flow;
             return;
         }
         self.measured += 1;
+        self.flow = flow;
+        self.smooth += (period / SMOOTHING).min(1.0) * (flow - self.smooth);
         let volume = 1000.0 * flow * period;
         self.inspired += volume.max(0.0);
         self.expired += (-volume).max(0.0);
     }
 
+    /// Whether enough of the running breath's ticks have a flow reading.
+    fn is_measured(&self) -> bool {
+        self.measured as f32 >= MEASURED * self.ticks as f32 && self.ticks > 0
+    }
+
     /// Ends a breath and starts the next one.
     pub fn start_breath(&mut self) {
-        let known = self.measured as f32 >= MEASURED * self.ticks as f32 && self.ticks > 0;
+        let known = self.is_measured();
         let last = known.then_some(self.expired);
         let known = known && self.inspired >= TELLING;
         let expired_share = known.then(|| self.expired / self.inspired);
         // A leak is an orifice: its flow goes with the root of the pressure.
         let leak = (known && self.root > 0.0).then(|| 1e-3 * (self.inspired - self.expired) / self.root);
-        *self = Self { last, expired_share, leak, ..Self::default() };
+        let Self { flow, smooth, .. } = *self;
+        *self = Self { flow, smooth, last, expired_share, leak, ..Self::default() };
+    }
+
+    /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
+    pub fn surge(&self) -> f32 {
+        self.flow - self.smooth
+    }
+
+    /// Volume inspired so far in the running breath, mL; none if the flow is not measured.
+    pub fn inspired(&self) -> Option<f32> {
+        self.is_measured().then_some(self.inspired)
     }
 
     /// Expired volume of the last breath, mL; none if the flow was not measured.
@@ -115,6 +140,37 @@ mod tests {
         assert_eq!((volumes.expired(), volumes.expired_share()), (Some(0.0), None));
         breath(&mut volumes, 0.5, |tick| tick % 5 != 0);
         assert_eq!(volumes.expired(), None);
+    }
+
+    #[test]
+    fn a_surge_is_the_rise_of_the_flow_over_the_last_twentieth_of_a_second() {
+        let mut volumes = Volumes::default();
+        let mut run = |ticks: usize, flow: f32| {
+            (0..ticks).for_each(|_| volumes.add(flow, 9.0, 0.001));
+            volumes.surge()
+        };
+        assert!(run(500, -0.4).abs() < 1e-3);
+        assert!((run(1, 0.1) - 0.49).abs() < 1e-3);
+        assert!((run(49, 0.1) - 0.5 * 0.98_f32.powi(50)).abs() < 1e-3);
+        run(500, 0.1);
+        assert!((run(1, 0.0) + 0.098).abs() < 1e-3);
+        volumes.start_breath();
+        assert!((volumes.surge() + 0.098).abs() < 1e-3, "breaths share the flow");
+        volumes.add(f32::NAN, 9.0, 0.001);
+        assert!(volumes.surge().abs() < 1e-6, "no reading");
+        let mut slow = Volumes::default();
+        slow.add(0.3, 9.0, 0.1);
+        assert!(slow.surge().abs() < 1e-6, "a period longer than the time constant");
+    }
+
+    #[test]
+    fn what_has_been_inspired_so_far_is_known_while_the_flow_is_measured() {
+        let mut volumes = Volumes::default();
+        assert_eq!(volumes.inspired(), None);
+        (0..10).for_each(|_| volumes.add(0.4, 9.0, 0.01));
+        assert!(volumes.inspired().is_some_and(|inspired| (inspired - 40.0).abs() < 1e-3));
+        (0..2).for_each(|_| volumes.add(f32::NAN, 9.0, 0.01));
+        assert_eq!(volumes.inspired(), None);
     }
 
     #[test]

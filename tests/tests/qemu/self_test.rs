@@ -36,7 +36,7 @@ fn a_sound_board_passes_and_damage_to_its_program_prevents_ventilation() {
     device.restart().unwrap();
     assert_eq!(tested(&mut device)[Step::Program as usize], Failed(Finding::Program));
     let refused = device.start().unwrap_err().to_string();
-    assert!(refused.contains("the self-test of the program has failed"), "{refused}");
+    assert!(refused.contains("the self-test step 'program' has failed"), "{refused}");
     assert_eq!(device.identify().unwrap().mode, Mode::Standby);
 }
 
@@ -50,5 +50,5 @@ fn the_checks_on_request_run_on_the_board() {
     assert!(valves.outcome == Outcome::Passed && circuit.outcome == Outcome::Passed, "{report:?}");
     let zero = device.run_check(Check::Zero).unwrap()[Step::Zero as usize];
     assert_eq!(zero.outcome, Outcome::Failed(Finding::ZeroTooFar), "PEEP is not the pressure of the air");
-    assert!(device.start().unwrap_err().to_string().contains("self-test of the zero has failed"));
+    assert!(device.start().unwrap_err().to_string().contains("self-test step 'zero' has failed"));
 }

@@ -29,7 +29,8 @@ pub const CORE_CLOCK: Hertz = Hertz(168_000_000);
 /// Clock input from the debugger on the board.
 const CRYSTAL: Hertz = Hertz(8_000_000);
 
-/// Inspiratory valve: PA6, as on the main board, and not PB4 (D5): that is NJTRST after a reset, with a pull-up of 40 kOhm on the valve's input.
+/// Inspiratory valve: PA6, as on the main board, and not PB4 (D5): that is NJTRST after a reset, with a pull-up of 40 kOhm on
+/// the valve's input.
 pub type Inspiratory = PA6;
 /// Expiratory valve.
 pub type Expiratory = PB10;

@@ -317,7 +317,7 @@ mod state {
     use super::*;
 
     #[test]
-    fn a_device_that_started_anew_between_two_looks_is_told_with_its_cause() {
+    fn a_device_that_restarted_between_two_looks_is_reported_with_its_cause() {
         let mut view = ventilating();
         view.take(&telemetry(100, &[5.0; 16]));
         view.take(&breath(0));

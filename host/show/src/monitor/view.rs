@@ -180,7 +180,7 @@ impl View {
             Response::Audio(audio) => self.audio = Some(*audio),
             Response::Timing(times) => {
                 if self.times.is_some_and(|before| times.ticks < before.ticks) {
-                    self.started_anew();
+                    self.restarted();
                 }
                 self.times = Some(*times);
             }
@@ -208,7 +208,7 @@ impl View {
     }
 
     /// Handles a restart of the device between two polls, seen by its tick counter.
-    fn started_anew(&mut self) {
+    fn restarted(&mut self) {
         let cause = self.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
         self.message = Some(Notice::Warning(format!("the device restarted: {cause}")));
         self.window =

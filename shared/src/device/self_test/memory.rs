@@ -1,6 +1,6 @@
 //! A test of RAM: the march test C- of words, block by block, after which every word has its old content.
 //!
-//! It finds bits that are stuck or do not change, and words that change or shadow others of their block. It does not find
+//! It detects bits that are stuck or do not change, and words that change or shadow others of their block. It does not detect
 //! address lines that are shorted beyond a block.
 
 /// Words of a block.

@@ -72,7 +72,7 @@ impl SelfTest {
             Some(true) => Outcome::Passed,
             Some(false) => Outcome::Failed(finding),
         };
-        // A store that was cut short leaves a torn slot and takes nothing away: an alarm tells it.
+        // A store that was cut short leaves a torn slot and takes nothing away: an alarm reports it.
         let damaged = boot.slots.iter().any(|slot| matches!(slot, SlotState::Invalid(_)));
         test.set(Step::Program, judged(boot.program, Finding::Program));
         test.set(Step::Weights, judged(Some(!damaged), Finding::Weights));

@@ -360,7 +360,7 @@ fn the_first_failed_step_is_the_reason() {
     let refused = SelfTest::after_boot(PERIOD_US, &boot).permit().unwrap_err();
     assert_eq!(refused, Refusal::SelfTestFailed { step: Step::Program, finding: Finding::Program });
     let text = std::string::ToString::to_string(&refused);
-    assert!(text.contains("self-test of the program has failed: the program in flash is damaged"), "{text}");
+    assert!(text.contains("self-test step 'program' has failed: the program in flash is damaged"), "{text}");
 }
 
 /// The outcomes of a check whose airway pressure is a function of its tick, with a flow of 0.15 L/s throughout.

@@ -286,30 +286,66 @@ fn a_doubtful_pressure_below_peep_raises_no_flow() {
     assert!(compensation(3.0) > 20.0 && compensation(6.0).abs() < 1e-6);
 }
 
+/// An inspiration with two sensors on a stiff lung that ends when this rise, cmH2O, is predicted.
+fn filled_to(predicted: f32, triggered: bool, second_sensor: bool) -> Run {
+    let mut run = Run::new();
+    assert_eq!(run.inspire(STIFF, 30.0), None);
+    if triggered {
+        run.supervisor.triggered(&mut run.state, &breath(), breath().total_ticks() - 1);
+    }
+    for tick in 0.. {
+        let pressure = 5.0 + 0.1 * run.state.lung.volume();
+        let outlet = if second_sensor { pressure + dither(tick + 3) } else { f32::NAN };
+        run.check_all(Readings { outlet, ..pressure.into() }, Some(tick));
+        run.command(ControlOutput::plain(60.0));
+        if run.state.lung.predicted_rise() > predicted {
+            break;
+        }
+    }
+    run
+}
+
+/// Whether a pressure without a response raises the alarm, while the flow sensor shows a share of the valve's flow.
+fn is_missing(mut run: Run, pressure: f32, share: f32, second_sensor: bool) -> bool {
+    let flow = share * run.state.lung.flow();
+    let outlet = if second_sensor { pressure } else { f32::NAN };
+    let readings = Readings { airway: pressure, outlet, flow };
+    run.supervisor.unresponsive(&mut run.state, pressure, &readings, breath().settings());
+    run.state.indications().present().has(Fault::NoResponse)
+}
+
 #[test]
 fn gas_that_a_patient_draws_in_is_no_missing_response() {
-    // The sensors stay at PEEP, the flow sensor shows a share of the valve's flow, and this rise has been predicted.
     let missing = |share: f32, predicted: f32, second_sensor: bool| {
-        let mut run = Run::new();
-        assert_eq!(run.inspire(STIFF, 30.0), None);
-        let outlet = |pressure: f32| if second_sensor { pressure } else { f32::NAN };
-        for tick in 0.. {
-            let pressure = 5.0 + 0.1 * run.state.lung.volume();
-            let readings = Readings { outlet: outlet(pressure + dither(tick + 3)), ..pressure.into() };
-            run.check_all(readings, Some(tick));
-            run.command(ControlOutput::plain(60.0));
-            if run.state.lung.predicted_rise() > predicted {
-                break;
-            }
-        }
+        let run = filled_to(predicted, false, second_sensor);
         assert!((0.7..0.83).contains(&run.state.lung.flow()), "L/s at 60 %, less the back-pressure");
-        let flow = share * run.state.lung.flow();
-        run.supervisor.unresponsive(&mut run.state, &Readings { airway: 5.0, outlet: outlet(5.0), flow });
-        run.state.indications().present().has(Fault::NoResponse)
+        is_missing(run, 5.0, share, second_sensor)
     };
     assert!(!missing(0.5, 12.0, true) && missing(0.49, 12.0, true), "half of the flow reaches the patient");
-    assert!(!missing(1.0, 24.0, true) && missing(1.0, 25.0, true), "no effort takes away 25 cmH2O");
+    assert!(!missing(1.0, 29.5, true) && missing(1.0, 30.0, true), "no effort takes away 30 cmH2O");
     assert!(missing(1.0, 12.0, false), "nothing confirms the only sensor");
+    let started = |predicted: f32| is_missing(filled_to(predicted, true, true), 5.0, 1.0, true);
+    assert!(!started(39.5) && started(40.0), "nor 40 one that has started the breath");
+}
+
+#[test]
+fn a_pressure_that_stays_up_responds_whatever_is_predicted() {
+    let Settings { pip, peep, .. } = *breath().settings();
+    let at = |share: f32| is_missing(filled_to(50.0, false, true), peep + share * (pip - peep), 1.0, true);
+    assert!(!at(0.301) && at(0.299), "30 % of the way from PEEP to PIP");
+    let without_flow = |ticks: u32| {
+        let mut run = filled_to(50.0, false, true);
+        for tick in 900..900 + ticks {
+            let (outlet, flow) = (25.0 + dither(tick + 3), run.state.lung.flow());
+            run.check_all(Readings { airway: 25.0 + dither(tick), outlet, flow }, Some(tick));
+            run.command(ControlOutput::plain(0.0));
+        }
+        let flow = run.state.lung.flow();
+        (flow, is_missing(run, 25.0, 0.0, true))
+    };
+    let flows: Vec<_> = (40..80).map(without_flow).collect();
+    assert!(flows.iter().any(|(flow, _)| *flow > 0.11) && flows.iter().any(|(flow, _)| *flow < 0.09));
+    assert!(flows.iter().all(|(flow, missing)| *missing == (*flow >= 0.1)), "{flows:?}");
 }
 
 #[test]
