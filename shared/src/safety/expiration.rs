@@ -38,6 +38,9 @@ const OPEN: f32 = 0.6;
 /// Compensation of a sag throughout a breath above which PEEP is held by flow alone, percent: the PEEP valve is stuck open,
 /// or the flow sensor does not show the leak.
 const HELD: f32 = 20.0;
+/// Rise of the compensation in an expiration that an effort ends of which no more is kept, percent: a leak needs a little more in
+/// each breath, an effort much for a moment.
+const KEPT: f32 = 5.0;
 /// Breaths in a row with such a compensation or loss that raise the alarm.
 const LEAKS: u32 = 5;
 /// Incomplete expirations in a row to which the ventilator responds.
@@ -150,10 +153,10 @@ impl Expiration {
     /// `emptied`: it lasted long enough to have a baseline; `inhales`: gas flows to the patient while the pressure falls.
     pub fn triggered(&self, state: &mut ExpirationState, peep: f32, emptied: bool, inhales: bool) {
         let above = state.smooth - peep;
-        // What the effort has added is not needed after it. Without an effort, the flow has held PEEP.
-        let before = state.lowest;
-        state.lowest = if inhales { before } else { state.compensation };
-        state.compensation = before;
+        // Most of what the effort has added is not needed after it. Without an effort, the flow has held PEEP.
+        let (before, needed) = (state.lowest, state.compensation);
+        state.lowest = if inhales { before } else { needed };
+        state.compensation = needed.min(before + KEPT);
         if emptied {
             state.incomplete = in_a_row(state.incomplete, self.enabled && above > ABOVE_PEEP);
         }
@@ -310,12 +313,14 @@ mod tests {
     }
 
     #[test]
-    fn an_effort_leaves_no_compensation_behind() {
+    fn an_effort_leaves_little_compensation_behind() {
         let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
         for inhales in [true, false] {
-            (state.compensation, state.lowest) = (30.0, 12.0);
-            expiration.triggered(&mut state, 5.0, false, inhales);
-            assert!((state.compensation() - 12.0).abs() < 1e-6);
+            for (needed, kept) in [(30.0, 17.0), (17.1, 17.0), (16.9, 16.9)] {
+                (state.compensation, state.lowest) = (needed, 12.0);
+                expiration.triggered(&mut state, 5.0, false, inhales);
+                assert!((state.compensation() - kept).abs() < 1e-4);
+            }
         }
     }
 
