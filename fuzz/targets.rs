@@ -131,6 +131,7 @@ struct Rig<'a> {
     control: Control,
     server: Server<'a>,
     decoder: FrameDecoder<DECODER_BYTES>,
+    ticks: u32,
 }
 
 impl<'a> Rig<'a> {
@@ -151,6 +152,7 @@ impl<'a> Rig<'a> {
                 .expect("the period is in bounds"),
             server: Server::new(facts, memory),
             decoder: FrameDecoder::new(),
+            ticks: 0,
         }
     }
 
@@ -166,7 +168,7 @@ impl<'a> Rig<'a> {
     }
 
     fn serve(&mut self, request: &ToDevice) -> ToHost {
-        let mut step = self.server.receive(request);
+        let mut step = self.server.receive(request, self.ticks);
         loop {
             step = match step {
                 NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
@@ -184,6 +186,7 @@ impl<'a> Rig<'a> {
     fn tick(&mut self, reading: f32) -> Vec<ToHost> {
         let _ = self.control.plant_change();
         let output = self.control.step(reading);
+        self.ticks += 1;
         assert!(output.mode == Mode::Ventilating || (output.command.u_out() && output.command.u_in() <= 0.0));
         assert!((0.0..=100.0).contains(&output.command.u_in()));
         self.recorder.record(&self.control.moment(reading, &output, 0));

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 pub const WATCHDOG_US: u32 = 50_000;
 /// Upper bound of the watchdog's real timeout, us.
 pub const WATCHDOG_MAX_US: u32 = 2 * WATCHDOG_US;
+/// Longest silence of the host that steers a device before its lease lapses, s.
+pub const LEASE_S: f32 = 5.0;
 /// Bins of the histogram: below 1 us, below 2 us, below 4 us and so on; the last one is open-ended.
 pub const BINS: usize = 12;
 

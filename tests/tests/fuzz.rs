@@ -14,6 +14,7 @@ use shared::breath::paper_settings;
 use shared::device::self_test::Check;
 use shared::explore::Exploration;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
+use shared::link::host_name::HostName;
 use shared::link::messages::{CHUNK_BYTES, ControllerChoice, Event, Request, ToDevice, ToHost, read_request};
 use shared::link::plant_link;
 use shared::link::telemetry::BreathSummary;
@@ -126,6 +127,7 @@ fn requests() -> Vec<Request> {
     let image = u32::from_le_bytes(*LEARNED.last_chunk().expect("an image ends with its id"));
     vec![
         Request::Identify,
+        Request::AcquireLease { name: HostName::new("anna@icu"), take_over: false },
         Request::GetSettings,
         Request::ApplySettings(paper_settings(20.0)),
         Request::QueueSettings(paper_settings(30.0)),
@@ -153,11 +155,13 @@ fn requests() -> Vec<Request> {
         Request::GetSelfTest,
         Request::RunSelfTest(Check::Circuit),
         Request::Reset,
+        Request::GetLease,
+        Request::ReleaseLease,
     ]
 }
 
 fn frame(sequence: u16, request: Request) -> Vec<u8> {
-    framed(&ToDevice { sequence, request })
+    framed(&ToDevice { sequence, request, host: Some(300) })
 }
 
 fn framed<M: Serialize>(message: &M) -> Vec<u8> {

@@ -10,7 +10,7 @@ use static_cell::StaticCell;
 
 use super::control_task::{REPLY, REPORTS, REQUEST};
 use super::drivers::flash::WeightsFlash;
-use super::drivers::{link_uart, watchdog};
+use super::drivers::{clock, link_uart, watchdog};
 use super::recorder;
 
 /// Version of the firmware: major, minor, patch.
@@ -71,7 +71,7 @@ pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsF
 
 /// Handles a request up to its answer.
 async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request: &ToDevice) {
-    let mut step = server.receive(request);
+    let mut step = server.receive(request, clock::number());
     loop {
         step = match step {
             NextStep::Send(answer) => return send(&answer).await,

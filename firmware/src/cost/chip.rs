@@ -207,7 +207,7 @@ fn telemetry(counting: &Cost) {
     let (mut pack, mut encoding) = (Cost::NONE, Cost::NONE);
     let mut batcher = Batcher::default();
     let mut control = control();
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     for tick in 0..u64::from(RUNS) {
         let Some(sample) = control.step(5.0).sample else { continue };
         let batch = pack.of(|| batcher.push(tick, black_box(&sample), &Counters::default()));
@@ -234,6 +234,12 @@ fn control() -> Control {
     built(Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ))
 }
 
+/// Starts ventilation.
+fn begin(control: &mut Control) {
+    control.execute(&ControlRequest::Apply(paper_settings(PAPER_PIPS[0])));
+    control.execute(&ControlRequest::Start);
+}
+
 /// The flight recorder's memory.
 static MEMORY: RecorderMemory = RecorderMemory::new();
 
@@ -244,7 +250,7 @@ fn recorder() -> Recorder<'static> {
 /// Measures the flight recorder's part of a tick.
 fn recording(counting: &Cost) {
     let (mut control, mut recorder, mut cost) = (control(), recorder(), Cost::NONE);
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     for tick in 0..2 * TICKS {
         let reading = 5.0 + (tick % 1000) as f32 / 100.0;
         let output = control.step(reading);
@@ -265,7 +271,7 @@ fn ticks(counting: &Cost) {
     let (mut recorder, mut prescription) = (recorder(), Prescription::attach(&PRESCRIPTION, None));
     let mut plant = ExactLung::new(paper_settings(PAPER_PIPS[0]).peep);
     let mut before = plant.pressure();
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     let (mut all, mut inspiring) = (Cost::NONE, Cost::NONE);
     for pip in PAPER_PIPS {
         let settings = paper_settings(pip);

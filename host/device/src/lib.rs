@@ -2,10 +2,14 @@
 //!
 //! A thread reads the line and sorts incoming messages. A request without an answer is repeated with the same sequence
 //! number; the device executes it only once. After connecting, the host only reads; it pushes nothing by itself.
+//!
+//! A request that changes the device needs its lease. The connection acquires it with the first such request, again if it has
+//! lapsed meanwhile, and gives it back when it ends. If another host holds it, the request is refused with that host's name.
 
 #![forbid(unsafe_code)]
 
 pub mod blackbox;
+mod host;
 mod line;
 pub mod port;
 pub mod simulated;
@@ -20,7 +24,7 @@ use shared::device::self_test::{Check, Outcome, Report};
 use shared::explore::Exploration;
 use shared::link::PROTOCOL;
 use shared::link::messages::{
-    AlarmStatus, ControllerChoice, DeviceIdentity, Event, Request, Response, ToDevice,
+    AlarmStatus, ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response, ToDevice,
 };
 use shared::link::refusal::Refusal;
 use shared::settings::Settings;
@@ -28,6 +32,7 @@ use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 use thiserror::Error;
 
+pub use host::name as host_name;
 pub use line::LineCounters;
 use line::{Answer, Line};
 use port::{Address, Port, PortError};
@@ -42,6 +47,8 @@ const SELF_TEST_TIME: Duration = Duration::from_secs(30);
 const CHECK_TIME: Duration = Duration::from_mins(5);
 /// Longest time for a device to return after a restart.
 const RESTART_TIME: Duration = Duration::from_secs(20);
+/// Longest time that the end of a connection waits for the device to take its lease back.
+const RELEASE_TIME: Duration = Duration::from_millis(250);
 
 /// Why a device did not carry out a request.
 #[derive(Debug, Error)]
@@ -74,6 +81,10 @@ pub struct Device {
     address: Address,
     line: Line,
     sequence: u16,
+    /// Identifies this connection, for the lease.
+    token: u32,
+    /// Whether it held the lease at last.
+    steers: bool,
 }
 
 impl Device {
@@ -83,7 +94,7 @@ impl Device {
     /// [`DeviceError::Port`].
     pub fn connect(address: &Address) -> Result<Self, DeviceError> {
         let line = Line::start(Port::open(address)?);
-        Ok(Self { address: address.clone(), line, sequence: 0 })
+        Ok(Self { address: address.clone(), line, sequence: 0, token: host::token(), steers: false })
     }
 
     /// The device's address.
@@ -120,27 +131,48 @@ impl Device {
         self.line.send_raw(bytes).map_err(|_| DeviceError::Gone(self.address.clone()))
     }
 
-    /// Sends a request and waits for the answer.
+    /// Sends a request and waits for the answer. If the device demands its lease for it, acquires the lease first.
     ///
     /// # Errors
     /// [`DeviceError`]; a refusal is [`DeviceError::Refused`].
     pub fn request(&mut self, request: &Request) -> Result<Response, DeviceError> {
-        self.sequence = self.sequence.wrapping_add(1);
-        let message = ToDevice { sequence: self.sequence, request: request.clone() };
+        match self.exchange(request) {
+            Err(DeviceError::Refused(Refusal::NoLease)) if request.changes() => {
+                self.acquire_lease(false)?;
+                self.exchange(request)
+            }
+            other => other,
+        }
+    }
+
+    /// Sends a request and waits for the answer.
+    fn exchange(&mut self, request: &Request) -> Result<Response, DeviceError> {
+        let message = self.message(request);
         for _ in 0..ATTEMPTS {
             self.line.send(&message).map_err(|_| DeviceError::Gone(self.address.clone()))?;
-            match self.answer()? {
+            match self.answer(ANSWER_TIME)? {
                 Some(Response::Refused(refusal)) => return Err(refusal.into()),
-                Some(response) => return Ok(response),
+                Some(response) => {
+                    if let Response::Lease(status) = &response {
+                        self.steers = status.yours;
+                    }
+                    return Ok(response);
+                }
                 None => tracing::debug!(?request, "no answer, asking again"),
             }
         }
         Err(DeviceError::Silent(self.address.clone()))
     }
 
+    /// The next message to the device.
+    fn message(&mut self, request: &Request) -> ToDevice {
+        self.sequence = self.sequence.wrapping_add(1);
+        ToDevice { sequence: self.sequence, request: request.clone(), host: Some(self.token) }
+    }
+
     /// The answer to the last request; `None` if it does not arrive in time.
-    fn answer(&self) -> Result<Option<Response>, DeviceError> {
-        let deadline = Instant::now() + ANSWER_TIME;
+    fn answer(&self, patience: Duration) -> Result<Option<Response>, DeviceError> {
+        let deadline = Instant::now() + patience;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             match self.line.answers.recv_timeout(left) {
@@ -265,6 +297,28 @@ impl Device {
         }
     }
 
+    /// Who steers the device.
+    pub fn lease(&mut self) -> Result<LeaseStatus, DeviceError> {
+        self.expect_lease(&Request::GetLease)
+    }
+
+    /// Acquires the lease; `take_over` takes it from another host, which only a person may decide.
+    pub fn acquire_lease(&mut self, take_over: bool) -> Result<LeaseStatus, DeviceError> {
+        self.expect_lease(&Request::AcquireLease { name: host_name(), take_over })
+    }
+
+    /// Gives the lease back, if this connection holds it.
+    pub fn release_lease(&mut self) -> Result<LeaseStatus, DeviceError> {
+        self.expect_lease(&Request::ReleaseLease)
+    }
+
+    fn expect_lease(&mut self, request: &Request) -> Result<LeaseStatus, DeviceError> {
+        match self.exchange(request)? {
+            Response::Lease(status) => Ok(status),
+            _ => Err(DeviceError::Unexpected),
+        }
+    }
+
     fn expect_mode(&mut self, request: &Request) -> Result<Mode, DeviceError> {
         match self.request(request)? {
             Response::Mode(mode) => Ok(mode),
@@ -323,6 +377,19 @@ impl Device {
                     std::thread::sleep(Duration::from_millis(100));
                 }
                 other => return other,
+            }
+        }
+    }
+}
+
+impl Drop for Device {
+    /// Gives the lease back, so that the next host need not wait until it lapses.
+    fn drop(&mut self) {
+        if self.steers {
+            let message = self.message(&Request::ReleaseLease);
+            // A device that does not answer lets the lease lapse.
+            if self.line.send(&message).is_ok() {
+                let _ = self.answer(RELEASE_TIME);
             }
         }
     }

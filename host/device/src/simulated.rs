@@ -81,6 +81,7 @@ struct Chip<'a> {
     control: Control,
     server: Server<'a>,
     decoder: FrameDecoder<DECODER_BYTES>,
+    ticks: u32,
     reading: f32,
     command: ValveCommand,
     /// The weight slots.
@@ -101,6 +102,7 @@ impl<'a> Chip<'a> {
             control,
             server,
             decoder: FrameDecoder::new(),
+            ticks: 0,
             reading: peep,
             command: ValveCommand::SAFE,
             flash: [None; 2],
@@ -148,6 +150,7 @@ impl<'a> Chip<'a> {
             let _ = self.bench.set_peep(peep);
         }
         let output = self.control.step(self.reading);
+        self.ticks = self.ticks.wrapping_add(1);
         self.command = output.command;
         self.control.record(&TickTime { latency: 0, work: 0, period: Some(DEFAULT_PERIOD_US), missed: 0 });
         self.recorder.record(&self.control.moment(self.reading, &output, 0));
@@ -180,7 +183,7 @@ impl<'a> Chip<'a> {
     }
 
     fn serve(&mut self, request: &ToDevice) {
-        let mut step = self.server.receive(request);
+        let mut step = self.server.receive(request, self.ticks);
         loop {
             step = match step {
                 NextStep::Send(answer) => return self.say(&answer),

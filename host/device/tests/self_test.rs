@@ -9,6 +9,7 @@ use shared::link::messages::{DeviceKind, Response};
 use shared::link::refusal::Refusal;
 use shared::safety::filter::ValveCommand;
 use shared::sensor::Readings;
+use shared::settings::Settings;
 use shared::ventilator::Mode;
 use shared::weights::ImageProblem;
 use shared::weights::slots::SlotState;
@@ -68,6 +69,7 @@ impl Machine {
     }
 
     fn start(&mut self) -> Response {
+        self.ask(&ControlRequest::Apply(Settings::default()));
         self.ask(&ControlRequest::Start)
     }
 

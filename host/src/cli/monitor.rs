@@ -8,7 +8,7 @@ use serde::Serialize;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
 use shared::device::annunciator::AudioStatus;
-use shared::link::messages::{AlarmStatus, DeviceIdentity};
+use shared::link::messages::{AlarmStatus, DeviceIdentity, LeaseStatus};
 use shared::safety::alarms::Fault;
 use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Settings};
@@ -33,10 +33,15 @@ Examples:
   trainer monitor --port tcp:localhost:5555 --plain | tee night.log
   trainer monitor --port COM3 --once --json -
 
-Keys: space starts and stops, a acknowledges all alarms, m pauses the sounder for 120 s or ends the
-pause, up and down change PIP, left and right the rate, p switches between PID and learned weights,
-q quits. The monitor only reads the state of the device and sends the request of a key. Quitting leaves
-the device as it is; ventilation continues.")]
+Keys: space starts and stops, c confirms the settings shown (a device starts only with settings that
+were sent since it went to standby), a acknowledges all alarms, m pauses the sounder for 120 s or
+ends the pause, up and down change PIP, left and right the rate, p switches between PID and learned
+weights, q quits. The monitor only reads the state of the device and sends the request of a key.
+Quitting leaves the device as it is; ventilation continues.
+
+One program at a time steers a device: the first key acquires its lease, quitting gives it back, and
+meanwhile every other program only reads. The key t takes the lease from another program, for an
+operator at the bedside who must stop ventilation or acknowledge an alarm.")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
@@ -101,6 +106,7 @@ struct State {
     next_settings: Option<Settings>,
     alarms: Alarms,
     audio: AudioStatus,
+    lease: LeaseStatus,
     ticks: TickTimes,
     line: LineCounters,
 }
@@ -129,9 +135,10 @@ fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
     let (settings, next_settings) = device.settings()?;
     let alarms = device.alarms()?.into();
     let audio = device.audio()?;
+    let lease = device.lease()?;
     let ticks = device.timing(false)?;
     let (port, line) = (args.port.to_string(), device.counters());
-    let state = State { port, identity, settings, next_settings, alarms, audio, ticks, line };
+    let state = State { port, identity, settings, next_settings, alarms, audio, lease, ticks, line };
     args.output.table(&table(&state));
     args.output.finish(&state)
 }
@@ -153,6 +160,7 @@ fn table(state: &State) -> Table {
         row("alarm", "none is indicated".to_owned());
     }
     row("sounder", words::audio(audio));
+    row("steered by", words::lease(&state.lease));
     for field in FIELDS {
         row(&words::name(field), words::setting(field, &state.settings, state.next_settings.as_ref()));
     }
@@ -167,6 +175,7 @@ fn table(state: &State) -> Table {
 mod tests {
     use super::*;
     use shared::link::PROTOCOL;
+    use shared::link::host_name::HostName;
     use shared::link::messages::{ControllerChoice, DeviceKind};
     use shared::reset::ResetCause;
     use shared::safety::indications::FaultSet;
@@ -201,8 +210,10 @@ mod tests {
         let next_settings = Some(Settings { pip: 25.0, ..settings });
         let (port, ticks, line) = ("COM3".to_owned(), TickTimes::default(), LineCounters::default());
         let (alarms, audio) = (AlarmStatus::default().into(), AudioStatus::default());
-        let state = State { port, identity, settings, next_settings, alarms, audio, ticks, line };
+        let lease = LeaseStatus { holder: Some(HostName::new("anna@icu")), yours: false };
+        let state = State { port, identity, settings, next_settings, alarms, audio, lease, ticks, line };
         let text = table(&state).to_plain();
+        assert!(text.contains("anna@icu (this program only reads)"), "{text}");
         assert!(text.contains("20 cmH2O, 25 from the next breath on"), "{text}");
         assert_eq!(text.matches("from the next breath on").count(), 1, "{text}");
     }

@@ -73,6 +73,8 @@ pub struct Control {
     annunciator: Annunciator,
     alarm_events: AlarmEvents,
     self_test: SelfTest,
+    /// Whether a host has sent settings in this standby.
+    confirmed: bool,
     seed: Option<u64>,
     /// PEEP last sent to the plant, cmH2O.
     peep: Option<f32>,
@@ -114,6 +116,7 @@ impl Control {
             annunciator: Annunciator::new(period_us),
             alarm_events: AlarmEvents::new(period_us),
             self_test: SelfTest::none(period_us),
+            confirmed: false,
             seed: None,
             peep: None,
         })
@@ -269,6 +272,7 @@ impl Control {
         }
         if let (Mode::Fault(_), true) = (output.mode, before != output.mode) {
             self.queue.clear();
+            self.confirmed = false;
         }
         if let Some(counters) = counters {
             send(ControlReport::Counters(counters));
@@ -344,12 +348,14 @@ impl Control {
     fn apply(&mut self, settings: &Settings) -> Result<Response, Refusal> {
         self.ventilator.apply(&mut self.state, settings)?;
         self.queue.clear();
+        self.confirmed = true;
         Ok(self.settings())
     }
 
     fn enqueue(&mut self, settings: &Settings) -> Result<Response, Refusal> {
         let breath = Breath::new(settings, self.ventilator.period_us())?;
         self.queue.push_back(breath).map_err(|_| Refusal::QueueFull)?;
+        self.confirmed = true;
         Ok(Response::Queued { free: (QUEUE_LENGTH - self.queue.len()) as u8 })
     }
 
@@ -363,6 +369,9 @@ impl Control {
                 return Err(Refusal::NoSensor);
             }
             self.self_test.permit()?;
+            if !self.confirmed {
+                return Err(Refusal::NotConfirmed);
+            }
             self.meter = BreathMeter::default();
             self.state.start();
         }
@@ -373,6 +382,7 @@ impl Control {
         self.state.stop();
         self.self_test.abort();
         self.queue.clear();
+        self.confirmed = false;
         Response::Mode(self.state.mode())
     }
 

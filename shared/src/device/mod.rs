@@ -8,8 +8,8 @@
 //! | [`control`] | once per control tick | ventilator, queued breaths, breath meter, tick statistics |
 //! | [`server`] | when bytes or reports arrive | requests and their answers, telemetry batches, uploads |
 //!
-//! [`self_test`] decides whether ventilation may start, [`annunciator`] drives sounder and lamps, and [`prescription`] keeps the
-//! settings of a running ventilation through a reset.
+//! [`lease`] decides which host may change the device, and [`self_test`] whether ventilation may start. [`annunciator`] drives
+//! sounder and lamps, and [`prescription`] keeps the settings of a running ventilation through a reset.
 //!
 //! The server sends one [`ControlRequest`] at a time to the control half and gets one [`ControlReply`]; the control half also
 //! sends unrequested [`ControlReport`]s. Neither half blocks: the caller passes requests, replies and reports between them.
@@ -17,6 +17,7 @@
 mod alarm_events;
 pub mod annunciator;
 pub mod control;
+pub mod lease;
 pub mod prescription;
 pub mod self_test;
 pub mod server;

@@ -8,6 +8,7 @@
 
 use heapless::{String, Vec};
 
+use super::lease::Lease;
 use super::upload::Upload;
 use super::{ControlReply, ControlReport, ControlRequest, Status};
 use crate::link::PROTOCOL;
@@ -78,17 +79,21 @@ pub struct Server<'a> {
     batcher: Batcher,
     counters: Counters,
     upload: Upload,
+    lease: Lease,
     /// Id of the image that is being stored.
     committed: u32,
     sequence: u16,
     continuation: Continuation,
-    last: Option<(u16, Response)>,
+    /// Sequence number, host and answer of the last request.
+    last: Option<(u16, Option<u32>, Response)>,
+    host: Option<u32>,
 }
 
 impl<'a> Server<'a> {
     /// A server before the first request; `recorder` is the flight recorder's memory, which the host can read.
     pub fn new(facts: DeviceFacts, recorder: &'a RecorderMemory) -> Self {
         Self {
+            lease: Lease::new(facts.period_us),
             facts,
             recorder,
             telemetry: false,
@@ -99,6 +104,7 @@ impl<'a> Server<'a> {
             sequence: 0,
             continuation: Continuation::Forward,
             last: None,
+            host: None,
         }
     }
 
@@ -112,15 +118,19 @@ impl<'a> Server<'a> {
         self.counters.corrupt_frames = count;
     }
 
-    /// Handles a request.
-    pub fn receive(&mut self, message: &ToDevice) -> NextStep {
-        let ToDevice { sequence, request } = message;
-        if let Some((_, response)) = self.last.as_ref().filter(|last| last.0 == *sequence)
+    /// Handles a request that arrives at a control tick; the number of the tick may wrap.
+    pub fn receive(&mut self, message: &ToDevice, tick: u32) -> NextStep {
+        let ToDevice { sequence, request, host } = message;
+        self.lease.heard(*host, tick);
+        if let Some((.., response)) = self.last.as_ref().filter(|last| (last.0, last.1) == (*sequence, *host))
             && *request != Request::Identify
         {
             return NextStep::Send(ToHost::Response { sequence: *sequence, response: response.clone() });
         }
-        self.sequence = *sequence;
+        (self.sequence, self.host) = (*sequence, *host);
+        if let Err(refusal) = self.permits(request) {
+            return self.send(Err(refusal));
+        }
         let (continuation, control_request) = match request {
             Request::Identify => (Continuation::Greet, ControlRequest::Status),
             Request::GetSettings => (Continuation::Forward, ControlRequest::Settings),
@@ -159,9 +169,28 @@ impl<'a> Server<'a> {
                 self.telemetry = *on;
                 return self.send(Ok(Response::Telemetry { on: *on }));
             }
+            Request::AcquireLease { name, take_over } => {
+                let status = self.lease.acquire(*host, *name, *take_over, tick);
+                return self.send(status.map(Response::Lease));
+            }
+            Request::ReleaseLease => {
+                let status = self.lease.release(*host);
+                return self.send(Ok(Response::Lease(status)));
+            }
+            Request::GetLease => return self.send(Ok(Response::Lease(self.lease.status(*host)))),
         };
         self.continuation = continuation;
         NextStep::Control(control_request)
+    }
+
+    /// Whether the lease allows a request of the host.
+    fn permits(&self, request: &Request) -> Result<(), Refusal> {
+        match (self.lease.permits(self.host), request) {
+            _ if !request.changes() => Ok(()),
+            // Nobody else reads the telemetry.
+            (Err(Refusal::NoLease), Request::Telemetry { .. }) => Ok(()),
+            (permitted, _) => permitted,
+        }
     }
 
     /// Continues after [`NextStep::Control`] with the control half's reply.
@@ -207,7 +236,7 @@ impl<'a> Server<'a> {
     /// Not inlined: it copies an answer, and each inlined instance takes a kilobyte of flash.
     #[inline(never)]
     fn answer(&mut self, response: Response) -> ToHost {
-        self.last = Some((self.sequence, response.clone()));
+        self.last = Some((self.sequence, self.host, response.clone()));
         ToHost::Response { sequence: self.sequence, response }
     }
 

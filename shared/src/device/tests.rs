@@ -1,4 +1,5 @@
 mod alarms;
+mod lease;
 mod self_test;
 
 use std::boxed::Box;
@@ -14,6 +15,7 @@ use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
+use crate::link::host_name::HostName;
 use crate::link::messages::{AlarmStatus, CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
@@ -27,6 +29,8 @@ use crate::weights::{IMAGE_BYTES, Identity, ImageProblem, decode, encode};
 
 const CORE_HZ: u32 = 168_000_000;
 const TICKS_OF_A_BREATH: usize = 3000;
+/// Token of the host that steers.
+const HOST: Option<u32> = Some(7);
 
 /// A device without a chip: both halves, a plant with a constant 5 cmH2O, and the messages that would go over the link.
 struct Rig {
@@ -35,6 +39,7 @@ struct Rig {
     reports: Vec<ControlReport>,
     events: Vec<ToHost>,
     sequence: u16,
+    ticks: u32,
     stored: Vec<[u8; IMAGE_BYTES]>,
     flash_fails: bool,
     restarts: usize,
@@ -63,6 +68,7 @@ impl Rig {
             reports: Vec::new(),
             events: Vec::new(),
             sequence: 0,
+            ticks: 0,
             stored: Vec::new(),
             flash_fails: false,
             restarts: 0,
@@ -76,6 +82,7 @@ impl Rig {
     fn run_at(&mut self, ticks: usize, pressure: f32) {
         for _ in 0..ticks {
             let output = self.control.step(pressure);
+            self.ticks += 1;
             let Self { control, reports, recorder, .. } = self;
             recorder.record(&control.moment(pressure, &output, 0));
             control.report(&output, &mut |report| {
@@ -88,13 +95,28 @@ impl Rig {
         }
     }
 
+    /// A request of the host that steers.
     fn ask(&mut self, request: Request) -> Response {
-        self.sequence += 1;
-        self.ask_as(self.sequence, request)
+        if request.changes() {
+            self.ask_by(HOST, Request::AcquireLease { name: HostName::new("test"), take_over: false });
+        }
+        self.ask_by(HOST, request)
     }
 
-    fn ask_as(&mut self, sequence: u16, request: Request) -> Response {
-        let mut step = self.server.receive(&ToDevice { sequence, request });
+    /// A request of any host.
+    fn ask_by(&mut self, host: Option<u32>, request: Request) -> Response {
+        self.sequence += 1;
+        self.ask_as(self.sequence, host, request)
+    }
+
+    /// Starts ventilation with the default settings.
+    fn start(&mut self) {
+        self.ask(Request::ApplySettings(Settings::default()));
+        assert_eq!(self.ask(Request::Start), Response::Mode(Mode::Ventilating));
+    }
+
+    fn ask_as(&mut self, sequence: u16, host: Option<u32>, request: Request) -> Response {
+        let mut step = self.server.receive(&ToDevice { sequence, request, host }, self.ticks);
         loop {
             step = match step {
                 NextStep::Send(ToHost::Response { sequence: answered, response }) => {
@@ -129,6 +151,12 @@ impl Rig {
         });
         batches.flat_map(|batch| batch.samples.iter().map(PackedSample::unpack)).collect()
     }
+}
+
+/// Starts ventilation with the default settings.
+fn begin(control: &mut Control) {
+    control.execute(&ControlRequest::Apply(Settings::default()));
+    control.execute(&ControlRequest::Start);
 }
 
 fn residual() -> Residual {
@@ -206,7 +234,7 @@ fn every_breath_takes_the_oldest_settings_waiting_and_the_last_ones_stay() {
 fn telemetry_flows_while_it_is_on_and_tells_of_refused_frames() {
     let mut rig = Rig::new(None);
     rig.server.corrupt_frames(7);
-    rig.ask(Request::Start);
+    rig.start();
     rig.run(200);
     assert_eq!(rig.samples().len(), 0);
     rig.ask(Request::Telemetry { on: true });
@@ -231,7 +259,7 @@ fn the_end_of_ventilation_is_reported_once() {
         stops
     };
     assert_eq!(stops(&mut control), 0, "in standby");
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     assert_eq!((stops(&mut control), stops(&mut control)), (0, 0));
     control.execute(&ControlRequest::Stop);
     assert_eq!((stops(&mut control), stops(&mut control)), (1, 0));
@@ -240,7 +268,7 @@ fn the_end_of_ventilation_is_reported_once() {
 #[test]
 fn a_request_finds_the_mode_that_the_one_before_it_led_to() {
     let mut rig = Rig::new(None);
-    rig.ask(Request::Start);
+    rig.start();
     assert!(matches!(rig.ask(Request::Identify), Response::Identity(i) if i.mode == Mode::Ventilating));
 }
 
@@ -271,17 +299,21 @@ fn the_queue_has_an_end_and_refuses_nonsense() {
 #[test]
 fn a_repeated_request_is_answered_again_and_done_once() {
     let mut rig = Rig::new(None);
-    let first = rig.ask_as(9, Request::QueueSettings(paper_settings(10.0)));
-    let again = rig.ask_as(9, Request::QueueSettings(paper_settings(10.0)));
+    rig.ask(Request::Stop);
+    let first = rig.ask_as(9, HOST, Request::QueueSettings(paper_settings(10.0)));
+    let again = rig.ask_as(9, HOST, Request::QueueSettings(paper_settings(10.0)));
     assert_eq!((&first, &again), (&Response::Queued { free: 15 }, &Response::Queued { free: 15 }));
-    assert!(matches!(rig.ask_as(9, Request::Identify), Response::Identity(_)), "a greeting is always new");
+    assert!(
+        matches!(rig.ask_as(9, HOST, Request::Identify), Response::Identity(_)),
+        "a greeting is always new"
+    );
 }
 
 #[test]
 fn controller_and_exploration_change_at_the_breath_boundary() {
     let mut rig = Rig::new(None);
     rig.ask(Request::Telemetry { on: true });
-    rig.ask(Request::Start);
+    rig.start();
     rig.run(10);
     let mut always = Exploration { boundary_probability: 1.0, ..Exploration::default() };
     always.boundary_height = (20.0, 20.0);
@@ -324,7 +356,7 @@ fn left_alone(monitors: Monitors) -> (Rig, Vec<bool>) {
     let always =
         Exploration { boundary_probability: 1.0, boundary_height: (20.0, 20.0), ..Exploration::default() };
     rig.ask(Request::SetExploration(Some(always)));
-    rig.ask(Request::Start);
+    rig.start();
     rig.run(6 * TICKS_OF_A_BREATH);
     let starts = rig.samples().into_iter().filter(|sample| sample.tick == 0);
     let explored = starts.map(|sample| sample.explore > 0.0).collect();
@@ -388,7 +420,7 @@ fn late(missed: u32) -> TickTime {
 fn ticks_that_are_missed_reach_the_ladder() {
     let mut control =
         Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ).unwrap();
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     let mut tick = |missed| {
         let mode = control.step(5.0).mode;
         control.record(&late(missed));
@@ -454,7 +486,7 @@ fn recorded(rig: &mut Rig) -> RecorderStatus {
 #[test]
 fn the_flight_recorder_is_read_while_ventilating_and_emptied_on_request() {
     let mut rig = Rig::new(None);
-    rig.ask(Request::Start);
+    rig.start();
     rig.run(100);
     let status = recorded(&mut rig);
     assert_eq!((status.recording, status.fast.next - status.fast.first), (RecordingState::Running, 101));
@@ -490,7 +522,7 @@ fn a_failed_store_is_refused_and_the_greeting_shows_both_slots() {
 fn nothing_is_stored_and_nothing_restarts_while_ventilating() {
     let (mut rig, image) = (Rig::new(None), image());
     upload(&mut rig, &image);
-    rig.ask(Request::Start);
+    rig.start();
     let refused = Response::Refused(Refusal::Ventilating);
     assert_eq!(rig.ask(Request::CommitWeights), refused);
     assert_eq!(rig.ask(Request::BeginWeights { length: IMAGE_BYTES as u32, id: 1 }), refused);
@@ -506,7 +538,7 @@ fn reports_that_find_no_room_are_counted() {
     let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ)
         .unwrap()
         .with_monitors(Monitors::ANY_PLANT);
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     let mut counted = 0;
     for tick in 0..=64 {
         let output = control.step(5.0);

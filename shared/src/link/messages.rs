@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::PROTOCOL;
+use super::host_name::HostName;
 use super::refusal::Refusal;
 use super::self_test::{Check, Report};
 use super::telemetry::{BreathSummary, TelemetryBatch};
@@ -35,12 +36,15 @@ pub const FAILURE_BYTES: usize = 120;
 pub const AUDIO_PAUSE_MAX: u16 = 120;
 
 /// Message from host to device.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ToDevice {
     /// Chosen by the host and repeated in the answer.
     pub sequence: u16,
     /// The request.
     pub request: Request,
+    /// Random number that identifies the host, for the lease; not sent by a host that only reads.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub host: Option<u32>,
 }
 
 /// A request of the host.
@@ -123,6 +127,39 @@ pub enum Request {
     GetSelfTest,
     /// Begins a check of the self-test, in standby; answered by [`Response::SelfTest`].
     RunSelfTest(Check),
+    /// Acquires the lease, without which no host changes anything ([`crate::device::lease`]); answered by
+    /// [`Response::Lease`].
+    AcquireLease {
+        /// The host's name, which other hosts are told.
+        name: HostName,
+        /// Whether to take it from another host: only if a person asks for that.
+        take_over: bool,
+    },
+    /// Gives the lease back; answered by [`Response::Lease`].
+    ReleaseLease,
+    /// Reports who steers; answered by [`Response::Lease`].
+    GetLease,
+}
+
+impl Request {
+    /// Whether the request changes something, and therefore needs the lease. Every kind that is not named here does.
+    pub fn changes(&self) -> bool {
+        !matches!(
+            self,
+            Self::Identify
+                | Self::GetSettings
+                | Self::GetAlarms
+                | Self::GetAudio
+                | Self::GetSelfTest
+                | Self::GetTiming { clear: false }
+                | Self::GetRecorder
+                | Self::ReadRecorder { .. }
+                | Self::Telemetry { on: true }
+                | Self::AcquireLease { .. }
+                | Self::ReleaseLease
+                | Self::GetLease
+        )
+    }
 }
 
 /// Choice of the controller.
@@ -205,6 +242,17 @@ pub enum Response {
     Audio(AudioStatus),
     /// Results of the self-test.
     SelfTest(Report),
+    /// Who steers.
+    Lease(LeaseStatus),
+}
+
+/// Who steers a device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeaseStatus {
+    /// The host that holds the lease, if any.
+    pub holder: Option<HostName>,
+    /// Whether that is the host that asks.
+    pub yours: bool,
 }
 
 /// The alarms of a device, and what commands its inspiratory valve because of them.
@@ -317,9 +365,16 @@ impl Unreadable {
 /// # Errors
 /// [`Unreadable`]; answer with [`Unreadable::refusal`].
 pub fn read_request(content: &[u8]) -> Result<ToDevice, Unreadable> {
-    whole(content).ok_or_else(|| Unreadable {
+    request_of(content).ok_or_else(|| Unreadable {
         sequence: postcard::take_from_bytes(content).ok().map(|(sequence, _)| sequence),
     })
+}
+
+/// The request in a whole content, with or without the host's token.
+fn request_of(content: &[u8]) -> Option<ToDevice> {
+    let ((sequence, request), token) = postcard::take_from_bytes(content).ok()?;
+    let host = if token.is_empty() { None } else { Some(whole::<Option<u32>>(token)??) };
+    Some(ToDevice { sequence, request, host })
 }
 
 /// Decodes a frame's content on the host.

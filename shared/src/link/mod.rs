@@ -6,11 +6,13 @@
 //!
 //! The device answers each request of the host once, with the request's sequence number and the value that is now in
 //! force. It also sends events: batches of [`telemetry`], breath summaries, alarms. After connecting, the host first
-//! reads ([`messages::Request::Identify`]) and never changes settings by itself.
+//! reads ([`messages::Request::Identify`]) and never changes settings by itself. A host that changes anything first acquires
+//! the device's lease ([`crate::device::lease`]); meanwhile every other host only reads.
 //!
 //! [`plant_link`] is a separate link, for a plant in place of sensor and valves.
 
 pub mod frame;
+pub mod host_name;
 pub mod messages;
 pub mod plant_link;
 pub mod refusal;

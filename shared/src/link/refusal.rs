@@ -3,9 +3,11 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::host_name::HostName;
 use super::messages::AUDIO_PAUSE_MAX;
 use super::self_test::{Finding, Step};
 use crate::settings::SettingsError;
+use crate::timing::LEASE_S;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
 
 /// Reason for refusing a request. The order of the variants is part of the protocol: append only.
@@ -86,6 +88,22 @@ pub enum Refusal {
     /// The self-test has not ended.
     #[error("the self-test has not ended; wait a few seconds and try again")]
     SelfTestRuns,
+    /// Another host steers the device; this one only reads.
+    #[error(
+        "{holder} steers this device: end that program, wait {LEASE_S} s after its last request, or take over with the key t of `trainer monitor`"
+    )]
+    Lease {
+        /// The host that steers.
+        holder: HostName,
+    },
+    /// The request changes the device, and the host does not hold its lease.
+    #[error("this request changes the device: acquire its lease first")]
+    NoLease,
+    /// No host has sent settings in this standby.
+    #[error(
+        "no settings were sent since the device went to standby: check and send the settings, then start (`trainer monitor`: key c sends those shown)"
+    )]
+    NotConfirmed,
 }
 
 #[cfg(test)]

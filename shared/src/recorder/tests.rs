@@ -269,6 +269,7 @@ fn settings_of_every_breath_do_not_push_the_rest_out_of_the_log() {
     let memory = Box::new(RecorderMemory::new());
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     let mut control = control();
+    control.execute(&ControlRequest::Apply(paper_settings(10.0)));
     control.execute(&ControlRequest::Start);
     for breath in 0..60 {
         control.execute(&ControlRequest::Apply(paper_settings(10.0 + (breath % 20) as f32)));
@@ -310,6 +311,7 @@ fn what_the_ventilator_did_is_what_is_recorded() {
     let mut recorder = Recorder::attach(&memory, POWER_ON);
     let mut control = control();
     control.execute(&ControlRequest::Controller(ControllerChoice::Pid(KNOWN_GOOD)));
+    control.execute(&ControlRequest::Apply(Settings::default()));
     control.execute(&ControlRequest::Start);
     let mut expected = StdVec::new();
     for tick in 0..1800 {

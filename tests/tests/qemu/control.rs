@@ -51,7 +51,7 @@ fn the_boards_own_image_stands_by_names_the_missing_sensor_and_does_not_start() 
     assert!(device.alarms().unwrap().indicated.has(Fault::ReadingNotANumber));
     assert_eq!((identity.slots, identity.running), ([SlotState::Empty; 2], None));
     assert_eq!(identity.controller, ControllerChoice::Pid(KNOWN_GOOD), "no weights: the PID");
-    assert!(device.start().unwrap_err().to_string().contains("no pressure sensor is sound"));
+    assert!(start(&mut device).unwrap_err().to_string().contains("no pressure sensor is sound"));
     assert!(device.reset_plant(1).is_err(), "a ventilator has no plant");
 }
 

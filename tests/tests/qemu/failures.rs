@@ -11,7 +11,7 @@ fn a_control_tick_that_hangs_is_ended_by_the_watchdog() {
     // A branch to itself in place of the step's first instruction.
     debugger.write(step, &[0xFE, 0xE7]).unwrap();
     debugger.detach().unwrap();
-    let _ = device.start();
+    let _ = start(&mut device);
     let deadline = Instant::now() + DEADLINE;
     let identity = loop {
         match device.identify() {
@@ -31,7 +31,7 @@ fn a_program_that_fails_tells_the_reason_after_its_restart() {
     // An instruction that is permanently undefined.
     debugger.write(step, &[0x00, 0xDE]).unwrap();
     debugger.detach().unwrap();
-    let _ = device.start();
+    let _ = start(&mut device);
     let failure = failure(&mut device);
     assert!(failure.contains(&format!("hard fault at {step:#010x}")), "{failure}");
     assert_eq!(device.identify().unwrap().mode, Mode::Standby);
@@ -83,7 +83,7 @@ fn a_stack_that_overflows_stops_safely_before_the_restart() {
 fn a_stack_that_overflows_is_reported_and_the_recorder_keeps_the_ticks_before() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
     let mut debugger = debugger(&board);
     debugger.write(symbol(&image("hil"), CONTROL_STEP).unwrap(), &OVERFLOW).unwrap();
@@ -110,7 +110,7 @@ fn the_smallest_stack_has_a_reserve() {
     upload(&mut device, 1);
     device.restart().unwrap();
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     Samples::default().until(&device, |sample| sample.breath == 3);
     device.blackbox(&Progress::silent()).unwrap();
     device.stop().unwrap();
@@ -132,7 +132,7 @@ fn without_a_crystal_the_board_runs_on_its_internal_oscillator_and_reports_it() 
     let blackbox = device.blackbox(&Progress::silent()).unwrap();
     assert!(happened(&blackbox, Happening::Chip(ChipEvent::NoCrystal)), "{:?}", blackbox.log);
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     Samples::default().until(&device, |sample| sample.breath == 1);
 }
 
@@ -140,7 +140,7 @@ fn without_a_crystal_the_board_runs_on_its_internal_oscillator_and_reports_it() 
 fn a_crystal_that_stops_is_reported_and_ventilation_continues() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     let mut samples = Samples::default();
     samples.until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
     debugger(&board).suffer(record::NO_CRYSTAL).unwrap();

@@ -2,6 +2,10 @@
 
 use super::*;
 
+use shared::link::frame::{FRAME_BYTES, encode_frame};
+use shared::link::host_name::HostName;
+use shared::link::messages::{Request, ToDevice};
+
 /// Length of a control tick, cycles.
 const TICK_CYCLES: u32 = 168_000;
 
@@ -30,11 +34,39 @@ fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason()
     assert_eq!((pips[0], pips.last()), (15.0, Some(&30.0)));
 }
 
+/// Another host takes the lease over.
+fn taken_over(device: &mut Device) {
+    let request = Request::AcquireLease { name: HostName::new("anna@icu"), take_over: true };
+    let message = ToDevice { sequence: 0, request, host: Some(0) };
+    let mut buffer = [0; FRAME_BYTES];
+    device.send_raw(encode_frame(&message, &mut buffer).unwrap()).unwrap();
+}
+
+#[test]
+fn another_host_is_refused_with_the_holders_name_and_ventilation_goes_on() {
+    let (_board, mut device) = breathing(config("hil"), &lung());
+    assert!(device.start().unwrap_err().to_string().contains("no settings were sent"));
+    device.apply(paper_settings(25.0)).unwrap();
+    device.start().unwrap();
+    let refused = loop {
+        // On a virtual board the lease may lapse within a moment.
+        taken_over(&mut device);
+        if let Err(refused) = device.apply(paper_settings(10.0)) {
+            break refused.to_string();
+        }
+    };
+    assert!(refused.contains("anna@icu steers this device"), "{refused}");
+    assert_eq!(device.identify().unwrap().mode, Mode::Ventilating);
+    assert!(device.acquire_lease(true).unwrap().yours);
+    assert_eq!(device.stop().unwrap(), Mode::Standby);
+    assert!(device.start().unwrap_err().to_string().contains("no settings were sent"));
+}
+
 #[test]
 fn sixty_seconds_of_telemetry_under_a_flooding_host_miss_no_tick_and_no_sample() {
     let (_board, mut device) = breathing(config("hil"), &lung());
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     device.timing(true).unwrap();
     let mut samples = Samples::default();
     for breath in 0..20 {
@@ -129,7 +161,7 @@ fn a_plant_that_vanishes_is_ventilated_in_backup_until_it_returns() {
     let board = Emulator::start(config("hil"), Unplugged(bench, Arc::clone(&gone))).unwrap();
     let mut device = connect(&board);
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     Samples::default().until(&device, |sample| sample.breath == 1);
     gone.store(true, Ordering::Relaxed);
     alarmed(&device, Fault::ReadingNotANumber);
@@ -148,7 +180,7 @@ fn a_plant_that_vanishes_is_ventilated_in_backup_until_it_returns() {
 fn reading_the_recorder_disturbs_no_tick() {
     let (_board, mut device) = breathing(config("hil"), &lung());
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     let mut samples = Samples::default();
     samples.until(&device, |sample| sample.breath == 1);
     device.timing(true).unwrap();

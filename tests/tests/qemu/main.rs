@@ -21,9 +21,9 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 use std::{env, fs};
 
-use device::Device;
 use device::blackbox::{Blackbox, RecordedTicks};
 use device::port::Address;
+use device::{Device, DeviceError};
 use emulator::{Emulator, EmulatorConfig, LockstepPlant, PlantEnd};
 use plant::bench::{BenchConfig, BenchPlant};
 use plant::{Plant, Reading};
@@ -73,6 +73,13 @@ fn connect(board: &Emulator) -> Device {
     let mut device = Device::connect(&Address::Tcp(board.address().to_string())).unwrap();
     device.identify().unwrap();
     device
+}
+
+/// Starts ventilation with the settings in force.
+fn start(device: &mut Device) -> Result<Mode, DeviceError> {
+    let (in_force, pending) = device.settings()?;
+    device.apply(pending.unwrap_or(in_force))?;
+    device.start()
 }
 
 /// Halts a board.

@@ -179,7 +179,7 @@ fn a_supply_that_falls_in_mid_breath_resumes_when_it_returns() {
 fn the_ticks_before_one_that_hung_are_there_after_the_watchdogs_reset() {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
     device.telemetry(true).unwrap();
-    device.start().unwrap();
+    start(&mut device).unwrap();
     let mut samples = Samples::default();
     samples.until(&device, |sample| (sample.breath, sample.tick) == (1, 0));
     let mut debugger = debugger(&board);

@@ -64,6 +64,11 @@ fn SysTick() {
     TICK.signal(number);
 }
 
+/// Number of the last tick that has begun, wrapping.
+pub fn number() -> u32 {
+    NUMBER.load(Ordering::Relaxed)
+}
+
 /// Cycles since the current tick was due.
 pub fn since_tick() -> u32 {
     (TICK_CYCLES - 1).saturating_sub(SYST::get_current())

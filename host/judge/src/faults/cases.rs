@@ -84,9 +84,7 @@ pub struct FaultCase {
 pub(super) enum Required {
     /// None: with this fault no command moves gas in and out, or breaths are cut at first.
     Impossible,
-    /// No gap longer than two breaths.
-    Breaths,
-    /// The same with a share of the volume and another longest gap, ms.
+    /// A share of the volume, and no gap longer than this, ms.
     GapWithin(u32),
 }
 
@@ -205,7 +203,7 @@ impl FaultCase {
         let pause = 1000.0 * (2.0 * 60.0 / settings.rate - settings.inspiratory_time);
         match self.ventilation {
             Required::GapWithin(ms) => ms.max(pause as u32),
-            Required::Breaths | Required::Impossible => GAP_MS,
+            Required::Impossible => GAP_MS,
         }
     }
 
@@ -231,11 +229,6 @@ impl FaultCase {
     /// Watches for longer, which is how long the monitors may take.
     const fn watched(self, watched_ms: u32) -> Self {
         Self { watched_ms, within_ms: watched_ms, ..self }
-    }
-
-    /// Requires that breaths go on, of whatever volume.
-    const fn of_any_volume(self) -> Self {
-        Self { ventilation: Required::Breaths, ..self }
     }
 
     /// Requires that no high-priority alarm comes.
@@ -373,7 +366,7 @@ const CONTROL: [FaultCase; 13] = [
     case("control task hangs at the start of a breath", Hang, &[Fault::Restarted]).at(START_MS).resumed(),
     case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]).resumed(),
     case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
-    case("a second host sends other settings and gains", OtherHost, &[]).of_any_volume(),
+    case("a second host sends other settings and gains", OtherHost, &[]),
     case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
         .run_by(Greedy),
     case("power lost while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])

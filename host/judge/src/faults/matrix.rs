@@ -54,7 +54,7 @@ pub struct FaultRow {
     pub longest_gap_s: f64,
     /// Volume that the lung got after the fault, as a share of a run with a sound machine.
     pub minute_volume_share: f64,
-    /// The last response, in words.
+    /// The last response, in words; `refused` if it is that to another host's requests.
     pub response: &'static str,
     /// All alarms in order, under the first seed that shows a failure, or else under the last seed.
     pub alarms: Vec<&'static str>,
@@ -272,7 +272,6 @@ fn row(
     let minute_volume_share = outcomes.iter().zip(sound).map(share).fold(f64::INFINITY, f64::min);
     let ventilated = match case.ventilation {
         Required::Impossible => true,
-        Required::Breaths => gap_ms <= case.longest_gap_ms(limit),
         Required::GapWithin(_) => {
             gap_ms <= case.longest_gap_ms(limit) && minute_volume_share >= case.least_share
         }
@@ -280,6 +279,7 @@ fn row(
     let peak_allowed = case.peak_allowed(limit);
     let quiet = !outcomes.iter().any(|outcome| outcome.alarms.iter().any(unwanted));
     let action = outcomes.last().and_then(TrialOutcome::action);
+    let refused = outcomes.iter().all(|outcome| outcome.refused);
     FaultRow {
         fault: case.name,
         lung: lung.name.clone(),
@@ -289,7 +289,7 @@ fn row(
         breaths_delivered: outcomes.iter().map(|outcome| outcome.ventilation.breaths).min().unwrap_or(0),
         longest_gap_s: f64::from(gap_ms) * 1e-3,
         minute_volume_share,
-        response: action.map_or("none", Action::name),
+        response: action.map_or(if refused { "refused" } else { "none" }, Action::name),
         peak_true,
         peak_allowed,
         back_at_peep_ms,
@@ -301,6 +301,7 @@ fn row(
             && detect_ms.is_none_or(|ms| ms <= case.within_ms)
             && (!case.obeys || outcomes.iter().all(back))
             && ventilated
-            && quiet,
+            && quiet
+            && (refused || case.injection != Injection::OtherHost),
     }
 }

@@ -7,8 +7,12 @@ use shared::control::Controller;
 use shared::control::residual::Residual;
 use shared::device::ControlRequest;
 use shared::device::control::Control;
+use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::explore::Exploration;
-use shared::link::messages::{ControllerChoice, DeviceKind};
+use shared::link::host_name::HostName;
+use shared::link::messages::{ControllerChoice, DeviceKind, Request, Response, ToDevice, ToHost};
+use shared::link::refusal::Refusal;
+use shared::recorder::RecorderMemory;
 use shared::reset::ResetCause;
 use shared::safety::monitors::Monitors;
 use shared::sensor::Readings;
@@ -107,13 +111,32 @@ impl Rig {
         self.control.state()
     }
 
-    /// Another host sends its own settings and gains.
-    pub fn other_host(&mut self) {
-        let impossible = Settings { pip: f32::NAN, ..self.settings };
-        let gains = ControllerChoice::Pid(shared::device::KNOWN_GOOD);
-        self.control.execute(&ControlRequest::Apply(impossible));
-        self.control.execute(&ControlRequest::Apply(Settings::default()));
-        self.control.execute(&ControlRequest::Controller(gains));
+    /// Another host sends its own settings and gains, and stops the device, while this rig's host holds the lease. Returns
+    /// whether every request is refused because of the lease.
+    pub fn other_host(&mut self) -> bool {
+        let [first, second] = [1, 2];
+        let lease = Request::AcquireLease { name: HostName::default(), take_over: false };
+        let mut server = Server::new(facts(), &NO_RECORDING);
+        server.receive(&ToDevice { sequence: 0, request: lease.clone(), host: Some(first) }, self.ticks);
+        let requests = [
+            lease,
+            Request::ApplySettings(Settings { pip: f32::NAN, ..self.settings }),
+            Request::ApplySettings(Settings::default()),
+            Request::SetController(ControllerChoice::Pid(shared::device::KNOWN_GOOD)),
+            Request::Stop,
+        ];
+        let mut refused = true;
+        for (sequence, request) in (0..).zip(requests) {
+            let step = server.receive(&ToDevice { sequence, request, host: Some(second) }, self.ticks);
+            if let NextStep::Control(request) = &step {
+                self.control.execute(request);
+            }
+            refused &= matches!(
+                step,
+                NextStep::Send(ToHost::Response { response: Response::Refused(Refusal::Lease { .. }), .. })
+            );
+        }
+        refused
     }
 
     /// Restarts the chip with the weights it contains.
@@ -161,6 +184,21 @@ impl Rig {
             self.control.resume(&settings).map_err(DeviceError::from)?;
         }
         Ok(())
+    }
+}
+
+/// The server's recorder memory; nothing is recorded.
+static NO_RECORDING: RecorderMemory = RecorderMemory::new();
+
+fn facts() -> DeviceFacts {
+    DeviceFacts {
+        firmware: [0; 3],
+        device: DeviceKind::Simulated,
+        period_us: DEFAULT_PERIOD_US,
+        slots: [SlotState::Empty; 2],
+        running: None,
+        reset: ResetCause::PowerOn,
+        failure: None,
     }
 }
 

@@ -69,6 +69,9 @@ pub struct TrialOutcome {
     pub peak_true: f64,
     /// Time from venting to a true pressure near PEEP.
     pub back_at_peep_ms: Option<u32>,
+    /// Whether every request of another host was refused because of the lease.
+    #[serde(skip)]
+    pub refused: bool,
     /// What the lung got since the fault.
     #[serde(skip)]
     pub ventilation: Ventilation,
@@ -198,7 +201,7 @@ impl Run<'_> {
         match (self.trial.injection, since) {
             (Injection::Part(failure), 0) => self.bench.fail(failure),
             (Injection::HostSilent, 0) => self.rig.host_speaks = false,
-            (Injection::OtherHost, 0) => self.rig.other_host(),
+            (Injection::OtherHost, 0) => self.outcome.refused = self.rig.other_host(),
             (Injection::Reconnected(_), 0) => self.bench.fail(Failure::Disconnected),
             (Injection::Reconnected(after), since) if since == after => self.bench.restore(),
             (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),

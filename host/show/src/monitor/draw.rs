@@ -24,7 +24,7 @@ const NUMBERS_WIDTH: u16 = 46;
 /// Width below which a chart is omitted, characters.
 const LEAST_CHART: u16 = 30;
 /// Help line for the keys.
-const KEYS: &str = "space start/stop  a acknowledge  m audio pause  q quit  ↑↓ PIP  ←→ rate  p PID/learned";
+const KEYS: &str = "space start/stop  a acknowledge  m audio pause  t take over  q quit  c confirm  ↑↓ PIP  ←→ rate  p PID/learned";
 
 /// Draws a view on the whole terminal.
 pub fn draw(frame: &mut Frame, view: &View) {
@@ -181,6 +181,11 @@ fn settings(view: &View) -> Vec<Line<'static>> {
     }];
     lines.extend(view.in_force.as_ref().map(|settings| line("now", settings)));
     lines.extend(view.pending.as_ref().map(|settings| line("next", settings).yellow()));
+    let lease = view.lease.filter(|lease| lease.holder.is_some());
+    lines.extend(lease.map(|lease| {
+        let line = Line::from(format!("steered by {}", words::lease(&lease)));
+        if lease.yours { line } else { line.yellow() }
+    }));
     lines
 }
 

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use shared::link::messages::{AlarmStatus, ControllerChoice, Event, Request, Response};
+use shared::link::messages::{AlarmStatus, ControllerChoice, Event, LeaseStatus, Request, Response};
 use shared::safety::alarms::{Action, Fault};
 use shared::safety::indications::FaultSet;
 use shared::safety::ladder::Level;
@@ -28,6 +28,7 @@ pub struct Lines {
     paused: bool,
     /// Tick of the last alarm of each kind.
     alarms: BTreeMap<Fault, u64>,
+    lease: Option<LeaseStatus>,
     losses: Losses,
 }
 
@@ -98,6 +99,10 @@ impl Lines {
                     lines.push(format!("sounder: {}", words::audio(audio)));
                 }
             }
+            Response::Lease(status) => {
+                let line = |now| format!("steered by: {}", words::lease(&now));
+                lines.extend(changed(&mut self.lease, *status).map(line));
+            }
             Response::Settings { in_force, .. } => {
                 lines.extend(
                     changed(&mut self.settings, *in_force)
@@ -154,6 +159,7 @@ fn name(request: &Request) -> &'static str {
         Request::GetAlarms => "alarms",
         Request::GetAudio => "sounder",
         Request::PauseAudio { .. } => "audio pause",
+        Request::GetLease => "lease",
         Request::GetTiming { .. } => "tick times",
         Request::Telemetry { .. } => "telemetry",
         _ => "request",

@@ -1,7 +1,7 @@
 //! A session with a device: a thread that owns the connection, forwards news, sends requests, and polls the device once
 //! a second.
 //!
-//! By itself it only reads, and repeatedly switches telemetry on, because a restarted device has it off. If the line
+//! By itself it only reads (which also renews the lease if a key has acquired it), and repeatedly switches telemetry on, because a restarted device has it off. If the line
 //! breaks, the thread reopens it; requests meanwhile are answered as not sent, so that none reaches a device late.
 
 use std::convert::Infallible;
@@ -25,12 +25,13 @@ const LEAVE_TIME: Duration = Duration::from_secs(1);
 /// Largest number of events forwarded between two checks for requests.
 const EVENTS_AT_ONCE: usize = 1000;
 /// Requests of a poll. Their answers also reveal restarts; the greeting comes first and gives the cause.
-const POLLED: [Request; 6] = [
+const POLLED: [Request; 7] = [
     Request::Identify,
     Request::Telemetry { on: true },
     Request::GetSettings,
     Request::GetAlarms,
     Request::GetAudio,
+    Request::GetLease,
     Request::GetTiming { clear: false },
 ];
 

@@ -38,6 +38,8 @@ pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
         KeyCode::Char('a') => Key::Acknowledge,
         KeyCode::Char('m') => Key::PauseAudio,
         KeyCode::Char('p') => Key::Controller,
+        KeyCode::Char('c') => Key::Confirm,
+        KeyCode::Char('t') => Key::TakeOver,
         KeyCode::Up => Key::PipUp,
         KeyCode::Down => Key::PipDown,
         KeyCode::Right => Key::RateUp,
@@ -46,8 +48,8 @@ pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
         _ => return None,
     };
     // A key held down must not start and stop a ventilator alternately.
-    let once = matches!(key, Key::StartStop | Key::Acknowledge | Key::PauseAudio | Key::Controller);
-    (event.kind == KeyEventKind::Press || !once).then_some(Pressed::Key(key))
+    let repeats = matches!(key, Key::PipUp | Key::PipDown | Key::RateUp | Key::RateDown);
+    (event.kind == KeyEventKind::Press || repeats).then_some(Pressed::Key(key))
 }
 
 /// Shows a device until the operator quits; Ctrl-C sets `stop` and also ends it. Restores the terminal afterwards.

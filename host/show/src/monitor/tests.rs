@@ -10,8 +10,9 @@ use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
 use shared::device::annunciator::AudioStatus;
 use shared::link::PROTOCOL;
+use shared::link::host_name::HostName;
 use shared::link::messages::{
-    AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, Event, Request, Response,
+    AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, Event, LeaseStatus, Request, Response,
 };
 use shared::link::refusal::Refusal;
 use shared::link::telemetry::{BreathSummary, Counters, PackedSample, TelemetryBatch};
@@ -26,13 +27,13 @@ use shared::weights::slots::{Slot, SlotState};
 
 use super::News;
 use super::draw::draw;
-use super::plain::Lines;
 use super::terminal::{Pressed, meaning};
 use super::view::{Key, Notice, PIP_STEP, RATE_STEP, View};
 use super::window::TelemetryWindow;
 use device::LineCounters;
 
 mod connected;
+mod lines;
 
 const PERIOD_US: u32 = 1000;
 
@@ -129,6 +130,12 @@ fn sounder(pause_left: u16) -> News {
     answer(Request::GetAudio, Response::Audio(audio))
 }
 
+/// The answer of a device that the host of this name steers.
+fn steered(holder: Option<&str>, yours: bool) -> News {
+    let status = LeaseStatus { holder: holder.map(HostName::new), yours };
+    answer(Request::GetLease, Response::Lease(status))
+}
+
 fn breath(number: u32) -> News {
     News::Event(Event::Breath(BreathSummary {
         breath: number,
@@ -168,8 +175,8 @@ mod keys {
 
     #[test]
     fn before_the_device_has_told_its_state_no_key_sends_anything() {
-        let keys =
-            [Key::StartStop, Key::Acknowledge, Key::PauseAudio, Key::PipUp, Key::RateDown, Key::Controller];
+        let keys = [Key::StartStop, Key::Acknowledge, Key::PipUp, Key::RateDown, Key::Controller];
+        let keys = keys.into_iter().chain([Key::PauseAudio, Key::Confirm, Key::TakeOver]);
         for key in keys {
             let mut view = view_after([]);
             assert_eq!(view.press(key), None, "{key:?}");
@@ -230,6 +237,20 @@ mod keys {
         assert_eq!(changed(Key::PipDown), Settings { pip: 24.0 - PIP_STEP, ..named });
         assert_eq!(changed(Key::RateUp), Settings { rate: 15.0 + RATE_STEP, ..named });
         assert_eq!(changed(Key::RateDown), Settings { rate: 15.0 - RATE_STEP, ..named });
+    }
+
+    #[test]
+    fn c_sends_the_settings_that_are_shown() {
+        let named = Settings { pip: 24.0, ..Settings::default() };
+        let mut view = view_after([greeting(Mode::Standby), in_force(named)]);
+        assert_eq!(applied(view.press(Key::Confirm)), named);
+    }
+
+    #[test]
+    fn t_takes_over_from_the_host_that_steers_and_only_that_key_does() {
+        let mut view = ventilating();
+        let pressed = view.press(Key::TakeOver);
+        assert!(matches!(pressed, Some(Request::AcquireLease { take_over: true, .. })), "{pressed:?}");
     }
 
     #[test]
@@ -297,6 +318,9 @@ mod keys {
         assert_eq!(plain(KeyCode::Char('p')), Some(Pressed::Key(Key::Controller)));
         assert_eq!(plain(KeyCode::Char('m')), Some(Pressed::Key(Key::PauseAudio)));
         assert_eq!(held(KeyCode::Char('m')), None);
+        assert_eq!(plain(KeyCode::Char('c')), Some(Pressed::Key(Key::Confirm)));
+        assert_eq!(plain(KeyCode::Char('t')), Some(Pressed::Key(Key::TakeOver)));
+        assert_eq!(held(KeyCode::Char('t')), None);
         assert_eq!(plain(KeyCode::Up), Some(Pressed::Key(Key::PipUp)));
         assert_eq!(plain(KeyCode::Down), Some(Pressed::Key(Key::PipDown)));
         assert_eq!(plain(KeyCode::Right), Some(Pressed::Key(Key::RateUp)));
@@ -491,6 +515,7 @@ mod pictures {
         view.take(&News::Traffic(LineCounters { frames: 900, corrupt: 2, lost_batches: 3, device }));
         let refused = Err(Refusal::FaultLatched.to_string());
         view.take(&News::Answer { request: Request::Start, result: refused });
+        view.take(&steered(Some("anna@icu"), false));
         insta::assert_snapshot!(picture(&view, 120, 36).backend());
     }
 
@@ -533,55 +558,5 @@ mod pictures {
         for (width, height) in [(0, 0), (1, 1), (2, 40), (200, 2), (29, 9), (75, 3), (76, 5), (300, 90)] {
             picture(&view, width, height);
         }
-    }
-}
-
-mod lines {
-    use super::*;
-
-    fn written(news: impl IntoIterator<Item = News>) -> Vec<String> {
-        let mut lines = Lines::default();
-        news.into_iter().flat_map(|news| lines.take(&news)).collect()
-    }
-
-    #[test]
-    fn a_night_in_lines() {
-        let device = Counters { missed_ticks: 1, ..Counters::default() };
-        let losses = LineCounters { frames: 900, corrupt: 2, lost_batches: 3, device };
-        let text = written([
-            greeting(Mode::Standby),
-            in_force(Settings::default()),
-            answer(Request::Start, Response::Mode(Mode::Ventilating)),
-            telemetry(0, &[5.0; 16]),
-            alarms(&[], &[], Level::Learned),
-            breath(0),
-            News::Traffic(losses),
-            alarm(Fault::Leak),
-            News::Event(Event::Unacknowledged { fault: Fault::Leak, tick: 4321 }),
-            News::Event(Event::Unacknowledged { fault: Fault::Restarted, tick: 12 }),
-            sounder(0),
-            sounder(120),
-            sounder(119),
-            sounder(0),
-            alarms(&[Fault::Leak, Fault::HostSilent], &[Fault::Restarted], Level::Pid),
-            alarms(&[Fault::HostSilent], &[], Level::Pid),
-            alarms(&[], &[], Level::Learned),
-            alarm(Fault::HardLimit),
-            greeting(Mode::Fault(Fault::HardLimit)),
-            News::Lost("cable".into()),
-            greeting(Mode::Standby),
-        ]);
-        insta::assert_snapshot!(text.join("\n"));
-    }
-
-    #[test]
-    fn what_did_not_change_is_not_written_again() {
-        let look = || {
-            let traffic = LineCounters { frames: 7, ..LineCounters::default() };
-            let silent = alarms(&[Fault::HostSilent], &[], Level::Pid);
-            let state = [greeting(Mode::Standby), in_force(Settings::default()), silent, timing(1)];
-            state.into_iter().chain([News::Traffic(traffic)])
-        };
-        assert_eq!(written(look().chain(look()).chain(look())), written(look()));
     }
 }

@@ -8,7 +8,9 @@ use std::collections::VecDeque;
 
 use shared::control::pid::PidGains;
 use shared::device::annunciator::{AUDIO_PAUSE_MAX, AudioStatus};
-use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, Event, Request, Response};
+use shared::link::messages::{
+    AlarmStatus, ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response,
+};
 use shared::link::telemetry::BreathSummary;
 use shared::safety::alarms::{Action, Fault};
 use shared::settings::Settings;
@@ -48,6 +50,10 @@ pub enum Key {
     RateDown,
     /// Switch between the PID and the learned controller.
     Controller,
+    /// Send the settings that are shown, which a device demands before it starts.
+    Confirm,
+    /// Take the lease from the host that steers the device.
+    TakeOver,
 }
 
 /// An alarm.
@@ -83,6 +89,8 @@ pub struct View {
     pub(super) status: Option<AlarmStatus>,
     /// State of the sounder.
     pub(super) audio: Option<AudioStatus>,
+    /// Who steers the device.
+    pub(super) lease: Option<LeaseStatus>,
     pub(super) traffic: LineCounters,
     pub(super) window: TelemetryWindow,
     /// Breaths, newest first.
@@ -178,6 +186,7 @@ impl View {
             Response::Controller(choice) => self.chosen(*choice),
             Response::Alarms(alarms) => self.status = Some(*alarms),
             Response::Audio(audio) => self.audio = Some(*audio),
+            Response::Lease(status) => self.lease = Some(*status),
             Response::Timing(times) => {
                 if self.times.is_some_and(|before| times.ticks < before.ticks) {
                     self.restarted();
@@ -246,6 +255,10 @@ impl View {
             Key::PauseAudio => self.audio.map(|audio| Request::PauseAudio {
                 seconds: if audio.pause_left > 0 { 0 } else { AUDIO_PAUSE_MAX },
             }),
+            Key::Confirm => self.changed(|_| ()),
+            Key::TakeOver => {
+                self.mode.map(|_| Request::AcquireLease { name: device::host_name(), take_over: true })
+            }
             Key::PipUp => self.changed(|settings| settings.pip += PIP_STEP),
             Key::PipDown => self.changed(|settings| settings.pip -= PIP_STEP),
             Key::RateUp => self.changed(|settings| settings.rate += RATE_STEP),
@@ -291,8 +304,9 @@ fn remember<T>(list: &mut VecDeque<T>, newest: T) {
 
 /// Whether the monitor polls this itself.
 fn asked_by_itself(request: &Request) -> bool {
-    use Request::{GetAlarms, GetAudio, GetSettings, GetTiming, Identify, Telemetry};
-    matches!(request, Identify | GetSettings | GetAlarms | GetAudio | GetTiming { .. } | Telemetry { .. })
+    use Request::{GetAlarms, GetAudio, GetLease, GetSettings, GetTiming, Identify, Telemetry};
+    let reads = matches!(request, Identify | GetSettings | GetAlarms | GetAudio | GetLease);
+    reads || matches!(request, GetTiming { .. } | Telemetry { .. })
 }
 
 /// A message for a completed request; `None` if the change shows elsewhere.
@@ -303,6 +317,7 @@ fn note(response: &Response) -> Option<Notice> {
             format!("from the next breath on: PIP {pip} cmH2O, rate {rate} /min")
         }
         Response::Audio(audio) => format!("sounder: {}", words::audio(audio)),
+        Response::Lease(LeaseStatus { yours: true, .. }) => "this monitor steers the device now".to_owned(),
         Response::Controller(choice) => format!("from the next breath on: {}", words::controller(*choice)),
         _ => return None,
     };

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 
 use shared::device::annunciator::AudioStatus;
-use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind};
+use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, LeaseStatus};
 use shared::reset::ResetCause;
 use shared::safety::alarms::{Fault, Priority};
 use shared::safety::ladder::Level;
@@ -72,6 +72,15 @@ pub fn controller(choice: ControllerChoice) -> String {
     match choice {
         ControllerChoice::Pid(gains) => format!("PID {},{},{}", gains.p, gains.i, gains.d),
         ControllerChoice::Learned => "learned".to_owned(),
+    }
+}
+
+/// Who steers a device.
+pub fn lease(status: &LeaseStatus) -> String {
+    match status.holder {
+        None => "nobody".to_owned(),
+        Some(_) if status.yours => "this program".to_owned(),
+        Some(holder) => format!("{holder} (this program only reads)"),
     }
 }
 

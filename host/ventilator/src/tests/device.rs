@@ -13,9 +13,14 @@ use shared::control::network::Network;
 use shared::control::pid::Pid;
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::device::KNOWN_GOOD;
-use shared::link::messages::DeviceKind;
+use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
+use shared::link::host_name::HostName;
+use shared::link::messages::{DeviceKind, LeaseStatus, Request, Response, ToDevice, ToHost, read_request};
+use shared::link::refusal::Refusal;
 use shared::recorder::{FAST_ENTRIES, Happening, RecordingState};
 use shared::reset::ResetCause;
+use shared::settings::Settings;
+use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
@@ -27,9 +32,6 @@ use device::upload::UploadError;
 use device::{Device, DeviceError};
 use plant::bench::BenchConfig;
 use progress::{Event, Progress};
-use shared::link::messages::Request;
-use shared::link::refusal::Refusal;
-use shared::settings::Settings;
 
 /// Both ends of a pseudo-terminal: the device's end as a line, the host's as an address.
 fn terminal() -> (Port, Address, TTYPort) {
@@ -131,6 +133,7 @@ fn reading_the_recorder_stops_when_asked_and_takes_nothing_from_it() {
 #[test]
 fn weights_are_refused_while_ventilating() {
     let (mut device, _simulated, _terminal) = connected();
+    device.apply(Settings::default()).unwrap();
     device.start().unwrap();
     let refused = device.upload(&image(2.0), &Progress::silent()).unwrap_err();
     assert!(matches!(refused, UploadError::Device(DeviceError::Refused(Refusal::Ventilating))), "{refused}");
@@ -214,6 +217,7 @@ fn requests_get_through_a_line_that_damages_bytes() {
 #[test]
 fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_restart() {
     let (mut device, _simulated, _terminal) = connected();
+    device.apply(Settings::default()).unwrap();
     device.start().unwrap();
     let deadline = Instant::now() + Duration::from_mins(1);
     while device.recorder().unwrap().fast.next < 4000 {
@@ -233,6 +237,72 @@ fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_re
     assert!(after.log.starts_with(&running.log));
     let boot = Happening::Boot { cause: ResetCause::Software, failed: false };
     assert_eq!(after.log.last().map(|event| event.happening), Some(boot));
+}
+
+/// Sends a frame as another host that takes the lease over.
+fn taken_over(device: &mut Device) {
+    let request = Request::AcquireLease { name: HostName::new("anna@icu"), take_over: true };
+    let message = ToDevice { sequence: 0, request, host: Some(0) };
+    let mut buffer = [0; FRAME_BYTES];
+    device.send_raw(encode_frame(&message, &mut buffer).unwrap()).unwrap();
+}
+
+#[test]
+fn while_another_host_steers_changes_are_refused_with_its_name_until_this_one_takes_over() {
+    let (mut device, _simulated, _terminal) = connected();
+    device.apply(paper_settings(25.0)).unwrap();
+    // A simulated device's seconds are short, so the other host may have to do it again.
+    let (before, refused) = loop {
+        let before = device.settings().unwrap();
+        taken_over(&mut device);
+        if let Err(refused) = device.apply(paper_settings(15.0)) {
+            break (before, refused.to_string());
+        }
+    };
+    assert!(refused.contains("anna@icu steers this device"), "{refused}");
+    assert_eq!(device.settings().unwrap(), before, "reading is free, nothing changed");
+    assert!(device.acquire_lease(true).unwrap().yours);
+    assert_eq!(device.stop().unwrap(), Mode::Standby);
+}
+
+#[test]
+fn a_connection_acquires_the_lease_for_its_first_change_and_gives_it_back_at_its_end() {
+    let (mut port, address, _slave) = terminal();
+    let fake = std::thread::spawn(move || {
+        let (mut decoder, mut byte) = (FrameDecoder::<DECODER_BYTES>::new(), [0]);
+        let mut requests = Vec::new();
+        while requests.last() != Some(&Request::ReleaseLease) {
+            if !port.reader.read(&mut byte).is_ok_and(|count| count == 1) {
+                continue;
+            }
+            let Poll::Frame(content) = decoder.push(byte[0]) else { continue };
+            let ToDevice { sequence, request, host } = read_request(content).unwrap();
+            let steers = requests.iter().any(|earlier| matches!(earlier, Request::AcquireLease { .. }));
+            let lease = LeaseStatus { holder: Some(HostName::new("x")), yours: true };
+            let response = match &request {
+                Request::AcquireLease { name, take_over: false } if *name == device::host_name() => {
+                    Response::Lease(lease)
+                }
+                Request::Stop if steers => Response::Mode(Mode::Standby),
+                Request::Stop => Response::Refused(Refusal::NoLease),
+                Request::ReleaseLease => Response::Lease(LeaseStatus::default()),
+                other => panic!("{other:?}"),
+            };
+            assert!(host.is_some());
+            requests.push(request);
+            let mut buffer = [0; FRAME_BYTES];
+            let answer = encode_frame(&ToHost::Response { sequence, response }, &mut buffer).unwrap();
+            port.writer.write_all(answer).unwrap();
+        }
+        requests
+    });
+    let mut device = Device::connect(&address).unwrap();
+    device.stop().unwrap();
+    device.stop().unwrap();
+    drop(device);
+    let acquired = Request::AcquireLease { name: device::host_name(), take_over: false };
+    let expected = [Request::Stop, acquired, Request::Stop, Request::Stop, Request::ReleaseLease];
+    assert_eq!(fake.join().unwrap(), expected);
 }
 
 #[test]
@@ -258,7 +328,7 @@ fn another_protocol_is_told_with_both_versions() {
     let mut device = Device::connect(&address).unwrap();
     let answer = (0u8, 1u16, 0u8, 77u16);
     let mut buffer = [0; 64];
-    let frame = shared::link::frame::encode_frame(&answer, &mut buffer).unwrap();
+    let frame = encode_frame(&answer, &mut buffer).unwrap();
     port.writer.write_all(frame).unwrap();
     let error = device.identify().unwrap_err();
     assert!(matches!(error, DeviceError::Protocol(77)), "{error}");

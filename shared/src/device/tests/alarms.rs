@@ -22,6 +22,7 @@ fn alarms(rig: &mut Rig) -> AlarmStatus {
 #[test]
 fn without_a_sound_pressure_sensor_nothing_starts_and_the_reason_is_indicated() {
     let mut rig = sensing(f32::NAN);
+    rig.ask(Request::ApplySettings(Settings::default()));
     assert!(matches!(rig.ask(Request::Identify), Response::Identity(i) if i.mode == Mode::Standby));
     assert!(alarms(&mut rig).indicated.has(Fault::ReadingNotANumber));
     assert_eq!(rig.ask(Request::Start), Response::Refused(Refusal::NoSensor));
@@ -35,7 +36,7 @@ fn without_a_sound_pressure_sensor_nothing_starts_and_the_reason_is_indicated() 
 fn alarms_are_asked_for_and_acknowledged_while_ventilating() {
     let mut rig = sensing(5.0);
     assert_eq!(alarms(&mut rig), AlarmStatus::default());
-    rig.ask(Request::Start);
+    rig.start();
     rig.run_at(20, f32::NAN);
     let lost = alarms(&mut rig);
     assert!(lost.present.has(Fault::ReadingNotANumber) && lost.indicated.has(Fault::BackupVentilation));
@@ -83,7 +84,7 @@ fn a_host_that_reads_nothing_for_a_while_gets_every_alarm_as_soon_as_it_reads() 
     let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
     let (mut control, mut queue) = (control.with_monitors(Monitors::ANY_PLANT), Vec::new());
     unread(&mut control, &mut queue, 10, 5.0);
-    control.execute(&ControlRequest::Start);
+    begin(&mut control);
     unread(&mut control, &mut queue, CAPACITY, 5.0);
     assert_eq!(queue.len(), CAPACITY, "full of samples");
     unread(&mut control, &mut queue, 2000, f32::NAN);

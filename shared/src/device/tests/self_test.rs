@@ -22,6 +22,7 @@ fn report(rig: &mut Rig) -> Report {
 #[test]
 fn ventilation_starts_after_the_self_test_of_half_a_second_in_standby() {
     let mut rig = booted();
+    rig.ask(Request::ApplySettings(Settings::default()));
     rig.run(499);
     assert_eq!(rig.ask(Request::Start), Response::Refused(Refusal::SelfTestRuns));
     rig.run(1);

@@ -82,6 +82,10 @@ fn request() -> impl Strategy<Value = Request> {
         Just(Request::GetAudio),
         Just(Request::GetSelfTest),
         Just(Request::RunSelfTest(Check::Relief)),
+        (".{0,40}", any::<bool>())
+            .prop_map(|(name, take_over)| Request::AcquireLease { name: HostName::new(&name), take_over }),
+        Just(Request::ReleaseLease),
+        Just(Request::GetLease),
     ]
 }
 
@@ -95,6 +99,7 @@ fn refusal() -> impl Strategy<Value = Refusal> {
         any::<u32>().prop_map(|expected| Refusal::WrongOffset { expected }),
         Just(Refusal::BadImage(ImageProblem::Golden)),
         Just(Refusal::UnknownRequest),
+        ".{0,40}".prop_map(|name| Refusal::Lease { holder: HostName::new(&name) }),
     ]
 }
 
@@ -158,6 +163,10 @@ fn response() -> impl Strategy<Value = Response> {
         prop::collection::vec(-100.0f32..100.0, 0..=REPORT_STEPS).prop_map(|values| {
             let result = |value| StepResult { outcome: Outcome::Failed(Finding::Leak), value };
             Response::SelfTest(values.into_iter().map(result).collect())
+        }),
+        (prop::option::of(".{0,40}"), any::<bool>()).prop_map(|(name, yours)| {
+            let holder = name.map(|name| HostName::new(&name));
+            Response::Lease(LeaseStatus { holder, yours })
         }),
     ]
 }
@@ -300,10 +309,18 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::RunSelfTest(Check::Zero), "ac021700"),
         (Request::RunSelfTest(Check::Circuit), "ac021701"),
         (Request::RunSelfTest(Check::Relief), "ac021702"),
+        (
+            Request::AcquireLease { name: HostName::new("anna@icu"), take_over: true },
+            "ac021808616e6e614069637501",
+        ),
+        (Request::ReleaseLease, "ac0219"),
+        (Request::GetLease, "ac021a"),
     ];
     for (request, expected) in requests {
-        let message = ToDevice { sequence: 300, request };
+        let message = ToDevice { sequence: 300, request, host: None };
         assert_eq!(hex(&message), expected, "{message:?}");
+        let message = ToDevice { host: Some(300), ..message };
+        assert_eq!(hex(&message), std::format!("{expected}01ac02"), "{message:?}");
     }
 }
 
@@ -361,6 +378,8 @@ fn the_bytes_of_every_response_are_pinned() {
             ),
             "00051004000000803f010000803f020000803f03110000803f",
         ),
+        (Response::Lease(LeaseStatus { holder: Some(HostName::new("a")), yours: true }), "00051101016101"),
+        (Response::Lease(LeaseStatus::default()), "0005110000"),
     ];
     for (response, expected) in responses {
         let message = ToHost::Response { sequence: 5, response };
@@ -412,6 +431,9 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::NothingSounds, "0912"),
         (Refusal::SelfTestFailed { step: Step::Relief, finding: Finding::Program }, "09130700"),
         (Refusal::SelfTestRuns, "0914"),
+        (Refusal::Lease { holder: HostName::new("a") }, "09150161"),
+        (Refusal::NoLease, "0916"),
+        (Refusal::NotConfirmed, "0917"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);
@@ -460,7 +482,7 @@ fn the_longest_messages_fit_into_a_frame() {
         Page { part: RecorderPart::Fast, first: u32::MAX, bytes: Vec::from_slice(&[1; PAGE_BYTES]).unwrap() };
     let answer = ToHost::Response { sequence: u16::MAX, response: Response::Recorded(page) };
     assert_eq!(read_reply(&through(&answer)), Ok(answer));
-    let message = ToDevice { sequence: u16::MAX, request: chunk };
+    let message = ToDevice { sequence: u16::MAX, request: chunk, host: Some(u32::MAX) };
     assert_eq!(read_request(&through(&message)), Ok(message));
 }
 
@@ -508,8 +530,8 @@ fn a_greeting_of_another_version_is_recognised() {
 
 proptest! {
     #[test]
-    fn every_request_arrives_as_it_was_sent(sequence: u16, request in request()) {
-        let message = ToDevice { sequence, request };
+    fn every_request_arrives_as_it_was_sent(sequence: u16, request in request(), host: Option<u32>) {
+        let message = ToDevice { sequence, request, host };
         prop_assert_eq!(read_request(&through(&message)), Ok(message));
     }
 

@@ -65,6 +65,10 @@ fn an_operator_starts_sets_and_stops_a_device() {
     let (_socket, _simulated, _cable, session, mut view) = watched();
     assert_eq!(view.mode, Some(Mode::Standby), "looking at a device does not start it");
     press(&session, &mut view, Key::StartStop);
+    watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
+    assert!(warning(&view).contains("key c"), "{}", warning(&view));
+    press(&session, &mut view, Key::Confirm);
+    press(&session, &mut view, Key::StartStop);
     watch(&session, &mut view, "breaths", |view| view.breaths.len() >= 2 && view.window.last().is_some());
     assert_eq!(view.mode, Some(Mode::Ventilating));
     press(&session, &mut view, Key::PipUp);
@@ -115,6 +119,7 @@ fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
     let session = Session::start(Device::connect(&address).unwrap());
     let mut view = View::new(address.to_string(), KNOWN_GOOD);
     watch(&session, &mut view, "the first look", |view| view.times.is_some());
+    press(&session, &mut view, Key::Confirm);
     press(&session, &mut view, Key::StartStop);
     watch(&session, &mut view, "telemetry", |view| view.window.last().is_some());
     session.leave();
