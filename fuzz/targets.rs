@@ -12,7 +12,8 @@ use shared::recorder::{Boot, LogEntry, Recorder, RecorderMemory, TickEntry};
 use shared::reset::ResetCause;
 use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
-use shared::weights::{IMAGE_BYTES, decode, encode};
+use shared::weights::trust::{Trust, seal};
+use shared::weights::{IMAGE_BYTES, SIGNED_BYTES, decode, encode};
 
 /// Core clock of the device, Hz.
 const CORE_HZ: u32 = 168_000_000;
@@ -104,6 +105,8 @@ fn accept(data: &[u8]) {
     let Ok(image) = decode(data) else { return };
     let mut again = [0; IMAGE_BYTES];
     encode(&image.residual, &image.identity, &mut again).expect("there is room");
+    let signature = data[SIGNED_BYTES..].first_chunk().expect("an image holds a signature");
+    seal(&mut again, image.version, |_| *signature);
     assert_eq!(data.get(..IMAGE_BYTES), Some(&again[..]));
 }
 
@@ -144,6 +147,7 @@ impl<'a> Rig<'a> {
             running: None,
             reset: ResetCause::PowerOn,
             failure: None,
+            trust: Trust::Development,
         };
         let boot = Boot { cause: facts.reset, failed: false, weights: None };
         Self {
@@ -172,7 +176,7 @@ impl<'a> Rig<'a> {
         loop {
             step = match step {
                 NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
-                NextStep::Store => self.server.stored(Some(Slot::A), [SlotState::Torn; 2]),
+                NextStep::Store => self.server.stored(Ok(Slot::A), [SlotState::Torn; 2]),
                 NextStep::Send(answer) | NextStep::Restart(answer) => {
                     let answered =
                         matches!(answer, ToHost::Response { sequence, .. } if sequence == request.sequence);

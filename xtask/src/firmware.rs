@@ -23,6 +23,15 @@ struct Section {
 /// Feature and linker map of the other boards, which are built as a check.
 const OTHER_BOARDS: [(&str, &str); 1] = [("stm32f446", "firmware/memory/stm32f446.x")];
 
+/// Variable with the public key whose weights the firmware runs.
+const KEY: &str = "EUPNEA_WEIGHTS_KEY";
+/// Variable with the plant for which these weights must be.
+const PLANT: &str = "EUPNEA_WEIGHTS_PLANT";
+/// Public key of the seed of 32 bytes 42, with which the tests in QEMU sign.
+const TEST_KEY: &str = "197f6b23e16c8532c6abc838facd5ea789be0c76b2920334039bfa8b3d368d61";
+/// Plant of the weights in these tests.
+const TEST_PLANT: &str = "R20C20";
+
 /// Images of the main board.
 pub struct Images {
     /// Image with sensors and valves.
@@ -73,6 +82,18 @@ pub fn build(shell: &Shell) -> Result<Images> {
     build_for_chip(shell, &["-p", "shim", "--bin", "shim"])?;
     let shim = keep(shell, "shim", "shim", Ok)?;
     Ok(Images { board, hil, shim })
+}
+
+/// Builds the images like [`build`] without a key, whatever the environment says.
+pub fn build_unsigned(shell: &Shell) -> Result<Images> {
+    let _variables = [KEY, PLANT].map(|variable| shell.push_env(variable, ""));
+    build(shell)
+}
+
+/// Builds the image for hardware in the loop that trusts the key of the tests, for their plant.
+pub fn build_signed(shell: &Shell) -> Result<()> {
+    let _variables = [(KEY, TEST_KEY), (PLANT, TEST_PLANT)].map(|(name, value)| shell.push_env(name, value));
+    compile(shell, "signed", &["--features", "hil"]).map(drop)
 }
 
 /// Builds the probe, a firmware that tests the emulation, next to the other images.

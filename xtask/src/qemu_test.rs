@@ -26,7 +26,8 @@ pub struct Golden {
 
 /// Builds the images and runs the tests that need QEMU; `filters` select them by name.
 pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
-    let images = firmware::build(shell)?;
+    let images = firmware::build_unsigned(shell)?;
+    firmware::build_signed(shell)?;
     firmware::build_probe(shell)?;
     let folder = images.folder();
     // The same packages as for all other tests, so that their dependencies are not built again.
@@ -40,7 +41,7 @@ pub fn run(shell: &Shell, filters: &[String]) -> Result<()> {
 
 /// Results of the golden test; runs it if the image is newer than they are.
 pub fn golden(shell: &Shell) -> Result<Golden> {
-    let images = firmware::build(shell)?;
+    let images = firmware::build_unsigned(shell)?;
     let path = images.folder().join(GOLDEN);
     let written = |path: &std::path::Path| std::fs::metadata(path).and_then(|data| data.modified()).ok();
     if written(&path) < written(&images.hil) {

@@ -82,7 +82,7 @@ async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request
             NextStep::Store => {
                 // The core stalls while a sector is erased.
                 let stored = watchdog::with_long_timeout(|| slots.store(server.image()));
-                server.stored(stored.ok().map(|(slot, _)| slot), slots.states())
+                server.stored(stored.map(|(slot, _)| slot), slots.states())
             }
             NextStep::Restart(answer) => {
                 send(&answer).await;

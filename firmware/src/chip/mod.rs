@@ -17,6 +17,7 @@ mod link_task;
 mod prescription;
 mod recorder;
 mod self_test;
+mod trust;
 
 use cortex_m_rt::entry;
 use defmt::{Debug2Format, info};
@@ -53,7 +54,7 @@ fn start() {
     let failure = failure::of_last_run();
     let mut board = board::start();
     let reset = reset::cause();
-    let mut storage = Slots::new(board.flash, flash::slots());
+    let mut storage = Slots::new(board.flash, flash::slots()).trusting(trust::TRUST);
     let kind = board::SelectedPlant::KIND;
     let loaded = storage.load();
     let running = loaded.as_ref().map(|(slot, _)| *slot);
@@ -78,6 +79,7 @@ fn start() {
         running,
         reset,
         failure,
+        trust: trust::TRUST,
     };
     interrupt::CAN2_SCE.set_priority(Priority::P4);
     let spawner = CONTROL.start(interrupt::CAN2_SCE);

@@ -6,6 +6,7 @@ use core::panic::PanicInfo;
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use defmt_rtt as _;
+use ed25519_compact::{KeyPair, Seed};
 use embassy_stm32::pac::TIM5;
 use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
 use shared::control::features::{FeatureSpec, FeatureState};
@@ -27,6 +28,7 @@ use shared::safety::supervisor::{Supervisor, SupervisorState};
 use shared::sensor::{Counts, Readings};
 use shared::timing::TickTime;
 use shared::ventilator::Output;
+use shared::weights::trust::{Trust, seal};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
 
 use super::exact_lung::ExactLung;
@@ -228,6 +230,11 @@ fn boot(counting: &Cost) {
     let mut cost = Cost::NONE;
     built(cost.of(|| decode(black_box(&image)).map(drop)));
     cost.print("boot_decode_weights", counting);
+    let pair = KeyPair::from_seed(Seed::new([1; 32]));
+    seal(&mut image, 1, |bytes| *pair.sk.sign(bytes, None));
+    let (trust, mut cost) = (Trust::Key { key: *pair.pk, plant: None }, Cost::NONE);
+    built(cost.of(|| trust.verify(black_box(&image))));
+    cost.print("boot_verify_weights", counting);
 }
 
 fn control() -> Control {

@@ -10,6 +10,7 @@
 
 pub mod blackbox;
 mod host;
+pub mod keys;
 mod line;
 pub mod port;
 pub mod simulated;

@@ -21,6 +21,7 @@ use shared::safety::filter::ValveCommand;
 use shared::timing::TickTime;
 use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
+use shared::weights::trust::Trust;
 use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
@@ -190,7 +191,7 @@ impl<'a> Chip<'a> {
                 NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
                 NextStep::Store => {
                     let slot = self.store();
-                    self.server.stored(Some(slot), states(&self.flash))
+                    self.server.stored(Ok(slot), states(&self.flash))
                 }
                 NextStep::Restart(answer) => {
                     self.say(&answer);
@@ -267,6 +268,7 @@ fn boot<'a>(
         running,
         reset,
         failure: None,
+        trust: Trust::Development,
     };
     let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
     let mut control = control.expect("the default control period is in bounds");

@@ -5,8 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::bail;
 use shared::control::pid::PidGains;
+use shared::link::messages::DeviceIdentity;
 
 use plant::bench::BenchConfig;
+use show::monitor::words;
 
 static STOP: AtomicBool = AtomicBool::new(false);
 
@@ -31,6 +33,15 @@ pub fn stop() -> &'static AtomicBool {
 /// Whether Ctrl-C was pressed.
 pub fn stopped() -> bool {
     STOP.load(Ordering::Relaxed)
+}
+
+/// Warns of a device whose firmware accepts unsigned weights.
+pub fn warn_of_development_build(identity: &DeviceIdentity) {
+    if words::is_development(identity) {
+        eprintln!(
+            "warning: this device runs a development build, which accepts unsigned weights: build its firmware with a key (`trainer keys --help`)"
+        );
+    }
 }
 
 /// A named set of third-party settings; options on the command line take precedence.

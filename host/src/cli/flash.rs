@@ -9,7 +9,9 @@ use shared::weights::decode;
 use shared::weights::slots::Slot;
 
 use super::bars::with_bars;
+use super::common::warn_of_development_build;
 use super::controller_args::{image_id, read};
+use super::key_args::KeyArgs;
 use super::output::OutputArgs;
 use device::Device;
 use device::port::Address;
@@ -23,11 +25,14 @@ const CHIP: &str = "STM32F405RG";
 Examples:
   trainer flash weights.bin --port /dev/ttyACM0
   trainer flash weights.bin --port tcp:localhost:5555 --no-reset
+  trainer flash weights.bin --port /dev/ttyACM0 --key weights.key
   trainer flash --firmware target/firmware/board.elf
 
 Weights go into the slot that is not running, are read back, and run after a restart. Until then,
 and if anything goes wrong, the old weights stay. An interrupted upload continues where it stopped.
-A device that is ventilating refuses an upload. The firmware is loaded with probe-rs.")]
+A device that is ventilating refuses an upload. A device with a key refuses weights that are not
+signed with it (--key), not newer than its own, or for another plant. The firmware is loaded with
+probe-rs.")]
 pub struct Args {
     /// Weights image, as written by `trainer pack`
     #[arg(value_name = "weights.bin", required_unless_present = "firmware", requires = "port")]
@@ -44,6 +49,8 @@ pub struct Args {
     /// The chip that the firmware is built for
     #[arg(long, value_name = "NAME", default_value = CHIP, requires = "firmware")]
     chip: String,
+    #[command(flatten)]
+    key: KeyArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -67,8 +74,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()> {
     let image = read(file)?;
     decode(&image).with_context(|| file.display().to_string())?;
+    let image = args.key.signed(image)?;
     let mut device = Device::connect(port)?;
-    device.identify()?;
+    warn_of_development_build(&device.identify()?);
     let uploaded = with_bars(|progress| device.upload(&image, progress))?;
     let id = image_id(uploaded.id);
     args.output.line(&format!("weights {id} are stored and verified in slot {:?}", uploaded.slot));

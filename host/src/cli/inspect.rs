@@ -6,6 +6,7 @@ use anyhow::{Context, bail};
 use serde_json::{Value, json};
 use shared::control::network::Network;
 use shared::control::residual::ResidualSpec;
+use shared::weights::trust::is_signed;
 use shared::weights::{ARCHITECTURE, FORMAT_VERSION, Image, MAGIC, decode};
 
 use super::controller_args::image_id;
@@ -55,7 +56,9 @@ fn facts(file: &Path) -> anyhow::Result<Facts> {
     let bytes = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     let named = |extension| file.extension().is_some_and(|found| found == extension);
     if bytes.starts_with(&MAGIC) || named("bin") {
-        return image(&decode(&bytes).with_context(|| file.display().to_string())?);
+        let mut facts = image(&decode(&bytes).with_context(|| file.display().to_string())?)?;
+        facts.push(("signed", json!(is_signed(&bytes))));
+        return Ok(facts);
     }
     if bytes.starts_with(b"PAR1") || named("parquet") {
         return Ok(recording(&Recording::load(file)?));
@@ -75,6 +78,7 @@ fn image(image: &Image) -> anyhow::Result<Facts> {
         ("architecture", json!(ARCHITECTURE)),
         ("training", json!(label(&image.identity.training))),
         ("plant", json!(label(&image.identity.plant))),
+        ("image version", json!(image.version)),
     ];
     facts.extend(controller(image.residual.spec())?);
     facts.push(("golden last command", json!(f32::from_bits(image.golden.last))));

@@ -19,6 +19,8 @@ mod flash;
 mod identify;
 mod import;
 mod inspect;
+mod key_args;
+mod keys;
 mod monitor;
 mod output;
 mod pack;
@@ -62,6 +64,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Reproduce(reproduce::Args),
     Pack(pack::Args),
+    Keys(keys::Args),
     Flash(flash::Args),
     #[cfg(unix)]
     Qemu(qemu::Args),
@@ -107,6 +110,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Reproduce(args) => reproduce::run(args),
         Command::Pack(args) => pack::run(args),
+        Command::Keys(args) => keys::run(args),
         Command::Flash(args) => flash::run(args),
         #[cfg(unix)]
         Command::Qemu(args) => qemu::run(args),

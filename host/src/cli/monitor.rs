@@ -14,7 +14,7 @@ use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Settings};
 use shared::timing::TickTimes;
 
-use super::common::{gains, stop, stopped};
+use super::common::{gains, stop, stopped, warn_of_development_build};
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
 use device::port::Address;
@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return once(args, &mut device);
     }
     // Report a device that does not answer immediately; later, wait for a lost device to return.
-    device.identify()?;
+    warn_of_development_build(&device.identify()?);
     let session = Session::start(device);
     if args.plain || !stdout().is_terminal() {
         write_lines(&session);
@@ -132,6 +132,7 @@ impl From<AlarmStatus> for Alarms {
 
 fn once(args: &Args, device: &mut Device) -> anyhow::Result<()> {
     let identity = device.identify()?;
+    warn_of_development_build(&identity);
     let (settings, next_settings) = device.settings()?;
     let alarms = device.alarms()?.into();
     let audio = device.audio()?;
@@ -205,6 +206,7 @@ mod tests {
             running: None,
             reset: ResetCause::PowerOn,
             failure: None,
+            weights_key: None,
         };
         let settings = Settings::default();
         let next_settings = Some(Settings { pip: 25.0, ..settings });

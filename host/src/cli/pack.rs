@@ -6,6 +6,7 @@ use serde::Serialize;
 use shared::weights::decode;
 
 use super::controller_args::image_id;
+use super::key_args::KeyArgs;
 use super::output::{OutputArgs, write};
 use learn::controller::learned::Learned;
 
@@ -15,6 +16,7 @@ use learn::controller::learned::Learned;
 Examples:
   trainer pack controller.safetensors --out weights.bin
   trainer pack controller.safetensors --out weights.bin --json -
+  trainer pack controller.safetensors --out weights.bin --key weights.key
 
 Before the image is written it is read back, and its controller runs once as a check.")]
 pub struct Args {
@@ -24,6 +26,8 @@ pub struct Args {
     /// File to write the image to
     #[arg(long, value_name = "FILE.bin")]
     out: PathBuf,
+    #[command(flatten)]
+    key: KeyArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -37,7 +41,7 @@ struct Summary {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = Learned::load(&args.controller)?.image()?;
+    let bytes = args.key.signed(Learned::load(&args.controller)?.image()?)?;
     let image = decode(&bytes)?;
     write(&args.out, &bytes)?;
     let id = image_id(image.id);

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, bail};
 
+use super::common::warn_of_development_build;
 use super::controller_args::Chosen;
 use device::Device;
 use device::port::Address;
@@ -19,6 +20,7 @@ pub struct PortArgs {
 pub fn source(address: &Address, chosen: &Chosen, seed: u64) -> anyhow::Result<PortSource> {
     let device = Device::connect(address)?;
     let mut source = PortSource::new(device, seed).with_context(|| format!("cannot use {address}"))?;
+    warn_of_development_build(source.identity());
     let device_us = source.identity().period_us;
     if device_us != chosen.period_us {
         let asked = chosen.period_us;

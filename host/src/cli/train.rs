@@ -10,7 +10,8 @@ use shared::control::pid::PidGains;
 
 use super::bars::with_bars;
 use super::common::{BenchArgs, Preset, gains};
-use super::output::OutputArgs;
+use super::key_args::KeyArgs;
+use super::output::{OutputArgs, write};
 use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
 use learn::controller::learned::Learned;
@@ -36,7 +37,8 @@ Examples:
 
 Without --simulator the command records on the bench, fits and trains, round after round. With it,
 the command trains once; the last of several simulators is held out and judges the controller.
-Ctrl-C stops training; the same command continues where it stopped.
+Ctrl-C stops training; the same command continues where it stopped. With --key, the command also
+writes the signed weights image, DIR/weights.bin.
 
 --preset paper-30ms follows the paper's authors: a control period of 30 ms, PEEP 5, their
 exploration around their PID, and their simulator with their optimiser. Residual and training remain
@@ -107,6 +109,8 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
+    key: KeyArgs,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -125,6 +129,8 @@ struct Summary {
 
 /// File name of the controller in the folder.
 const CONTROLLER: &str = "controller.safetensors";
+/// File name of the signed weights image in the folder.
+const WEIGHTS: &str = "weights.bin";
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plant = args.plant.connect()?;
@@ -241,6 +247,11 @@ impl Args {
     fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
         let controller = self.out.join(CONTROLLER);
         learned.save(&controller)?;
+        if self.key.key.is_some() {
+            let weights = self.out.join(WEIGHTS);
+            write(&weights, &self.key.signed(learned.image()?)?)?;
+            self.output.saved(&weights);
+        }
         Ok(Summary {
             seed: self.seed,
             controller,

@@ -113,7 +113,9 @@ mod tests {
         lease
     }
 
-    const HELD: fn() -> Refusal = || Refusal::Lease { holder: HostName::new("anna") };
+    fn held_by_anna() -> Refusal {
+        Refusal::Lease { holder: name("anna") }
+    }
 
     #[test]
     fn only_the_host_that_has_acquired_it_may_change_something() {
@@ -122,8 +124,8 @@ mod tests {
         assert_eq!(lease.acquire(None, name("nobody"), true, 0), Err(Refusal::NoLease), "without a token");
         lease = held(0);
         assert_eq!(lease.permits(ANNA), Ok(()));
-        assert_eq!((lease.permits(BERT), lease.permits(None)), (Err(HELD()), Err(HELD())));
-        assert_eq!(lease.acquire(BERT, name("bert"), false, 1), Err(HELD()));
+        assert_eq!((lease.permits(BERT), lease.permits(None)), (Err(held_by_anna()), Err(held_by_anna())));
+        assert_eq!(lease.acquire(BERT, name("bert"), false, 1), Err(held_by_anna()));
         assert_eq!(lease.status(BERT), LeaseStatus { holder: Some(name("anna")), yours: false });
     }
 
@@ -136,7 +138,7 @@ mod tests {
                 assert_eq!(lease.permits(ANNA), Ok(()), "renewed at {tick}");
             }
             lease.heard(BERT, start.wrapping_add(3 * LEASE_TICKS));
-            assert_eq!(lease.permits(BERT), Err(HELD()), "another host does not renew it");
+            assert_eq!(lease.permits(BERT), Err(held_by_anna()), "another host does not renew it");
             lease.heard(BERT, start.wrapping_add(3 * LEASE_TICKS + 1));
             assert_eq!(lease.permits(BERT), Err(Refusal::NoLease));
             assert_eq!(lease.permits(ANNA), Err(Refusal::NoLease), "it does not come back by itself");

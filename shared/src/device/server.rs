@@ -21,7 +21,8 @@ use crate::recorder::RecorderMemory;
 use crate::reset::ResetCause;
 use crate::ventilator::Mode;
 use crate::weights::IMAGE_BYTES;
-use crate::weights::slots::{Slot, SlotState};
+use crate::weights::slots::{Slot, SlotState, StoreError};
+use crate::weights::trust::Trust;
 
 /// The part of the greeting that is fixed until the device restarts, except the slots, which a store changes.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +41,8 @@ pub struct DeviceFacts {
     pub reset: ResetCause,
     /// Message of the failure that caused the restart, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
+    /// Whose weights the device runs.
+    pub trust: Trust,
 }
 
 /// Next step of the caller.
@@ -210,9 +213,9 @@ impl<'a> Server<'a> {
                 let begun = idle.and_then(|()| self.upload.begin(length, id));
                 self.send(begun.map(|offset| Response::Progress { offset }))
             }
-            Continuation::Commit => match idle.and_then(|()| self.upload.commit()) {
-                Ok(image) => {
-                    self.committed = image.id;
+            Continuation::Commit => match idle.and_then(|()| self.upload.commit(&self.facts.trust)) {
+                Ok(id) => {
+                    self.committed = id;
                     NextStep::Store
                 }
                 Err(refusal) => self.send(Err(refusal)),
@@ -222,11 +225,15 @@ impl<'a> Server<'a> {
         }
     }
 
-    /// Continues after [`NextStep::Store`] with the slot of the stored image, if storing succeeded, and both slots' new state.
-    pub fn stored(&mut self, slot: Option<Slot>, slots: [SlotState; 2]) -> NextStep {
+    /// Continues after [`NextStep::Store`] with the slot of the stored image and both slots' new state.
+    pub fn stored(&mut self, slot: Result<Slot, StoreError>, slots: [SlotState; 2]) -> NextStep {
         self.facts.slots = slots;
         let id = self.committed;
-        self.send(slot.map(|slot| Response::Weights { id, slot }).ok_or(Refusal::Storage))
+        let refusal = |error| match error {
+            StoreError::NotNewer { version, stored } => Refusal::OldWeights { version, stored },
+            StoreError::Flash | StoreError::Readback => Refusal::Storage,
+        };
+        self.send(slot.map(|slot| Response::Weights { id, slot }).map_err(refusal))
     }
 
     fn send(&mut self, result: Result<Response, Refusal>) -> NextStep {
@@ -241,7 +248,8 @@ impl<'a> Server<'a> {
     }
 
     fn identity(&self, status: &Status) -> DeviceIdentity {
-        let DeviceFacts { firmware, device, period_us, slots, running, reset, ref failure } = self.facts;
+        let DeviceFacts { firmware, device, period_us, slots, running, reset, ref failure, trust } =
+            self.facts;
         let Status { mode, controller, exploration } = *status;
         DeviceIdentity {
             protocol: PROTOCOL,
@@ -255,6 +263,7 @@ impl<'a> Server<'a> {
             running,
             reset,
             failure: failure.clone(),
+            weights_key: trust.key(),
         }
     }
 

@@ -4,7 +4,8 @@
 //! ventilating).
 
 use crate::link::refusal::Refusal;
-use crate::weights::{IMAGE_BYTES, Image, ImageProblem, decode};
+use crate::weights::trust::Trust;
+use crate::weights::{IMAGE_BYTES, ImageProblem, decode_trusted};
 
 /// An upload in progress, or none.
 #[derive(Clone, Debug)]
@@ -60,23 +61,29 @@ impl Upload {
         Ok(end as u32)
     }
 
-    /// Validates the whole image, whose bytes are then in [`Upload::bytes`].
+    /// Validates the whole image, whose bytes are then in [`Upload::bytes`]; returns its id.
     ///
     /// # Errors
     /// [`Refusal::NoUpload`], [`Refusal::WrongOffset`] if bytes are missing, [`Refusal::BadImage`],
+    /// [`Refusal::Unsigned`], [`Refusal::WrongSignature`] or [`Refusal::OtherPlant`] if the device does not trust it,
     /// [`Refusal::OtherImage`] if its id is not the announced one.
-    pub fn commit(&mut self) -> Result<Image, Refusal> {
+    pub fn commit(&mut self, trust: &Trust) -> Result<u32, Refusal> {
         let announced = self.announced.ok_or(Refusal::NoUpload)?;
         if self.received < IMAGE_BYTES {
             let expected = self.received as u32;
             return Err(Refusal::WrongOffset { expected });
         }
         self.announced = None;
-        let image = decode(&self.bytes).map_err(|e| Refusal::BadImage(ImageProblem::from(e)))?;
+        let image = decode_trusted(&self.bytes, trust).map_err(|error| match error.into() {
+            ImageProblem::Unsigned => Refusal::Unsigned,
+            ImageProblem::Signature => Refusal::WrongSignature,
+            ImageProblem::Plant => Refusal::OtherPlant,
+            problem => Refusal::BadImage(problem),
+        })?;
         if image.id != announced {
             return Err(Refusal::OtherImage);
         }
-        Ok(image)
+        Ok(image.id)
     }
 
     /// The bytes that [`Upload::commit`] validated.
@@ -93,8 +100,10 @@ mod tests {
     use crate::control::pid::PidGains;
     use crate::control::residual::{Residual, ResidualSpec};
     use crate::link::messages::CHUNK_BYTES;
-    use crate::weights::{Identity, encode};
+    use crate::weights::{Identity, decode, encode};
     use proptest::prelude::*;
+
+    const DEVELOPMENT: &Trust = &Trust::Development;
 
     fn image() -> ([u8; IMAGE_BYTES], u32) {
         let spec = ResidualSpec {
@@ -123,9 +132,9 @@ mod tests {
         let ((bytes, id), mut upload) = (image(), Upload::new());
         assert_eq!(upload.begin(IMAGE_BYTES as u32, id), Ok(0));
         send(&mut upload, &bytes);
-        assert_eq!(upload.commit().unwrap(), decode(&bytes).unwrap());
+        assert_eq!(upload.commit(DEVELOPMENT), Ok(decode(&bytes).unwrap().id));
         assert_eq!(*upload.bytes(), bytes);
-        assert_eq!(upload.commit(), Err(Refusal::NoUpload));
+        assert_eq!(upload.commit(DEVELOPMENT), Err(Refusal::NoUpload));
     }
 
     #[test]
@@ -145,7 +154,7 @@ mod tests {
         assert_eq!(upload.begin(IMAGE_BYTES as u32 - 1, id), Err(Refusal::WrongLength));
         upload.begin(IMAGE_BYTES as u32, id).unwrap();
         assert_eq!(upload.chunk(128, &bytes[..10]), Err(Refusal::WrongOffset { expected }));
-        assert_eq!(upload.commit(), Err(Refusal::WrongOffset { expected }));
+        assert_eq!(upload.commit(DEVELOPMENT), Err(Refusal::WrongOffset { expected }));
         upload.chunk(0, &bytes[..10]).unwrap();
         let expected = 10;
         assert_eq!(upload.chunk(0, &[9; 10]), Err(Refusal::WrongOffset { expected }));
@@ -156,11 +165,11 @@ mod tests {
         let ((mut bytes, id), mut upload) = (image(), Upload::new());
         upload.begin(IMAGE_BYTES as u32, id ^ 1).unwrap();
         send(&mut upload, &bytes);
-        assert_eq!(upload.commit(), Err(Refusal::OtherImage));
+        assert_eq!(upload.commit(DEVELOPMENT), Err(Refusal::OtherImage));
         bytes[1000] ^= 4;
         upload.begin(IMAGE_BYTES as u32, id).unwrap();
         send(&mut upload, &bytes);
-        assert_eq!(upload.commit(), Err(Refusal::BadImage(ImageProblem::Checksum)));
+        assert_eq!(upload.commit(DEVELOPMENT), Err(Refusal::BadImage(ImageProblem::Checksum)));
     }
 
     proptest! {

@@ -27,6 +27,7 @@ use crate::settings::Settings;
 use crate::timing::TickTimes;
 use crate::ventilator::Mode;
 use crate::weights::slots::{Slot, SlotState};
+use crate::weights::trust::KeyId;
 
 /// Most image bytes in one chunk.
 pub const CHUNK_BYTES: usize = 128;
@@ -300,6 +301,8 @@ pub struct DeviceIdentity {
     pub reset: ResetCause,
     /// Message of the failure that caused the restart, if there was one.
     pub failure: Option<String<FAILURE_BYTES>>,
+    /// Id of the key with which weights must be signed; none for a development build, which accepts unsigned ones.
+    pub weights_key: Option<KeyId>,
 }
 
 impl DeviceIdentity {

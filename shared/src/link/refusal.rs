@@ -104,6 +104,31 @@ pub enum Refusal {
         "no settings were sent since the device went to standby: check and send the settings, then start (`trainer monitor`: key c sends those shown)"
     )]
     NotConfirmed,
+    /// The device runs only signed images.
+    #[error(
+        "this device runs only signed weights, and these are not signed: sign them with the device's key, trainer flash --key FILE"
+    )]
+    Unsigned,
+    /// The signature does not match the device's key.
+    #[error(
+        "the signature of the weights does not match the device's key: they were altered, or signed with another key (`trainer identify` and `trainer keys --show` name both)"
+    )]
+    WrongSignature,
+    /// The device has signed weights that are not older.
+    #[error(
+        "weights of version {version} are not newer than version {stored}, which the device has: sign them again with a higher --image-version"
+    )]
+    OldWeights {
+        /// Version of the refused image.
+        version: u32,
+        /// Highest version that the device has.
+        stored: u32,
+    },
+    /// The weights were made for another plant than the device's.
+    #[error(
+        "these weights are signed for another plant than the one that this device's firmware was built for: `trainer inspect` names theirs; train on recordings of this plant"
+    )]
+    OtherPlant,
 }
 
 #[cfg(test)]

@@ -1,12 +1,13 @@
 //! Packs and validates the image. The checks have a fixed order, so that the error names the first problem: length,
-//! magic, version, checksum, architecture, sizes, parameters, specification, golden values.
+//! magic, format version, checksum, signature, architecture, sizes, parameters, specification, golden values.
 
 use serde::{Deserialize, Serialize};
 
 use super::exercise::{Golden, golden};
+use super::trust::Trust;
 use super::{
     ARCHITECTURE, FORMAT_VERSION, HEADER_BYTES, IMAGE_BYTES, Identity, Image, MAGIC, PARAMETER_BYTES,
-    WeightsError,
+    SIGNATURE_BYTES, SIGNED_BYTES, WeightsError,
 };
 use crate::checksum::{CHECKSUM_BYTES, crc32};
 use crate::control::features::FeatureSpec;
@@ -34,9 +35,11 @@ struct Header {
     golden: Golden,
     #[serde(with = "postcard::fixint::le")]
     parameter_bytes: u32,
+    #[serde(with = "postcard::fixint::le")]
+    image_version: u32,
 }
 
-/// Packs a learned controller; returns the number of bytes written, [`IMAGE_BYTES`].
+/// Packs a learned controller, unsigned and with version 0; returns the number of bytes written, [`IMAGE_BYTES`].
 ///
 /// # Errors
 /// [`WeightsError::Length`] if `out` is too short.
@@ -57,21 +60,34 @@ pub fn encode(residual: &Residual, identity: &Identity, out: &mut [u8]) -> Resul
         identity: *identity,
         golden: golden(residual),
         parameter_bytes: PARAMETER_BYTES as u32,
+        image_version: 0,
     };
     postcard::to_slice(&header, image).map_err(|_| too_short)?;
     let (places, _) = image[HEADER_BYTES..].as_chunks_mut();
     for (place, parameter) in places.iter_mut().zip(residual.network().parameters()) {
         *place = parameter.to_le_bytes();
     }
+    image[SIGNED_BYTES..].fill(0);
     let checksum = crc32(&image[..IMAGE_BYTES - CHECKSUM_BYTES]);
     image[IMAGE_BYTES - CHECKSUM_BYTES..].copy_from_slice(&checksum.to_le_bytes());
     Ok(IMAGE_BYTES)
 }
 
+/// Validates an image that a device is to run: [`decode`] of one that its [`Trust`] allows.
+///
+/// # Errors
+/// As [`decode`]; a wrong signature is reported before the content is looked at, and after damage.
+#[inline(never)]
+pub fn decode_trusted(bytes: &[u8], trust: &Trust) -> Result<Image, WeightsError> {
+    enclosed(bytes)?;
+    trust.verify(bytes)?;
+    decode(bytes)
+}
+
 /// Validates an image and builds its controller. Bytes after the image are ignored.
 ///
 /// # Errors
-/// The first problem, in the order of [`WeightsError`]'s variants.
+/// The first problem, in the order at the top of this file; the signature is not verified ([`decode_trusted`]).
 #[inline(never)]
 pub fn decode(bytes: &[u8]) -> Result<Image, WeightsError> {
     // One variable, so that it is built in the caller's memory: on the chip each copy takes kilobytes of the stack.
@@ -105,6 +121,7 @@ fn build(bytes: &[u8]) -> Result<Image, WeightsError> {
     let mut image = Ok(Image {
         residual: Residual::zero(spec, parts),
         identity: header.identity,
+        version: header.image_version,
         golden: header.golden,
         id,
     });
@@ -127,14 +144,15 @@ fn enclosed(bytes: &[u8]) -> Result<(Header, &[u8], u32), WeightsError> {
     if header.version != FORMAT_VERSION {
         return Err(WeightsError::Version(header.version));
     }
-    let need = (HEADER_BYTES + CHECKSUM_BYTES).saturating_add(header.parameter_bytes as usize);
+    let need =
+        (HEADER_BYTES + SIGNATURE_BYTES + CHECKSUM_BYTES).saturating_add(header.parameter_bytes as usize);
     let image = bytes.get(..need).ok_or(short(need))?;
     let (covered, checksum) = image.split_last_chunk().ok_or(short(need))?;
     let id = u32::from_le_bytes(*checksum);
     if crc32(covered) != id {
         return Err(WeightsError::Checksum);
     }
-    Ok((header, &covered[HEADER_BYTES..], id))
+    Ok((header, &covered[HEADER_BYTES..need - SIGNATURE_BYTES - CHECKSUM_BYTES], id))
 }
 
 #[cfg(test)]

@@ -22,7 +22,9 @@
 //! | 114 | 4 | golden: last command of the [`exercise`], percent |
 //! | 118 | 4 | golden: CRC-32 over the bits of all its commands |
 //! | 122 | 4 | length of the parameters, bytes, u32 |
-//! | 126 | ... | parameters in the order of [`Network::parameters`] |
+//! | 126 | 4 | image version, u32: grows with every signed image; 0 in an unsigned image |
+//! | 130 | ... | parameters in the order of [`Network::parameters`] |
+//! | ... | 64 | ed25519 signature of everything before; zeros in an unsigned image ([`trust`]) |
 //! | end | 4 | CRC-32 over everything before, u32; also the image's id |
 //!
 //! Bytes after the checksum are ignored: a flash slot is longer than its image.
@@ -33,6 +35,7 @@
 pub mod exercise;
 mod image;
 pub mod slots;
+pub mod trust;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -40,20 +43,30 @@ use thiserror::Error;
 use crate::control::network::Network;
 use crate::control::residual::{Residual, ResidualError};
 use exercise::Golden;
-pub use image::{decode, encode};
+pub use image::{decode, decode_trusted, encode};
 
 /// First bytes of every image.
 pub const MAGIC: [u8; 4] = *b"EUPN";
 /// Version of the layout above and of the [`exercise`]'s script.
-pub const FORMAT_VERSION: u16 = 1;
+pub const FORMAT_VERSION: u16 = 2;
 /// Architecture: features of [`crate::control::features`], two softsign layers, linear output, PID underneath.
 pub const ARCHITECTURE: u16 = 1;
+/// Offset of the plant id, bytes.
+pub const PLANT_AT: usize = 98;
+/// Length of the plant id, bytes.
+pub const PLANT_BYTES: usize = 16;
+/// Offset of the image version, bytes.
+pub const VERSION_AT: usize = 126;
 /// Length of the header, before the parameters, bytes.
-pub const HEADER_BYTES: usize = 126;
+pub const HEADER_BYTES: usize = 130;
+/// Length of the signature, bytes.
+pub const SIGNATURE_BYTES: usize = 64;
 /// Length of the parameters, bytes.
 pub const PARAMETER_BYTES: usize = 4 * Network::PARAMETERS;
+/// Length of the signed part, header and parameters, bytes.
+pub const SIGNED_BYTES: usize = HEADER_BYTES + PARAMETER_BYTES;
 /// Length of an image, bytes.
-pub const IMAGE_BYTES: usize = HEADER_BYTES + PARAMETER_BYTES + crate::checksum::CHECKSUM_BYTES;
+pub const IMAGE_BYTES: usize = SIGNED_BYTES + SIGNATURE_BYTES + crate::checksum::CHECKSUM_BYTES;
 
 /// Origin of weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,7 +74,7 @@ pub struct Identity {
     /// Id of the training that produced them.
     pub training: [u8; 16],
     /// Id of the ventilator whose recording they were trained on.
-    pub plant: [u8; 16],
+    pub plant: [u8; PLANT_BYTES],
 }
 
 /// A validated image.
@@ -71,6 +84,8 @@ pub struct Image {
     pub residual: Residual,
     /// Its origin.
     pub identity: Identity,
+    /// Its version, which grows with every signed image.
+    pub version: u32,
     /// Its results in the exercise.
     pub golden: Golden,
     /// The image's checksum, which identifies it.
@@ -93,7 +108,7 @@ pub enum WeightsError {
     Magic,
     /// The image has another version of the layout.
     #[error(
-        "image has format {0}, but this version reads {FORMAT_VERSION}; pack it again with this version's trainer"
+        "image has format {0}, but this version reads {FORMAT_VERSION}; pack its controller again with this version's trainer"
     )]
     Version(u16),
     /// The checksum does not match.
@@ -116,6 +131,19 @@ pub enum WeightsError {
         "controller gives other commands here than on the trainer; pack it again with the version that runs here"
     )]
     Golden,
+    /// The device trusts only signed images, and this one has no signature.
+    #[error(
+        "image is not signed, but the device runs only signed ones; sign it with: trainer flash --key FILE"
+    )]
+    Unsigned,
+    /// The signature is not that of the trusted key, or the image was altered.
+    #[error(
+        "the signature does not match: the image was altered, or signed with another key than the device trusts"
+    )]
+    Signature,
+    /// The image is signed, but for another plant than the device's.
+    #[error("image is for another plant than the one that the device's firmware was built for")]
+    Plant,
 }
 
 /// A [`WeightsError`] without its numbers, for the link. The order of the variants is part of the protocol: append
@@ -132,6 +160,16 @@ pub enum ImageProblem {
     Weight,
     Spec,
     Golden,
+    Unsigned,
+    Signature,
+    Plant,
+}
+
+impl ImageProblem {
+    /// Whether the image is damaged, or else whole but not meant to run here: of another layout, or not trusted.
+    pub fn is_damage(self) -> bool {
+        !matches!(self, Self::Version | Self::Unsigned | Self::Signature | Self::Plant)
+    }
 }
 
 impl From<WeightsError> for ImageProblem {
@@ -146,6 +184,9 @@ impl From<WeightsError> for ImageProblem {
             WeightsError::Weight(_) => Self::Weight,
             WeightsError::Spec(_) => Self::Spec,
             WeightsError::Golden => Self::Golden,
+            WeightsError::Unsigned => Self::Unsigned,
+            WeightsError::Signature => Self::Signature,
+            WeightsError::Plant => Self::Plant,
         }
     }
 }

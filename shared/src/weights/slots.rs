@@ -17,7 +17,8 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{IMAGE_BYTES, Image, ImageProblem, WeightsError, decode};
+use super::trust::Trust;
+use super::{IMAGE_BYTES, Image, ImageProblem, VERSION_AT, WeightsError, decode_trusted};
 use crate::checksum::{crc32, verified};
 
 /// Unit of writing, bytes: the longest word of the supported flash memories.
@@ -79,6 +80,14 @@ pub enum StoreError {
     /// The flash does not contain the data that was written.
     #[error("the flash does not contain the data that was written; the sector may be worn out")]
     Readback,
+    /// The device trusts a key, and an image of its own is not older.
+    #[error("version {version} is not newer than {stored}, which is stored")]
+    NotNewer {
+        /// Version of the refused image.
+        version: u32,
+        /// Highest version stored.
+        stored: u32,
+    },
 }
 
 /// Both slots of a flash memory.
@@ -86,15 +95,23 @@ pub enum StoreError {
 pub struct Slots<F> {
     flash: F,
     starts: [u32; 2],
+    trust: Trust,
     /// Reason for which the decoder refused the image of a slot.
     refused: [Option<ImageProblem>; 2],
 }
 
 impl<F: NorFlash> Slots<F> {
-    /// Slots at these addresses of the flash, each with sectors of its own of at least [`SLOT_BYTES`].
+    /// Slots of a development build at these addresses of the flash, each with sectors of its own of at least [`SLOT_BYTES`].
     pub const fn new(flash: F, starts: [u32; 2]) -> Self {
         const { assert!(UNIT.is_multiple_of(F::WRITE_SIZE) && UNIT.is_multiple_of(F::READ_SIZE)) };
-        Self { flash, starts, refused: [None; 2] }
+        Self { flash, starts, trust: Trust::Development, refused: [None; 2] }
+    }
+
+    /// The same with images that this device trusts alone.
+    #[must_use]
+    pub fn trusting(mut self, trust: Trust) -> Self {
+        self.trust = trust;
+        self
     }
 
     /// State of both slots; an unreadable one counts as torn. An image with the right checksum counts as valid unless
@@ -151,15 +168,42 @@ impl<F: NorFlash> Slots<F> {
         if self.read(self.starts[slot as usize], &mut bytes).is_err() {
             return Err(WeightsError::Checksum);
         }
-        decode(&bytes)
+        decode_trusted(&bytes, &self.trust)
+    }
+
+    /// Refuses an image that is not newer than the trusted ones, whatever their plant: otherwise images for another plant would
+    /// push the newest version out of both slots. A development build accepts any order: without signatures a version says
+    /// nothing. Not inlined, so that its images are off the stack during the store.
+    ///
+    /// # Errors
+    /// [`StoreError::NotNewer`].
+    #[inline(never)]
+    fn is_newer(&mut self, image: &[u8; IMAGE_BYTES]) -> Result<(), StoreError> {
+        let Trust::Key { .. } = self.trust else { return Ok(()) };
+        let version = u32::from_le_bytes(image[VERSION_AT..].first_chunk().copied().unwrap_or_default());
+        let stored = [Slot::A, Slot::B].map(|slot| self.trusted(slot));
+        match stored.into_iter().flatten().max() {
+            Some(stored) if version <= stored => Err(StoreError::NotNewer { version, stored }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Version of the image in a slot, if it is trusted and its store was completed: an image whose store was cut off may be stored
+    /// again.
+    #[inline(never)]
+    fn trusted(&mut self, slot: Slot) -> Option<u32> {
+        let SlotState::Valid { .. } = self.state(slot).ok()? else { return None };
+        self.decode(slot).ok().map(|image| image.version)
     }
 
     /// Stores an image in the slot that is not the newest; returns the slot and its generation. The image is not decoded
     /// here: validate it first.
     ///
     /// # Errors
-    /// [`StoreError`]; the newest slot stays as it was, unless only the read-back of the commit word failed.
+    /// [`StoreError`]; the newest slot stays as it was, unless only the read-back of the commit word failed. After
+    /// [`StoreError::NotNewer`] both do.
     pub fn store(&mut self, image: &[u8; IMAGE_BYTES]) -> Result<(Slot, u32), StoreError> {
+        self.is_newer(image)?;
         // A slot that cannot be read may contain the weights in use, so it must not be erased.
         let states = [self.state(Slot::A)?, self.state(Slot::B)?];
         let newest = by_age(&states).first().copied();

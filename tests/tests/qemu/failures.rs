@@ -106,20 +106,28 @@ fn the_smallest_stack_has_a_reserve() {
     const SMALLEST: usize = 48 * 1024;
     const RESERVE: usize = 4 * 1024;
     const PAINT: [u8; 4] = 0xCCCC_CCCC_u32.to_le_bytes();
-    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
-    upload(&mut device, 1);
-    device.restart().unwrap();
-    device.telemetry(true).unwrap();
-    start(&mut device).unwrap();
-    Samples::default().until(&device, |sample| sample.breath == 3);
-    device.blackbox(&Progress::silent()).unwrap();
-    device.stop().unwrap();
-    upload(&mut device, 2);
-    let [bottom, top] = ["_stack_end", "_stack_start"].map(|name| symbol(&image("hil"), name).unwrap());
-    let stack = debugger(&board).read(bottom, (top - bottom) as usize).unwrap();
-    let unused = 4 * stack.as_chunks().0.iter().take_while(|word| **word == PAINT).count();
-    let used = stack.len() - unused;
-    assert!(used > 0 && used <= SMALLEST - RESERVE, "{used} bytes of the stack are used");
+    // The image `signed` also verifies signatures, at the start and in a store.
+    for firmware in ["hil", "signed"] {
+        let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config(firmware) }, &lung());
+        let store = |device: &mut Device, version| {
+            device.upload(&weights::signed(version, weights::TRUSTED), &Progress::silent()).unwrap()
+        };
+        store(&mut device, 1);
+        device.restart().unwrap();
+        device.telemetry(true).unwrap();
+        start(&mut device).unwrap();
+        Samples::default().until(&device, |sample| sample.breath == 3);
+        device.blackbox(&Progress::silent()).unwrap();
+        device.stop().unwrap();
+        store(&mut device, 2);
+        let [bottom, top] =
+            ["_stack_end", "_stack_start"].map(|name| symbol(&image(firmware), name).unwrap());
+        let stack = debugger(&board).read(bottom, (top - bottom) as usize).unwrap();
+        let unused = 4 * stack.as_chunks().0.iter().take_while(|word| **word == PAINT).count();
+        let used = stack.len() - unused;
+        println!("{firmware}: {used} bytes of the stack are used");
+        assert!(used > 0 && used <= SMALLEST - RESERVE, "{firmware}: {used} bytes of the stack are used");
+    }
 }
 
 #[test]

@@ -1,5 +1,9 @@
 //! Weights in the flash: stored, damaged, cut off.
 
+use ed25519_compact::{KeyPair, Seed};
+use shared::weights::trust::seal;
+use shared::weights::{ImageProblem, PLANT_BYTES};
+
 use super::*;
 
 /// Length of a weights slot, bytes.
@@ -26,6 +30,66 @@ fn weights_are_stored_survive_a_reset_and_a_power_cut_and_alternate() {
         (running(&mut device), device.identify().unwrap().reset),
         (Some(renamed(2).1), ResetCause::PowerOn)
     );
+}
+
+/// Seed of the key pair that the image `signed` trusts.
+pub const TRUSTED: u8 = 42;
+
+/// The key pair of a seed.
+fn pair(seed: u8) -> KeyPair {
+    KeyPair::from_seed(Seed::new([seed; 32]))
+}
+
+/// The committed weights with a version, signed with the key of a seed.
+pub fn signed(version: u32, seed: u8) -> [u8; IMAGE_BYTES] {
+    sealed(renamed(1).0, version, seed)
+}
+
+fn sealed(mut image: [u8; IMAGE_BYTES], version: u32, seed: u8) -> [u8; IMAGE_BYTES] {
+    seal(&mut image, version, |bytes| *pair(seed).sk.sign(bytes, None));
+    image
+}
+
+/// The committed weights as those of another plant than the one that the image `signed` is built for.
+fn of_another_plant() -> [u8; IMAGE_BYTES] {
+    let image = decode(trace::LEARNED).unwrap();
+    let mut bytes = [0; IMAGE_BYTES];
+    encode(&image.residual, &Identity { plant: [1; PLANT_BYTES], ..image.identity }, &mut bytes).unwrap();
+    bytes
+}
+
+#[test]
+fn a_board_with_a_key_runs_only_signed_weights_that_are_newer() {
+    let folder = tempfile::tempdir().unwrap();
+    let on = |firmware| EmulatorConfig { folder: Some(folder.path().to_owned()), ..config(firmware) };
+    let (board, mut device) = breathing(on("signed"), &lung());
+    let key = device.identify().unwrap().weights_key.expect("a key");
+    assert_eq!(key.0, pair(TRUSTED).pk[..8]);
+    let mut send = |image: &[u8; IMAGE_BYTES]| {
+        device.upload(image, &Progress::silent()).map(|uploaded| uploaded.slot).map_err(|e| e.to_string())
+    };
+    let unsigned = send(&renamed(1).0).unwrap_err();
+    assert!(unsigned.contains("runs only signed weights"), "{unsigned}");
+    let foreign = send(&signed(5, 7)).unwrap_err();
+    assert!(foreign.contains("signature of the weights does not match"), "{foreign}");
+    let other = send(&sealed(of_another_plant(), 5, TRUSTED)).unwrap_err();
+    assert!(other.contains("signed for another plant"), "{other}");
+    assert_eq!(send(&signed(5, TRUSTED)), Ok(Slot::A));
+    let old = send(&signed(5, TRUSTED)).unwrap_err();
+    assert!(old.contains("version 5 are not newer than version 5"), "{old}");
+    assert_eq!(send(&signed(6, TRUSTED)), Ok(Slot::B));
+    let identity = device.restart().unwrap();
+    assert_eq!((identity.running, identity.controller), (Some(Slot::B), ControllerChoice::Learned));
+    drop((device, board));
+    // A development build stores anything; the same flash under the other firmware runs only what it trusts.
+    let (board, mut device) = breathing(on("hil"), &lung());
+    assert_eq!(device.identify().unwrap().weights_key, None);
+    upload(&mut device, 1);
+    drop((device, board));
+    let (_board, mut device) = breathing(on("signed"), &lung());
+    let identity = device.identify().unwrap();
+    assert_eq!(identity.running, Some(Slot::B));
+    assert!(identity.slots.contains(&SlotState::Invalid(ImageProblem::Unsigned)), "{:?}", identity.slots);
 }
 
 #[test]

@@ -20,6 +20,7 @@ use shared::settings::Settings;
 use shared::timing::TickTime;
 use shared::ventilator::{Output, VentilatorState};
 use shared::weights::slots::SlotState;
+use shared::weights::trust::Trust;
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use super::flash::Flash;
@@ -199,6 +200,7 @@ fn facts() -> DeviceFacts {
         running: None,
         reset: ResetCause::PowerOn,
         failure: None,
+        trust: Trust::Development,
     }
 }
 

@@ -24,12 +24,14 @@ use shared::settings::Settings;
 use shared::timing::{BINS, CycleStats, TickTimes};
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState};
+use shared::weights::trust::KeyId;
 
 use super::News;
 use super::draw::draw;
 use super::terminal::{Pressed, meaning};
 use super::view::{Key, Notice, PIP_STEP, RATE_STEP, View};
 use super::window::TelemetryWindow;
+use super::words;
 use device::LineCounters;
 
 mod connected;
@@ -51,6 +53,7 @@ fn identity(mode: Mode) -> DeviceIdentity {
         running: Some(Slot::A),
         reset: ResetCause::Watchdog,
         failure: None,
+        weights_key: Some(KeyId([0xAB; 8])),
     }
 }
 
@@ -339,6 +342,14 @@ mod keys {
 
 mod state {
     use super::*;
+
+    #[test]
+    fn a_development_build_is_called_so() {
+        let development = DeviceIdentity { weights_key: None, ..identity(Mode::Standby) };
+        assert!(words::identity(&development).ends_with(", development build"));
+        assert!(!words::identity(&identity(Mode::Standby)).contains("development"));
+        assert_eq!(words::weights_key(&identity(Mode::Standby)), "abababababababab");
+    }
 
     #[test]
     fn a_device_that_restarted_between_two_looks_is_reported_with_its_cause() {

@@ -10,6 +10,8 @@ use shared::safety::ladder::Level;
 use shared::settings::{FIELDS, Field, Settings};
 use shared::ventilator::Mode;
 
+use device::keys::hex;
+
 /// The ventilator's mode.
 pub fn mode(mode: Mode) -> String {
     match mode {
@@ -109,7 +111,18 @@ pub fn reset(cause: ResetCause) -> &'static str {
 pub fn identity(identity: &DeviceIdentity) -> String {
     let [major, minor, patch] = identity.firmware;
     let period = identity.period_us;
-    format!("{}, firmware {major}.{minor}.{patch}, tick {period} us", device(identity.device))
+    let build = if is_development(identity) { ", development build" } else { "" };
+    format!("{}, firmware {major}.{minor}.{patch}, tick {period} us{build}", device(identity.device))
+}
+
+/// Whether the device's firmware was built without a key; a simulated device has no firmware.
+pub fn is_development(identity: &DeviceIdentity) -> bool {
+    identity.weights_key.is_none() && identity.device != DeviceKind::Simulated
+}
+
+/// The key with which a device's weights must be signed.
+pub fn weights_key(identity: &DeviceIdentity) -> String {
+    identity.weights_key.map_or_else(|| "none: accepts unsigned weights".to_owned(), |key| hex(&key.0))
 }
 
 /// The name of a setting.

@@ -4,6 +4,7 @@ use serde::Serialize;
 use shared::link::messages::DeviceIdentity;
 use shared::weights::slots::SlotState;
 
+use super::super::common::warn_of_development_build;
 use super::super::controller_args::image_id;
 use super::super::output::OutputArgs;
 use device::Device;
@@ -21,6 +22,7 @@ struct Found {
 /// Identifies the device at an address.
 pub fn run(address: &Address, output: &OutputArgs) -> anyhow::Result<()> {
     let identity = Device::connect(address)?.identify()?;
+    warn_of_development_build(&identity);
     let port = address.to_string();
     output.table(&table(&port, &identity));
     output.finish(&Found { port, identity })
@@ -41,6 +43,7 @@ fn table(port: &str, identity: &DeviceIdentity) -> Table {
     for (name, state) in ["slot A", "slot B"].into_iter().zip(&identity.slots) {
         row(name, slot(state));
     }
+    row("weights key", words::weights_key(identity));
     row("loaded", identity.running.map_or("no weights".to_owned(), |slot| format!("slot {slot:?}")));
     table
 }
@@ -65,6 +68,7 @@ mod tests {
     use shared::ventilator::Mode;
     use shared::weights::ImageProblem;
     use shared::weights::slots::Slot;
+    use shared::weights::trust::KeyId;
 
     fn identity() -> DeviceIdentity {
         DeviceIdentity {
@@ -79,6 +83,7 @@ mod tests {
             running: Some(Slot::A),
             reset: ResetCause::Watchdog,
             failure: Some("index out of bounds".try_into().unwrap()),
+            weights_key: Some(KeyId([0xAB; 8])),
         }
     }
 
@@ -94,5 +99,7 @@ mod tests {
             table("COM3", &DeviceIdentity { slots, running: None, failure: None, ..identity() }).to_plain();
         assert!(text.contains("empty") && text.contains("Checksum") && text.contains("no weights"), "{text}");
         assert!(!text.contains("failed before"), "{text}");
+        let development = table("COM3", &DeviceIdentity { weights_key: None, ..identity() }).to_plain();
+        assert!(development.contains("none: accepts unsigned weights"), "{development}");
     }
 }

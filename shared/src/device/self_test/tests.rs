@@ -352,6 +352,7 @@ fn a_start_of_the_chip_is_judged() {
     assert_eq!(slots(SlotState::Torn), Passed);
     assert_eq!(slots(SlotState::Valid { generation: 1, id: 2 }), Passed);
     assert_eq!(slots(SlotState::Invalid(ImageProblem::Checksum)), Failed(Finding::Weights));
+    assert_eq!(slots(SlotState::Invalid(ImageProblem::Unsigned)), Passed);
 }
 
 #[test]

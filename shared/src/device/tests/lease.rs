@@ -161,3 +161,10 @@ fn a_resumed_ventilation_needs_no_settings() {
     rig.run(1);
     assert_eq!(rig.control.prescription(), Some(paper_settings(25.0)));
 }
+
+#[test]
+fn a_request_finds_the_mode_that_the_one_before_it_led_to() {
+    let mut rig = Rig::new(None);
+    rig.start();
+    assert!(matches!(rig.ask(Request::Identify), Response::Identity(i) if i.mode == Mode::Ventilating));
+}

@@ -116,7 +116,9 @@ fn response() -> impl Strategy<Value = Response> {
     let identity = (any::<u16>(), any::<[u16; 3]>(), any::<u32>(), mode(), controller(), exploration());
     let failure =
         prop::option::of("[ -~]{0,120}".prop_map(|text| heapless::String::try_from(&*text).unwrap()));
-    let identity = (identity, slot(), slot(), failure).prop_map(|(device, a, b, failure)| DeviceIdentity {
+    let key = prop::option::of(any::<[u8; 8]>().prop_map(KeyId));
+    let identity = (identity, slot(), slot(), failure, key);
+    let identity = identity.prop_map(|(device, a, b, failure, weights_key)| DeviceIdentity {
         protocol: device.0,
         firmware: device.1,
         device: DeviceKind::HardwareInTheLoop,
@@ -128,6 +130,7 @@ fn response() -> impl Strategy<Value = Response> {
         running: Some(Slot::B),
         reset: ResetCause::Watchdog,
         failure,
+        weights_key,
     });
     prop_oneof![
         identity.prop_map(Response::Identity),
@@ -338,10 +341,14 @@ fn the_bytes_of_every_response_are_pinned() {
         running: Some(Slot::A),
         reset: ResetCause::Software,
         failure: Some(heapless::String::try_from("no").unwrap()),
+        weights_key: Some(KeyId([9, 8, 7, 6, 5, 4, 3, 2])),
     };
     let in_force = Settings::default();
     let responses = [
-        (Response::Identity(identity), "000500030001c80101e807020201000301070101000301026e6f"),
+        (
+            Response::Identity(identity),
+            "000500030001c80101e807020201000301070101000301026e6f010908070605040302",
+        ),
         (
             Response::Settings { in_force, pending: None },
             "0005010000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f00",
@@ -434,6 +441,10 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::Lease { holder: HostName::new("a") }, "09150161"),
         (Refusal::NoLease, "0916"),
         (Refusal::NotConfirmed, "0917"),
+        (Refusal::Unsigned, "0918"),
+        (Refusal::WrongSignature, "0919"),
+        (Refusal::OldWeights { version: 1, stored: 128 }, "091a018001"),
+        (Refusal::OtherPlant, "091b"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);
@@ -512,6 +523,7 @@ fn the_id_of_the_weights_that_run_is_that_of_their_slot() {
             running,
             reset: ResetCause::PowerOn,
             failure: None,
+            weights_key: None,
         };
         identity.running_id()
     };

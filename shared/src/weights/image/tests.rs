@@ -6,6 +6,7 @@ use rand_core::{Rng, SeedableRng};
 
 use super::*;
 use crate::control::residual::ResidualError;
+use crate::weights::VERSION_AT;
 
 const IDENTITY: Identity = Identity { training: *b"training 0000001", plant: *b"virtual bench   " };
 
@@ -59,7 +60,7 @@ fn the_fields_lie_where_the_table_says() {
     let residual = residual(1);
     let (bytes, spec) = (packed(&residual), residual.spec());
     let real = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()).to_bits();
-    assert_eq!(&bytes[..16], b"EUPN\x01\0\x01\0\x18\0\x20\0\x10\0\x01\0");
+    assert_eq!(&bytes[..16], b"EUPN\x02\0\x01\0\x18\0\x20\0\x10\0\x01\0");
     assert_eq!(bytes[16..20], spec.period_us.to_le_bytes());
     assert_eq!(real(28), spec.gains.d.to_bits());
     assert_eq!((real(32), real(36)), (spec.lambda.to_bits(), spec.authority.to_bits()));
@@ -75,7 +76,9 @@ fn the_fields_lie_where_the_table_says() {
     assert_eq!(bytes[118..122], golden(&residual).all.to_le_bytes());
     assert_eq!(bytes[122..126], (PARAMETER_BYTES as u32).to_le_bytes());
     assert_eq!(real(HEADER_BYTES), residual.network().hidden_1.weights[0][0].to_bits());
-    assert_eq!(real(IMAGE_BYTES - 8), residual.network().output.bias[0].to_bits());
+    assert_eq!(bytes[VERSION_AT..HEADER_BYTES], [0; 4]);
+    assert_eq!(real(SIGNED_BYTES - 4), residual.network().output.bias[0].to_bits());
+    assert_eq!(bytes[SIGNED_BYTES..IMAGE_BYTES - CHECKSUM_BYTES], [0; SIGNATURE_BYTES], "unsigned");
     assert_eq!(bytes.len(), IMAGE_BYTES);
 }
 
@@ -109,7 +112,7 @@ fn an_erased_slot_is_no_image_and_the_rest_of_a_slot_is_ignored() {
 
 #[test]
 fn an_image_made_for_something_else_is_refused_with_the_reason() {
-    assert_eq!(decode(&forged(|b| b[4] = 2)), Err(WeightsError::Version(2)));
+    assert_eq!(decode(&forged(|b| b[4] = 1)), Err(WeightsError::Version(1)));
     assert_eq!(decode(&forged(|b| b[6] = 9)), Err(WeightsError::Architecture(9)));
     assert_eq!(decode(&forged(|b| b[10] = 64)), Err(WeightsError::Shape([24, 64, 16, 1])));
     assert_eq!(decode(&forged(|b| b[16..20].fill(0))), Err(WeightsError::Spec(ResidualError::Period(0))));
@@ -121,14 +124,15 @@ fn an_image_made_for_something_else_is_refused_with_the_reason() {
 #[test]
 fn a_smaller_sound_image_of_another_architecture_is_not_called_damaged() {
     let mut bytes = packed(&residual(1));
-    bytes.truncate(HEADER_BYTES);
+    let end = HEADER_BYTES + SIGNATURE_BYTES;
+    bytes.truncate(end);
     (bytes[6], bytes[122], bytes[123]) = (2, 0, 0);
     let checksum = crc32(&bytes);
     bytes.extend(checksum.to_le_bytes());
     assert_eq!(decode(&bytes), Err(WeightsError::Architecture(2)));
     bytes[6] = 1;
-    let checksum = crc32(&bytes[..HEADER_BYTES]);
-    bytes[HEADER_BYTES..].copy_from_slice(&checksum.to_le_bytes());
+    let checksum = crc32(&bytes[..end]);
+    bytes[end..].copy_from_slice(&checksum.to_le_bytes());
     assert_eq!(decode(&bytes), Err(WeightsError::Shape([24, 32, 16, 1])));
 }
 
@@ -157,7 +161,7 @@ fn an_altered_golden_value_or_controller_is_refused_in_spite_of_its_checksum() {
         assert_eq!(decode(&forged(|b| b[at] ^= 1)), Err(WeightsError::Golden));
     }
     assert_eq!(decode(&forged(|b| put(b, 24, 3.0))), Err(WeightsError::Golden));
-    assert_eq!(decode(&forged(|b| put(b, IMAGE_BYTES - 8, 0.123))), Err(WeightsError::Golden));
+    assert_eq!(decode(&forged(|b| put(b, SIGNED_BYTES - 4, 0.123))), Err(WeightsError::Golden));
 }
 
 #[test]
@@ -190,7 +194,7 @@ proptest! {
     #[test]
     fn random_bytes_are_refused(mut bytes in prop::collection::vec(any::<u8>(), 0..2 * IMAGE_BYTES), with_magic: bool) {
         if with_magic && bytes.len() > 5 {
-            bytes[..6].copy_from_slice(b"EUPN\x01\0");
+            bytes[..6].copy_from_slice(b"EUPN\x02\0");
         }
         prop_assert!(decode(&bytes).is_err());
     }

@@ -9,6 +9,7 @@ use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
+use crate::weights::trust::tests::{signed, trust, unsigned};
 use crate::weights::{Identity, encode};
 
 const SECTOR: usize = 8192;
@@ -117,6 +118,59 @@ fn forged(gain: f32) -> [u8; IMAGE_BYTES] {
     let checksum = crc32(&forged[..IMAGE_BYTES - 4]);
     forged[IMAGE_BYTES - 4..].copy_from_slice(&checksum.to_le_bytes());
     forged
+}
+
+/// Stores an image in slots that trust a key.
+fn trusted(flash: &mut Nor<4>, image: &[u8; IMAGE_BYTES]) -> Result<Slot, StoreError> {
+    let mut slots = Slots::new(flash.clone(), STARTS).trusting(trust(1));
+    let slot = slots.store(image).map(|(slot, _)| slot);
+    *flash = slots.flash;
+    slot
+}
+
+#[test]
+fn a_device_with_a_key_stores_only_newer_images() {
+    let mut flash = Nor::new();
+    assert_eq!(trusted(&mut flash, &signed(1, 5, 1)), Ok(Slot::A));
+    for version in [0, 4, 5] {
+        let before = flash.cells.clone();
+        let refused = Err(StoreError::NotNewer { version, stored: 5 });
+        assert_eq!(trusted(&mut flash, &signed(1, version, 1)), refused);
+        assert_eq!(flash.cells, before, "nothing is erased");
+    }
+    let refused = Err(StoreError::NotNewer { version: 1, stored: 5 });
+    assert_eq!(trusted(&mut flash, &signed(2, 1, 1)), refused, "another plant");
+    assert_eq!(trusted(&mut flash, &signed(1, 6, 1)), Ok(Slot::B));
+    assert_eq!(trusted(&mut flash, &signed(1, 6, 1)), Err(StoreError::NotNewer { version: 6, stored: 6 }));
+    assert_eq!(trusted(&mut flash, &signed(1, 7, 1)), Ok(Slot::A));
+}
+
+#[test]
+fn an_image_whose_store_was_cut_off_is_stored_again() {
+    let mut flash = Nor::<4>::new();
+    assert_eq!(trusted(&mut flash, &signed(1, 5, 1)), Ok(Slot::A));
+    flash.supply = SECTOR + COMMIT as usize;
+    assert_eq!(trusted(&mut flash, &signed(1, 6, 1)), Err(StoreError::Flash), "before the commit word");
+    flash.supply = usize::MAX;
+    assert_eq!(trusted(&mut flash, &signed(1, 6, 1)), Ok(Slot::B));
+}
+
+#[test]
+fn an_image_that_is_not_trusted_does_not_run_and_holds_no_version() {
+    let mut flash = Nor::<4>::new();
+    let mut development = Slots::new(flash.clone(), STARTS);
+    for image in [signed(1, 9, 2), unsigned(1)] {
+        development.store(&image).unwrap();
+    }
+    assert_eq!(development.load().map(|(slot, _)| slot), Some(Slot::B), "a development build runs it");
+    flash = development.flash;
+    let mut slots = Slots::new(flash.clone(), STARTS).trusting(trust(1));
+    assert_eq!(slots.load().map(|(slot, _)| slot), None);
+    let invalid = [ImageProblem::Signature, ImageProblem::Unsigned].map(SlotState::Invalid);
+    assert_eq!(slots.states(), invalid);
+    assert!(trusted(&mut flash, &signed(1, 1, 1)).is_ok());
+    let mut slots = Slots::new(flash, STARTS).trusting(trust(1));
+    assert_eq!(slots.load().map(|(_, image)| image.version), Some(1));
 }
 
 fn id(image: &[u8; IMAGE_BYTES]) -> u32 {

@@ -1,0 +1,56 @@
+//! `trainer keys`: makes the key pair with which weights are signed, or shows its public key.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use device::keys::{PrivateKey, hex, public_file};
+use serde::Serialize;
+
+use super::output::OutputArgs;
+
+/// Make a key pair for signing weights, or show its public key
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer keys --out weights.key
+  trainer keys --show weights.key
+  EUPNEA_WEIGHTS_KEY=$(cat weights.key.pub) cargo xtask firmware
+  trainer flash weights.bin --port /dev/ttyACM0 --key weights.key
+
+A firmware that is built with a public key runs only weights that were signed with the private key
+of the pair. Without a key it is a development build, which accepts every valid image.
+
+The private key is written for its owner alone (mode 0600) and is never overwritten. Who has it can
+sign weights for every device with its public key; if it is lost, those devices need another
+firmware.")]
+pub struct Args {
+    /// Make a key pair: the private key in this file, the public key in FILE.pub
+    #[arg(long, value_name = "FILE", required_unless_present = "show")]
+    out: Option<PathBuf>,
+    /// Show the public key of this private key
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    show: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Summary {
+    public_key: String,
+    id: String,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let key = if let Some(path) = &args.out {
+        let key = PrivateKey::create(path)?;
+        args.output.saved(path);
+        args.output.saved(&public_file(path));
+        key
+    } else {
+        PrivateKey::load(args.show.as_ref().context("give --out or --show")?)?
+    };
+    let summary = Summary { public_key: key.public(), id: hex(&key.id().0) };
+    args.output.line(&format!("public key {}, named {} by devices", summary.public_key, summary.id));
+    args.output.finish(&summary)
+}
