@@ -19,6 +19,7 @@ pub mod checksum;
 pub mod control;
 pub mod device;
 pub mod explore;
+pub mod flash;
 pub mod link;
 pub mod math;
 pub mod recorder;

@@ -231,7 +231,7 @@ impl<'a> Server<'a> {
         let id = self.committed;
         let refusal = |error| match error {
             StoreError::NotNewer { version, stored } => Refusal::OldWeights { version, stored },
-            StoreError::Flash | StoreError::Readback => Refusal::Storage,
+            StoreError::Flash(_) => Refusal::Storage,
         };
         self.send(slot.map(|slot| Response::Weights { id, slot }).map_err(refusal))
     }

@@ -16,6 +16,7 @@ use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
+use crate::flash::FlashError;
 use crate::link::host_name::HostName;
 use crate::link::messages::{AlarmStatus, CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
@@ -138,7 +139,10 @@ impl Rig {
                 NextStep::Store => {
                     let image = *self.server.image();
                     if self.flash_fails {
-                        self.server.stored(Err(StoreError::Flash), [SlotState::Empty, SlotState::Torn])
+                        self.server.stored(
+                            Err(StoreError::Flash(FlashError::Operation)),
+                            [SlotState::Empty, SlotState::Torn],
+                        )
                     } else {
                         self.stored.push(image);
                         let id = decode(&image).unwrap().id;

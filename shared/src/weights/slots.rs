@@ -9,30 +9,25 @@
 //! | [`RECORD`] + [`UNIT`] | commit word, u32, padded with 0xFF to one [`UNIT`] |
 //!
 //! A store erases the slot that is not the newest, writes image and record with read-back, and writes the commit word
-//! last. Until then the slot counts as torn and the other one stays the newest. Every address is written once after an
-//! erase, in multiples of [`UNIT`], which suits flash with words of up to that size.
+//! last. Until then the slot counts as torn and the other one stays the newest.
 
-use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
+use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::trust::Trust;
 use super::{IMAGE_BYTES, Image, ImageProblem, VERSION_AT, WeightsError, decode_trusted};
-use crate::checksum::{crc32, verified};
+use crate::checksum::verified;
+pub use crate::flash::UNIT;
+use crate::flash::{self, COMMITTED, ERASED, FlashError};
 
-/// Unit of writing, bytes: the longest word of the supported flash memories.
-pub const UNIT: usize = 32;
 /// Offset of the record in a slot.
 pub const RECORD: u32 = IMAGE_BYTES.next_multiple_of(UNIT) as u32;
 /// Offset of the commit word in a slot.
 const COMMIT: u32 = RECORD + UNIT as u32;
 /// Length of a slot's content, bytes.
 pub const SLOT_BYTES: u32 = COMMIT + UNIT as u32;
-/// Commit word: everything before it was written and read back.
-const COMMITTED: u32 = 0x4B4F_2121;
-/// Value of an erased byte.
-const ERASED: u8 = 0xFF;
 
 /// One of the two slots. The order of the variants is part of the link's protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,12 +69,9 @@ impl SlotState {
 /// Reason why an image was not stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum StoreError {
-    /// The flash refused an operation.
-    #[error("the flash refused to read, erase or write")]
-    Flash,
-    /// The flash does not contain the data that was written.
-    #[error("the flash does not contain the data that was written; the sector may be worn out")]
-    Readback,
+    /// The flash failed.
+    #[error(transparent)]
+    Flash(#[from] FlashError),
     /// The device trusts a key, and an image of its own is not older.
     #[error("version {version} is not newer than {stored}, which is stored")]
     NotNewer {
@@ -121,7 +113,7 @@ impl<F: NorFlash> Slots<F> {
     }
 
     #[inline(never)]
-    fn state(&mut self, slot: Slot) -> Result<SlotState, StoreError> {
+    fn state(&mut self, slot: Slot) -> Result<SlotState, FlashError> {
         let (mut bytes, mut record, mut commit) = ([0; IMAGE_BYTES], [0; UNIT], [0; UNIT]);
         let start = self.starts[slot as usize];
         self.read(start, &mut bytes)?;
@@ -130,23 +122,21 @@ impl<F: NorFlash> Slots<F> {
         if bytes.iter().chain(&record).chain(&commit).all(|byte| *byte == ERASED) {
             return Ok(SlotState::Empty);
         }
-        Ok(match (generation(&record, &commit), identity(&bytes), self.refused[slot as usize]) {
+        Ok(match (flash::committed(&record, &commit), identity(&bytes), self.refused[slot as usize]) {
             (None, ..) => SlotState::Torn,
             (Some(_), None, _) => SlotState::Invalid(ImageProblem::Checksum),
             (Some(_), Some(_), Some(problem)) => SlotState::Invalid(problem),
-            (Some(generation), Some(id), None) => SlotState::Valid { generation, id },
+            (Some([generation]), Some(id), None) => SlotState::Valid { generation, id },
         })
     }
 
-    /// Reads any number of bytes, also if it is not a multiple of the flash's word.
-    fn read(&mut self, start: u32, bytes: &mut [u8]) -> Result<(), StoreError> {
-        let mut unit = [0; UNIT];
-        for (index, part) in bytes.chunks_mut(UNIT).enumerate() {
-            let place = start + (index * UNIT) as u32;
-            ReadNorFlash::read(&mut self.flash, place, &mut unit).map_err(|_| StoreError::Flash)?;
-            part.copy_from_slice(&unit[..part.len()]);
-        }
-        Ok(())
+    fn read(&mut self, start: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        flash::read(&mut self.flash, start, bytes)
+    }
+
+    /// The flash, for what else is stored in it.
+    pub fn flash(&mut self) -> &mut F {
+        &mut self.flash
     }
 
     /// Decodes the newest valid image; if it is refused, that of the other slot.
@@ -213,44 +203,17 @@ impl<F: NorFlash> Slots<F> {
             _ => (Slot::A, 0),
         };
         let start = self.starts[slot as usize];
-        let end = start + SLOT_BYTES.next_multiple_of(F::ERASE_SIZE as u32);
-        self.flash.erase(start, end).map_err(|_| StoreError::Flash)?;
+        flash::erase(&mut self.flash, start, SLOT_BYTES)?;
         self.refused[slot as usize] = None;
         self.write(start, image)?;
-        self.write(start + RECORD, &record(generation))?;
+        self.write(start + RECORD, &flash::record([generation]))?;
         self.write(start + COMMIT, &COMMITTED.to_le_bytes())?;
         Ok((slot, generation))
     }
 
-    /// Writes in whole units and reads each back.
-    fn write(&mut self, start: u32, bytes: &[u8]) -> Result<(), StoreError> {
-        for (index, part) in bytes.chunks(UNIT).enumerate() {
-            let place = start + (index * UNIT) as u32;
-            let (mut unit, mut back) = ([ERASED; UNIT], [0; UNIT]);
-            unit[..part.len()].copy_from_slice(part);
-            self.flash.write(place, &unit).map_err(|_| StoreError::Flash)?;
-            self.read(place, &mut back)?;
-            if unit != back {
-                return Err(StoreError::Readback);
-            }
-        }
-        Ok(())
+    fn write(&mut self, start: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        flash::write(&mut self.flash, start, bytes)
     }
-}
-
-fn record(generation: u32) -> [u8; 8] {
-    let [a, b, c, d] = generation.to_le_bytes();
-    let [e, f, g, h] = crc32(&[a, b, c, d]).to_le_bytes();
-    [a, b, c, d, e, f, g, h]
-}
-
-/// Generation of a committed record.
-fn generation(record: &[u8; UNIT], commit: &[u8; UNIT]) -> Option<u32> {
-    if commit[..4] != COMMITTED.to_le_bytes() {
-        return None;
-    }
-    let generation = *verified(&record[..8])?.first_chunk()?;
-    Some(u32::from_le_bytes(generation))
 }
 
 /// Id of an image with the right checksum: the checksum itself.
@@ -259,14 +222,14 @@ fn identity(image: &[u8; IMAGE_BYTES]) -> Option<u32> {
     Some(u32::from_le_bytes(*image.last_chunk()?))
 }
 
-/// The valid slots, the newest first. Generations wrap: the newer one is ahead by less than half of the range.
+/// The valid slots, the newest first.
 fn by_age(states: &[SlotState; 2]) -> Vec<Slot, 2> {
     let generation = |slot: Slot| match states[slot as usize] {
         SlotState::Valid { generation, .. } => Some(generation),
         _ => None,
     };
     let order = match (generation(Slot::A), generation(Slot::B)) {
-        (Some(a), Some(b)) if b.wrapping_sub(a) as i32 > 0 => [Some(Slot::B), Some(Slot::A)],
+        (Some(a), Some(b)) if flash::is_newer(b, a) => [Some(Slot::B), Some(Slot::A)],
         (a, b) => [a.map(|_| Slot::A), b.map(|_| Slot::B)],
     };
     order.into_iter().flatten().collect()

@@ -1,10 +1,9 @@
-use std::boxed::Box;
 use std::vec::Vec;
 
-use embedded_storage::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind};
 use proptest::prelude::*;
 
 use super::*;
+use crate::checksum::crc32;
 use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
@@ -15,88 +14,7 @@ use crate::weights::{Identity, encode};
 const SECTOR: usize = 8192;
 const STARTS: [u32; 2] = [0, SECTOR as u32];
 
-/// NOR flash with words of `W` bytes: an erase sets bits, a write clears them, and a word is written once. After a number
-/// of bytes the supply fails in the middle of the running operation.
-#[derive(Clone)]
-struct Nor<const W: usize> {
-    cells: Box<[u8; 2 * SECTOR]>,
-    /// Bytes written since their last erase.
-    written: Box<[bool; 2 * SECTOR]>,
-    /// Bytes that can be erased or written until the supply fails.
-    supply: usize,
-    /// First byte that cannot be read.
-    unreadable: usize,
-}
-
-#[derive(Debug)]
-struct Cut;
-
-impl NorFlashError for Cut {
-    fn kind(&self) -> NorFlashErrorKind {
-        NorFlashErrorKind::Other
-    }
-}
-
-impl<const W: usize> Nor<W> {
-    fn new() -> Self {
-        let (cells, written) = (Box::new([ERASED; 2 * SECTOR]), Box::new([false; 2 * SECTOR]));
-        Self { cells, written, supply: usize::MAX, unreadable: usize::MAX }
-    }
-
-    fn spend(&mut self) -> Result<(), Cut> {
-        self.supply = self.supply.checked_sub(1).ok_or(Cut)?;
-        Ok(())
-    }
-}
-
-impl<const W: usize> ErrorType for Nor<W> {
-    type Error = Cut;
-}
-
-impl<const W: usize> ReadNorFlash for Nor<W> {
-    const READ_SIZE: usize = 1;
-
-    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Cut> {
-        if offset as usize + bytes.len() > self.unreadable {
-            return Err(Cut);
-        }
-        bytes.copy_from_slice(&self.cells[offset as usize..][..bytes.len()]);
-        Ok(())
-    }
-
-    fn capacity(&self) -> usize {
-        self.cells.len()
-    }
-}
-
-impl<const W: usize> NorFlash for Nor<W> {
-    const WRITE_SIZE: usize = W;
-    const ERASE_SIZE: usize = SECTOR;
-
-    fn erase(&mut self, from: u32, to: u32) -> Result<(), Cut> {
-        let range = from as usize..to as usize;
-        assert!(range.start.is_multiple_of(SECTOR) && range.end.is_multiple_of(SECTOR));
-        for place in range.clone() {
-            // During its erase a sector has any content.
-            self.cells[place] ^= 0x5A;
-        }
-        for place in range {
-            self.spend()?;
-            (self.cells[place], self.written[place]) = (ERASED, false);
-        }
-        Ok(())
-    }
-
-    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Cut> {
-        assert!((offset as usize).is_multiple_of(W) && bytes.len().is_multiple_of(W));
-        for (place, byte) in (offset as usize..).zip(bytes) {
-            self.spend()?;
-            assert!(!core::mem::replace(&mut self.written[place], true), "byte {place} written twice");
-            self.cells[place] &= byte;
-        }
-        Ok(())
-    }
-}
+type Nor<const W: usize> = flash::nor::Nor<W, SECTOR>;
 
 fn image(gain: f32) -> [u8; IMAGE_BYTES] {
     let spec = ResidualSpec {
@@ -150,7 +68,11 @@ fn an_image_whose_store_was_cut_off_is_stored_again() {
     let mut flash = Nor::<4>::new();
     assert_eq!(trusted(&mut flash, &signed(1, 5, 1)), Ok(Slot::A));
     flash.supply = SECTOR + COMMIT as usize;
-    assert_eq!(trusted(&mut flash, &signed(1, 6, 1)), Err(StoreError::Flash), "before the commit word");
+    assert_eq!(
+        trusted(&mut flash, &signed(1, 6, 1)),
+        Err(StoreError::Flash(FlashError::Operation)),
+        "before the commit word"
+    );
     flash.supply = usize::MAX;
     assert_eq!(trusted(&mut flash, &signed(1, 6, 1)), Ok(Slot::B));
 }
@@ -179,13 +101,12 @@ fn id(image: &[u8; IMAGE_BYTES]) -> u32 {
 
 /// The slot and image id that are loaded at a start.
 fn boot<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
-    let flash = Nor { supply: usize::MAX, ..flash.clone() };
-    Slots::new(flash, STARTS).load().map(|(slot, image)| (slot, image.id))
+    Slots::new(flash.powered(), STARTS).load().map(|(slot, image)| (slot, image.id))
 }
 
 /// Like [`boot`], but by the checksums alone: fast enough to call after every byte.
 fn newest<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
-    let mut slots = Slots::new(Nor { supply: usize::MAX, ..flash.clone() }, STARTS);
+    let mut slots = Slots::new(flash.powered(), STARTS);
     let states = slots.states();
     by_age(&states).first().map(|&slot| match states[slot as usize] {
         SlotState::Valid { id, .. } => (slot, id),
@@ -284,7 +205,7 @@ fn an_unreadable_slot_is_not_overwritten() {
     let before = stored(stored(Nor::<4>::new(), &old), &new);
     let mut slots = Slots::new(Nor { unreadable: SECTOR, ..before.clone() }, STARTS);
     assert_eq!(slots.states()[1], SlotState::Torn);
-    assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash));
+    assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash(FlashError::Operation)));
     assert_eq!(slots.flash.cells, before.cells);
 }
 
@@ -295,7 +216,7 @@ fn a_refused_image_stays_refused_when_its_erase_fails() {
     slots.load().unwrap();
     let sound = slots.flash.cells.clone();
     slots.flash.supply = 0;
-    assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash));
+    assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash(FlashError::Operation)));
     // The erase had no effect at all.
     (slots.flash.cells, slots.flash.supply) = (sound, usize::MAX);
     assert_eq!(slots.states()[1], SlotState::Invalid(ImageProblem::Golden));
@@ -314,7 +235,7 @@ fn flash_that_does_not_keep_what_was_written_is_noticed() {
     let mut flash = Nor::<1>::new();
     flash.cells[100] = 0; // stuck bits: no erase in this test restores them
     let mut slots = Slots::new(flash, STARTS);
-    assert_eq!(slots.write(96, &[0xAA; 8]), Err(StoreError::Readback));
+    assert_eq!(slots.write(96, &[0xAA; 8]), Err(FlashError::Readback));
 }
 
 proptest! {
