@@ -62,8 +62,10 @@ impl Pressure {
         self.last = [last, reading];
     }
 
+    /// Whether too few differences are numbers, or their mean is too large.
     fn is_noisy(&self, ticks: u32) -> bool {
-        !self.noise.of(ticks).is_some_and(|noise| noise <= NOISE_MAX * SECOND_DIFFERENCE)
+        // The first two readings end no second difference.
+        !self.noise.of(ticks.saturating_sub(2)).is_some_and(|noise| noise <= NOISE_MAX * SECOND_DIFFERENCE)
     }
 }
 

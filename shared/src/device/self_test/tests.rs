@@ -254,6 +254,29 @@ fn noise_is_seen_and_a_drift_is_none() {
     assert_eq!(rest(|tick| at_rest(4.0 + 0.004 * tick as f32, 4.0 + 0.004 * tick as f32, 0.0)), Passed);
 }
 
+#[test]
+fn quiet_sensors_pass_at_every_control_period() {
+    for (period_us, ticks) in [(250, 2000), (25_000, 20), (26_316, 19), (30_000, 17), (50_000, 10)] {
+        let observed = |missing: &[usize]| {
+            let mut test = SelfTest::after_boot(period_us, &SOUND);
+            for tick in 0..ticks {
+                assert_eq!(
+                    test.report()[Step::Sensors as usize].outcome,
+                    Runs,
+                    "{period_us} us, tick {tick}"
+                );
+                let pressure = if missing.contains(&tick) { f32::NAN } else { 5.0 };
+                test.step(&at_rest(pressure, 5.0, 0.0), &Settings::default(), false);
+            }
+            test.report()[Step::Sensors as usize].outcome
+        };
+        assert_eq!(observed(&[]), Passed, "{period_us} us");
+        // Nine of ten of the differences must be numbers too: a reading takes three with it, the last one only its own.
+        let last = observed(&[ticks - 1]);
+        assert_eq!(last, if ticks > 10 { Passed } else { Failed(Finding::Noisy) }, "{period_us} us");
+    }
+}
+
 /// A self-test after a zeroing at these readings.
 fn zeroed(mut test: SelfTest, airway: f32, outlet: f32) -> SelfTest {
     test.begin(Check::Zero).unwrap();
