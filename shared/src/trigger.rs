@@ -16,7 +16,7 @@ const GAP: usize = 5;
 /// Smallest and largest number of blocks through which the line is drawn.
 const LINE: (usize, usize) = (12, 24);
 /// Blocks after the inspiration that belong to no line: the expiratory valve opens.
-const OPENING: usize = 20;
+const OPENING: usize = 19;
 /// Blocks that are kept.
 const KEPT: usize = 32;
 /// Multiple of the mean noise of a value below which a deviation of a block of one value can be noise: five standard deviations
@@ -78,7 +78,7 @@ impl Signal {
 
     /// Distance of the last block from the line through the blocks before it; none while these are too few.
     fn deviation(&self) -> Option<f32> {
-        let count = self.blocks.checked_sub(OPENING + GAP).filter(|count| *count >= LINE.0)?.min(LINE.1);
+        let count = self.blocks.checked_sub(OPENING + GAP + 1).filter(|count| *count >= LINE.0)?.min(LINE.1);
         let middle = 0.5 * (count - 1) as f32;
         let (mut level, mut slope) = (0.0, 0.0);
         for place in 0..count {
@@ -156,8 +156,8 @@ mod tests {
     use proptest::prelude::*;
 
     const PEEP: f32 = 5.0;
-    /// End of the inspiration of the paper's breath, and the earliest tick with a line: 20 blocks later, 12 for the line, 5 for
-    /// the gap.
+    /// End of the inspiration of the paper's breath, and the end of the first block that is compared with a line: 19 for the
+    /// valve that opens, 12 for the line, 5 for the gap, and itself.
     const EXPIRES: u32 = 1000;
     const EARLIEST: u32 = EXPIRES + 370;
 
@@ -248,8 +248,25 @@ mod tests {
     }
 
     #[test]
+    fn the_blocks_in_which_the_valve_opens_belong_to_no_line_and_the_next_one_does() {
+        // By the number of the block that differs from all others.
+        let deviation = |blocks: usize, odd: usize| {
+            let mut signal = Signal { blocks, ..Signal::default() };
+            signal.means[odd % KEPT] = 100.0;
+            signal.deviation()
+        };
+        let (line, gap, last) = (OPENING, OPENING + LINE.0, OPENING + LINE.0 + GAP);
+        assert_eq!((line, last), (19, 36));
+        assert_eq!(deviation(last, last), None, "too few for a line");
+        let unseen = (last + 1 - KEPT..line).chain(gap..last);
+        unseen.for_each(|odd| assert_eq!(deviation(last + 1, odd), Some(0.0), "block {odd}"));
+        (line..gap).for_each(|odd| assert!(deviation(last + 1, odd).unwrap().abs() > 1.0, "block {odd}"));
+        assert_eq!(deviation(last + 1, last), Some(100.0));
+    }
+
+    #[test]
     fn a_line_of_any_slope_is_followed_exactly() {
-        for blocks in [LINE.0 + OPENING + GAP, LINE.1 + OPENING + GAP, 100] {
+        for blocks in [LINE.0 + OPENING + GAP + 1, LINE.1 + OPENING + GAP + 1, 100] {
             let mut signal = Signal { blocks, ..Signal::default() };
             (blocks - KEPT..blocks).for_each(|block| signal.means[block % KEPT] = 0.5 * block as f32);
             assert!(signal.deviation().unwrap().abs() < 1e-3, "{:?}", signal.deviation());
