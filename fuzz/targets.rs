@@ -149,7 +149,7 @@ impl<'a> Rig<'a> {
             failure: None,
             trust: Trust::Development,
         };
-        let boot = Boot { cause: facts.reset, failed: false, weights: None };
+        let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
         Self {
             recorder: Recorder::attach(memory, boot),
             control: Control::new(facts.device, facts.period_us, None, CORE_HZ)

@@ -93,7 +93,20 @@ mod tests {
             let end = flash.origin + bytes;
             assert_eq!((a.origin, a.length), (end - 2 * SECTOR, SECTOR));
             assert_eq!((b.origin, b.length), (end - SECTOR, SECTOR));
-            assert_eq!(flash.origin + flash.length, a.origin, "the program ends where the slots begin");
+            let copies = regions.iter().find(|region| region.name == "COPY_A");
+            let after = copies.unwrap_or(a).origin;
+            assert_eq!(flash.origin + flash.length, after, "the program ends where its data begins");
+        }
+    }
+
+    #[test]
+    fn each_copy_of_the_flight_recorder_has_a_sector_of_its_own_on_the_main_board() {
+        let regions = regions(CHIPS[0].0).unwrap();
+        let [a, b, slots] = ["COPY_A", "COPY_B", "SLOT_A"].map(|name| find(&regions, name).unwrap());
+        assert_eq!((b.origin - a.origin, slots.origin - b.origin), (128 * 1024, 128 * 1024));
+        for copy in [a, b] {
+            assert_eq!(copy.length, 128 * 1024);
+            assert!(copy.length >= u64::from(shared::recorder::keeper::Keeper::BYTES));
         }
     }
 
@@ -129,7 +142,7 @@ mod tests {
 
     #[test]
     fn no_two_regions_overlap() {
-        for ((map, _), count) in CHIPS.iter().zip([8, 7]) {
+        for ((map, _), count) in CHIPS.iter().zip([10, 7]) {
             let mut regions = regions(map).unwrap();
             assert_eq!(regions.len(), count);
             regions.sort_by_key(|region| region.origin);

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`rcc`] | clocks: ready bits, reset flags |
 //! | [`pwr`] | supply: ready bits |
-//! | [`flash`] | flash controller, for the two weights slots |
+//! | [`flash`] | flash controller, for the copies of the flight recorder and the weights slots |
 //! | [`iwdg`] | independent watchdog |
 //! | [`plant_port`] | USART2 as the line to the plant |
 //! | [`gpio`] | pins of ports A and B, for a debugger |
@@ -32,7 +32,7 @@ pub mod store;
 
 use core::ffi::CStr;
 
-/// File with both slots, in QEMU's working directory like the pipes. It is created if it does not exist.
+/// File with the changeable sectors of the flash, in QEMU's working directory like the pipes. It is created if it does not exist.
 pub const FLASH_FILE: &CStr = c"flash.bin";
 /// Pipe to the plant: for each request its length, u16 little endian, and its bytes. A request without bytes reports
 /// the shim's start.

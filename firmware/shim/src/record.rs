@@ -23,7 +23,7 @@ const PLAIN: usize = 13;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Handles {
-    /// File with the slots; zero: not open.
+    /// File with the changeable sectors of the flash; zero: not open.
     pub flash: u32,
     /// Pipe to the plant; zero: no plant is connected.
     pub request: u32,

@@ -1,5 +1,7 @@
 //! The control task: it runs one tick of the device per millisecond, and last silences the sounder and feeds the watchdog.
 
+use core::sync::atomic::{AtomicU8, Ordering};
+
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
@@ -9,6 +11,7 @@ use shared::device::prescription::Prescription;
 use shared::device::{ControlReply, ControlReport, ControlRequest};
 use shared::link::messages::DeviceKind;
 use shared::link::refusal::Refusal;
+use shared::recorder::keeper::Leave;
 use shared::recorder::{ChipEvent, Recorder};
 use shared::timing::TickTime;
 use shared::weights::Image;
@@ -30,6 +33,15 @@ pub static REQUEST: Signal<CriticalSectionRawMutex, ControlRequest> = Signal::ne
 pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
 /// Reports to the link task.
 pub static REPORTS: Channel<CriticalSectionRawMutex, ControlReport, REPORTS_LENGTH> = Channel::new();
+
+/// What may be done to the flash, as the number of a [`Leave`].
+static LEAVE: AtomicU8 = AtomicU8::new(Leave::Nothing as u8);
+
+/// What may be done to the flash. Only requests of the link task, which asks, and a due resumption start ventilation; the
+/// answer takes both into account, so it holds until that task sends its next request.
+pub fn leave() -> Leave {
+    Leave::of(LEAVE.load(Ordering::Relaxed))
+}
 
 /// The device's control half. Static and built in place: as part of the task it would be moved through the stack.
 /// With its error, which never occurs: taking the value out would copy kilobytes through the stack.
@@ -78,6 +90,8 @@ pub async fn run(
             REPLY.signal(control.execute(&request));
         }
         let (missed, period) = since(before, number, begun);
+        let leave = if prescription.is_due() { Leave::Nothing } else { control.leave() };
+        LEAVE.store(leave as u8, Ordering::Relaxed);
         recorder.record(&control.moment(readings.airway, &output, missed));
         let work = clock::now().wrapping_sub(read);
         control.record(&TickTime { latency, work, period, missed });

@@ -1,16 +1,18 @@
 //! The link task: it passes bytes, requests and reports between the line, the server and the control task, and owns the flash.
 
 use embassy_futures::select::{Either, select};
+use shared::device::ControlReport;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{ToDevice, ToHost, read_request};
+use shared::recorder::keeper::{Keeper, Leave};
 use shared::weights::slots::Slots;
 
 use static_cell::StaticCell;
 
-use super::control_task::{REPLY, REPORTS, REQUEST};
-use super::drivers::flash::WeightsFlash;
-use super::drivers::{clock, link_uart, watchdog};
+use super::control_task::{self, REPLY, REPORTS, REQUEST};
+use super::drivers::flash::BoardFlash;
+use super::drivers::{clock, link_uart, supply, watchdog};
 use super::recorder;
 
 /// Version of the firmware: major, minor, patch.
@@ -40,7 +42,11 @@ pub fn prepare(facts: DeviceFacts) -> &'static mut Server<'static> {
 
 /// Serves the link; never returns.
 #[embassy_executor::task]
-pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsFlash>) {
+pub async fn run(
+    server: &'static mut Server<'static>,
+    mut slots: Slots<BoardFlash>,
+    mut keeper: Option<Keeper>,
+) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
     let mut chunk = [0; CHUNK];
     loop {
@@ -64,13 +70,17 @@ pub async fn run(server: &'static mut Server<'static>, mut slots: Slots<WeightsF
                 for event in server.report(&report) {
                     send(&event).await;
                 }
+                // The counters come regularly, in every mode.
+                if let (ControlReport::Counters(_), Some(keeper)) = (report, &mut keeper) {
+                    keep_recording(keeper, slots.flash());
+                }
             }
         }
     }
 }
 
 /// Handles a request up to its answer.
-async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request: &ToDevice) {
+async fn serve(server: &mut Server<'_>, slots: &mut Slots<BoardFlash>, request: &ToDevice) {
     let mut step = server.receive(request, clock::number());
     loop {
         step = match step {
@@ -90,6 +100,15 @@ async fn serve(server: &mut Server<'_>, slots: &mut Slots<WeightsFlash>, request
                 cortex_m::peripheral::SCB::sys_reset();
             }
         };
+    }
+}
+
+/// Does the next piece of work on the copy of the flight recorder in flash.
+fn keep_recording(keeper: &mut Keeper, flash: &mut BoardFlash) {
+    let leave = if supply::has_returned() { control_task::leave() } else { Leave::Nothing };
+    if keeper.step(flash, recorder::memory(), leave) {
+        // The core stalls while a sector is erased.
+        watchdog::with_long_timeout(|| keeper.erase(flash));
     }
 }
 

@@ -6,7 +6,7 @@
 //! | `SysTick` | 0 | signals a tick |
 //! | USART1 | 2 | receives and sends the link's bytes |
 //! | control task, in the interrupt of an unused CAN port | 4 | reads, steps the ventilator, drives the valves, feeds the watchdog |
-//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights |
+//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights, copies the flight recorder |
 //! | idle loop | thread | sleeps until the next interrupt |
 
 mod board;
@@ -61,7 +61,7 @@ fn start() {
     let control = control_task::prepare(kind, loaded);
     let slots = storage.states();
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
-    let recorder = recorder::attach(reset, failure.is_some(), &slots, running);
+    let (recorder, keeper) = recorder::attach(reset, failure.is_some(), &slots, running, storage.flash());
     if !board.crystal {
         recorder.log(ChipEvent::NoCrystal);
     }
@@ -89,7 +89,7 @@ fn start() {
     ));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0)
-        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage).ok()));
+        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage, keeper).ok()));
     clock::start(&mut board.core);
 }
 

@@ -2,9 +2,12 @@
 
 use core::ptr::addr_of;
 
+use shared::recorder::keeper::Keeper;
 use shared::recorder::{Boot, Recorder, RecorderMemory};
 use shared::reset::ResetCause;
 use shared::weights::slots::{Slot, SlotState};
+
+use super::drivers::flash::{self, BoardFlash};
 
 unsafe extern "C" {
     static __recorder_start: RecorderMemory;
@@ -18,15 +21,19 @@ pub fn memory() -> &'static RecorderMemory {
     unsafe { &__recorder_start }
 }
 
-/// Attaches to the content that the last run left. Called once, before the first reader.
+/// Attaches to the content that the last run left, or to its copy in flash if the memory has lost it; returns the keeper of
+/// that copy, on a board with room for it. Called once, before the first reader.
 pub fn attach(
     cause: ResetCause,
     failed: bool,
     slots: &[SlotState; 2],
     running: Option<Slot>,
-) -> Recorder<'static> {
+    flash: &mut BoardFlash,
+) -> (Recorder<'static>, Option<Keeper>) {
     let room = addr_of!(__recorder_end) as usize - addr_of!(__recorder_start) as usize;
     assert!(room >= size_of::<RecorderMemory>(), "RECORDER in memory.x is too small for the flight recorder");
     let weights = running.and_then(|slot| slots[slot as usize].id());
-    Recorder::attach(memory(), Boot { cause, failed, weights })
+    let kept = flash::copies().map(|starts| Keeper::attach(flash, starts, memory(), cause));
+    let (keeper, restored) = kept.map_or((None, false), |(keeper, restored)| (Some(keeper), restored));
+    (Recorder::attach(memory(), Boot { cause, failed, weights, restored }), keeper)
 }

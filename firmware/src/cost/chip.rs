@@ -251,7 +251,10 @@ fn begin(control: &mut Control) {
 static MEMORY: RecorderMemory = RecorderMemory::new();
 
 fn recorder() -> Recorder<'static> {
-    Recorder::attach(&MEMORY, Boot { cause: ResetCause::PowerOn, failed: false, weights: None })
+    Recorder::attach(
+        &MEMORY,
+        Boot { cause: ResetCause::PowerOn, failed: false, weights: None, restored: false },
+    )
 }
 
 /// Measures the flight recorder's part of a tick.

@@ -4,7 +4,9 @@ use progress::{Progress, Stage, Task};
 use serde::Serialize;
 use shared::link::messages::{Request, Response};
 use shared::recorder::entry::{EVENT_BYTES, TICK_BYTES};
-use shared::recorder::{Held, LogEntry, RecorderPart, RecorderStatus, SLOW_STRIDE, TickEntry};
+use shared::recorder::{
+    ChipEvent, Happening, Held, LogEntry, RecorderPart, RecorderStatus, SLOW_STRIDE, TickEntry,
+};
 
 use super::{Device, DeviceError};
 
@@ -13,6 +15,8 @@ use super::{Device, DeviceError};
 pub struct Blackbox {
     /// State of its recording.
     pub status: RecorderStatus,
+    /// Whether the recording was read back from its copy in flash, after a loss of the supply.
+    pub from_flash: bool,
     /// Control period, microseconds.
     pub period_us: u32,
     /// Every control tick of the last 2 s.
@@ -57,6 +61,12 @@ impl RecordedTicks {
     }
 }
 
+/// Whether a recording of this start was read back from flash in a later one.
+fn is_restored(log: &[LogEntry], recorded: u16) -> bool {
+    let restored = Happening::Chip(ChipEvent::RecorderRestored);
+    log.iter().any(|event| event.happening == restored && event.boot.wrapping_sub(recorded) as i16 > 0)
+}
+
 impl Device {
     /// State of the flight recorder.
     ///
@@ -87,13 +97,15 @@ impl Device {
         let events: Vec<_> =
             log.as_chunks::<EVENT_BYTES>().0.iter().map(|entry| LogEntry::read(*entry)).collect();
         let unread = events.iter().filter(|event| event.is_none()).count();
+        let log: Vec<LogEntry> = events.into_iter().flatten().collect();
         let tick_s = f64::from(period_us) * 1e-6;
         Ok(Blackbox {
             status,
             period_us,
             fast: RecordedTicks::of(&fast, tick_s),
             slow: RecordedTicks::of(&slow, tick_s * f64::from(SLOW_STRIDE)),
-            log: events.into_iter().flatten().collect(),
+            from_flash: is_restored(&log, status.tick_boot),
+            log,
             unread,
         })
     }
@@ -132,5 +144,19 @@ impl Device {
     /// [`DeviceError`].
     pub fn clear_recorder(&mut self) -> Result<(), DeviceError> {
         self.expect(&Request::ClearRecorder, |answer| matches!(answer, Response::Done))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_is_from_flash_only_if_it_was_restored_after_its_start() {
+        let restored = Happening::Chip(ChipEvent::RecorderRestored);
+        let at = |boot, happening| LogEntry { tick: 0, boot, happening };
+        let log = [at(1, Happening::Start), at(2, restored), at(3, Happening::Start)];
+        assert_eq!([1, 2, 3].map(|recorded| is_restored(&log, recorded)), [true, false, false]);
+        assert!(!is_restored(&log[..1], 1) && is_restored(&[at(0, restored)], u16::MAX));
     }
 }

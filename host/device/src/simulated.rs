@@ -255,7 +255,7 @@ fn boot<'a>(
 ) -> (Control, Server<'a>, Recorder<'a>) {
     let slots = states(flash);
     let weights = newest.and_then(|slot| slots[slot as usize].id());
-    let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights });
+    let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights, restored: false });
     let image = newest.and_then(|slot| flash[slot as usize]).and_then(|bytes| decode(&bytes).ok());
     let learned = image.map(|image| image.residual);
     let running = newest.filter(|_| learned.is_some());

@@ -6,7 +6,7 @@ use std::process::ExitStatus;
 
 use thiserror::Error;
 
-/// Number of bytes of both weight slots together.
+/// Number of bytes of the changeable sectors of the flash: both copies of the flight recorder, then both weights slots.
 pub const FLASH_BYTES: usize = shim::flash::SLOTS_BYTES as usize;
 /// Name of the program.
 pub(crate) const PROGRAM: &str = "qemu-system-arm";
@@ -27,7 +27,7 @@ pub enum EmulatorError {
     #[error("{} is missing or not an ELF image; run: cargo xtask firmware", .0.display())]
     ImageMissing(PathBuf),
     /// The flash content has the wrong size.
-    #[error("the initial flash has {0} bytes; it must have {FLASH_BYTES}, both slots together")]
+    #[error("the initial flash has {0} bytes; it must have {FLASH_BYTES}, all changeable sectors together")]
     FlashSize(usize),
     /// Another board runs in the folder.
     #[error("a board is already running in {}: give each board its own folder", .0.display())]

@@ -49,7 +49,7 @@ pub struct EmulatorConfig {
     pub folder: Option<PathBuf>,
     /// TCP port of the link on this machine; 0 picks a free port.
     pub link: u16,
-    /// Content of both weight slots, [`FLASH_BYTES`] bytes. `None`: the folder's content; erased in a new folder.
+    /// Content of the changeable sectors of the flash, [`FLASH_BYTES`] bytes. `None`: the folder's content; erased in a new folder.
     pub flash: Option<Vec<u8>>,
     /// Whether a debugger can connect.
     pub debugger: bool,
@@ -130,7 +130,7 @@ impl Emulator {
         self.debugger
     }
 
-    /// The present content of both weight slots, [`FLASH_BYTES`] bytes.
+    /// The present content of the changeable sectors of the flash, [`FLASH_BYTES`] bytes.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_flash_must_fill_both_slots() {
+    fn the_flash_must_fill_all_sectors() {
         let refused = Folder::open(None, Some(vec![0; 1000]));
         assert!(matches!(refused, Err(EmulatorError::FlashSize(1000))));
         let folder = Folder::open(None, Some(vec![7; FLASH_BYTES])).unwrap();

@@ -24,7 +24,9 @@ Examples:
 The recorder contains the last 2 s of control ticks, the last 60 s at a twentieth of their rate, and
 a log of a thousand events. It records while the device ventilates and for a short time after a
 fault or a stop; then it pauses until ventilation starts again. Its contents survive a reset (which
-ends a running recording), but not a loss of power. A device that is ventilating continues.")]
+ends a running recording). A board with room for it copies them to flash when ventilation has ended;
+after a loss of power that copy is read, and the output says so. A device that is ventilating
+continues.")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]

@@ -20,6 +20,7 @@ use crate::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Response}
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::{BreathMeter, Counters};
 use crate::recorder::Moment;
+use crate::recorder::keeper::Leave;
 use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::safety::host::HostWatch;
@@ -174,6 +175,18 @@ impl Control {
     /// Mode of the ventilator.
     pub fn mode(&self) -> Mode {
         self.state.mode()
+    }
+
+    /// What may be done to the flash: nothing while the device ventilates or a check moves its valves, and no erase in the safe
+    /// state, which an operator wants to leave without delay.
+    #[inline]
+    pub fn leave(&self) -> Leave {
+        match self.state.mode() {
+            Mode::Ventilating => Leave::Nothing,
+            _ if self.self_test.moves_valves() => Leave::Nothing,
+            Mode::Fault(_) => Leave::Write,
+            Mode::Standby => Leave::Erase,
+        }
     }
 
     /// Changes that the plant must make before this tick's reading.

@@ -66,7 +66,7 @@ impl Rig {
             trust,
         };
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
-        let boot = Boot { cause: facts.reset, failed: false, weights: None };
+        let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
         Self {
             recorder: Recorder::attach(memory, boot),
             control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ)

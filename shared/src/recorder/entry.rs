@@ -142,6 +142,8 @@ pub enum ChipEvent {
     BrownOutLevelSet,
     /// The brown-out level is not the one that the board needs and has not been programmed.
     BrownOutLevelWrong,
+    /// The recorder's memory had lost its content; its newest copy in flash was read back.
+    RecorderRestored,
 }
 
 /// An event of the log.

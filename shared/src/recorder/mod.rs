@@ -16,13 +16,18 @@
 //! after a reset, and clears it after power-up or if its layout is another. A reset during a write loses at most that
 //! entry. A recording that is still running at the start shows that the device was reset while it ventilated.
 //!
+//! A loss of the supply clears the memory. So [`keeper::Keeper`] copies it to flash when ventilation has ended, and after a
+//! power-up [`Recorder::attach`] continues from that copy.
+//!
 //! # Writer and readers
 //! Only the control task writes ([`Recorder`]), with a bounded number of stores per tick. Any task may read
 //! ([`RecorderMemory::status`], [`RecorderMemory::page`]); a reader that the writer overtakes detects it and reads again,
 //! so the writer never waits.
 
 pub(crate) mod cell;
+mod copy;
 pub mod entry;
+pub mod keeper;
 mod ring;
 #[cfg(test)]
 mod tests;
@@ -146,7 +151,7 @@ impl Held {
 /// Status of the recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecorderStatus {
-    /// Starts of the device since its memory last lost power.
+    /// Starts of the device since its log began: when its memory last lost power without a copy in flash.
     pub boot: u16,
     /// State of the recording of ticks.
     pub recording: RecordingState,

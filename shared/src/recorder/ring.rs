@@ -63,6 +63,50 @@ impl<const SLOTS: usize, const HALVES: usize> Ring<SLOTS, HALVES> {
         self.origin.store(origin);
     }
 
+    /// Words of the state and the slots.
+    pub(super) const WORDS: usize = 3 + (SLOTS * HALVES).div_ceil(2);
+
+    /// A word of the ring's memory: the state, then the slots.
+    pub(super) fn word(&self, index: usize) -> u32 {
+        let half = |half: usize| self.half(half).map_or(0, |half| u32::from(half.load()));
+        match index.checked_sub(3) {
+            Some(pair) => half(2 * pair) | half(2 * pair + 1) << 16,
+            None => self.state(index).load(),
+        }
+    }
+
+    /// Sets a word of the ring's memory.
+    pub(super) fn set_word(&self, index: usize, word: u32) {
+        match index.checked_sub(3) {
+            Some(pair) => {
+                let halves = [(2 * pair, word as u16), (2 * pair + 1, (word >> 16) as u16)];
+                for (half, value) in halves {
+                    if let Some(half) = self.half(half) {
+                        half.store(value);
+                    }
+                }
+            }
+            None => self.state(index).store(word),
+        }
+    }
+
+    fn state(&self, index: usize) -> &Word {
+        match index {
+            0 => &self.next,
+            1 => &self.start,
+            _ => &self.origin,
+        }
+    }
+
+    fn half(&self, index: usize) -> Option<&Half> {
+        self.slots.get(index / HALVES)?.get(index % HALVES)
+    }
+
+    /// Removes the entries before this number.
+    pub(super) fn remove_before(&self, first: u32) {
+        self.start.store(first.max(self.start.load()).min(self.next.load()));
+    }
+
     /// Adds an entry. `stride` is the number of ticks per entry.
     #[inline]
     pub(super) fn push(&self, entry: [u16; HALVES], stride: u32) {

@@ -18,8 +18,8 @@ use crate::safety::monitors::Monitors;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output, Sample};
 
-const POWER_ON: Boot = Boot { cause: ResetCause::PowerOn, failed: false, weights: None };
-const RESET: Boot = Boot { cause: ResetCause::Watchdog, ..POWER_ON };
+pub const POWER_ON: Boot = Boot { cause: ResetCause::PowerOn, failed: false, weights: None, restored: false };
+pub const RESET: Boot = Boot { cause: ResetCause::Watchdog, ..POWER_ON };
 
 fn sample(breath: u32, tick: u32) -> Sample {
     let pressure = f32::NAN;
@@ -35,7 +35,7 @@ fn tick(recorder: &mut Recorder, mode: Mode, reading: f32) {
     recorder.record(&Moment { reading, output: &output, settings: &settings, learned: false, missed: 0 });
 }
 
-fn run(recorder: &mut Recorder, mode: Mode, readings: impl IntoIterator<Item = f32>) {
+pub fn run(recorder: &mut Recorder, mode: Mode, readings: impl IntoIterator<Item = f32>) {
     readings.into_iter().for_each(|reading| tick(recorder, mode, reading));
 }
 
@@ -46,7 +46,7 @@ fn control() -> Control {
 }
 
 /// Reads the bytes of all entries of a part, page by page.
-fn bytes(memory: &RecorderMemory, part: RecorderPart) -> StdVec<u8> {
+pub fn bytes(memory: &RecorderMemory, part: RecorderPart) -> StdVec<u8> {
     let status = memory.status();
     let held = match part {
         RecorderPart::Fast => status.fast,
@@ -85,7 +85,7 @@ fn log(memory: &RecorderMemory) -> StdVec<LogEntry> {
         .collect()
 }
 
-fn happenings(memory: &RecorderMemory) -> StdVec<Happening> {
+pub fn happenings(memory: &RecorderMemory) -> StdVec<Happening> {
     log(memory).iter().map(|entry| entry.happening).collect()
 }
 
@@ -531,6 +531,7 @@ fn every_happening_comes_back() {
         Happening::Alarm(Fault::CommandCapped),
         Happening::Chip(ChipEvent::NoCrystal),
         Happening::Chip(ChipEvent::BrownOutLevelWrong),
+        Happening::Chip(ChipEvent::RecorderRestored),
     ];
     for happening in all {
         let entry = LogEntry { tick: 1 << 31, boot: 65_535, happening };

@@ -18,6 +18,8 @@ pub struct Boot {
     pub failed: bool,
     /// Id of the loaded weights.
     pub weights: Option<u32>,
+    /// Whether the memory had lost its content and contains a copy from flash.
+    pub restored: bool,
 }
 
 /// Input of the recorder in a control tick.
@@ -79,12 +81,12 @@ impl<T: Copy + PartialEq> RateLimited<T> {
 
 impl<'a> Recorder<'a> {
     /// Attaches to memory with any content, as its first user since the device started. The content of an earlier run is
-    /// kept if the supply was stable: power-up clears everything, a supply dip everything except the log, whose entries have
-    /// checksums.
+    /// kept if the supply was stable, or if it was restored from flash. Otherwise power-up clears everything, a supply dip
+    /// everything except the log, whose entries have checksums.
     pub fn attach(memory: &'a RecorderMemory, boot: Boot) -> Self {
-        if boot.cause == ResetCause::PowerOn || !memory.is_sound() {
+        if (boot.cause == ResetCause::PowerOn && !boot.restored) || !memory.is_sound() {
             memory.format();
-        } else if boot.cause == ResetCause::BrownOut {
+        } else if boot.cause == ResetCause::BrownOut && !boot.restored {
             memory.fast.empty();
             memory.slow.empty();
             memory.set_recording(RecordingState::Nothing, 0);
@@ -114,6 +116,9 @@ impl<'a> Recorder<'a> {
             missed_logged: RateLimited { logged: Some((0, LOG_INTERVAL.wrapping_neg())) },
         };
         recorder.enter(Happening::Boot { cause: boot.cause, failed: boot.failed });
+        if boot.restored {
+            recorder.enter(Happening::Chip(ChipEvent::RecorderRestored));
+        }
         if let Some(id) = boot.weights {
             recorder.enter(Happening::Weights(id));
         }

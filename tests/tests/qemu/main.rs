@@ -35,6 +35,7 @@ use shared::device::KNOWN_GOOD;
 use shared::device::prescription::RESUMES;
 use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Event};
 use shared::link::telemetry::{Counters, PackedSample};
+use shared::recorder::keeper::Keeper;
 use shared::recorder::{
     Activity, ChipEvent, FAST_ENTRIES, FAST_TAIL, Happening, LogEntry, RecorderStatus, RecordingState,
     TickEntry,
@@ -46,7 +47,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
-use shim::flash::NEW_OPTIONS;
+use shim::flash::{NEW_OPTIONS, SECTOR_BYTES, WEIGHTS};
 use shim::record;
 use tests::debugger::{Debugger, symbol};
 use tests::exact_lung::ExactLung;

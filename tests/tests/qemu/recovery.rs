@@ -87,6 +87,117 @@ fn a_fault_is_kept_with_what_led_to_it_through_a_software_reset() {
     assert_eq!(device.recorder().unwrap().recording, RecordingState::Nothing);
 }
 
+/// A board with a folder of its own, which keeps the flash, and a debugger.
+fn kept_in(folder: &tempfile::TempDir) -> (Emulator, Device) {
+    let folder = Some(folder.path().to_owned());
+    breathing(EmulatorConfig { folder, debugger: true, ..config("hil") }, &lung())
+}
+
+/// Ventilates for two breaths and stops.
+fn ventilate(device: &mut Device) {
+    // Samples of an earlier ventilation are no part of this one.
+    device.events().try_iter().for_each(drop);
+    device.telemetry(true).unwrap();
+    device.apply(paper_settings(25.0)).unwrap();
+    device.start().unwrap();
+    Samples::default().until(device, |sample| (sample.breath, sample.tick) == (2, 0));
+    assert_eq!(device.stop().unwrap(), Mode::Standby);
+}
+
+/// Flash operations since power-on.
+fn flash_operations(board: &Emulator) -> u32 {
+    let mut halted = debugger(board);
+    let operations = halted.record().unwrap().flash_operations;
+    halted.detach().unwrap();
+    operations
+}
+
+/// Waits until the copy of the flight recorder in one of its sectors is complete, and the other sector erased for the next.
+fn copied(board: &Emulator, sector: usize) {
+    let unit = |sector: usize, last: usize| {
+        let flash = board.flash().unwrap();
+        let end = sector * SECTOR_BYTES as usize + Keeper::BYTES as usize;
+        flash[end - last * UNIT..][..4] != [0xFF; 4]
+    };
+    let deadline = Instant::now() + DEADLINE;
+    // The commit word is in the last unit but one, the mark of an ended erase in the last.
+    while !(unit(sector, 2) && !unit(1 - sector, 2) && unit(1 - sector, 1)) {
+        assert!(Instant::now() < deadline, "no copy is made");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn the_recording_of_an_ended_ventilation_outlasts_a_power_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let (board, mut device) = kept_in(&folder);
+    ventilate(&mut device);
+    copied(&board, 0);
+    let before = device.blackbox(&Progress::silent()).unwrap();
+    assert_eq!((before.status.recording, before.from_flash), (RecordingState::Stopped, false));
+    drop((device, board));
+    let (board, mut device) = kept_in(&folder);
+    assert_eq!(device.identify().unwrap().reset, ResetCause::PowerOn);
+    let after = device.blackbox(&Progress::silent()).unwrap();
+    assert!(after.from_flash);
+    assert_eq!((after.status.recording, after.status.tick), (RecordingState::Stopped, before.status.tick));
+    assert_eq!((after.status.tick_boot, after.status.boot), (1, 2));
+    let bits = |ticks: &RecordedTicks| ticks.ticks().map(|tick| tick.pressure.to_bits()).collect::<Vec<_>>();
+    assert_eq!(after.fast.entries.len(), FAST_ENTRIES);
+    assert!(bits(&after.fast) == bits(&before.fast), "every tick of the last 2 s");
+    assert!(bits(&before.slow).starts_with(&bits(&after.slow)));
+    assert!(after.slow.ticks().any(|tick| tick.pressure > 20.0), "the breaths");
+    assert!(after.log.starts_with(&before.log) && after.unread == 0);
+    assert!(happened(&after, Happening::Chip(ChipEvent::RecorderRestored)));
+    // What was read back is not copied again, and the next ventilation is.
+    ventilate(&mut device);
+    copied(&board, 1);
+    let next = device.blackbox(&Progress::silent()).unwrap();
+    assert_eq!((next.from_flash, next.status.tick_boot), (false, 2));
+}
+
+#[test]
+fn a_power_cut_in_the_middle_of_a_copy_leaves_the_older_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let (board, mut device) = kept_in(&folder);
+    ventilate(&mut device);
+    copied(&board, 0);
+    let older = device.recorder().unwrap().tick;
+    let words = Keeper::BYTES / 4;
+    let begun = flash_operations(&board);
+    assert!(
+        begun > words && begun < words + 64,
+        "a copy of {words} words and two erases: {begun} operations"
+    );
+    debugger(&board).cut_power_at(begun + words / 2).unwrap();
+    ventilate(&mut device);
+    let mut board = board;
+    board.wait().unwrap();
+    assert!(board.log().ends_with("power cut"), "{}", board.log());
+    drop((device, board));
+    let (_board, mut device) = kept_in(&folder);
+    let blackbox = device.blackbox(&Progress::silent()).unwrap();
+    assert!(blackbox.from_flash);
+    assert_eq!((blackbox.status.tick, blackbox.status.tick_boot), (older, 1));
+}
+
+#[test]
+fn a_start_in_the_middle_of_a_copy_is_served_and_nothing_is_written_while_it_ventilates() {
+    let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());
+    ventilate(&mut device);
+    let deadline = Instant::now() + DEADLINE;
+    while flash_operations(&board) < 100 {
+        assert!(Instant::now() < deadline, "no copy begins");
+    }
+    device.events().try_iter().for_each(drop);
+    assert_eq!(device.start().unwrap(), Mode::Ventilating);
+    let begun = flash_operations(&board);
+    assert!(begun < Keeper::BYTES / 4, "the copy was not complete: {begun}");
+    let mut samples = Samples::default();
+    samples.until(&device, |sample| (sample.breath, sample.tick) == (2, 0));
+    assert_eq!((flash_operations(&board), samples.counters.missed_ticks), (begun, 0));
+}
+
 /// A board that ventilates at a PIP of 25 cmH2O with learned weights, halted at the start of a control step in mid-breath.
 fn halted_in_mid_breath() -> (Emulator, Device, Debugger) {
     let (board, mut device) = breathing(EmulatorConfig { debugger: true, ..config("hil") }, &lung());

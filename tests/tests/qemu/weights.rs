@@ -6,8 +6,8 @@ use shared::weights::{ImageProblem, PLANT_BYTES};
 
 use super::*;
 
-/// Length of a weights slot, bytes.
-const SLOT: usize = 128 * 1024;
+/// Places of both slots in the flash.
+const SLOTS: [usize; 2] = [WEIGHTS as usize, (WEIGHTS + SECTOR_BYTES) as usize];
 
 /// Description of a damage, and a function that applies it to a slot.
 type Damage = (&'static str, fn(&mut [u8]));
@@ -108,13 +108,14 @@ fn torn_and_damaged_images_are_refused_and_the_older_weights_run() {
     ];
     for (name, damage) in damages {
         let mut flash = good.clone();
-        damage(&mut flash[SLOT..]);
+        damage(&mut flash[SLOTS[1]..]);
         let (_board, mut device) = breathing(EmulatorConfig { flash: Some(flash), ..config("hil") }, &lung());
         assert_eq!(running(&mut device), Some(renamed(1).1), "{name}");
     }
     let mut flash = good;
-    flash[1000] ^= 1;
-    flash[SLOT + 1000] ^= 1;
+    for slot in SLOTS {
+        flash[slot + 1000] ^= 1;
+    }
     let (_board, mut device) = breathing(EmulatorConfig { flash: Some(flash), ..config("hil") }, &lung());
     let identity = device.identify().unwrap();
     assert_eq!((identity.running, identity.controller), (None, ControllerChoice::Pid(KNOWN_GOOD)));

@@ -24,7 +24,7 @@ const FRAME_STATUS: usize = 7;
 type Kept = [u32; 8];
 
 /// Memory in which programs run: flash without the slots, and RAM, each without its last word.
-const PROGRAM: [Range<u32>; 2] = [0x0800_0000..0x080B_FFFC, 0x2000_0000..0x2001_FFFC];
+const PROGRAM: [Range<u32>; 2] = [0x0800_0000..0x0807_FFFC, 0x2000_0000..0x2001_FFFC];
 
 /// Start of RAM, and of the firmware's stack.
 const RAM: u32 = 0x2000_0000;

@@ -23,7 +23,7 @@ use shared::timing::WATCHDOG_US;
 pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
 
 use super::drivers::alarm_outputs::AlarmOutputs;
-use super::drivers::flash::{WeightsFlash, accelerate};
+use super::drivers::flash::{BoardFlash, accelerate};
 use super::drivers::watchdog::Watchdog;
 use super::drivers::{oscillator, taken_once};
 
@@ -52,8 +52,8 @@ pub struct Board {
     pub alarms: AlarmOutputs,
     /// The watchdog, not yet started.
     pub watchdog: Watchdog,
-    /// The flash with the weights slots.
-    pub flash: WeightsFlash,
+    /// The flash with the weights slots and the copies of the flight recorder.
+    pub flash: BoardFlash,
     /// Whether the crystal runs; otherwise the internal oscillator.
     pub crystal: bool,
     /// The core's own peripherals.
@@ -72,7 +72,7 @@ impl Board {
             plant,
             alarms,
             watchdog: Watchdog::new(watchdog, WATCHDOG_US),
-            flash: WeightsFlash::new(flash),
+            flash: BoardFlash::new(flash),
             crystal,
             core: taken_once(cortex_m::Peripherals::take()),
         }

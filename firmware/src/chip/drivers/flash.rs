@@ -1,4 +1,4 @@
-//! The flash: its accelerator, and the part that contains the weights slots. Only memory.x defines their addresses.
+//! The flash: its accelerator, and the parts that contain the weights slots and the copies of the flight recorder. Only memory.x defines their addresses.
 
 use core::ptr::addr_of;
 
@@ -7,25 +7,26 @@ use embassy_stm32::flash::{Blocking, Error, Flash};
 use embassy_stm32::pac::FLASH;
 use embassy_stm32::peripherals;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use shared::recorder::keeper::Keeper;
 
 /// Driver of the chip's flash; addresses are offsets from its start.
 ///
 /// The data cache is not updated by an erase, so it is off during each change and empty afterwards: a store reads back what
 /// is in the flash. The vendor's driver does that only for chips with two banks.
-pub struct WeightsFlash(Flash<'static, Blocking>);
+pub struct BoardFlash(Flash<'static, Blocking>);
 
-impl WeightsFlash {
+impl BoardFlash {
     /// Takes the flash.
     pub fn new(flash: Peri<'static, peripherals::FLASH>) -> Self {
         Self(Flash::new_blocking(flash))
     }
 }
 
-impl ErrorType for WeightsFlash {
+impl ErrorType for BoardFlash {
     type Error = Error;
 }
 
-impl ReadNorFlash for WeightsFlash {
+impl ReadNorFlash for BoardFlash {
     const READ_SIZE: usize = <Flash<'static, Blocking> as ReadNorFlash>::READ_SIZE;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
@@ -37,7 +38,7 @@ impl ReadNorFlash for WeightsFlash {
     }
 }
 
-impl NorFlash for WeightsFlash {
+impl NorFlash for BoardFlash {
     const WRITE_SIZE: usize = <Flash<'static, Blocking> as NorFlash>::WRITE_SIZE;
     const ERASE_SIZE: usize = <Flash<'static, Blocking> as NorFlash>::ERASE_SIZE;
 
@@ -75,10 +76,29 @@ unsafe extern "C" {
     static __flash_start: u8;
     static __weights_a_start: u8;
     static __weights_b_start: u8;
+    static __recorder_copy_a_start: u8;
+    static __recorder_copy_b_start: u8;
+    static __recorder_copy_b_end: u8;
 }
 
-/// Start addresses of both slots, for [`WeightsFlash`].
+/// Offset of an address from the start of the flash.
+fn offset(address: *const u8) -> u32 {
+    (address as u32).wrapping_sub(addr_of!(__flash_start) as u32)
+}
+
+/// Start addresses of both slots, for [`BoardFlash`].
 pub fn slots() -> [u32; 2] {
-    [addr_of!(__weights_a_start), addr_of!(__weights_b_start)]
-        .map(|start| (start as u32).wrapping_sub(addr_of!(__flash_start) as u32))
+    [addr_of!(__weights_a_start), addr_of!(__weights_b_start)].map(offset)
+}
+
+/// Start addresses of both copies of the flight recorder; none on a board whose flash has no room for them.
+pub fn copies() -> Option<[u32; 2]> {
+    let [a, b, end] = [
+        addr_of!(__recorder_copy_a_start),
+        addr_of!(__recorder_copy_b_start),
+        addr_of!(__recorder_copy_b_end),
+    ]
+    .map(offset);
+    let room = b.saturating_sub(a).min(end.saturating_sub(b));
+    (room >= Keeper::BYTES).then_some([a, b])
 }

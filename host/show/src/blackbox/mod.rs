@@ -18,12 +18,17 @@ pub fn story(blackbox: &Blackbox) -> String {
     let status = &blackbox.status;
     let moment = words::moment(status.tick.into(), blackbox.period_us);
     let when = format!("{moment} after start {}", status.tick_boot);
-    match status.recording {
+    let story = match status.recording {
         RecordingState::Nothing => "nothing: it was cleared, or the device has not ventilated yet".to_owned(),
         RecordingState::Running => format!("in progress: the device ventilates, started {when}"),
         RecordingState::Stopped => format!("ended by a stop, {when}"),
         RecordingState::Fault(fault) => format!("ended by a fault, {when}: {}", words::fault(fault)),
         RecordingState::Reset => format!("ended by a reset while ventilating, {when}"),
+    };
+    if blackbox.from_flash {
+        format!("{story} (read back from its copy in flash after a loss of power)")
+    } else {
+        story
     }
 }
 
@@ -35,7 +40,7 @@ pub fn summary(blackbox: &Blackbox, device: &str) -> Table {
     row("every tick", extent(&blackbox.fast));
     row("every 20th tick", extent(&blackbox.slow));
     let (events, starts) = (blackbox.log.len(), blackbox.status.boot);
-    row("events", format!("{events}, from {starts} starts since the memory lost power"));
+    row("events", format!("{events}, from {starts} starts"));
     if blackbox.unread > 0 {
         row("unreadable events", format!("{}, damaged or from a newer device", blackbox.unread));
     }
@@ -80,6 +85,7 @@ fn chip(event: ChipEvent) -> &'static str {
         ChipEvent::BrownOutLevelWrong => {
             "the brown-out level is wrong: program the option bytes (docs/HARDWARE.md)"
         }
+        ChipEvent::RecorderRestored => "the flight recorder was restored from its copy in flash",
     }
 }
 

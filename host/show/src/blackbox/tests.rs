@@ -46,6 +46,7 @@ fn blackbox() -> Blackbox {
             slow: Held::default(),
             log: held,
         },
+        from_flash: false,
         period_us: 1000,
         fast: RecordedTicks { step_s: 0.001, entries: fast },
         slow: RecordedTicks { step_s: 0.001 * f64::from(SLOW_STRIDE), entries: Vec::new() },
@@ -85,6 +86,11 @@ fn every_way_in_which_a_recording_ends_is_told() {
     assert!(told(RecordingState::Running).contains("ventilates"));
     assert!(told(RecordingState::Stopped).contains("by a stop, at 2.345 s after start 1"));
     assert!(told(RecordingState::Reset).contains("by a reset while ventilating"));
+    let restored = Blackbox { from_flash: true, ..blackbox() };
+    assert_eq!(
+        story(&restored),
+        format!("{} (read back from its copy in flash after a loss of power)", story(&blackbox()))
+    );
 }
 
 #[test]

@@ -142,6 +142,11 @@ impl SelfTest {
         }
     }
 
+    /// Whether a check moves the valves.
+    pub fn moves_valves(&self) -> bool {
+        matches!(self.activity, Activity::Manoeuvre(_))
+    }
+
     #[cold]
     fn cancel(&mut self, outcome: Outcome) {
         for step in [Step::Zero, Step::Valves, Step::Circuit, Step::Relief] {

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::device::self_test::{BootFindings, Check, Finding, Outcome, Report, Step};
+use crate::recorder::keeper::Leave;
 use crate::safety::filter::ValveCommand;
 
 /// A device after a start of the chip that has found nothing wrong.
@@ -50,4 +51,28 @@ fn a_measured_zero_is_taken_from_the_recorded_readings() {
     assert_eq!(report(&mut rig)[Step::Zero as usize].outcome, Outcome::Passed);
     let output = rig.control.step(11.0);
     assert!((rig.control.moment(11.0, &output, 0).reading - 10.0).abs() < 1e-3);
+}
+
+#[test]
+fn the_flash_is_left_alone_while_it_ventilates_and_while_a_check_moves_the_valves() {
+    let mut rig = booted();
+    rig.run(100);
+    assert_eq!(rig.control.leave(), Leave::Erase, "the sensors' step only reads");
+    rig.run(400);
+    rig.ask(Request::Start);
+    assert_eq!(rig.control.leave(), Leave::Nothing, "from the answer to the request on");
+    rig.run(100);
+    assert_eq!(rig.control.leave(), Leave::Nothing);
+    rig.run_at(800, 70.0);
+    assert!(matches!(rig.control.mode(), Mode::Fault(_)));
+    assert_eq!(rig.control.leave(), Leave::Write);
+    rig.run(500);
+    rig.ask(Request::Acknowledge);
+    rig.run(1);
+    assert_eq!(rig.control.leave(), Leave::Erase);
+    for (check, leave) in [(Check::Zero, Leave::Erase), (Check::Circuit, Leave::Nothing)] {
+        rig.ask(Request::RunSelfTest(check));
+        assert_eq!(rig.control.leave(), leave, "{check:?}");
+        rig.run(600);
+    }
 }

@@ -42,7 +42,9 @@ fn copy<const W: usize>(flash: &mut Nor<W>, number: u32) -> Result<(), FlashErro
 
 fn copied<const W: usize>(numbers: &[u32]) -> Nor<W> {
     let mut flash = Nor::new();
-    numbers.iter().for_each(|number| copy(&mut flash, *number).unwrap());
+    for number in numbers {
+        copy(&mut flash, *number).unwrap();
+    }
     flash
 }
 
