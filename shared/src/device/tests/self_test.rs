@@ -59,6 +59,7 @@ fn the_flash_is_left_alone_while_it_ventilates_and_while_a_check_moves_the_valve
     rig.run(100);
     assert_eq!(rig.control.leave(), Leave::Erase, "the sensors' step only reads");
     rig.run(400);
+    rig.ask(Request::ApplySettings(Settings::default()));
     rig.ask(Request::Start);
     assert_eq!(rig.control.leave(), Leave::Nothing, "from the answer to the request on");
     rig.run(100);
