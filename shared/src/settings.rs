@@ -29,6 +29,14 @@ pub struct Settings {
     pub trigger_pressure: f32,
     /// Change of the flow by which a patient's effort starts the breath, L/min; 0 for none.
     pub trigger_flow: f32,
+    /// Expired tidal volume below which an alarm is raised, mL; 0 for none.
+    pub tidal_volume_low: f32,
+    /// Expired tidal volume above which an alarm is raised, mL; 0 for none.
+    pub tidal_volume_high: f32,
+    /// Expired minute volume below which an alarm is raised, L/min; 0 for none.
+    pub minute_volume_low: f32,
+    /// Expired minute volume above which an alarm is raised, L/min; 0 for none.
+    pub minute_volume_high: f32,
 }
 
 /// Description of one setting.
@@ -115,6 +123,10 @@ fields! {
     pressure_limit,   "cmH2O", 15.0 ..= 70.0, 60.0, "Pressure above which a breath is ended";
     trigger_pressure, "cmH2O", 0.0 ..= 10.0,  0.4,  "Fall of the pressure by which an effort starts a breath, 0 for none";
     trigger_flow,     "L/min", 0.0 ..= 20.0,  0.6,  "Change of the flow by which an effort starts a breath, 0 for none";
+    tidal_volume_low,   "mL",    0.0 ..= 3000.0, 0.0, "Expired volume below which an alarm is raised, 0 for none";
+    tidal_volume_high,  "mL",    0.0 ..= 3000.0, 0.0, "Expired volume above which an alarm is raised, 0 for none";
+    minute_volume_low,  "L/min", 0.0 ..= 60.0,   0.0, "Expired minute volume below which an alarm is raised, 0 for none";
+    minute_volume_high, "L/min", 0.0 ..= 60.0,   0.0, "Expired minute volume above which an alarm is raised, 0 for none";
 }
 
 /// Every setting except PIP, which is first: the settings that the waveforms of a run have in common.
@@ -185,6 +197,21 @@ pub enum SettingsError {
         /// Lowest accepted value above zero.
         lowest: f32,
     },
+    /// The lower alarm limit of a volume is not below its upper one.
+    #[error(
+        "{} of {low} {2} must be below {} of {high} {2}; lower the one, raise the other, or use 0 for none",
+        .field.name(), .upper.name(), .field.unit()
+    )]
+    LimitsCrossed {
+        /// The setting of the lower limit.
+        field: FieldIndex,
+        /// The setting of the upper limit.
+        upper: FieldIndex,
+        /// Requested lower limit.
+        low: f32,
+        /// Requested upper limit.
+        high: f32,
+    },
 }
 
 /// Smallest rise from PEEP to PIP, cmH2O: a smaller one moves too little gas, and the monitors cannot distinguish it from noise.
@@ -219,6 +246,15 @@ impl Settings {
         ] {
             if value > 0.0 && value < lowest {
                 return Err(SettingsError::TriggerInNoise { field: FieldIndex::of(name), value, lowest });
+            }
+        }
+        for (names, low, high) in [
+            (["tidal_volume_low", "tidal_volume_high"], self.tidal_volume_low, self.tidal_volume_high),
+            (["minute_volume_low", "minute_volume_high"], self.minute_volume_low, self.minute_volume_high),
+        ] {
+            if high > 0.0 && low >= high {
+                let [field, upper] = names.map(FieldIndex::of);
+                return Err(SettingsError::LimitsCrossed { field, upper, low, high });
             }
         }
         let breath = 60.0 / self.rate;
@@ -289,8 +325,37 @@ mod tests {
     }
 
     #[test]
+    fn alarm_limits_of_a_volume_are_off_or_in_order() {
+        let with = |[tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high]: [f32;
+                        4]| {
+            let volumes = Settings {
+                tidal_volume_low,
+                tidal_volume_high,
+                minute_volume_low,
+                minute_volume_high,
+                ..Settings::default()
+            };
+            volumes.validate().map_err(|error| error.to_string())
+        };
+        for sound in [[0.0; 4], [300.0, 0.0, 4.0, 0.0], [0.0, 600.0, 0.0, 9.0], [300.0, 301.0, 4.0, 4.1]] {
+            assert_eq!(with(sound), Ok(()));
+        }
+        let refused = with([500.0, 500.0, 0.0, 0.0]).unwrap_err();
+        assert!(
+            refused.starts_with("tidal_volume_low of 500 mL must be below tidal_volume_high of 500 mL;"),
+            "{refused}"
+        );
+        let refused = with([0.0, 0.0, 9.0, 8.0]).unwrap_err();
+        assert!(
+            refused.starts_with("minute_volume_low of 9 L/min must be below minute_volume_high of 8"),
+            "{refused}"
+        );
+    }
+
+    #[test]
     fn values_and_settings_convert_both_ways() {
-        let settings = Settings { pip: 31.0, trigger_flow: 2.0, ..Settings::default() };
+        let settings =
+            Settings { pip: 31.0, trigger_flow: 2.0, minute_volume_high: 9.0, ..Settings::default() };
         assert_eq!(Settings::from_values(settings.values()), settings);
         let listed: std::vec::Vec<_> = FIELDS.iter().map(|field| field.value(&settings)).collect();
         assert_eq!(listed, settings.values());

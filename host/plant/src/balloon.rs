@@ -37,6 +37,7 @@ pub fn settings(pip: f32) -> Settings {
         pressure_limit: 70.0,
         trigger_pressure: 0.0,
         trigger_flow: 0.0,
+        ..Settings::default()
     }
 }
 

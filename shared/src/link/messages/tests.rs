@@ -273,7 +273,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::GetSettings, "ac0201"),
         (
             Request::ApplySettings(Settings::default()),
-            "ac02020000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f",
+            "ac02020000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f00000000000000000000000000000000",
         ),
         (Request::Start, "ac0203"),
         (Request::Stop, "ac0204"),
@@ -298,7 +298,7 @@ fn the_bytes_of_every_request_are_pinned() {
         (Request::Reset, "ac020c"),
         (
             Request::QueueSettings(Settings::default()),
-            "ac020d0000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f",
+            "ac020d0000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f00000000000000000000000000000000",
         ),
         (Request::GetTiming { clear: true }, "ac020e01"),
         (Request::ResetPlant { seed: 128 }, "ac020f8001"),
@@ -351,7 +351,7 @@ fn the_bytes_of_every_response_are_pinned() {
         ),
         (
             Response::Settings { in_force, pending: None },
-            "0005010000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f00",
+            "0005010000a0410000a0400000a0410000803f000000000000003f0000a04000007042cdcccc3e9a99193f0000000000000000000000000000000000",
         ),
         (Response::Mode(Mode::Ventilating), "00050201"),
         (Response::Controller(ControllerChoice::Learned), "00050301"),
@@ -416,6 +416,15 @@ fn the_bytes_of_every_refusal_are_pinned() {
                 lowest: 1.0,
             }),
             "090005080000003f0000803f",
+        ),
+        (
+            Refusal::Settings(SettingsError::LimitsCrossed {
+                field: FieldIndex(10),
+                upper: FieldIndex(11),
+                low: 2.0,
+                high: 1.0,
+            }),
+            "0900060a0b000000400000803f",
         ),
         (Refusal::Gains, "0901"),
         (Refusal::Exploration, "0902"),
