@@ -55,6 +55,18 @@ pub enum Fault {
     BackupVentilation,
     /// Much of the inspired volume does not come out again.
     Leak,
+    /// Breaths are smaller than the limit.
+    TidalVolumeLow,
+    /// Breaths are larger than the limit.
+    TidalVolumeHigh,
+    /// The minute volume is below its limit.
+    MinuteVolumeLow,
+    /// The minute volume is above its limit.
+    MinuteVolumeHigh,
+    /// No gas goes in and out.
+    Apnoea,
+    /// The flow sensor gives no reading.
+    FlowSensorLost,
 }
 
 /// Priority of an alarm (IEC 60601-1-8).
@@ -137,7 +149,7 @@ use Action::{Backup, CappedPid, Tell, Vent};
 use Priority::{High, Low, Medium};
 
 /// All alarms, in the order of [`Fault`].
-pub const ALARMS: [Alarm; 24] = [
+pub const ALARMS: [Alarm; 30] = [
     row(
         Fault::ReadingNotANumber,
         "reading-nan",
@@ -384,6 +396,58 @@ pub const ALARMS: [Alarm; 24] = [
              command of more than 5 % above the bias",
             GONE,
             "leak: check tube and mask",
+        ],
+    ),
+    row(
+        Fault::TidalVolumeLow,
+        "tidal-volume-low",
+        (Medium, Tell),
+        ["an expired volume below `tidal_volume_low` in 3 breaths in a row", GONE, "tidal volume too low"],
+    ),
+    row(
+        Fault::TidalVolumeHigh,
+        "tidal-volume-high",
+        (Medium, Tell),
+        ["an expired volume above `tidal_volume_high` in 3 breaths in a row", GONE, "tidal volume too high"],
+    ),
+    row(
+        Fault::MinuteVolumeLow,
+        "minute-volume-low",
+        (High, Tell),
+        [
+            "an expired minute volume below `minute_volume_low`, averaged over 30 s",
+            GONE,
+            "minute volume too low",
+        ],
+    ),
+    row(
+        Fault::MinuteVolumeHigh,
+        "minute-volume-high",
+        (Medium, Tell),
+        [
+            "an expired minute volume above `minute_volume_high`, averaged over 30 s",
+            GONE,
+            "minute volume too high",
+        ],
+    ),
+    row(
+        Fault::Apnoea,
+        "apnoea",
+        (High, Tell),
+        [
+            "no breath of 3 mL in and out for 20 s, or for two breaths if these take longer",
+            "a breath of such a volume",
+            "no gas goes in and out",
+        ],
+    ),
+    row(
+        Fault::FlowSensorLost,
+        "flow-sensor-lost",
+        (Low, Tell),
+        [
+            "no number in more than a tenth of a breath's flow readings; volumes and leaks are not monitored until it is back",
+            "a breath with flow readings",
+            "flow sensor lost",
         ],
     ),
 ];

@@ -218,6 +218,11 @@ impl ExpirationState {
         (self.advance + self.compensation).min(BOUND)
     }
 
+    /// Mean leak, L/s at 1 cmH2O.
+    pub fn leak(&self) -> f32 {
+        self.leak
+    }
+
     /// Rise of PIP with a constant baseline, cmH2O.
     pub fn shift(&self, breath: &Breath) -> f32 {
         let settings = breath.settings();

@@ -11,6 +11,7 @@
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
 //! | [`volumes`] | measures what goes in and comes out |
+//! | [`volume_monitor`] | checks tidal volume and minute volume, and detects apnoea |
 //! | [`host`] | detects a silent host |
 //! | [`ladder`] | levels of trust: learned controller, PID, capped PID, backup ventilation |
 //! | [`backup`] | ventilation without a pressure reading |
@@ -37,5 +38,6 @@ pub mod reading_monitor;
 pub mod responses;
 pub mod source;
 pub mod supervisor;
+pub mod volume_monitor;
 pub mod volumes;
 pub mod windows;

@@ -19,6 +19,7 @@ use super::monitors::{Monitors, in_a_row, ticks};
 use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, PressureState};
 use super::responses::{Response, Responses};
 use super::source::{PressureSource, SourceState};
+use super::volume_monitor::{VolumeMonitor, VolumeState};
 use super::volumes::Volumes;
 use crate::breath::{Breath, Phase, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
@@ -65,6 +66,7 @@ pub struct Supervisor {
     breath: BreathMonitor,
     lung: LungEstimator,
     expiration: Expiration,
+    volume: VolumeMonitor,
     /// Largest change of the learned part in a tick, percent.
     slew: f32,
     /// [`OPENED`] and [`EMPTIED`] in ticks.
@@ -84,6 +86,7 @@ pub struct SupervisorState {
     lung: LungState,
     expiration: ExpirationState,
     volumes: Volumes,
+    volume: VolumeState,
     backup: Backup,
     ladder: Ladder,
     /// Settings of the running breath.
@@ -132,6 +135,7 @@ impl Supervisor {
             breath: BreathMonitor::new(period_us, monitors),
             lung: LungEstimator::new(period_us),
             expiration: Expiration::new(period_us, monitors),
+            volume: VolumeMonitor::new(period_us),
             slew: RESIDUAL_SLEW * period_s(period_us),
             opened: ticks(OPENED, period_us),
             emptied: ticks(EMPTIED, period_us),
@@ -239,7 +243,12 @@ impl Supervisor {
         if tick == 0 {
             self.start_breath(state, pressure, breath.settings());
         }
-        state.volumes.add(readings.flow, pressure.unwrap_or(f32::NAN), breath.period_s());
+        if tick == 1 {
+            // The first tick has enough to do.
+            self.check_volumes(state, breath.settings());
+        }
+        let leak = state.expiration.leak();
+        state.volumes.add(readings.flow, pressure.unwrap_or(f32::NAN), leak, breath.period_s());
         if state.level() == Level::Backup {
             self.found(state, Fault::BackupVentilation);
         }
@@ -251,6 +260,13 @@ impl Supervisor {
         self.source.record(&mut state.source, breath, tick, self.breath.end_of_phase(), readings);
         if tick + 1 == breath.total_ticks() {
             self.compare_sensors(state, breath, false);
+        }
+    }
+
+    fn check_volumes(&self, state: &mut SupervisorState, settings: &Settings) {
+        let findings = self.volume.check(&mut state.volume, &state.volumes, settings);
+        for fault in findings.into_iter().flatten() {
+            self.found(state, fault);
         }
     }
 
@@ -355,6 +371,7 @@ impl Supervisor {
         if state.settings.replace(*settings).is_some_and(|before| before != *settings) {
             state.breath.settings_changed();
             state.expiration.settings_changed();
+            state.volume.settings_changed();
         }
         (state.cut, state.strike, state.missed, state.learned) = (false, true, 0, 0.0);
         state.triggered = core::mem::take(&mut state.triggers);
@@ -541,6 +558,7 @@ impl Default for SupervisorState {
             lung: LungState::default(),
             expiration: ExpirationState::default(),
             volumes: Volumes::default(),
+            volume: VolumeState::default(),
             backup: Backup::new(),
             ladder: Ladder::default(),
             settings: None,

@@ -9,6 +9,46 @@ const TELLING: f32 = 20.0;
 
 /// Time constant of the smoothed flow, s.
 const SMOOTHING: f32 = 0.05;
+/// Play within which the integral of the flow moves without a volume, mL: less than any breath, more than the sensor's noise.
+const PLAY: f32 = 0.5;
+
+/// Gas that goes into the lung and out of it, mL, from the integral of its flow: noise moves that to and fro within [`PLAY`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct LungVolumes {
+    inspired: f32,
+    expired: f32,
+    /// Integral of the flow, from the middle of the play.
+    offset: f32,
+}
+
+impl LungVolumes {
+    fn add(&mut self, volume: f32) {
+        self.offset += volume;
+        if self.offset > PLAY {
+            self.inspired += self.offset - PLAY;
+            self.offset = PLAY;
+        } else if self.offset < -PLAY {
+            self.expired -= self.offset + PLAY;
+            self.offset = -PLAY;
+        }
+    }
+
+    /// The volumes of the breath that ends here; the next one starts.
+    fn take(&mut self) -> BreathVolumes {
+        let Self { inspired, expired, offset } = *self;
+        *self = Self { offset, ..Self::default() };
+        BreathVolumes { inspired, expired }
+    }
+}
+
+/// Volumes of a breath, without the gas of a known leak, mL.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BreathVolumes {
+    /// Into the lung.
+    pub inspired: f32,
+    /// Out of it.
+    pub expired: f32,
+}
 
 /// Volumes of the running breath, and the last one's result.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -16,6 +56,7 @@ pub struct Volumes {
     /// Volumes so far, mL.
     inspired: f32,
     expired: f32,
+    lung: LungVolumes,
     /// Integral of the root of the pressure, s cmH2O^0.5.
     root: f32,
     ticks: u32,
@@ -23,6 +64,10 @@ pub struct Volumes {
     /// Last flow, L/s, and its smoothed value.
     flow: f32,
     smooth: f32,
+    /// Length of the last breath, ticks; 0 before its end.
+    last_ticks: u32,
+    /// Volumes of the lung in the last breath, if the flow was measured.
+    breath: Option<BreathVolumes>,
     /// Expired volume of the last breath, mL, and its share of the inspired one, if the flow was measured.
     last: Option<f32>,
     expired_share: Option<f32>,
@@ -31,13 +76,14 @@ pub struct Volumes {
 }
 
 impl Volumes {
-    /// Adds a tick of `period` seconds with a flow towards the patient, L/s, and a pressure, cmH2O; NaN without a reading.
+    /// Adds a tick of `period` seconds with a flow towards the patient, L/s, and a pressure, cmH2O; NaN without a reading. `leak`
+    /// is the mean leak of the last breaths, L/s at 1 cmH2O.
     #[inline]
-    pub fn add(&mut self, flow: f32, pressure: f32, period: f32) {
+    pub fn add(&mut self, flow: f32, pressure: f32, leak: f32, period: f32) {
         self.ticks += 1;
-        if !pressure.is_nan() {
-            self.root += math::square_root(pressure) * period;
-        }
+        // Without a pressure nothing is known about the leak's flow.
+        let root = if pressure.is_nan() { 0.0 } else { math::square_root(pressure) };
+        self.root += root * period;
         if flow.is_nan() {
             self.smooth = self.flow;
             return;
@@ -48,6 +94,7 @@ impl Volumes {
         let volume = 1000.0 * flow * period;
         self.inspired += volume.max(0.0);
         self.expired += (-volume).max(0.0);
+        self.lung.add(volume - 1000.0 * leak * root * period);
     }
 
     /// Whether enough of the running breath's ticks have a flow reading.
@@ -59,12 +106,14 @@ impl Volumes {
     pub fn start_breath(&mut self) {
         let known = self.is_measured();
         let last = known.then_some(self.expired);
+        let volumes = self.lung.take();
+        let breath = known.then_some(volumes);
         let known = known && self.inspired >= TELLING;
         let expired_share = known.then(|| self.expired / self.inspired);
         // A leak is an orifice: its flow goes with the root of the pressure.
         let leak = (known && self.root > 0.0).then(|| 1e-3 * (self.inspired - self.expired) / self.root);
-        let Self { flow, smooth, .. } = *self;
-        *self = Self { flow, smooth, last, expired_share, leak, ..Self::default() };
+        let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
+        *self = Self { last_ticks, flow, smooth, lung, breath, last, expired_share, leak, ..Self::default() };
     }
 
     /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
@@ -75,6 +124,16 @@ impl Volumes {
     /// Volume inspired so far in the running breath, mL; none if the flow is not measured.
     pub fn inspired(&self) -> Option<f32> {
         self.is_measured().then_some(self.inspired)
+    }
+
+    /// Length of the last breath, ticks; 0 if there was none.
+    pub fn last_ticks(&self) -> u32 {
+        self.last_ticks
+    }
+
+    /// Volumes of the lung in the last breath; none if the flow was not measured.
+    pub fn breath(&self) -> Option<BreathVolumes> {
+        self.breath
     }
 
     /// Expired volume of the last breath, mL; none if the flow was not measured.
@@ -102,7 +161,7 @@ mod tests {
     fn breath(volumes: &mut Volumes, share: f32, measured: impl Fn(u32) -> bool) {
         for tick in 0..3000 {
             let flow = if tick < 1000 { 0.4 } else { -0.2 * share };
-            volumes.add(if measured(tick) { flow } else { f32::NAN }, 9.0, 0.001);
+            volumes.add(if measured(tick) { flow } else { f32::NAN }, 9.0, 0.0, 0.001);
         }
         volumes.start_breath();
     }
@@ -125,7 +184,7 @@ mod tests {
         assert!((volumes.leak().unwrap() - 0.04 / 3.0).abs() < 1e-4);
         breath(&mut volumes, 0.7, |tick| tick % 5 != 0);
         assert_eq!(volumes.leak(), None);
-        (0..3000).for_each(|_| volumes.add(0.1, f32::NAN, 0.001));
+        (0..3000).for_each(|_| volumes.add(0.1, f32::NAN, 0.0, 0.001));
         volumes.start_breath();
         assert_eq!((volumes.leak(), volumes.expired_share()), (None, Some(0.0)), "no pressure");
     }
@@ -135,7 +194,7 @@ mod tests {
         let mut volumes = Volumes::default();
         breath(&mut volumes, 0.5, |_| true);
         assert!(volumes.expired().is_some_and(|expired| (expired - 200.0).abs() < 0.1));
-        volumes.add(0.0, 9.0, 0.001);
+        volumes.add(0.0, 9.0, 0.0, 0.001);
         volumes.start_breath();
         assert_eq!((volumes.expired(), volumes.expired_share()), (Some(0.0), None));
         breath(&mut volumes, 0.5, |tick| tick % 5 != 0);
@@ -146,7 +205,7 @@ mod tests {
     fn a_surge_is_the_rise_of_the_flow_over_the_last_twentieth_of_a_second() {
         let mut volumes = Volumes::default();
         let mut run = |ticks: usize, flow: f32| {
-            (0..ticks).for_each(|_| volumes.add(flow, 9.0, 0.001));
+            (0..ticks).for_each(|_| volumes.add(flow, 9.0, 0.0, 0.001));
             volumes.surge()
         };
         assert!(run(500, -0.4).abs() < 1e-3);
@@ -156,10 +215,10 @@ mod tests {
         assert!((run(1, 0.0) + 0.098).abs() < 1e-3);
         volumes.start_breath();
         assert!((volumes.surge() + 0.098).abs() < 1e-3, "breaths share the flow");
-        volumes.add(f32::NAN, 9.0, 0.001);
+        volumes.add(f32::NAN, 9.0, 0.0, 0.001);
         assert!(volumes.surge().abs() < 1e-6, "no reading");
         let mut slow = Volumes::default();
-        slow.add(0.3, 9.0, 0.1);
+        slow.add(0.3, 9.0, 0.0, 0.1);
         assert!(slow.surge().abs() < 1e-6, "a period longer than the time constant");
     }
 
@@ -167,9 +226,9 @@ mod tests {
     fn what_has_been_inspired_so_far_is_known_while_the_flow_is_measured() {
         let mut volumes = Volumes::default();
         assert_eq!(volumes.inspired(), None);
-        (0..10).for_each(|_| volumes.add(0.4, 9.0, 0.01));
+        (0..10).for_each(|_| volumes.add(0.4, 9.0, 0.0, 0.01));
         assert!(volumes.inspired().is_some_and(|inspired| (inspired - 40.0).abs() < 1e-3));
-        (0..2).for_each(|_| volumes.add(f32::NAN, 9.0, 0.01));
+        (0..2).for_each(|_| volumes.add(f32::NAN, 9.0, 0.0, 0.01));
         assert_eq!(volumes.inspired(), None);
     }
 
@@ -184,12 +243,89 @@ mod tests {
         assert_eq!((volumes.expired(), volumes.expired_share()), (None, None), "no tick");
     }
 
+    /// Volumes of the lung in a breath with these flows in its seconds, L/s, and the noise of the sensor, at 9 cmH2O.
+    fn lung_volumes(flows: [f32; 4], noise: f32, leak: f32) -> (f32, f32) {
+        let mut volumes = Volumes::default();
+        for tick in 0..4000 {
+            let dither = noise * ((tick * 7 % 5) as f32 - 2.0);
+            volumes.add(flows[tick / 1000] + dither, 9.0, leak, 0.001);
+        }
+        volumes.start_breath();
+        assert_eq!(volumes.last_ticks(), 4000);
+        let BreathVolumes { inspired, expired } = volumes.breath().unwrap();
+        (inspired, expired)
+    }
+
+    #[track_caller]
+    fn near((inspired, expired): (f32, f32), wanted: (f32, f32)) {
+        // Each change of the direction loses the play.
+        let near = |volume: f32, wanted: f32| volume <= wanted + 0.1 && volume >= wanted - 2.1;
+        assert!(near(inspired, wanted.0) && near(expired, wanted.1), "{inspired} {expired}, not {wanted:?}");
+    }
+
+    #[test]
+    fn all_gas_counts_that_goes_in_and_out_of_the_lung() {
+        for (flows, wanted) in [
+            ([0.4, -0.3, -0.1, 0.0], (400.0, 400.0)),
+            // The lung still empties at the start.
+            ([-0.1, 0.4, -0.3, -0.1], (400.0, 500.0)),
+            // Two efforts.
+            ([0.4, -0.3, 0.2, -0.2], (600.0, 500.0)),
+            // An open end.
+            ([0.9, 0.1, 0.1, 0.1], (1200.0, 0.0)),
+        ] {
+            near(lung_volumes(flows, 0.05, 0.0), wanted);
+        }
+        near(lung_volumes([0.0; 4], 0.05, 0.0), (0.0, 0.0));
+    }
+
+    #[test]
+    fn noise_within_the_play_is_no_volume_and_less_than_the_play_is_lost() {
+        let mut lung = LungVolumes::default();
+        for volume in [0.5, -0.9, 0.9, -0.9] {
+            lung.add(volume);
+        }
+        assert_eq!((lung.inspired, lung.expired), (0.0, 0.0));
+        lung.add(10.0);
+        let inspired = lung.take().inspired;
+        assert!((inspired - 9.1).abs() < 1e-4, "{inspired}");
+        // The play goes on from breath to breath.
+        lung.add(-5.0);
+        let BreathVolumes { inspired, expired } = lung.take();
+        assert!(inspired.abs() < 1e-6 && (expired - 4.0).abs() < 1e-4, "{expired}");
+    }
+
+    #[test]
+    fn gas_of_a_known_leak_does_not_count() {
+        // 400 mL for the lung, and 30 mL/s at 9 cmH2O for the leak.
+        let flows = [0.43, -0.37, 0.03, 0.03];
+        near(lung_volumes(flows, 0.0, 0.01), (400.0, 400.0));
+        near(lung_volumes(flows, 0.0, 0.0), (490.0, 370.0));
+        let mut volumes = Volumes::default();
+        flows.iter().for_each(|flow| volumes.add(*flow, f32::NAN, 0.01, 1.0));
+        volumes.start_breath();
+        assert!(
+            volumes.breath().is_some_and(|breath| (breath.inspired - 488.5).abs() < 1.0),
+            "its pressure is unknown"
+        );
+    }
+
+    #[test]
+    fn volumes_of_the_lung_need_flow_readings() {
+        let mut volumes = Volumes::default();
+        assert_eq!((volumes.breath(), volumes.last_ticks()), (None, 0));
+        breath(&mut volumes, 1.0, |tick| tick % 5 != 0);
+        assert_eq!((volumes.breath(), volumes.last_ticks()), (None, 3000));
+        breath(&mut volumes, 1.0, |_| true);
+        assert!(volumes.breath().is_some_and(|breath| (breath.expired - 400.0).abs() < 2.0));
+    }
+
     #[test]
     fn nine_tenths_of_the_ticks_and_twenty_millilitres_are_enough() {
         let known = |measured: u32| {
             let mut volumes = Volumes::default();
             for tick in 0..10 {
-                volumes.add(if tick < measured { 1.0 } else { f32::NAN }, 9.0, 0.1);
+                volumes.add(if tick < measured { 1.0 } else { f32::NAN }, 9.0, 0.0, 0.1);
             }
             volumes.start_breath();
             volumes.expired_share().is_some()
@@ -197,8 +333,8 @@ mod tests {
         assert!(known(9) && !known(8));
         let of = |inspired: f32| {
             let mut volumes = Volumes::default();
-            volumes.add(inspired / 500.0, 9.0, 0.5);
-            volumes.add(-0.02, 9.0, 0.5);
+            volumes.add(inspired / 500.0, 9.0, 0.0, 0.5);
+            volumes.add(-0.02, 9.0, 0.0, 0.5);
             volumes.start_breath();
             volumes.expired_share()
         };

@@ -44,6 +44,11 @@ const SUSTAINED_MS: u32 = 12_000;
 /// Time without gas that shows a valve that does not obey, ms.
 const STARVED_MS: u32 = 100;
 
+/// Accuracy of a volume: three standard deviations of the flow sensors' gain.
+pub const VOLUME_TOLERANCE: f64 = 0.1;
+/// Time without a breath after which apnoea is due, s.
+const APNOEA_S: f64 = 19.0;
+
 /// Judgement of an alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -84,13 +89,27 @@ fn deserved(fault: Fault, history: &History) -> bool {
         Fault::SensorsDisagree => any(history, sensors_disagree),
         Fault::BackupVentilation => any(history, |breath| unsound(&breath.airway) && unsound(&breath.outlet)),
         Fault::Leak => twice(history, leak),
+        Fault::TidalVolumeLow => {
+            twice(history, |breath| breath.ended && below(breath.expired, breath.settings.tidal_volume_low))
+        }
+        Fault::TidalVolumeHigh => {
+            twice(history, |breath| above(breath.expired, breath.settings.tidal_volume_high))
+        }
+        Fault::MinuteVolumeLow => any(history, |breath| {
+            breath.minute_volume.is_some_and(|volume| below(volume, breath.settings.minute_volume_low))
+        }),
+        Fault::MinuteVolumeHigh => any(history, |breath| {
+            breath.minute_volume.is_some_and(|volume| above(volume, breath.settings.minute_volume_high))
+        }),
+        Fault::Apnoea => any(history, |breath| breath.without_s >= APNOEA_S),
         // The bench neither misses ticks nor resets the device; the others have a low priority.
         Fault::MissedTicks
         | Fault::Restarted
         | Fault::LearnedDistrusted
         | Fault::HostSilent
         | Fault::WeightsRefused
-        | Fault::OutletSensorLost => false,
+        | Fault::OutletSensorLost
+        | Fault::FlowSensorLost => false,
     }
 }
 
@@ -184,6 +203,16 @@ fn sensors_disagree(breath: &BreathTruth) -> bool {
 /// A leak that takes considerable flow at PEEP, or much of the gas.
 fn leak(breath: &BreathTruth) -> bool {
     breath.leak_at_end > LEAK_FLOW || breath.leak_share > LEAK_SHARE
+}
+
+/// Whether a volume is below its limit.
+fn below(volume: f64, limit: f32) -> bool {
+    volume < f64::from(limit) * (1.0 + VOLUME_TOLERANCE)
+}
+
+/// Whether a volume is above its limit, if it has one.
+fn above(volume: f64, limit: f32) -> bool {
+    limit > 0.0 && volume > f64::from(limit) * (1.0 - VOLUME_TOLERANCE)
 }
 
 #[cfg(test)]

@@ -3,9 +3,17 @@ use super::*;
 /// Resistance and compliance of the patient.
 const LUNG: (f64, f64) = (20.0, 20.0);
 
-/// A breath in which nothing is wrong: PIP 20, PEEP 5, limit 60.
+/// A breath in which nothing is wrong: PIP 20, PEEP 5, limit 60, 400 mL and 8 L/min.
 fn sound() -> BreathTruth {
-    let mut breath = BreathTruth::new(&Settings::default(), true);
+    let limits = Settings {
+        tidal_volume_low: 300.0,
+        tidal_volume_high: 500.0,
+        minute_volume_low: 6.0,
+        minute_volume_high: 10.0,
+        ..Settings::default()
+    };
+    let mut breath = BreathTruth::new(&limits, true);
+    (breath.ended, breath.expired, breath.minute_volume) = (true, 400.0, Some(8.0));
     (breath.peak, breath.lowest) = (21.0, 4.8);
     (breath.plateau, breath.baseline) = (Some(20.0), Some(5.1));
     (breath.leak, breath.leak_at_end, breath.resistance) = (0.005, 0.002, Some(LUNG.0));
@@ -111,6 +119,27 @@ fn an_occluded_tube() {
     deserved_twice(Fault::Occlusion, |breath| breath.resistance = Some(2e5));
     undeserved(Fault::Occlusion, |breath| breath.resistance = Some(30.0));
     undeserved(Fault::Occlusion, |breath| (breath.volume, breath.cough) = (10.0, 60.0));
+}
+
+#[test]
+fn volumes_outside_their_limits() {
+    deserved_twice(Fault::TidalVolumeLow, |breath| breath.expired = 320.0);
+    undeserved(Fault::TidalVolumeLow, |breath| breath.expired = 340.0);
+    undeserved(Fault::TidalVolumeLow, |breath| (breath.ended, breath.expired) = (false, 0.0));
+    deserved_twice(Fault::TidalVolumeHigh, |breath| breath.expired = 460.0);
+    undeserved(Fault::TidalVolumeHigh, |breath| breath.expired = 440.0);
+    deserved_once(Fault::MinuteVolumeLow, |breath| breath.minute_volume = Some(6.5));
+    undeserved(Fault::MinuteVolumeLow, |breath| breath.minute_volume = Some(6.7));
+    deserved_once(Fault::MinuteVolumeHigh, |breath| breath.minute_volume = Some(9.1));
+    undeserved(Fault::MinuteVolumeHigh, |breath| breath.minute_volume = Some(8.9));
+    let off = |breath: &mut BreathTruth| {
+        breath.settings = Settings::default();
+        (breath.expired, breath.minute_volume) = (4000.0, Some(80.0));
+    };
+    undeserved(Fault::TidalVolumeHigh, off);
+    undeserved(Fault::MinuteVolumeHigh, off);
+    deserved_once(Fault::Apnoea, |breath| breath.without_s = 20.0);
+    undeserved(Fault::Apnoea, |breath| breath.without_s = 18.0);
 }
 
 #[test]

@@ -13,6 +13,10 @@ const LEAK: f64 = 0.4;
 const BASELINE: f64 = 4.0;
 /// Pressure above the limit, cmH2O.
 const ABOVE_LIMIT: f64 = 2.0;
+/// Distance of a volume from its limit, as a share of that.
+const BEYOND: f64 = 0.2;
+/// Time without a breath, s.
+const APNOEA_S: f64 = 30.0;
 
 /// A condition that must raise an alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,11 +27,30 @@ pub enum Condition {
     BaselineHigh,
     /// More than 2 cmH2O above the pressure limit.
     AboveLimit,
+    /// A tidal volume a fifth below its limit.
+    TidalVolumeLow,
+    /// A tidal volume a fifth above its limit.
+    TidalVolumeHigh,
+    /// A minute volume a fifth below its limit.
+    MinuteVolumeLow,
+    /// A minute volume a fifth above its limit.
+    MinuteVolumeHigh,
+    /// No breath for half a minute.
+    Apnoea,
 }
 
 impl Condition {
     /// All conditions.
-    pub const ALL: [Self; 3] = [Self::Leak, Self::BaselineHigh, Self::AboveLimit];
+    pub const ALL: [Self; 8] = [
+        Self::Leak,
+        Self::BaselineHigh,
+        Self::AboveLimit,
+        Self::TidalVolumeLow,
+        Self::TidalVolumeHigh,
+        Self::MinuteVolumeLow,
+        Self::MinuteVolumeHigh,
+        Self::Apnoea,
+    ];
 
     /// Name in tables and files.
     pub fn name(self) -> &'static str {
@@ -35,16 +58,27 @@ impl Condition {
             Self::Leak => "leak",
             Self::BaselineHigh => "baseline-high",
             Self::AboveLimit => "above-limit",
+            Self::TidalVolumeLow => "tidal-volume-low",
+            Self::TidalVolumeHigh => "tidal-volume-high",
+            Self::MinuteVolumeLow => "minute-volume-low",
+            Self::MinuteVolumeHigh => "minute-volume-high",
+            Self::Apnoea => "apnoea",
         }
     }
 
     /// Whether it holds in a breath.
     fn holds(self, breath: &BreathTruth) -> bool {
         let baseline = breath.baseline.unwrap_or_else(|| breath.peep());
+        let (settings, minute) = (&breath.settings, breath.minute_volume);
         match self {
             Self::Leak => breath.leak > LEAK,
             Self::BaselineHigh => baseline > breath.peep() + BASELINE,
             Self::AboveLimit => breath.peak > breath.limit() + ABOVE_LIMIT,
+            Self::TidalVolumeLow => low(breath.expired, settings.tidal_volume_low),
+            Self::TidalVolumeHigh => high(breath.expired, settings.tidal_volume_high),
+            Self::MinuteVolumeLow => minute.is_some_and(|volume| low(volume, settings.minute_volume_low)),
+            Self::MinuteVolumeHigh => minute.is_some_and(|volume| high(volume, settings.minute_volume_high)),
+            Self::Apnoea => breath.without_s >= APNOEA_S,
         }
     }
 
@@ -56,8 +90,23 @@ impl Condition {
             Self::AboveLimit => {
                 &[Fault::HighPressure, Fault::CommandCapped, Fault::LearnedDistrusted, Fault::HardLimit]
             }
+            Self::TidalVolumeLow => &[Fault::TidalVolumeLow, Fault::FlowSensorLost],
+            Self::TidalVolumeHigh => &[Fault::TidalVolumeHigh, Fault::FlowSensorLost],
+            Self::MinuteVolumeLow => &[Fault::MinuteVolumeLow, Fault::FlowSensorLost],
+            Self::MinuteVolumeHigh => &[Fault::MinuteVolumeHigh, Fault::FlowSensorLost],
+            Self::Apnoea => &[Fault::Apnoea, Fault::FlowSensorLost],
         }
     }
+}
+
+/// Whether a volume is far below its limit.
+fn low(volume: f64, limit: f32) -> bool {
+    volume < (1.0 - BEYOND) * f64::from(limit)
+}
+
+/// Whether a volume is far above its limit, if it has one.
+fn high(volume: f64, limit: f32) -> bool {
+    limit > 0.0 && volume > (1.0 + BEYOND) * f64::from(limit)
 }
 
 /// Watches for the conditions.
@@ -114,10 +163,26 @@ mod tests {
         let leaks = BreathTruth { leak: 0.45, ..sound() };
         let high = BreathTruth { baseline: Some(9.5), ..sound() };
         let above = BreathTruth { peak: 63.0, ..sound() };
+        let settings = Settings {
+            tidal_volume_low: 300.0,
+            tidal_volume_high: 500.0,
+            minute_volume_low: 6.0,
+            minute_volume_high: 10.0,
+            ..Settings::default()
+        };
+        let volumes =
+            |tidal, minute| BreathTruth { settings, expired: tidal, minute_volume: Some(minute), ..sound() };
+        assert_eq!(missed(&volumes(400.0, 8.0), &[], 5 * LASTS), []);
+        let apnoea = BreathTruth { without_s: 31.0, ..sound() };
         for (breath, condition, alarm) in [
             (leaks, Condition::Leak, Fault::Leak),
             (high, Condition::BaselineHigh, Fault::BaselineHigh),
             (above, Condition::AboveLimit, Fault::CommandCapped),
+            (volumes(230.0, 8.0), Condition::TidalVolumeLow, Fault::TidalVolumeLow),
+            (volumes(610.0, 8.0), Condition::TidalVolumeHigh, Fault::TidalVolumeHigh),
+            (volumes(400.0, 4.7), Condition::MinuteVolumeLow, Fault::MinuteVolumeLow),
+            (volumes(400.0, 12.1), Condition::MinuteVolumeHigh, Fault::MinuteVolumeHigh),
+            (apnoea, Condition::Apnoea, Fault::Apnoea),
         ] {
             assert_eq!(missed(&breath, &[], 5 * LASTS), [condition]);
             assert_eq!(missed(&breath, &[Fault::HostSilent], LASTS), [condition], "another alarm");

@@ -6,6 +6,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
 use shared::settings::{LIMIT_MARGIN, Settings};
 
+use crate::faults::volume::{VolumeLimits, passive_volume_ml};
 use plant::bench::{BenchConfig, Failure, LeakChange};
 
 /// Resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
@@ -30,6 +31,9 @@ const SETTINGS_LAST: (f64, f64) = (200.0, 600.0);
 const RISE: (f32, f32) = (5.0, 30.0);
 /// Highest PIP that a device accepts, cmH2O.
 const HIGHEST_PIP: f32 = 50.0;
+/// Alarm limits of the volumes, as factors on what the passive lung gets; and the highest ones that a device accepts, mL, L/min.
+const LIMITS: VolumeLimits = VolumeLimits { tidal: (0.5, 2.5), minute: (0.5, 2.5) };
+const HIGHEST_LIMITS: (f32, f32) = (3000.0, 60.0);
 
 /// A patient at a machine.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,7 +76,11 @@ impl Patient {
         // As many draws as the stay is long: from generators of their own.
         let [mut of_leaks, mut of_changes] = [(); 2].map(|()| ChaCha8Rng::seed_from_u64(rng.random()));
         leaks(&mut of_leaks, &mut bench, hours);
-        let changes = changes(&mut of_changes, settings, hours);
+        let mut changes = changes(&mut of_changes, settings, hours);
+        for change in &mut changes {
+            change.settings = limited(&bench, change.settings);
+        }
+        let settings = limited(&bench, settings);
         Self { number, bench, settings, changes, seed: noise, failure: None }
     }
 
@@ -95,15 +103,7 @@ impl Patient {
 
     /// Volume of a breath of the passive lung at these settings once breath follows breath evenly, mL.
     pub fn passive_volume_ml(&self, settings: &Settings) -> f64 {
-        let lung = &self.bench.lung.first;
-        let time_constant_s = lung.resistance_cmh2o_per_l_s * lung.compliance_ml_per_cmh2o * 1e-3;
-        let inspiration_s = f64::from(settings.inspiratory_time);
-        let expiration_s = 60.0 / f64::from(settings.rate) - inspiration_s;
-        let unfilled = (-inspiration_s / time_constant_s).exp();
-        let unemptied = (-expiration_s / time_constant_s).exp();
-        let rise = f64::from(settings.pip - settings.peep);
-        let share = (1.0 - unfilled) * (1.0 - unemptied) / (1.0 - unfilled * unemptied);
-        lung.compliance_ml_per_cmh2o * rise * share
+        passive_volume_ml(&self.bench, settings)
     }
 }
 
@@ -138,6 +138,16 @@ fn prescription(rng: &mut ChaCha8Rng) -> Settings {
         fall_time,
         pressure_limit,
         ..Settings::default()
+    }
+}
+
+/// The settings with the alarm limits that an operator would set for this lung.
+fn limited(bench: &BenchConfig, settings: Settings) -> Settings {
+    let limited = LIMITS.of(bench, settings);
+    Settings {
+        tidal_volume_high: limited.tidal_volume_high.min(HIGHEST_LIMITS.0),
+        minute_volume_high: limited.minute_volume_high.min(HIGHEST_LIMITS.1),
+        ..limited
     }
 }
 

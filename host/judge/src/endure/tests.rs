@@ -64,10 +64,32 @@ fn a_sabotaged_machine_interrupts_ventilation_and_its_alarms_are_deserved() {
     assert!(result.interruptions > 0 && result.longest_gap_s > 80.0, "{result:?}");
     let (_, alarms) = stay(Some(Failure::TubeOccluded));
     assert!(alarms.contains(&(Fault::Occlusion, Verdict::Deserved)), "{alarms:?}");
+    assert!(alarms.contains(&(Fault::Apnoea, Verdict::Deserved)), "{alarms:?}");
     let (_, alarms) = stay(Some(Failure::PeepValveStuck(12.0)));
     assert!(alarms.contains(&(Fault::BaselineHigh, Verdict::Deserved)), "{alarms:?}");
     let (_, alarms) = stay(Some(Failure::Leak(0.45)));
     assert!(alarms.contains(&(Fault::Leak, Verdict::Deserved)), "{alarms:?}");
+}
+
+#[test]
+fn alarms_about_volumes_are_deserved_if_the_lung_takes_that_much() {
+    let with = |low: f32, high: f32| {
+        let mut patient = patient(None);
+        // 400 mL and 8 L/min.
+        let (limits, minute) = (400.0 * low, 8.0 * low);
+        (patient.settings.tidal_volume_low, patient.settings.minute_volume_low) = (limits, minute);
+        (patient.settings.tidal_volume_high, patient.settings.minute_volume_high) =
+            (400.0 * high, 8.0 * high);
+        let mut alarms = Alarms::default();
+        let result = course::run(&patient, &controller(), HOURS, &mut alarms).unwrap().unwrap();
+        assert_eq!(result.missed(), 0);
+        alarms.0.sort_unstable_by_key(|(fault, _)| *fault);
+        alarms.0
+    };
+    assert_eq!(with(0.8, 1.2), []);
+    let deserved = |faults: [Fault; 2]| faults.map(|fault| (fault, Verdict::Deserved));
+    assert_eq!(with(1.3, 0.0), deserved([Fault::TidalVolumeLow, Fault::MinuteVolumeLow]));
+    assert_eq!(with(0.0, 0.7), deserved([Fault::TidalVolumeHigh, Fault::MinuteVolumeHigh]));
 }
 
 #[test]

@@ -56,6 +56,16 @@ pub struct BreathTruth {
     pub trapped: f64,
     /// Volume that entered the lung, from its lowest to its highest, mL.
     pub volume: f64,
+    /// Whether it has ended.
+    pub ended: bool,
+    /// Gas that went into the lung and out of it, mL.
+    pub inspired: f64,
+    /// See `inspired`.
+    pub expired: f64,
+    /// Expired minute volume, averaged over 30 s, once the breath has ended, L/min; none in the first 30 s with these settings.
+    pub minute_volume: Option<f64>,
+    /// Time without a breath that got through, once the breath has ended, s.
+    pub without_s: f64,
     /// Longest time in which the valve was asked for much gas and gave none, ms.
     pub starved_ms: u32,
     /// The sensor at the airway.
@@ -121,6 +131,11 @@ impl BreathTruth {
             resistance: None,
             trapped: 0.0,
             volume: 0.0,
+            ended: false,
+            inspired: 0.0,
+            expired: 0.0,
+            minute_volume: None,
+            without_s: 0.0,
             starved_ms: 0,
             airway: SensorTruth::default(),
             outlet: SensorTruth::default(),
@@ -167,6 +182,8 @@ impl BreathTruth {
         let low = *sums.low.get_or_insert(truth.lung_volume_ml);
         sums.low = Some(low.min(truth.lung_volume_ml));
         self.volume = self.volume.max(truth.lung_volume_ml - low.min(truth.lung_volume_ml));
+        self.inspired += truth.flow_lung.max(0.0);
+        self.expired += (-truth.flow_lung).max(0.0);
         self.trapped = truth.alveolar_pressure + truth.muscle_pressure - f64::from(self.settings.peep);
         if tick < inspiration && tick + END_OF_PHASE >= inspiration {
             self.plateau = Some(sums.plateau.add(pressure));
@@ -206,6 +223,27 @@ pub struct Moment<'a> {
     pub total: u32,
 }
 
+/// Volumes over many breaths.
+#[derive(Clone, Copy, Debug, Default)]
+struct Volumes {
+    /// Mean minute volume with the present settings, L/min, and the time that it covers, s.
+    minute: f64,
+    covers_s: f64,
+    /// Time since the last breath that got through, s.
+    without_s: f64,
+}
+
+impl Volumes {
+    fn add(&mut self, breath: &BreathTruth) {
+        let seconds = 1e-3 * f64::from(breath.sums.ticks);
+        self.covers_s = (self.covers_s + seconds).min(AVERAGED_S);
+        // From mL/s to L/min.
+        self.minute += seconds / self.covers_s * (0.06 * breath.expired / seconds - self.minute);
+        self.without_s =
+            if breath.inspired.min(breath.expired) >= DELIVERED_ML { 0.0 } else { self.without_s + seconds };
+    }
+}
+
 /// The running breath and those before it.
 #[derive(Clone, Debug)]
 pub struct History {
@@ -213,6 +251,7 @@ pub struct History {
     /// Breaths in a row with the present settings.
     unchanged: u32,
     away_ms: u32,
+    volumes: Volumes,
     /// The patient's own resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
     lung: (f64, f64),
     /// The outlet sensor's lag per tick, its tube, and the pressure behind the lag.
@@ -220,6 +259,11 @@ pub struct History {
     tube: f64,
     outlet: f64,
 }
+
+/// Time over which minute volumes are averaged, s.
+const AVERAGED_S: f64 = 30.0;
+/// Volume, in and out, of a breath that gets through, mL.
+const DELIVERED_ML: f64 = 4.0;
 
 /// Pressure above PEEP up to which the pressure is not away from it, cmH2O.
 const AWAY: f64 = 2.0;
@@ -232,6 +276,7 @@ impl History {
             breaths: VecDeque::from([BreathTruth::new(&patient.settings, false)]),
             unchanged: 0,
             away_ms: 0,
+            volumes: Volumes::default(),
             lung: (lung.resistance_cmh2o_per_l_s, lung.compliance_ml_per_cmh2o),
             outlet_share: if outlet.lag_ms > 0.0 { 1.0 - (-1.0 / outlet.lag_ms).exp() } else { 1.0 },
             tube: outlet.tube_resistance_cmh2o_per_l_s,
@@ -243,16 +288,30 @@ impl History {
     #[cfg(test)]
     pub fn of(breaths: Vec<BreathTruth>, lung: (f64, f64)) -> Self {
         let breaths = VecDeque::from(breaths);
-        Self { breaths, unchanged: 9, away_ms: 0, lung, outlet_share: 1.0, tube: 0.0, outlet: 0.0 }
+        let volumes = Volumes::default();
+        Self { breaths, unchanged: 9, away_ms: 0, volumes, lung, outlet_share: 1.0, tube: 0.0, outlet: 0.0 }
     }
 
     /// Starts a breath.
     pub fn start_breath(&mut self, settings: &Settings) {
+        self.end_breath();
         self.unchanged = if self.running().settings == *settings { self.unchanged + 1 } else { 0 };
         if self.breaths.len() == KEPT {
             self.breaths.pop_front();
         }
         self.breaths.push_back(BreathTruth::new(settings, self.unchanged >= 2));
+    }
+
+    /// Adds the running breath to the minute volumes and to the time without a breath.
+    fn end_breath(&mut self) {
+        let Some(ended) = self.breaths.back_mut().filter(|breath| breath.sums.ticks > 0) else { return };
+        if self.unchanged == 0 {
+            self.volumes.covers_s = 0.0;
+        }
+        self.volumes.add(ended);
+        ended.ended = true;
+        ended.minute_volume = (self.volumes.covers_s >= AVERAGED_S).then_some(self.volumes.minute);
+        ended.without_s = self.volumes.without_s;
     }
 
     /// Adds a tick of the running breath.

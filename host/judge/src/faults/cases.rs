@@ -8,9 +8,10 @@ use super::hostile::CaseController::{self, Alternating, Greedy, Ringing, Sound};
 use super::injection::Damage;
 use super::injection::Injection::{
     self, BothLost, BrownOut, CoughTrains, Coughs, Drift, Dropped, FlowLost, Hang, HostSilent, MissedTicks,
-    NewTiming, Noise, NoisyAt, Offset, OtherHost, OutletLost, OutletOffset, Reads, Reconnected, StuckAt,
-    StuckAtLast, SwappedBytes, Weights,
+    NewLung, NewTiming, Noise, NoisyAt, Offset, OtherHost, OutletLost, OutletOffset, Reads, Reconnected,
+    StuckAt, StuckAtLast, SwappedBytes, Weights,
 };
+use super::volume::VolumeLimits;
 use plant::bench::{BenchConfig, Failure, PatientConfig};
 
 /// Default pressure limit of the matrix, cmH2O.
@@ -39,8 +40,13 @@ const GAP_AFTER_RESET_MS: u32 = 3000;
 /// Smallest share of the sound machine's minute volume that must remain, and that under a PID without an integral.
 const VOLUME_SHARE: f64 = 0.8;
 const SHARE_WITHOUT_INTEGRAL: f64 = 0.5;
+/// Share that a stiff and narrow lung takes.
+const SHARE_OF_STIFF_LUNG: f64 = 0.3;
 /// Duration of a trial after its fault, ms.
 const WATCHED_MS: u32 = 21_000;
+/// The same for an apnoea, and for a minute volume.
+const APNOEA_MS: u32 = 33_000;
+const MINUTE_MS: u32 = 75_000;
 /// Time for which the patient of a row is disconnected, ms.
 const DISCONNECTED_MS: u32 = 5000;
 
@@ -75,6 +81,8 @@ pub struct FaultCase {
     pub(super) ventilation: Required,
     /// Smallest share of the sound machine's minute volume.
     pub(super) least_share: f64,
+    /// Alarm limits of the volumes.
+    limits: VolumeLimits,
     /// Lowest resistance of a lung with which the fault is possible, cmH2O/(L/s).
     least_resistance: f64,
 }
@@ -87,6 +95,9 @@ pub(super) enum Required {
     /// A share of the volume, and no gap longer than this, ms.
     GapWithin(u32),
 }
+
+/// No alarm limits of the volumes.
+const NO_LIMITS: VolumeLimits = VolumeLimits { tidal: (0.0, 0.0), minute: (0.0, 0.0) };
 
 fn usual(pressure_limit: f32) -> Settings {
     Settings { pressure_limit, ..paper_settings(PIP) }
@@ -105,6 +116,11 @@ fn low(_: f32) -> Settings {
 /// Settings with a PEEP whose loss shows on every lung.
 fn high_peep(limit: f32) -> Settings {
     Settings { peep: 10.0, pip: 30.0, ..usual(limit) }
+}
+
+/// Settings at which the valve can fill even a lung that has become softer.
+fn gentle(limit: f32) -> Settings {
+    Settings { pip: 15.0, ..usual(limit) }
 }
 
 /// Settings with four breaths a minute.
@@ -147,6 +163,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         judged_after_ms: 0,
         ventilation: Required::GapWithin(GAP_MS),
         least_share: VOLUME_SHARE,
+        limits: NO_LIMITS,
         least_resistance: 0.0,
     }
 }
@@ -172,8 +189,13 @@ const fn breathing(name: &'static str, patient: fn(&mut PatientConfig)) -> Fault
 }
 
 impl FaultCase {
+    /// The settings for a lung at a pressure limit, cmH2O.
+    pub(super) fn settings_for(&self, lung: &BenchConfig, limit: f32) -> Settings {
+        self.limits.of(lung, (self.settings)(limit))
+    }
+
     /// The settings at a pressure limit, cmH2O, after the fault.
-    pub(super) fn settings_after(&self, limit: f32) -> Settings {
+    fn settings_after(&self, limit: f32) -> Settings {
         self.injection.settings((self.settings)(limit))
     }
 
@@ -252,6 +274,16 @@ impl FaultCase {
         Self { least_share, ..self }
     }
 
+    /// Sets lower and upper alarm limits of the tidal volume, as factors on that of the passive lung; 0 for none.
+    const fn with_tidal_limits(self, low: f64, high: f64) -> Self {
+        Self { limits: VolumeLimits { tidal: (low, high), ..self.limits }, ..self }
+    }
+
+    /// The same for the minute volume.
+    const fn with_minute_limits(self, low: f64, high: f64) -> Self {
+        Self { limits: VolumeLimits { minute: (low, high), ..self.limits }, ..self }
+    }
+
     const fn resumed(self) -> Self {
         Self { ventilation: Required::GapWithin(GAP_AFTER_RESET_MS), ..self }
     }
@@ -287,12 +319,21 @@ const SENSOR: [FaultCase; 19] = [
     sensor("outlet sensor lost", OutletLost, &[Fault::OutletSensorLost]),
     case("both pressure sensors lost", BothLost, &[Fault::BackupVentilation]),
     case("both pressure sensors lost before a breath", BothLost, &[Fault::BackupVentilation]).at(BEFORE_MS),
-    case("flow sensor lost", FlowLost, &[]),
+    // Nothing is known about the volumes then, so no alarm may claim that they are low.
+    case("flow sensor lost", FlowLost, &[Fault::FlowSensorLost])
+        .with_tidal_limits(0.7, 0.0)
+        .with_minute_limits(0.7, 0.0)
+        .watched(MINUTE_MS)
+        .never(&[Fault::TidalVolumeLow, Fault::MinuteVolumeLow, Fault::Apnoea]),
 ];
 
 /// Faults of machine and breathing circuit.
-const MACHINE: [FaultCase; 16] = [
+const MACHINE: [FaultCase; 17] = [
     part("tube occluded", Failure::TubeOccluded, &[Fault::Occlusion]).at(BEFORE_MS).not_ventilated(),
+    part("tube occluded for half a minute", Failure::TubeOccluded, &[Fault::Apnoea])
+        .at(BEFORE_MS)
+        .watched(APNOEA_MS)
+        .not_ventilated(),
     stuck("expiratory filter clogged", Failure::FilterClogged, &[Fault::BaselineHigh]).not_ventilated(),
     part("patient disconnected", Failure::Disconnected, &[Fault::Disconnection]).not_ventilated(),
     // Full ventilation within one breath of the reconnection.
@@ -329,8 +370,8 @@ const MACHINE: [FaultCase; 16] = [
     part("gas supply lost", Failure::SupplyLost, &[Fault::NoResponse]).not_ventilated(),
 ];
 
-/// Patients who breathe or cough, and settings that change: no fault of the machine's.
-const PATIENT: [FaultCase; 11] = [
+/// Patients who breathe or cough, lungs and settings that change: no fault of the machine's.
+const PATIENT: [FaultCase; 15] = [
     case("cough in every breath", Coughs(25.0), &[]).with(tight),
     case("trains of six coughs", CoughTrains(40.0), &[]),
     breathing("efforts of 3 cmH2O, 21 a minute against 20", |patient| efforts(patient, 3.0, 21.0)).quietly(),
@@ -357,6 +398,23 @@ const PATIENT: [FaultCase; 11] = [
         .with(twelve_a_minute)
         .with_resistance(50.0)
         .quietly(),
+    case("lung stiffens and its airways narrow", NewLung(2.0, 0.4), &[Fault::TidalVolumeLow])
+        .with_tidal_limits(0.7, 0.0)
+        .with_share(SHARE_OF_STIFF_LUNG),
+    case("lung becomes softer", NewLung(0.5, 2.0), &[Fault::TidalVolumeHigh])
+        .with(gentle)
+        .with_tidal_limits(0.0, 1.4),
+    case("rate lowered from 20 to 8 a minute", NewTiming(8.0, 1.0), &[Fault::MinuteVolumeLow])
+        .with_minute_limits(0.7, 0.0)
+        .watched(MINUTE_MS),
+    case(
+        "rate raised from 12 to 30 a minute, with a limit",
+        NewTiming(30.0, 1.0),
+        &[Fault::MinuteVolumeHigh],
+    )
+    .with(twelve_a_minute)
+    .with_minute_limits(0.0, 1.3)
+    .watched(MINUTE_MS),
 ];
 
 /// Faults of chip and controller.

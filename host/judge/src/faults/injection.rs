@@ -63,6 +63,8 @@ pub enum Injection {
     Coughs(f64),
     /// The patient coughs six times in a row with this peak, cmH2O, in every third breath of 3 s.
     CoughTrains(f64),
+    /// The lung changes: factors on its resistance and its compliance.
+    NewLung(f64, f64),
     /// The operator enters another rate, 1/min, and inspiratory time, s.
     NewTiming(f32, f32),
     /// The host stops sending.

@@ -220,7 +220,7 @@ fn cell(
     let bench = case.bench(lung);
     let trial = |seed: u64| Trial {
         bench: &bench,
-        settings: (case.settings)(limit),
+        settings: case.settings_for(lung, limit),
         controller: &controller,
         monitors,
         injection: case.injection,
@@ -229,7 +229,10 @@ fn cell(
         judged_after_ms: case.judged_after_ms,
         seed,
     };
-    let passive = |seed: u64| Trial { bench: lung, settings: case.settings_after(limit), ..trial(seed) };
+    let passive = |seed: u64| {
+        let trial = trial(seed);
+        Trial { bench: lung, settings: case.injection.settings(trial.settings), ..trial }
+    };
     let outcomes = seeds.iter().map(|seed| run(&trial(*seed))).collect::<Result<Vec<_>, _>>()?;
     let sound = seeds.iter().map(|seed| sound.of(&passive(*seed))).collect::<Result<Vec<_>, _>>()?;
     Ok(row(case, lung, limit, &outcomes, &sound))

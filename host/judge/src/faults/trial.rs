@@ -206,6 +206,7 @@ impl Run<'_> {
             (Injection::Reconnected(after), since) if since == after => self.bench.restore(),
             (Injection::Coughs(peak), _) if self.rig.state().tick() == COUGH_TICK => self.bench.cough(peak),
             (Injection::CoughTrains(peak), since) if Injection::coughs(since) => self.bench.cough(peak),
+            (Injection::NewLung(resistance, compliance), 0) => self.bench.change_lung(resistance, compliance),
             (Injection::NewTiming(..), 0) => {
                 self.rig.apply(self.trial.injection.settings(self.trial.settings));
             }

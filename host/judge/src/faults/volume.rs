@@ -1,5 +1,8 @@
 //! Measures what the lung gets: breaths, their volume, and the longest gap between them.
 
+use plant::bench::BenchConfig;
+use shared::settings::Settings;
+
 /// Share of the threshold within which the lung is at its lowest volume.
 const AT_REST: f64 = 0.05;
 
@@ -85,6 +88,40 @@ impl VolumeMeter {
     }
 }
 
+/// Volume of a breath of a passive lung at these settings once breath follows breath evenly, mL.
+pub fn passive_volume_ml(bench: &BenchConfig, settings: &Settings) -> f64 {
+    let lung = &bench.lung.first;
+    let time_constant_s = lung.resistance_cmh2o_per_l_s * lung.compliance_ml_per_cmh2o * 1e-3;
+    let inspiration_s = f64::from(settings.inspiratory_time);
+    let expiration_s = 60.0 / f64::from(settings.rate) - inspiration_s;
+    let unfilled = (-inspiration_s / time_constant_s).exp();
+    let unemptied = (-expiration_s / time_constant_s).exp();
+    let rise = f64::from(settings.pip - settings.peep);
+    let share = (1.0 - unfilled) * (1.0 - unemptied) / (1.0 - unfilled * unemptied);
+    lung.compliance_ml_per_cmh2o * rise * share
+}
+
+/// Alarm limits of the volumes, as factors on what the passive lung gets; 0 for none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct VolumeLimits {
+    /// Lower and upper limit of the tidal volume.
+    pub tidal: (f64, f64),
+    /// Lower and upper limit of the minute volume.
+    pub minute: (f64, f64),
+}
+
+impl VolumeLimits {
+    /// The same settings with these limits for a lung.
+    pub fn of(self, bench: &BenchConfig, settings: Settings) -> Settings {
+        let tidal = passive_volume_ml(bench, &settings);
+        let minute = 1e-3 * tidal * f64::from(settings.rate);
+        let [tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high] =
+            [tidal * self.tidal.0, tidal * self.tidal.1, minute * self.minute.0, minute * self.minute.1]
+                .map(|limit| limit as f32);
+        Settings { tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high, ..settings }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -105,6 +142,22 @@ mod tests {
             }
         }
         meter.finish(ms)
+    }
+
+    #[test]
+    fn the_limits_are_shares_of_what_the_lung_takes() {
+        let settings = Settings { pip: 25.0, peep: 5.0, ..Settings::default() };
+        // A time constant of 50 ms: the lung fills and empties.
+        let fast = BenchConfig::paper(5.0, 10.0);
+        assert!((passive_volume_ml(&fast, &settings) - 200.0).abs() < 0.1);
+        let limits = VolumeLimits { tidal: (0.5, 2.0), minute: (0.0, 1.5) };
+        let limits = limits.of(&fast, settings);
+        let near = |value: f32, wanted: f32| (value - wanted).abs() < 0.01;
+        assert!(near(limits.tidal_volume_low, 100.0) && near(limits.tidal_volume_high, 400.0));
+        assert!(near(limits.minute_volume_low, 0.0) && near(limits.minute_volume_high, 6.0));
+        // With 2.5 s it does neither: in 1 s it takes a third of the rest, and in 2 s gives out 55 %.
+        let slow = passive_volume_ml(&BenchConfig::paper(50.0, 50.0), &settings);
+        assert!((slow - 1000.0 * 0.26).abs() < 1.0, "{slow}");
     }
 
     #[test]

@@ -223,6 +223,11 @@ impl Bench {
         self.patient.cough(peak, now);
     }
 
+    /// Changes the lung now: factors on its resistances and compliances. Its pressure stays.
+    pub fn change_lung(&mut self, resistance: f64, compliance: f64) {
+        self.lung.change(resistance, compliance);
+    }
+
     /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if `u_out`;
     /// returns the sensor's pressure at its end, cmH2O. A command outside 0 to 100 is limited; one that is not finite
     /// closes the valve.

@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use std::vec::Vec;
 
 mod bounds;
+mod volumes;
 
 fn breath() -> Breath {
     Breath::new(&paper_settings(20.0), DEFAULT_PERIOD_US).unwrap()

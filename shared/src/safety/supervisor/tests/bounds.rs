@@ -84,8 +84,8 @@ fn the_sensors_are_compared_over_the_last_fifty_milliseconds_of_a_breath() {
 /// The volumes of a breath of which this share came out again.
 fn expired(share: f32) -> Volumes {
     let mut volumes = Volumes::default();
-    volumes.add(0.03125, f32::NAN, 1.0);
-    volumes.add(-0.03125 * share, f32::NAN, 1.0);
+    volumes.add(0.03125, f32::NAN, 0.0, 1.0);
+    volumes.add(-0.03125 * share, f32::NAN, 0.0, 1.0);
     volumes
 }
 
@@ -357,7 +357,7 @@ fn a_leak_is_learned_from_a_connected_patient_alone() {
         assert_eq!(run.state.breath.is_disconnected(), disconnected);
         // 0.2 L in 1 s at 9 cmH2O, of which nothing comes out.
         run.state.volumes = Volumes::default();
-        run.state.volumes.add(0.2, 9.0, 1.0);
+        run.state.volumes.add(0.2, 9.0, 0.0, 1.0);
         run.check(5.0, Some(0));
         run.state.leak_compensation()
     };

@@ -1,0 +1,365 @@
+//! Checks what the patient gets: tidal volume, minute volume, and that breaths get through at all. ISO 80601-2-12 demands such
+//! monitors.
+//!
+//! Once per breath, from the volumes that the flow sensor has measured. The expired volume counts: what leaves through a leak
+//! ventilates nobody. The limits are settings. Without a flow sensor these monitors cannot work, and an
+//! alarm says so.
+
+use super::alarms::Fault;
+use super::breath_monitor::UNCHECKED_BREATHS;
+use super::monitors::in_a_row;
+use super::volumes::{BreathVolumes, Volumes};
+use crate::breath::period_s;
+use crate::settings::Settings;
+
+/// Breaths in a row with a tidal volume outside its limits that raise the alarm.
+const BREATHS: u32 = 3;
+/// Time over which the minute volume is averaged, s.
+const AVERAGED: f32 = 30.0;
+/// Smallest volume, in and out, of a breath that gets through, mL: less than a newborn's, and more than the noise of the flow sensor.
+const DELIVERED: f32 = 3.0;
+/// Time without such a breath that is apnoea, s, and the breaths as set that it takes at least.
+const APNOEA: (f32, f32) = (20.0, 2.0);
+/// From mL/s to L/min.
+const LITRES_PER_MINUTE: f32 = 0.06;
+
+/// Findings of a breath: about the tidal volume, the minute volume, apnoea and the flow sensor.
+pub type VolumeFindings = [Option<Fault>; 4];
+
+/// Checks the volumes of each breath.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VolumeMonitor {
+    /// Control period, s.
+    period: f32,
+}
+
+/// State of the volume monitor; all zero before the first breath.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct VolumeState {
+    /// Whether the flow of a breath was ever measured.
+    exists: bool,
+    /// Breaths in a row with a tidal volume below and above its limits.
+    low: u32,
+    high: u32,
+    /// Mean minute volume, L/min, and the time that it covers, s.
+    minute_volume: f32,
+    covers: f32,
+    /// Time since the last breath that got through, s.
+    without: f32,
+    /// Breaths that are still not judged after a change of the settings.
+    unchecked: u32,
+}
+
+impl VolumeState {
+    /// The settings have changed, in the breath that starts now: neither the last one nor this one and the next are judged.
+    pub fn settings_changed(&mut self) {
+        (self.low, self.high, self.covers) = (0, 0, 0.0);
+        self.unchecked = UNCHECKED_BREATHS + 1;
+    }
+}
+
+impl VolumeMonitor {
+    /// A monitor for a control period in microseconds.
+    pub fn new(period_us: u32) -> Self {
+        Self { period: period_s(period_us) }
+    }
+
+    /// Judges the volumes of the last breath, once, at the beginning of one with these settings.
+    pub fn check(&self, state: &mut VolumeState, volumes: &Volumes, settings: &Settings) -> VolumeFindings {
+        if volumes.last_ticks() == 0 {
+            return [None; 4];
+        }
+        let seconds = volumes.last_ticks() as f32 * self.period;
+        let Some(breath) = volumes.breath() else {
+            let lost = state.exists || has_limits(settings);
+            *state =
+                VolumeState { exists: state.exists, unchecked: state.unchecked, ..VolumeState::default() };
+            return [None, None, None, lost.then_some(Fault::FlowSensorLost)];
+        };
+        state.exists = true;
+        let (tidal, apnoea) = (breath.expired, apnoea(state, breath, seconds, settings));
+        if state.unchecked > 0 {
+            state.unchecked -= 1;
+            return [None, None, apnoea, None];
+        }
+        [tidal_volume(state, tidal, settings), minute_volume(state, tidal, seconds, settings), apnoea, None]
+    }
+}
+
+/// Whether a volume has an alarm limit.
+fn has_limits(settings: &Settings) -> bool {
+    let Settings { tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high, .. } =
+        settings;
+    [tidal_volume_low, tidal_volume_high, minute_volume_low, minute_volume_high]
+        .iter()
+        .any(|limit| **limit > 0.0)
+}
+
+/// Counts the time without a breath that gets through, after one of these volumes and this length, s. Gas must go both in and out:
+/// an offset of the sensor, an open end, or a leak that is gone, goes only one way.
+fn apnoea(
+    state: &mut VolumeState,
+    breath: BreathVolumes,
+    seconds: f32,
+    settings: &Settings,
+) -> Option<Fault> {
+    let delivered = breath.inspired.min(breath.expired) >= DELIVERED;
+    state.without = if delivered { 0.0 } else { state.without + seconds };
+    let longest = APNOEA.0.max(APNOEA.1 * 60.0 / settings.rate);
+    (state.without >= longest).then_some(Fault::Apnoea)
+}
+
+/// Compares a tidal volume, mL, with its limits.
+fn tidal_volume(state: &mut VolumeState, tidal: f32, settings: &Settings) -> Option<Fault> {
+    let (low, high) = (settings.tidal_volume_low, settings.tidal_volume_high);
+    state.low = in_a_row(state.low, tidal < low);
+    state.high = in_a_row(state.high, high > 0.0 && tidal > high);
+    if state.low >= BREATHS {
+        return Some(Fault::TidalVolumeLow);
+    }
+    (state.high >= BREATHS).then_some(Fault::TidalVolumeHigh)
+}
+
+/// Adds a breath of this tidal volume, mL, and length, s, to the mean minute volume, and compares that with its limits.
+fn minute_volume(state: &mut VolumeState, tidal: f32, seconds: f32, settings: &Settings) -> Option<Fault> {
+    state.covers = (state.covers + seconds).min(AVERAGED);
+    // A plain mean at first, so that no breath counts more than another.
+    let weight = seconds / state.covers;
+    state.minute_volume += weight * (LITRES_PER_MINUTE * tidal / seconds - state.minute_volume);
+    if state.covers < AVERAGED {
+        return None;
+    }
+    let (low, high) = (settings.minute_volume_low, settings.minute_volume_high);
+    if state.minute_volume < low {
+        return Some(Fault::MinuteVolumeLow);
+    }
+    (high > 0.0 && state.minute_volume > high).then_some(Fault::MinuteVolumeHigh)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::breath::paper_settings;
+    use std::vec::Vec;
+
+    /// 20 breaths a minute, in ticks of 10 ms.
+    const PERIOD_US: u32 = 10_000;
+
+    fn limits(tidal: (f32, f32), minute: (f32, f32)) -> Settings {
+        Settings {
+            tidal_volume_low: tidal.0,
+            tidal_volume_high: tidal.1,
+            minute_volume_low: minute.0,
+            minute_volume_high: minute.1,
+            ..paper_settings(20.0)
+        }
+    }
+
+    /// A monitor with its state and settings.
+    struct Run {
+        state: VolumeState,
+        volumes: Volumes,
+        settings: Settings,
+    }
+
+    impl Run {
+        fn new(settings: Settings) -> Self {
+            Self { state: VolumeState::default(), volumes: Volumes::default(), settings }
+        }
+
+        /// The findings after a breath of a tidal volume, mL, of NaN for an unmeasured one, as long as the rate says.
+        fn breath(&mut self, tidal: f32) -> Vec<Fault> {
+            let ticks = (6000.0 / self.settings.rate + 0.5) as u32;
+            // The play of the measurement takes 1 mL.
+            let volume = tidal + if tidal > 0.0 { 1.0 } else { 0.0 };
+            for tick in 0..ticks {
+                let flow = if tick < ticks / 2 { volume } else { -volume } / 10.0 / (ticks / 2) as f32;
+                self.volumes.add(flow, 9.0, 0.0, 0.01);
+            }
+            self.volumes.start_breath();
+            let monitor = VolumeMonitor::new(PERIOD_US);
+            let found = monitor.check(&mut self.state, &self.volumes, &self.settings);
+            found.into_iter().flatten().collect()
+        }
+
+        /// The number of breaths of this volume until an alarm, of at most 100.
+        fn until(&mut self, tidal: f32, fault: Fault) -> Option<usize> {
+            (1..=100).find(|_| self.breath(tidal).contains(&fault))
+        }
+
+        /// All alarms in this number of breaths.
+        fn breaths(&mut self, count: usize, tidal: f32) -> Vec<Fault> {
+            let mut found: Vec<_> = (0..count).flat_map(|_| self.breath(tidal)).collect();
+            found.dedup();
+            found
+        }
+    }
+
+    #[test]
+    fn three_small_breaths_in_a_row_are_an_alarm_that_ends_with_a_normal_one() {
+        let mut run = Run::new(limits((300.0, 0.0), (0.0, 0.0)));
+        assert_eq!(run.breaths(50, 310.0), []);
+        assert_eq!(run.breaths(2, 290.0), []);
+        assert_eq!(run.breaths(1, 310.0), []);
+        assert_eq!(run.until(290.0, Fault::TidalVolumeLow), Some(3));
+        assert_eq!(run.breath(290.0), [Fault::TidalVolumeLow], "as long as it lasts");
+        assert_eq!(run.breath(310.0), []);
+    }
+
+    #[test]
+    fn three_large_breaths_in_a_row_are_an_alarm_that_ends_with_a_normal_one() {
+        let mut run = Run::new(limits((0.0, 500.0), (0.0, 0.0)));
+        assert_eq!(run.breaths(50, 490.0), []);
+        assert_eq!(run.breaths(2, 510.0), []);
+        assert_eq!(run.breaths(1, 490.0), []);
+        assert_eq!(run.until(510.0, Fault::TidalVolumeHigh), Some(3));
+        assert_eq!(run.breath(510.0), [Fault::TidalVolumeHigh]);
+        assert_eq!(run.breath(490.0), []);
+    }
+
+    #[test]
+    fn a_volume_at_its_limit_is_within_it() {
+        let mut state = VolumeState::default();
+        let settings = limits((300.0, 500.0), (6.0, 10.0));
+        for _ in 0..9 {
+            assert_eq!(tidal_volume(&mut state, 300.0, &settings), None);
+            assert_eq!(tidal_volume(&mut state, 500.0, &settings), None);
+        }
+        let at = |minute: f32| {
+            let mut state = VolumeState { minute_volume: minute, covers: AVERAGED, ..VolumeState::default() };
+            minute_volume(&mut state, minute * 50.0, 3.0, &settings)
+        };
+        assert_eq!([at(6.0), at(10.0)], [None; 2]);
+        assert_eq!([at(5.9), at(10.1)], [Some(Fault::MinuteVolumeLow), Some(Fault::MinuteVolumeHigh)]);
+    }
+
+    #[test]
+    fn without_limits_no_volume_is_an_alarm() {
+        for tidal in [5.0, 5000.0] {
+            assert_eq!(Run::new(limits((0.0, 0.0), (0.0, 0.0))).breaths(100, tidal), []);
+        }
+    }
+
+    #[test]
+    fn a_minute_volume_is_judged_after_half_a_minute() {
+        // 20 breaths a minute: ten in 30 s, and 8 L/min at 400 mL.
+        for (minute, fault) in [((8.2, 0.0), Fault::MinuteVolumeLow), ((0.0, 7.8), Fault::MinuteVolumeHigh)] {
+            assert_eq!(Run::new(limits((0.0, 0.0), minute)).until(400.0, fault), Some(10));
+        }
+        assert_eq!(Run::new(limits((0.0, 0.0), (7.8, 8.2))).breaths(100, 400.0), []);
+    }
+
+    #[test]
+    fn a_minute_volume_is_the_mean_of_the_first_half_minute_and_then_forgets_slowly() {
+        let mut run = Run::new(limits((0.0, 0.0), (0.0, 0.0)));
+        run.breaths(5, 200.0);
+        run.breaths(5, 600.0);
+        assert!((run.state.minute_volume - 8.0).abs() < 0.01, "{}", run.state.minute_volume);
+        // Each further breath of 3 s has a tenth of the mean.
+        run.breaths(1, 900.0);
+        assert!((run.state.minute_volume - 9.0).abs() < 0.01, "{}", run.state.minute_volume);
+    }
+
+    #[test]
+    fn a_minute_volume_that_falls_to_nothing_is_an_alarm_within_half_a_minute() {
+        let mut run = Run::new(limits((0.0, 0.0), (4.0, 0.0)));
+        assert_eq!(run.breaths(20, 400.0), []);
+        // 0.9 to the power of 7 is 0.48.
+        assert_eq!(run.until(0.0, Fault::MinuteVolumeLow), Some(7));
+        assert_eq!(run.breaths(1, 900.0), [], "and ends when enough gas comes");
+    }
+
+    #[test]
+    fn a_change_of_the_settings_is_not_judged_for_two_breaths() {
+        let mut run = Run::new(limits((300.0, 0.0), (6.0, 0.0)));
+        run.breaths(20, 400.0);
+        run.settings.rate = 30.0;
+        run.state.settings_changed();
+        // The breath before the change, two after it, then three in a row.
+        assert_eq!(run.until(200.0, Fault::TidalVolumeLow), Some(3 + 3));
+        run.breaths(20, 400.0);
+        run.settings.rate = 12.0;
+        run.state.settings_changed();
+        // 4 L/min, but nothing is left of the twelve before: three breaths, then 30 s.
+        assert_eq!(run.until(340.0, Fault::MinuteVolumeLow), Some(3 + 6));
+    }
+
+    #[test]
+    fn low_breaths_before_a_change_do_not_count_after_it() {
+        let mut run = Run::new(limits((300.0, 500.0), (0.0, 0.0)));
+        for tidal in [200.0, 600.0] {
+            run.breaths(2, tidal);
+            run.state.settings_changed();
+            assert_eq!(run.breaths(3 + 2, tidal), []);
+            run.breaths(1, 400.0);
+        }
+    }
+
+    #[test]
+    fn twenty_seconds_without_a_breath_are_apnoea() {
+        let mut run = Run::new(paper_settings(20.0));
+        assert_eq!(run.breaths(20, 3.1), []);
+        // 3 s each.
+        assert_eq!(run.until(2.9, Fault::Apnoea), Some(7));
+        assert_eq!(run.breath(2.9), [Fault::Apnoea]);
+        assert_eq!(run.breath(3.1), []);
+        assert_eq!(run.until(0.0, Fault::Apnoea), Some(7));
+    }
+
+    #[test]
+    fn gas_that_only_goes_in_or_only_comes_out_is_no_breath() {
+        let is_apnoea = |inspired, expired| {
+            let mut state = VolumeState { without: 25.0, ..VolumeState::default() };
+            apnoea(&mut state, BreathVolumes { inspired, expired }, 3.0, &paper_settings(20.0)).is_some()
+        };
+        assert!(is_apnoea(900.0, 2.9) && is_apnoea(2.9, 900.0));
+        assert!(!is_apnoea(900.0, 3.0) && !is_apnoea(3.0, 900.0));
+    }
+
+    #[test]
+    fn apnoea_takes_two_breaths_as_set_and_a_change_of_the_settings_does_not_hide_it() {
+        let slow = Settings { rate: 5.0, ..paper_settings(20.0) };
+        let mut run = Run::new(slow);
+        assert_eq!(run.until(0.0, Fault::Apnoea), Some(2), "24 s");
+        let mut run = Run::new(Settings { rate: 6.0, ..slow });
+        assert_eq!(run.until(0.0, Fault::Apnoea), Some(2), "20 s");
+        let mut run = Run::new(paper_settings(20.0));
+        run.breaths(6, 0.0);
+        run.state.settings_changed();
+        assert_eq!(run.breath(0.0), [Fault::Apnoea]);
+    }
+
+    #[test]
+    fn a_lost_flow_sensor_is_the_only_alarm_about_volumes() {
+        let mut run = Run::new(limits((300.0, 0.0), (6.0, 0.0)));
+        run.breaths(20, 400.0);
+        assert_eq!(run.breaths(50, f32::NAN), [Fault::FlowSensorLost]);
+        assert_eq!(run.breaths(2, 0.0), [], "nothing is left from before");
+        assert_eq!(run.until(0.0, Fault::TidalVolumeLow), Some(1));
+    }
+
+    #[test]
+    fn a_sensor_that_never_was_is_missing_only_if_a_limit_needs_it() {
+        assert_eq!(Run::new(paper_settings(20.0)).breaths(20, f32::NAN), []);
+        let off = (0.0, 0.0);
+        for settings in [
+            limits((300.0, 0.0), off),
+            limits((0.0, 500.0), off),
+            limits(off, (4.0, 0.0)),
+            limits(off, (0.0, 9.0)),
+        ] {
+            assert_eq!(Run::new(settings).breath(f32::NAN), [Fault::FlowSensorLost]);
+        }
+        let mut run = Run::new(paper_settings(20.0));
+        run.breath(400.0);
+        assert_eq!(run.breath(f32::NAN), [Fault::FlowSensorLost]);
+    }
+
+    #[test]
+    fn before_the_first_breath_nothing_is_missing() {
+        let settings = limits((300.0, 0.0), (0.0, 0.0));
+        let (mut state, volumes) = (VolumeState::default(), Volumes::default());
+        let found = VolumeMonitor::new(PERIOD_US).check(&mut state, &volumes, &settings);
+        assert_eq!((found, state), ([None; 4], VolumeState::default()));
+    }
+}
