@@ -51,7 +51,7 @@ pub enum Fault {
     SensorsDisagree,
     /// The pressure sensor at the machine's outlet gives no sound reading.
     OutletSensorLost,
-    /// No pressure sensor is sound: the commands of earlier breaths are repeated.
+    /// No pressure sensor is sound: the volume, or the commands, of earlier breaths are repeated.
     BackupVentilation,
     /// Much of the inspired volume does not come out again.
     Leak,
@@ -382,7 +382,8 @@ pub const ALARMS: [Alarm; 30] = [
         "backup-ventilation",
         (High, Backup),
         [
-            "no pressure sensor is sound, or none responds: the mean commands of the last good breaths are repeated",
+            "no pressure sensor is sound, or none responds: the volume of the last good breaths is delivered, or without a sound \
+             flow sensor their mean commands are repeated",
             "a pressure sensor is sound and responds",
             "backup ventilation without a pressure reading",
         ],

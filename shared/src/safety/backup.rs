@@ -1,10 +1,16 @@
-//! Backup ventilation: the mean command profile of the last good breaths, for a machine without a sound pressure sensor.
+//! Backup ventilation for a machine without a sound pressure sensor: the volume of the last good breaths, or their commands.
 //!
-//! While pressure control works, the commands of each good inspiration are averaged in time bins. A lung that has not changed
-//! answers the same commands with nearly the same pressure. Before the first good breath a constant flow delivers what fills
+//! While pressure control works, the commands of each good inspiration are averaged in time bins, and so is the volume that the flow
+//! sensor measures; its course is that of the last good inspiration. With a sound flow sensor the commands are then corrected by what the volume lacks of its course, and
+//! the valve closes when the whole volume has been delivered. Without one they are repeated as they were: a lung that has not
+//! changed answers with nearly the same pressure. Before the first good breath a constant flow delivers what fills
 //! the stiffest adult lung to PIP. The supervisor closes the valve when the lung estimate predicts the pressure limit.
+//!
+//! The flow sensor is sound as long as its volume is near that of the valve's model: within a supply pressure that falls, not if
+//! the reading stands still.
 
 use crate::breath::Breath;
+use crate::control::COMMAND_MAX;
 use crate::math;
 
 /// Time bins of an inspiration.
@@ -16,27 +22,75 @@ const STIFFEST: f32 = 0.01;
 /// Flow of the valve per command that is assumed before the first good breath, (L/s)/%: its mean slope at small commands.
 const FLOW_PER_COMMAND: f32 = 0.009;
 
-/// The mean commands of the last good breaths, and those of the running one.
+/// Rise of the command per missing volume, %/mL: the flow makes up for it with a time constant of about 0.15 s.
+const CORRECTION: f32 = 0.4;
+/// Lowest and highest share of the model's volume that a sound flow sensor measures, and the gas that stays in the circuit, mL.
+const PLAUSIBLE: (f32, f32) = (0.5, 1.5);
+const IN_CIRCUIT: f32 = 50.0;
+
+/// The mean commands and volumes of the last good breaths, and those of the running one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Backup {
     /// Mean commands of the last good breaths, percent; none before the first.
     profile: Option<[f32; BINS]>,
+    /// Volumes of those breaths; none if they were not measured.
+    course: Option<Course>,
     /// Rise from PEEP to PIP of those breaths, cmH2O.
     rise: f32,
     /// Sums of the running inspiration's commands.
     sums: [f32; BINS],
     counts: [u16; BINS],
+    /// Volume at the end of each bin of the last good inspiration and of the running one, mL, and whether the second one is the good one.
+    volumes: [[f32; BINS]; 2],
+    second_is_good: bool,
+    /// Volume since its start by the flow sensor, mL, not a number once a reading was missing; and by the valve's model.
+    measured: f32,
+    modelled: f32,
+}
+
+/// Volumes of good inspirations, mL.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Course {
+    /// The whole volume of the last one.
+    last: f32,
+    /// Mean of the whole volumes.
+    whole: f32,
 }
 
 impl Backup {
     /// Before the first breath.
     pub const fn new() -> Self {
-        Self { profile: None, rise: 0.0, sums: [0.0; BINS], counts: [0; BINS] }
+        Self {
+            profile: None,
+            course: None,
+            rise: 0.0,
+            sums: [0.0; BINS],
+            counts: [0; BINS],
+            volumes: [[0.0; BINS]; 2],
+            second_is_good: false,
+            measured: 0.0,
+            modelled: 0.0,
+        }
     }
 
     /// Starts an inspiration.
     pub fn start_breath(&mut self) {
         (self.sums, self.counts) = ([0.0; BINS], [0; BINS]);
+        (self.measured, self.modelled) = (0.0, 0.0);
+    }
+
+    /// Adds the gas of a tick of an inspiration, of `period` seconds: flows by the sensor, NaN without a reading, and by the valve's
+    /// model, L/s.
+    #[inline]
+    pub fn count(&mut self, sensor: f32, model: f32, period: f32) {
+        self.measured += 1000.0 * sensor * period;
+        self.modelled += 1000.0 * model * period;
+    }
+
+    /// Whether the flow sensor is sound in the running inspiration; not so without a reading.
+    pub fn is_flow_sound(&self) -> bool {
+        self.measured >= PLAUSIBLE.0 * self.modelled - IN_CIRCUIT
+            && self.measured <= PLAUSIBLE.1 * self.modelled + IN_CIRCUIT
     }
 
     /// Records the command of a tick of an inspiration, percent.
@@ -45,6 +99,7 @@ impl Backup {
         let bin = bin(breath, tick);
         self.sums[bin] += command;
         self.counts[bin] = self.counts[bin].saturating_add(1);
+        self.volumes[usize::from(!self.second_is_good)][bin] = self.measured;
     }
 
     /// Adds the running inspiration, which was a good one, to the mean.
@@ -61,20 +116,45 @@ impl Backup {
             }
         }
         self.rise = rise;
+        self.accept_course(changed);
     }
 
-    /// The command of a tick of an inspiration, percent.
+    /// Adds the course of the running inspiration's volume to the mean, if the flow sensor was sound.
+    fn accept_course(&mut self, changed: bool) {
+        if changed {
+            self.course = None;
+        }
+        // At the end of an inspiration the circuit has had its share: whatever was measured must be near the model.
+        let is_near = self.measured > 0.0 && self.measured >= PLAUSIBLE.0 * self.modelled;
+        if !(is_near && self.is_flow_sound()) {
+            return;
+        }
+        let before = self.course.as_ref().map_or(self.measured, |course| course.whole);
+        let whole = before + NEW_BREATH * (self.measured - before);
+        self.course = Some(Course { last: self.measured, whole });
+        self.second_is_good = !self.second_is_good;
+    }
+
+    /// The command of a tick of an inspiration, percent; `by_flow`: corrected by the flow sensor, if that is sound.
     #[inline]
-    pub fn command(&self, breath: &Breath, tick: u32) -> f32 {
+    pub fn command(&self, breath: &Breath, tick: u32, by_flow: bool) -> f32 {
         let settings = breath.settings();
         let rise = settings.pip - settings.peep;
-        match &self.profile {
-            Some(profile) => {
-                let scale = math::limit(rise / self.rise, 0.0, 1.0);
-                scale * profile[bin(breath, tick)]
-            }
-            None => rise * STIFFEST / settings.inspiratory_time / FLOW_PER_COMMAND,
+        let Some(profile) = &self.profile else {
+            return rise * STIFFEST / settings.inspiratory_time / FLOW_PER_COMMAND;
+        };
+        let scale = math::limit(rise / self.rise, 0.0, 1.0);
+        let bin = bin(breath, tick);
+        let command = scale * profile[bin];
+        let Some(course) = self.course.as_ref().filter(|_| by_flow && self.is_flow_sound()) else {
+            return command;
+        };
+        let whole = scale * course.whole;
+        if self.measured >= whole {
+            return 0.0;
         }
+        let wanted = whole * self.volumes[usize::from(self.second_is_good)][bin] / course.last;
+        math::limit(command + CORRECTION * (wanted - self.measured), 0.0, COMMAND_MAX)
     }
 }
 
@@ -117,7 +197,7 @@ mod tests {
             good(&mut backup, &breath, command);
         }
         for tick in [0, 150, 290, 320, 600, 999] {
-            assert!((backup.command(&breath, tick) - command(tick)).abs() < 1e-3, "tick {tick}");
+            assert!((backup.command(&breath, tick, true) - command(tick)).abs() < 1e-3, "tick {tick}");
         }
     }
 
@@ -126,7 +206,7 @@ mod tests {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         good(&mut backup, &breath, |_| 30.0);
         good(&mut backup, &breath, |_| 40.0);
-        assert!((backup.command(&breath, 500) - 33.0).abs() < 1e-3);
+        assert!((backup.command(&breath, 500, true) - 33.0).abs() < 1e-3);
     }
 
     #[test]
@@ -138,17 +218,17 @@ mod tests {
             backup.record(&breath, tick, 100.0);
         }
         backup.start_breath();
-        assert!((backup.command(&breath, 500) - 30.0).abs() < 1e-4);
+        assert!((backup.command(&breath, 500, true) - 30.0).abs() < 1e-4);
     }
 
     #[test]
     fn before_the_first_good_breath_a_stiff_lung_is_filled_to_pip() {
         // 200 mL within a second: 20 cmH2O in a lung of 10 mL/cmH2O.
-        let command = Backup::new().command(&breath(25.0), 0);
+        let command = Backup::new().command(&breath(25.0), 0, true);
         assert!((command * FLOW_PER_COMMAND - 0.2).abs() < 1e-4, "{command} %");
         let short = Settings { inspiratory_time: 0.5, ..paper_settings(25.0) };
         let short = Breath::new(&short, DEFAULT_PERIOD_US).unwrap();
-        let command = Backup::new().command(&short, 0);
+        let command = Backup::new().command(&short, 0, true);
         assert!((command * FLOW_PER_COMMAND - 0.4).abs() < 1e-4, "{command} % in half a second");
     }
 
@@ -156,10 +236,13 @@ mod tests {
     fn other_settings_never_deliver_more_than_the_profile() {
         let mut backup = Backup::new();
         good(&mut backup, &breath(25.0), |_| 40.0);
-        assert!((backup.command(&breath(15.0), 10) - 20.0).abs() < 1e-3);
-        assert!((backup.command(&breath(35.0), 10) - 40.0).abs() < 1e-3);
+        assert!((backup.command(&breath(15.0), 10, true) - 20.0).abs() < 1e-3);
+        assert!((backup.command(&breath(35.0), 10, true) - 40.0).abs() < 1e-3);
         good(&mut backup, &breath(15.0), |_| 10.0);
-        assert!((backup.command(&breath(15.0), 10) - 10.0).abs() < 1e-3, "a mean of one kind of breath");
+        assert!(
+            (backup.command(&breath(15.0), 10, true) - 10.0).abs() < 1e-3,
+            "a mean of one kind of breath"
+        );
     }
 
     #[test]
@@ -170,10 +253,10 @@ mod tests {
         let (breath, mut backup) = (of(0.4), Backup::new());
         good(&mut backup, &breath, |tick| tick as f32);
         for tick in 0..breath.inspiration_ticks() {
-            assert!((backup.command(&breath, tick) - tick as f32).abs() < 1e-4);
+            assert!((backup.command(&breath, tick, true) - tick as f32).abs() < 1e-4);
         }
         good(&mut backup, &of(0.6), |_| 10.0);
-        let means = [0, 1, 2].map(|tick| backup.command(&breath, tick));
+        let means = [0, 1, 2].map(|tick| backup.command(&breath, tick, true));
         let expected = [3.0, 1.0, 4.4];
         assert!(means.iter().zip(expected).all(|(mean, e)| (mean - e).abs() < 1e-4), "{means:?}");
     }
@@ -182,6 +265,103 @@ mod tests {
     fn a_tick_after_the_inspiration_has_the_last_command() {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         good(&mut backup, &breath, |tick| if tick < 985 { 10.0 } else { 50.0 });
-        assert!((backup.command(&breath, 5000) - 50.0).abs() < 1e-3);
+        assert!((backup.command(&breath, 5000, true) - 50.0).abs() < 1e-3);
+    }
+
+    /// A good breath of 1 s with a constant flow by the sensor and by the model, L/s, and a command of 30 %.
+    fn delivered(backup: &mut Backup, breath: &Breath, sensor: f32, model: f32) {
+        backup.start_breath();
+        for tick in 0..breath.inspiration_ticks() {
+            backup.count(sensor, model, 0.001);
+            backup.record(breath, tick, 30.0);
+        }
+        backup.accept(breath);
+    }
+
+    /// The command in the middle of an inspiration that has had this volume by the sensor and by the model, L, after good breaths
+    /// of 400 mL.
+    fn command_after(sensor: f32, model: f32, by_flow: bool) -> f32 {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        delivered(&mut backup, &breath, 0.4, 0.4);
+        backup.start_breath();
+        backup.count(sensor, model, 1.0);
+        backup.command(&breath, 500, by_flow)
+    }
+
+    #[test]
+    fn a_volume_behind_its_course_opens_the_valve_further_and_one_ahead_of_it_closes_it() {
+        // The bin of the middle ends after 507 or 515 ms.
+        let behind = command_after(0.15, 0.2, true);
+        assert!((behind - 52.0).abs() < 2.0, "50 mL are missing: {behind} %");
+        let ahead = command_after(0.25, 0.2, true);
+        assert!((ahead - 12.0).abs() < 2.0, "{ahead} %");
+        assert!(command_after(0.38, 0.3, true).abs() < 1e-6, "far ahead");
+        assert!((command_after(0.15, 0.2, false) - 30.0).abs() < 1e-3, "without this response");
+    }
+
+    #[test]
+    fn the_valve_closes_when_the_whole_volume_has_been_delivered() {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        delivered(&mut backup, &breath, 0.4, 0.4);
+        backup.start_breath();
+        let mut command = |volume: f32| {
+            (backup.measured, backup.modelled) = (volume, volume);
+            backup.command(&breath, 999, true)
+        };
+        assert!(command(399.0) > 29.0 && command(400.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_flow_sensor_far_from_the_valves_model_is_not_believed() {
+        // Half of the model's volume or one and a half, and 50 mL of the circuit.
+        for (sensor, sound) in
+            [(0.049, false), (0.051, true), (0.349, true), (0.351, false), (f32::NAN, false)]
+        {
+            let by_flow = (command_after(sensor, 0.2, true) - 30.0).abs() > 1e-3;
+            assert_eq!(by_flow, sound, "{sensor}");
+        }
+    }
+
+    #[test]
+    fn a_missing_flow_reading_is_remembered_until_the_next_inspiration() {
+        let mut backup = Backup::new();
+        backup.count(f32::NAN, 0.4, 0.001);
+        backup.count(0.4, 0.4, 0.001);
+        assert!(!backup.is_flow_sound());
+        backup.start_breath();
+        assert!(backup.is_flow_sound());
+    }
+
+    #[test]
+    fn the_course_is_that_of_breaths_with_a_sound_flow_sensor() {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        let whole = |backup: &Backup| backup.course.map(|course| course.whole as i32);
+        let halfway = |backup: &Backup| backup.volumes[usize::from(backup.second_is_good)][31] as i32;
+        delivered(&mut backup, &breath, f32::NAN, 0.4);
+        delivered(&mut backup, &breath, 0.0, 0.0);
+        delivered(&mut backup, &breath, 0.049, 0.1);
+        assert_eq!(whole(&backup), None, "what was measured is far from the model");
+        delivered(&mut backup, &breath, 0.4001, 0.4);
+        delivered(&mut backup, &breath, f32::NAN, 0.4);
+        assert_eq!(whole(&backup), Some(400));
+        delivered(&mut backup, &breath, 0.5001, 0.4);
+        assert_eq!(whole(&backup), Some(430), "a new breath has three tenths");
+        assert_eq!(halfway(&backup), 250, "of the last breath");
+        // Half of 430 mL.
+        backup.start_breath();
+        (backup.measured, backup.modelled) = (195.0, 195.0);
+        let command = backup.command(&breath, 499, true);
+        assert!((command - 38.0).abs() < 0.5, "{command} %");
+    }
+
+    #[test]
+    fn the_course_of_another_rise_is_forgotten_and_scaled_down_for_a_smaller_one() {
+        let (high, low, mut backup) = (breath(25.0), breath(15.0), Backup::new());
+        delivered(&mut backup, &high, 0.4, 0.4);
+        backup.start_breath();
+        (backup.measured, backup.modelled) = (201.0, 201.0);
+        assert!(backup.command(&low, 999, true).abs() < 1e-6, "half of the rise, half of the volume");
+        delivered(&mut backup, &low, f32::NAN, 0.2);
+        assert!(backup.course.is_none());
     }
 }

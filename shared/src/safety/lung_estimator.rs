@@ -43,6 +43,8 @@ pub const WINDOW: usize = 64;
 const TELLING_VOLUME: f32 = 20.0;
 /// Shortest inspiration from which the lung is estimated, s: a shorter one has filled little but the tube.
 const TELLING_TIME: f32 = 0.15;
+/// Least share of the model's flow that counts, whatever the flow sensor shows.
+const LEAST_MEASURED: f32 = 0.6;
 /// Time for which the pressure may be far lower than predicted, s.
 const UNANSWERED: f32 = 0.04;
 /// Time for which the pressure may stand still against a predicted change, s.
@@ -186,9 +188,15 @@ impl LungEstimator {
         }
     }
 
-    /// Counts the gas of a tick without a pressure reading, against the predicted pressure.
-    pub fn deliver(&self, state: &mut LungState) {
+    /// Counts the gas of a tick without a pressure reading, against the predicted pressure; by a sound flow sensor, L/s, if there is
+    /// one. It may show less than the valve's model, since the supply can fall, but not so little that the pressure is lost sight of.
+    pub fn deliver(&self, state: &mut LungState, measured: Option<f32>) {
+        let before = state.volume;
         self.count(state, state.start + state.predicted_rise());
+        if let Some(measured) = measured {
+            state.flow = measured.max(LEAST_MEASURED * state.flow);
+            state.volume = before + 1000.0 * state.flow * self.period;
+        }
     }
 
     /// Adds the gas of a tick at this pressure, cmH2O, to the volume.
@@ -331,6 +339,29 @@ mod tests {
     }
 
     #[test]
+    fn a_sound_flow_sensor_counts_the_gas_without_a_pressure_but_never_too_little() {
+        let delivered = |measured: Option<f32>| {
+            let (estimator, mut state) = estimator();
+            for _ in 0..500 {
+                estimator.applied(&mut state, 50.0);
+            }
+            estimator.deliver(&mut state, None);
+            state.volume = 100.0;
+            estimator.deliver(&mut state, measured);
+            (state.volume - 100.0, state.flow)
+        };
+        let (model, flow) = delivered(None);
+        assert!((0.6..0.64).contains(&flow) && (model - flow).abs() < 1e-4, "{model} mL in 1 ms");
+        for (measured, counts) in [(0.9, 0.9), (0.5, 0.5), (0.1, 0.6 * flow)] {
+            let (volume, counted) = delivered(Some(measured));
+            assert!(
+                (volume - counts).abs() < 1e-3 && (counted - counts).abs() < 1e-3,
+                "{measured} L/s: {volume} mL"
+            );
+        }
+    }
+
+    #[test]
     fn the_command_for_a_flow_delivers_it() {
         for percent in 0..=1000 {
             let command = percent as f32 * 0.1;
@@ -454,7 +485,7 @@ mod tests {
     fn without_a_reading_the_predicted_pressure_takes_flow_away() {
         let (estimator, _) = estimator();
         let mut state = LungState { opening: 100.0, start: 40.0, ..predicting(60.0) };
-        estimator.deliver(&mut state);
+        estimator.deliver(&mut state, None);
         assert!((state.flow - 0.67 * 1.67).abs() < 1e-5, "{} L/s against 100 cmH2O", state.flow);
     }
 

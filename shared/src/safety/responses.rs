@@ -19,11 +19,13 @@ pub enum Response {
     LeakCompensation,
     /// Ventilation resumes after a reset.
     Resume,
+    /// Backup ventilation delivers the volume that the flow sensor shows.
+    BackupByFlow,
 }
 
 impl Response {
     /// All responses.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Pid,
         Self::CappedPid,
         Self::Backup,
@@ -31,6 +33,7 @@ impl Response {
         Self::HigherPip,
         Self::LeakCompensation,
         Self::Resume,
+        Self::BackupByFlow,
     ];
 
     /// Its name in tables.
@@ -43,6 +46,7 @@ impl Response {
             Self::HigherPip => "PIP that follows the baseline",
             Self::LeakCompensation => "leak compensation",
             Self::Resume => "resume after a reset",
+            Self::BackupByFlow => "backup ventilation by flow",
         }
     }
 }

@@ -252,9 +252,16 @@ impl Supervisor {
         if state.level() == Level::Backup {
             self.found(state, Fault::BackupVentilation);
         }
+        let inspires = breath.phase(tick) == Phase::Inspiration;
+        if inspires {
+            state.backup.count(readings.flow, state.lung.valve_flow(), breath.period_s());
+        }
         match pressure {
             Some(pressure) => self.check_breath(state, pressure, readings, breath, tick),
-            None if breath.phase(tick) == Phase::Inspiration => self.lung.deliver(&mut state.lung),
+            None if inspires => {
+                let by_flow = self.responses().has(Response::BackupByFlow) && state.backup.is_flow_sound();
+                self.lung.deliver(&mut state.lung, by_flow.then_some(readings.flow));
+            }
             None => {}
         }
         self.source.record(&mut state.source, breath, tick, self.breath.end_of_phase(), readings);
@@ -423,7 +430,8 @@ impl Supervisor {
         let highest = breath.settings().pressure_limit - LIMIT_MARGIN;
         let responds = self.responses().has(Response::Backup);
         let safe = responds && state.lung.predicted_pressure().is_none_or(|pressure| pressure < highest);
-        if safe { state.backup.command(breath, tick) } else { 0.0 }
+        let by_flow = self.responses().has(Response::BackupByFlow);
+        if safe { state.backup.command(breath, tick, by_flow) } else { 0.0 }
     }
 
     /// Records the command of a tick of a pressure-controlled inspiration for backup ventilation.

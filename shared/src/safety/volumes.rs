@@ -302,7 +302,9 @@ mod tests {
         near(lung_volumes(flows, 0.0, 0.01), (400.0, 400.0));
         near(lung_volumes(flows, 0.0, 0.0), (490.0, 370.0));
         let mut volumes = Volumes::default();
-        flows.iter().for_each(|flow| volumes.add(*flow, f32::NAN, 0.01, 1.0));
+        for flow in flows {
+            volumes.add(flow, f32::NAN, 0.01, 1.0);
+        }
         volumes.start_breath();
         assert!(
             volumes.breath().is_some_and(|breath| (breath.inspired - 488.5).abs() < 1.0),

@@ -7,9 +7,9 @@ use shared::settings::Settings;
 use super::hostile::CaseController::{self, Alternating, Greedy, Ringing, Sound};
 use super::injection::Damage;
 use super::injection::Injection::{
-    self, BothLost, BrownOut, CoughTrains, Coughs, Drift, Dropped, FlowLost, Hang, HostSilent, MissedTicks,
-    NewLung, NewTiming, Noise, NoisyAt, Offset, OtherHost, OutletLost, OutletOffset, Reads, Reconnected,
-    StuckAt, StuckAtLast, SwappedBytes, Weights,
+    self, BothLost, BothLostAndFlow, BothLostAndPart, BrownOut, CoughTrains, Coughs, Drift, Dropped,
+    FlowLost, Hang, HostSilent, MissedTicks, NewLung, NewTiming, Noise, NoisyAt, Offset, OtherHost,
+    OutletLost, OutletOffset, Reads, Reconnected, StuckAt, StuckAtLast, SwappedBytes, Weights,
 };
 use super::volume::VolumeLimits;
 use plant::bench::{BenchConfig, Failure, PatientConfig};
@@ -298,7 +298,7 @@ impl FaultCase {
 }
 
 /// Faults of the sensor.
-const SENSOR: [FaultCase; 19] = [
+const SENSOR: [FaultCase; 22] = [
     sensor("reading stuck at its last value", StuckAtLast, &[Fault::ReadingFrozen]),
     sensor("reading stuck at PEEP", StuckAt(5.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
     sensor("reading stuck at 0", StuckAt(0.0), &[Fault::ReadingFrozen]).at(BEFORE_MS).within_a_breath(),
@@ -319,6 +319,22 @@ const SENSOR: [FaultCase; 19] = [
     sensor("outlet sensor lost", OutletLost, &[Fault::OutletSensorLost]),
     case("both pressure sensors lost", BothLost, &[Fault::BackupVentilation]),
     case("both pressure sensors lost before a breath", BothLost, &[Fault::BackupVentilation]).at(BEFORE_MS),
+    // The commands of good breaths would deliver three fifths of their volume.
+    case(
+        "both pressure sensors lost, supply falls to 60 %",
+        BothLostAndPart(Failure::SupplyFalls(0.6)),
+        &[Fault::BackupVentilation],
+    ),
+    case(
+        "both pressure sensors lost, flow sensor stuck at 0",
+        BothLostAndFlow(0.0),
+        &[Fault::BackupVentilation],
+    ),
+    case(
+        "both pressure sensors and the flow sensor lost",
+        BothLostAndFlow(f32::NAN),
+        &[Fault::BackupVentilation, Fault::FlowSensorLost],
+    ),
     // Nothing is known about the volumes then, so no alarm may claim that they are low.
     case("flow sensor lost", FlowLost, &[Fault::FlowSensorLost])
         .with_tidal_limits(0.7, 0.0)

@@ -49,6 +49,10 @@ pub enum Injection {
     BothLost,
     /// The flow sensor gives no number.
     FlowLost,
+    /// Neither pressure sensor gives a number, and the flow sensor gives this one, L/s.
+    BothLostAndFlow(f32),
+    /// Neither pressure sensor gives a number, and a part of the machine fails.
+    BothLostAndPart(Failure),
     /// A part of the machine fails.
     Part(Failure),
     /// The tube is disconnected, and connected again after this time, ms.
@@ -108,7 +112,10 @@ impl SensorFault {
         match self.injection {
             Injection::OutletLost => Readings { outlet: none, ..readings },
             Injection::OutletOffset(offset) => Readings { outlet: readings.outlet + offset, ..readings },
-            Injection::BothLost => Readings { airway: none, outlet: none, ..readings },
+            Injection::BothLost | Injection::BothLostAndPart(_) => {
+                Readings { airway: none, outlet: none, ..readings }
+            }
+            Injection::BothLostAndFlow(flow) => Readings { airway: none, outlet: none, flow },
             Injection::FlowLost => Readings { flow: none, ..readings },
             _ => Readings { airway: self.reading(readings.airway), ..readings },
         }

@@ -199,7 +199,7 @@ impl Run<'_> {
     /// Injects the fault.
     fn inject(&mut self, since: u32) {
         match (self.trial.injection, since) {
-            (Injection::Part(failure), 0) => self.bench.fail(failure),
+            (Injection::Part(failure) | Injection::BothLostAndPart(failure), 0) => self.bench.fail(failure),
             (Injection::HostSilent, 0) => self.rig.host_speaks = false,
             (Injection::OtherHost, 0) => self.outcome.refused = self.rig.other_host(),
             (Injection::Reconnected(_), 0) => self.bench.fail(Failure::Disconnected),

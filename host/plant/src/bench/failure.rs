@@ -35,6 +35,8 @@ pub enum Failure {
     PeepValveStuck(f64),
     /// The gas supply is lost.
     SupplyLost,
+    /// The pressure of the gas supply falls: this share of the flow is left.
+    SupplyFalls(f64),
 }
 
 impl Bench {
@@ -53,7 +55,8 @@ impl Bench {
             }
             Failure::ExpiratoryValveClosed => self.expiratory.stay_closed(),
             Failure::PeepValveStuck(peep) => self.expiratory.stick_at(peep),
-            Failure::SupplyLost => self.valve.lose_supply(),
+            Failure::SupplyLost => self.valve.supply(0.0),
+            Failure::SupplyFalls(share) => self.valve.supply(share),
         }
     }
 
@@ -116,6 +119,8 @@ mod tests {
         assert!(with(Failure::ExpiratoryValveClosed).1 > plateau - 5.0);
         assert!((with(Failure::PeepValveStuck(12.0)).1 - 12.0).abs() < 1.0);
         assert!(with(Failure::SupplyLost).0 < 5.5);
+        let falls = with(Failure::SupplyFalls(0.6)).0;
+        assert!(falls > 6.0 && falls < plateau - 2.0, "{falls}");
     }
 
     /// The pressures of a breath with this failure, and of one after the restoration.
@@ -148,6 +153,7 @@ mod tests {
             Failure::ExpiratoryValveClosed,
             Failure::PeepValveStuck(12.0),
             Failure::SupplyLost,
+            Failure::SupplyFalls(0.6),
         ] {
             let found = breathe_twice(Some(failure));
             let off = |place: usize| (found[place] - sound[place]).abs();

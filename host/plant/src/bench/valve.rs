@@ -118,9 +118,9 @@ impl Valve {
         (self.stem, self.stuck) = (percent, true);
     }
 
-    /// Cuts off the gas supply.
-    pub(super) fn lose_supply(&mut self) {
-        self.full_flow_l_s = 0.0;
+    /// Leaves this share of the flow that the gas supply normally gives.
+    pub(super) fn supply(&mut self, share: f64) {
+        self.full_flow_l_s = share * self.supplied_flow_l_s;
     }
 
     /// Ends every failure: the stem follows the actuator again, the supply is back.

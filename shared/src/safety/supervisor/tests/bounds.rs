@@ -173,7 +173,7 @@ fn an_inspiration_to_seven_tenths_of_the_rise_is_a_good_one() {
         breath_to(&mut run, plateau, 10.0);
         run.supervisor.backup_command(&run.state, &breath(), 500) as i32
     };
-    let before = Backup::new().command(&breath(), 500) as i32;
+    let before = Backup::new().command(&breath(), 500, true) as i32;
     assert_eq!((backup_after(15.4), backup_after(15.5)), (before, 10));
 }
 

@@ -72,3 +72,58 @@ fn a_flow_sensor_that_is_lost_is_told() {
     patient.breathe(3, 400.0);
     assert_eq!(patient.breathe(2, f32::NAN), [Fault::FlowSensorLost]);
 }
+
+/// Good breaths at 30 % with 0.3 L/s, then half of an inspiration without a pressure sensor at this share of the flow; the command
+/// of backup ventilation, percent, and the volume that the lung estimate has counted, mL.
+fn blind_at(share: f32, monitors: Monitors) -> (f32, f32) {
+    let mut run = Run::new();
+    run.supervisor = Supervisor::new(DEFAULT_PERIOD_US, monitors);
+    let tick_of = |run: &mut Run, tick: u32, airway: f32, share: f32| {
+        let inspires = breath().phase(tick) == Phase::Inspiration;
+        let flow = if inspires { share * run.state.lung.valve_flow() } else { -0.05 };
+        run.supervisor.check(
+            &mut run.state,
+            &Readings { airway, outlet: f32::NAN, flow },
+            &breath(),
+            Some(tick),
+        );
+        let command = ControlOutput::plain(if inspires { 30.0 } else { 0.0 });
+        run.supervisor.command(&mut run.state, command, !inspires);
+        if inspires && !airway.is_nan() {
+            run.supervisor.record(&mut run.state, &breath(), tick);
+        }
+    };
+    for tick in (0..3).flat_map(|_| 0..breath().total_ticks()) {
+        let pressure = 5.0 + 0.015 * breath().inspiration_ticks().min(tick) as f32;
+        let airway = if tick < 1000 { pressure } else { (20.0 - 0.02 * (tick - 1000) as f32).max(5.0) };
+        tick_of(&mut run, tick, airway + dither(tick), 1.0);
+    }
+    for tick in 0..500 {
+        tick_of(&mut run, tick, f32::NAN, share);
+    }
+    (run.supervisor.backup_command(&run.state, &breath(), 500), run.state.lung.volume())
+}
+
+#[test]
+fn without_a_pressure_sensor_the_flow_sensor_corrects_the_commands() {
+    // 0.3 L/s in 460 ms: 28 mL of them are missing at four fifths.
+    let (command, volume) = blind_at(1.0, Monitors::ALL);
+    assert!((30.0..33.0).contains(&command) && (130.0..142.0).contains(&volume), "{command} % {volume} mL");
+    let (corrected, less) = blind_at(0.8, Monitors::ALL);
+    assert!((40.0..46.0).contains(&corrected), "{corrected} %");
+    assert!((less / volume - 0.8).abs() < 0.03, "{less} mL");
+}
+
+#[test]
+fn a_flow_sensor_that_stands_still_or_a_missing_response_leaves_the_commands() {
+    for (share, monitors) in [
+        (0.0, Monitors::ALL),
+        (f32::NAN, Monitors::ALL),
+        (0.8, Monitors::ALL.without_response(Response::BackupByFlow)),
+    ] {
+        let (command, volume) = blind_at(share, monitors);
+        assert!((command - 30.0).abs() < 0.1, "{share}: {command} %");
+        // The first 100 mL count as 60 at least.
+        assert!((94.0..142.0).contains(&volume), "{share}: {volume} mL");
+    }
+}
