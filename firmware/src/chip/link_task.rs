@@ -105,7 +105,8 @@ async fn serve(server: &mut Server<'_>, slots: &mut Slots<BoardFlash>, request: 
 
 /// Does the next piece of work on the copy of the flight recorder in flash.
 fn keep_recording(keeper: &mut Keeper, flash: &mut BoardFlash) {
-    let leave = if supply::has_returned() { control_task::leave() } else { Leave::Nothing };
+    let allowed = control_task::leave();
+    let leave = if allowed != Leave::Nothing && supply::has_returned() { allowed } else { Leave::Nothing };
     if keeper.step(flash, recorder::memory(), leave) {
         // The core stalls while a sector is erased.
         watchdog::with_long_timeout(|| keeper.erase(flash));
