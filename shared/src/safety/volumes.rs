@@ -113,7 +113,7 @@ impl Volumes {
         // A leak is an orifice: its flow goes with the root of the pressure.
         let leak = (known && self.root > 0.0).then(|| 1e-3 * (self.inspired - self.expired) / self.root);
         let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
-        *self = Self { last_ticks, flow, smooth, lung, breath, last, expired_share, leak, ..Self::default() };
+        *self = Self { lung, flow, smooth, last_ticks, breath, last, expired_share, leak, ..Self::default() };
     }
 
     /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
