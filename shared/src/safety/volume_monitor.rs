@@ -41,8 +41,9 @@ pub struct VolumeState {
     /// Breaths in a row with a tidal volume below and above its limits.
     low: u32,
     high: u32,
-    /// Mean minute volume, L/min, and the time that it covers, s.
-    minute_volume: f32,
+    /// Mean minute volumes, expired and inspired, L/min, and the time that they cover, s.
+    expired: f32,
+    inspired: f32,
     covers: f32,
     /// Time since the last breath that got through, s.
     without: f32,
@@ -51,6 +52,12 @@ pub struct VolumeState {
 }
 
 impl VolumeState {
+    /// The expired minute volume, L/min, without gas that never went in. That is the gas of a leak which is believed to be larger than
+    /// it is: half of it is missing from what went in, the other half is too much in what came out.
+    fn minute_volume(&self) -> f32 {
+        self.expired.min(0.5 * (self.inspired + self.expired))
+    }
+
     /// The settings have changed, in the breath that starts now: neither the last one nor this one and the next are judged.
     pub fn settings_changed(&mut self) {
         (self.low, self.high, self.covers) = (0, 0, 0.0);
@@ -82,7 +89,7 @@ impl VolumeMonitor {
             state.unchecked -= 1;
             return [None, None, apnoea, None];
         }
-        [tidal_volume(state, tidal, settings), minute_volume(state, tidal, seconds, settings), apnoea, None]
+        [tidal_volume(state, tidal, settings), minute_volume(state, breath, seconds, settings), apnoea, None]
     }
 }
 
@@ -120,20 +127,28 @@ fn tidal_volume(state: &mut VolumeState, tidal: f32, settings: &Settings) -> Opt
     (state.high >= BREATHS).then_some(Fault::TidalVolumeHigh)
 }
 
-/// Adds a breath of this tidal volume, mL, and length, s, to the mean minute volume, and compares that with its limits.
-fn minute_volume(state: &mut VolumeState, tidal: f32, seconds: f32, settings: &Settings) -> Option<Fault> {
+/// Adds a breath of these volumes and this length, s, to the mean minute volumes, and compares the expired one with its limits.
+fn minute_volume(
+    state: &mut VolumeState,
+    breath: BreathVolumes,
+    seconds: f32,
+    settings: &Settings,
+) -> Option<Fault> {
     state.covers = (state.covers + seconds).min(AVERAGED);
     // A plain mean at first, so that no breath counts more than another.
     let weight = seconds / state.covers;
-    state.minute_volume += weight * (LITRES_PER_MINUTE * tidal / seconds - state.minute_volume);
+    let per_minute = LITRES_PER_MINUTE / seconds;
+    state.expired += weight * (per_minute * breath.expired - state.expired);
+    state.inspired += weight * (per_minute * breath.inspired - state.inspired);
     if state.covers < AVERAGED {
         return None;
     }
     let (low, high) = (settings.minute_volume_low, settings.minute_volume_high);
-    if state.minute_volume < low {
+    let volume = state.minute_volume();
+    if volume < low {
         return Some(Fault::MinuteVolumeLow);
     }
-    (high > 0.0 && state.minute_volume > high).then_some(Fault::MinuteVolumeHigh)
+    (high > 0.0 && volume > high).then_some(Fault::MinuteVolumeHigh)
 }
 
 #[cfg(test)]
@@ -226,8 +241,11 @@ mod tests {
             assert_eq!(tidal_volume(&mut state, 500.0, &settings), None);
         }
         let at = |minute: f32| {
-            let mut state = VolumeState { minute_volume: minute, covers: AVERAGED, ..VolumeState::default() };
-            minute_volume(&mut state, minute * 50.0, 3.0, &settings)
+            let covers = AVERAGED;
+            let mut state =
+                VolumeState { expired: minute, inspired: minute, covers, ..VolumeState::default() };
+            let volume = minute * 50.0;
+            minute_volume(&mut state, BreathVolumes { inspired: volume, expired: volume }, 3.0, &settings)
         };
         assert_eq!([at(6.0), at(10.0)], [None; 2]);
         assert_eq!([at(5.9), at(10.1)], [Some(Fault::MinuteVolumeLow), Some(Fault::MinuteVolumeHigh)]);
@@ -254,10 +272,25 @@ mod tests {
         let mut run = Run::new(limits((0.0, 0.0), (0.0, 0.0)));
         run.breaths(5, 200.0);
         run.breaths(5, 600.0);
-        assert!((run.state.minute_volume - 8.0).abs() < 0.01, "{}", run.state.minute_volume);
+        assert!((run.state.minute_volume() - 8.0).abs() < 0.01, "{}", run.state.minute_volume());
         // Each further breath of 3 s has a tenth of the mean.
         run.breaths(1, 900.0);
-        assert!((run.state.minute_volume - 9.0).abs() < 0.01, "{}", run.state.minute_volume);
+        assert!((run.state.minute_volume() - 9.0).abs() < 0.01, "{}", run.state.minute_volume());
+    }
+
+    #[test]
+    fn of_a_minute_volume_the_expired_part_counts_but_no_gas_that_never_went_in() {
+        let volume =
+            |inspired, expired| VolumeState { expired, inspired, ..VolumeState::default() }.minute_volume();
+        for ((inspired, expired), wanted) in
+            [((8.0, 8.0), 8.0), ((20.0, 0.0), 0.0), ((10.0, 7.0), 7.0), ((6.0, 10.0), 8.0)]
+        {
+            assert!((volume(inspired, expired) - wanted).abs() < 1e-6, "{inspired} {expired}");
+        }
+        let mut state = VolumeState::default();
+        let breath = BreathVolumes { inspired: 300.0, expired: 500.0 };
+        minute_volume(&mut state, breath, 3.0, &paper_settings(20.0));
+        assert!((state.inspired - 6.0).abs() < 1e-4 && (state.expired - 10.0).abs() < 1e-4);
     }
 
     #[test]
