@@ -137,13 +137,16 @@ impl Device {
     /// # Errors
     /// [`DeviceError`]; a refusal is [`DeviceError::Refused`].
     pub fn request(&mut self, request: &Request) -> Result<Response, DeviceError> {
-        match self.exchange(request) {
-            Err(DeviceError::Refused(Refusal::NoLease)) if request.changes() => {
-                self.acquire_lease(false)?;
-                self.exchange(request)
+        let mut answer = self.exchange(request);
+        // On a line that damages bytes the lease can lapse again before the request gets through.
+        for _ in 1..ATTEMPTS {
+            if !(request.changes() && matches!(answer, Err(DeviceError::Refused(Refusal::NoLease)))) {
+                break;
             }
-            other => other,
+            self.acquire_lease(false)?;
+            answer = self.exchange(request);
         }
+        answer
     }
 
     /// Sends a request and waits for the answer.
