@@ -271,8 +271,8 @@ pub const ALARMS: [Alarm; 30] = [
         "disconnection",
         (High, Tell),
         [
-            "150 ms of an inspiration at less than 40 % of PEEP and more than 2 cmH2O below it, with a command above 30 %; until the patient \
-             is back, the PID probes with a capped command",
+            "150 ms of an inspiration (450 ms with a capped command) at less than 40 % of PEEP and more than 2 cmH2O below it, \
+             with a command above 30 %; until the patient is back, the PID probes with a capped command",
             "the pressure of an inspiration is above PEEP again",
             "patient disconnected",
         ],

@@ -41,15 +41,17 @@ const CONNECTED: f32 = 0.05;
 
 /// Length of the averaging window at the end of a phase, s.
 const END_OF_PHASE: f32 = 0.05;
-/// Time for which the airway pressure may be lost, s.
+/// Time for which the airway pressure may be lost, s; with a capped command, which strong efforts exceed, the second one.
 const DISCONNECTED: f32 = 0.15;
+const CAPPED_DISCONNECTED: f32 = 0.45;
 
 /// Checks the phases of each breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BreathMonitor {
-    /// [`END_OF_PHASE`], [`DISCONNECTED`] and [`CONNECTED`] in ticks.
+    /// [`END_OF_PHASE`], [`DISCONNECTED`], [`CAPPED_DISCONNECTED`] and [`CONNECTED`] in ticks.
     end_of_phase: u32,
     disconnected: u32,
+    capped_disconnected: u32,
     connected: u32,
     /// Consecutive breaths with a condition that make it a fault.
     high: u32,
@@ -130,6 +132,8 @@ pub struct BreathInput<'a> {
     pub pressure: f32,
     /// Last command, percent.
     pub command: f32,
+    /// Whether the ladder caps the command.
+    pub capped: bool,
     /// Volume delivered so far in this inspiration, mL.
     pub volume: f32,
     /// Volume that has reached the patient so far, mL; none if the flow is not measured.
@@ -166,6 +170,7 @@ impl BreathMonitor {
         Self {
             end_of_phase: ticks(END_OF_PHASE, period_us),
             disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
+            capped_disconnected: enabled.limit(Fault::Disconnection, ticks(CAPPED_DISCONNECTED, period_us)),
             connected: ticks(CONNECTED, period_us),
             high: enabled.limit(Fault::BaselineHigh, 2),
             above: enabled.limit(Fault::BaselineHigh, TRAPPED_BREATHS),
@@ -199,8 +204,8 @@ impl BreathMonitor {
         let gone = inspires && !cut && command > FILLING && open_end;
         state.gone = in_a_row(state.gone, gone);
         state.back = in_a_row(state.back, inspires && pressure > peep);
-        state.disconnected =
-            (state.disconnected || state.gone >= self.disconnected) && state.back < self.connected;
+        let longest = if input.capped { self.capped_disconnected } else { self.disconnected };
+        state.disconnected = (state.disconnected || state.gone >= longest) && state.back < self.connected;
         if state.disconnected {
             state.cut = cut;
             return Some(Fault::Disconnection);

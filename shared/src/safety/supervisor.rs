@@ -315,7 +315,9 @@ impl Supervisor {
         let leaks = state.volumes.expired_share().is_some_and(|share| share < TIGHT);
         let expired = state.volumes.expired();
         let (cut, reached) = (state.cut, state.volumes.inspired());
-        let input = BreathInput { breath, tick, cut, pressure, command, volume, reached, leaks, expired };
+        let capped = self.level(state) == Level::CappedPid;
+        let input =
+            BreathInput { breath, tick, cut, pressure, command, capped, volume, reached, leaks, expired };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }

@@ -14,6 +14,8 @@ use crate::settings::Settings;
 
 /// Breaths in a row with a tidal volume outside its limits that raise the alarm.
 const BREATHS: u32 = 3;
+/// Share of the leak's gas by which the volumes are in doubt: a leak is known to about so much of its size.
+const DOUBT: f32 = 0.2;
 /// Time over which the minute volume is averaged, s.
 const AVERAGED: f32 = 30.0;
 /// Smallest volume, in and out, of a breath that gets through, mL: less than a newborn's, and more than the noise of the flow sensor.
@@ -41,9 +43,10 @@ pub struct VolumeState {
     /// Breaths in a row with a tidal volume below and above its limits.
     low: u32,
     high: u32,
-    /// Mean minute volumes, expired and inspired, L/min, and the time that they cover, s.
+    /// Mean minute volumes, expired and inspired, and their doubt, L/min, and the time that they cover, s.
     expired: f32,
     inspired: f32,
+    doubt: f32,
     covers: f32,
     /// Time since the last breath that got through, s.
     without: f32,
@@ -84,12 +87,12 @@ impl VolumeMonitor {
             return [None, None, None, lost.then_some(Fault::FlowSensorLost)];
         };
         state.exists = true;
-        let (tidal, apnoea) = (breath.expired, apnoea(state, breath, seconds, settings));
+        let apnoea = apnoea(state, breath, seconds, settings);
         if state.unchecked > 0 {
             state.unchecked -= 1;
             return [None, None, apnoea, None];
         }
-        [tidal_volume(state, tidal, settings), minute_volume(state, breath, seconds, settings), apnoea, None]
+        [tidal_volume(state, breath, settings), minute_volume(state, breath, seconds, settings), apnoea, None]
     }
 }
 
@@ -116,11 +119,12 @@ fn apnoea(
     (state.without >= longest).then_some(Fault::Apnoea)
 }
 
-/// Compares a tidal volume, mL, with its limits.
-fn tidal_volume(state: &mut VolumeState, tidal: f32, settings: &Settings) -> Option<Fault> {
+/// Compares a tidal volume with its limits.
+fn tidal_volume(state: &mut VolumeState, breath: BreathVolumes, settings: &Settings) -> Option<Fault> {
     let (low, high) = (settings.tidal_volume_low, settings.tidal_volume_high);
-    state.low = in_a_row(state.low, tidal < low);
-    state.high = in_a_row(state.high, high > 0.0 && tidal > high);
+    let (tidal, doubt) = (breath.expired, DOUBT * breath.leaked);
+    state.low = in_a_row(state.low, tidal + doubt < low);
+    state.high = in_a_row(state.high, high > 0.0 && tidal - doubt > high);
     if state.low >= BREATHS {
         return Some(Fault::TidalVolumeLow);
     }
@@ -140,15 +144,16 @@ fn minute_volume(
     let per_minute = LITRES_PER_MINUTE / seconds;
     state.expired += weight * (per_minute * breath.expired - state.expired);
     state.inspired += weight * (per_minute * breath.inspired - state.inspired);
+    state.doubt += weight * (per_minute * DOUBT * breath.leaked - state.doubt);
     if state.covers < AVERAGED {
         return None;
     }
     let (low, high) = (settings.minute_volume_low, settings.minute_volume_high);
-    let volume = state.minute_volume();
-    if volume < low {
+    let (volume, doubt) = (state.minute_volume(), state.doubt);
+    if volume + doubt < low {
         return Some(Fault::MinuteVolumeLow);
     }
-    (high > 0.0 && volume > high).then_some(Fault::MinuteVolumeHigh)
+    (high > 0.0 && volume - doubt > high).then_some(Fault::MinuteVolumeHigh)
 }
 
 #[cfg(test)]
@@ -237,18 +242,46 @@ mod tests {
         let mut state = VolumeState::default();
         let settings = limits((300.0, 500.0), (6.0, 10.0));
         for _ in 0..9 {
-            assert_eq!(tidal_volume(&mut state, 300.0, &settings), None);
-            assert_eq!(tidal_volume(&mut state, 500.0, &settings), None);
+            assert_eq!(tidal_volume(&mut state, tight(300.0), &settings), None);
+            assert_eq!(tidal_volume(&mut state, tight(500.0), &settings), None);
         }
         let at = |minute: f32| {
             let covers = AVERAGED;
             let mut state =
                 VolumeState { expired: minute, inspired: minute, covers, ..VolumeState::default() };
             let volume = minute * 50.0;
-            minute_volume(&mut state, BreathVolumes { inspired: volume, expired: volume }, 3.0, &settings)
+            minute_volume(&mut state, tight(volume), 3.0, &settings)
         };
         assert_eq!([at(6.0), at(10.0)], [None; 2]);
         assert_eq!([at(5.9), at(10.1)], [Some(Fault::MinuteVolumeLow), Some(Fault::MinuteVolumeHigh)]);
+    }
+
+    /// The volumes of a breath behind a tight circuit.
+    fn tight(volume: f32) -> BreathVolumes {
+        BreathVolumes { inspired: volume, expired: volume, leaked: 0.0 }
+    }
+
+    #[test]
+    fn a_fifth_of_the_leaks_gas_is_in_doubt() {
+        let settings = limits((300.0, 500.0), (6.0, 10.0));
+        let tidal = |expired| {
+            let (mut state, breath) =
+                (VolumeState::default(), BreathVolumes { leaked: 200.0, ..tight(expired) });
+            (0..BREATHS).fold(None, |_, _| tidal_volume(&mut state, breath, &settings))
+        };
+        assert_eq!((tidal(260.0), tidal(540.0)), (None, None));
+        assert_eq!((tidal(259.0), tidal(541.0)), (Some(Fault::TidalVolumeLow), Some(Fault::TidalVolumeHigh)));
+        // 20 breaths a minute: 200 mL of the leak in each are 4 L/min.
+        let minute = |expired| {
+            let (mut state, breath) =
+                (VolumeState::default(), BreathVolumes { leaked: 200.0, ..tight(expired) });
+            (0..10).fold(None, |_, _| minute_volume(&mut state, breath, 3.0, &settings))
+        };
+        assert_eq!((minute(261.0), minute(539.0)), (None, None));
+        assert_eq!(
+            (minute(259.0), minute(541.0)),
+            (Some(Fault::MinuteVolumeLow), Some(Fault::MinuteVolumeHigh))
+        );
     }
 
     #[test]
@@ -288,7 +321,7 @@ mod tests {
             assert!((volume(inspired, expired) - wanted).abs() < 1e-6, "{inspired} {expired}");
         }
         let mut state = VolumeState::default();
-        let breath = BreathVolumes { inspired: 300.0, expired: 500.0 };
+        let breath = BreathVolumes { inspired: 300.0, expired: 500.0, leaked: 0.0 };
         minute_volume(&mut state, breath, 3.0, &paper_settings(20.0));
         assert!((state.inspired - 6.0).abs() < 1e-4 && (state.expired - 10.0).abs() < 1e-4);
     }
@@ -343,7 +376,8 @@ mod tests {
     fn gas_that_only_goes_in_or_only_comes_out_is_no_breath() {
         let is_apnoea = |inspired, expired| {
             let mut state = VolumeState { without: 25.0, ..VolumeState::default() };
-            apnoea(&mut state, BreathVolumes { inspired, expired }, 3.0, &paper_settings(20.0)).is_some()
+            apnoea(&mut state, BreathVolumes { inspired, expired, leaked: 0.0 }, 3.0, &paper_settings(20.0))
+                .is_some()
         };
         assert!(is_apnoea(900.0, 2.9) && is_apnoea(2.9, 900.0));
         assert!(!is_apnoea(900.0, 3.0) && !is_apnoea(3.0, 900.0));

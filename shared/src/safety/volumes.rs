@@ -19,11 +19,14 @@ struct LungVolumes {
     expired: f32,
     /// Integral of the flow, from the middle of the play.
     offset: f32,
+    /// Gas of the leak that has been taken off.
+    leaked: f32,
 }
 
 impl LungVolumes {
-    fn add(&mut self, volume: f32) {
-        self.offset += volume;
+    fn add(&mut self, volume: f32, leaked: f32) {
+        self.leaked += leaked;
+        self.offset += volume - leaked;
         if self.offset > PLAY {
             self.inspired += self.offset - PLAY;
             self.offset = PLAY;
@@ -35,9 +38,9 @@ impl LungVolumes {
 
     /// The volumes of the breath that ends here; the next one starts.
     fn take(&mut self) -> BreathVolumes {
-        let Self { inspired, expired, offset } = *self;
+        let Self { inspired, expired, offset, leaked } = *self;
         *self = Self { offset, ..Self::default() };
-        BreathVolumes { inspired, expired }
+        BreathVolumes { inspired, expired, leaked }
     }
 }
 
@@ -48,6 +51,8 @@ pub struct BreathVolumes {
     pub inspired: f32,
     /// Out of it.
     pub expired: f32,
+    /// Through the leak, as far as it is known.
+    pub leaked: f32,
 }
 
 /// Volumes of the running breath, and the last one's result.
@@ -94,7 +99,7 @@ impl Volumes {
         let volume = 1000.0 * flow * period;
         self.inspired += volume.max(0.0);
         self.expired += (-volume).max(0.0);
-        self.lung.add(volume - 1000.0 * leak * root * period);
+        self.lung.add(volume, 1000.0 * leak * root * period);
     }
 
     /// Whether enough of the running breath's ticks have a flow reading.
@@ -252,7 +257,7 @@ mod tests {
         }
         volumes.start_breath();
         assert_eq!(volumes.last_ticks(), 4000);
-        let BreathVolumes { inspired, expired } = volumes.breath().unwrap();
+        let BreathVolumes { inspired, expired, .. } = volumes.breath().unwrap();
         (inspired, expired)
     }
 
@@ -283,16 +288,26 @@ mod tests {
     fn noise_within_the_play_is_no_volume_and_less_than_the_play_is_lost() {
         let mut lung = LungVolumes::default();
         for volume in [0.5, -0.9, 0.9, -0.9] {
-            lung.add(volume);
+            lung.add(volume, 0.0);
         }
         assert_eq!((lung.inspired, lung.expired), (0.0, 0.0));
-        lung.add(10.0);
+        lung.add(10.0, 0.0);
         let inspired = lung.take().inspired;
         assert!((inspired - 9.1).abs() < 1e-4, "{inspired}");
         // The play goes on from breath to breath.
-        lung.add(-5.0);
-        let BreathVolumes { inspired, expired } = lung.take();
+        lung.add(-5.0, 0.0);
+        let BreathVolumes { inspired, expired, .. } = lung.take();
         assert!(inspired.abs() < 1e-6 && (expired - 4.0).abs() < 1e-4, "{expired}");
+    }
+
+    #[test]
+    fn the_gas_of_a_leak_is_counted_for_each_breath() {
+        let mut volumes = Volumes::default();
+        for leak in [0.01, 0.02] {
+            (0..3).for_each(|_| volumes.add(0.1, 9.0, leak, 1.0));
+            volumes.start_breath();
+            assert!(volumes.breath().is_some_and(|breath| (breath.leaked - 9000.0 * leak).abs() < 0.01));
+        }
     }
 
     #[test]

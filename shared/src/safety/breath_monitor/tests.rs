@@ -55,6 +55,7 @@ impl Seen {
             cut,
             pressure,
             command,
+            capped: false,
             volume,
             reached: None,
             leaks: false,
@@ -199,6 +200,19 @@ fn a_pressure_that_is_gone_is_found_within_the_inspiration() {
     };
     assert_eq!(complaint_with(&[Seen { command: 100.0, ..GOOD }; 2], empty_expiration), None);
     assert_eq!(complaint(&[Seen { before: 1.0, command: 100.0, ..CUT }]), None, "after the limit");
+}
+
+#[test]
+fn a_pressure_is_gone_for_longer_while_the_command_is_capped() {
+    let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
+    let gone = Seen { plateau: 1.0, before: 1.0, command: 40.0, ..GOOD };
+    let found = |capped: bool| {
+        let mut state = BreathState::default();
+        (0..breath.inspiration_ticks()).find(|tick| {
+            monitor.check(&mut state, &BreathInput { capped, ..gone.at(&breath, *tick) }).is_some()
+        })
+    };
+    assert_eq!((found(false), found(true)), (Some(149), Some(449)));
 }
 
 #[test]

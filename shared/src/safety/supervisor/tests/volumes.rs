@@ -56,8 +56,8 @@ fn a_change_of_the_settings_delays_that_alarm_by_two_breaths() {
 
 #[test]
 fn the_gas_of_a_leak_is_no_part_of_the_expired_volume_and_no_loss_from_it() {
-    // 0.03 L/s: 60 mL in the 2 s of an expiration.
-    for (limit, alarms) in [(390.0, &[][..]), (410.0, &[Fault::TidalVolumeLow])] {
+    // 0.03 L/s: 60 mL in the 2 s of an expiration, and 90 mL in a breath, of which a fifth is in doubt.
+    for (limit, alarms) in [(390.0, &[][..]), (425.0, &[Fault::TidalVolumeLow])] {
         let mut patient = Patient::new(limited(0.0));
         patient.leak = 0.01;
         patient.breathe(30, 400.0);
