@@ -190,6 +190,7 @@ fn a_start_in_the_middle_of_a_copy_is_served_and_nothing_is_written_while_it_ven
         assert!(Instant::now() < deadline, "no copy begins");
     }
     device.events().try_iter().for_each(drop);
+    device.apply(Settings::default()).unwrap();
     assert_eq!(device.start().unwrap(), Mode::Ventilating);
     let begun = flash_operations(&board);
     assert!(begun < Keeper::BYTES / 4, "the copy was not complete: {begun}");
