@@ -92,8 +92,10 @@ pub struct FaultCase {
 pub(super) enum Required {
     /// None: with this fault no command moves gas in and out, or breaths are cut at first.
     Impossible,
-    /// A share of the volume, and no gap longer than this, ms.
-    GapWithin(u32),
+    /// A share of the volume, and no gap longer than two breaths.
+    GoesOn,
+    /// The same with no gap longer than [`GAP_AFTER_RESET_MS`].
+    Resumes,
 }
 
 /// No alarm limits of the volumes.
@@ -161,7 +163,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         within_ms: WATCHED_MS,
         watched_ms: WATCHED_MS,
         judged_after_ms: 0,
-        ventilation: Required::GapWithin(GAP_MS),
+        ventilation: Required::GoesOn,
         least_share: VOLUME_SHARE,
         limits: NO_LIMITS,
         least_resistance: 0.0,
@@ -224,7 +226,8 @@ impl FaultCase {
         let settings = self.settings_after(limit);
         let pause = 1000.0 * (2.0 * 60.0 / settings.rate - settings.inspiratory_time);
         match self.ventilation {
-            Required::GapWithin(ms) => ms.max(pause as u32),
+            Required::GoesOn => GAP_MS.max(pause as u32),
+            Required::Resumes => GAP_AFTER_RESET_MS,
             Required::Impossible => GAP_MS,
         }
     }
@@ -285,7 +288,7 @@ impl FaultCase {
     }
 
     const fn resumed(self) -> Self {
-        Self { ventilation: Required::GapWithin(GAP_AFTER_RESET_MS), ..self }
+        Self { ventilation: Required::Resumes, ..self }
     }
 
     const fn with(self, settings: fn(f32) -> Settings) -> Self {

@@ -275,7 +275,7 @@ fn row(
     let minute_volume_share = outcomes.iter().zip(sound).map(share).fold(f64::INFINITY, f64::min);
     let ventilated = match case.ventilation {
         Required::Impossible => true,
-        Required::GapWithin(_) => {
+        Required::GoesOn | Required::Resumes => {
             gap_ms <= case.longest_gap_ms(limit) && minute_volume_share >= case.least_share
         }
     };

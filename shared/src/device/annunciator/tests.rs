@@ -216,7 +216,7 @@ fn a_pause_that_is_too_long_or_has_nothing_to_silence_is_refused() {
     assert_eq!(Ward::new(&[]).annunciator.pause(1), Err(Refusal::NothingSounds));
 }
 
-/// Whether an alarm that begins during the pause of others sounds.
+/// Whether an alarm sounds that begins while others are paused.
 fn breaks_the_pause(paused: &[Fault], new: Fault) -> bool {
     let mut ward = Ward::new(paused);
     ward.run(10);
