@@ -1,8 +1,8 @@
 //! Backup ventilation for a machine without a sound pressure sensor: the volume of the last good breaths, or their commands.
 //!
-//! While pressure control works, the commands of each good inspiration are averaged in time bins, and so is the volume that the flow
-//! sensor measures; its course is that of the last good inspiration. With a sound flow sensor the commands are then corrected by what the volume lacks of its course, and
-//! the valve closes when the whole volume has been delivered. Without one they are repeated as they were: a lung that has not
+//! While pressure control works, the commands of each good inspiration are averaged in time bins, and so is the volume that the
+//! flow sensor measures; its course is that of the last good inspiration. With a sound flow sensor the commands are then corrected
+//! by what the volume lacks of its course, and the valve closes when the whole volume has been delivered. Without one they are repeated as they were: a lung that has not
 //! changed answers with nearly the same pressure. Before the first good breath a constant flow delivers what fills
 //! the stiffest adult lung to PIP. The supervisor closes the valve when the lung estimate predicts the pressure limit.
 //!
@@ -28,21 +28,44 @@ const CORRECTION: f32 = 0.4;
 const PLAUSIBLE: (f32, f32) = (0.5, 1.5);
 const IN_CIRCUIT: f32 = 50.0;
 
+/// Values over the bins of the last good inspiration and of the running one, which becomes the good one in a single step.
+#[derive(Clone, Debug, PartialEq)]
+struct Bins {
+    bins: [[f32; BINS]; 2],
+    second_is_good: bool,
+}
+
+impl Bins {
+    const EMPTY: Self = Self { bins: [[0.0; BINS]; 2], second_is_good: false };
+
+    fn good(&self) -> &[f32; BINS] {
+        &self.bins[usize::from(self.second_is_good)]
+    }
+
+    fn running(&mut self) -> &mut [f32; BINS] {
+        &mut self.bins[usize::from(!self.second_is_good)]
+    }
+
+    fn accept(&mut self) {
+        self.second_is_good = !self.second_is_good;
+    }
+}
+
 /// The mean commands and volumes of the last good breaths, and those of the running one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Backup {
-    /// Mean commands of the last good breaths, percent; none before the first.
-    profile: Option<[f32; BINS]>,
+    /// Mean commands up to the last good inspiration and with the running one, percent.
+    commands: Bins,
+    /// Volume at the end of each bin, mL.
+    volumes: Bins,
+    /// Rise from PEEP to PIP of the good breaths, cmH2O; none before the first.
+    rise: Option<f32>,
     /// Volumes of those breaths; none if they were not measured.
     course: Option<Course>,
-    /// Rise from PEEP to PIP of those breaths, cmH2O.
-    rise: f32,
-    /// Sums of the running inspiration's commands.
-    sums: [f32; BINS],
-    counts: [u16; BINS],
-    /// Volume at the end of each bin of the last good inspiration and of the running one, mL, and whether the second one is the good one.
-    volumes: [[f32; BINS]; 2],
-    second_is_good: bool,
+    /// First bin that the running inspiration has not filled, and the commands in the bin before that: sum and number.
+    next: usize,
+    sum: f32,
+    count: f32,
     /// Volume since its start by the flow sensor, mL, not a number once a reading was missing; and by the valve's model.
     measured: f32,
     modelled: f32,
@@ -61,13 +84,13 @@ impl Backup {
     /// Before the first breath.
     pub const fn new() -> Self {
         Self {
-            profile: None,
+            commands: Bins::EMPTY,
+            volumes: Bins::EMPTY,
+            rise: None,
             course: None,
-            rise: 0.0,
-            sums: [0.0; BINS],
-            counts: [0; BINS],
-            volumes: [[0.0; BINS]; 2],
-            second_is_good: false,
+            next: 0,
+            sum: 0.0,
+            count: 0.0,
             measured: 0.0,
             modelled: 0.0,
         }
@@ -75,7 +98,7 @@ impl Backup {
 
     /// Starts an inspiration.
     pub fn start_breath(&mut self) {
-        (self.sums, self.counts) = ([0.0; BINS], [0; BINS]);
+        (self.next, self.sum, self.count) = (0, 0.0, 0.0);
         (self.measured, self.modelled) = (0.0, 0.0);
     }
 
@@ -93,29 +116,47 @@ impl Backup {
             && self.measured <= PLAUSIBLE.1 * self.modelled + IN_CIRCUIT
     }
 
-    /// Records the command of a tick of an inspiration, percent.
+    /// Records the command of a tick of an inspiration, percent. It fills all bins up to the next tick's, since a slow control
+    /// period has fewer ticks than there are bins. After a gap nothing more of the inspiration is recorded.
     #[inline]
     pub fn record(&mut self, breath: &Breath, tick: u32, command: f32) {
         let bin = bin(breath, tick);
-        self.sums[bin] += command;
-        self.counts[bin] = self.counts[bin].saturating_add(1);
-        self.volumes[usize::from(!self.second_is_good)][bin] = self.measured;
+        if bin > self.next {
+            return;
+        }
+        if bin == self.next {
+            (self.sum, self.count) = (0.0, 0.0);
+        }
+        (self.sum, self.count) = (self.sum + command, self.count + 1.0);
+        let weight = if self.is_of_another_rise(breath) { 1.0 } else { NEW_BREATH };
+        let mean = self.sum / self.count;
+        self.next = bins_before(breath, tick + 1).clamp(bin + 1, BINS);
+        for bin in bin..self.next {
+            let before = self.commands.good()[bin];
+            self.commands.running()[bin] = before + weight * (mean - before);
+            self.volumes.running()[bin] = self.measured;
+        }
     }
 
-    /// Adds the running inspiration, which was a good one, to the mean.
+    /// Whether the good breaths rose by something else: then their commands are no part of the mean.
+    fn is_of_another_rise(&self, breath: &Breath) -> bool {
+        self.rise.is_none_or(|rise| rise.to_bits() != rise_of(breath).to_bits())
+    }
+
+    /// Makes the running inspiration, which was a good one, part of the mean, if its commands were recorded up to its last tick.
+    /// The command of that tick is not known yet; the one before lasts.
     pub fn accept(&mut self, breath: &Breath) {
-        let settings = breath.settings();
-        let rise = settings.pip - settings.peep;
-        let changed = rise.to_bits() != self.rise.to_bits();
-        // Commands for another rise are no part of this mean.
-        let weight = if self.profile.is_none() || changed { 1.0 } else { NEW_BREATH };
-        let profile = self.profile.get_or_insert([0.0; BINS]);
-        for ((mean, sum), count) in profile.iter_mut().zip(&self.sums).zip(&self.counts) {
-            if *count > 0 {
-                *mean += weight * (sum / f32::from(*count) - *mean);
-            }
+        let Some(last) = self.next.checked_sub(1) else { return };
+        if self.next < bin(breath, breath.inspiration_ticks().saturating_sub(1)) {
+            return;
         }
-        self.rise = rise;
+        for bins in [&mut self.commands, &mut self.volumes] {
+            let value = bins.running()[last];
+            bins.running()[self.next..].fill(value);
+        }
+        let changed = self.is_of_another_rise(breath);
+        self.commands.accept();
+        self.rise = Some(rise_of(breath));
         self.accept_course(changed);
     }
 
@@ -132,20 +173,19 @@ impl Backup {
         let before = self.course.as_ref().map_or(self.measured, |course| course.whole);
         let whole = before + NEW_BREATH * (self.measured - before);
         self.course = Some(Course { last: self.measured, whole });
-        self.second_is_good = !self.second_is_good;
+        self.volumes.accept();
     }
 
     /// The command of a tick of an inspiration, percent; `by_flow`: corrected by the flow sensor, if that is sound.
     #[inline]
     pub fn command(&self, breath: &Breath, tick: u32, by_flow: bool) -> f32 {
-        let settings = breath.settings();
-        let rise = settings.pip - settings.peep;
-        let Some(profile) = &self.profile else {
-            return rise * STIFFEST / settings.inspiratory_time / FLOW_PER_COMMAND;
+        let rise = rise_of(breath);
+        let Some(good_rise) = self.rise else {
+            return rise * STIFFEST / breath.settings().inspiratory_time / FLOW_PER_COMMAND;
         };
-        let scale = math::limit(rise / self.rise, 0.0, 1.0);
+        let scale = math::limit(rise / good_rise, 0.0, 1.0);
         let bin = bin(breath, tick);
-        let command = scale * profile[bin];
+        let command = scale * self.commands.good()[bin];
         let Some(course) = self.course.as_ref().filter(|_| by_flow && self.is_flow_sound()) else {
             return command;
         };
@@ -153,7 +193,7 @@ impl Backup {
         if self.measured >= whole {
             return 0.0;
         }
-        let wanted = whole * self.volumes[usize::from(self.second_is_good)][bin] / course.last;
+        let wanted = whole * self.volumes.good()[bin] / course.last;
         math::limit(command + CORRECTION * (wanted - self.measured), 0.0, COMMAND_MAX)
     }
 }
@@ -164,10 +204,19 @@ impl Default for Backup {
     }
 }
 
-/// The bin of a tick; short inspirations leave bins empty, which nothing reads.
+/// Rise from PEEP to PIP, cmH2O.
+fn rise_of(breath: &Breath) -> f32 {
+    breath.settings().pip - breath.settings().peep
+}
+
+/// The bin of a tick; a tick after the inspiration is in the last one.
 fn bin(breath: &Breath, tick: u32) -> usize {
-    let bin = tick as usize * BINS / breath.inspiration_ticks().max(1) as usize;
-    bin.min(BINS - 1)
+    bins_before(breath, tick).min(BINS - 1)
+}
+
+/// Number of bins that begin before the bin of a tick; ticks after the inspiration go on counting.
+fn bins_before(breath: &Breath, tick: u32) -> usize {
+    tick as usize * BINS / breath.inspiration_ticks().max(1) as usize
 }
 
 #[cfg(test)]
@@ -245,27 +294,64 @@ mod tests {
         );
     }
 
+    /// A breath with a control period of 20 ms.
+    fn slow_breath(inspiratory_time: f32) -> Breath {
+        Breath::new(&Settings { inspiratory_time, ..paper_settings(25.0) }, 20_000).unwrap()
+    }
+
     #[test]
-    fn an_inspiration_of_few_ticks_uses_few_bins_and_leaves_the_others() {
-        let of = |inspiratory_time| {
-            Breath::new(&Settings { inspiratory_time, ..paper_settings(25.0) }, 20_000).unwrap()
-        };
-        let (breath, mut backup) = (of(0.4), Backup::new());
+    fn an_inspiration_of_few_ticks_fills_every_bin() {
+        let (breath, mut backup) = (slow_breath(0.4), Backup::new());
         good(&mut backup, &breath, |tick| tick as f32);
         for tick in 0..breath.inspiration_ticks() {
             assert!((backup.command(&breath, tick, true) - tick as f32).abs() < 1e-4);
         }
-        good(&mut backup, &of(0.6), |_| 10.0);
-        let means = [0, 1, 2].map(|tick| backup.command(&breath, tick, true));
-        let expected = [3.0, 1.0, 4.4];
+        // 30 ticks with the commands of 20.
+        let long = slow_breath(0.6);
+        let commands = [0, 1, 2, 29].map(|tick| backup.command(&long, tick, true));
+        let expected = [0.0, 0.0, 1.0, 19.0];
+        assert!(commands.iter().zip(expected).all(|(c, e)| (c - e).abs() < 1e-4), "{commands:?}");
+        good(&mut backup, &long, |_| 10.0);
+        let means = [0, 1, 2, 29].map(|tick| backup.command(&breath, tick, true));
+        let expected = [3.0, 3.7, 4.4, 16.3];
         assert!(means.iter().zip(expected).all(|(mean, e)| (mean - e).abs() < 1e-4), "{means:?}");
     }
 
     #[test]
-    fn a_tick_after_the_inspiration_has_the_last_command() {
+    fn at_its_end_the_last_command_is_not_known_and_the_one_before_lasts() {
+        let (breath, mut backup) = (slow_breath(0.4), Backup::new());
+        backup.start_breath();
+        let last = breath.inspiration_ticks() - 1;
+        (0..last).for_each(|tick| backup.record(&breath, tick, 10.0 + tick as f32));
+        backup.count(0.4, 0.4, 0.02);
+        backup.accept(&breath);
+        assert!((backup.command(&breath, last, false) - 9.0 - last as f32).abs() < 1e-4);
+        assert_eq!(backup.volumes.good()[BINS - 1].to_bits(), backup.volumes.good()[BINS - 4].to_bits());
+        // The command of the last tick comes after this and belongs to no mean.
+        backup.record(&breath, last, 90.0);
+        good(&mut backup, &breath, |_| 10.0);
+        assert!((backup.command(&breath, 0, false) - 10.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn an_inspiration_without_all_of_its_commands_is_no_part_of_the_mean() {
         let (breath, mut backup) = (breath(25.0), Backup::new());
-        good(&mut backup, &breath, |tick| if tick < 985 { 10.0 } else { 50.0 });
-        assert!((backup.command(&breath, 5000, true) - 50.0).abs() < 1e-3);
+        delivered(&mut backup, &breath, 0.4, 0.4);
+        let known = |backup: &Backup| (*backup.commands.good(), *backup.volumes.good(), backup.course);
+        let before = known(&backup);
+        // The last bins begin at 969 and 985 ms.
+        for recorded in [0..0, 1..1000, 16..1000, 0..969] {
+            backup.start_breath();
+            let all = recorded.start == 1;
+            recorded.for_each(|tick| backup.record(&breath, tick, 90.0));
+            backup.accept(&breath);
+            assert_eq!(known(&backup) != before, all, "a tick that is missing in a bin does no harm");
+            (backup.commands, backup.volumes, backup.course) = {
+                let mut again = Backup::new();
+                delivered(&mut again, &breath, 0.4, 0.4);
+                (again.commands, again.volumes, again.course)
+            };
+        }
     }
 
     /// A good breath of 1 s with a constant flow by the sensor and by the model, L/s, and a command of 30 %.
@@ -336,7 +422,7 @@ mod tests {
     fn the_course_is_that_of_breaths_with_a_sound_flow_sensor() {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         let whole = |backup: &Backup| backup.course.map(|course| course.whole as i32);
-        let halfway = |backup: &Backup| backup.volumes[usize::from(backup.second_is_good)][31] as i32;
+        let halfway = |backup: &Backup| backup.volumes.good()[31] as i32;
         delivered(&mut backup, &breath, f32::NAN, 0.4);
         delivered(&mut backup, &breath, 0.0, 0.0);
         delivered(&mut backup, &breath, 0.049, 0.1);
