@@ -43,7 +43,7 @@ static LINK: InterruptExecutor = InterruptExecutor::new();
 fn main() -> ! {
     start();
     loop {
-        cortex_m::asm::wfi();
+        clock::sleep();
     }
 }
 

@@ -64,6 +64,14 @@ fn SysTick() {
     TICK.signal(number);
 }
 
+/// Sleeps until the next interrupt.
+pub fn sleep() {
+    // While the core sleeps, QEMU sets its clock forward to the next tick. It may begin that before it has counted the last
+    // instructions; the tick would then be late by their time. Reading the timer makes QEMU count them.
+    core::hint::black_box(SYST::get_current());
+    cortex_m::asm::wfi();
+}
+
 /// Number of the last tick that has begun, wrapping.
 pub fn number() -> u32 {
     NUMBER.load(Ordering::Relaxed)
