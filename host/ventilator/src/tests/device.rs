@@ -205,7 +205,7 @@ impl<T: Read> Read for Noisy<T> {
 #[test]
 fn requests_get_through_a_line_that_damages_bytes() {
     let (port, address, _slave) = terminal();
-    let reader = Box::new(Noisy { line: port.reader, count: 0, every: 307 });
+    let reader = Box::new(Noisy { line: port.reader, count: 0, every: 211 });
     let noisy = Port { reader, writer: port.writer };
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), noisy).unwrap();
     let mut device = Device::connect(&address).unwrap();
