@@ -1,14 +1,25 @@
 //! `cargo xtask mutants`: breaks the core in one place after the other, and demands that a test fails each time.
 //!
-//! cargo-mutants makes the mutants and runs the unit tests of `shared` on each. What survives must stand in [`LIST`], with the
-//! reason why no test catches it.
+//! cargo-mutants lists the mutants. To build each of them would take hours, so most are grafted onto one program, which picks one by
+//! its number; the others have a build each. What survives the unit tests of `shared` must stand in [`LIST`], with the reason why
+//! no test catches it.
+
+mod graft;
+mod tree;
+mod trial;
+mod tried;
 
 use std::collections::BTreeMap;
-use std::process::{Command, exit};
+use std::ops::Range;
+use std::process::exit;
 
 use anyhow::{Context, Result, ensure};
+use proc_macro2::LineColumn;
 use serde::{Deserialize, Serialize};
 use xshell::{Shell, cmd};
+
+use graft::{Mutation, offset};
+use tried::try_all;
 
 /// The release of cargo-mutants; [`LIST`] names mutations in its words.
 const VERSION: &str = "27.1.0";
@@ -24,23 +35,6 @@ const AREAS: [&str; 7] = [
 ];
 /// Survivors that are accepted.
 const LIST: &str = "shared/survivors.toml";
-/// Where cargo-mutants leaves its diffs and logs.
-const FOLDER: &str = "target/mutants";
-/// Its lists of mutants, by outcome.
-const OUTCOMES: [(&str, Outcome); 4] = [
-    ("caught.txt", Outcome::Caught),
-    ("timeout.txt", Outcome::Caught),
-    ("unviable.txt", Outcome::DoesNotCompile),
-    ("missed.txt", Outcome::Survived),
-];
-/// What runs before the last one have found.
-const EARLIER: &str = "target/mutants/earlier.json";
-/// Tests that take seconds. Most mutants fail in others, so these meet only what nothing else catches or explains.
-const SLOW: [&str; 2] =
-    ["a_cut_at_any_byte_leaves_the_old_or_the_new_weights", "every_flipped_bit_is_refused"];
-/// Cases of a property test among the quick tests.
-const FEW_CASES: &str = "16";
-
 /// Arguments of `cargo xtask mutants`.
 #[derive(clap::Args)]
 #[command(after_help = "Example: one file, after a change to it or to its tests\n    \
@@ -59,14 +53,6 @@ pub struct Arguments {
 
 fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
-}
-
-/// The tests that a mutant meets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Tests {
-    /// All but [`SLOW`], with [`FEW_CASES`].
-    Quick,
-    All,
 }
 
 /// What became of a mutant.
@@ -105,7 +91,7 @@ struct Place {
     column: usize,
 }
 
-/// A mutant with what tells it from all others; places are no part of that, since each edit moves them.
+/// A mutant. The name tells it from all others in one run; file, mutation and mutated line do so when lines have moved.
 #[derive(Clone, Debug, PartialEq)]
 struct Mutant {
     /// Place and mutation.
@@ -115,12 +101,16 @@ struct Mutant {
     mutation: String,
     /// The mutated line; none where several lines are replaced.
     becomes: Option<String>,
+    /// The bytes of the file that the replacement replaces.
+    range: Range<usize>,
+    replacement: String,
 }
 
 impl Mutant {
     /// `source` is the text of its file.
     fn new(listed: Listed, source: &str) -> Self {
-        let Listed { name, file, replacement, span: Span { start, end } } = listed;
+        let Listed { name, file, replacement, span } = listed;
+        let Span { start, end } = span;
         let place = format!("{file}:{}:{}: ", start.line, start.column);
         let mutation = name.strip_prefix(&place).unwrap_or(&name).to_owned();
         let line = source.lines().nth(start.line - 1).filter(|_| start.line == end.line);
@@ -129,7 +119,14 @@ impl Mutant {
             let line: String = before.chain(replacement.chars()).chain(after).collect();
             line.trim().to_owned()
         });
-        Self { name, file, mutation, becomes }
+        let at = |place: Place| offset(source, LineColumn { line: place.line, column: place.column - 1 });
+        let range = at(span.start)..at(span.end);
+        Self { name, file, mutation, becomes, range, replacement }
+    }
+
+    /// What it does to its file, as the mutant of this number.
+    fn mutation(&self, number: u32) -> Mutation<'_> {
+        Mutation { number, range: self.range.clone(), replacement: &self.replacement }
     }
 
     /// The entry that would accept it.
@@ -191,10 +188,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let selection: Vec<&str> = globs.iter().flat_map(|glob| ["--file", glob]).collect();
     let mutants = list(shell, &selection)?;
     ensure!(!mutants.is_empty(), "there is nothing to mutate in {}", globs.join(", "));
-    let mut outcomes = try_all(shell, arguments.jobs, arguments.resume, &selection, Tests::Quick)?;
-    if !Verdict::new(&mutants, &outcomes, &accepted).unexplained.is_empty() {
-        outcomes = try_all(shell, arguments.jobs, true, &selection, Tests::All)?;
-    }
+    let outcomes = try_all(shell, arguments.jobs, arguments.resume, &mutants)?;
     let verdict = Verdict::new(&mutants, &outcomes, &accepted);
     ensure!(verdict.untried == 0, "{} mutants were not tried; go on with --resume", verdict.untried);
     print!("{}", verdict.text());
@@ -220,53 +214,6 @@ fn list(shell: &Shell, selection: &[&str]) -> Result<Vec<Mutant>> {
         Mutant::new(mutant, source)
     });
     Ok(identified.collect())
-}
-
-/// Runs cargo-mutants with these tests; what it has found, with what the runs have that this one resumes.
-fn try_all(shell: &Shell, jobs: usize, resume: bool, selection: &[&str], tests: Tests) -> Result<Outcomes> {
-    if resume {
-        remember(shell)?;
-    } else {
-        shell.remove_path(FOLDER)?;
-        shell.create_dir(FOLDER)?;
-    }
-    let jobs = jobs.to_string();
-    let mut command = cmd!(
-        shell,
-        "cargo mutants --package shared {selection...} --output {FOLDER} --jobs {jobs} --profile mutants --cargo-arg=--lib"
-    )
-    .args(resume.then_some("--iterate"));
-    if tests == Tests::Quick {
-        let skip = SLOW.iter().flat_map(|test| ["--skip", test]);
-        command = command.args(["--", "--"]).args(skip).env("PROPTEST_CASES", FEW_CASES);
-    }
-    let status = Command::from(command).status()?;
-    // 2: some survived; 3: the tests of some did not end.
-    ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants gave up: {status}");
-    remember(shell)
-}
-
-/// Adds what the last run has found to what those before it have.
-fn remember(shell: &Shell) -> Result<Outcomes> {
-    let mut outcomes = Outcomes::new();
-    if shell.path_exists(EARLIER) {
-        outcomes = serde_json::from_str(&shell.read_file(EARLIER)?).context(EARLIER)?;
-    }
-    outcomes.extend(found(shell)?);
-    shell.write_file(EARLIER, serde_json::to_string(&outcomes)?)?;
-    Ok(outcomes)
-}
-
-/// What the last run of cargo-mutants has found so far.
-fn found(shell: &Shell) -> Result<Outcomes> {
-    let mut outcomes = Outcomes::new();
-    for (file, outcome) in OUTCOMES {
-        let path = format!("{FOLDER}/mutants.out/{file}");
-        if shell.path_exists(&path) {
-            outcomes.extend(shell.read_file(&path)?.lines().map(|name| (name.to_owned(), outcome)));
-        }
-    }
-    Ok(outcomes)
 }
 
 /// What a run says of the tests.
