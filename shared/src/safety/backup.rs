@@ -251,6 +251,14 @@ mod tests {
     }
 
     #[test]
+    fn a_bin_has_the_mean_of_its_commands() {
+        let (breath, mut backup) = (breath(25.0), Backup::new());
+        good(&mut backup, &breath, |tick| tick as f32);
+        // The bin of the 500th millisecond has the ticks 500 to 515.
+        assert!((backup.command(&breath, 510, true) - 507.5).abs() < 1e-3);
+    }
+
+    #[test]
     fn a_new_breath_has_three_tenths_of_the_mean() {
         let (breath, mut backup) = (breath(25.0), Backup::new());
         good(&mut backup, &breath, |_| 30.0);

@@ -326,6 +326,8 @@ fn gas_that_a_patient_draws_in_is_no_missing_response() {
     assert!(missing(1.0, 12.0, false), "nothing confirms the only sensor");
     let started = |predicted: f32| is_missing(filled_to(predicted, true, true), 5.0, 1.0, true);
     assert!(!started(39.5) && started(40.0), "nor 40 one that has started the breath");
+    let risen = |predicted: f32| is_missing(filled_to(predicted, false, true), 9.0, 1.0, true);
+    assert!(!risen(33.5) && risen(34.0), "4 of 34 are there");
 }
 
 #[test]
@@ -371,4 +373,23 @@ fn an_effort_shows_in_a_reading_of_this_tick_alone() {
     assert_eq!(run.state.pressure_of_effort(5.0).to_bits(), 5.0_f32.to_bits());
     assert_eq!(run.check(f32::NAN, Some(1)), Some(5.0));
     assert!(run.state.pressure_of_effort(5.0).is_nan());
+}
+
+#[test]
+fn flow_that_holds_peep_is_an_alarm_unless_the_patient_draws_it_in() {
+    let alarmed = |flow: f32| {
+        let mut run = Run::new();
+        for _ in 0..7 {
+            for tick in 0..1901 {
+                let pressure = if tick < 1000 { 15.0 } else { 3.2 };
+                let flow = if tick == 1900 { flow } else { 0.0 };
+                run.check_all(Readings { flow, ..Readings::from(pressure + dither(tick)) }, Some(tick));
+                run.supervisor.command(&mut run.state, ControlOutput::plain(0.0), tick >= 1000);
+            }
+            run.supervisor.triggered(&mut run.state, &breath(), 1900);
+        }
+        run.state.indications().present().has(Fault::BaselineLow)
+    };
+    // Of a step, 98 % are above the smoothed flow.
+    assert!(alarmed(0.0) && alarmed(0.05) && !alarmed(0.052));
 }
