@@ -322,7 +322,7 @@ mod tests {
         }
         let mut state = VolumeState::default();
         let breath = BreathVolumes { inspired: 300.0, expired: 500.0, leaked: 0.0 };
-        minute_volume(&mut state, breath, 3.0, &paper_settings(20.0));
+        (0..3).for_each(|_| drop(minute_volume(&mut state, breath, 3.0, &paper_settings(20.0))));
         assert!((state.inspired - 6.0).abs() < 1e-4 && (state.expired - 10.0).abs() < 1e-4);
     }
 
@@ -348,6 +348,15 @@ mod tests {
         run.state.settings_changed();
         // 4 L/min, but nothing is left of the twelve before: three breaths, then 30 s.
         assert_eq!(run.until(340.0, Fault::MinuteVolumeLow), Some(3 + 6));
+    }
+
+    #[test]
+    fn breaths_without_a_measurement_are_not_those_that_a_change_excuses() {
+        let mut run = Run::new(limits((300.0, 0.0), (0.0, 0.0)));
+        run.breaths(20, 400.0);
+        run.state.settings_changed();
+        run.breaths(5, f32::NAN);
+        assert_eq!(run.until(200.0, Fault::TidalVolumeLow), Some(3 + 3));
     }
 
     #[test]
@@ -390,6 +399,12 @@ mod tests {
         assert_eq!(run.until(0.0, Fault::Apnoea), Some(2), "24 s");
         let mut run = Run::new(Settings { rate: 6.0, ..slow });
         assert_eq!(run.until(0.0, Fault::Apnoea), Some(2), "20 s");
+        let after = |without: f32| {
+            let mut state = VolumeState { without, ..VolumeState::default() };
+            // Efforts can make a breath shorter.
+            apnoea(&mut state, tight(0.0), 3.0, &slow)
+        };
+        assert_eq!((after(20.9), after(21.0)), (None, Some(Fault::Apnoea)));
         let mut run = Run::new(paper_settings(20.0));
         run.breaths(6, 0.0);
         run.state.settings_changed();
@@ -419,7 +434,9 @@ mod tests {
         }
         let mut run = Run::new(paper_settings(20.0));
         run.breath(400.0);
-        assert_eq!(run.breath(f32::NAN), [Fault::FlowSensorLost]);
+        for _ in 0..3 {
+            assert_eq!(run.breath(f32::NAN), [Fault::FlowSensorLost]);
+        }
     }
 
     #[test]

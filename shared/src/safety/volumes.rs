@@ -215,11 +215,17 @@ mod tests {
         };
         assert!(run(500, -0.4).abs() < 1e-3);
         assert!((run(1, 0.1) - 0.49).abs() < 1e-3);
+        volumes.start_breath();
+        assert!((volumes.surge() - 0.49).abs() < 1e-3, "breaths share the flow");
+        let mut run = |ticks: usize, flow: f32| {
+            (0..ticks).for_each(|_| volumes.add(flow, 9.0, 0.0, 0.001));
+            volumes.surge()
+        };
         assert!((run(49, 0.1) - 0.5 * 0.98_f32.powi(50)).abs() < 1e-3);
         run(500, 0.1);
         assert!((run(1, 0.0) + 0.098).abs() < 1e-3);
         volumes.start_breath();
-        assert!((volumes.surge() + 0.098).abs() < 1e-3, "breaths share the flow");
+        assert!((volumes.surge() + 0.098).abs() < 1e-3, "and its smoothed value");
         volumes.add(f32::NAN, 9.0, 0.0, 0.001);
         assert!(volumes.surge().abs() < 1e-6, "no reading");
         let mut slow = Volumes::default();
@@ -298,6 +304,16 @@ mod tests {
         lung.add(-5.0, 0.0);
         let BreathVolumes { inspired, expired, .. } = lung.take();
         assert!(inspired.abs() < 1e-6 && (expired - 4.0).abs() < 1e-4, "{expired}");
+    }
+
+    #[test]
+    fn a_breath_begins_where_the_one_before_has_left_the_play() {
+        let mut volumes = Volumes::default();
+        volumes.add(0.01, 9.0, 0.0, 1.0);
+        volumes.start_breath();
+        volumes.add(-0.005, 9.0, 0.0, 1.0);
+        volumes.start_breath();
+        assert!(volumes.breath().is_some_and(|breath| (breath.expired - 4.0).abs() < 1e-3));
     }
 
     #[test]
