@@ -16,6 +16,15 @@ pub struct Tree<'a> {
     path: PathBuf,
 }
 
+/// What a build serves, and so what it is to save.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Serves {
+    /// Many mutants: time in which they run.
+    Many,
+    /// A single one: time in which it is built.
+    One,
+}
+
 /// What a build ends with.
 pub enum Built {
     /// The program with the unit tests of `shared`.
@@ -69,15 +78,17 @@ impl<'a> Tree<'a> {
     }
 
     /// Builds the unit tests of `shared`.
-    pub fn build(&self) -> Result<Built> {
+    pub fn build(&self, serves: Serves) -> Result<Built> {
         let shell = self.shell;
         let _folder = shell.push_dir(&self.path);
+        let level = if serves == Serves::Many { "1" } else { "0" };
         let builds = Path::new("../../..").join(BUILDS);
         let lines = cmd!(
             shell,
             "cargo test --package shared --lib --no-run --profile mutants --message-format json --target-dir {builds}"
         )
         .env("RUSTFLAGS", "--cap-lints=warn")
+        .env("CARGO_PROFILE_MUTANTS_OPT_LEVEL", level)
         .quiet()
         .ignore_stderr()
         .ignore_status()

@@ -45,11 +45,6 @@ impl Trial {
         Ok(trial)
     }
 
-    /// The same with another program of these tests.
-    pub fn of(&self, program: PathBuf) -> Self {
-        Self { program, folder: self.folder.clone(), patience: self.patience }
-    }
-
     /// Whether a test fails on a mutant, or does not end. The tests of its own module come first.
     pub fn catches(&self, mutant: u32, file: &str) -> bool {
         let (quick, module) = (quick(), module(file));

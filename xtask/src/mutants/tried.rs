@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail, ensure};
 use xshell::Shell;
 
 use super::graft::{self, Grafted, graft};
-use super::tree::{Built, Tree};
+use super::tree::{Built, Serves, Tree};
 use super::trial::Trial;
 use super::{Mutant, Outcome, Outcomes};
 
@@ -36,10 +36,7 @@ pub fn try_all(shell: &Shell, jobs: usize, resume: bool, mutants: &[Mutant]) -> 
     let trial = Trial::new(program, core.tree.folder())?;
     let alone: Numbered = alone.into_iter().filter_map(|number| untried.remove_entry(&number)).collect();
     try_together(&trial, jobs, &untried, &findings)?;
-    core.restore()?;
-    for mutant in alone.values() {
-        findings.add(mutant, core.try_alone(&trial, mutant)?)?;
-    }
+    core.try_alone(&alone, &findings)?;
     findings.store()?;
     Ok(findings.outcomes.into_inner().unwrap_or_default())
 }
@@ -91,7 +88,7 @@ impl<'a> Core<'a> {
         loop {
             let grafted = self.write_grafted(mutants)?;
             eprintln!("building {} mutants together", mutants.len());
-            let places = match self.tree.build()? {
+            let places = match self.tree.build(Serves::Many)? {
                 Built::Program(program) => {
                     return Ok((program, grafted.into_values().flat_map(|grafted| grafted.alone).collect()));
                 }
@@ -120,20 +117,28 @@ impl<'a> Core<'a> {
         Ok(all)
     }
 
-    /// Takes all mutants out of the tree.
-    fn restore(&self) -> Result<()> {
-        self.sources.iter().try_for_each(|(file, source)| self.tree.write(file, source))
-    }
-
-    /// Tries a mutant in a build of its own, as patiently as in the trial.
-    fn try_alone(&self, trial: &Trial, mutant: &Mutant) -> Result<Outcome> {
-        let source = &self.sources[&mutant.file];
-        self.tree.write(&mutant.file, &mutant.mutation(0).applied(source))?;
-        let built = self.tree.build();
-        self.tree.write(&mutant.file, source)?;
-        let Built::Program(program) = built? else { return Ok(Outcome::DoesNotCompile) };
-        let caught = trial.of(program).catches(0, &mutant.file);
-        Ok(if caught { Outcome::Caught } else { Outcome::Survived })
+    /// Tries each mutant in a build of its own.
+    fn try_alone(&self, mutants: &Numbered, findings: &Findings) -> Result<()> {
+        if mutants.is_empty() {
+            return Ok(());
+        }
+        self.sources.iter().try_for_each(|(file, source)| self.tree.write(file, source))?;
+        let Built::Program(program) = self.tree.build(Serves::One)? else {
+            bail!("the tests of shared do not compile")
+        };
+        let trial = Trial::new(program, self.tree.folder())?;
+        for mutant in mutants.values() {
+            let source = &self.sources[&mutant.file];
+            self.tree.write(&mutant.file, &mutant.mutation(0).applied(source))?;
+            let outcome = match self.tree.build(Serves::One)? {
+                Built::Errors(_) => Outcome::DoesNotCompile,
+                Built::Program(_) if trial.catches(0, &mutant.file) => Outcome::Caught,
+                Built::Program(_) => Outcome::Survived,
+            };
+            self.tree.write(&mutant.file, source)?;
+            findings.add(mutant, outcome)?;
+        }
+        Ok(())
     }
 }
 
