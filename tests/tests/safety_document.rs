@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use judge::faults::cases::{LIMIT, cases};
+use judge::faults::cases::{FaultCase, HAZARDS, LIMIT, Required, cases};
 use shared::safety::alarms::{ALARMS, Priority};
 
 fn document() -> PathBuf {
@@ -29,22 +29,42 @@ fn alarms() -> String {
     table
 }
 
-/// Every fault of the matrix with the monitors that must detect it.
+/// Every fault of the matrix, by hazard.
 fn faults() -> String {
-    let mut table =
-        "| fault | monitors that must fire | highest true pressure allowed, cmH2O |\n|---|---|---|\n"
-            .to_owned();
-    for case in cases() {
-        let monitors: Vec<String> =
-            case.monitors.iter().map(|monitor| format!("`{}`", monitor.alarm().id)).collect();
-        let monitors = if monitors.is_empty() {
-            "none; pressure and ventilation are judged".to_owned()
-        } else {
-            monitors.join(", ")
-        };
-        writeln!(table, "| {} | {monitors} | {:.0} |", case.name, case.peak_allowed(LIMIT)).unwrap();
+    let mut table = "| hazard | cause | monitor | response | ventilation that goes on | proof: highest true pressure, cmH2O |\n\
+                     |---|---|---|---|---|---|\n"
+        .to_owned();
+    for (hazard, cases) in HAZARDS {
+        for case in cases {
+            let (monitors, responses) = reaction(case);
+            let (cause, ventilation, peak) = (case.name, ventilation(case), case.peak_allowed(LIMIT));
+            writeln!(table, "| {hazard} | {cause} | {monitors} | {responses} | {ventilation} | {peak:.0} |")
+                .unwrap();
+        }
     }
     table
+}
+
+/// The monitors that must detect a fault, and the responses.
+fn reaction(case: &FaultCase) -> (String, String) {
+    if case.monitors.is_empty() {
+        return ("none needed".to_owned(), case.safeguard.to_owned());
+    }
+    let alarms: Vec<_> = case.monitors.iter().map(|monitor| monitor.alarm()).collect();
+    let ids: Vec<_> = alarms.iter().map(|alarm| format!("`{}`", alarm.id)).collect();
+    let mut responses: Vec<_> = alarms.iter().map(|alarm| alarm.action.name()).collect();
+    responses.dedup();
+    (ids.join(", "), responses.join(", "))
+}
+
+/// What ventilation a row requires.
+fn ventilation(case: &FaultCase) -> String {
+    let share = format!("{:.0} % of the volume", 100.0 * case.least_share);
+    let gap = f64::from(case.longest_gap_ms(LIMIT)) / 1000.0;
+    match case.ventilation {
+        Required::Impossible => "none is required".to_owned(),
+        Required::GoesOn | Required::Resumes => format!("{share}, a breath within {gap:.0} s"),
+    }
 }
 
 /// The text with the content between the marks of a table replaced.
@@ -73,5 +93,12 @@ fn the_tables_are_those_of_the_code() {
 fn every_alarm_that_a_monitor_raises_has_a_fault_that_proves_it() {
     for alarm in &ALARMS {
         assert!(cases().any(|case| case.monitors.contains(&alarm.fault)), "{}", alarm.id);
+    }
+}
+
+#[test]
+fn every_row_has_an_alarm_or_a_safeguard() {
+    for case in cases() {
+        assert_ne!(case.monitors.is_empty(), case.safeguard.is_empty(), "{}", case.name);
     }
 }

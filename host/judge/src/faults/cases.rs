@@ -59,6 +59,8 @@ pub struct FaultCase {
     pub injection: Injection,
     /// The alarms that must occur; if empty, pressure and ventilation are judged.
     pub monitors: &'static [Fault],
+    /// What keeps it harmless where no alarm must occur.
+    pub safeguard: &'static str,
     pub(super) controller: CaseController,
     pub(super) onset_ms: u32,
     /// Settings with this pressure limit, cmH2O.
@@ -78,9 +80,9 @@ pub struct FaultCase {
     /// Time after the fault from which ventilation is judged, ms.
     pub(super) judged_after_ms: u32,
     /// What ventilation must go on.
-    pub(super) ventilation: Required,
+    pub ventilation: Required,
     /// Smallest share of the sound machine's minute volume.
-    pub(super) least_share: f64,
+    pub least_share: f64,
     /// Alarm limits of the volumes.
     limits: VolumeLimits,
     /// Lowest resistance of a lung with which the fault is possible, cmH2O/(L/s).
@@ -89,7 +91,7 @@ pub struct FaultCase {
 
 /// Ventilation that a row requires after its fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Required {
+pub enum Required {
     /// None: with this fault no command moves gas in and out, or breaths are cut at first.
     Impossible,
     /// A share of the volume, and no gap longer than two breaths.
@@ -153,6 +155,7 @@ const fn case(name: &'static str, injection: Injection, monitors: &'static [Faul
         name,
         injection,
         monitors,
+        safeguard: "",
         controller: Sound,
         onset_ms: MID_INSPIRATION_MS,
         settings: usual,
@@ -222,7 +225,7 @@ impl FaultCase {
     }
 
     /// Longest gap without a delivered breath, ms: that of the row, or two breaths without their inspiration.
-    pub(super) fn longest_gap_ms(&self, limit: f32) -> u32 {
+    pub fn longest_gap_ms(&self, limit: f32) -> u32 {
         let settings = self.settings_after(limit);
         let pause = 1000.0 * (2.0 * 60.0 / settings.rate - settings.inspiratory_time);
         match self.ventilation {
@@ -285,6 +288,11 @@ impl FaultCase {
     /// The same for the minute volume.
     const fn with_minute_limits(self, low: f64, high: f64) -> Self {
         Self { limits: VolumeLimits { minute: (low, high), ..self.limits }, ..self }
+    }
+
+    /// Names what keeps it harmless without an alarm.
+    const fn by(self, safeguard: &'static str) -> Self {
+        Self { safeguard, ..self }
     }
 
     const fn resumed(self) -> Self {
@@ -358,8 +366,14 @@ const MACHINE: [FaultCase; 17] = [
     // Full ventilation within one breath of the reconnection.
     case("patient disconnected for 5 s", Reconnected(DISCONNECTED_MS), &[Fault::Disconnection])
         .judged_after(DISCONNECTED_MS + BREATH_MS),
-    part("leak of 0.2 L/s", Failure::Leak(0.2), &[]).at(BEFORE_MS).never(&[Fault::BaselineLow]),
-    part("leak of 0.5 L/s", Failure::Leak(0.5), &[]).at(BEFORE_MS).never(&[Fault::BaselineLow]),
+    part("leak of 0.2 L/s", Failure::Leak(0.2), &[])
+        .by("a flow holds PEEP")
+        .at(BEFORE_MS)
+        .never(&[Fault::BaselineLow]),
+    part("leak of 0.5 L/s", Failure::Leak(0.5), &[])
+        .by("a flow holds PEEP")
+        .at(BEFORE_MS)
+        .never(&[Fault::BaselineLow]),
     part("leak of 0.8 L/s", Failure::Leak(0.8), &[Fault::Leak]).at(BEFORE_MS),
     part("leak of 3 L/s from the start", Failure::Leak(3.0), &[Fault::LowPressure, Fault::BaselineLow])
         .at(0)
@@ -391,29 +405,45 @@ const MACHINE: [FaultCase; 17] = [
 
 /// Patients who breathe or cough, lungs and settings that change: no fault of the machine's.
 const PATIENT: [FaultCase; 15] = [
-    case("cough in every breath", Coughs(25.0), &[]).with(tight),
-    case("trains of six coughs", CoughTrains(40.0), &[]),
-    breathing("efforts of 3 cmH2O, 21 a minute against 20", |patient| efforts(patient, 3.0, 21.0)).quietly(),
+    case("cough in every breath", Coughs(25.0), &[])
+        .by("the breath is cut at the limit; a cough is no strike")
+        .with(tight),
+    case("trains of six coughs", CoughTrains(40.0), &[])
+        .by("the breath is cut at the limit; a cough is no strike"),
+    breathing("efforts of 3 cmH2O, 21 a minute against 20", |patient| efforts(patient, 3.0, 21.0))
+        .by("an effort starts the breath")
+        .quietly(),
     breathing("efforts of 4 cmH2O, 12.5 a minute against 12", |patient| efforts(patient, 4.0, 12.5))
+        .by("an effort starts the breath")
         .with(twelve_a_minute)
         .quietly(),
     breathing("efforts of 4 cmH2O, 16.5 a minute against 16", |patient| efforts(patient, 4.0, 16.5))
+        .by("an effort starts the breath")
         .with(sixteen_a_minute)
         .quietly(),
     breathing("efforts of 4 cmH2O, 20.5 a minute against 20", |patient| efforts(patient, 4.0, 20.5))
+        .by("an effort starts the breath")
         .quietly(),
-    breathing("efforts of 15 cmH2O", |patient| efforts(patient, 15.0, 14.0)).quietly(),
+    breathing("efforts of 15 cmH2O", |patient| efforts(patient, 15.0, 14.0))
+        .by("an effort starts the breath")
+        .quietly(),
     breathing("double efforts of 8 cmH2O", |patient| {
         efforts(patient, 8.0, 17.0);
         (patient.effort_variability_percent, patient.double_efforts_percent) = (20.0, 50.0);
     })
+    .by("an effort starts the breath")
     .quietly(),
     case("inspiration shortened from 1.5 to 0.4 s", NewTiming(20.0, 0.4), &[])
+        .by("two breaths are not compared with those before")
         .with(long_inspiration)
         .with_resistance(50.0)
         .quietly(),
-    case("inspiration lengthened from 1 to 1.5 s", NewTiming(20.0, 1.5), &[]).with_resistance(50.0).quietly(),
+    case("inspiration lengthened from 1 to 1.5 s", NewTiming(20.0, 1.5), &[])
+        .by("two breaths are not compared with those before")
+        .with_resistance(50.0)
+        .quietly(),
     case("rate raised from 12 to 30 a minute", NewTiming(30.0, 0.7), &[])
+        .by("two breaths are not compared with those before")
         .with(twelve_a_minute)
         .with_resistance(50.0)
         .quietly(),
@@ -443,12 +473,15 @@ const CONTROL: [FaultCase; 13] = [
     case("control task hangs at the start of a breath", Hang, &[Fault::Restarted]).at(START_MS).resumed(),
     case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]).resumed(),
     case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
-    case("a second host sends other settings and gains", OtherHost, &[]),
+    case("a second host sends other settings and gains", OtherHost, &[])
+        .by("its requests are refused: it has no lease"),
     case("one bit of the stored weights flipped", Weights(Damage::FlippedBit), &[Fault::WeightsRefused])
         .run_by(Greedy),
     case("power lost while weights are stored", Weights(Damage::TornStore), &[Fault::WeightsRefused])
         .run_by(Greedy),
-    case("network that always requests 100 % more", Injection::Controller, &[]).run_by(Greedy),
+    case("network that always requests 100 % more", Injection::Controller, &[])
+        .by("slew, limits of the command, cut at the limit, ladder")
+        .run_by(Greedy),
     case("network that drives each breath to the limit", Injection::Controller, &[Fault::LearnedDistrusted])
         .with(low)
         .run_by(Greedy)
@@ -464,11 +497,22 @@ const CONTROL: [FaultCase; 13] = [
         // The capped PID after three.
         .judged_after(3 * BREATH_MS),
     case("network that alternates between fully open and closed", Injection::Controller, &[])
+        .by("slew, limits of the command, cut at the limit, ladder")
         .run_by(Alternating),
-    case("oscillating PID", Injection::Controller, &[]).run_by(Ringing),
+    case("oscillating PID", Injection::Controller, &[])
+        .by("limits of the command, cut at the limit, ladder")
+        .run_by(Ringing),
+];
+
+/// What the rows can do to a patient.
+pub const HAZARDS: [(&str, &[FaultCase]); 4] = [
+    ("pressure controlled by a wrong reading, or by none", &SENSOR),
+    ("gas that does not get to the patient, or not out again", &MACHINE),
+    ("ventilation that does not suit a living patient", &PATIENT),
+    ("commands that are wrong, late or missing", &CONTROL),
 ];
 
 /// All rows.
 pub fn cases() -> impl Iterator<Item = &'static FaultCase> {
-    SENSOR.iter().chain(&MACHINE).chain(&PATIENT).chain(&CONTROL)
+    HAZARDS.iter().flat_map(|(_, cases)| *cases)
 }
