@@ -106,7 +106,7 @@ impl Control {
             ventilator,
             state,
             learned,
-            status: Status { mode: Mode::Standby, controller, exploration: None },
+            status: Status { mode: Mode::Standby, moves_valves: false, controller, exploration: None },
             next_controller,
             queue: Deque::new(),
             meter: BreathMeter::default(),
@@ -326,7 +326,8 @@ impl Control {
         self.host.heard();
         let response = match *request {
             ControlRequest::Status => {
-                return ControlReply::Status(Status { mode: self.state.mode(), ..self.status });
+                let (mode, moves_valves) = (self.state.mode(), self.self_test.moves_valves());
+                return ControlReply::Status(Status { mode, moves_valves, ..self.status });
             }
             ControlRequest::Settings => Ok(self.settings()),
             ControlRequest::Apply(settings) => self.apply(&settings),

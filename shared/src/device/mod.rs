@@ -87,6 +87,8 @@ pub enum ControlReply {
 pub struct Status {
     /// Mode of the ventilator.
     pub mode: Mode,
+    /// Whether a check of the self-test moves the valves.
+    pub moves_valves: bool,
     /// The controller that runs, at the latest from the next breath on.
     pub controller: ControllerChoice,
     /// The exploration in force, at the latest from the next breath on.

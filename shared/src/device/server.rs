@@ -213,6 +213,8 @@ impl<'a> Server<'a> {
                 let begun = idle.and_then(|()| self.upload.begin(length, id));
                 self.send(begun.map(|offset| Response::Progress { offset }))
             }
+            // An erase stalls the chip, and with it the command of a valve.
+            Continuation::Commit if status.moves_valves => self.send(Err(Refusal::SelfTestRuns)),
             Continuation::Commit => match idle.and_then(|()| self.upload.commit(&self.facts.trust)) {
                 Ok(id) => {
                     self.committed = id;
@@ -250,7 +252,7 @@ impl<'a> Server<'a> {
     fn identity(&self, status: &Status) -> DeviceIdentity {
         let DeviceFacts { firmware, device, period_us, slots, running, reset, ref failure, trust } =
             self.facts;
-        let Status { mode, controller, exploration } = *status;
+        let Status { mode, controller, exploration, .. } = *status;
         DeviceIdentity {
             protocol: PROTOCOL,
             firmware,

@@ -538,6 +538,15 @@ fn nothing_is_stored_and_nothing_restarts_while_ventilating() {
 }
 
 #[test]
+fn nothing_is_stored_while_a_check_moves_the_valves() {
+    let (mut rig, image) = (Rig::new(None), image());
+    upload(&mut rig, &image);
+    assert!(matches!(rig.ask(Request::RunSelfTest(Check::Circuit)), Response::SelfTest(_)));
+    assert_eq!(rig.ask(Request::CommitWeights), Response::Refused(Refusal::SelfTestRuns));
+    assert_eq!(rig.stored.len(), 0);
+}
+
+#[test]
 fn reports_that_find_no_room_are_counted() {
     let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ)
         .unwrap()

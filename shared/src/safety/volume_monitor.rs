@@ -322,7 +322,9 @@ mod tests {
         }
         let mut state = VolumeState::default();
         let breath = BreathVolumes { inspired: 300.0, expired: 500.0, leaked: 0.0 };
-        (0..3).for_each(|_| drop(minute_volume(&mut state, breath, 3.0, &paper_settings(20.0))));
+        for _ in 0..3 {
+            minute_volume(&mut state, breath, 3.0, &paper_settings(20.0));
+        }
         assert!((state.inspired - 6.0).abs() < 1e-4 && (state.expired - 10.0).abs() < 1e-4);
     }
 

@@ -87,7 +87,6 @@ impl<'a> Tree<'a> {
             shell,
             "cargo test --package shared --lib --no-run --profile mutants --message-format json --target-dir {builds}"
         )
-        .env("RUSTFLAGS", "--cap-lints=warn")
         .env("CARGO_PROFILE_MUTANTS_OPT_LEVEL", level)
         .quiet()
         .ignore_stderr()
