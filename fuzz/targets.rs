@@ -1,7 +1,6 @@
 //! Properties that must be true for any external input: one function per target, for the fuzzer and for the test in
 //! `tests/tests/fuzz.rs`, which runs the same functions on seeds and mutations.
 
-use shared::breath::DEFAULT_PERIOD_US;
 use shared::checksum::{CHECKSUM_BYTES, crc32, verified};
 use shared::device::control::Control;
 use shared::device::server::{DeviceFacts, NextStep, Server};
@@ -9,10 +8,9 @@ use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode
 use shared::link::messages::{DeviceKind, ToDevice, ToHost, greeted_protocol, read_reply, read_request};
 use shared::link::plant_link;
 use shared::recorder::{Boot, LogEntry, Recorder, RecorderMemory, TickEntry};
-use shared::reset::ResetCause;
 use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
-use shared::weights::trust::{Trust, seal};
+use shared::weights::trust::seal;
 use shared::weights::{IMAGE_BYTES, SIGNED_BYTES, decode, encode};
 
 /// Core clock of the device, Hz.
@@ -139,16 +137,7 @@ struct Rig<'a> {
 
 impl<'a> Rig<'a> {
     fn new(memory: &'a RecorderMemory) -> Self {
-        let facts = DeviceFacts {
-            firmware: [0; 3],
-            device: DeviceKind::HardwareInTheLoop,
-            period_us: DEFAULT_PERIOD_US,
-            slots: [SlotState::Empty; 2],
-            running: None,
-            reset: ResetCause::PowerOn,
-            failure: None,
-            trust: Trust::Development,
-        };
+        let facts = DeviceFacts::blank(DeviceKind::HardwareInTheLoop);
         let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
         Self {
             recorder: Recorder::attach(memory, boot),

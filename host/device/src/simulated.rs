@@ -21,7 +21,6 @@ use shared::safety::filter::ValveCommand;
 use shared::timing::TickTime;
 use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
-use shared::weights::trust::Trust;
 use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
@@ -260,16 +259,7 @@ fn boot<'a>(
     let learned = image.map(|image| image.residual);
     let running = newest.filter(|_| learned.is_some());
     let device = DeviceKind::Simulated;
-    let facts = DeviceFacts {
-        firmware: [0; 3],
-        device,
-        period_us: DEFAULT_PERIOD_US,
-        slots,
-        running,
-        reset,
-        failure: None,
-        trust: Trust::Development,
-    };
+    let facts = DeviceFacts { slots, running, reset, ..DeviceFacts::blank(device) };
     let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
     let mut control = control.expect("the default control period is in bounds");
     control.require_self_test(&BootFindings { program: None, memory: None, slots });

@@ -11,6 +11,7 @@ use heapless::{String, Vec};
 use super::lease::Lease;
 use super::upload::Upload;
 use super::{ControlReply, ControlReport, ControlRequest, Status};
+use crate::breath::DEFAULT_PERIOD_US;
 use crate::link::PROTOCOL;
 use crate::link::messages::{
     DeviceIdentity, DeviceKind, Event, FAILURE_BYTES, Request, Response, ToDevice, ToHost,
@@ -43,6 +44,22 @@ pub struct DeviceFacts {
     pub failure: Option<String<FAILURE_BYTES>>,
     /// Whose weights the device runs.
     pub trust: Trust,
+}
+
+impl DeviceFacts {
+    /// A device after power-up, at the default control period, that holds no weights and runs any.
+    pub const fn blank(device: DeviceKind) -> Self {
+        Self {
+            firmware: [0; 3],
+            device,
+            period_us: DEFAULT_PERIOD_US,
+            slots: [SlotState::Empty; 2],
+            running: None,
+            reset: ResetCause::PowerOn,
+            failure: None,
+            trust: Trust::Development,
+        }
+    }
 }
 
 /// Next step of the caller.

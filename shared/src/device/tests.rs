@@ -55,16 +55,8 @@ impl Rig {
     }
 
     fn trusting(learned: Option<Residual>, trust: Trust) -> Self {
-        let facts = DeviceFacts {
-            firmware: [1, 2, 3],
-            device: DeviceKind::HardwareInTheLoop,
-            period_us: DEFAULT_PERIOD_US,
-            slots: [SlotState::Empty; 2],
-            running: None,
-            reset: ResetCause::PowerOn,
-            failure: None,
-            trust,
-        };
+        let blank = DeviceFacts::blank(DeviceKind::HardwareInTheLoop);
+        let facts = DeviceFacts { firmware: [1, 2, 3], trust, ..blank };
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
         Self {

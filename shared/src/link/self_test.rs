@@ -174,3 +174,17 @@ pub enum Check {
     /// [`Step::Relief`].
     Relief,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_step_measures_has_a_unit() {
+        let units = Step::ALL.map(Step::unit);
+        let none = [None; 3];
+        assert_eq!(units[..3], none, "checks of the memory measure nothing");
+        let expected = ["cmH2O", "cmH2O", "s", "mL/cmH2O", "cmH2O"].map(Some);
+        assert_eq!(units[3..], expected);
+    }
+}

@@ -20,7 +20,6 @@ use shared::settings::Settings;
 use shared::timing::TickTime;
 use shared::ventilator::{Output, VentilatorState};
 use shared::weights::slots::SlotState;
-use shared::weights::trust::Trust;
 use shared::weights::{IMAGE_BYTES, Identity, encode};
 
 use super::flash::Flash;
@@ -117,7 +116,7 @@ impl Rig {
     pub fn other_host(&mut self) -> bool {
         let [first, second] = [1, 2];
         let lease = Request::AcquireLease { name: HostName::default(), take_over: false };
-        let mut server = Server::new(facts(), &NO_RECORDING);
+        let mut server = Server::new(DeviceFacts::blank(DeviceKind::Simulated), &NO_RECORDING);
         server.receive(&ToDevice { sequence: 0, request: lease.clone(), host: Some(first) }, self.ticks);
         let requests = [
             lease,
@@ -190,19 +189,6 @@ impl Rig {
 
 /// The server's recorder memory; nothing is recorded.
 static NO_RECORDING: RecorderMemory = RecorderMemory::new();
-
-fn facts() -> DeviceFacts {
-    DeviceFacts {
-        firmware: [0; 3],
-        device: DeviceKind::Simulated,
-        period_us: DEFAULT_PERIOD_US,
-        slots: [SlotState::Empty; 2],
-        running: None,
-        reset: ResetCause::PowerOn,
-        failure: None,
-        trust: Trust::Development,
-    }
-}
 
 fn device(learned: Option<Residual>, monitors: Monitors) -> Result<Control, SourceError> {
     let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, learned, CORE_HZ);
