@@ -132,6 +132,15 @@ impl Device {
         self.line.send_raw(bytes).map_err(|_| DeviceError::Gone(self.address.clone()))
     }
 
+    /// Sends a request as another host does, whose token this is, to test the device's reaction. Its answer is dropped.
+    ///
+    /// # Errors
+    /// [`DeviceError::Gone`].
+    pub fn send_as(&mut self, host: u32, request: &Request) -> Result<(), DeviceError> {
+        let message = ToDevice { sequence: 0, request: request.clone(), host: Some(host) };
+        self.line.send(&message).map_err(|_| DeviceError::Gone(self.address.clone()))
+    }
+
     /// Sends a request and waits for the answer. If the device demands its lease for it, acquires the lease first.
     ///
     /// # Errors

@@ -2,9 +2,8 @@
 
 use super::*;
 
-use shared::link::frame::{FRAME_BYTES, encode_frame};
 use shared::link::host_name::HostName;
-use shared::link::messages::{Request, ToDevice};
+use shared::link::messages::Request;
 
 /// Length of a control tick, cycles.
 const TICK_CYCLES: u32 = 168_000;
@@ -36,10 +35,8 @@ fn settings_take_effect_at_the_breath_boundary_and_are_refused_with_the_reason()
 
 /// Another host takes the lease over.
 fn taken_over(device: &mut Device) {
-    let request = Request::AcquireLease { name: HostName::new("anna@icu"), take_over: true };
-    let message = ToDevice { sequence: 0, request, host: Some(0) };
-    let mut buffer = [0; FRAME_BYTES];
-    device.send_raw(encode_frame(&message, &mut buffer).unwrap()).unwrap();
+    let name = HostName::new("anna@icu");
+    device.send_as(0, &Request::AcquireLease { name, take_over: true }).unwrap();
 }
 
 #[test]

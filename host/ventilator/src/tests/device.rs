@@ -239,12 +239,10 @@ fn the_flight_recorder_is_read_while_the_device_ventilates_and_kept_through_a_re
     assert_eq!(after.log.last().map(|event| event.happening), Some(boot));
 }
 
-/// Sends a frame as another host that takes the lease over.
+/// Another host takes the lease over.
 fn taken_over(device: &mut Device) {
-    let request = Request::AcquireLease { name: HostName::new("anna@icu"), take_over: true };
-    let message = ToDevice { sequence: 0, request, host: Some(0) };
-    let mut buffer = [0; FRAME_BYTES];
-    device.send_raw(encode_frame(&message, &mut buffer).unwrap()).unwrap();
+    let name = HostName::new("anna@icu");
+    device.send_as(0, &Request::AcquireLease { name, take_over: true }).unwrap();
 }
 
 #[test]
