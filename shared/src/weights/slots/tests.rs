@@ -127,6 +127,11 @@ fn an_erased_flash_holds_nothing() {
 }
 
 #[test]
+fn a_slot_holds_an_image_a_record_and_a_commit_word() {
+    assert_eq!(SLOT_BYTES as usize, IMAGE_BYTES.next_multiple_of(UNIT) + 2 * UNIT);
+}
+
+#[test]
 fn stores_alternate_and_the_newest_runs() {
     let mut flash = Nor::<4>::new();
     for (number, slot) in [(0u8, Slot::A), (1, Slot::B), (2, Slot::A), (3, Slot::B)] {
