@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 
 use super::graft::VARIABLE;
 
@@ -38,7 +38,7 @@ impl Trial {
         let mut trial = Self { program, folder, patience: [BASELINE; 2] };
         for (tests, slow) in [(quick(), 0), (SLOW.to_vec(), 1)] {
             let begun = Instant::now();
-            let pass = trial.pass(0, &tests, BASELINE);
+            let pass = trial.pass(0, &tests, BASELINE)?;
             ensure!(pass, "the tests of shared fail without a mutation; run: cargo test --package shared");
             trial.patience[slow] = PATIENCE.max(TIMES * begun.elapsed());
         }
@@ -46,33 +46,34 @@ impl Trial {
     }
 
     /// Whether a test fails on a mutant, or does not end. The tests of its own module come first.
-    pub fn catches(&self, mutant: u32, file: &str) -> bool {
+    pub fn catches(&self, mutant: u32, file: &str) -> Result<bool> {
         let (quick, module) = (quick(), module(file));
         let own: Vec<&str> = [module.as_str()].into_iter().chain(quick.iter().copied()).collect();
         let [patience, for_slow] = self.patience;
-        !(self.pass(mutant, &own, patience)
-            && self.pass(mutant, &quick, patience)
-            && self.pass(mutant, &SLOW, for_slow))
+        let passes = self.pass(mutant, &own, patience)?
+            && self.pass(mutant, &quick, patience)?
+            && self.pass(mutant, &SLOW, for_slow)?;
+        Ok(!passes)
     }
 
     /// Whether these tests pass in time.
-    fn pass(&self, mutant: u32, arguments: &[&str], patience: Duration) -> bool {
+    fn pass(&self, mutant: u32, arguments: &[&str], patience: Duration) -> Result<bool> {
         let mut command = Command::new("sh");
         command.args(["-c", "ulimit -v $0 && exec \"$@\"", MEMORY]).arg(&self.program).args(arguments);
         command.current_dir(&self.folder).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         command.env(VARIABLE, mutant.to_string()).env("RUST_BACKTRACE", "0").env("RUST_TEST_THREADS", "1");
         command.env("PROPTEST_CASES", CASES).env("PROPTEST_MAX_SHRINK_ITERS", "0");
         command.env("PROPTEST_DISABLE_FAILURE_PERSISTENCE", "1");
-        let Ok(mut running) = command.spawn() else { return false };
+        let mut running = command.spawn().context("cannot run the tests")?;
         let begun = Instant::now();
         loop {
-            match running.try_wait() {
-                Ok(None) if begun.elapsed() < patience => sleep(LOOK),
-                Ok(Some(status)) => return status.success(),
-                _ => {
-                    let _ = running.kill();
-                    let _ = running.wait();
-                    return false;
+            match running.try_wait()? {
+                Some(status) => return Ok(status.success()),
+                None if begun.elapsed() < patience => sleep(LOOK),
+                None => {
+                    running.kill()?;
+                    running.wait()?;
+                    return Ok(false);
                 }
             }
         }
@@ -118,6 +119,9 @@ mod tests {
         let (_folder, trial) =
             trial(&format!("[ ${VARIABLE} = 3 ] && exec sleep 60; exit $((${VARIABLE} == 2))"));
         let hasty = Trial { patience: [Duration::from_millis(200); 2], ..trial };
-        assert_eq!([1, 2, 3].map(|mutant| hasty.catches(mutant, "shared/src/math.rs")), [false, true, true]);
+        assert_eq!(
+            [1, 2, 3].map(|mutant| hasty.catches(mutant, "shared/src/math.rs").unwrap()),
+            [false, true, true]
+        );
     }
 }

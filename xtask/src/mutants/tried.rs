@@ -53,8 +53,8 @@ fn try_together(trial: &Trial, jobs: usize, mutants: &Numbered, findings: &Findi
     let (mutants, next): (Vec<_>, _) = (mutants.iter().collect(), AtomicUsize::new(0));
     let work = || {
         while let Some((number, mutant)) = mutants.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let outcome =
-                if trial.catches(**number, &mutant.file) { Outcome::Caught } else { Outcome::Survived };
+            let caught = trial.catches(**number, &mutant.file)?;
+            let outcome = if caught { Outcome::Caught } else { Outcome::Survived };
             findings.add(mutant, outcome)?;
         }
         Ok(())
@@ -132,7 +132,7 @@ impl<'a> Core<'a> {
             self.tree.write(&mutant.file, &mutant.mutation(0).applied(source))?;
             let outcome = match self.tree.build(Serves::One)? {
                 Built::Errors(_) => Outcome::DoesNotCompile,
-                Built::Program(_) if trial.catches(0, &mutant.file) => Outcome::Caught,
+                Built::Program(_) if trial.catches(0, &mutant.file)? => Outcome::Caught,
                 Built::Program(_) => Outcome::Survived,
             };
             self.tree.write(&mutant.file, source)?;
