@@ -96,7 +96,7 @@ pub enum Required {
     Impossible,
     /// A share of the volume, and no gap longer than two breaths.
     GoesOn,
-    /// The same with no gap longer than [`GAP_AFTER_RESET_MS`].
+    /// The same with no gap longer than 3 s.
     Resumes,
 }
 
