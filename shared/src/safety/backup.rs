@@ -1,9 +1,9 @@
 //! Backup ventilation for a machine without a sound pressure sensor: the volume of the last good breaths, or their commands.
 //!
-//! While pressure control works, the commands of each good inspiration are averaged in time bins, and so is the volume that the
-//! flow sensor measures; its course is that of the last good inspiration. With a sound flow sensor the commands are then corrected
-//! by what the volume lacks of its course, and the valve closes when the whole volume has been delivered. Without one they are repeated as they were: a lung that has not
-//! changed answers with nearly the same pressure. Before the first good breath a constant flow delivers what fills
+//! While pressure control works, the commands of each good inspiration are averaged in time bins, and so is its whole volume by the
+//! flow sensor; the course of that volume is the last good inspiration's. With a sound flow sensor the commands are then corrected by
+//! what the volume lacks of its course, and the valve closes when the whole volume has been delivered. Without one they are repeated:
+//! a lung that has not changed answers with nearly the same pressure. Before the first good breath a constant flow delivers what fills
 //! the stiffest adult lung to PIP. The supervisor closes the valve when the lung estimate predicts the pressure limit.
 //!
 //! The flow sensor is sound as long as its volume is near that of the valve's model: within a supply pressure that falls, not if
@@ -54,7 +54,7 @@ impl Bins {
 /// The mean commands and volumes of the last good breaths, and those of the running one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Backup {
-    /// Mean commands up to the last good inspiration and with the running one, percent.
+    /// Mean commands, without the running inspiration and with it, percent.
     commands: Bins,
     /// Volume at the end of each bin, mL.
     volumes: Bins,
@@ -138,7 +138,7 @@ impl Backup {
         }
     }
 
-    /// Whether the good breaths rose by something else: then their commands are no part of the mean.
+    /// Whether the good breaths had another rise: then their commands are no part of the mean.
     fn is_of_another_rise(&self, breath: &Breath) -> bool {
         self.rise.is_none_or(|rise| rise.to_bits() != rise_of(breath).to_bits())
     }
