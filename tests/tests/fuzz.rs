@@ -26,8 +26,8 @@ use tests::trace::LEARNED;
 #[path = "../../fuzz/targets.rs"]
 mod targets;
 
-/// Number of frames of the long run.
-const FRAMES: u32 = 10_000_000;
+/// Frames of the long run; without an optimiser, as in a plain `cargo test`, ten million would take minutes.
+const FRAMES: u32 = if cfg!(debug_assertions) { 100_000 } else { 10_000_000 };
 
 fn folder(target: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds").join(target)
@@ -247,10 +247,9 @@ fn the_seeds_hold_every_message() {
     }
 }
 
-/// Ten million damaged or random frames in one stream: none is accepted as another frame, and each is counted.
+/// Damaged or random frames in one stream: none is accepted as another frame, and each is counted.
 #[test]
-#[ignore = "takes half a minute, and needs an optimiser: cargo xtask ci --only frames"]
-fn of_ten_million_damaged_frames_none_gets_through_as_another() {
+fn no_damaged_frame_gets_through_as_another() {
     let frames: Vec<Vec<u8>> =
         (0..).zip(requests()).map(|(number, request)| frame(number, request)).collect();
     let contents: Vec<Vec<u8>> = frames.iter().map(|frame| content(frame)).collect();
