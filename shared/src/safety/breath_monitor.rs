@@ -2,6 +2,7 @@
 
 use super::alarms::Fault;
 use super::monitors::{Monitors, in_a_row, ticks};
+use super::volumes::BreathVolumes;
 use super::windows::Windows;
 use crate::breath::{Breath, Phase};
 
@@ -41,17 +42,20 @@ const CONNECTED: f32 = 0.05;
 
 /// Length of the averaging window at the end of a phase, s.
 const END_OF_PHASE: f32 = 0.05;
-/// Time for which the airway pressure may be lost, s; with a capped command, which strong efforts exceed, the second one.
+/// Time for which the airway pressure may be lost, s; the second one with a capped command, which strong efforts exceed, and for
+/// a lung that fills again after a cough.
 const DISCONNECTED: f32 = 0.15;
-const CAPPED_DISCONNECTED: f32 = 0.45;
+const SLOW_DISCONNECTED: f32 = 0.45;
+/// Volume that came out, as a share of the one that went in, by which a cough has emptied the lung.
+const EMPTIED: f32 = 1.5;
 
 /// Checks the phases of each breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BreathMonitor {
-    /// [`END_OF_PHASE`], [`DISCONNECTED`], [`CAPPED_DISCONNECTED`] and [`CONNECTED`] in ticks.
+    /// [`END_OF_PHASE`], [`DISCONNECTED`], [`SLOW_DISCONNECTED`] and [`CONNECTED`] in ticks.
     end_of_phase: u32,
     disconnected: u32,
-    capped_disconnected: u32,
+    slow_disconnected: u32,
     connected: u32,
     /// Consecutive breaths with a condition that make it a fault.
     high: u32,
@@ -86,8 +90,8 @@ pub struct BreathState {
     /// Volumes of the last breath with a lower one, mL: the delivered one, and the expired one with which it is no occlusion.
     delivered: f32,
     normal: f32,
-    /// Whether the gas of that breath came out.
-    came_out: bool,
+    /// Whether as much gas passed the tube in that breath.
+    passed: bool,
     /// Breaths in a row with a leak.
     leaky: u32,
     /// Breaths that are still not checked after a change of the settings.
@@ -95,17 +99,20 @@ pub struct BreathState {
 }
 
 impl BreathState {
-    /// The settings have changed: the next breaths are not comparable with those before, and are not checked.
+    /// The settings have changed: the next breaths are not comparable with those before, and are not checked. An open airway stays
+    /// open.
     pub fn settings_changed(&mut self) {
-        *self = Self { unchecked: UNCHECKED_BREATHS, ..Self::default() };
+        let Self { gone, disconnected, back, .. } = *self;
+        *self = Self { gone, disconnected, back, unchecked: UNCHECKED_BREATHS, ..Self::default() };
     }
 
-    /// Ends a breath of which this volume came out, mL.
-    fn breath_ended(&mut self, expired: Option<f32>) {
-        if expired.is_some_and(|expired| expired >= self.normal) {
+    /// Ends a breath of these volumes. An effort may take in the gas only in the expiration.
+    fn breath_ended(&mut self, volumes: Option<BreathVolumes>) {
+        if volumes.is_some_and(|volumes| volumes.expired >= self.normal) {
             self.occluded = 0;
         }
-        self.came_out = expired.is_some_and(|expired| expired >= PASSES * self.delivered);
+        let passed = volumes.map(|volumes| volumes.expired.max(volumes.inspired));
+        self.passed = passed.is_some_and(|passed| passed >= PASSES * self.delivered);
     }
 
     /// The lower volume per pressure of the last two good breaths, mL/cmH2O.
@@ -140,8 +147,8 @@ pub struct BreathInput<'a> {
     pub reached: Option<f32>,
     /// Whether a part of it is lost through a leak.
     pub leaks: bool,
-    /// Volume that came out in the last breath, mL; none if the flow was not measured.
-    pub expired: Option<f32>,
+    /// Volumes that went in and came out in the last breath, mL; none if the flow was not measured.
+    pub last: Option<BreathVolumes>,
 }
 
 /// Running mean over the end of a phase.
@@ -170,7 +177,7 @@ impl BreathMonitor {
         Self {
             end_of_phase: ticks(END_OF_PHASE, period_us),
             disconnected: enabled.limit(Fault::Disconnection, ticks(DISCONNECTED, period_us)),
-            capped_disconnected: enabled.limit(Fault::Disconnection, ticks(CAPPED_DISCONNECTED, period_us)),
+            slow_disconnected: enabled.limit(Fault::Disconnection, ticks(SLOW_DISCONNECTED, period_us)),
             connected: ticks(CONNECTED, period_us),
             high: enabled.limit(Fault::BaselineHigh, 2),
             above: enabled.limit(Fault::BaselineHigh, TRAPPED_BREATHS),
@@ -188,10 +195,10 @@ impl BreathMonitor {
     /// Checks one tick. An inspiration that is ended at the pressure limit is checked for occlusion only.
     #[inline]
     pub fn check(&self, state: &mut BreathState, input: &BreathInput<'_>) -> Option<Fault> {
-        let BreathInput { breath, tick, cut, pressure, command, leaks, expired, .. } = *input;
+        let BreathInput { breath, tick, cut, pressure, command, leaks, last, .. } = *input;
         if tick == 0 {
             state.leaky = in_a_row(state.leaky, leaks);
-            state.breath_ended(expired);
+            state.breath_ended(last);
         }
         if state.leaky >= LEAKY_BREATHS {
             // Volumes with and without a leak are not comparable.
@@ -204,7 +211,8 @@ impl BreathMonitor {
         let gone = inspires && !cut && command > FILLING && open_end;
         state.gone = in_a_row(state.gone, gone);
         state.back = in_a_row(state.back, inspires && pressure > peep);
-        let longest = if input.capped { self.capped_disconnected } else { self.disconnected };
+        let slow = input.capped || last.is_some_and(|volumes| volumes.expired > EMPTIED * volumes.inspired);
+        let longest = if slow { self.slow_disconnected } else { self.disconnected };
         state.disconnected = (state.disconnected || state.gone >= longest) && state.back < self.connected;
         if state.disconnected {
             state.cut = cut;
@@ -246,7 +254,7 @@ impl BreathMonitor {
         let before = state.high;
         let fault = self.expired(state, state.rest.before(), breath.settings().peep, cut);
         if !emptied {
-            state.high = before;
+            state.high = state.high.min(before);
         }
         fault.filter(|fault| *fault != Fault::BaselineHigh || emptied || self.is_trapped(state))
     }
@@ -286,7 +294,7 @@ impl BreathMonitor {
         if !occluded || state.occluded >= NEW_LUNG {
             state.compliances = [Some(compliance), state.compliances[0]];
         }
-        let passes = state.came_out || reached.is_some_and(|reached| reached >= PASSES * volume);
+        let passes = state.passed || reached.is_some_and(|reached| reached >= PASSES * volume);
         state.occluded >= self.occluded && (!passes || state.occluded >= NARROWED_BREATHS)
     }
 

@@ -41,6 +41,9 @@ const HIGHEST_OF: usize = 2;
 pub const WINDOW: usize = 64;
 /// Smallest delivered volume from which the lung is estimated, mL.
 const TELLING_VOLUME: f32 = 20.0;
+/// Pressure above PEEP at the start of an inspiration from which it tells nothing of the lung, cmH2O: gas of the breath before is
+/// still in it.
+const TRAPPED: f32 = 3.0;
 /// Shortest inspiration from which the lung is estimated, s: a shorter one has filled little but the tube.
 const TELLING_TIME: f32 = 0.15;
 /// Least share of the model's flow that counts, whatever the flow sensor shows.
@@ -140,8 +143,9 @@ pub struct LungState {
     /// Flow of the last tick, L/s, and volume of the inspiration so far, mL.
     flow: f32,
     volume: f32,
-    /// Pressure at the start of the inspiration, cmH2O.
+    /// Pressure at the start of the inspiration, cmH2O, and whether trapped gas had raised it.
     start: f32,
+    trapped: bool,
     sums: Sums,
     /// Estimates from the last inspirations that allowed one, the newest first.
     lungs: [Option<LungEstimate>; ESTIMATES],
@@ -179,7 +183,7 @@ impl LungEstimator {
 
     /// Ends the inspiration: estimates the lung from it, if it was long enough and the fit is good enough.
     pub fn end_inspiration(&self, state: &mut LungState) {
-        if state.volume < TELLING_VOLUME || state.ticks < self.telling {
+        if state.volume < TELLING_VOLUME || state.ticks < self.telling || state.trapped {
             return;
         }
         if let Some(lung) = state.sums.solve() {
@@ -246,6 +250,7 @@ impl LungState {
     /// Starts an inspiration at a pressure, cmH2O, limited to PEEP: if a cough raises it, the pressure falls when the cough
     /// ends, which must not count as a missing rise.
     pub fn start_inspiration(&mut self, pressure: f32, peep: f32) {
+        self.trapped = pressure > peep + TRAPPED;
         let pressure = pressure.min(peep);
         (self.start, self.volume, self.sums) = (pressure, 0.0, Sums::default());
         (self.unanswered, self.standing, self.ticks, self.growth) = (0, 0, 0, 0.0);
@@ -302,6 +307,7 @@ impl Default for LungState {
             flow: 0.0,
             volume: 0.0,
             start: 0.0,
+            trapped: false,
             sums: Sums::default(),
             lungs: [None; ESTIMATES],
             unanswered: 0,

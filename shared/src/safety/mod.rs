@@ -10,6 +10,7 @@
 //! | [`pressure_monitor`] | checks that the pressure is within its limits |
 //! | [`breath_monitor`] | checks each phase of the breaths |
 //! | [`lung_estimator`] | estimates the lung, and checks that the pressure responds to the delivered gas |
+//! | [`leak`] | estimates the leak of the circuit |
 //! | [`volumes`] | measures what goes in and comes out |
 //! | [`volume_monitor`] | checks tidal volume and minute volume, and detects apnoea |
 //! | [`host`] | detects a silent host |
@@ -31,6 +32,7 @@ pub mod filter;
 pub mod host;
 pub mod indications;
 pub mod ladder;
+pub mod leak;
 pub mod lung_estimator;
 pub mod monitors;
 pub mod pressure_monitor;

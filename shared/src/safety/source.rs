@@ -14,7 +14,7 @@ use super::monitors::{Monitors, in_a_row, ticks};
 use super::reading_monitor::{ReadingMonitor, ReadingState};
 use super::responses::Response;
 use super::windows::Windows;
-use crate::breath::{Breath, period_s};
+use crate::breath::{Breath, Phase, period_s};
 use crate::math;
 use crate::sensor::Readings;
 
@@ -233,7 +233,10 @@ impl PressureSource {
         readings: &Readings,
     ) {
         let finite = readings.airway.is_finite() && readings.outlet.is_finite();
+        // While the pressure falls, much gas flows between the sensors.
+        let near_end = tick + window >= breath.total_ticks();
         let both = state.airway.exists && state.outlet.exists && finite;
+        let both = both && (near_end || breath.phase(tick) == Phase::Expiration);
         let values = both.then_some([readings.airway, readings.outlet]);
         state.rest.add(breath, tick, window, values);
     }

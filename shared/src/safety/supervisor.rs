@@ -313,11 +313,11 @@ impl Supervisor {
         }
         let (command, volume) = (state.applied, state.lung.volume());
         let leaks = state.volumes.expired_share().is_some_and(|share| share < TIGHT);
-        let expired = state.volumes.expired();
+        let last = state.volumes.breath();
         let (cut, reached) = (state.cut, state.volumes.inspired());
         let capped = self.level(state) == Level::CappedPid;
         let input =
-            BreathInput { breath, tick, cut, pressure, command, capped, volume, reached, leaks, expired };
+            BreathInput { breath, tick, cut, pressure, command, capped, volume, reached, leaks, last };
         if let Some(fault) = self.breath.check(&mut state.breath, &input) {
             self.found(state, fault);
         }
@@ -389,8 +389,10 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
-        if let Some(leak) = state.volumes.leak().filter(|_| !state.breath.is_disconnected()) {
-            self.expiration.learn_leak(&mut state.expiration, settings.peep, leak);
+        if let Some(loss) = state.volumes.loss().filter(|_| !state.breath.is_disconnected())
+            && self.expiration.learn_leak(&mut state.expiration, settings.peep, loss)
+        {
+            state.volume.leak_changed();
         }
         if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {
             self.found(state, fault);

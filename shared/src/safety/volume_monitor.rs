@@ -15,7 +15,7 @@ use crate::settings::Settings;
 /// Breaths in a row with a tidal volume outside its limits that raise the alarm.
 const BREATHS: u32 = 3;
 /// Share of the leak's gas by which the volumes are in doubt: a leak is known to about so much of its size.
-const DOUBT: f32 = 0.2;
+const DOUBT: f32 = 0.05;
 /// Time over which the minute volume is averaged, s.
 const AVERAGED: f32 = 30.0;
 /// Smallest volume, in and out, of a breath that gets through, mL: less than a newborn's, and more than the noise of the flow sensor.
@@ -63,8 +63,14 @@ impl VolumeState {
 
     /// The settings have changed, in the breath that starts now: neither the last one nor this one and the next are judged.
     pub fn settings_changed(&mut self) {
-        (self.low, self.high, self.covers) = (0, 0, 0.0);
+        self.leak_changed();
         self.unchecked = UNCHECKED_BREATHS + 1;
+    }
+
+    /// The leak has changed: the volumes of the last breath, and of those before, were measured with a wrong one.
+    pub fn leak_changed(&mut self) {
+        (self.low, self.high, self.covers) = (0, 0, 0.0);
+        self.unchecked = self.unchecked.max(1);
     }
 }
 
@@ -122,9 +128,11 @@ fn apnoea(
 /// Compares a tidal volume with its limits.
 fn tidal_volume(state: &mut VolumeState, breath: BreathVolumes, settings: &Settings) -> Option<Fault> {
     let (low, high) = (settings.tidal_volume_low, settings.tidal_volume_high);
-    let (tidal, doubt) = (breath.expired, DOUBT * breath.leaked);
-    state.low = in_a_row(state.low, tidal + doubt < low);
-    state.high = in_a_row(state.high, high > 0.0 && tidal - doubt > high);
+    let mean = 0.5 * (breath.inspired + breath.expired);
+    let (most, least) = (breath.expired.max(mean), breath.expired.min(mean));
+    let doubt = DOUBT * breath.leaked;
+    state.low = in_a_row(state.low, most + doubt < low);
+    state.high = in_a_row(state.high, high > 0.0 && least - doubt > high);
     if state.low >= BREATHS {
         return Some(Fault::TidalVolumeLow);
     }
@@ -262,26 +270,42 @@ mod tests {
     }
 
     #[test]
-    fn a_fifth_of_the_leaks_gas_is_in_doubt() {
+    fn a_twentieth_of_the_leaks_gas_is_in_doubt() {
         let settings = limits((300.0, 500.0), (6.0, 10.0));
         let tidal = |expired| {
             let (mut state, breath) =
                 (VolumeState::default(), BreathVolumes { leaked: 200.0, ..tight(expired) });
             (0..BREATHS).fold(None, |_, _| tidal_volume(&mut state, breath, &settings))
         };
-        assert_eq!((tidal(260.0), tidal(540.0)), (None, None));
-        assert_eq!((tidal(259.0), tidal(541.0)), (Some(Fault::TidalVolumeLow), Some(Fault::TidalVolumeHigh)));
+        assert_eq!((tidal(290.0), tidal(510.0)), (None, None));
+        assert_eq!((tidal(289.0), tidal(511.0)), (Some(Fault::TidalVolumeLow), Some(Fault::TidalVolumeHigh)));
         // 20 breaths a minute: 200 mL of the leak in each are 4 L/min.
         let minute = |expired| {
             let (mut state, breath) =
                 (VolumeState::default(), BreathVolumes { leaked: 200.0, ..tight(expired) });
             (0..10).fold(None, |_, _| minute_volume(&mut state, breath, 3.0, &settings))
         };
-        assert_eq!((minute(261.0), minute(539.0)), (None, None));
+        assert_eq!((minute(291.0), minute(509.0)), (None, None));
         assert_eq!(
-            (minute(259.0), minute(541.0)),
+            (minute(289.0), minute(511.0)),
             (Some(Fault::MinuteVolumeLow), Some(Fault::MinuteVolumeHigh))
         );
+    }
+
+    #[test]
+    fn a_tidal_volume_is_outside_its_limits_if_what_came_out_is_and_its_mean_with_what_went_in() {
+        let settings = limits((300.0, 500.0), (0.0, 0.0));
+        let found = |inspired, expired| {
+            let (mut state, breath) =
+                (VolumeState::default(), BreathVolumes { inspired, expired, leaked: 0.0 });
+            (0..BREATHS).fold(None, |_, _| tidal_volume(&mut state, breath, &settings))
+        };
+        // A leak that has just come adds to what goes in and takes from what comes out.
+        assert_eq!((found(400.0, 200.0), found(399.0, 200.0)), (None, Some(Fault::TidalVolumeLow)));
+        assert_eq!((found(200.0, 300.0), found(200.0, 299.0)), (None, Some(Fault::TidalVolumeLow)));
+        // And one that has just gone does the opposite.
+        assert_eq!((found(400.0, 600.0), found(401.0, 600.0)), (None, Some(Fault::TidalVolumeHigh)));
+        assert_eq!((found(600.0, 500.0), found(600.0, 501.0)), (None, Some(Fault::TidalVolumeHigh)));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Volumes of each breath from the flow sensor at the airway, and the leak that they show.
 
+use super::leak::Loss;
 use crate::math;
 
 /// Share of a breath's ticks that must have a flow reading.
@@ -76,8 +77,8 @@ pub struct Volumes {
     /// Expired volume of the last breath, mL, and its share of the inspired one, if the flow was measured.
     last: Option<f32>,
     expired_share: Option<f32>,
-    /// Leak in the last breath, L/s at 1 cmH2O.
-    leak: Option<f32>,
+    /// Gas that the last breath lost.
+    loss: Option<Loss>,
 }
 
 impl Volumes {
@@ -113,12 +114,12 @@ impl Volumes {
         let last = known.then_some(self.expired);
         let volumes = self.lung.take();
         let breath = known.then_some(volumes);
-        let known = known && self.inspired >= TELLING;
-        let expired_share = known.then(|| self.expired / self.inspired);
-        // A leak is an orifice: its flow goes with the root of the pressure.
-        let leak = (known && self.root > 0.0).then(|| 1e-3 * (self.inspired - self.expired) / self.root);
+        let expired_share = (known && self.inspired >= TELLING).then(|| self.expired / self.inspired);
+        // However little went in: what comes out then has stayed in the breaths before.
+        let Self { inspired, root, .. } = *self;
+        let loss = (known && root > 0.0).then_some(Loss { gas: inspired - self.expired, root, inspired });
         let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
-        *self = Self { lung, flow, smooth, last_ticks, breath, last, expired_share, leak, ..Self::default() };
+        *self = Self { lung, flow, smooth, last_ticks, breath, last, expired_share, loss, ..Self::default() };
     }
 
     /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
@@ -151,10 +152,10 @@ impl Volumes {
         self.expired_share
     }
 
-    /// Leak in the last breath, L/s at 1 cmH2O; none if flow or pressure were not measured. Gas that stays in the lung counts
-    /// as a leak too, but in the mean over breaths none does.
-    pub fn leak(&self) -> Option<f32> {
-        self.leak
+    /// Gas that the last breath lost; none if flow or pressure were not measured. Gas that stays in the lung counts too, but in the
+    /// sum over breaths none does.
+    pub fn loss(&self) -> Option<Loss> {
+        self.loss
     }
 }
 
@@ -183,15 +184,16 @@ mod tests {
     #[test]
     fn a_leak_is_what_stays_away_by_the_root_of_the_pressure() {
         let mut volumes = Volumes::default();
-        assert_eq!(volumes.leak(), None);
+        assert_eq!(volumes.loss(), None);
         breath(&mut volumes, 0.7, |_| true);
         // 120 of 400 mL in 3 s at 9 cmH2O: 0.04 L/s, and a third of that at 1 cmH2O.
-        assert!((volumes.leak().unwrap() - 0.04 / 3.0).abs() < 1e-4);
+        let loss = volumes.loss().unwrap();
+        assert!((loss.leak() - 0.04 / 3.0).abs() < 1e-4 && (loss.inspired - 400.0).abs() < 0.1);
         breath(&mut volumes, 0.7, |tick| tick % 5 != 0);
-        assert_eq!(volumes.leak(), None);
+        assert_eq!(volumes.loss(), None);
         (0..3000).for_each(|_| volumes.add(0.1, f32::NAN, 0.0, 0.001));
         volumes.start_breath();
-        assert_eq!((volumes.leak(), volumes.expired_share()), (None, Some(0.0)), "no pressure");
+        assert_eq!((volumes.loss(), volumes.expired_share()), (None, Some(0.0)), "no pressure");
     }
 
     #[test]
@@ -202,6 +204,12 @@ mod tests {
         volumes.add(0.0, 9.0, 0.0, 0.001);
         volumes.start_breath();
         assert_eq!((volumes.expired(), volumes.expired_share()), (Some(0.0), None));
+        (0..1000).for_each(|_| volumes.add(-0.2, 9.0, 0.0, 0.001));
+        volumes.start_breath();
+        assert!(
+            volumes.loss().is_some_and(|loss| (loss.gas + 200.0).abs() < 0.1),
+            "gas of an earlier breath"
+        );
         breath(&mut volumes, 0.5, |tick| tick % 5 != 0);
         assert_eq!(volumes.expired(), None);
     }

@@ -1,6 +1,6 @@
 //! Means over the end of an expiration, also of one that an effort ends early.
 //!
-//! The expiration is divided into windows of equal length, the last of which ends when the next breath is due. An expiration
+//! The expiration, with the fall, is divided into windows of equal length, the last of which ends when the next breath is due. An expiration
 //! that ends in time is judged by its last window. One that an effort ends is judged by the last window but one, which lies
 //! before the effort.
 
@@ -22,14 +22,15 @@ impl<const N: usize> Default for Windows<N> {
 }
 
 impl<const N: usize> Windows<N> {
-    /// Adds the values of a tick of a breath, if there are any and the tick belongs to a window of `length` ticks.
+    /// Adds the values of a tick of a breath, if there are any and the tick belongs to a window of `length` ticks. The windows begin
+    /// with the fall from PIP: an effort may end the expiration there.
     #[inline]
     pub fn add(&mut self, breath: &Breath, tick: u32, length: u32, values: Option<[f32; N]>) {
         if tick == 0 {
             *self = Self::default();
         }
         let left = breath.total_ticks().saturating_sub(tick);
-        let belongs = left > 0 && (left <= length || breath.phase(tick) == Phase::Expiration);
+        let belongs = left > 0 && (left <= length || breath.phase(tick) != Phase::Inspiration);
         if !belongs {
             return;
         }
@@ -82,7 +83,7 @@ mod tests {
 
     #[test]
     fn the_window_before_the_last_is_older_than_a_window_at_any_tick() {
-        for end in 1600..3000 {
+        for end in 1100..3000 {
             let [before] = until(&paper(), end, |tick| Some(tick as f32)).before().unwrap();
             let age = end as f32 - 0.5 - before;
             assert!((74.0..=125.0).contains(&age), "{age} ticks from its middle at {end}");
@@ -90,11 +91,11 @@ mod tests {
     }
 
     #[test]
-    fn only_the_expiration_has_windows_and_each_has_its_own() {
+    fn windows_begin_with_the_fall_and_each_breath_has_its_own() {
         let breath = paper();
-        assert_eq!(until(&breath, 1549, |_| Some(1.0)).last(), None, "not the fall");
-        assert_eq!(until(&breath, 1550, |_| Some(1.0)).last(), Some([1.0]));
-        assert_eq!(until(&breath, 1599, |_| Some(1.0)).before(), None);
+        assert_eq!(until(&breath, 1049, |_| Some(1.0)).last(), None, "not the inspiration");
+        assert_eq!(until(&breath, 1050, |_| Some(1.0)).last(), Some([1.0]));
+        assert_eq!(until(&breath, 1099, |_| Some(1.0)).before(), None);
         let mut windows = until(&breath, 3000, |_| Some(1.0));
         windows.add(&breath, 0, LENGTH, Some([1.0]));
         assert_eq!(windows, Windows::default());

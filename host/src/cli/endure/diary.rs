@@ -18,7 +18,8 @@ pub fn describe(patient: &Patient, output: &OutputArgs) {
     let lung = &bench.lung.first;
     output.line(&format!(
         "patient {}: R {:.1}, C {:.1}, resistance grows by {:.0} %/h; unit {}, noise {:.3} and {:.3} cmH2O, quantum {:.3} and \
-         {:.3} cmH2O (airway, outlet), drift {:.2} and {:.2} cmH2O/h",
+         {:.3} cmH2O (airway, outlet), drift {:.2} and {:.2} cmH2O/h; flow sensor \
+         off by {:.1} %",
         patient.number,
         lung.resistance_cmh2o_per_l_s,
         lung.compliance_ml_per_cmh2o,
@@ -30,6 +31,7 @@ pub fn describe(patient: &Patient, output: &OutputArgs) {
         bench.outlet_sensor.quantum_cmh2o,
         bench.unit.sensor_drift_cmh2o_per_hour,
         bench.outlet_sensor.drift_cmh2o_per_hour,
+        bench.flow_sensor.gain_error_percent,
     ));
     output.line(&format!(
         "efforts of {:.1} cmH2O, {:.1} a minute, {:.2} s long, varying by {:.0} %, {:.0} % double; {:.0} coughs of {:.0} cmH2O \
@@ -102,14 +104,20 @@ fn state(breath: &BreathTruth) -> String {
     let Settings { pip, peep, pressure_limit, .. } = breath.settings;
     format!(
         "peak {:.1} (PIP {pip:.1}, limit {pressure_limit:.1}), plateau {}, baseline {} (PEEP {peep:.1}), lowest {:.1}, \
-         trapped {:.1}, volume {:.0} mL, effort {:.1} ({:.1} at the end), cough {:.1}, leak {:.2} ({:.3} L/s at the end, {:.0} % of the gas), R {}, \
+         trapped {:.1}, {:.0} mL in and {:.0} mL out ({:.0} to {:.0}), {} L/min ({:.1} to {:.1}), effort {:.1} ({:.1} at the end), cough {:.1}, leak {:.2} ({:.3} L/s at the end, {:.0} % of the gas), R {}, \
          sensors off by {:.2} and {:.2}{}",
         breath.peak,
         known(breath.plateau),
         known(breath.baseline),
         breath.lowest,
         breath.trapped,
-        breath.volume,
+        breath.inspired,
+        breath.expired,
+        breath.settings.tidal_volume_low,
+        breath.settings.tidal_volume_high,
+        known(breath.minute_volume),
+        breath.settings.minute_volume_low,
+        breath.settings.minute_volume_high,
         breath.effort,
         breath.effort_at_end,
         breath.cough,

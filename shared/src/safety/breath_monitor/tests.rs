@@ -59,7 +59,7 @@ impl Seen {
             volume,
             reached: None,
             leaks: false,
-            expired: None,
+            last: None,
         }
     }
 }
@@ -83,6 +83,10 @@ fn complaint_with(breaths: &[Seen], alter: impl Fn(&mut BreathInput<'_>)) -> Opt
         }
     }
     None
+}
+
+fn volumes(inspired: f32, expired: f32) -> BreathVolumes {
+    BreathVolumes { inspired, expired, leaked: 0.0 }
 }
 
 fn inspires(input: &BreathInput<'_>) -> bool {
@@ -147,7 +151,8 @@ fn an_expiration_that_an_effort_ends_is_judged_by_its_pressure_before() {
     assert_eq!(triggered(3, 2.5, 5.0, 1800), Some(Fault::BaselineLow));
     assert_eq!(triggered(3, 2.5, 5.0, 2500), Some(Fault::BaselineLow));
     assert_eq!(triggered(9, 5.0, 0.0, 2500), None, "the effort itself");
-    assert_eq!(triggered(9, 8.5, 8.5, 1590), None, "too short to tell");
+    assert_eq!(triggered(9, 8.5, 8.5, 1100), Some(Fault::BaselineHigh), "in the fall");
+    assert_eq!(triggered(9, 8.5, 8.5, 1099), None, "too short to tell");
 }
 
 #[test]
@@ -169,6 +174,7 @@ fn breaths_that_end_above_peep_add_up_however_they_end() {
     assert_eq!(found(&[early, early, early, whole]), [false, false, false, true]);
     assert_eq!(found(&[early, early, early, low, early]), [false; 5]);
     assert_eq!(found(&[whole, early, whole]), [false, false, true], "two that had time to empty");
+    assert_eq!(found(&[whole, low, whole]), [false; 3], "the one between has emptied");
 }
 
 #[test]
@@ -216,6 +222,19 @@ fn a_pressure_is_gone_for_longer_while_the_command_is_capped() {
 }
 
 #[test]
+fn a_pressure_is_gone_for_longer_after_a_cough() {
+    let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
+    let gone = Seen { plateau: 1.0, before: 1.0, command: 40.0, ..GOOD };
+    let found = |expired: f32| {
+        let (mut state, last) = (BreathState::default(), Some(volumes(200.0, expired)));
+        (0..breath.inspiration_ticks()).find(|tick| {
+            monitor.check(&mut state, &BreathInput { last, ..gone.at(&breath, *tick) }).is_some()
+        })
+    };
+    assert_eq!((found(300.0), found(301.0)), (Some(149), Some(449)));
+}
+
+#[test]
 fn a_tube_that_takes_no_volume_is_found_in_its_second_breath() {
     let occluded = Seen { volume: 40.0, ..GOOD };
     assert_eq!(complaint(&[GOOD, GOOD, occluded, occluded]), Some((3, Fault::Occlusion)));
@@ -229,8 +248,8 @@ fn a_tube_that_takes_no_volume_is_found_in_its_second_breath() {
 #[test]
 fn gas_that_comes_out_has_been_in_the_lung_whatever_the_ratio_of_volume_and_pressure() {
     let low = Seen { volume: 100.0, ..GOOD };
-    let expired = |volume| move |input: &mut BreathInput<'_>| input.expired = Some(volume);
-    let with = |breaths: &[Seen], volume| complaint_with(breaths, expired(volume));
+    let with =
+        |breaths: &[Seen], expired| complaint_with(breaths, |input| input.last = Some(volumes(1.0, expired)));
     let lows = [[GOOD].as_slice(), &[low; 12]].concat();
     // A third of 20 cmH2O at 20 mL/cmH2O, and half of the delivered volume.
     assert_eq!(with(&lows, 134.0), None, "an effort took the gas before");
@@ -241,6 +260,14 @@ fn gas_that_comes_out_has_been_in_the_lung_whatever_the_ratio_of_volume_and_pres
     let train: Vec<Seen> = [GOOD].into_iter().chain([cough; 12]).collect();
     assert_eq!(with(&train, 30.0), None);
     assert_eq!(with(&[GOOD, cough, cough], 29.0), Some((2, Fault::Occlusion)));
+}
+
+#[test]
+fn gas_that_an_effort_takes_in_an_expiration_has_passed_the_tube() {
+    let lows = [[GOOD].as_slice(), &[Seen { volume: 100.0, ..GOOD }; 12]].concat();
+    let with = |inspired| complaint_with(&lows, |input| input.last = Some(volumes(inspired, 1.0)));
+    assert_eq!(with(50.0), Some((10, Fault::Occlusion)), "a narrowed tube");
+    assert_eq!(with(49.0), Some((2, Fault::Occlusion)), "it stays in the circuit");
 }
 
 #[test]
@@ -377,6 +404,27 @@ fn the_patient_is_back_when_the_pressure_was_above_peep_for_fifty_milliseconds_o
     assert!(still_gone(&[]) && still_gone(&[5.1; 49]) && !still_gone(&[5.1; 50]));
     assert!(still_gone(&[5.0; 999]), "at PEEP");
     assert!(still_gone(&[[5.1; 49].as_slice(), &[5.0], &[5.1; 49]].concat()), "not at a stretch");
+}
+
+#[test]
+fn a_change_of_the_settings_connects_nobody() {
+    let (breath, monitor) = (breath(), BreathMonitor::new(DEFAULT_PERIOD_US, Monitors::ALL));
+    let gone = Seen { plateau: 1.0, before: 1.0, command: 100.0, ..GOOD };
+    let mut state = BreathState::default();
+    let ticks = |state: &mut BreathState, from: u32, to: u32, pressure: f32| {
+        (from..to)
+            .filter(|tick| {
+                monitor.check(state, &BreathInput { pressure, ..gone.at(&breath, *tick) }).is_some()
+            })
+            .count()
+    };
+    assert_eq!(ticks(&mut state, 0, 100, 1.0), 0);
+    state.settings_changed();
+    assert_eq!(ticks(&mut state, 100, 150, 1.0), 1, "150 ms in all");
+    assert_eq!(ticks(&mut state, 150, 180, 5.1), 30);
+    state.settings_changed();
+    assert!(state.is_disconnected());
+    assert_eq!(ticks(&mut state, 180, 200, 5.1), 19, "back for 50 ms in all");
 }
 
 #[test]
