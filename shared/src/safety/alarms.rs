@@ -271,7 +271,7 @@ pub const ALARMS: [Alarm; 30] = [
         "disconnection",
         (High, Tell),
         [
-            "150 ms of an inspiration (450 ms with a capped command) at less than 40 % of PEEP and more than 2 cmH2O below it, \
+            "600 ms of inspirations (1.2 s with a capped command) at less than 40 % of PEEP and more than 2 cmH2O below it, \
              with a command above 30 %; until the patient is back, the PID probes with a capped command",
             "the pressure of an inspiration is above PEEP again",
             "patient disconnected",
@@ -394,7 +394,7 @@ pub const ALARMS: [Alarm; 30] = [
         (Medium, Tell),
         [
             "less than 60 % of the inspired volume comes out in 5 breaths in a row, or less than 75 % if holding PEEP takes a \
-             command of more than 5 % above the bias",
+             command of more than 5 % above the bias; gas of the breaths before that comes out in one of them does not end the row",
             GONE,
             "leak: check tube and mask",
         ],
@@ -403,13 +403,21 @@ pub const ALARMS: [Alarm; 30] = [
         Fault::TidalVolumeLow,
         "tidal-volume-low",
         (Medium, Tell),
-        ["an expired volume below `tidal_volume_low` in 3 breaths in a row", GONE, "tidal volume too low"],
+        [
+            "an expired volume, and its mean with the inspired one, below `tidal_volume_low` in 3 breaths in a row",
+            GONE,
+            "tidal volume too low",
+        ],
     ),
     row(
         Fault::TidalVolumeHigh,
         "tidal-volume-high",
         (Medium, Tell),
-        ["an expired volume above `tidal_volume_high` in 3 breaths in a row", GONE, "tidal volume too high"],
+        [
+            "an expired volume, and its mean with the inspired one, above `tidal_volume_high` in 3 breaths in a row",
+            GONE,
+            "tidal volume too high",
+        ],
     ),
     row(
         Fault::MinuteVolumeLow,

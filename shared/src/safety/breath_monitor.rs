@@ -42,12 +42,10 @@ const CONNECTED: f32 = 0.05;
 
 /// Length of the averaging window at the end of a phase, s.
 const END_OF_PHASE: f32 = 0.05;
-/// Time for which the airway pressure may be lost, s; the second one with a capped command, which strong efforts exceed, and for
-/// a lung that fills again after a cough.
-const DISCONNECTED: f32 = 0.15;
-const SLOW_DISCONNECTED: f32 = 0.45;
-/// Volume that came out, as a share of the one that went in, by which a cough has emptied the lung.
-const EMPTIED: f32 = 1.5;
+/// Time in inspirations for which the airway pressure may be lost, s: strong efforts take more gas than there is for a while, and
+/// with a capped command for the second time.
+const DISCONNECTED: f32 = 0.6;
+const SLOW_DISCONNECTED: f32 = 1.2;
 
 /// Checks the phases of each breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -208,11 +206,12 @@ impl BreathMonitor {
         let inspires = breath.phase(tick) == Phase::Inspiration;
         let end = if inspires { breath.inspiration_ticks() } else { breath.total_ticks() };
         let open_end = pressure < (peep - BELOW_PEEP).min(OPEN_END * peep);
-        let gone = inspires && !cut && command > FILLING && open_end;
-        state.gone = in_a_row(state.gone, gone);
+        if inspires && !cut {
+            let told = state.gone.saturating_add(u32::from(command > FILLING));
+            state.gone = if open_end { told } else { 0 };
+        }
+        let longest = if input.capped { self.slow_disconnected } else { self.disconnected };
         state.back = in_a_row(state.back, inspires && pressure > peep);
-        let slow = input.capped || last.is_some_and(|volumes| volumes.expired > EMPTIED * volumes.inspired);
-        let longest = if slow { self.slow_disconnected } else { self.disconnected };
         state.disconnected = (state.disconnected || state.gone >= longest) && state.back < self.connected;
         if state.disconnected {
             state.cut = cut;

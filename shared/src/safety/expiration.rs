@@ -30,6 +30,8 @@ const KNOWN_LEAK: f32 = 0.015;
 const SURPLUS: f32 = 0.02;
 /// Share of a leak's flow by which a valve may give too little.
 const SPREAD: f32 = 0.2;
+/// Pressure above PIP from which nothing is added to it, cmH2O: a patient coughs.
+const OVERSHOOT: f32 = 2.0;
 /// Compensation above which it indicates a leak, percent.
 const LEAK: f32 = 5.0;
 /// Share of the inspired volume that comes out of a tight circuit; efforts need compensation too, but their gas comes out.
@@ -79,6 +81,8 @@ pub struct ExpirationState {
     advance: f32,
     /// Compensation of what sags all the same, percent.
     compensation: f32,
+    /// Whether the pressure is so high that no flow is added.
+    high: bool,
     /// Breaths in a row that indicate a leak, and those whose PEEP flow alone holds.
     leaks: u32,
     held: u32,
@@ -124,6 +128,7 @@ impl Expiration {
         doubtful: bool,
     ) {
         state.smooth += self.smoothing * (pressure - state.smooth);
+        state.high = pressure > breath.settings().pip + OVERSHOOT;
         // In a shorter expiration from its start on: there the fall counts too, which errs on the side of a longer one.
         if tick + self.constant_for <= breath.total_ticks() || breath.phase(tick) == Phase::Inspiration {
             state.earlier = state.smooth;
@@ -192,12 +197,13 @@ impl Expiration {
     /// Learns the leak from a breath's loss, to make up for it in advance at this PEEP, cmH2O. While gas stays in a lung that does
     /// not empty, no flow is added. Returns whether the leak has changed.
     pub fn learn_leak(&self, state: &mut ExpirationState, peep: f32, loss: Loss) -> bool {
-        if loss.leak() > OPEN_TUBE {
+        // Trapped gas adds to the loss of a breath, but not so much.
+        if loss.leak() > 2.0 * OPEN_TUBE {
             return false;
         }
         let changed = state.leak.add(loss);
         let flow = state.leak() * math::square_root(peep);
-        let holds = flow > KNOWN_LEAK && state.incomplete == 0;
+        let holds = flow > KNOWN_LEAK && state.leak() <= OPEN_TUBE && state.incomplete == 0;
         let holds = holds && self.responses.has(Response::LeakCompensation);
         state.advance = if holds { command_for((1.0 + SPREAD) * flow + SURPLUS) } else { 0.0 };
         changed
@@ -232,7 +238,7 @@ impl ExpirationState {
 
     /// Command that holds PEEP against a leak, percent; from the fall on, so that its beginning does not look like an effort.
     pub fn compensation(&self) -> f32 {
-        (self.advance + self.compensation).min(BOUND)
+        if self.high { 0.0 } else { (self.advance + self.compensation).min(BOUND) }
     }
 
     /// Leak of the last breaths, L/s at 1 cmH2O.
@@ -380,9 +386,22 @@ mod tests {
         assert!(learnt(&mut state, 0.0076, 4.0) > 5.0);
         assert!(learnt(&mut state, -0.3, 4.0).abs() < 1e-6);
         assert!((learnt(&mut state, OPEN_TUBE, 16.0) - BOUND).abs() < 1e-6);
-        learnt(&mut state, 0.0, 4.0);
-        assert!(learnt(&mut state, 0.151, 4.0).abs() < 1e-6, "a disconnected patient");
+        assert!(learnt(&mut state, 0.151, 4.0).abs() < 1e-6, "an open tube");
         assert!(learnt(&mut state, 0.05, 4.0) > 5.0 && (state.leak() - 0.05).abs() < 1e-5);
+        learnt(&mut state, 0.301, 4.0);
+        assert!((state.leak() - 0.05).abs() < 1e-5, "a disconnected patient");
+        learnt(&mut state, 0.299, 4.0);
+        assert!((state.leak() - 0.299).abs() < 1e-5);
+    }
+
+    #[test]
+    fn nothing_is_added_to_a_pressure_above_pip() {
+        let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
+        expiration.learn_leak(&mut state, 5.0, lost(0.1));
+        for (pressure, flows) in [(27.0, true), (27.1, false), (24.0, true)] {
+            expiration.observe(&mut state, &breath(), 1200, pressure, false);
+            assert_eq!(state.compensation() > 5.0, flows, "{pressure} cmH2O at a PIP of 25");
+        }
     }
 
     #[test]

@@ -34,6 +34,8 @@ const STANDS: f32 = 0.6;
 const ANSWER: f32 = 0.12;
 /// Largest fall below the starting pressure; a larger one means that gas is lost, cmH2O.
 const FALL: f32 = 1.5;
+/// Multiple of a good inspiration's rise that no lung's estimate predicts.
+const FALSE: f32 = 2.0;
 /// Estimates that are kept, and the newest of them that tell how far the gas may have raised the pressure.
 const ESTIMATES: usize = 4;
 const HIGHEST_OF: usize = 2;
@@ -268,6 +270,15 @@ impl LungState {
     /// Flow of the last tick, L/s.
     pub fn flow(&self) -> f32 {
         self.flow
+    }
+
+    /// Forgets the estimates that predict far more than the pressure at the end of a good inspiration, cmH2O: efforts have falsified
+    /// them, and may keep better ones from being made.
+    pub fn forget_false(&mut self, pressure: f32) {
+        let (volume, flow, rise) = (self.volume, self.flow, pressure - self.start);
+        for lung in &mut self.lungs {
+            *lung = lung.filter(|lung| lung.rise(volume, flow) <= FALSE * rise);
+        }
     }
 
     /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.

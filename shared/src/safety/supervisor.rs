@@ -364,6 +364,7 @@ impl Supervisor {
                 state.ladder.step_down(Level::Pid);
             }
         } else if rise >= GOOD_RISE * wanted {
+            state.lung.forget_false(pressure);
             state.backup.accept(breath);
         }
     }

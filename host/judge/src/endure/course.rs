@@ -29,6 +29,8 @@ const HOST_ASKS_EVERY: u32 = 1000;
 const RESTARTED_AFTER: u32 = 10_000;
 /// Longest gap without a delivered breath that is no interruption, s.
 const APNOEA: f64 = 20.0;
+/// Tick of a breath in which the device has judged the last one.
+const CHECKED_AT: u32 = 1;
 /// Breaths of the passive patient per setting: to settle, and in all.
 const SOUND_BREATHS: (f64, f64) = (4.0, 14.0);
 
@@ -222,12 +224,15 @@ impl<'a> Stay<'a> {
         let output = self.rig.step(self.readings, 0);
         self.at = output.sample.map_or(self.at, |sample| (sample.breath, sample.tick));
         if begins {
-            self.start_breath(ms, observer);
+            self.history.start_breath(self.rig.state().breath().settings());
         }
         if let Some(fault) = output.alarm {
             let verdict = judge(fault, &self.history);
             self.result.count(fault, verdict);
             self.tell(&Event::Alarm(fault, verdict), ms, observer);
+        }
+        if output.sample.is_some() && self.at.1 == CHECKED_AT {
+            self.find_missed(ms, observer);
         }
         if output.mode == Mode::Ventilating {
             self.stopped_ms = None;
@@ -248,10 +253,9 @@ impl<'a> Stay<'a> {
         self.volume.add(self.bench.truth().lung_volume_ml, ms);
     }
 
-    fn start_breath(&mut self, ms: u32, observer: &mut dyn Observer) {
-        let state = self.rig.state();
-        self.history.start_breath(state.breath().settings());
-        let present = state.indications().present();
+    /// Finds the alarms that the last breath should have raised.
+    fn find_missed(&mut self, ms: u32, observer: &mut dyn Observer) {
+        let present = self.rig.state().indications().present();
         if let Some(last) = self.history.last() {
             let missed: Vec<_> = self.watch.add(last, present).collect();
             for condition in missed {

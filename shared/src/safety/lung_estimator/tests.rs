@@ -309,3 +309,29 @@ fn an_inspiration_of_twenty_millilitres_tells_of_the_lung_and_a_smaller_one_does
     assert_eq!(after(TELLING_VOLUME), [Some(5), Some(100), None, None], "the newest first");
     assert_eq!(after(TELLING_VOLUME - 0.1), [Some(100), None, None, None]);
 }
+
+#[test]
+fn an_inspiration_that_begins_with_trapped_gas_tells_nothing() {
+    let after = |start: f32| {
+        let mut state = predicting(0.0);
+        state.start_inspiration(start, 5.0);
+        let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
+        state = LungState { volume: TELLING_VOLUME, sums: told, ticks: 150, ..state };
+        estimator().0.end_inspiration(&mut state);
+        state.lungs.iter().flatten().count()
+    };
+    assert_eq!((after(8.0), after(8.1)), (2, 1));
+}
+
+#[test]
+fn estimates_that_a_good_inspiration_belies_are_forgotten() {
+    // They predict rises of 22 and 10 cmH2O.
+    let left = |pressure: f32| {
+        let mut state = LungState { start: 5.0, ..estimated([STIFF, SOFT, None, STIFF]) };
+        state.forget_false(pressure);
+        state.lungs.map(|lung| lung.is_some())
+    };
+    assert_eq!(left(16.1), [true, true, false, true]);
+    assert_eq!(left(15.9), [false, true, false, false]);
+    assert_eq!(left(9.9), [false; 4]);
+}

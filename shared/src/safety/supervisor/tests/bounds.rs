@@ -125,12 +125,12 @@ fn a_disconnected_patient_gets_a_capped_probe_and_no_response_is_awaited() {
     let mut run = Run::new();
     (0..2).for_each(|_| assert_eq!(run.inspire(STIFF, 30.0), None));
     // In mid-inspiration, so that this breath tells nothing of the lung.
-    for tick in 0..500 {
+    for tick in 0..300 {
         run.check(5.0 + 0.1 * run.state.lung.volume() + dither(tick), Some(tick));
         run.command(ControlOutput::plain(35.0));
     }
-    let probe = run.breathe(500..1000, 0.0, ControlOutput::plain(90.0));
-    assert_eq!((run.state.level(), probe[499] as i32), (Level::Pid, 40));
+    let probe = run.breathe(300..1000, 0.0, ControlOutput::plain(90.0));
+    assert_eq!((run.state.level(), probe[699] as i32), (Level::Pid, 40));
     for _ in 0..2 {
         run.breathe(1000..3000, 0.0, ControlOutput::plain(5.0));
         run.breathe(0..1000, 0.0, ControlOutput::plain(90.0));
@@ -355,7 +355,7 @@ fn a_leak_is_learned_from_a_connected_patient_alone() {
     let learned = |disconnected: bool| {
         let mut run = Run::new();
         run.breathe(0..1, 5.0, ControlOutput::plain(50.0));
-        run.breathe(1..400, if disconnected { 0.0 } else { 15.0 }, ControlOutput::plain(50.0));
+        run.breathe(1..700, if disconnected { 0.0 } else { 15.0 }, ControlOutput::plain(50.0));
         assert_eq!(run.state.breath.is_disconnected(), disconnected);
         // 0.2 L in 1 s at 9 cmH2O, of which nothing comes out.
         run.state.volumes = Volumes::default();
