@@ -1,14 +1,16 @@
 //! Routes accesses to the modelled parts by address.
 
+use crate::backup::{self, Access, Domain};
 use crate::decode::Direction;
 use crate::flash::{self, Flash, Operation};
 use crate::iwdg::Iwdg;
 use crate::plant_port::{Line, PlantPort};
 use crate::pwr::Pwr;
-use crate::rcc::Rcc;
+use crate::rcc::{self, Rcc};
 use crate::record::{self, Record};
 use crate::store::{Store, Width};
 
+const RTC: u32 = 0x4000_2800;
 const IWDG: u32 = 0x4000_3000;
 const USART2: u32 = 0x4000_4400;
 const PWR: u32 = 0x4000_7000;
@@ -16,6 +18,8 @@ const GPIOA: u32 = 0x4002_0000;
 const GPIOB: u32 = 0x4002_0400;
 const RCC: u32 = 0x4002_3800;
 const FLASH: u32 = 0x4002_3C00;
+const BACKUP: u32 = 0x4002_4000;
+const BACKUP_LAST: u32 = BACKUP + backup::MEMORY_BYTES - 1;
 /// Address range of each part, bytes; its registers are at the start.
 const PART_BYTES: u32 = 0x400;
 const SLOTS_LAST: u32 = flash::SLOTS + flash::SLOTS_BYTES - 1;
@@ -32,12 +36,14 @@ pub struct Region {
 }
 
 /// All regions; the memory protection unit supports eight.
-pub const REGIONS: [Region; 6] = [
+pub const REGIONS: [Region; 8] = [
     Region { address: RCC, bytes: 2 * PART_BYTES, readable: false },
     Region { address: GPIOA, bytes: 2 * PART_BYTES, readable: false },
     Region { address: PWR, bytes: PART_BYTES, readable: false },
     Region { address: IWDG, bytes: PART_BYTES, readable: false },
     Region { address: USART2, bytes: PART_BYTES, readable: false },
+    Region { address: RTC, bytes: PART_BYTES, readable: false },
+    Region { address: BACKUP, bytes: backup::MEMORY_BYTES, readable: false },
     Region { address: flash::SLOTS, bytes: flash::SLOTS_BYTES, readable: true },
 ];
 
@@ -45,7 +51,7 @@ pub const REGIONS: [Region; 6] = [
 #[inline]
 pub fn is_refused(address: u32, direction: Direction) -> bool {
     match address - address % PART_BYTES {
-        USART2 | IWDG | PWR | GPIOA | GPIOB | RCC | FLASH => true,
+        USART2 | RTC | IWDG | PWR | GPIOA | GPIOB | RCC | FLASH | BACKUP..=BACKUP_LAST => true,
         flash::SLOTS..=SLOTS_LAST => direction == Direction::Store,
         _ => false,
     }
@@ -59,6 +65,10 @@ pub trait Outside: Line {
     fn change(&mut self, operation: Operation);
     /// Cuts the power.
     fn cut_power(&mut self);
+    /// The part of the chip that the cell supplies.
+    fn domain(&mut self) -> &mut Domain;
+    /// Keeps the word at this place of it.
+    fn keep(&mut self, place: usize);
 }
 
 /// Interrupts that the core gets.
@@ -79,6 +89,7 @@ pub struct Chip {
     /// The watchdog, which the system tick checks.
     pub iwdg: Iwdg,
     plant_port: PlantPort,
+    backup: Access,
     /// Whether the supply voltage was low at the last look.
     supply_low: bool,
 }
@@ -98,6 +109,7 @@ impl Chip {
             flash: Flash::new(flash::NEW_OPTIONS),
             iwdg: Iwdg::new(),
             plant_port: PlantPort::new(),
+            backup: Access::new(),
             supply_low: false,
         }
     }
@@ -111,22 +123,38 @@ impl Chip {
         }
     }
 
+    /// Lets the calendar clock run up to now.
+    pub fn run_clock(&mut self, record: &Record, outside: &mut impl Outside) {
+        let now = outside.now();
+        if self.backup.run(outside.domain(), now, has_clock_crystal(record)) {
+            for place in [backup::TIME, backup::TIME + 1] {
+                outside.keep(place);
+            }
+        }
+    }
+
     /// Returns the result of a load, zero-extended.
     #[inline]
     pub fn load(&mut self, address: u32, width: Width, record: &Record, outside: &mut impl Outside) -> u32 {
         let offset = (address % PART_BYTES) & !3;
         let word = match address - address % PART_BYTES {
             USART2 => self.plant_port.read(offset, outside),
-            RCC => self.rcc.read(offset),
-            part => self.load_elsewhere(part, offset, record),
+            RCC if offset != rcc::BACKUP_CONTROL => self.rcc.read(offset),
+            part => self.load_elsewhere(part, address & !3, record, outside.domain()),
         };
         word >> (8 * (address & 3)) & width.mask()
     }
 
     /// A load from a part that is rarely used. Not inlined, so that the other traps stay short.
     #[inline(never)]
-    fn load_elsewhere(&mut self, part: u32, offset: u32, record: &Record) -> u32 {
+    fn load_elsewhere(&mut self, part: u32, address: u32, record: &Record, domain: &Domain) -> u32 {
+        let offset = address % PART_BYTES;
         match part {
+            RCC => self.backup.read_control(domain, has_clock_crystal(record)),
+            RTC => self.backup.read_clock(domain, offset),
+            BACKUP..=BACKUP_LAST if self.rcc.drives_backup_memory() => {
+                backup::read_memory(domain, address - BACKUP)
+            }
             IWDG => self.iwdg.read(offset),
             PWR => self.pwr.read(offset, record.conditions & record::SUPPLY_LOW != 0),
             GPIOA => record.ports[0].read(offset),
@@ -150,7 +178,7 @@ impl Chip {
         match address - address % PART_BYTES {
             USART2 => self.plant_port.write(offset, store, outside),
             flash::SLOTS..=SLOTS_LAST => change(self.flash.program(address, width, value), record, outside),
-            part => self.store_elsewhere(part, offset, store, record, outside),
+            part => self.store_elsewhere(part, address & !3, store, record, outside),
         }
     }
 
@@ -159,18 +187,28 @@ impl Chip {
     fn store_elsewhere(
         &mut self,
         part: u32,
-        offset: u32,
+        address: u32,
         store: Store,
         record: &mut Record,
         outside: &mut impl Outside,
     ) {
+        let offset = address % PART_BYTES;
         match part {
             IWDG => {
                 if let Some(gap_ns) = self.iwdg.write(offset, store, outside.now()) {
                     record.fed(gap_ns);
                 }
             }
-            PWR => self.pwr.write(offset, store),
+            PWR => {
+                self.pwr.write(offset, store);
+                if self.pwr.regulates_backup() {
+                    let place = backup::regulate(outside.domain());
+                    outside.keep(place);
+                }
+            }
+            RTC | BACKUP..=BACKUP_LAST | RCC if part != RCC || offset == rcc::BACKUP_CONTROL => {
+                self.store_to_backup(address, store, record, outside);
+            }
             GPIOA => record.ports[0].write(offset, store),
             GPIOB => record.ports[1].write(offset, store),
             RCC => {
@@ -185,6 +223,36 @@ impl Chip {
             _ => {}
         }
     }
+
+    /// A store to the backup domain; without effect before the program has opened it.
+    fn store_to_backup(&mut self, address: u32, store: Store, record: &Record, outside: &mut impl Outside) {
+        if !self.pwr.opens_backup() {
+            return;
+        }
+        let (offset, domain) = (address % PART_BYTES, outside.domain());
+        let changed = match address {
+            BACKUP..=BACKUP_LAST if self.rcc.drives_backup_memory() => {
+                backup::write_memory(domain, address - BACKUP, store)
+            }
+            BACKUP..=BACKUP_LAST => None,
+            RCC.. => {
+                let changed = backup::write_control(domain, store, has_clock_crystal(record));
+                for place in changed {
+                    outside.keep(place);
+                }
+                None
+            }
+            _ => self.backup.write_clock(domain, offset, store),
+        };
+        if let Some(place) = changed {
+            outside.keep(place);
+        }
+    }
+}
+
+/// Whether the crystal of the calendar clock is sound.
+fn has_clock_crystal(record: &Record) -> bool {
+    record.conditions & record::NO_CLOCK_CRYSTAL == 0
 }
 
 fn change(operation: Option<Operation>, record: &mut Record, outside: &mut impl Outside) {
@@ -207,6 +275,8 @@ mod tests {
     struct Recorder {
         operations: Vec<Operation>,
         power_cuts: usize,
+        domain: Domain,
+        kept: Vec<usize>,
     }
 
     impl Line for Recorder {
@@ -229,6 +299,14 @@ mod tests {
 
         fn cut_power(&mut self) {
             self.power_cuts += 1;
+        }
+
+        fn domain(&mut self) -> &mut Domain {
+            &mut self.domain
+        }
+
+        fn keep(&mut self, place: usize) {
+            self.kept.push(place);
         }
     }
 
@@ -297,6 +375,38 @@ mod tests {
         record.reset_flags = flags;
         chip.store(RCC + 0x74, Width::Word, 1 << 24, &mut record, &mut outside);
         assert_eq!(record.reset_flags, 0);
+    }
+
+    /// The enable bits of the backup domain and of its memory's clock, and the word that is read after a store.
+    #[test]
+    fn the_backup_memory_is_written_once_it_is_open_and_has_a_clock() {
+        for (open, clock, expected) in [(0, 0, 0), (1 << 8, 0, 0), (0, 1 << 18, 0), (1 << 8, 1 << 18, 9)] {
+            let (mut chip, mut record, mut outside) =
+                (Chip::new(0), Record::at_power_on(), Recorder::default());
+            backup::write_memory(&mut outside.domain, 0xFFC, Store::word(0));
+            for (address, value) in [(PWR, open), (RCC + 0x30, clock), (BACKUP_LAST - 3, 9)] {
+                chip.store(address, Width::Word, value, &mut record, &mut outside);
+            }
+            assert_eq!(chip.load(BACKUP_LAST - 3, Width::Word, &record, &mut outside), expected);
+            assert_eq!(outside.kept.contains(&0x3FF), expected != 0);
+        }
+    }
+
+    #[test]
+    fn the_clock_of_an_open_domain_starts_is_set_and_runs() {
+        let (mut chip, mut record, mut outside) = (Chip::new(0), Record::at_power_on(), Recorder::default());
+        chip.store(RCC + 0x70, Width::Word, 0x8101, &mut record, &mut outside);
+        assert_eq!(chip.load(RCC + 0x70, Width::Word, &record, &mut outside), 0, "closed");
+        let stores = [(PWR, 1 << 8), (RCC + 0x70, 0x8101), (RTC + 0x24, 0xCA), (RTC + 0x24, 0x53)];
+        for (address, value) in
+            stores.into_iter().chain([(RTC + 0xC, 0x80), (RTC + 4, 0x01_2101), (RTC + 0xC, 0)])
+        {
+            chip.store(address, Width::Word, value, &mut record, &mut outside);
+        }
+        assert_eq!(chip.load(RCC + 0x70, Width::Word, &record, &mut outside), 0x8103);
+        assert_eq!(chip.load(RTC + 4, Width::Word, &record, &mut outside), 0x01_2101);
+        assert_eq!(chip.load(RTC + 0xC, Width::Word, &record, &mut outside), 0x30);
+        assert!(outside.kept.contains(&(backup::TIME + 1)));
     }
 
     /// Opens the flash controller for programming by words.

@@ -10,6 +10,7 @@
 //! | [`pwr`] | supply: ready bits |
 //! | [`flash`] | flash controller, for the copies of the flight recorder and the weights slots |
 //! | [`iwdg`] | independent watchdog |
+//! | [`backup`] | memory and calendar clock that a cell supplies |
 //! | [`plant_port`] | USART2 as the line to the plant |
 //! | [`gpio`] | pins of ports A and B, for a debugger |
 //! | [`bus`] | routing of accesses to these parts |
@@ -19,6 +20,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod backup;
 pub mod bus;
 pub mod decode;
 pub mod flash;
@@ -34,6 +36,8 @@ use core::ffi::CStr;
 
 /// File with the changeable sectors of the flash, in QEMU's working directory like the pipes. It is created if it does not exist.
 pub const FLASH_FILE: &CStr = c"flash.bin";
+/// File with the part of the chip that a cell supplies, [`backup::BYTES`] long. It is created if it does not exist.
+pub const BACKUP_FILE: &CStr = c"backup.bin";
 /// Pipe to the plant: for each request its length, u16 little endian, and its bytes. A request without bytes reports
 /// the shim's start.
 pub const REQUEST_PIPE: &CStr = c"plant.request";

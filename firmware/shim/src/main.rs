@@ -1,6 +1,6 @@
 //! The shim: a small image that QEMU loads next to an unchanged firmware image, and that runs first.
 //!
-//! It uses the upper 16 KiB of the core-coupled RAM. The firmware must not use that memory or the memory protection unit,
+//! It uses the upper 21 KiB of the core-coupled RAM. The firmware must not use that memory or the memory protection unit,
 //! or move the vector table. Compiled for any other system it only prints its purpose.
 #![cfg_attr(target_os = "none", no_std)]
 #![cfg_attr(target_os = "none", no_main)]

@@ -4,6 +4,8 @@ use crate::store::Store;
 
 /// PVDE enables the voltage detector; PVDO reports that the voltage is low.
 const DETECTOR_ON: u32 = 1 << 4;
+/// DBP opens the backup domain.
+const BACKUP_OPEN: u32 = 1 << 8;
 const DETECTED: u32 = 1 << 2;
 const VOLTAGE_READY: u32 = 1 << 14;
 /// BRE enables the backup regulator; BRR reports that it is ready.
@@ -28,6 +30,16 @@ impl Pwr {
         self.control & DETECTOR_ON != 0
     }
 
+    /// Whether the program may write to the backup domain.
+    pub fn opens_backup(&self) -> bool {
+        self.control & BACKUP_OPEN != 0
+    }
+
+    /// Whether the regulator of the backup memory is on.
+    pub fn regulates_backup(&self) -> bool {
+        self.status & BACKUP_ON != 0
+    }
+
     /// The word at an offset; zero where there is no register. The supply voltage is `low` or sound.
     pub fn read(&self, offset: u32, low: bool) -> u32 {
         match offset {
@@ -42,7 +54,7 @@ impl Pwr {
     pub fn write(&mut self, offset: u32, store: Store) {
         match offset {
             0 => self.control = store.over(self.control),
-            4 => {
+            4 if self.opens_backup() => {
                 let backup = store.over(self.status) & BACKUP_ON;
                 let ready = if backup == 0 { 0 } else { BACKUP_READY };
                 self.status = VOLTAGE_READY | backup | ready;
@@ -76,6 +88,10 @@ mod tests {
     fn the_backup_regulator_is_ready_while_it_is_on() {
         let mut pwr = Pwr::new();
         pwr.write(4, Store::word(BACKUP_ON));
+        assert!(!pwr.regulates_backup(), "the backup domain is closed");
+        pwr.write(0, Store::word(BACKUP_OPEN));
+        pwr.write(4, Store::word(BACKUP_ON));
+        assert!(pwr.opens_backup() && pwr.regulates_backup());
         assert_ne!(pwr.read(4, false) & BACKUP_READY, 0);
         pwr.write(4, Store::word(BACKUP_READY));
         assert_eq!(pwr.read(4, false) & BACKUP_READY, 0);

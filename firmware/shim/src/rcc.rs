@@ -9,9 +9,12 @@ use crate::store::Store;
 /// Length of the registers, bytes.
 pub const BYTES: u32 = 0x94;
 
+/// Offset of `RCC_BDCR`, which belongs to the backup domain.
+pub const BACKUP_CONTROL: u32 = 0x70;
+
 const CR: usize = 0;
 const CFGR: usize = 0x08 / 4;
-const BDCR: usize = 0x70 / 4;
+const AHB1ENR: usize = 0x30 / 4;
 const CSR: usize = 0x74 / 4;
 
 /// HSION, HSEON, PLLON, PLLI2SON; the bit above each is its ready bit.
@@ -24,7 +27,9 @@ const CR_PLL: u32 = 0b11 << 24;
 const CR_PLL_READY: u32 = 1 << 25;
 const PLLCFGR: usize = 1;
 const PLL_FROM_CRYSTAL: u32 = 1 << 22;
-/// LSEON in BDCR and LSION in CSR; the bit above each is its ready bit.
+/// BKPSRAMEN: the clock of the backup memory.
+const BACKUP_MEMORY_ON: u32 = 1 << 18;
+/// LSION in CSR; the bit above is its ready bit.
 const LOW_SPEED_ON: u32 = 1;
 const CSR_FLAGS: u32 = 0xFE00_0000;
 const CSR_REMOVE_FLAGS: u32 = 1 << 24;
@@ -66,6 +71,11 @@ impl Rcc {
         registers[1] = 0x2400_3010;
         registers[CSR] = flags & CSR_FLAGS;
         Self { registers }
+    }
+
+    /// Whether the backup memory has a clock.
+    pub fn drives_backup_memory(&self) -> bool {
+        self.registers[AHB1ENR] & BACKUP_MEMORY_ON != 0
     }
 
     /// The current reset flags.
@@ -111,7 +121,6 @@ impl Rcc {
                 value
             }
             CFGR => value & !0b1100 | (value & 0b11) << 2,
-            BDCR => ready(value, LOW_SPEED_ON),
             CSR => {
                 let flags = if store.bits() & CSR_REMOVE_FLAGS == 0 { *register & CSR_FLAGS } else { 0 };
                 ready(value & 0x00FF_FFFF, LOW_SPEED_ON) | flags
@@ -142,7 +151,6 @@ mod tests {
             assert_eq!(written(0x00, 1 << bit), 0b11 << bit, "bit {bit}");
             assert_eq!(written(0x00, 0b10 << bit), 0, "bit {bit}");
         }
-        assert_eq!(written(0x70, 1), 0b11);
         assert_eq!(written(0x74, 1) & 0b11, 0b11);
     }
 

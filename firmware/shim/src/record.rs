@@ -17,7 +17,7 @@ pub const CONDITIONS_ADDRESS: u32 = ADDRESS + offset_of!(Record, conditions) as 
 /// Marks a record that this program has written.
 const MARK: u32 = 0x5265_6331;
 /// Number of words before the ports.
-const PLAIN: usize = 13;
+const PLAIN: usize = 14;
 
 /// QEMU's handles of open files.
 #[repr(C)]
@@ -29,6 +29,8 @@ pub struct Handles {
     pub request: u32,
     /// Pipe from the plant.
     pub answer: u32,
+    /// File with the backup domain.
+    pub backup: u32,
 }
 
 /// The record. It counts from power-on.
@@ -70,6 +72,8 @@ pub struct Record {
 pub const NO_CRYSTAL: u32 = 1;
 /// Condition: the supply voltage is low.
 pub const SUPPLY_LOW: u32 = 1 << 1;
+/// Condition: the crystal of the calendar clock does not run.
+pub const NO_CLOCK_CRYSTAL: u32 = 1 << 2;
 
 /// Ports A and B after a reset, with the debugger's pins configured.
 const PORTS: [Gpio; 2] =
@@ -113,7 +117,7 @@ impl Record {
     pub fn from_words(words: &[u32; WORDS]) -> Option<Self> {
         let (plain, ports) = words.split_first_chunk::<PLAIN>()?;
         let [mark, starts, reset_flags, expired, watchdog_resets, feeds, longest_gap_ns, traps, ..] = *plain;
-        let [.., flash, request, answer, flash_operations, power_cut] = *plain;
+        let [.., flash, request, answer, backup, flash_operations, power_cut] = *plain;
         let (a, rest) = ports.split_first_chunk()?;
         let (b, rest) = rest.split_first_chunk()?;
         let [conditions, flash_access, options] = *rest.first_chunk()?;
@@ -126,7 +130,7 @@ impl Record {
             feeds,
             longest_gap_ns,
             traps,
-            files: Handles { flash, request, answer },
+            files: Handles { flash, request, answer, backup },
             flash_operations,
             power_cut,
             ports: [Gpio::from_words(*a), Gpio::from_words(*b)],
@@ -207,10 +211,10 @@ mod tests {
         assert_eq!(Record::from_words(&words), None);
         words[0] = MARK;
         let record = Record::from_words(&words).unwrap();
-        assert_eq!((record.starts, record.traps, record.flash_operations), (1, 7, 11));
-        assert_eq!((record.power_cut, POWER_CUT_ADDRESS), (12, ADDRESS + 4 * 12));
-        assert_eq!((record.conditions, CONDITIONS_ADDRESS), (33, ADDRESS + 4 * 33));
-        assert_eq!((record.flash_access, record.options), (34, 35));
-        assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 23 + n as u32)));
+        assert_eq!((record.starts, record.traps, record.flash_operations), (1, 7, 12));
+        assert_eq!((record.power_cut, POWER_CUT_ADDRESS), (13, ADDRESS + 4 * 13));
+        assert_eq!((record.conditions, CONDITIONS_ADDRESS), (34, ADDRESS + 4 * 34));
+        assert_eq!((record.flash_access, record.options), (35, 36));
+        assert_eq!(record.ports[1], Gpio::from_words(core::array::from_fn(|n| 24 + n as u32)));
     }
 }

@@ -1,6 +1,6 @@
 //! The control task: it runs one tick of the device per millisecond, and last silences the sounder and feeds the watchdog.
 
-use core::sync::atomic::{AtomicU8, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
@@ -33,6 +33,14 @@ pub static REQUEST: Signal<CriticalSectionRawMutex, ControlRequest> = Signal::ne
 pub static REPLY: Signal<CriticalSectionRawMutex, ControlReply> = Signal::new();
 /// Reports to the link task.
 pub static REPORTS: Channel<CriticalSectionRawMutex, ControlReport, REPORTS_LENGTH> = Channel::new();
+
+/// Whether the last tick was one of a breath.
+static VENTILATES: AtomicBool = AtomicBool::new(false);
+
+/// Whether the device ventilates.
+pub fn ventilates() -> bool {
+    VENTILATES.load(Ordering::Relaxed)
+}
 
 /// What may be done to the flash, as the number of a [`Leave`].
 static LEAVE: AtomicU8 = AtomicU8::new(Leave::Nothing as u8);
@@ -75,8 +83,10 @@ pub async fn run(
         }
         let (latency, begun) = (clock::since_tick(), clock::now());
         link_uart::resume();
-        if prescription.is_due() && supply::has_returned() {
-            prescription.resume(control);
+        if prescription.is_due()
+            && let Some(reason) = prescription.resume(control, supply::has_returned())
+        {
+            recorder.log(reason);
         }
         let change = control.plant_change();
         let readings = plant.read(&change);
@@ -92,6 +102,7 @@ pub async fn run(
         let (missed, period) = since(before, number, begun);
         let leave = if prescription.is_due() { Leave::Nothing } else { control.leave() };
         LEAVE.store(leave as u8, Ordering::Relaxed);
+        VENTILATES.store(output.sample.is_some(), Ordering::Relaxed);
         recorder.record(&control.moment(readings.airway, &output, missed));
         let work = clock::now().wrapping_sub(read);
         control.record(&TickTime { latency, work, period, missed });

@@ -13,7 +13,7 @@ use static_cell::StaticCell;
 use super::control_task::{self, REPLY, REPORTS, REQUEST};
 use super::drivers::flash::BoardFlash;
 use super::drivers::{clock, link_uart, supply, watchdog};
-use super::recorder;
+use super::{prescription, recorder};
 
 /// Version of the firmware: major, minor, patch.
 pub const VERSION: [u16; 3] = [
@@ -71,8 +71,11 @@ pub async fn run(
                     send(&event).await;
                 }
                 // The counters come regularly, in every mode.
-                if let (ControlReport::Counters(_), Some(keeper)) = (report, &mut keeper) {
-                    keep_recording(keeper, slots.flash());
+                if let ControlReport::Counters(_) = report {
+                    prescription::tend(control_task::ventilates());
+                    if let Some(keeper) = &mut keeper {
+                        keep_recording(keeper, slots.flash());
+                    }
                 }
             }
         }

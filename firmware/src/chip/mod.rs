@@ -6,7 +6,7 @@
 //! | `SysTick` | 0 | signals a tick |
 //! | USART1 | 2 | receives and sends the link's bytes |
 //! | control task, in the interrupt of an unused CAN port | 4 | reads, steps the ventilator, drives the valves, feeds the watchdog |
-//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights, copies the flight recorder |
+//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights, copies the flight recorder, notes when the device ventilates |
 //! | idle loop | thread | sleeps until the next interrupt |
 
 mod board;
@@ -67,10 +67,13 @@ fn start() {
     }
     let was_low = failure.as_deref() == Some(failure::SUPPLY_LOW);
     let prescription = prescription::attach(Interruption::of(reset, failure.is_some(), was_low));
+    if let Some(reason) = prescription.refused() {
+        recorder.log(reason);
+    }
     check_supply(&recorder, reset, was_low);
     let program = self_test::is_program_sound();
     control.require_self_test(&BootFindings { program, memory: Some(memory), slots });
-    control.report_boot(reset, recorder.interrupted(), &slots);
+    control.report_boot(reset, recorder.interrupted() || prescription.is_interrupted(), &slots);
     let facts = DeviceFacts {
         firmware: link_task::VERSION,
         device: kind,

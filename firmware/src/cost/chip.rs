@@ -278,7 +278,7 @@ static PRESCRIPTION: PrescriptionMemory = PrescriptionMemory::new();
 /// separately.
 fn ticks(counting: &Cost) {
     let mut control = control();
-    let (mut recorder, mut prescription) = (recorder(), Prescription::attach(&PRESCRIPTION, None));
+    let (mut recorder, mut prescription) = (recorder(), Prescription::attach(&PRESCRIPTION, None, None));
     let mut plant = ExactLung::new(paper_settings(PAPER_PIPS[0]).peep);
     let mut before = plant.pressure();
     begin(&mut control);

@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
 
+use shim::backup::Domain;
 use tempfile::TempDir;
 
 use error::tried;
@@ -45,12 +46,15 @@ pub struct EmulatorConfig {
     pub firmware: PathBuf,
     /// The shim's ELF file.
     pub shim: PathBuf,
-    /// Folder of the board, for one board at a time; it keeps the flash between runs. `None`: a temporary folder.
+    /// Folder of the board, for one board at a time; it keeps the flash and the backup domain between runs. `None`: a temporary folder.
     pub folder: Option<PathBuf>,
     /// TCP port of the link on this machine; 0 picks a free port.
     pub link: u16,
     /// Content of the changeable sectors of the flash, [`FLASH_BYTES`] bytes. `None`: the folder's content; erased in a new folder.
     pub flash: Option<Vec<u8>>,
+    /// How long the supply was away since the folder's last board, while a cell supplied the backup domain; counted from the
+    /// last second that the board's calendar clock had begun. `None`: there was no cell, so the domain has lost its content.
+    pub supply_away: Option<Duration>,
     /// Whether a debugger can connect.
     pub debugger: bool,
 }
@@ -83,6 +87,7 @@ impl Emulator {
         }
         let images = [config.firmware, config.shim].map(|image| std::path::absolute(&image).unwrap_or(image));
         let folder = Folder::open(config.folder, config.flash)?;
+        folder.outlast(config.supply_away)?;
         let port = |port| {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port));
             let listener = listener.and_then(|listener| Ok((listener.local_addr()?, listener)));
@@ -136,6 +141,11 @@ impl Emulator {
     /// The file cannot be read.
     pub fn flash(&self) -> Result<Vec<u8>, EmulatorError> {
         fs::read(self.folder.flash()).map_err(tried("cannot read the board's flash"))
+    }
+
+    /// The file with the backup domain, [`shim::backup::BYTES`] long once the board has started.
+    pub fn backup(&self) -> PathBuf {
+        self.folder.backup()
     }
 
     /// The output of QEMU and the shim so far.
@@ -216,6 +226,23 @@ impl Folder {
     fn flash(&self) -> PathBuf {
         self.path.join(name(shim::FLASH_FILE))
     }
+
+    fn backup(&self) -> PathBuf {
+        self.path.join(name(shim::BACKUP_FILE))
+    }
+
+    /// Lets the backup domain outlast a time without supply, or lose its content.
+    fn outlast(&self, supply_away: Option<Duration>) -> Result<(), EmulatorError> {
+        let kept = fs::read(self.backup()).ok().filter(|_| supply_away.is_some());
+        let mut domain = match kept.as_deref().map(<&[u8; shim::backup::BYTES]>::try_from) {
+            Some(Ok(bytes)) => Domain::from_bytes(bytes),
+            _ => Domain::new(),
+        };
+        let seconds = supply_away.unwrap_or_default().as_secs();
+        domain.outlast(u32::try_from(seconds).unwrap_or(u32::MAX));
+        let bytes: Vec<u8> = domain.words().iter().flat_map(|word| word.to_le_bytes()).collect();
+        fs::write(self.backup(), bytes).map_err(tried("cannot write the board's backup domain"))
+    }
 }
 
 #[cfg(test)]
@@ -238,6 +265,23 @@ mod tests {
         assert!(matches!(refused, Err(EmulatorError::FlashSize(1000))));
         let folder = Folder::open(None, Some(vec![7; FLASH_BYTES])).unwrap();
         assert_eq!(fs::read(folder.flash()).unwrap().len(), FLASH_BYTES);
+    }
+
+    #[test]
+    fn the_backup_domain_outlasts_the_supply_with_a_cell_alone() {
+        let folder = Folder::open(None, None).unwrap();
+        let new = || Domain::new().words().iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
+        folder.outlast(Some(Duration::from_secs(5))).unwrap();
+        assert_eq!(fs::read(folder.backup()).unwrap(), new());
+        let mut bytes = new();
+        // The regulator of its memory is on.
+        let end = bytes.len() - 4;
+        (bytes[0], bytes[end]) = (7, 1);
+        fs::write(folder.backup(), &bytes).unwrap();
+        folder.outlast(Some(Duration::from_secs(5))).unwrap();
+        assert_eq!(fs::read(folder.backup()).unwrap(), bytes);
+        folder.outlast(None).unwrap();
+        assert_eq!(fs::read(folder.backup()).unwrap(), new());
     }
 
     #[test]

@@ -167,6 +167,11 @@ impl Control {
         Ok(())
     }
 
+    /// Control period, us.
+    pub fn period_us(&self) -> u32 {
+        self.ventilator.period_us()
+    }
+
     /// The ventilator's state.
     pub fn state(&self) -> &VentilatorState {
         &self.state

@@ -9,11 +9,13 @@
 //! | [`server`] | when bytes or reports arrive | requests and their answers, telemetry batches, uploads |
 //!
 //! [`lease`] decides which host may change the device, and [`self_test`] whether ventilation may start. [`annunciator`] drives
-//! sounder and lamps, and [`prescription`] keeps the settings of a running ventilation through a reset.
+//! sounder and lamps. [`prescription`] keeps the settings of a running ventilation through a reset or a power cut, and [`absence`]
+//! measures how long the latter was.
 //!
 //! The server sends one [`ControlRequest`] at a time to the control half and gets one [`ControlReply`]; the control half also
 //! sends unrequested [`ControlReport`]s. Neither half blocks: the caller passes requests, replies and reports between them.
 
+pub mod absence;
 mod alarm_events;
 pub mod annunciator;
 pub mod control;

@@ -1,16 +1,22 @@
-//! The prescription: the settings of a running ventilation, in memory that a reset leaves alone, so that ventilation resumes
-//! after a reset that nobody requested.
+//! The prescription: the settings of a running ventilation, in memory that outlasts a reset and, if a cell supplies it, a power
+//! cut, so that ventilation resumes after an interruption that nobody requested.
 //!
 //! The memory holds two copies, which are written in turn: a reset in the middle of a write leaves the other one. A copy
 //! counts only with its magic word, its checksum and settings that pass validation. The end of ventilation clears both, so
 //! that after a stop, a latched fault or a requested restart nothing moves by itself.
 //!
+//! After a power cut ventilation resumes only if a clock has measured how long the supply was away, and at most
+//! [`LONGEST_ABSENCE_S`] after the last breath; a supply that returned too low must become sound within that time as well. Other
+//! resets are short in themselves, so they need no clock; if there is one, the same limit applies.
+//!
 //! A program that fails again and again before it has completed a breath resumes [`RESUMES`] times; then it waits in standby,
 //! where a host can reach it.
 
 use super::ControlRequest;
+use super::absence::{ClockTime, LONGEST_ABSENCE_S, Notes};
 use super::control::Control;
 use crate::checksum::{CRC_32, fnv};
+use crate::recorder::ChipEvent;
 use crate::recorder::cell::Word;
 use crate::reset::ResetCause;
 use crate::settings::{FIELDS, Settings};
@@ -19,14 +25,18 @@ use crate::ventilator::{Mode, Output};
 /// Times that ventilation resumes after failures of the program without a completed breath in between.
 pub const RESUMES: u16 = 3;
 
+/// Shortest interruption after which ventilation does not resume, s.
+const LONGER_ABSENCE_S: u32 = LONGEST_ABSENCE_S + 1;
 /// Number of settings.
 const COUNT: usize = FIELDS.len();
 /// Marks a complete copy; another layout has another one.
-const MAGIC: u32 = fnv(&[0x5072_6573, 1, COUNT as u32]);
+const MAGIC: u32 = fnv(&[0x5072_6573, 2, COUNT as u32]);
 
 /// What a reset has interrupted ventilation by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interruption {
+    /// The supply was away: the same as a first start, unless the memory tells of a ventilation.
+    PowerCut,
     /// The supply fell.
     Supply,
     /// A control tick did not end, or the program failed.
@@ -34,15 +44,16 @@ pub enum Interruption {
 }
 
 impl Interruption {
-    /// The interruption for a start with this cause; none after power-up, a requested restart or the reset pin. `failed`: the
-    /// program restarted itself after a failure; `supply_low`: that failure was the falling supply.
+    /// The interruption for a start with this cause; none after a requested restart or the reset pin. `failed`: the program
+    /// restarted itself after a failure; `supply_low`: that failure was the falling supply.
     pub fn of(cause: ResetCause, failed: bool, supply_low: bool) -> Option<Self> {
         match cause {
+            ResetCause::PowerOn => Some(Self::PowerCut),
             ResetCause::BrownOut => Some(Self::Supply),
             ResetCause::Software if failed && supply_low => Some(Self::Supply),
             ResetCause::Software if failed => Some(Self::Program),
             ResetCause::Watchdog => Some(Self::Program),
-            ResetCause::PowerOn | ResetCause::Pin | ResetCause::Software | ResetCause::Other => None,
+            ResetCause::Pin | ResetCause::Software | ResetCause::Other => None,
         }
     }
 }
@@ -108,16 +119,50 @@ pub struct PrescriptionMemory {
     copies: [Copy; 2],
     /// Times resumed without a completed breath since, and the complement of that number.
     resumes: Word,
+    /// When the device last ventilated.
+    notes: Notes,
 }
+
+/// Place, sequence number and settings of a valid copy.
+type Found = (usize, u32, Settings);
 
 impl PrescriptionMemory {
     /// Memory filled with zeros.
     pub const fn new() -> Self {
-        Self { copies: [const { Copy::new() }; 2], resumes: Word::new() }
+        Self { copies: [const { Copy::new() }; 2], resumes: Word::new(), notes: Notes::new() }
     }
 
-    /// The later of the valid copies: its place, sequence number and settings.
-    fn newest(&self) -> Option<(usize, u32, Settings)> {
+    /// Notes the time at which the device ventilates. Call it about once a second while it does, and only then.
+    pub fn ventilates_at(&self, now: ClockTime) {
+        self.notes.write(now);
+    }
+
+    /// The copy with which ventilation is to resume, `away_s` seconds after the last breath, if that is known; none if no
+    /// ventilation was interrupted.
+    ///
+    /// # Errors
+    /// Why an interrupted ventilation does not resume.
+    fn due(
+        &self,
+        interruption: Option<Interruption>,
+        away_s: Option<u32>,
+    ) -> Result<Option<Found>, ChipEvent> {
+        let Some(interruption) = interruption else { return Ok(None) };
+        let Some(found) = self.newest() else {
+            // The end of ventilation clears every magic word, and other content of the memory has none.
+            let damaged = self.copies.iter().any(|copy| copy.magic.load() == MAGIC);
+            return if damaged { Err(ChipEvent::PrescriptionDamaged) } else { Ok(None) };
+        };
+        match (interruption, away_s) {
+            (_, Some(LONGER_ABSENCE_S..)) => Err(ChipEvent::AbsentTooLong),
+            (Interruption::PowerCut, None) => Err(ChipEvent::AbsenceUnknown),
+            (Interruption::Program, _) if self.resumes() >= RESUMES => Err(ChipEvent::ResumedTooOften),
+            _ => Ok(Some(found)),
+        }
+    }
+
+    /// The later of the valid copies.
+    fn newest(&self) -> Option<Found> {
         let [first, second] = self.copies.each_ref().map(Copy::read);
         match (first, second) {
             (Some((before, _)), Some((after, settings))) if after.wrapping_sub(before) as i32 > 0 => {
@@ -152,6 +197,10 @@ pub struct Prescription<'a> {
     memory: &'a PrescriptionMemory,
     /// Settings with which ventilation is to resume.
     due: Option<Settings>,
+    /// Why an interrupted ventilation does not resume.
+    refused: Option<ChipEvent>,
+    /// Time that the resumption may still wait for a sound supply, us.
+    patience_us: u32,
     /// Whether a failure of the program interrupted it.
     failed: bool,
     /// Settings in the newest copy.
@@ -162,19 +211,36 @@ pub struct Prescription<'a> {
 }
 
 impl<'a> Prescription<'a> {
-    /// Attaches to memory with any content, as its first user since the device started.
-    pub fn attach(memory: &'a PrescriptionMemory, interruption: Option<Interruption>) -> Self {
-        let failed = interruption == Some(Interruption::Program);
-        let found = memory.newest().filter(|_| interruption.is_some());
-        let found = found.filter(|_| !failed || memory.resumes() < RESUMES);
+    /// Attaches to memory with any content, as its first user since the device started. `now`: the time of a clock that has
+    /// run since the last note, if there is one.
+    pub fn attach(
+        memory: &'a PrescriptionMemory,
+        interruption: Option<Interruption>,
+        now: Option<ClockTime>,
+    ) -> Self {
+        let away_s = memory.notes.absence_s(now);
+        let found = memory.due(interruption, away_s);
+        let (refused, found) = (found.err(), found.ok().flatten());
         let (place, sequence) =
             found.map_or((0, 0), |(place, sequence, _)| (1 - place, sequence.wrapping_add(1)));
         let due = found.map(|(_, _, settings)| settings);
-        let mut prescription = Self { memory, due, failed, kept: due, place, sequence };
+        let failed = interruption == Some(Interruption::Program);
+        let patience_us = LONGEST_ABSENCE_S.saturating_sub(away_s.unwrap_or(0)) * 1_000_000;
+        let mut prescription = Self { memory, due, refused, patience_us, failed, kept: due, place, sequence };
         if due.is_none() {
             prescription.clear();
         }
         prescription
+    }
+
+    /// Why the ventilation that the reset has interrupted does not resume; none if it does or if there was none.
+    pub fn refused(&self) -> Option<ChipEvent> {
+        self.refused
+    }
+
+    /// Whether the reset has interrupted a ventilation.
+    pub fn is_interrupted(&self) -> bool {
+        self.due.is_some() || self.refused.is_some()
     }
 
     /// Whether ventilation is to resume.
@@ -182,15 +248,26 @@ impl<'a> Prescription<'a> {
         self.due.is_some()
     }
 
-    /// Resumes ventilation if it is due; the caller waits with that until the supply is sound.
+    /// Resumes ventilation if it is due and the supply is sound; call it in every tick in which it is due. Returns the reason
+    /// once the supply has stayed low for too long.
     #[cold]
-    pub fn resume(&mut self, control: &mut Control) {
-        let Some(settings) = self.due.take() else { return };
+    pub fn resume(&mut self, control: &mut Control, supply_is_sound: bool) -> Option<ChipEvent> {
+        let settings = self.due?;
+        if !supply_is_sound {
+            let Some(left) = self.patience_us.checked_sub(control.period_us()) else {
+                self.clear();
+                return Some(ChipEvent::AbsentTooLong);
+            };
+            self.patience_us = left;
+            return None;
+        }
+        self.due = None;
         if self.failed {
             self.memory.set_resumes(self.memory.resumes().saturating_add(1));
         }
         // Validated settings are refused by no control period of this device; if they are, it stays in standby.
         let _ = control.resume(&settings);
+        None
     }
 
     /// Takes note of a request before it is executed: who stops the device while it waits to resume ends that too.
@@ -200,12 +277,14 @@ impl<'a> Prescription<'a> {
         }
     }
 
-    /// Keeps the settings of the breath that starts in a tick, and clears them in the first tick after ventilation. Call it in
-    /// every tick before a request is executed, so that a stop is kept before any restart.
+    /// Keeps the settings of a breath in its second tick, since the first takes longest of all, and clears them in the first tick
+    /// after ventilation. Call it in every tick before a request is executed, so that a stop is kept before any restart.
     #[inline]
     pub fn keep(&mut self, control: &Control, output: &Output) {
         match &output.sample {
-            Some(sample) if sample.tick == 0 => self.breath_starts(control, sample.breath),
+            // Who starts it does not wait for it to resume.
+            Some(sample) if sample.tick == 0 => self.due = None,
+            Some(sample) if sample.tick == 1 => self.breath_has_begun(control, sample.breath),
             None if self.kept.is_some() && (self.due.is_none() || output.mode != Mode::Standby) => {
                 self.clear();
             }
@@ -213,11 +292,13 @@ impl<'a> Prescription<'a> {
         }
     }
 
-    fn breath_starts(&mut self, control: &Control, number: u32) {
-        // Who starts it does not wait for it to resume.
-        self.due = None;
+    fn breath_has_begun(&mut self, control: &Control, number: u32) {
         if number == 1 {
             self.memory.set_resumes(0);
+        }
+        if self.kept.is_none() {
+            // A note that the link task has begun before the end of an earlier ventilation.
+            self.memory.notes.clear();
         }
         let settings = control.prescription();
         if let Some(settings) = settings.filter(|_| settings != self.kept) {
@@ -234,262 +315,9 @@ impl<'a> Prescription<'a> {
         self.memory.copies[self.place % 2].clear();
         self.memory.copies[1 - self.place % 2].clear();
         self.memory.set_resumes(0);
+        self.memory.notes.clear();
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
-    use crate::link::messages::DeviceKind;
-    use crate::recorder::cell::fuse;
-    use crate::safety::ladder::Level;
-    use crate::safety::monitors::Monitors;
-    use proptest::prelude::*;
-
-    const BREATH: usize = 3000;
-
-    fn device() -> Control {
-        Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, 168_000_000)
-            .unwrap()
-            .with_monitors(Monitors::ANY_PLANT)
-    }
-
-    /// A run of a device from its start.
-    struct Run<'a> {
-        control: Control,
-        prescription: Prescription<'a>,
-    }
-
-    impl<'a> Run<'a> {
-        fn start(memory: &'a PrescriptionMemory, interruption: Option<Interruption>) -> Self {
-            let (mut control, mut prescription) = (device(), Prescription::attach(memory, interruption));
-            prescription.resume(&mut control);
-            Self { control, prescription }
-        }
-
-        fn ticks(&mut self, count: usize) {
-            for _ in 0..count {
-                let output = self.control.step(5.0);
-                self.prescription.keep(&self.control, &output);
-            }
-        }
-
-        fn ask(&mut self, request: ControlRequest) {
-            self.prescription.requested(&request);
-            self.control.execute(&request);
-        }
-
-        /// Ventilates with these settings for a number of breaths.
-        fn ventilate(&mut self, settings: &Settings, breaths: usize) {
-            self.ask(ControlRequest::Apply(*settings));
-            self.ask(ControlRequest::Start);
-            self.ticks(breaths * BREATH);
-        }
-    }
-
-    /// The settings with which the next start resumes.
-    fn resumed(memory: &PrescriptionMemory, interruption: Option<Interruption>) -> Option<Settings> {
-        let mut run = Run::start(memory, interruption);
-        run.ticks(1);
-        run.control.prescription()
-    }
-
-    const HANG: Option<Interruption> = Some(Interruption::Program);
-    const DIP: Option<Interruption> = Some(Interruption::Supply);
-
-    #[test]
-    fn only_unrequested_resets_by_program_or_supply_interrupt() {
-        let of = Interruption::of;
-        assert_eq!(of(ResetCause::Watchdog, false, false), HANG);
-        assert_eq!(of(ResetCause::Software, true, false), HANG);
-        assert_eq!(of(ResetCause::Software, true, true), DIP);
-        assert_eq!(of(ResetCause::BrownOut, false, false), DIP);
-        for requested in [ResetCause::PowerOn, ResetCause::Pin, ResetCause::Software, ResetCause::Other] {
-            assert_eq!(of(requested, false, false), None, "{requested:?}");
-        }
-    }
-
-    #[test]
-    fn an_interrupted_ventilation_resumes_with_its_settings_and_the_pid() {
-        let memory = PrescriptionMemory::new();
-        Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
-        let mut run = Run::start(&memory, HANG);
-        run.ticks(1);
-        assert_eq!(run.control.prescription(), Some(paper_settings(25.0)));
-        assert_eq!(run.control.state().level(), Level::Pid);
-        drop(run);
-        assert_eq!(resumed(&memory, DIP), Some(paper_settings(25.0)));
-    }
-
-    #[test]
-    fn the_settings_in_force_are_kept_not_those_that_wait() {
-        let memory = PrescriptionMemory::new();
-        let mut run = Run::start(&memory, None);
-        run.ventilate(&paper_settings(15.0), 1);
-        run.ticks(10);
-        run.ask(ControlRequest::Apply(paper_settings(30.0)));
-        run.ticks(10);
-        assert_eq!(resumed(&memory, HANG), Some(paper_settings(15.0)));
-        run.ticks(BREATH);
-        assert_eq!(resumed(&memory, HANG), Some(paper_settings(30.0)));
-    }
-
-    #[test]
-    fn after_a_stop_a_fault_or_a_requested_restart_nothing_resumes() {
-        let memory = PrescriptionMemory::new();
-        let mut run = Run::start(&memory, None);
-        run.ventilate(&paper_settings(15.0), 1);
-        run.ask(ControlRequest::Stop);
-        run.ticks(1);
-        assert_eq!(resumed(&memory, HANG), None);
-        let mut run = Run::start(&memory, None);
-        run.ventilate(&paper_settings(15.0), 1);
-        for _ in 0..1000 {
-            let output = run.control.step(70.0);
-            run.prescription.keep(&run.control, &output);
-        }
-        assert!(matches!(run.control.mode(), Mode::Fault(_)));
-        assert_eq!(resumed(&memory, HANG), None);
-        Run::start(&memory, None).ventilate(&paper_settings(15.0), 1);
-        assert_eq!(resumed(&memory, None), None, "a requested restart");
-        assert_eq!(resumed(&memory, HANG), None, "which has cleared it");
-    }
-
-    /// Whichever copy was written last, and wherever a reset interrupts the clearing.
-    #[test]
-    fn a_stop_leaves_none_of_the_copies_and_a_reset_meanwhile_never_the_older_one() {
-        for (written, stores) in (1..=4).flat_map(|written| (0..=2).map(move |stores| (written, stores))) {
-            let memory = PrescriptionMemory::new();
-            let mut run = Run::start(&memory, None);
-            (0..written).for_each(|n| run.ventilate(&paper_settings(10.0 + n as f32), 1));
-            let last = memory.newest().map(|(_, _, settings)| settings);
-            fuse::set(stores);
-            run.ask(ControlRequest::Stop);
-            run.ticks(1);
-            fuse::set(usize::MAX);
-            let found = memory.newest().map(|(_, _, settings)| settings);
-            assert_eq!(found, last.filter(|_| stores < 2), "{written} written, {stores} cleared");
-        }
-    }
-
-    #[test]
-    fn the_sequence_number_wraps() {
-        let memory = PrescriptionMemory::new();
-        memory.copies[1].write(u32::MAX, &paper_settings(15.0));
-        let mut run = Run::start(&memory, DIP);
-        run.ticks(1);
-        run.ventilate(&paper_settings(30.0), 1);
-        assert_eq!(memory.newest().map(|(place, sequence, _)| (place, sequence)), Some((0, 0)));
-        assert_eq!(resumed(&memory, DIP), Some(paper_settings(30.0)));
-    }
-
-    #[test]
-    fn a_program_that_fails_before_each_breath_ends_in_standby() {
-        let memory = PrescriptionMemory::new();
-        Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
-        for time in 0..RESUMES {
-            assert!(resumed(&memory, HANG).is_some(), "time {time}");
-        }
-        assert_eq!(resumed(&memory, HANG), None);
-        Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
-        for _ in 0..3 * RESUMES {
-            assert!(resumed(&memory, DIP).is_some(), "a supply that flickers is no failure of the program");
-        }
-        for _ in 0..3 * RESUMES {
-            let mut run = Run::start(&memory, HANG);
-            run.ticks(BREATH + 1);
-            assert!(run.control.prescription().is_some(), "breaths are completed");
-        }
-    }
-
-    #[test]
-    fn who_stops_or_starts_a_waiting_device_decides() {
-        let memory = PrescriptionMemory::new();
-        Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
-        let waiting = || Run { control: device(), prescription: Prescription::attach(&memory, DIP) };
-        let mut run = waiting();
-        run.ticks(100);
-        assert!(run.prescription.is_due(), "it waits");
-        assert!(waiting().prescription.is_due(), "a reset meanwhile changes nothing");
-        run.ask(ControlRequest::Status);
-        assert!(run.prescription.is_due() && memory.newest().is_some(), "nor does a question");
-        run.ventilate(&paper_settings(10.0), 1);
-        assert!(!run.prescription.is_due());
-        assert_eq!(resumed(&memory, DIP), Some(paper_settings(10.0)));
-        let mut run = waiting();
-        run.ask(ControlRequest::Stop);
-        run.ticks(1);
-        assert!(!run.prescription.is_due() && resumed(&memory, DIP).is_none());
-    }
-
-    /// Settings that pass validation.
-    fn settings() -> impl Strategy<Value = Settings> {
-        let drawn = (7.0f32..40.0, 0.0f32..5.0, 4.0f32..30.0, 0.2f32..1.0, 45.0f32..70.0);
-        drawn.prop_map(|(pip, peep, rate, inspiratory_time, pressure_limit)| Settings {
-            pip,
-            peep,
-            rate,
-            inspiratory_time,
-            pressure_limit,
-            ..Settings::default()
-        })
-    }
-
-    proptest! {
-        #[test]
-        fn settings_survive_their_encoding(settings in settings()) {
-            let copy = Copy::new();
-            copy.write(7, &settings);
-            prop_assert_eq!(copy.read(), Some((7, settings)));
-        }
-
-        #[test]
-        fn any_flipped_bit_of_a_copy_is_found(settings in settings(), bit in 0usize..32 * (COUNT + 3)) {
-            let copy = Copy::new();
-            copy.write(7, &settings);
-            let cells: std::vec::Vec<&Word> =
-                [&copy.magic, &copy.sequence].into_iter().chain(&copy.settings).chain([&copy.checksum]).collect();
-            let cell = cells[bit / 32];
-            cell.store(cell.load() ^ 1 << (bit % 32));
-            prop_assert_eq!(copy.read(), None);
-        }
-
-        #[test]
-        fn memory_with_any_content_resumes_nothing_invalid(words in prop::array::uniform(any::<u32>()), sequence: u32) {
-            let memory = PrescriptionMemory::new();
-            memory.copies[0].settings.iter().zip(words).for_each(|(cell, word)| cell.store(word));
-            memory.copies[0].sequence.store(sequence);
-            memory.copies[0].checksum.store(checksum(sequence, &words));
-            memory.copies[0].magic.store(MAGIC);
-            let found = resumed(&memory, HANG);
-            prop_assert_eq!(found.is_some(), Settings::from_values(words.map(f32::from_bits)).validate().is_ok());
-        }
-
-        /// A reset at any store leaves the settings before or after it, and never others or none.
-        #[test]
-        fn a_reset_at_any_store_leaves_old_or_new_settings(
-            list in prop::collection::vec(settings(), 2..6), stores in 0usize..14,
-        ) {
-            let memory = PrescriptionMemory::new();
-            let mut prescription = Prescription::attach(&memory, None);
-            let mut control = device();
-            let mut start = |settings: &Settings, prescription: &mut Prescription| {
-                control = device();
-                control.execute(&ControlRequest::Apply(*settings));
-                control.execute(&ControlRequest::Start);
-                let output = control.step(5.0);
-                prescription.keep(&control, &output);
-            };
-            let (last, before) = list.split_last().unwrap();
-            for settings in before {
-                start(settings, &mut prescription);
-            }
-            fuse::set(stores);
-            start(last, &mut prescription);
-            fuse::set(usize::MAX);
-            let found = memory.newest().map(|(_, _, settings)| settings);
-            prop_assert!(found == Some(*last) || found == before.last().copied(), "{:?}", found);
-        }
-    }
-}
+mod tests;

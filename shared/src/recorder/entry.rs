@@ -144,6 +144,14 @@ pub enum ChipEvent {
     BrownOutLevelWrong,
     /// The recorder's memory had lost its content; its newest copy in flash was read back.
     RecorderRestored,
+    /// An interrupted ventilation was not resumed: the interruption was too long.
+    AbsentTooLong,
+    /// An interrupted ventilation was not resumed: no clock tells how long the supply was away.
+    AbsenceUnknown,
+    /// An interrupted ventilation was not resumed: its settings are damaged.
+    PrescriptionDamaged,
+    /// An interrupted ventilation was not resumed: the program failed in each of several resumptions.
+    ResumedTooOften,
 }
 
 /// An event of the log.

@@ -532,6 +532,7 @@ fn every_happening_comes_back() {
         Happening::Chip(ChipEvent::NoCrystal),
         Happening::Chip(ChipEvent::BrownOutLevelWrong),
         Happening::Chip(ChipEvent::RecorderRestored),
+        Happening::Chip(ChipEvent::ResumedTooOften),
     ];
     for happening in all {
         let entry = LogEntry { tick: 1 << 31, boot: 65_535, happening };

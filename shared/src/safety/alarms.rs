@@ -351,7 +351,7 @@ pub const ALARMS: [Alarm; 30] = [
         "restarted",
         (High, Action::Pid),
         [
-            "a reset by the watchdog or a supply dip, or any reset during ventilation; see SAFETY.md for when it resumes",
+            "a reset by the watchdog or a supply dip, or any reset or power cut during ventilation; see SAFETY.md for when it resumes",
             "an operator acknowledges",
             "device restarted by itself",
         ],

@@ -7,6 +7,7 @@ mod alarms;
 mod control;
 mod failures;
 mod link;
+mod power;
 mod recovery;
 mod self_test;
 mod weights;

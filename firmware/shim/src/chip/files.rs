@@ -1,5 +1,6 @@
 //! Access to files of the host: the slots, and the pipes to and from the plant.
 
+use shim::backup::{self, Domain};
 use shim::bus::Outside;
 use shim::flash::{ERASED, Operation, SLOTS, SLOTS_BYTES};
 use shim::plant_port::Line;
@@ -26,9 +27,26 @@ pub fn open(record: &mut Record) {
         record.files.flash = file;
         let present = semihosting::length(file).min(SLOTS_BYTES);
         erase(file, present, SLOTS_BYTES - present);
+        open_backup(record);
         open_plant(record);
     }
     load(record.files.flash, 0, SLOTS_BYTES);
+}
+
+/// Opens the file with the backup domain, and loads it; a new one contains a domain whose cell was just inserted.
+fn open_backup(record: &mut Record) {
+    let name = shim::BACKUP_FILE;
+    let file = semihosting::open(name, UPDATE).or_else(|| semihosting::open(name, CREATE));
+    let Some(file) = file else { semihosting::fail(c"shim: cannot open or create backup.bin\n") };
+    record.files.backup = file;
+    if semihosting::length(file) == backup::BYTES as u32 {
+        // SAFETY: nothing else uses the domain yet, and any content of it is valid.
+        unsafe { semihosting::read_to(file, backup::ADDRESS, backup::BYTES as u32) };
+    } else {
+        // SAFETY: as above.
+        unsafe { super::domain() }.renew();
+        (0..backup::WORDS).for_each(|place| Files(record.files).keep(place));
+    }
 }
 
 /// Opens the pipes to the plant, if they exist, and reports the shim's start to the host.
@@ -133,6 +151,17 @@ impl Outside for Files {
                 load(file, word - SLOTS, 4);
             }
         }
+    }
+
+    fn domain(&mut self) -> &mut Domain {
+        // SAFETY: only the hard fault, the system tick and, before them, the start use it, and none of them while another does.
+        unsafe { super::domain() }
+    }
+
+    fn keep(&mut self, place: usize) {
+        semihosting::seek(self.0.backup, 4 * place as u32);
+        let word = self.domain().words()[place % backup::WORDS];
+        write(self.0.backup, &word.to_le_bytes());
     }
 
     fn cut_power(&mut self) {

@@ -14,6 +14,7 @@ use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use core::ptr::addr_of_mut;
 
+use shim::backup::Domain;
 use shim::bus::{Chip, REGIONS};
 use shim::record::Record;
 
@@ -35,6 +36,8 @@ static mut FIRMWARE_SYSTEM_TICK: u32 = 0;
 static mut CHIP: Chip = Chip::new(0);
 #[unsafe(link_section = ".record")]
 static mut RECORD: MaybeUninit<Record> = MaybeUninit::uninit();
+#[unsafe(link_section = ".backup")]
+static mut BACKUP: MaybeUninit<Domain> = MaybeUninit::uninit();
 
 /// The modelled parts.
 ///
@@ -52,6 +55,15 @@ unsafe fn chip() -> &'static mut Chip {
 unsafe fn record() -> &'static mut Record {
     // SAFETY: by contract there is no other reference, and the record consists of words, which are valid with any content.
     unsafe { (*addr_of_mut!(RECORD)).assume_init_mut() }
+}
+
+/// The part of the chip that the cell supplies. Before [`files::open`] it has any content; all bit patterns are valid.
+///
+/// # Safety
+/// As for [`chip`].
+unsafe fn domain() -> &'static mut Domain {
+    // SAFETY: by contract there is no other reference, and the domain consists of words, which are valid with any content.
+    unsafe { (*addr_of_mut!(BACKUP)).assume_init_mut() }
 }
 
 /// Entry after every reset. It does not use the firmware's stack.

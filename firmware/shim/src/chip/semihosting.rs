@@ -31,7 +31,7 @@ pub fn open(name: &CStr, mode: usize) -> Option<u32> {
 pub fn write(file: u32, bytes: &[u8]) {
     let left = call(nr::WRITE, [file, bytes.as_ptr() as u32, bytes.len() as u32]);
     if left != 0 {
-        fail(c"shim: cannot write to flash.bin or the plant's pipe\n");
+        fail(c"shim: cannot write to flash.bin, backup.bin or the plant's pipe\n");
     }
 }
 

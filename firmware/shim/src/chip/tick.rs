@@ -5,6 +5,7 @@
 
 use core::arch::naked_asm;
 
+use super::files::Files;
 use super::{FIRMWARE_SYSTEM_TICK, registers};
 
 #[unsafe(naked)]
@@ -32,6 +33,7 @@ extern "C" fn look() {
     if interrupts.supply {
         registers::raise_supply();
     }
+    chip.run_clock(record, &mut Files(record.files));
     let watchdog = &mut chip.iwdg;
     if watchdog.expired(registers::now()) {
         record.expire();

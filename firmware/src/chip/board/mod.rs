@@ -25,7 +25,7 @@ pub use selected::{CORE_CLOCK, Expiratory, Inspiratory};
 use super::drivers::alarm_outputs::AlarmOutputs;
 use super::drivers::flash::{BoardFlash, accelerate};
 use super::drivers::watchdog::Watchdog;
-use super::drivers::{oscillator, taken_once};
+use super::drivers::{backup, oscillator, taken_once};
 
 #[cfg(not(feature = "hil"))]
 pub use super::drivers::bedside::Bedside as SelectedPlant;
@@ -112,6 +112,7 @@ fn start_clocks(crystal: Hse) -> (Peripherals, bool) {
     config.rcc.ahb_pre = AHBPrescaler::DIV1;
     config.rcc.apb1_pre = APBPrescaler::DIV4;
     config.rcc.apb2_pre = APBPrescaler::DIV2;
+    config.rcc.ls = backup::present_configuration();
     let chip = embassy_stm32::init(config);
     accelerate();
     if runs {

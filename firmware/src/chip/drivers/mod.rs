@@ -3,6 +3,7 @@
 #[cfg(not(feature = "hil"))]
 pub mod adc;
 pub mod alarm_outputs;
+pub mod backup;
 #[cfg(not(feature = "hil"))]
 pub mod bedside;
 pub mod clock;

@@ -86,6 +86,12 @@ fn chip(event: ChipEvent) -> &'static str {
             "the brown-out level is wrong: program the option bytes (docs/HARDWARE.md)"
         }
         ChipEvent::RecorderRestored => "the flight recorder was restored from its copy in flash",
+        ChipEvent::AbsentTooLong => "ventilation was not resumed: interrupted for more than 15 minutes",
+        ChipEvent::AbsenceUnknown => {
+            "ventilation was not resumed: no clock tells how long the supply was away"
+        }
+        ChipEvent::PrescriptionDamaged => "ventilation was not resumed: the kept settings are damaged",
+        ChipEvent::ResumedTooOften => "ventilation was not resumed: the program fails again and again",
     }
 }
 
