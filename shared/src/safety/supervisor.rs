@@ -240,12 +240,12 @@ impl Supervisor {
         breath: &Breath,
         tick: u32,
     ) {
-        if tick == 0 {
-            self.start_breath(state, pressure, breath.settings());
-        }
-        if tick == 1 {
-            // The first tick has enough to do.
-            self.check_volumes(state, breath.settings());
+        // The first tick has enough to do.
+        match tick {
+            0 => self.start_breath(state, pressure, breath.settings()),
+            1 => self.learn_leak(state, breath.settings()),
+            2 => self.check_volumes(state, breath.settings()),
+            _ => {}
         }
         let leak = state.expiration.leak();
         state.volumes.add(readings.flow, pressure.unwrap_or(f32::NAN), leak, breath.period_s());
@@ -267,6 +267,14 @@ impl Supervisor {
         self.source.record(&mut state.source, breath, tick, self.breath.end_of_phase(), readings);
         if tick + 1 == breath.total_ticks() {
             self.compare_sensors(state, breath, false);
+        }
+    }
+
+    /// Learns the leak from the last breath.
+    fn learn_leak(&self, state: &mut SupervisorState, settings: &Settings) {
+        let Some(loss) = state.volumes.loss().filter(|_| !state.breath.is_disconnected()) else { return };
+        if self.expiration.learn_leak(&mut state.expiration, settings.peep, loss) {
+            state.volume.leak_changed();
         }
     }
 
@@ -390,11 +398,6 @@ impl Supervisor {
         state.backup.start_breath();
         state.volumes.start_breath();
         let expired = state.volumes.expired_share();
-        if let Some(loss) = state.volumes.loss().filter(|_| !state.breath.is_disconnected())
-            && self.expiration.learn_leak(&mut state.expiration, settings.peep, loss)
-        {
-            state.volume.leak_changed();
-        }
         if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {
             self.found(state, fault);
         }

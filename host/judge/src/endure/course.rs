@@ -30,7 +30,7 @@ const RESTARTED_AFTER: u32 = 10_000;
 /// Longest gap without a delivered breath that is no interruption, s.
 const APNOEA: f64 = 20.0;
 /// Tick of a breath in which the device has judged the last one.
-const CHECKED_AT: u32 = 1;
+const CHECKED_AT: u32 = 2;
 /// Breaths of the passive patient per setting: to settle, and in all.
 const SOUND_BREATHS: (f64, f64) = (4.0, 14.0);
 
