@@ -4,6 +4,7 @@
 pub mod balloon;
 pub mod baselines;
 pub mod bound;
+pub mod breathing;
 pub mod endure;
 pub mod evaluate;
 pub mod faults;

@@ -10,8 +10,10 @@ use super::bars::with_bars;
 use super::common::{benches, stopped};
 use super::output::OutputArgs;
 use super::settings_args::SettingsArgs;
-use judge::bound::{Bound, BoundConfig, bounds};
+use judge::bound::{Bound, BoundConfig, bounds, triggering};
+use judge::breathing::STRENGTHS;
 use judge::evaluate::Plan;
+use plant::bench::BenchConfig;
 use show::report::{Cell, Table};
 
 /// Compute a reference bound: commands optimised by search on a fully known lung
@@ -22,11 +24,13 @@ Examples:
   trainer bound --lung R5C50 --lung R50C10 --pips 15,35
   trainer bound --lung paper --json bound.json
   trainer bound --lung R20C20 --trace --json - | jq '.lungs[0].waveforms[0].trace.u_in'
+  trainer bound --lung paper --breathing
 
 The search knows every parameter of the bench, has no sensor noise and may repeat a breath as often
 as it needs. It is a search, not a proof: better commands may exist. Check with --effort 2; where
 this was tried, scores improved by less than 1 %. Scores are those of `trainer evaluate`: errors of
-the true airway pressure. Ctrl-C ends the search and prints the waveforms completed so far.")]
+the true airway pressure. With --breathing, the search knows each effort in advance, as no
+controller can. Ctrl-C ends the search and prints the waveforms completed so far.")]
 pub struct Args {
     /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
     #[arg(long, value_name = "NAME", default_value = "R20C20")]
@@ -45,6 +49,12 @@ pub struct Args {
     /// Factor on the length of the search; if 2 gives the same result, 1 was enough
     #[arg(long, value_name = "N", default_value_t = BoundConfig::default().effort, value_parser = clap::value_parser!(u32).range(1..=100))]
     effort: u32,
+    /// Add triggered breaths: each lung also with efforts of 3, 6 and 10 cmH2O that start every breath
+    #[arg(long)]
+    breathing: bool,
+    /// Time from the beginning of an effort to the breath that it triggers, ms
+    #[arg(long, value_name = "MS", default_value_t = BoundConfig::default().trigger_delay_ms, value_parser = clap::value_parser!(u32).range(..=1000))]
+    trigger_delay_ms: u32,
     /// Include pressure, target and command of every waveform in the JSON
     #[arg(long)]
     trace: bool,
@@ -65,14 +75,22 @@ struct Summary<'a> {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let benches = benches(&args.lung, &args.bench)?;
-    let search = BoundConfig { seed: args.seed, effort: args.effort, trace: args.trace };
+    let search = BoundConfig {
+        seed: args.seed,
+        effort: args.effort,
+        trigger_delay_ms: args.trigger_delay_ms,
+        trace: args.trace,
+    };
     let plan = Plan {
         period_us: args.period_us,
         pips: args.pips.clone(),
         settings: args.settings.checked(&args.pips)?,
         ..Plan::default()
     };
+    let mut benches = benches(&args.lung, &args.bench)?;
+    if args.breathing {
+        benches = breathing(&benches, &plan)?;
+    }
     let lungs = with_bars(|progress| bounds(&benches, &plan, &search, progress))?;
     if lungs.iter().all(|lung| lung.waveforms.is_empty()) {
         bail!("stopped before the first waveform was complete");
@@ -83,6 +101,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let complete = lungs.iter().all(|lung| lung.complete);
     args.output.finish(&Summary { search: &search, period_us: args.period_us, lungs: &lungs, complete })
+}
+
+/// Each bench, followed by its patients who trigger every breath.
+fn breathing(benches: &[BenchConfig], plan: &Plan) -> anyhow::Result<Vec<BenchConfig>> {
+    let mut all = Vec::new();
+    for bench in benches {
+        all.push(bench.clone());
+        for strength in STRENGTHS {
+            all.push(triggering(bench, strength, &plan.settings, plan.period_us)?);
+        }
+    }
+    Ok(all)
 }
 
 fn table(pips: &[f32], lungs: &[Bound]) -> Table {

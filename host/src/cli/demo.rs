@@ -12,6 +12,7 @@ use super::output::OutputArgs;
 #[cfg(unix)]
 use super::qemu::ImageArgs;
 use judge::baselines::Search;
+use learn::controller::TrainConfig;
 use learn::pipeline::PipelineConfig;
 use study::demo::{DemoConfig, Venue, run as run_demo};
 
@@ -23,6 +24,7 @@ Examples:
   trainer demo --seed 2 --out out/seed-2
   trainer demo --lung R50C10 --rounds 4 --out out/stiff
   trainer demo --period-us 30000 --out out/paper
+  trainer demo --breathing --out out/breathing
   trainer demo --board qemu --out out/board
 
 With --board qemu the real firmware in QEMU records and compares the breaths, and the weights are
@@ -41,6 +43,9 @@ pub struct Args {
     /// Number of rounds of collect, fit and train
     #[arg(long, value_name = "N", default_value_t = PipelineConfig::default().rounds)]
     rounds: usize,
+    /// Train on breathing patients too: efforts pull on the simulated pressure in two of five breaths
+    #[arg(long)]
+    breathing: bool,
     /// Control period, microseconds
     #[arg(long, value_name = "US", default_value_t = DEFAULT_PERIOD_US)]
     period_us: u32,
@@ -66,16 +71,13 @@ enum Board {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let config = DemoConfig {
-        bench: args.bench.one()?,
-        search: Search::default(),
-        pipeline: PipelineConfig {
-            seed: args.seed,
-            rounds: args.rounds,
-            ..PipelineConfig::for_period(args.period_us)
-        },
-        venue: args.venue()?,
-    };
+    let mut pipeline = PipelineConfig::for_period(args.period_us);
+    (pipeline.seed, pipeline.rounds) = (args.seed, args.rounds);
+    if args.breathing {
+        pipeline.train = TrainConfig::breathing();
+    }
+    let config =
+        DemoConfig { bench: args.bench.one()?, search: Search::default(), pipeline, venue: args.venue()? };
     let demo = with_bars(|progress| run_demo(&config, &args.out, progress))?;
 
     let summary = &demo.summary;

@@ -9,6 +9,7 @@ use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
 use super::bars::with_bars;
+use super::breathing::{Summary as BreathingSummary, table as breathing_table};
 use super::common::{self, BenchArgs, stopped};
 use super::comparison::table;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
@@ -17,10 +18,11 @@ use super::plant_args::PlantArgs;
 use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use data::provenance::Provenance;
+use judge::breathing::breathing;
 use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace};
 use plant::bench::BenchConfig;
 use show::report::{Block, Plot, Report, Section, Series, Style};
-use ventilator::PlantSource;
+use ventilator::{PlantSource, SharedLink};
 
 /// Compare controllers on any bench, device or plant, under the same sensor noise
 #[derive(Debug, clap::Args)]
@@ -28,6 +30,7 @@ use ventilator::PlantSource;
 Examples:
   trainer evaluate --gains 2,30,0.01 --lung R5C50
   trainer evaluate --controller controller.safetensors --lung R20C20 --report evaluation.html
+  trainer evaluate --controller controller.safetensors --lung paper --breathing
   trainer evaluate --weights weights.bin --port tcp:localhost:5555
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
@@ -35,7 +38,11 @@ Examples:
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
 from the true airway pressure; with --plant from the true pressure if the plant reports it; with
 --port from the measured pressure. A learned controller is compared with the PID underneath it, or
-with --against. On a device (--port), weights that are not running yet are uploaded first.")]
+with --against. On a device (--port), weights that are not running yet are uploaded first.
+
+With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set rate,
+take the place of the bench's own. Scores are those of breaths without efforts (passive), of breaths
+of these patients that the clock starts (timed) and of those that an effort starts (triggered).")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
@@ -59,6 +66,9 @@ pub struct Args {
     /// Seed of the sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Score breaths that efforts trigger beside those that the clock starts, on breathing patients of the chosen lungs
+    #[arg(long, conflicts_with_all = ["port", "plant", "report"])]
+    breathing: bool,
     /// Write figures and curves to an HTML report
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
@@ -99,18 +109,26 @@ struct Setup {
     plan: Plan,
 }
 
+impl Args {
+    /// The controller and the breaths of its evaluation.
+    fn chosen_and_plan(&self, plant: Option<&SharedLink>) -> anyhow::Result<(Chosen, Plan)> {
+        let chosen = self.controller.chosen(plant)?;
+        let plan = Plan {
+            period_us: chosen.period_us,
+            pips: self.pips.clone(),
+            breaths: self.breaths,
+            settings: self.settings.checked(&self.pips)?,
+            ..Plan::evaluation(self.seed)
+        };
+        Ok((chosen, plan))
+    }
+}
+
 impl Setup {
     fn new(args: &Args) -> anyhow::Result<Self> {
         let plant = args.plant.connect()?;
-        let chosen = args.controller.chosen(plant.as_ref())?;
+        let (chosen, plan) = args.chosen_and_plan(plant.as_ref())?;
         let gains = args.against.unwrap_or(chosen.gains());
-        let plan = Plan {
-            period_us: chosen.period_us,
-            pips: args.pips.clone(),
-            breaths: args.breaths,
-            settings: args.settings.checked(&args.pips)?,
-            ..Plan::evaluation(args.seed)
-        };
         let pressure = match (&args.port.port, &plant) {
             (Some(_), _) => "measured airway pressure",
             (None, Some(_)) => "airway pressure, the true one if the plant reports it",
@@ -139,6 +157,9 @@ impl Setup {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    if args.breathing {
+        return run_breathing(args);
+    }
     let setup = Setup::new(args)?;
     let Setup { ground, pid, plan, .. } = &setup;
     let comparison = with_bars(|progress| compare(ground.as_ref(), pid, setup.learned(), plan, progress))?;
@@ -164,6 +185,35 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         period_us: setup.plan.period_us,
         breaths: setup.plan.breaths,
         comparison,
+    })
+}
+
+/// Triggered and timed breaths of breathing patients.
+fn run_breathing(args: &Args) -> anyhow::Result<()> {
+    let (chosen, plan) = args.chosen_and_plan(None)?;
+    let pid = Controller::Pid(Pid::new(args.against.unwrap_or(chosen.gains()), chosen.period_us)?);
+    let mut controllers = vec![("PID", &pid)];
+    controllers.extend(chosen.weights_id.is_some().then_some(("learned", &chosen.controller)));
+    let (names, controllers): (Vec<_>, Vec<_>) = controllers.into_iter().unzip();
+    let benches = args.bench.benches()?;
+    let breathing = with_bars(|progress| breathing(&benches, &controllers, &plan, progress))?;
+    if breathing.patients.is_empty() {
+        bail!("stopped before the first lung was complete");
+    }
+    let title = format!("{} on breathing patients: errors of the true airway pressure, cmH2O", chosen.name);
+    args.output.table(&breathing_table(&breathing, &names, &title));
+    if stopped() {
+        args.output.line("stopped: only the completed lungs are shown");
+    }
+    args.output.finish(&BreathingSummary {
+        seed: args.seed,
+        controller: chosen.name,
+        weights_id: chosen.weights_id,
+        gains: pid.pid().gains(),
+        period_us: plan.period_us,
+        breaths: plan.breaths,
+        controllers: names,
+        breathing,
     })
 }
 

@@ -6,6 +6,7 @@
 mod bars;
 mod blackbox;
 mod bound;
+mod breathing;
 mod collect;
 mod common;
 mod comparison;

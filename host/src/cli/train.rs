@@ -30,6 +30,7 @@ use ventilator::SharedLink;
 Examples:
   trainer train --out out/train
   trainer train --lung R50C10 --gains 0.5,5 --rounds 4 --out out/stiff
+  trainer train --breathing --gains 7.2,253,0.13 --out out/breathing
   trainer train --plant tcp:localhost:7000 --gains 2,30 --out out/mine
   trainer train --preset paper-30ms --out out/paper
   trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
@@ -39,6 +40,9 @@ Without --simulator the command records on the bench, fits and trains, round aft
 the command trains once; the last of several simulators is held out and judges the controller.
 Ctrl-C stops training; the same command continues where it stopped. With --key, the command also
 writes the signed weights image, DIR/weights.bin.
+
+With --breathing, an effort of up to 12 cmH2O pulls on the simulated pressure in two of five
+inspirations. Most have begun shortly before the breath; the others begin at any time.
 
 --preset paper-30ms follows the paper's authors: a control period of 30 ms, PEEP 5, their
 exploration around their PID, and their simulator with their optimiser. Residual and training remain
@@ -75,9 +79,9 @@ pub struct Args {
     /// Passes over the recording in the first fit [default: 2500, or 500 with paper-30ms]
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
-    /// Gradient steps of each training
-    #[arg(long, value_name = "N", default_value_t = TrainConfig::default().iterations)]
-    iterations: usize,
+    /// Gradient steps of each training [default: 600, or 1200 with --breathing]
+    #[arg(long, value_name = "N")]
+    iterations: Option<usize>,
     /// Inspirations per gradient step
     #[arg(long, value_name = "N", default_value_t = TrainConfig::default().batch)]
     batch: usize,
@@ -100,6 +104,9 @@ pub struct Args {
     /// PIPs of the waveforms in every batch, in addition to random PIPs, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
+    /// Train on breathing patients too: efforts pull on the simulated pressure in two of five breaths
+    #[arg(long)]
+    breathing: bool,
     /// Control period, microseconds [default: 1000, or that of the plant or the simulators]
     #[arg(long, value_name = "US")]
     period_us: Option<u32>,
@@ -199,8 +206,11 @@ impl Args {
         config.collect.pips.clone_from(&self.pips);
         config.collect.settings = settings;
         config.fit.epochs = self.epochs.unwrap_or(config.fit.epochs);
+        if self.breathing {
+            config.train = TrainConfig::breathing();
+        }
         config.train = TrainConfig {
-            iterations: self.iterations,
+            iterations: self.iterations.unwrap_or(config.train.iterations),
             batch: self.batch,
             pips: self.pips.clone(),
             peep: settings.peep,
@@ -307,7 +317,17 @@ mod tests {
         let config = config(&[]).unwrap();
         assert_eq!(config, PipelineConfig::default());
         assert_eq!(gains("3,30,0"), Ok(config.gains));
-        assert_eq!((config.gains, config.fit.epochs), (KNOWN_GOOD, 2500));
+        assert_eq!((config.gains, config.fit.epochs, config.train.iterations), (KNOWN_GOOD, 2500, 600));
+    }
+
+    #[test]
+    fn breathing_patients_train_longer_unless_the_steps_are_typed() {
+        let train = |arguments: &[&str]| config(arguments).unwrap().train;
+        assert_eq!(train(&["--breathing"]), TrainConfig::breathing());
+        assert_eq!((train(&["--breathing"]).iterations, train(&[]).efforts), (1200, None));
+        let typed = train(&["--breathing", "--iterations", "9", "--peep", "7"]);
+        assert_eq!((typed.iterations, typed.peep.to_bits()), (9, 7.0_f32.to_bits()));
+        assert_eq!(typed.efforts, TrainConfig::breathing().efforts);
     }
 
     /// The numbers are those of section 4 of the paper and of the authors' code.

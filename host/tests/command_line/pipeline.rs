@@ -70,6 +70,49 @@ fn a_learned_controller_is_scored_beside_its_pid() {
     assert!(std::fs::read_to_string(place.path("evaluation.html")).unwrap().contains("Inspiratory valve"));
 }
 
+/// A bench with these lines in its table of the patient, written to a file.
+fn bench_of_patient(place: &Place, patient: &str) -> &'static str {
+    std::fs::write(place.path("patient.toml"), format!("name = \"breathing\"\n[patient]\n{patient}"))
+        .unwrap();
+    "patient.toml"
+}
+
+#[test]
+fn breathing_patients_end_with_a_table_and_a_recording() {
+    let place = Place::new();
+    let controller = place.controller();
+    for effort in
+        ["effort_cmh2o = 3.0\neffort_rate_per_min = 21.0", "effort_cmh2o = 12.0", "cough_cmh2o = 30.0"]
+    {
+        let bench = bench_of_patient(&place, effort);
+        let line = format!("--bench {bench} --controller {controller}");
+        let text = place.ok(&format!("evaluate {line} --pips 15,30"));
+        assert!(text.contains("PIP 15") && text.contains("mean"), "{effort}: {text}");
+        let recorded = place.json(&format!("collect {line} --out breaths.parquet --breaths 8 --seed 2"));
+        assert_eq!(recorded["breaths"], 8, "{effort}: {recorded}");
+    }
+}
+
+#[test]
+fn triggered_breaths_are_scored_beside_timed_ones() {
+    let place = Place::new();
+    let controller = place.controller();
+    let line = format!("evaluate --controller {controller} --breathing --pips 20 --breaths 3");
+    let scores = place.json(&line);
+    assert_eq!(scores["controllers"], serde_json::json!(["PID", "learned"]));
+    assert_eq!(scores["patients"].as_array().unwrap().len(), 3);
+    for kind in ["passive", "timed", "triggered"] {
+        let mean = |n: usize| scores["mean"][n][kind].as_f64().unwrap();
+        assert!(mean(0) > 0.3 && (mean(0) - mean(1)).abs() > 1e-6, "{kind}: {scores}");
+    }
+    let table = place.ok(&line);
+    assert!(table.contains("triggered / timed") && table.contains("R20C20"), "{table}");
+    let passive = place.json(&format!("evaluate --controller {controller} --pips 20 --breaths 3"));
+    let difference = passive["mean"]["learned"]["score"].as_f64().unwrap()
+        - scores["mean"][1]["passive"].as_f64().unwrap();
+    assert!(difference.abs() < 1e-9, "{difference}");
+}
+
 #[test]
 fn a_packed_controller_is_the_same_controller() {
     let place = Place::new();

@@ -106,6 +106,11 @@ where
         outcome
     }
 
+    /// Whether an effort of the patient starts the next breath.
+    pub fn triggered(&self) -> bool {
+        self.run.as_ref().is_some_and(|run| run.state.triggered())
+    }
+
     /// Resets the plant with these settings.
     fn start(&mut self, settings: &Settings) -> Result<Run<C::State>, SourceError> {
         let state = self.ventilator.standby(settings)?;

@@ -13,6 +13,14 @@ const PERIODIC_CMH2O: f64 = 1e-4;
 /// Limit on the breaths until the bench counts as periodic; enough for a lung that empties by a tenth per breath.
 const MOST_BREATHS: usize = 100;
 
+/// Largest difference between the lengths of a breath and of the interval between efforts, as a share.
+const PHASE_SLIP: f64 = 1e-9;
+
+/// Length of a breath in whole control periods, s.
+pub(super) fn length_s(breath: &Breath) -> f64 {
+    f64::from(breath.total_ticks()) * f64::from(breath.period_us()) * 1e-6
+}
+
 /// One waveform on one bench.
 #[derive(Clone, Debug)]
 pub(super) struct BenchBreath {
@@ -24,15 +32,30 @@ pub(super) struct BenchBreath {
 }
 
 impl BenchBreath {
-    /// The waveform of `settings` at a control period on a bench at rest.
-    pub(super) fn new(config: &BenchConfig, settings: &Settings, period_us: u32) -> Result<Self, BoundError> {
+    /// The waveform of `settings` at a control period on a bench at rest. Efforts of its patient begin `delay_ms` before
+    /// each inspiration.
+    pub(super) fn new(
+        config: &BenchConfig,
+        settings: &Settings,
+        period_us: u32,
+        delay_ms: u32,
+    ) -> Result<Self, BoundError> {
         let steps_per_tick = steps_per_period(period_us).map_err(SourceError::from)?;
         let breath = Breath::new(settings, period_us).map_err(SourceError::from)?;
         // The search uses no sensor: the seed of their noise is irrelevant, and without the two that can be absent the
         // bench runs 2 % faster.
         let mut config = config.clone();
         (config.outlet_sensor.present, config.flow_sensor.present) = (false, false);
-        let rest = Bench::new(&config, settings.peep, 0).map_err(SourceError::from)?;
+        let mut rest = Bench::new(&config, settings.peep, 0).map_err(SourceError::from)?;
+        if config.patient.effort_cmh2o > 0.0 {
+            let per_breath = config.patient.effort_rate_per_min * length_s(&breath) / 60.0;
+            if (per_breath - 1.0).abs() > PHASE_SLIP {
+                return Err(BoundError::OtherRate { name: config.name, rate: 60.0 / length_s(&breath) });
+            }
+            for _ in 0..delay_ms {
+                rest.step(settings.expiratory_bias, true);
+            }
+        }
         let target = (0..breath.inspiration_ticks()).map(|tick| f64::from(breath.target(tick))).collect();
         Ok(Self { breath, steps_per_tick, rest, target })
     }

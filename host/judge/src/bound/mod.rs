@@ -6,6 +6,9 @@
 //! Gauss-Newton steps on responses measured on the bench, adds nodes where the command bends, then perturbs the best
 //! sequence and descends again. It is a search, not a proof: [`WaveformBound::spread`] is the difference between the
 //! starts' results, and a larger [`BoundConfig::effort`] shows what a longer search would gain.
+//!
+//! A patient who breathes regularly at the set rate triggers each breath, [`BoundConfig::trigger_delay_ms`] after the
+//! beginning of an effort. The search knows this effort in advance, as no controller can.
 
 mod bench_breath;
 mod descent;
@@ -17,11 +20,14 @@ mod tests;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use shared::breath::Breath;
+use shared::settings::{Settings, SettingsError};
 use thiserror::Error;
 
+use crate::breathing::RHYTHMS;
 use crate::evaluate::{Plan, Score};
 use bench_breath::BenchBreath;
-use plant::bench::BenchConfig;
+use plant::bench::{BenchConfig, PatientConfig};
 use progress::{Progress, Stage};
 use search::Found;
 use ventilator::SourceError;
@@ -34,13 +40,15 @@ pub struct BoundConfig {
     pub seed: u64,
     /// Factor on steps and perturbations; doubling it from 1 improves scores by less than 1 %.
     pub effort: u32,
+    /// Time from the beginning of an effort to the breath that it triggers, ms.
+    pub trigger_delay_ms: u32,
     /// Keep pressure, target and command of every waveform.
     pub trace: bool,
 }
 
 impl Default for BoundConfig {
     fn default() -> Self {
-        Self { seed: 1, effort: 1, trace: false }
+        Self { seed: 1, effort: 1, trigger_delay_ms: 30, trace: false }
     }
 }
 
@@ -91,12 +99,43 @@ pub struct Bound {
 pub enum BoundError {
     /// Breaths differ, so no single inspiration represents them.
     #[error(
-        "the patient of bench {0} breathes, coughs or changes, or its leak does, so a bound for one breath does not apply to the next: set effort_cmh2o, cough_cmh2o, change_at_breath and resistance_growth_percent_per_hour to 0, and remove leak_changes"
+        "the patient of bench {0} breathes irregularly, coughs or changes, or its leak does, so a bound for one breath does not apply to the next: set effort_variability_percent, double_efforts_percent, cough_cmh2o, change_at_breath and resistance_growth_percent_per_hour to 0, and remove leak_changes"
     )]
     Patient(String),
+    /// Efforts drift against the breaths.
+    #[error(
+        "the patient of bench {name} must make one effort per breath, so that each triggers one: set effort_rate_per_min to {rate}, or change --rate"
+    )]
+    OtherRate {
+        /// Name of the bench.
+        name: String,
+        /// Breaths per minute.
+        rate: f64,
+    },
     /// The bench, settings or period cannot be run.
     #[error(transparent)]
     Source(#[from] SourceError),
+}
+
+/// The bench with a patient who makes regular efforts of this strength, cmH2O, one for each breath of these settings: as a
+/// bound for triggered breaths needs it.
+///
+/// # Errors
+/// Settings that are refused.
+pub fn triggering(
+    bench: &BenchConfig,
+    strength: f64,
+    settings: &Settings,
+    period_us: u32,
+) -> Result<BenchConfig, SettingsError> {
+    let breath = Breath::new(settings, period_us)?;
+    let patient = PatientConfig {
+        effort_cmh2o: strength,
+        effort_rate_per_min: 60.0 / bench_breath::length_s(&breath),
+        effort_duration_s: RHYTHMS[1].1,
+        ..PatientConfig::default()
+    };
+    Ok(BenchConfig { name: format!("{}, effort {strength}", bench.name), patient, ..bench.clone() })
 }
 
 /// The best score found on each bench for each waveform of the plan. Only the plan's period, settings and PIPs are
@@ -104,7 +143,7 @@ pub enum BoundError {
 /// not depend on the number of threads.
 ///
 /// # Errors
-/// Before any search: a patient who is not passive, a leak that changes, a bench or settings that are refused, or a period that the bench
+/// Before any search: a patient whose breaths differ, a leak that changes, a bench or settings that are refused, or a period that the bench
 /// cannot run.
 pub fn bounds(
     benches: &[BenchConfig],
@@ -118,7 +157,7 @@ pub fn bounds(
             return Err(BoundError::Patient(bench.name.clone()));
         }
         for (number, pip) in plan.pips.iter().enumerate() {
-            jobs.push((bench, number, BenchBreath::new(bench, &plan.waveform(*pip), plan.period_us)?));
+            jobs.push((bench, number, breath(bench, plan, *pip, search)?));
         }
     }
     let task = progress.task(Stage::Bound, jobs.len() * search::stages(search));
@@ -133,10 +172,20 @@ pub fn bounds(
     Ok(benches.iter().zip(found.chunks(per_bench)).map(|(bench, found)| summarize(bench, found)).collect())
 }
 
-/// Whether every breath with the same commands is the same.
+fn breath(
+    bench: &BenchConfig,
+    plan: &Plan,
+    pip: f32,
+    search: &BoundConfig,
+) -> Result<BenchBreath, BoundError> {
+    BenchBreath::new(bench, &plan.waveform(pip), plan.period_us, search.trigger_delay_ms)
+}
+
+/// Whether every breath with the same commands is the same, if it follows the efforts.
 fn repeats(bench: &BenchConfig) -> bool {
     let patient = &bench.patient;
-    let quiet = patient.effort_cmh2o <= 0.0 && patient.cough_cmh2o <= 0.0;
+    let regular = patient.effort_variability_percent <= 0.0 && patient.double_efforts_percent <= 0.0;
+    let quiet = (regular || patient.effort_cmh2o <= 0.0) && patient.cough_cmh2o <= 0.0;
     let steady = patient.change_at_breath == 0 && patient.resistance_growth_percent_per_hour <= 0.0;
     quiet && steady && bench.circuit.leak_changes.is_empty()
 }

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+use shared::breath::{DEFAULT_PERIOD_US, Phase, paper_settings};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 
@@ -11,7 +11,8 @@ use super::descent::Descent;
 use super::shape::CommandShape;
 use super::*;
 use crate::evaluate::{evaluate, trace};
-use plant::bench::{BenchError, LeakChange, PatientConfig, SensorConfig, ValveConfig};
+use plant::bench::{BenchError, LeakChange, SensorConfig, ValveConfig};
+use ventilator::BenchSource;
 
 /// Gains near the best ones at R 20, C 20.
 const GOOD: PidGains = PidGains { p: 7.2, i: 253.0, d: 0.133 };
@@ -52,7 +53,7 @@ fn a_sequence_is_scored_as_an_evaluation_scores_it() {
     let breaths = trace(&bench, &pid(gains), &settings, DEFAULT_PERIOD_US, 1, 9).unwrap();
     let last = breaths.u_in.len() - 3000;
     let commands: Vec<f32> = breaths.u_in[last..last + 1000].iter().map(|u| *u as f32).collect();
-    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US).unwrap();
+    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US, 0).unwrap();
     let scored = breath.score(&breath.inspire(&breath.periodic(&commands), &commands));
     assert!((scored.score - evaluated.score).abs() < 1e-3, "{scored:?} {evaluated:?}");
     let from_rest = breath.score(&breath.inspire(&breath.periodic(&[]), &commands));
@@ -97,7 +98,7 @@ fn where_the_valve_is_too_small_full_flow_is_the_best() {
     let valve = ValveConfig { max_flow_l_per_s: 0.4, ..ValveConfig::default() };
     let bench = BenchConfig { valve, ..BenchConfig::paper(5.0, 50.0) };
     let settings = paper_settings(35.0);
-    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US).unwrap();
+    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US, 0).unwrap();
     let full = vec![100.0; breath.ticks()];
     let full = breath.score(&breath.inspire(&breath.periodic(&full), &full)).score;
     let bound = found(&bench, &[35.0], &BoundConfig::default()).mean.score;
@@ -141,7 +142,18 @@ fn a_search_that_is_stopped_claims_nothing() {
 #[test]
 fn a_patient_who_moves_is_refused() {
     for patient in [
-        PatientConfig { effort_cmh2o: 5.0, ..PatientConfig::default() },
+        PatientConfig {
+            effort_cmh2o: 5.0,
+            effort_variability_percent: 5.0,
+            effort_rate_per_min: 20.0,
+            ..PatientConfig::default()
+        },
+        PatientConfig {
+            effort_cmh2o: 5.0,
+            double_efforts_percent: 5.0,
+            effort_rate_per_min: 20.0,
+            ..PatientConfig::default()
+        },
         PatientConfig { cough_cmh2o: 5.0, ..PatientConfig::default() },
         PatientConfig { change_at_breath: 3, ..PatientConfig::default() },
         PatientConfig { resistance_growth_percent_per_hour: 5.0, ..PatientConfig::default() },
@@ -150,6 +162,60 @@ fn a_patient_who_moves_is_refused() {
         let refused = bound(&bench, &plan(&[20.0]), &BoundConfig::default(), &Progress::silent());
         assert!(matches!(refused, Err(BoundError::Patient(_))));
     }
+}
+
+#[test]
+fn efforts_that_drift_against_the_breaths_are_refused() {
+    let patient =
+        PatientConfig { effort_cmh2o: 5.0, effort_rate_per_min: 20.001, ..PatientConfig::default() };
+    let bench = BenchConfig { patient, ..BenchConfig::paper(20.0, 20.0) };
+    let refused = bound(&bench, &plan(&[20.0]), &BoundConfig::default(), &Progress::silent()).unwrap_err();
+    assert!(refused.to_string().contains("effort_rate_per_min to 20,"), "{refused}");
+}
+
+/// This patient breathes slightly faster than the set rate and so triggers every breath but the first two. The bench of the
+/// search is then in the state of the ventilator's.
+#[test]
+fn a_triggered_sequence_is_scored_as_on_the_ventilator() {
+    let settings = Settings { rate: 19.0, ..paper_settings(20.0) };
+    let slower = Settings { rate: 18.0, ..settings };
+    let bench =
+        triggering(&quiet(BenchConfig::paper(20.0, 20.0)), 6.0, &settings, DEFAULT_PERIOD_US).unwrap();
+    let controller = pid(PidGains { p: 2.0, i: 30.0, d: 0.0 });
+    let mut source = BenchSource::new(&bench, controller, &slower, DEFAULT_PERIOD_US, 1).unwrap();
+    let (mut ticks, mut delay, mut commands, mut pressure) = (0, 0, Vec::new(), Vec::new());
+    let length = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap().total_ticks();
+    for breath in 0..9 {
+        assert_eq!(source.triggered(), breath > 1, "breath {breath}");
+        (delay, commands, pressure) = (ticks % length, Vec::new(), Vec::new());
+        source
+            .breathe(&slower, &mut |tick| {
+                ticks += 1;
+                if tick.sample.phase == Phase::Inspiration {
+                    commands.push(tick.sample.u_in);
+                    pressure.push(f64::from(tick.truth.unwrap().airway_pressure));
+                }
+            })
+            .unwrap();
+    }
+    assert!((10..=60).contains(&delay), "{delay} ms");
+    let breath = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US, delay).unwrap();
+    let found = breath.score(&breath.inspire(&breath.periodic(&commands), &commands)).score;
+    let ventilated = breath.score(&pressure).score;
+    assert!((found / ventilated - 1.0).abs() < 0.01, "{found} {ventilated}");
+    let untimely = BenchBreath::new(&bench, &settings, DEFAULT_PERIOD_US, delay + 300).unwrap();
+    let other = untimely.score(&untimely.inspire(&untimely.periodic(&commands), &commands)).score;
+    assert!((other / ventilated - 1.0).abs() > 0.05, "{other} {ventilated}");
+}
+
+/// With the expiratory valve closed, the gas that a strong effort has drawn in stays when the muscles relax.
+#[test]
+fn no_commands_make_up_for_a_strong_effort_at_a_low_pip() {
+    let bench = BenchConfig::paper(20.0, 20.0);
+    let patient = triggering(&bench, 10.0, &plan(&[10.0]).settings, DEFAULT_PERIOD_US).unwrap();
+    let of = |bench: &BenchConfig| found(bench, &[10.0], &BoundConfig::default()).mean.score;
+    let (passive, triggered) = (of(&bench), of(&patient));
+    assert!(triggered > 5.0 * passive, "{passive} {triggered}");
 }
 
 #[test]
@@ -173,7 +239,7 @@ fn a_period_that_the_bench_cannot_run_is_refused() {
 #[test]
 fn a_step_never_climbs_and_stays_within_the_valves_range() {
     let bench = BenchConfig::paper(5.0, 10.0);
-    let breath = BenchBreath::new(&bench, &paper_settings(30.0), DEFAULT_PERIOD_US).unwrap();
+    let breath = BenchBreath::new(&bench, &paper_settings(30.0), DEFAULT_PERIOD_US, 0).unwrap();
     let commands = vec![20.0; breath.ticks()];
     let shape = CommandShape::through(&commands, 25);
     let mut descent = Descent::new(&breath, breath.periodic(&commands), shape);

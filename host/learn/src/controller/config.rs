@@ -4,6 +4,8 @@ use engine::adam::AdamConfig;
 use serde::{Deserialize, Serialize};
 use shared::breath::PAPER_PIPS;
 
+use super::efforts::EffortConfig;
+
 /// Configuration of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -30,6 +32,9 @@ pub struct TrainConfig {
     /// requires a control period far shorter than the changes of the pressure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor_noise: Option<f32>,
+    /// Efforts of breathing patients; `None` trains on passive ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub efforts: Option<EffortConfig>,
     /// Weight of each plant, if there are several.
     pub weighting: Weighting,
     /// Features hidden from the network, by their index in [`shared::control::features`], to measure what a feature
@@ -57,12 +62,21 @@ impl Default for TrainConfig {
             overshoot_weight: 1.0,
             start_spread: 0.05,
             sensor_noise: None,
+            efforts: None,
             weighting: Weighting::Sum,
             blind_to: Vec::new(),
             validate_every: 25,
             adam: AdamConfig { rate: 4e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
             seed: 0,
         }
+    }
+}
+
+impl TrainConfig {
+    /// The default on breathing patients: their breaths differ more, and take twice the gradient steps to learn.
+    pub fn breathing() -> Self {
+        let passive = Self::default();
+        Self { iterations: 2 * passive.iterations, efforts: Some(EffortConfig::default()), ..passive }
     }
 }
 

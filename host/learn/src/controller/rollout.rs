@@ -28,7 +28,7 @@ pub struct ClosedLoopTape {
     pid: PidTape,
     signals: Signals,
     d_signals: Signals,
-    /// True (simulated) pressure at each tick, cmH2O.
+    /// True (simulated) pressure at each tick, less the pull of efforts, cmH2O.
     pressure: Vec<Lane>,
     /// Residual before the limit by its authority at each tick, percent.
     correction: Vec<Lane>,
@@ -87,7 +87,10 @@ impl<'a> LaneController<'a> {
         carried: &mut Carried,
         tick: usize,
     ) {
-        let pressure = tape.simulator.pressure();
+        let mut pressure = tape.simulator.pressure();
+        if let Some(pull) = scenario.pull.get(tick) {
+            pressure.add_scaled(-1.0, pull);
+        }
         tape.pressure[tick] = pressure;
         let measured = pressure.zip(&scenario.noise[tick], |p, n| p + n);
         tape.signals.error[tick] = scenario.pip.zip(&measured, |target, p| target - p);
@@ -203,6 +206,7 @@ mod tests {
             },
             rest: 5.0,
             noise: (0..ticks).map(|n| Lane::from_fn(|l| 0.1 * ((n * 7 + l) as f32).sin())).collect(),
+            pull: (0..ticks).map(|n| Lane::from_fn(|l| 0.2 * l as f32 * (0.1 * n as f32).sin())).collect(),
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),
             overshoot_weight: 1.5,
         }
@@ -287,5 +291,31 @@ mod tests {
                 assert!((command - tape.signals.command[tick][l]).abs() < 1e-2, "tick {tick}");
             }
         }
+    }
+
+    #[test]
+    fn an_effort_lowers_the_simulated_pressure_by_its_pull() {
+        let config = StateSpaceConfig::for_period(1000, 1);
+        let model = model(Architecture::StateSpace(config));
+        let parameters = parameters();
+        let residual = controller(1000, &parameters);
+        let disturbed = scenario(200);
+        let calm = Scenario { pull: Vec::new(), ..disturbed.clone() };
+        let pressures = |scenario: &Scenario| {
+            let mut tape = ClosedLoopTape::new(&model, scenario.ticks);
+            LaneController::new(&residual, &parameters).forward(&model, scenario, &mut tape);
+            (tape.pressure, tape.signals.error)
+        };
+        let ((pulled, seen), (free, _)) = (pressures(&disturbed), pressures(&calm));
+        // Within the dead time of 10 ms the commands, which differ, have not acted yet.
+        for tick in 0..10 {
+            let pull = disturbed.pull[tick];
+            for l in 0..LANES {
+                assert!((free[tick][l] - pulled[tick][l] - pull[l]).abs() < 1e-5, "tick {tick}");
+                let measured = pulled[tick][l] + disturbed.noise[tick][l];
+                assert!((seen[tick][l] - (disturbed.pip[l] - measured)).abs() < 1e-5, "tick {tick}");
+            }
+        }
+        assert!((free[9][LANES - 1] - pulled[9][LANES - 1]).abs() > 1.0, "the pull is large enough to tell");
     }
 }

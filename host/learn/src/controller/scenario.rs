@@ -1,4 +1,4 @@
-//! The breaths of a shard in training: PIPs, starting states, sensor noise.
+//! The breaths of a shard in training: PIPs, starting states, sensor noise, efforts.
 
 use engine::Lane;
 use rand::RngExt;
@@ -24,6 +24,8 @@ pub struct Scenario {
     pub rest: f32,
     /// Sensor noise of each tick, cmH2O.
     pub noise: Vec<Lane>,
+    /// Fall of the pressure by the patient's efforts at each tick, cmH2O; empty without any.
+    pub pull: Vec<Lane>,
     /// Weight of each rollout in the loss.
     pub weight: Lane,
     /// Factor on errors above the target, 1 for the plain L1.
@@ -41,6 +43,7 @@ impl Scenario {
             start: BreathStart { pressure: Lane::splat(5.0), plateau: pip, ..BreathStart::default() },
             rest: 5.0,
             noise: vec![Lane::ZERO; ticks],
+            pull: Vec::new(),
             weight: Lane::splat(1.0),
             overshoot_weight: 1.0,
         }
@@ -56,7 +59,7 @@ impl Scenario {
             None => rng.random_range(config.pip_range.0..config.pip_range.1),
         });
         let mut normal = |sd: f32| -> f32 { sd * rng.sample::<f32, _>(StandardNormal) };
-        Self {
+        let mut scenario = Self {
             ticks,
             pip,
             peep: config.peep,
@@ -67,8 +70,33 @@ impl Scenario {
             },
             rest: config.rest,
             noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
+            pull: Vec::new(),
             weight: Lane::splat(1.0),
             overshoot_weight: config.overshoot_weight,
+        };
+        // Last, so that efforts change no other draw.
+        if let Some(efforts) = &config.efforts {
+            scenario.pull = efforts.draw(ticks, config.inspiratory_time / ticks as f32, &mut rng);
         }
+        scenario
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::controller::EffortConfig;
+
+    #[test]
+    fn efforts_change_no_other_draw() {
+        let passive = TrainConfig::default();
+        let breathing = TrainConfig { efforts: Some(EffortConfig::default()), ..passive.clone() };
+        let drawn = |config: &TrainConfig| Scenario::draw(config, 1000, 5.0, 0.1, 7);
+        let (passive, breathing) = (drawn(&passive), drawn(&breathing));
+        assert!(passive.pull.is_empty() && breathing.pull.len() == 1000);
+        let bits = |lane: &Lane| lane.0.map(f32::to_bits);
+        assert_eq!(bits(&passive.pip), bits(&breathing.pip));
+        assert_eq!(bits(&passive.start.pressure), bits(&breathing.start.pressure));
+        assert!(passive.noise.iter().zip(&breathing.noise).all(|(one, other)| bits(one) == bits(other)));
     }
 }
