@@ -228,7 +228,8 @@ pub const ALARMS: [Alarm; 30] = [
         (High, Vent),
         [
             "more than 3 cmH2O above PEEP for 15 s, and with the expiratory valve commanded open a fall of less \
-             than 30 % of that in half a second, or less than a fifth of the inspired volume coming out",
+             than 30 % of that in half a second and in half a second after that, or less than a fifth of the inspired volume \
+             coming out (a half without the gas of a known leak)",
             ACKNOWLEDGED,
             "pressure does not come down",
         ],

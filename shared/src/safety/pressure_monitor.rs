@@ -22,7 +22,8 @@ const SPIKE: f32 = 0.003;
 const VENTING: f32 = 0.7;
 /// Time that the pressure may stay above PEEP without falling in expirations, s.
 const SUSTAINED: f32 = 15.0;
-/// Time after the expiratory valve opens in which the pressure must fall, s.
+/// Time after the expiratory valve opens in which the pressure must fall, and for which it may not have fallen after that, s: a cough
+/// is over by then.
 const FALL: f32 = 0.5;
 /// Fraction of the pressure above PEEP by which it must fall in that time.
 const FALLS: f32 = 0.3;
@@ -54,6 +55,8 @@ pub struct PressureState {
     /// Ticks for which the expiratory valve has been open, and the pressure when it opened.
     open: u32,
     opened_at: f32,
+    /// Ticks for which the pressure has not fallen, in one expiration or several.
+    stays: u32,
 }
 
 /// Input of the monitor in one tick.
@@ -117,8 +120,10 @@ impl PressureMonitor {
             return PressureFinding::Alarm(Fault::HardLimit);
         }
         let fallen = state.opened_at - pressure;
-        let stays = state.open >= self.fall && fallen < FALLS * (state.opened_at - peep);
-        if self.is_sustained(state) && stays {
+        if state.open >= self.fall {
+            state.stays = in_a_row(state.stays, fallen < FALLS * (state.opened_at - peep));
+        }
+        if self.is_sustained(state) && state.stays >= self.fall {
             return PressureFinding::Alarm(Fault::SustainedPressure);
         }
         let ends = state.above >= self.above || state.ahead_above >= self.above;
@@ -221,6 +226,26 @@ mod tests {
         assert_eq!(first(breathing, false), None);
         let stuck = first((0..16_000).map(|_| 12.0), true);
         assert_eq!(stuck, Some((14_999, PressureFinding::Alarm(Fault::SustainedPressure))));
+    }
+
+    #[test]
+    fn a_cough_in_an_expiration_is_no_stuck_valve_and_short_expirations_add_up() {
+        let found = |stuck: u32, then_falls: bool| {
+            let (monitor, mut state) = (PressureMonitor::new(1000, Monitors::ALL), PressureState::default());
+            let mut tick = |pressure: f32, venting: bool| {
+                let input = PressureInput { pressure, limit: LIMIT, peep: 5.0, venting };
+                matches!(monitor.check(&mut state, &input), PressureFinding::Alarm(_))
+            };
+            (0..15_000).for_each(|_| assert!(!tick(25.0, false)));
+            // Three expirations, each in two parts: half a second without a fall, and the time that counts.
+            (0..3).any(|_| {
+                let stays = (0..499 + stuck).any(|_| tick(24.0, true));
+                let falls = then_falls && (0..10).any(|_| tick(15.0, true));
+                stays || falls || (0..100).any(|_| tick(25.0, false))
+            })
+        };
+        assert!(found(167, false) && !found(166, false), "500 ms in all");
+        assert!(!found(499, true) && found(500, true), "a pressure that falls has not been stuck");
     }
 
     #[test]

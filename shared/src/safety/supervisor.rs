@@ -20,7 +20,7 @@ use super::pressure_monitor::{PressureFinding, PressureInput, PressureMonitor, P
 use super::responses::{Response, Responses};
 use super::source::{PressureSource, SourceState};
 use super::volume_monitor::{VolumeMonitor, VolumeState};
-use super::volumes::Volumes;
+use super::volumes::{BreathVolumes, Volumes};
 use crate::breath::{Breath, Phase, period_s};
 use crate::control::{COMMAND_MAX, ControlOutput};
 use crate::math;
@@ -39,8 +39,9 @@ const GOOD_RISE: f32 = 0.7;
 const RESPONSE: f32 = 0.3;
 /// Inspirations in a row with such a rise that end backup ventilation.
 const RESPONSES: u32 = 2;
-/// Share of the inspired volume below which the expiratory path is blocked.
+/// Shares of the inspired volume below which the expiratory path is blocked: of all gas, and without that of a leak.
 const BLOCKED: f32 = 0.2;
+const COMES_OUT: f32 = 0.5;
 /// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
 const REACHES: f32 = 0.5;
 /// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.
@@ -401,7 +402,11 @@ impl Supervisor {
         if let Some(fault) = self.expiration.start_breath(&mut state.expiration, expired) {
             self.found(state, fault);
         }
-        if self.pressure.is_sustained(&state.pressure) && expired.is_some_and(|share| share < BLOCKED) {
+        // Without the gas of a leak, at least half of what a patient takes in comes out again.
+        let stays = |breath: BreathVolumes| breath.expired < COMES_OUT * breath.inspired;
+        let blocked =
+            expired.is_some_and(|share| share < BLOCKED) && state.volumes.breath().is_some_and(stays);
+        if self.pressure.is_sustained(&state.pressure) && blocked {
             self.found(state, Fault::SustainedPressure);
         }
     }

@@ -55,10 +55,9 @@ pub struct VolumeState {
 }
 
 impl VolumeState {
-    /// The expired minute volume, L/min, without gas that never went in. That is the gas of a leak which is believed to be larger than
-    /// it is: half of it is missing from what went in, the other half is too much in what came out.
-    fn minute_volume(&self) -> f32 {
-        self.expired.min(0.5 * (self.inspired + self.expired))
+    /// The minute volumes that are compared with the lower and the upper limit, L/min.
+    fn minute_volumes(&self) -> (f32, f32) {
+        judged(self.inspired, self.expired)
     }
 
     /// The settings have changed, in the breath that starts now: neither the last one nor this one and the next are judged.
@@ -125,11 +124,18 @@ fn apnoea(
     (state.without >= longest).then_some(Fault::Apnoea)
 }
 
+/// The volumes that are compared with a lower and an upper limit: the expired one, unless its mean with the inspired one is within
+/// the limit. While a leak is believed to be larger or smaller than it is, half of the difference is missing in one of them, and the
+/// other half is too much in the other.
+fn judged(inspired: f32, expired: f32) -> (f32, f32) {
+    let mean = 0.5 * (inspired + expired);
+    (expired.max(mean), expired.min(mean))
+}
+
 /// Compares a tidal volume with its limits.
 fn tidal_volume(state: &mut VolumeState, breath: BreathVolumes, settings: &Settings) -> Option<Fault> {
     let (low, high) = (settings.tidal_volume_low, settings.tidal_volume_high);
-    let mean = 0.5 * (breath.inspired + breath.expired);
-    let (most, least) = (breath.expired.max(mean), breath.expired.min(mean));
+    let (most, least) = judged(breath.inspired, breath.expired);
     let doubt = DOUBT * breath.leaked;
     state.low = in_a_row(state.low, most + doubt < low);
     state.high = in_a_row(state.high, high > 0.0 && least - doubt > high);
@@ -157,11 +163,11 @@ fn minute_volume(
         return None;
     }
     let (low, high) = (settings.minute_volume_low, settings.minute_volume_high);
-    let (volume, doubt) = (state.minute_volume(), state.doubt);
-    if volume + doubt < low {
+    let ((most, least), doubt) = (state.minute_volumes(), state.doubt);
+    if most + doubt < low {
         return Some(Fault::MinuteVolumeLow);
     }
-    (high > 0.0 && volume - doubt > high).then_some(Fault::MinuteVolumeHigh)
+    (high > 0.0 && least - doubt > high).then_some(Fault::MinuteVolumeHigh)
 }
 
 #[cfg(test)]
@@ -329,20 +335,28 @@ mod tests {
         let mut run = Run::new(limits((0.0, 0.0), (0.0, 0.0)));
         run.breaths(5, 200.0);
         run.breaths(5, 600.0);
-        assert!((run.state.minute_volume() - 8.0).abs() < 0.01, "{}", run.state.minute_volume());
+        assert!((run.state.minute_volumes().0 - 8.0).abs() < 0.01, "{}", run.state.minute_volumes().0);
         // Each further breath of 3 s has a tenth of the mean.
         run.breaths(1, 900.0);
-        assert!((run.state.minute_volume() - 9.0).abs() < 0.01, "{}", run.state.minute_volume());
+        assert!((run.state.minute_volumes().0 - 9.0).abs() < 0.01, "{}", run.state.minute_volumes().0);
     }
 
     #[test]
-    fn of_a_minute_volume_the_expired_part_counts_but_no_gas_that_never_went_in() {
-        let volume =
-            |inspired, expired| VolumeState { expired, inspired, ..VolumeState::default() }.minute_volume();
+    fn a_minute_volume_is_outside_its_limits_if_what_came_out_is_and_its_mean_with_what_went_in() {
         for ((inspired, expired), wanted) in
-            [((8.0, 8.0), 8.0), ((20.0, 0.0), 0.0), ((10.0, 7.0), 7.0), ((6.0, 10.0), 8.0)]
+            [((8.0, 8.0), (8.0, 8.0)), ((20.0, 0.0), (10.0, 0.0)), ((6.0, 10.0), (10.0, 8.0))]
         {
-            assert!((volume(inspired, expired) - wanted).abs() < 1e-6, "{inspired} {expired}");
+            let state = VolumeState { expired, inspired, ..VolumeState::default() };
+            assert_eq!(state.minute_volumes(), wanted);
+            let found = |low: f32, high: f32| {
+                let mut state = VolumeState { covers: AVERAGED, ..state };
+                let breath =
+                    BreathVolumes { inspired: 50.0 * inspired, expired: 50.0 * expired, leaked: 0.0 };
+                minute_volume(&mut state, breath, 3.0, &limits((0.0, 0.0), (low, high)))
+            };
+            assert_eq!(found(wanted.0 + 0.01, 0.0), Some(Fault::MinuteVolumeLow));
+            assert_eq!(found(wanted.0 - 0.01, wanted.1 + 0.01), None);
+            assert!(wanted.1 <= 0.0 || found(0.0, wanted.1 - 0.01) == Some(Fault::MinuteVolumeHigh));
         }
         let mut state = VolumeState::default();
         let breath = BreathVolumes { inspired: 300.0, expired: 500.0, leaked: 0.0 };

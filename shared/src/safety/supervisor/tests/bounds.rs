@@ -121,6 +121,27 @@ fn a_pressure_that_stays_up_for_a_quarter_of_a_minute_with_a_fifth_of_the_gas_in
 }
 
 #[test]
+fn gas_that_a_leak_takes_does_not_stay_inside() {
+    // 1 L in, of which a known leak takes a part, and 0.15 L out; the leak takes a part of that too.
+    let latched = |leak: f32| {
+        let mut run = Run::new();
+        (0..7).any(|_| {
+            run.state.volumes = Volumes::default();
+            run.state.volumes.add(0.5, 16.0, leak, 2.0);
+            run.state.volumes.add(-0.15, 9.0, leak, 1.0);
+            run.breathe(0..2, 12.0, ControlOutput::plain(10.0));
+            run.breathe(2..1000, 25.0, ControlOutput::plain(10.0));
+            let falls = run.state.fault();
+            run.breathe(1000..1002, 25.0, ControlOutput::plain(5.0));
+            run.breathe(1002..3000, 12.0, ControlOutput::plain(5.0));
+            falls == Some(Fault::SustainedPressure)
+        })
+    };
+    // 8 and 3 mL per 0.001 L/s at 1 cmH2O: half of 1000 - 8 n is 150 + 3 n at 50.
+    assert!(latched(0.0) && latched(0.048) && !latched(0.052));
+}
+
+#[test]
 fn a_disconnected_patient_gets_a_capped_probe_and_no_response_is_awaited() {
     let mut run = Run::new();
     (0..2).for_each(|_| assert_eq!(run.inspire(STIFF, 30.0), None));
