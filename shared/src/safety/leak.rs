@@ -7,7 +7,7 @@
 /// Part of the sums that a breath leaves of the earlier ones.
 const REMEMBERED: f32 = 0.85;
 /// Breaths in a row with an unexplained loss of the same sign that show another leak.
-const CHANGED: u32 = 3;
+const CHANGED: usize = 3;
 /// Their loss, as a share of the gas that went in, from which it is more than a lung keeps or gives back.
 const UNEXPLAINED: f32 = 0.5;
 
@@ -28,6 +28,7 @@ impl Loss {
         if self.root > 0.0 { 1e-3 * self.gas / self.root } else { 0.0 }
     }
 
+    /// The sum of a part of these and of others.
     fn plus(self, other: Self, part: f32) -> Self {
         Self {
             gas: part * self.gas + other.gas,
@@ -42,26 +43,24 @@ impl Loss {
 pub struct Leak {
     /// Sums over the breaths, the earlier ones with less weight.
     sums: Loss,
-    /// Breaths in a row whose loss differs from the leak's in the same direction, and their sums.
-    differ: u32,
-    recent: Loss,
+    /// The last breaths, the older one first.
+    last: [Loss; CHANGED - 1],
 }
 
 impl Leak {
     /// Adds a breath; whether it shows that the leak has changed, or is the first to show it.
     pub fn add(&mut self, breath: Loss) -> bool {
         let first = self.sums == Loss::default();
-        let above = breath.leak() > self.leak();
-        let same = self.differ > 0 && above == (self.recent.leak() > self.leak());
-        (self.differ, self.recent) =
-            if same { (self.differ + 1, self.recent.plus(breath, 1.0)) } else { (1, breath) };
-        let unexplained = self.recent.gas - 1e3 * self.leak() * self.recent.root;
-        self.sums = self.sums.plus(breath, REMEMBERED);
-        let moved = self.recent.inspired + (-self.recent.gas).max(0.0);
-        let changed = self.differ >= CHANGED && unexplained.abs() > UNEXPLAINED * moved;
-        if changed {
-            (self.sums, self.differ) = (self.recent, 0);
-        }
+        let [older, old] = self.last;
+        let breaths = [older, old, breath];
+        let leak = 1e3 * self.leak();
+        let unexplained = breaths.map(|breath| breath.gas - leak * breath.root);
+        let same = unexplained.iter().all(|gas| *gas > 0.0) || unexplained.iter().all(|gas| *gas < 0.0);
+        let moved: f32 = breaths.iter().map(|breath| breath.inspired.max(breath.inspired - breath.gas)).sum();
+        let changed = same && unexplained.iter().sum::<f32>().abs() > UNEXPLAINED * moved;
+        self.last = [old, breath];
+        self.sums =
+            if changed { older.plus(old, 1.0).plus(breath, 1.0) } else { self.sums.plus(breath, REMEMBERED) };
         changed || first
     }
 
