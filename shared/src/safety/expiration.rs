@@ -390,8 +390,8 @@ mod tests {
         assert!(learnt(&mut state, 0.05, 4.0) > 5.0 && (state.leak() - 0.05).abs() < 1e-5);
         learnt(&mut state, 0.301, 4.0);
         assert!((state.leak() - 0.05).abs() < 1e-5, "a disconnected patient");
-        learnt(&mut state, 0.299, 4.0);
-        assert!((state.leak() - 0.299).abs() < 1e-5);
+        learnt(&mut state, 0.3, 4.0);
+        assert!((state.leak() - 0.3).abs() < 1e-5);
     }
 
     #[test]

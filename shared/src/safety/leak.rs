@@ -167,6 +167,26 @@ mod tests {
     }
 
     #[test]
+    fn one_breath_after_the_first_shows_no_change() {
+        for (gas, inspired) in [(1200.0, 1200.0), (-1200.0, 0.0)] {
+            let mut leak = Leak::default();
+            assert!(leak.add(losing(300.0)));
+            assert!(!leak.add(Loss { gas, inspired, ..losing(0.0) }));
+        }
+    }
+
+    #[test]
+    fn half_of_the_gas_is_no_change_yet() {
+        // So much gas has come out that no leak is left for a while.
+        let told = |gas: f32| {
+            let mut leak = Leak::default();
+            let _ = [(); 40].map(|()| leak.add(losing(-3000.0)));
+            [(); 3].map(|()| leak.add(losing(gas)))[2]
+        };
+        assert!(!told(200.0) && told(200.1));
+    }
+
+    #[test]
     fn a_new_leak_is_measured_from_its_own_breaths_on() {
         let breaths = [[0.0; 40].as_slice(), &[280.0, 280.0, 280.0, 150.0]].concat();
         near(after(&breaths), (0.85 * 840.0 + 150.0) / (0.85 * 3.0 + 1.0));

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::settings::Settings;
 use core::ops::Range;
 
 const PEEP: f32 = 5.0;
@@ -159,6 +160,25 @@ fn an_expiration_that_an_effort_ends_is_compared_before_the_effort() {
         assert_eq!(wrong, run.state.outlet.doubted);
     }
     assert!(run.state.outlet.doubted);
+}
+
+#[test]
+fn sensors_are_not_compared_while_the_pressure_falls_unless_the_breath_ends_so() {
+    let wrong = |ticks: Range<u32>, rate: f32, triggered: bool| {
+        let (mut run, settings) = (Run::new(), Settings { rate, ..paper_settings(25.0) });
+        let breath = Breath::new(&settings, DEFAULT_PERIOD_US).unwrap();
+        (0..2).any(|_| {
+            run.ticks(10, 5.0, 5.0);
+            for tick in ticks.clone() {
+                let readings = Readings { airway: 5.0, outlet: 10.0, flow: 0.0 };
+                run.source.record(&mut run.state, &breath, tick, 50, &readings);
+            }
+            run.source.compare(&mut run.state, PEEP, 0.0, triggered)
+        })
+    };
+    assert!(!wrong(1000..1449, 20.0, true) && wrong(1500..1700, 20.0, true));
+    // 40 breaths a minute have no rest after the fall.
+    assert!(wrong(1000..1500, 40.0, false) && !wrong(1000..1450, 40.0, false));
 }
 
 #[test]
