@@ -229,7 +229,7 @@ pub const ALARMS: [Alarm; 30] = [
         [
             "more than 3 cmH2O above PEEP for 15 s, and with the expiratory valve commanded open a fall of less \
              than 30 % of that in half a second and in half a second after that, or less than a fifth of the inspired volume \
-             coming out (a half without the gas of a known leak)",
+             coming out (three tenths without the gas of a known leak)",
             ACKNOWLEDGED,
             "pressure does not come down",
         ],
@@ -395,7 +395,7 @@ pub const ALARMS: [Alarm; 30] = [
         (Medium, Tell),
         [
             "less than 60 % of the inspired volume comes out in 5 breaths in a row, or less than 75 % if holding PEEP takes a \
-             command of more than 5 % above the bias; gas of the breaths before that comes out in one of them does not end the row",
+             command of more than 5 % above the bias",
             GONE,
             "leak: check tube and mask",
         ],

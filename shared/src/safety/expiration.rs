@@ -181,10 +181,7 @@ impl Expiration {
         state.shift = if follows { state.above } else { 0.0 };
         let least = if state.compensation() > LEAK { TIGHT } else { OPEN };
         let lost = state.unchecked == 0 && expired_share.is_some_and(|share| share < least);
-        // One breath may give out gas of the breaths before it: that is no end of a leak.
-        if lost || state.leak.expired_share() >= least {
-            state.leaks = in_a_row(state.leaks, lost);
-        }
+        state.leaks = in_a_row(state.leaks, lost);
         state.unchecked = state.unchecked.saturating_sub(1);
         state.held = in_a_row(state.held, state.lowest > HELD);
         state.lowest = state.compensation;
@@ -458,35 +455,6 @@ mod tests {
             expiration.triggered(&mut state, 5.0, emptied, true);
             assert_eq!(state.incomplete, 0, "at the bound");
         }
-    }
-
-    #[test]
-    fn a_breath_that_gives_out_gas_of_those_before_is_no_end_of_a_leak() {
-        let found = |losses: &[f32], after: f32| {
-            let (expiration, mut state) = breaths(0, 25.0, |_| 5.0);
-            let mut told = |share: f32| {
-                expiration.learn_leak(
-                    &mut state,
-                    5.0,
-                    Loss { gas: 500.0 * (1.0 - share), root: 6.0, inspired: 500.0 },
-                );
-                expiration.start_breath(&mut state, Some(share)) == Some(Fault::Leak)
-            };
-            assert!(losses.iter().all(|share| !told(*share)));
-            told(after)
-        };
-        assert!(found(&[0.5; 4], 0.5));
-        assert!(found(&[0.2, 0.2, 0.2, 0.2, 1.2], 0.2), "a cough");
-        assert!(!found(&[0.2, 0.2, 0.2, 0.2], 1.2), "that breath itself is none");
-        assert!(!found(&[0.5, 0.5, 0.5, 0.5, 1.6], 0.5), "trapped gas");
-    }
-
-    #[test]
-    fn a_baseline_at_other_settings_moves_no_pip() {
-        let (expiration, mut state) = breaths(2, 25.0, |_| 15.0);
-        state.settings_changed();
-        expiration.start_breath(&mut state, Some(1.0));
-        assert!(state.shift(&breath()).abs() < 1e-6 && !expiration.goes_on(&state, &breath(), 3000));
     }
 
     #[test]

@@ -64,11 +64,6 @@ impl Leak {
         changed || first
     }
 
-    /// Share of the gas that has come out again; 1 before the first breath.
-    pub fn expired_share(&self) -> f32 {
-        if self.sums.inspired > 0.0 { 1.0 - self.sums.gas / self.sums.inspired } else { 1.0 }
-    }
-
     /// The leak, L/s at 1 cmH2O.
     pub fn leak(&self) -> f32 {
         self.sums.leak().max(0.0)
@@ -190,15 +185,5 @@ mod tests {
     fn a_new_leak_is_measured_from_its_own_breaths_on() {
         let breaths = [[0.0; 40].as_slice(), &[280.0, 280.0, 280.0, 150.0]].concat();
         near(after(&breaths), (0.85 * 840.0 + 150.0) / (0.85 * 3.0 + 1.0));
-    }
-
-    #[test]
-    fn the_share_that_comes_out_is_that_of_all_the_breaths() {
-        let mut leak = Leak::default();
-        assert!((leak.expired_share() - 1.0).abs() < 1e-6);
-        leak.add(losing(100.0));
-        assert!((leak.expired_share() - 0.75).abs() < 1e-6);
-        leak.add(losing(-85.0));
-        assert!((leak.expired_share() - 1.0).abs() < 1e-6);
     }
 }
