@@ -28,13 +28,9 @@ impl Loss {
         if self.root > 0.0 { 1e-3 * self.gas / self.root } else { 0.0 }
     }
 
-    /// The sum of a part of these and of others.
+    /// The sum of a part of these losses and of others, with the gas that went in last.
     fn plus(self, other: Self, part: f32) -> Self {
-        Self {
-            gas: part * self.gas + other.gas,
-            root: part * self.root + other.root,
-            inspired: part * self.inspired + other.inspired,
-        }
+        Self { gas: part * self.gas + other.gas, root: part * self.root + other.root, ..other }
     }
 }
 
