@@ -161,7 +161,7 @@ mod tests {
     fn one_breath_after_the_first_shows_no_change() {
         for (gas, inspired) in [(1200.0, 1200.0), (-1200.0, 0.0)] {
             let mut leak = Leak::default();
-            assert!(leak.add(losing(300.0)));
+            assert!(leak.add(losing(0.0)));
             assert!(!leak.add(Loss { gas, inspired, ..losing(0.0) }));
         }
     }
