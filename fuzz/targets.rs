@@ -141,8 +141,7 @@ impl<'a> Rig<'a> {
         let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
         Self {
             recorder: Recorder::attach(memory, boot),
-            control: Control::new(facts.device, facts.period_us, None, CORE_HZ)
-                .expect("the period is in bounds"),
+            control: Control::new(facts.device, facts.period_us, CORE_HZ).expect("the period is in bounds"),
             server: Server::new(facts, memory),
             decoder: FrameDecoder::new(),
             ticks: 0,

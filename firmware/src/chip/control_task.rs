@@ -14,8 +14,6 @@ use shared::link::refusal::Refusal;
 use shared::recorder::keeper::Leave;
 use shared::recorder::{ChipEvent, Recorder};
 use shared::timing::TickTime;
-use shared::weights::Image;
-use shared::weights::slots::Slot;
 
 use static_cell::StaticCell;
 
@@ -55,11 +53,10 @@ pub fn leave() -> Leave {
 /// With its error, which never occurs: taking the value out would copy kilobytes through the stack.
 static CONTROL: StaticCell<Result<Control, Refusal>> = StaticCell::new();
 
-/// Builds the control half with the weights of a slot. Called once.
+/// Builds the control half. Called once.
 #[inline(never)]
-pub fn prepare(kind: DeviceKind, weights: Option<(Slot, Image)>) -> &'static mut Control {
-    let learned = |weights: Option<(Slot, Image)>| weights.map(|(_, image)| image.residual);
-    match CONTROL.init_with(|| Control::new(kind, DEFAULT_PERIOD_US, learned(weights), CORE_CLOCK.0)) {
+pub fn prepare(kind: DeviceKind) -> &'static mut Control {
+    match CONTROL.init_with(|| Control::new(kind, DEFAULT_PERIOD_US, CORE_CLOCK.0)) {
         Ok(control) => control,
         Err(_) => unreachable!("the default settings and gains are valid"),
     }

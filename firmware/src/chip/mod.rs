@@ -26,14 +26,16 @@ use embassy_executor::InterruptExecutor;
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use shared::breath::DEFAULT_PERIOD_US;
+use shared::device::control::Control;
 use shared::device::prescription::Interruption;
 use shared::device::self_test::BootFindings;
 use shared::device::server::DeviceFacts;
 use shared::recorder::{ChipEvent, Recorder};
 use shared::reset::ResetCause;
-use shared::weights::slots::Slots;
+use shared::weights::slots::{Slot, Slots};
 
 use board::PlantInterface;
+use drivers::flash::BoardFlash;
 use drivers::{clock, flash, reset, supply, taken_once};
 
 static CONTROL: InterruptExecutor = InterruptExecutor::new();
@@ -56,9 +58,8 @@ fn start() {
     let reset = reset::cause();
     let mut storage = Slots::new(board.flash, flash::slots()).trusting(trust::TRUST);
     let kind = board::SelectedPlant::KIND;
-    let loaded = storage.load();
-    let running = loaded.as_ref().map(|(slot, _)| *slot);
-    let control = control_task::prepare(kind, loaded);
+    let control = control_task::prepare(kind);
+    let running = load(&mut storage, control);
     let slots = storage.states();
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let (recorder, keeper) = recorder::attach(reset, failure.is_some(), &slots, running, storage.flash());
@@ -94,6 +95,14 @@ fn start() {
     LINK.start(interrupt::CAN2_RX0)
         .spawn(taken_once(link_task::run(link_task::prepare(facts), storage, keeper).ok()));
     clock::start(&mut board.core);
+}
+
+/// Gives the control half the weights in flash; the slot they are from. A separate function, so that they leave the stack.
+#[inline(never)]
+fn load(storage: &mut Slots<BoardFlash>, control: &mut Control) -> Option<Slot> {
+    let (slot, image) = storage.load()?;
+    control.learn(&image.residual);
+    Some(slot)
 }
 
 /// Logs a low supply, programs the brown-out level if it is wrong, and then watches the supply. The option bytes are left alone

@@ -238,7 +238,9 @@ fn boot(counting: &Cost) {
 }
 
 fn control() -> Control {
-    built(Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ))
+    let mut control = built(Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ));
+    control.learn(&residual());
+    control
 }
 
 /// Starts ventilation.

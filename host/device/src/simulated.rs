@@ -260,8 +260,11 @@ fn boot<'a>(
     let running = newest.filter(|_| learned.is_some());
     let device = DeviceKind::Simulated;
     let facts = DeviceFacts { slots, running, reset, ..DeviceFacts::blank(device) };
-    let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, learned, CORE_HZ);
+    let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, CORE_HZ);
     let mut control = control.expect("the default control period is in bounds");
+    if let Some(learned) = &learned {
+        control.learn(learned);
+    }
     control.require_self_test(&BootFindings { program: None, memory: None, slots });
     control.report_boot(reset, recorder.interrupted(), &slots);
     (control, Server::new(facts, memory), recorder)

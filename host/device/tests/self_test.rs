@@ -36,7 +36,7 @@ const SOUND: BootFindings =
 
 impl Machine {
     fn new(config: &BenchConfig, boot: &BootFindings) -> Self {
-        let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, 1_000_000).unwrap();
+        let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, 1_000_000).unwrap();
         control.require_self_test(boot);
         Self {
             control,

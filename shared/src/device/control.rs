@@ -82,32 +82,23 @@ pub struct Control {
 }
 
 impl Control {
-    /// A device in standby. It runs `learned` if that was made for this control period, otherwise a PID with
-    /// [`KNOWN_GOOD`] gains. `core_hz` is the clock frequency of the tick times.
+    /// A device in standby that runs a PID with [`KNOWN_GOOD`] gains. `core_hz` is the clock frequency of the tick times.
     ///
     /// # Errors
     /// [`Refusal::Settings`] if the control period is out of bounds.
-    pub fn new(
-        kind: DeviceKind,
-        period_us: u32,
-        learned: Option<Residual>,
-        core_hz: u32,
-    ) -> Result<Self, Refusal> {
+    pub fn new(kind: DeviceKind, period_us: u32, core_hz: u32) -> Result<Self, Refusal> {
         let pid = Pid::new(KNOWN_GOOD, period_us).map_err(|_| Refusal::Gains)?;
+        let breath = Breath::new(&Settings::default(), period_us)?;
         let ventilator = Ventilator::new(period_us, Controller::Pid(pid));
-        let state = ventilator.standby(&Settings::default())?;
-        let learned = learned.filter(|residual| residual.spec().period_us == period_us);
-        let (controller, next_controller) = match learned {
-            Some(_) => (ControllerChoice::Learned, Some(NextController::Learned)),
-            None => (ControllerChoice::Pid(KNOWN_GOOD), None),
-        };
+        let state = ventilator.at_rest(breath);
+        let controller = ControllerChoice::Pid(KNOWN_GOOD);
         Ok(Self {
             kind,
             ventilator,
             state,
-            learned,
+            learned: None,
             status: Status { mode: Mode::Standby, moves_valves: false, controller, exploration: None },
-            next_controller,
+            next_controller: None,
             queue: Deque::new(),
             meter: BreathMeter::default(),
             timer: TickTimer::new(core_hz),
@@ -121,6 +112,16 @@ impl Control {
             seed: None,
             peep: None,
         })
+    }
+
+    /// Lets the first breath run the learned controller, if it was made for this control period. Apart from [`Self::new`],
+    /// because it is copied into place here: built together, they would need twice the stack.
+    pub fn learn(&mut self, learned: &Residual) {
+        if learned.spec().period_us == self.period_us() {
+            self.learned = Some(learned.clone());
+            self.status.controller = ControllerChoice::Learned;
+            self.next_controller = Some(NextController::Learned);
+        }
     }
 
     /// Enables only these monitors, for a plant that does not behave like a ventilator.

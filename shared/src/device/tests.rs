@@ -49,21 +49,28 @@ struct Rig {
     recorder: Recorder<'static>,
 }
 
+/// The control half with a learned controller, if any.
+fn control(kind: DeviceKind, learned: Option<&Residual>) -> Control {
+    let mut control = Control::new(kind, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
+    if let Some(learned) = learned {
+        control.learn(learned);
+    }
+    control
+}
+
 impl Rig {
-    fn new(learned: Option<Residual>) -> Self {
+    fn new(learned: Option<&Residual>) -> Self {
         Self::trusting(learned, Trust::Development)
     }
 
-    fn trusting(learned: Option<Residual>, trust: Trust) -> Self {
+    fn trusting(learned: Option<&Residual>, trust: Trust) -> Self {
         let blank = DeviceFacts::blank(DeviceKind::HardwareInTheLoop);
         let facts = DeviceFacts { firmware: [1, 2, 3], trust, ..blank };
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
         Self {
             recorder: Recorder::attach(memory, boot),
-            control: Control::new(facts.device, DEFAULT_PERIOD_US, learned, CORE_HZ)
-                .unwrap()
-                .with_monitors(Monitors::ANY_PLANT),
+            control: control(facts.device, learned).with_monitors(Monitors::ANY_PLANT),
             server: Server::new(facts, memory),
             reports: Vec::new(),
             events: Vec::new(),
@@ -198,7 +205,7 @@ fn a_new_device_greets_in_standby_with_the_cautious_pid() {
 
 #[test]
 fn a_device_with_weights_runs_them_and_one_without_refuses_to() {
-    let mut with = Rig::new(Some(residual()));
+    let mut with = Rig::new(Some(&residual()));
     assert!(
         matches!(with.ask(Request::Identify), Response::Identity(i) if i.controller == ControllerChoice::Learned)
     );
@@ -212,7 +219,7 @@ fn a_device_with_weights_runs_them_and_one_without_refuses_to() {
 #[test]
 fn weights_of_another_control_period_are_not_run() {
     let spec = ResidualSpec { period_us: 2000, ..*residual().spec() };
-    let mut rig = Rig::new(Some(Residual::new(spec, Network::zero()).unwrap()));
+    let mut rig = Rig::new(Some(&Residual::new(spec, Network::zero()).unwrap()));
     let refused = rig.ask(Request::SetController(ControllerChoice::Learned));
     assert_eq!(refused, Response::Refused(Refusal::NoWeights));
 }
@@ -251,7 +258,7 @@ fn telemetry_flows_while_it_is_on_and_tells_of_refused_frames() {
 
 #[test]
 fn the_end_of_ventilation_is_reported_once() {
-    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
     let stops = |control: &mut Control| {
         let output = control.step(5.0);
         let mut stops = 0;
@@ -271,10 +278,9 @@ fn the_end_of_ventilation_is_reported_once() {
 #[test]
 fn the_flight_recorder_is_told_whose_command_it_was() {
     for learned in [Some(residual()), None] {
-        let expected = learned.is_some();
-        let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, learned, CORE_HZ).unwrap();
+        let mut control = control(DeviceKind::Simulated, learned.as_ref());
         let output = control.step(5.0);
-        assert_eq!(control.moment(5.0, &output, 0).learned, expected);
+        assert_eq!(control.moment(5.0, &output, 0).learned, learned.is_some());
     }
 }
 
@@ -379,7 +385,7 @@ fn a_host_that_falls_silent_ends_the_exploration_and_nothing_else() {
 
 /// The alarms of a new device's first ticks after a start that found this.
 fn alarms_after(cause: ResetCause, interrupted: bool, slots: [SlotState; 2]) -> Vec<Fault> {
-    let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
     control.report_boot(cause, interrupted, &slots);
     (0..4).filter_map(|_| control.step(5.0).alarm).collect()
 }
@@ -414,8 +420,7 @@ fn late(missed: u32) -> TickTime {
 
 #[test]
 fn ticks_that_are_missed_reach_the_ladder() {
-    let mut control =
-        Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, Some(residual()), CORE_HZ).unwrap();
+    let mut control = control(DeviceKind::Ventilator, Some(&residual()));
     begin(&mut control);
     let mut tick = |missed| {
         let mode = control.step(5.0).mode;
@@ -540,7 +545,7 @@ fn nothing_is_stored_while_a_check_moves_the_valves() {
 
 #[test]
 fn reports_that_find_no_room_are_counted() {
-    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ)
+    let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ)
         .unwrap()
         .with_monitors(Monitors::ANY_PLANT);
     begin(&mut control);
@@ -560,7 +565,7 @@ fn reports_that_find_no_room_are_counted() {
 
 #[test]
 fn a_ventilator_has_no_plant_to_reset() {
-    let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    let mut control = Control::new(DeviceKind::Ventilator, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
     assert_eq!(
         control.execute(&ControlRequest::ResetPlant(1)),
         ControlReply::Response(Response::Refused(Refusal::NoPlant))
@@ -571,7 +576,7 @@ proptest! {
     /// Every request in any order and mode is answered, and the valves are safe unless a breath runs.
     #[test]
     fn no_order_of_requests_goes_unanswered(kinds in prop::collection::vec((0u8..17, -10.0f32..70.0), 1..60)) {
-        let mut rig = Rig::new(Some(residual()));
+        let mut rig = Rig::new(Some(&residual()));
         for (kind, value) in kinds {
             let request = match kind {
                 0 => Request::Identify,

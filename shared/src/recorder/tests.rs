@@ -41,7 +41,7 @@ pub fn run(recorder: &mut Recorder, mode: Mode, readings: impl IntoIterator<Item
 
 /// A device for plants whose readings the tests make up.
 fn control() -> Control {
-    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, 1).unwrap();
+    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, 1).unwrap();
     control.with_monitors(Monitors::ANY_PLANT)
 }
 

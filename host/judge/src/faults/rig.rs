@@ -57,7 +57,7 @@ impl Rig {
             Controller::Pid(_) => None,
         };
         let mut rig = Self {
-            control: device(learned.clone(), monitors)?,
+            control: device(learned.as_ref(), monitors)?,
             learned,
             settings: *settings,
             monitors,
@@ -141,7 +141,8 @@ impl Rig {
 
     /// Restarts the chip with the weights it contains.
     pub fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
-        self.boot(cause, self.learned.clone(), [SlotState::Empty; 2])
+        let control = device(self.learned.as_ref(), self.monitors)?;
+        self.boot(cause, control, [SlotState::Empty; 2])
     }
 
     /// Restarts the chip with damaged weights in flash.
@@ -159,9 +160,9 @@ impl Rig {
             }
         }
         let mut slots = flash.slots();
-        let learned = slots.load().map(|(_, image)| image.residual);
-        let states = slots.states();
-        self.boot(ResetCause::BrownOut, learned, states)
+        let image = slots.load().map(|(_, image)| image);
+        let control = device(image.as_ref().map(|image| &image.residual), self.monitors)?;
+        self.boot(ResetCause::BrownOut, control, slots.states())
     }
 
     fn image(&self) -> Result<[u8; IMAGE_BYTES], SourceError> {
@@ -174,11 +175,11 @@ impl Rig {
     fn boot(
         &mut self,
         cause: ResetCause,
-        learned: Option<Residual>,
+        control: Control,
         slots: [SlotState; 2],
     ) -> Result<(), SourceError> {
         let prescription = self.control.prescription();
-        self.control = device(learned, self.monitors)?;
+        self.control = control;
         self.control.report_boot(cause, prescription.is_some(), &slots);
         if let Some(settings) = prescription {
             self.control.resume(&settings).map_err(DeviceError::from)?;
@@ -190,7 +191,11 @@ impl Rig {
 /// The server's recorder memory; nothing is recorded.
 static NO_RECORDING: RecorderMemory = RecorderMemory::new();
 
-fn device(learned: Option<Residual>, monitors: Monitors) -> Result<Control, SourceError> {
-    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, learned, CORE_HZ);
-    Ok(control.map_err(DeviceError::from)?.with_monitors(monitors))
+fn device(learned: Option<&Residual>, monitors: Monitors) -> Result<Control, SourceError> {
+    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ);
+    let mut control = control.map_err(DeviceError::from)?.with_monitors(monitors);
+    if let Some(learned) = learned {
+        control.learn(learned);
+    }
+    Ok(control)
 }

@@ -11,7 +11,7 @@ use proptest::prelude::*;
 const BREATH: usize = 3000;
 
 fn device() -> Control {
-    Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, 168_000_000)
+    Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, 168_000_000)
         .unwrap()
         .with_monitors(Monitors::ANY_PLANT)
 }

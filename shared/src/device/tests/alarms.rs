@@ -7,7 +7,7 @@ use crate::safety::alarms::Priority;
 /// A device with all monitors, after some ticks at a reading.
 fn sensing(reading: f32) -> Rig {
     let mut rig = Rig::new(None);
-    rig.control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    rig.control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
     rig.run_at(100, reading);
     rig
 }
@@ -81,7 +81,7 @@ fn unread(control: &mut Control, queue: &mut Vec<ControlReport>, ticks: usize, r
 
 #[test]
 fn a_host_that_reads_nothing_for_a_while_gets_every_alarm_as_soon_as_it_reads() {
-    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    let control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
     let (mut control, mut queue) = (control.with_monitors(Monitors::ANY_PLANT), Vec::new());
     unread(&mut control, &mut queue, 10, 5.0);
     begin(&mut control);
@@ -133,7 +133,7 @@ fn an_alarm_whose_frame_was_lost_arrives_again_until_it_is_acknowledged() {
 #[test]
 fn each_tick_reports_one_alarm_and_the_first_in_the_tick_in_which_it_begins() {
     let reports = |slot: SlotState, room: &[bool]| -> Vec<usize> {
-        let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+        let mut control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
         control.report_boot(ResetCause::Watchdog, false, &[slot, SlotState::Empty]);
         let mut tick = |room: bool| {
             let (output, mut count) = (control.step(5.0), 0);

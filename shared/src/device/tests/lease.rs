@@ -8,7 +8,7 @@ const OTHER: Option<u32> = Some(8);
 
 /// A ventilating device that the first host steers.
 fn steered() -> Rig {
-    let mut rig = Rig::new(Some(residual()));
+    let mut rig = Rig::new(Some(&residual()));
     rig.start();
     rig.run(10);
     rig

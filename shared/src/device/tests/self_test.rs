@@ -33,7 +33,7 @@ fn ventilation_starts_after_the_self_test_of_half_a_second_in_standby() {
 #[test]
 fn a_check_moves_the_valves_in_standby_until_an_alarm_ends_it() {
     let mut rig = Rig::new(None);
-    rig.control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, None, CORE_HZ).unwrap();
+    rig.control = Control::new(DeviceKind::Simulated, DEFAULT_PERIOD_US, CORE_HZ).unwrap();
     assert!(matches!(rig.ask(Request::RunSelfTest(Check::Circuit)), Response::SelfTest(_)));
     rig.run(300);
     let fills = rig.control.step(5.0).command;
