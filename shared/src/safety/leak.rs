@@ -1,14 +1,15 @@
 //! Leak of the circuit, from the gas that goes in and does not come out again.
 //!
-//! A leak is an orifice: its flow goes with the root of the pressure. What one breath lacks tells little, since efforts and trapped
-//! gas change what stays in the lung from breath to breath. In the sum over breaths they cancel. A leak that changes shows in the
-//! same breaths, each of which lacks gas (or has too much of it), and is then measured anew.
+//! A leak is an orifice: its flow is proportional to the square root of the pressure. The gas that a single breath loses tells
+//! little, since efforts and trapped gas change from breath to breath what stays in the lung; summed over breaths, these changes
+//! cancel out. A leak that has changed shows in several breaths in a row that all lose more gas than the known leak explains, or
+//! all lose less. The sums then start again from these breaths.
 
 /// Part of the sums that a breath leaves of the earlier ones.
 const REMEMBERED: f32 = 0.85;
-/// Breaths in a row with an unexplained loss of the same sign that show another leak.
+/// Breaths in a row with an unexplained loss of the same sign after which the leak may have changed.
 const CHANGED: usize = 3;
-/// Their loss, as a share of the gas that went in, from which it is more than a lung keeps or gives back.
+/// Share of the gas moved in these breaths: a larger unexplained loss is not gas that the lung keeps or gives back.
 const UNEXPLAINED: f32 = 0.5;
 
 /// Gas that a breath has lost.
@@ -23,22 +24,28 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// The loss as that of a leak, L/s at 1 cmH2O; 0 without a pressure.
+    /// The leak that loses this gas, L/s at 1 cmH2O; 0 without a pressure.
     pub fn leak(&self) -> f32 {
-        if self.root > 0.0 { 1e-3 * self.gas / self.root } else { 0.0 }
+        per_root(self.gas, self.root)
     }
 
-    /// The sum of a part of these losses and of others, with the gas that went in last.
-    fn plus(self, other: Self, part: f32) -> Self {
-        Self { gas: part * self.gas + other.gas, root: part * self.root + other.root, ..other }
+    /// How much more gas was lost than a leak of this size explains, mL; negative for less.
+    fn unexplained(&self, leak: f32) -> f32 {
+        self.gas - 1e3 * leak * self.root
+    }
+
+    /// The larger of the gas that went in and the gas that came out, mL.
+    fn moved(&self) -> f32 {
+        self.inspired.max(self.inspired - self.gas)
     }
 }
 
 /// Leak of the last breaths; all zero before the first one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Leak {
-    /// Sums over the breaths, the earlier ones with less weight.
-    sums: Loss,
+    /// Sums of [`Loss::gas`] and [`Loss::root`] over the breaths, the earlier ones with less weight.
+    gas: f32,
+    root: f32,
     /// The last breaths, the older one first.
     last: [Loss; CHANGED - 1],
 }
@@ -46,24 +53,36 @@ pub struct Leak {
 impl Leak {
     /// Adds a breath; whether it shows that the leak has changed, or is the first to show it.
     pub fn add(&mut self, breath: Loss) -> bool {
-        let first = self.sums == Loss::default();
+        let first = self.root == 0.0;
         let [older, old] = self.last;
         let breaths = [older, old, breath];
-        let leak = 1e3 * self.leak();
-        let unexplained = breaths.map(|breath| breath.gas - leak * breath.root);
-        let same = unexplained.iter().all(|gas| *gas > 0.0) || unexplained.iter().all(|gas| *gas < 0.0);
-        let moved: f32 = breaths.iter().map(|breath| breath.inspired.max(breath.inspired - breath.gas)).sum();
-        let changed = same && unexplained.iter().sum::<f32>().abs() > UNEXPLAINED * moved;
+        let changed = self.is_belied(&breaths);
+        (self.gas, self.root) = if changed {
+            breaths.iter().fold((0.0, 0.0), |(gas, root), breath| (gas + breath.gas, root + breath.root))
+        } else {
+            (REMEMBERED * self.gas + breath.gas, REMEMBERED * self.root + breath.root)
+        };
         self.last = [old, breath];
-        self.sums =
-            if changed { older.plus(old, 1.0).plus(breath, 1.0) } else { self.sums.plus(breath, REMEMBERED) };
         changed || first
+    }
+
+    /// Whether the known leak cannot explain what these breaths lost.
+    fn is_belied(&self, breaths: &[Loss; CHANGED]) -> bool {
+        let unexplained = breaths.map(|breath| breath.unexplained(self.leak()));
+        let same = unexplained.iter().all(|gas| *gas > 0.0) || unexplained.iter().all(|gas| *gas < 0.0);
+        let moved: f32 = breaths.iter().map(Loss::moved).sum();
+        same && unexplained.iter().sum::<f32>().abs() > UNEXPLAINED * moved
     }
 
     /// The leak, L/s at 1 cmH2O.
     pub fn leak(&self) -> f32 {
-        self.sums.leak().max(0.0)
+        per_root(self.gas, self.root).max(0.0)
     }
+}
+
+/// The leak that loses `gas` mL at an integral of the root of the pressure, L/s at 1 cmH2O; 0 without a pressure.
+fn per_root(gas: f32, root: f32) -> f32 {
+    if root > 0.0 { 1e-3 * gas / root } else { 0.0 }
 }
 
 #[cfg(test)]

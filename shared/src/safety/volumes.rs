@@ -74,8 +74,7 @@ pub struct Volumes {
     last_ticks: u32,
     /// Volumes of the lung in the last breath, if the flow was measured.
     breath: Option<BreathVolumes>,
-    /// Expired volume of the last breath, mL, and its share of the inspired one, if the flow was measured.
-    last: Option<f32>,
+    /// Expired share of the inspired volume of the last breath, if the flow was measured.
     expired_share: Option<f32>,
     /// Gas that the last breath lost.
     loss: Option<Loss>,
@@ -111,7 +110,6 @@ impl Volumes {
     /// Ends a breath and starts the next one.
     pub fn start_breath(&mut self) {
         let known = self.is_measured();
-        let last = known.then_some(self.expired);
         let volumes = self.lung.take();
         let breath = known.then_some(volumes);
         let expired_share = (known && self.inspired >= TELLING).then(|| self.expired / self.inspired);
@@ -119,7 +117,7 @@ impl Volumes {
         let Self { inspired, root, .. } = *self;
         let loss = (known && root > 0.0).then_some(Loss { gas: inspired - self.expired, root, inspired });
         let Self { ticks: last_ticks, flow, smooth, lung, .. } = *self;
-        *self = Self { lung, flow, smooth, last_ticks, breath, last, expired_share, loss, ..Self::default() };
+        *self = Self { lung, flow, smooth, last_ticks, breath, expired_share, loss, ..Self::default() };
     }
 
     /// Recent rise of the flow towards the patient, L/s; 0 without a reading.
@@ -140,11 +138,6 @@ impl Volumes {
     /// Volumes of the lung in the last breath; none if the flow was not measured.
     pub fn breath(&self) -> Option<BreathVolumes> {
         self.breath
-    }
-
-    /// Expired volume of the last breath, mL; none if the flow was not measured.
-    pub fn expired(&self) -> Option<f32> {
-        self.last
     }
 
     /// Expired share of the inspired volume in the last breath; none if the flow was not measured.
@@ -200,10 +193,10 @@ mod tests {
     fn what_comes_out_is_known_however_little_went_in() {
         let mut volumes = Volumes::default();
         breath(&mut volumes, 0.5, |_| true);
-        assert!(volumes.expired().is_some_and(|expired| (expired - 200.0).abs() < 0.1));
+        assert!(volumes.loss().is_some_and(|loss| (loss.gas - 200.0).abs() < 0.1));
         volumes.add(0.0, 9.0, 0.0, 0.001);
         volumes.start_breath();
-        assert_eq!((volumes.expired(), volumes.expired_share()), (Some(0.0), None));
+        assert!(volumes.loss().is_some_and(|loss| loss.gas == 0.0) && volumes.expired_share().is_none());
         (0..1000).for_each(|_| volumes.add(-0.2, 9.0, 0.0, 0.001));
         volumes.start_breath();
         assert!(
@@ -211,7 +204,7 @@ mod tests {
             "gas of an earlier breath"
         );
         breath(&mut volumes, 0.5, |tick| tick % 5 != 0);
-        assert_eq!(volumes.expired(), None);
+        assert_eq!(volumes.loss(), None);
     }
 
     #[test]
@@ -259,7 +252,7 @@ mod tests {
         breath(&mut volumes, 1.0, |tick| tick % 20 != 0);
         assert!(volumes.expired_share().is_some(), "few are missing");
         volumes.start_breath();
-        assert_eq!((volumes.expired(), volumes.expired_share()), (None, None), "no tick");
+        assert_eq!((volumes.loss(), volumes.expired_share()), (None, None), "no tick");
     }
 
     /// Volumes of the lung in a breath with these flows in its seconds, L/s, and the noise of the sensor, at 9 cmH2O.

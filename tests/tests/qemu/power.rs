@@ -15,16 +15,21 @@ fn is_clock_set(board: &Emulator) -> bool {
     bytes[4 * (shim::backup::TIME + 1) + 2] != 0
 }
 
-/// Ventilates at a PIP of 25 cmH2O up to the middle of an inspiration, with the clock running, and cuts the supply.
+/// Ventilates at a PIP of 25 cmH2O up to the middle of an inspiration.
+fn reach_mid_breath(device: &mut Device) {
+    device.telemetry(true).unwrap();
+    device.apply(paper_settings(25.0)).unwrap();
+    device.start().unwrap();
+    Samples::default().until(device, |sample| (sample.breath, sample.tick) == (2, 400));
+}
+
+/// Ventilates a new device, with the clock running, and cuts the supply in mid-breath.
 fn cut_in_mid_breath(folder: &tempfile::TempDir) {
     let (board, mut device) = after(folder, None);
     let identity = device.identify().unwrap();
     assert_eq!((identity.reset, identity.mode), (ResetCause::PowerOn, Mode::Standby));
     assert_eq!(device.alarms().unwrap(), AlarmStatus::default(), "a first start");
-    device.telemetry(true).unwrap();
-    device.apply(paper_settings(25.0)).unwrap();
-    device.start().unwrap();
-    Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (2, 400));
+    reach_mid_breath(&mut device);
     assert!(is_clock_set(&board));
 }
 
@@ -143,9 +148,7 @@ fn without_the_clocks_crystal_a_power_cut_in_mid_breath_ends_in_standby_with_the
     let (board, mut device) = after(&folder, None);
     debugger(&board).suffer(record::NO_CLOCK_CRYSTAL).unwrap();
     device.restart().unwrap();
-    device.telemetry(true).unwrap();
-    start(&mut device).unwrap();
-    Samples::default().until(&device, |sample| (sample.breath, sample.tick) == (1, 400));
+    reach_mid_breath(&mut device);
     drop((device, board));
     let (_board, mut device) = after(&folder, Some(60));
     stays_in_standby(&mut device, ChipEvent::AbsenceUnknown);

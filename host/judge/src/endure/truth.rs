@@ -54,8 +54,6 @@ pub struct BreathTruth {
     pub resistance: Option<f64>,
     /// Recoil of the lung above PEEP at the breath's last tick, cmH2O: trapped gas, once the expiration has ended.
     pub trapped: f64,
-    /// Volume that entered the lung, from its lowest to its highest, mL.
-    pub volume: f64,
     /// Whether it has ended.
     pub ended: bool,
     /// Gas that went into the lung and out of it, mL.
@@ -91,7 +89,6 @@ pub(super) struct Sums {
     ticks: u32,
     drop_flow: f64,
     flow_flow: f64,
-    low: Option<f64>,
     vented_above: u32,
     starved: u32,
 }
@@ -130,7 +127,6 @@ impl BreathTruth {
             leak_share: 0.0,
             resistance: None,
             trapped: 0.0,
-            volume: 0.0,
             ended: false,
             inspired: 0.0,
             expired: 0.0,
@@ -179,9 +175,6 @@ impl BreathTruth {
         }
         sums.ticks += 1;
         self.resistance = (sums.ticks >= RESISTANCE_TICKS).then(|| sums.drop_flow / sums.flow_flow);
-        let low = *sums.low.get_or_insert(truth.lung_volume_ml);
-        sums.low = Some(low.min(truth.lung_volume_ml));
-        self.volume = self.volume.max(truth.lung_volume_ml - low.min(truth.lung_volume_ml));
         self.inspired += truth.flow_lung.max(0.0);
         self.expired += (-truth.flow_lung).max(0.0);
         self.trapped = truth.alveolar_pressure + truth.muscle_pressure - f64::from(self.settings.peep);
