@@ -2,7 +2,6 @@
 
 use anyhow::{anyhow, bail};
 use serde::Serialize;
-use shared::safety::alarms::{ALARMS, Fault};
 use shared::safety::monitors::Monitors;
 use std::path::PathBuf;
 
@@ -11,7 +10,7 @@ use super::common::benches;
 use super::output::OutputArgs;
 use data::provenance::Provenance;
 use judge::faults::cases::{LIMIT, LIMITS};
-use judge::faults::matrix::{FaultRow, false_alarms, matrix, without_each_part};
+use judge::faults::matrix::{FaultRow, Part, false_alarms, matrix, without_each_part};
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
@@ -43,10 +42,10 @@ pub struct Args {
     /// Pressure limit, cmH2O; rows about breaths that end at the limit have a lower one of their own
     #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = limit)]
     limit: f32,
-    /// Switch off this monitor
-    #[arg(long, value_name = "ID")]
+    /// Leave out this monitor or response, such as reading-frozen or "step to the PID"
+    #[arg(long, value_name = "NAME")]
     without: Option<String>,
-    /// Leave out each monitor, and each response but the step to the PID, in turn, and require at least one row to fail
+    /// Leave out each monitor and each response in turn, and require at least one row to fail
     #[arg(long, conflicts_with = "without")]
     mutate: bool,
     /// Run this many breaths without a fault and require that no alarm occurs
@@ -84,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
     let monitors = match &args.without {
-        Some(id) => Monitors::ALL.without(named(id)?),
+        Some(name) => named(name)?.others(),
         None => Monitors::ALL,
     };
     let rows = with_bars(|progress| matrix(lungs, &args.seeds, args.limit, monitors, progress))?;
@@ -128,11 +127,10 @@ fn nominal(args: &Args, lungs: &[BenchConfig], breaths: u32) -> anyhow::Result<(
     Ok(())
 }
 
-fn named(id: &str) -> anyhow::Result<Fault> {
-    let found = ALARMS.iter().find(|alarm| alarm.id == id).map(|alarm| alarm.fault);
-    found.ok_or_else(|| {
-        let all: Vec<&str> = ALARMS.iter().map(|alarm| alarm.id).collect();
-        anyhow!("there is no monitor {id}; the monitors are {}", all.join(", "))
+fn named(name: &str) -> anyhow::Result<Part> {
+    Part::all().find(|part| part.name() == name).ok_or_else(|| {
+        let all: Vec<&str> = Part::all().map(Part::name).collect();
+        anyhow!("there is no monitor or response `{name}`; they are {}", all.join(", "))
     })
 }
 

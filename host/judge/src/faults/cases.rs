@@ -488,7 +488,8 @@ const CONTROL: [FaultCase; 13] = [
         .at(0)
         // The PID in its place after two breaths; it has no integral.
         .judged_after(2 * BREATH_MS)
-        .with_share(SHARE_WITHOUT_INTEGRAL),
+        .with_share(SHARE_WITHOUT_INTEGRAL)
+        .never(&[Fault::CommandCapped]),
     case("PID that drives each breath to the limit", Injection::Controller, &[Fault::CommandCapped])
         .with(low)
         .run_by(Ringing)

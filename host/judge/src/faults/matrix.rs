@@ -117,10 +117,9 @@ pub enum Part {
 }
 
 impl Part {
-    /// All monitors, and the responses that a row needs: without the step to the PID the step to the capped one takes its place.
+    /// All monitors and all responses.
     pub fn all() -> impl Iterator<Item = Self> {
-        let responses = Response::ALL.into_iter().filter(|response| *response != Response::Pid);
-        Fault::all().map(Self::Monitor).chain(responses.map(Self::Response))
+        Fault::all().map(Self::Monitor).chain(Response::ALL.into_iter().map(Self::Response))
     }
 
     /// Its name in tables.
@@ -132,7 +131,7 @@ impl Part {
     }
 
     /// All other monitors and responses.
-    fn others(self) -> Monitors {
+    pub fn others(self) -> Monitors {
         match self {
             Self::Monitor(fault) => Monitors::ALL.without(fault),
             Self::Response(response) => Monitors::ALL.without_response(response),
