@@ -63,6 +63,7 @@ fn ventilation(case: &FaultCase) -> String {
     let gap = f64::from(case.longest_gap_ms(LIMIT)) / 1000.0;
     match case.ventilation {
         Required::Impossible => "none is required".to_owned(),
+        Required::Stays => "none may start by itself".to_owned(),
         Required::GoesOn | Required::Resumes => format!("{share}, a breath within {gap:.0} s"),
     }
 }

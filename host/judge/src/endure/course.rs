@@ -2,6 +2,7 @@
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
+use shared::device::prescription::PrescriptionMemory;
 use shared::safety::alarms::Fault;
 use shared::safety::filter::ValveCommand;
 use shared::safety::ladder::Level;
@@ -97,7 +98,8 @@ pub fn run(
     let seconds = f64::from(end_ms) * 1e-3;
     let least = patient.spans(seconds).map(|(settings, _)| patient.passive_volume_ml(&settings));
     let threshold = DELIVERED * least.fold(f64::INFINITY, f64::min);
-    let mut stay = Stay::new(patient, &patient.bench, controller, threshold)?;
+    let memory = PrescriptionMemory::new();
+    let mut stay = Stay::new(&memory, patient, &patient.bench, controller, threshold)?;
     for ms in 0..end_ms {
         if ms % 60_000 == 0 && ms > 0 && !observer.minute() {
             return Ok(None);
@@ -130,7 +132,8 @@ fn sound_volume(patient: &Patient, controller: &Controller, seconds: f64) -> Res
     for (settings, span_s) in patient.spans(seconds) {
         let alone = Patient { settings, changes: Vec::new(), ..patient.clone() };
         let threshold = DELIVERED * patient.passive_volume_ml(&settings);
-        let mut stay = Stay::new(&alone, &bench, controller, threshold)?;
+        let memory = PrescriptionMemory::new();
+        let mut stay = Stay::new(&memory, &alone, &bench, controller, threshold)?;
         let [from_ms, to_ms] = [SOUND_BREATHS.0, SOUND_BREATHS.1]
             .map(|breaths| (breaths * 60_000.0 / f64::from(settings.rate)).round() as u32);
         for ms in 0..to_ms {
@@ -148,7 +151,7 @@ fn sound_volume(patient: &Patient, controller: &Controller, seconds: f64) -> Res
 /// A stay in progress.
 struct Stay<'a> {
     patient: &'a Patient,
-    rig: Rig,
+    rig: Rig<'a>,
     bench: Bench,
     readings: Readings,
     history: History,
@@ -166,6 +169,7 @@ struct Stay<'a> {
 
 impl<'a> Stay<'a> {
     fn new(
+        memory: &'a PrescriptionMemory,
         patient: &'a Patient,
         bench: &BenchConfig,
         controller: &Controller,
@@ -174,7 +178,7 @@ impl<'a> Stay<'a> {
         let settings = &patient.settings;
         let bench = Bench::new(bench, settings.peep, patient.seed)?;
         Ok(Self {
-            rig: Rig::started(controller, settings, Monitors::ALL, None)?,
+            rig: Rig::started(memory, controller, settings, Monitors::ALL, None)?,
             readings: Readings::from(settings.peep),
             history: History::new(patient),
             watch: MissedWatch::default(),

@@ -9,8 +9,9 @@ use super::injection::Damage;
 use super::injection::Injection::{
     self, BothLost, BothLostAndFlow, BothLostAndPart, BrownOut, CoughTrains, Coughs, Drift, Dropped,
     FlowLost, Hang, HostSilent, MissedTicks, NewLung, NewTiming, Noise, NoisyAt, Offset, OtherHost,
-    OutletLost, OutletOffset, Reads, Reconnected, StuckAt, StuckAtLast, SwappedBytes, Weights,
+    OutletLost, OutletOffset, PowerCut, Reads, Reconnected, StuckAt, StuckAtLast, SwappedBytes, Weights,
 };
+use super::injection::POWERLESS_MS;
 use super::volume::VolumeLimits;
 use plant::bench::{BenchConfig, Failure, PatientConfig};
 
@@ -98,6 +99,8 @@ pub enum Required {
     GoesOn,
     /// The same with no gap longer than 3 s.
     Resumes,
+    /// None may start by itself.
+    Stays,
 }
 
 /// No alarm limits of the volumes.
@@ -231,7 +234,7 @@ impl FaultCase {
         match self.ventilation {
             Required::GoesOn => GAP_MS.max(pause as u32),
             Required::Resumes => GAP_AFTER_RESET_MS,
-            Required::Impossible => GAP_MS,
+            Required::Impossible | Required::Stays => GAP_MS,
         }
     }
 
@@ -297,6 +300,11 @@ impl FaultCase {
 
     const fn resumed(self) -> Self {
         Self { ventilation: Required::Resumes, ..self }
+    }
+
+    /// Requires that no breath is delivered.
+    const fn stays(self) -> Self {
+        Self { ventilation: Required::Stays, ..self }
     }
 
     const fn with(self, settings: fn(f32) -> Settings) -> Self {
@@ -467,11 +475,17 @@ const PATIENT: [FaultCase; 15] = [
 ];
 
 /// Faults of chip and controller.
-const CONTROL: [FaultCase; 13] = [
+const CONTROL: [FaultCase; 15] = [
     case("10 of every 100 control ticks missed", MissedTicks(10), &[Fault::MissedTicks]),
     case("control task hangs", Hang, &[Fault::Restarted]).resumed(),
     case("control task hangs at the start of a breath", Hang, &[Fault::Restarted]).at(START_MS).resumed(),
     case("power supply dips during an inspiration", BrownOut, &[Fault::Restarted]).resumed(),
+    case("power cut of 10 s", PowerCut(POWERLESS_MS / 1000), &[Fault::Restarted])
+        .judged_after(POWERLESS_MS)
+        .resumed(),
+    case("power cut of 16 minutes", PowerCut(16 * 60), &[Fault::Restarted])
+        .judged_after(POWERLESS_MS)
+        .stays(),
     case("host goes silent during exploration", HostSilent, &[Fault::HostSilent]),
     case("a second host sends other settings and gains", OtherHost, &[])
         .by("its requests are refused: it has no lease"),

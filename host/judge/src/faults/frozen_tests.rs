@@ -7,6 +7,7 @@ use super::rig::Rig;
 use plant::bench::{Bench, BenchConfig};
 use rayon::prelude::*;
 use shared::breath::{PAPER_PIPS, paper_settings};
+use shared::device::prescription::PrescriptionMemory;
 use shared::safety::alarms::Fault;
 use shared::safety::monitors::Monitors;
 use shared::sensor::Readings;
@@ -69,7 +70,8 @@ fn course(
     freeze: Option<(u32, Sensors)>,
 ) -> (Vec<f64>, Vec<(Fault, u32)>) {
     let controller = sound_controller().unwrap();
-    let mut rig = Rig::started(&controller, settings, Monitors::ALL, None).unwrap();
+    let memory = PrescriptionMemory::new();
+    let mut rig = Rig::started(&memory, &controller, settings, Monitors::ALL, None).unwrap();
     let mut bench = Bench::new(bench, settings.peep, 1).unwrap();
     let mut readings = Readings::from(settings.peep);
     let (mut pressures, mut alarms, mut held) = (Vec::new(), Vec::new(), None);

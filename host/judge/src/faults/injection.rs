@@ -16,6 +16,8 @@ use plant::bench::Failure;
 const WORD: (f32, f32) = (600.0, -25.0);
 /// Time from the hang of the control task to the reset by the watchdog, ms: the longest of any chip.
 const WATCHDOG_MS: u32 = WATCHDOG_MAX_US / 1000;
+/// Time without supply in a trial, ms.
+pub(super) const POWERLESS_MS: u32 = 10_000;
 /// Time from a reset until the control task runs again, ms.
 const BOOT_MS: u32 = 300;
 
@@ -63,6 +65,8 @@ pub enum Injection {
     Hang,
     /// The supply dips, which resets the chip.
     BrownOut,
+    /// The supply is away for this time, s. A trial leaves out what is longer than [`POWERLESS_MS`].
+    PowerCut(u32),
     /// The patient coughs with this peak, cmH2O, in the middle of every inspiration.
     Coughs(f64),
     /// The patient coughs six times in a row with this peak, cmH2O, in every third breath of 3 s.
@@ -187,6 +191,8 @@ impl Injection {
             Self::Hang if ms < WATCHDOG_MS + BOOT_MS => Task::Boots,
             Self::BrownOut | Self::Weights(_) if ms == 0 => Task::Reset(ResetCause::BrownOut),
             Self::BrownOut | Self::Weights(_) if ms < BOOT_MS => Task::Boots,
+            Self::PowerCut(_) if ms == 0 => Task::Reset(ResetCause::PowerOn),
+            Self::PowerCut(_) if ms < POWERLESS_MS + BOOT_MS => Task::Boots,
             _ => Task::Runs,
         }
     }

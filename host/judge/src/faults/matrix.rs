@@ -277,6 +277,7 @@ fn row(
         Required::GoesOn | Required::Resumes => {
             gap_ms <= case.longest_gap_ms(limit) && minute_volume_share >= case.least_share
         }
+        Required::Stays => outcomes.iter().all(|outcome| outcome.ventilation.breaths == 0),
     };
     let peak_allowed = case.peak_allowed(limit);
     let quiet = !outcomes.iter().any(|outcome| outcome.alarms.iter().any(unwanted));

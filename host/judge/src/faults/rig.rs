@@ -1,4 +1,4 @@
-//! The device of a trial: the control half as it runs on the chip, its weight slots, and a host that polls it.
+//! The device of a trial: the control half as it runs on the chip, its prescription and weight slots, and a host that polls it.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -6,7 +6,9 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::residual::Residual;
 use shared::device::ControlRequest;
+use shared::device::absence::ClockTime;
 use shared::device::control::Control;
+use shared::device::prescription::{Interruption, Prescription, PrescriptionMemory};
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::explore::Exploration;
 use shared::link::host_name::HostName;
@@ -30,12 +32,17 @@ use ventilator::SourceError;
 
 /// Ticks between two requests of the host.
 const HOST_ASKS_EVERY: u32 = 1000;
+/// Ticks between two notes of the time at which the device ventilates.
+const NOTED_EVERY: u32 = 250;
+const TICKS_PER_S: u32 = 1_000_000 / DEFAULT_PERIOD_US;
 /// Clock rate of the simulated device, Hz.
 const CORE_HZ: u32 = 1_000_000;
 
 /// A device and its host.
-pub struct Rig {
+pub struct Rig<'a> {
     control: Control,
+    memory: &'a PrescriptionMemory,
+    prescription: Prescription<'a>,
     learned: Option<Residual>,
     settings: Settings,
     monitors: Monitors,
@@ -44,9 +51,10 @@ pub struct Rig {
     ticks: u32,
 }
 
-impl Rig {
-    /// A device just started by a host.
+impl<'a> Rig<'a> {
+    /// A device just started by a host, with new memory for its prescription.
     pub fn started(
+        memory: &'a PrescriptionMemory,
         controller: &Controller,
         settings: &Settings,
         monitors: Monitors,
@@ -58,6 +66,8 @@ impl Rig {
         };
         let mut rig = Self {
             control: device(learned.as_ref(), monitors)?,
+            memory,
+            prescription: Prescription::attach(memory, None, None),
             learned,
             settings: *settings,
             monitors,
@@ -98,8 +108,15 @@ impl Rig {
     /// Runs one tick.
     pub fn step(&mut self, readings: Readings, missed: u32) -> Output {
         self.control.record(&TickTime { latency: 0, work: 0, period: None, missed });
+        if self.prescription.is_due() {
+            self.prescription.resume(&mut self.control, true);
+        }
         let output = self.control.step(readings);
+        self.prescription.keep(&self.control, &output);
         self.ticks += 1;
+        if output.sample.is_some() && self.ticks.is_multiple_of(NOTED_EVERY) {
+            self.memory.ventilates_at(clock(self.ticks / TICKS_PER_S));
+        }
         if self.host_speaks && self.ticks.is_multiple_of(HOST_ASKS_EVERY) {
             self.control.execute(&ControlRequest::Status);
         }
@@ -139,10 +156,11 @@ impl Rig {
         refused
     }
 
-    /// Restarts the chip with the weights it contains.
-    pub fn reset(&mut self, cause: ResetCause) -> Result<(), SourceError> {
+    /// Restarts the chip with the weights it contains, after its supply was away for some seconds.
+    pub fn reset(&mut self, cause: ResetCause, away_s: u32) -> Result<(), SourceError> {
         let control = device(self.learned.as_ref(), self.monitors)?;
-        self.boot(cause, control, [SlotState::Empty; 2])
+        self.boot(cause, away_s, control, [SlotState::Empty; 2]);
+        Ok(())
     }
 
     /// Restarts the chip with damaged weights in flash.
@@ -162,7 +180,8 @@ impl Rig {
         let mut slots = flash.slots();
         let image = slots.load().map(|(_, image)| image);
         let control = device(image.as_ref().map(|image| &image.residual), self.monitors)?;
-        self.boot(ResetCause::BrownOut, control, slots.states())
+        self.boot(ResetCause::BrownOut, 0, control, slots.states());
+        Ok(())
     }
 
     fn image(&self) -> Result<[u8; IMAGE_BYTES], SourceError> {
@@ -172,20 +191,20 @@ impl Rig {
         Ok(image)
     }
 
-    fn boot(
-        &mut self,
-        cause: ResetCause,
-        control: Control,
-        slots: [SlotState; 2],
-    ) -> Result<(), SourceError> {
-        let prescription = self.control.prescription();
+    fn boot(&mut self, cause: ResetCause, away_s: u32, control: Control, slots: [SlotState; 2]) {
+        let now = clock(self.ticks / TICKS_PER_S + away_s);
+        self.prescription =
+            Prescription::attach(self.memory, Interruption::of(cause, false, false), Some(now));
         self.control = control;
-        self.control.report_boot(cause, prescription.is_some(), &slots);
-        if let Some(settings) = prescription {
-            self.control.resume(&settings).map_err(DeviceError::from)?;
-        }
-        Ok(())
+        self.control.report_boot(cause, self.prescription.is_interrupted(), &slots);
     }
+}
+
+/// What a calendar clock shows some seconds after midnight.
+fn clock(seconds: u32) -> ClockTime {
+    let decimal = |number: u32| 16 * (number / 10) + number % 10;
+    let [hour, minute, second] = [seconds / 3600 % 24, seconds / 60 % 60, seconds % 60].map(decimal);
+    ClockTime { time: hour << 16 | minute << 8 | second, ..ClockTime::FIRST }
 }
 
 /// The server's recorder memory; nothing is recorded.

@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::Serialize;
 use shared::control::Controller;
+use shared::device::prescription::PrescriptionMemory;
 use shared::explore::Exploration;
 use shared::reset::ResetCause;
 use shared::safety::alarms::{Action, Fault};
@@ -98,7 +99,7 @@ impl TrialOutcome {
 /// A running trial.
 struct Run<'a> {
     trial: &'a Trial<'a>,
-    rig: Rig,
+    rig: Rig<'a>,
     bench: Bench,
     sensor: SensorFault,
     /// For damage to the flash.
@@ -122,8 +123,9 @@ pub fn run(trial: &Trial<'_>) -> Result<TrialOutcome, SourceError> {
     let exploration = (trial.injection == Injection::HostSilent).then(Exploration::default);
     let rng = ChaCha8Rng::seed_from_u64(trial.seed);
     let bench = Bench::new(trial.bench, trial.settings.peep, trial.seed)?;
+    let memory = PrescriptionMemory::new();
     let mut run = Run {
-        rig: Rig::started(trial.controller, &trial.settings, trial.monitors, exploration)?,
+        rig: Rig::started(&memory, trial.controller, &trial.settings, trial.monitors, exploration)?,
         delivered_ml: DELIVERED * tidal_volume_ml(trial.bench, &trial.injection.settings(trial.settings)),
         volume: VolumeMeter::new(0.0, 0.0, 0),
         bench,
@@ -220,7 +222,8 @@ impl Run<'_> {
         self.missed = 0;
         match self.trial.injection {
             Injection::Weights(damage) => self.rig.reset_with(damage, &mut self.rng),
-            _ => self.rig.reset(cause),
+            Injection::PowerCut(away_s) => self.rig.reset(cause, away_s),
+            _ => self.rig.reset(cause, 0),
         }
     }
 
