@@ -284,7 +284,7 @@ pub const ALARMS: [Alarm; 30] = [
         (High, Action::Pid),
         [
             "in 2 breaths in a row less than a third of the volume per pressure rise of the last good breaths, and less than \
-             half of the gas reaches the patient or comes out again; in 10 breaths in a row if more does",
+             half of the gas reaches the patient or comes out again; in 10 breaths in a row if more does, but less than 80 % comes out again",
             GONE,
             "tube occluded",
         ],
@@ -296,7 +296,8 @@ pub const ALARMS: [Alarm; 30] = [
         [
             "for 40 ms less than 12 % of a predicted rise of more than 10 cmH2O, or for 20 ms no change over the last 64 ms \
              although such a rise is predicted; not if two pressure sensors agree, the gas reaches the patient, and the \
-             pressure is up or less than 30 cmH2O are missing (40 in a breath that an effort has started)",
+             pressure is up, less than 30 cmH2O are missing (40 in a breath that an effort has started), or fewer than 2 \
+             inspirations have shown the lung",
             "2 inspirations in a row raise the pressure",
             "pressure does not respond to the valve",
         ],
@@ -445,7 +446,7 @@ pub const ALARMS: [Alarm; 30] = [
         "apnoea",
         (High, Tell),
         [
-            "no breath of 3 mL in and out for 20 s, or for two breaths if these take longer",
+            "no breath of 3 mL in and out for 20 s, or for two breaths if these take longer; time in which gas goes one way only counts half",
             "a breath of such a volume",
             "no gas goes in and out",
         ],

@@ -23,6 +23,8 @@ const OCCLUDED: f32 = 1.0 / 3.0;
 /// Share of the delivered volume that passes an open or narrowed tube to the patient, and comes out again. With an occluded one
 /// the gas stays in the circuit.
 const PASSES: f32 = 0.5;
+/// Share of the delivered volume that comes out of an open tube: the circuit keeps the rest.
+const OPEN: f32 = 0.8;
 /// Breaths in a row with a low compliance that are a fault although gas passes the tube: efforts against the machine can take
 /// the volume of several.
 const NARROWED_BREATHS: u32 = 10;
@@ -287,8 +289,7 @@ impl BreathMonitor {
         let occluded = before.is_some_and(|before| compliance < OCCLUDED * before);
         state.occluded = in_a_row(state.occluded, occluded);
         // A breath that a cough ends has little gas, all of which comes out.
-        let normal = if cut { PASSES * volume } else { OCCLUDED * rise * before.unwrap_or(0.0) };
-        (state.delivered, state.normal) = (volume, normal);
+        (state.delivered, state.normal) = (volume, volume * if cut { PASSES } else { OPEN });
         // The new compliance is believed in the end: a lung can change for good, and the alarm has long been raised.
         if !occluded || state.occluded >= NEW_LUNG {
             state.compliances = [Some(compliance), state.compliances[0]];

@@ -151,6 +151,8 @@ pub struct LungState {
     sums: Sums,
     /// Estimates from the last inspirations that allowed one, the newest first.
     lungs: [Option<LungEstimate>; ESTIMATES],
+    /// The last estimate from a breath that the clock has started: efforts falsify all others in the same way.
+    timed: Option<LungEstimate>,
     unanswered: u32,
     standing: u32,
     /// The last ticks, and the number of ticks in this inspiration.
@@ -183,14 +185,18 @@ impl LungEstimator {
         state.opening += self.lag_factor * (due - state.opening);
     }
 
-    /// Ends the inspiration: estimates the lung from it, if it was long enough and the fit is good enough.
-    pub fn end_inspiration(&self, state: &mut LungState) {
+    /// Ends the inspiration: estimates the lung from it, if it was long enough and the fit is good enough. `triggered`: an effort
+    /// has started it.
+    pub fn end_inspiration(&self, state: &mut LungState, triggered: bool) {
         if state.volume < TELLING_VOLUME || state.ticks < self.telling || state.trapped {
             return;
         }
         if let Some(lung) = state.sums.solve() {
             state.lungs.rotate_right(1);
             state.lungs[0] = Some(lung);
+            if !triggered {
+                state.timed = Some(lung);
+            }
         }
     }
 
@@ -276,14 +282,23 @@ impl LungState {
     /// them, and may keep better ones from being made.
     pub fn forget_false(&mut self, pressure: f32) {
         let (volume, flow, rise) = (self.volume, self.flow, pressure - self.start);
-        for lung in &mut self.lungs {
+        for lung in self.lungs.iter_mut().chain([&mut self.timed]) {
             *lung = lung.filter(|lung| lung.rise(volume, flow) <= FALSE * rise);
         }
     }
 
+    /// Whether there are at least two estimates.
+    pub fn is_known(&self) -> bool {
+        self.lungs.iter().flatten().count() > 1
+    }
+
     /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.
     pub fn predicted_rise(&self) -> f32 {
-        self.rises(ESTIMATES).reduce(f32::min).unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
+        let timed = self.timed.map(|lung| self.rise(lung));
+        self.rises(ESTIMATES)
+            .chain(timed)
+            .reduce(f32::min)
+            .unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
     }
 
     /// Rises that the newest estimates predict, cmH2O.
@@ -321,6 +336,7 @@ impl Default for LungState {
             trapped: false,
             sums: Sums::default(),
             lungs: [None; ESTIMATES],
+            timed: None,
             unanswered: 0,
             standing: 0,
             past: [PastTick { pressure: 0.0, predicted: 0.0 }; WINDOW],

@@ -225,7 +225,7 @@ impl Supervisor {
                 if !state.cut {
                     state.strike = state.lung.explains(0.5 * (limit + settings.pip));
                     if state.open == 0 {
-                        self.lung.end_inspiration(&mut state.lung);
+                        self.lung.end_inspiration(&mut state.lung, state.triggered);
                     }
                 }
                 state.cut = true;
@@ -341,7 +341,8 @@ impl Supervisor {
     }
 
     /// Finds why the pressure does not respond to the gas. If the gas reaches the patient, and two sound sensors agree, a
-    /// patient draws it in: either the pressure stays up all the same, or no more is missing than an effort takes away.
+    /// patient draws it in: either the pressure stays up all the same, or no more is missing than an effort takes away. Efforts
+    /// falsify a single estimate of the lung easily, so that it proves nothing then.
     fn unresponsive(
         &self,
         state: &mut SupervisorState,
@@ -356,7 +357,7 @@ impl Supervisor {
         let rise = pressure - settings.peep;
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
         let effort = if state.triggered { TRIGGERED_EFFORT } else { EFFORT };
-        let drawn_in = stays_up || state.lung.predicted_rise() - rise < effort;
+        let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < effort;
         let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
         if !(reaches && drawn_in && state.source.are_both_sound()) {
             self.found(state, Fault::NoResponse);
@@ -365,7 +366,7 @@ impl Supervisor {
 
     /// Ends an inspiration that was not cut at the limit.
     fn inspired(&self, state: &mut SupervisorState, pressure: f32, breath: &Breath) {
-        self.lung.end_inspiration(&mut state.lung);
+        self.lung.end_inspiration(&mut state.lung, state.triggered);
         let settings = breath.settings();
         let (rise, wanted) = (pressure - settings.peep, settings.pip - settings.peep);
         if let Some(responses) = &mut state.unresponsive {

@@ -22,6 +22,8 @@ const AVERAGED: f32 = 30.0;
 const DELIVERED: f32 = 3.0;
 /// Time without such a breath that is apnoea, s, and the breaths as set that it takes at least.
 const APNOEA: (f32, f32) = (20.0, 2.0);
+/// Weight of the time in which gas goes one way only: the leak monitor needs some breaths to learn of a leak that has just opened.
+const ONE_WAY: f32 = 0.5;
 /// From mL/s to L/min.
 const LITRES_PER_MINUTE: f32 = 0.06;
 
@@ -111,15 +113,16 @@ fn has_limits(settings: &Settings) -> bool {
 }
 
 /// Counts the time without a breath that gets through, after one of these volumes and this length, s. Gas must go both in and out:
-/// an offset of the sensor, an open end, or a leak that is gone, goes only one way.
+/// an offset of the sensor, an open end, or a leak that is gone, goes only one way. So does a leak that has just opened.
 fn apnoea(
     state: &mut VolumeState,
     breath: BreathVolumes,
     seconds: f32,
     settings: &Settings,
 ) -> Option<Fault> {
-    let delivered = breath.inspired.min(breath.expired) >= DELIVERED;
-    state.without = if delivered { 0.0 } else { state.without + seconds };
+    let [goes_in, comes_out] = [breath.inspired, breath.expired].map(|volume| volume >= DELIVERED);
+    let weight = if goes_in == comes_out { 1.0 } else { ONE_WAY };
+    state.without = if goes_in && comes_out { 0.0 } else { state.without + weight * seconds };
     let longest = APNOEA.0.max(APNOEA.1 * 60.0 / settings.rate);
     (state.without >= longest).then_some(Fault::Apnoea)
 }
@@ -449,6 +452,18 @@ mod tests {
         };
         assert!(is_apnoea(900.0, 2.9) && is_apnoea(2.9, 900.0));
         assert!(!is_apnoea(900.0, 3.0) && !is_apnoea(3.0, 900.0));
+    }
+
+    #[test]
+    fn gas_that_goes_one_way_may_be_that_of_a_new_leak_and_counts_half() {
+        let until = |inspired, expired| {
+            let (mut state, breath) =
+                (VolumeState::default(), BreathVolumes { inspired, expired, leaked: 0.0 });
+            (1..99).find(|_| apnoea(&mut state, breath, 1.0, &paper_settings(20.0)).is_some())
+        };
+        assert_eq!([until(0.0, 0.0), until(2.9, 2.9)], [Some(20); 2]);
+        assert_eq!([until(3.0, 2.9), until(2.9, 3.0)], [Some(40); 2]);
+        assert_eq!(until(3.0, 3.0), None);
     }
 
     #[test]

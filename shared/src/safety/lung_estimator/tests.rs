@@ -51,7 +51,7 @@ fn inspire(state: &mut LungState, command: f32, pressure: impl Fn(&LungState) ->
         silent
     });
     let silent = silent.collect();
-    estimator.end_inspiration(state);
+    estimator.end_inspiration(state, false);
     silent
 }
 
@@ -294,7 +294,7 @@ fn an_inspiration_of_a_few_ticks_has_filled_the_tube_alone_and_tells_nothing() {
     let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
     let mut state = LungState { volume: 100.0, sums: told, ticks: 149, ..predicting(0.0) };
     let before = state.lungs;
-    estimator().0.end_inspiration(&mut state);
+    estimator().0.end_inspiration(&mut state, false);
     assert_eq!(state.lungs, before);
 }
 
@@ -303,11 +303,39 @@ fn an_inspiration_of_twenty_millilitres_tells_of_the_lung_and_a_smaller_one_does
     let after = |volume| {
         let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
         let mut state = LungState { volume, sums: told, ticks: 150, ..predicting(0.0) };
-        estimator().0.end_inspiration(&mut state);
+        estimator().0.end_inspiration(&mut state, false);
         state.lungs.map(|lung| lung.map(|lung| (100.0 * lung.elastance + 0.5) as i32))
     };
     assert_eq!(after(TELLING_VOLUME), [Some(5), Some(100), None, None], "the newest first");
     assert_eq!(after(TELLING_VOLUME - 0.1), [Some(100), None, None, None]);
+}
+
+#[test]
+fn the_last_estimate_of_a_timed_breath_outlasts_all_of_those_that_efforts_have_started() {
+    let (estimator, mut state) = estimator();
+    let mut rise_after = |elastance: f32, triggered: bool| {
+        let told = sums(&TICKS, |v, q| [elastance * v + 20.0 * q; 2]);
+        state = LungState { volume: 100.0, flow: 0.0, sums: told, ticks: 150, ..state.clone() };
+        estimator.end_inspiration(&mut state, triggered);
+        (state.predicted_rise() + 0.5) as i32
+    };
+    assert_eq!(rise_after(0.02, false), 2);
+    assert!((0..9).all(|_| rise_after(0.08, true) == 2));
+    assert_eq!([(); 3].map(|()| rise_after(0.04, false)), [4; 3]);
+    let mut state =
+        LungState { timed: Some(LungEstimate { elastance: 0.2, resistance: 0.0 }), ..estimated([None; 4]) };
+    assert!((state.predicted_rise() - 20.0).abs() < 1e-3);
+    state.forget_false(10.1);
+    assert!(state.timed.is_some());
+    state.forget_false(9.9);
+    assert!(state.timed.is_none(), "it is forgotten like the others");
+}
+
+#[test]
+fn a_lung_is_known_from_its_second_estimate_on() {
+    let known = |lungs| estimated(lungs).is_known();
+    assert!(!known([None; 4]) && !known([None, SOFT, None, None]));
+    assert!(known([SOFT, None, None, SOFT]) && known([SOFT; 4]));
 }
 
 #[test]
@@ -317,7 +345,7 @@ fn an_inspiration_that_begins_with_trapped_gas_tells_nothing() {
         state.start_inspiration(start, 5.0);
         let told = sums(&TICKS, |v, q| [0.05 * v + 20.0 * q; 2]);
         state = LungState { volume: TELLING_VOLUME, sums: told, ticks: 150, ..state };
-        estimator().0.end_inspiration(&mut state);
+        estimator().0.end_inspiration(&mut state, false);
         state.lungs.iter().flatten().count()
     };
     assert_eq!((after(8.0), after(8.1)), (2, 1));

@@ -308,8 +308,13 @@ fn a_doubtful_pressure_below_peep_raises_no_flow() {
 
 /// An inspiration with two sensors on a stiff lung that ends when this rise, cmH2O, is predicted.
 fn filled_to(predicted: f32, triggered: bool, second_sensor: bool) -> Run {
+    filled_after(2, predicted, triggered, second_sensor)
+}
+
+/// The same after this number of inspirations.
+fn filled_after(inspirations: u32, predicted: f32, triggered: bool, second_sensor: bool) -> Run {
     let mut run = Run::new();
-    assert_eq!(run.inspire(STIFF, 30.0), None);
+    (0..inspirations).for_each(|_| assert_eq!(run.inspire(STIFF, 30.0), None));
     if triggered {
         run.supervisor.triggered(&mut run.state, &breath(), breath().total_ticks() - 1);
     }
@@ -348,6 +353,10 @@ fn gas_that_a_patient_draws_in_is_no_missing_response() {
     assert!(!started(39.5) && started(40.0), "nor 40 one that has started the breath");
     let risen = |predicted: f32| is_missing(filled_to(predicted, false, true), 9.0, 1.0, true);
     assert!(!risen(33.5) && risen(34.0), "4 of 34 are there");
+    assert!(
+        !is_missing(filled_after(1, 50.0, false, true), 5.0, 1.0, true),
+        "a single inspiration proves nothing"
+    );
 }
 
 #[test]
