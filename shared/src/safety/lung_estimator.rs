@@ -149,10 +149,9 @@ pub struct LungState {
     start: f32,
     trapped: bool,
     sums: Sums,
-    /// Estimates from the last inspirations that allowed one, the newest first.
-    lungs: [Option<LungEstimate>; ESTIMATES],
-    /// The last estimate from a breath that the clock has started: efforts falsify all others in the same way.
-    timed: Option<LungEstimate>,
+    /// Estimates from the last inspirations that allowed one, the newest first, and then the last one from a breath that the clock
+    /// has started: efforts falsify all others in the same way.
+    lungs: [Option<LungEstimate>; ESTIMATES + 1],
     unanswered: u32,
     standing: u32,
     /// The last ticks, and the number of ticks in this inspiration.
@@ -192,10 +191,10 @@ impl LungEstimator {
             return;
         }
         if let Some(lung) = state.sums.solve() {
-            state.lungs.rotate_right(1);
+            state.lungs[..ESTIMATES].rotate_right(1);
             state.lungs[0] = Some(lung);
             if !triggered {
-                state.timed = Some(lung);
+                state.lungs[ESTIMATES] = Some(lung);
             }
         }
     }
@@ -282,23 +281,19 @@ impl LungState {
     /// them, and may keep better ones from being made.
     pub fn forget_false(&mut self, pressure: f32) {
         let (volume, flow, rise) = (self.volume, self.flow, pressure - self.start);
-        for lung in self.lungs.iter_mut().chain([&mut self.timed]) {
+        for lung in &mut self.lungs {
             *lung = lung.filter(|lung| lung.rise(volume, flow) <= FALSE * rise);
         }
     }
 
     /// Whether there are at least two estimates.
     pub fn is_known(&self) -> bool {
-        self.lungs.iter().flatten().count() > 1
+        self.lungs[..ESTIMATES].iter().flatten().count() > 1
     }
 
     /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.
     pub fn predicted_rise(&self) -> f32 {
-        let timed = self.timed.map(|lung| self.rise(lung));
-        self.rises(ESTIMATES)
-            .chain(timed)
-            .reduce(f32::min)
-            .unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
+        self.rises(self.lungs.len()).reduce(f32::min).unwrap_or_else(|| self.rise(LungEstimate::SOFTEST))
     }
 
     /// Rises that the newest estimates predict, cmH2O.
@@ -335,8 +330,7 @@ impl Default for LungState {
             start: 0.0,
             trapped: false,
             sums: Sums::default(),
-            lungs: [None; ESTIMATES],
-            timed: None,
+            lungs: [None; ESTIMATES + 1],
             unanswered: 0,
             standing: 0,
             past: [PastTick { pressure: 0.0, predicted: 0.0 }; WINDOW],
