@@ -286,9 +286,9 @@ impl LungState {
         }
     }
 
-    /// Whether there are at least two estimates.
+    /// Whether there are at least two estimates, and one of a timed breath.
     pub fn is_known(&self) -> bool {
-        self.lungs[..ESTIMATES].iter().flatten().count() > 1
+        self.lungs.iter().flatten().count() > 2 && self.lungs[ESTIMATES].is_some()
     }
 
     /// The lowest rise that the estimates predict, cmH2O: a patient's efforts may have falsified all but one of them.

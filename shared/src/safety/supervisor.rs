@@ -342,7 +342,7 @@ impl Supervisor {
 
     /// Finds why the pressure does not respond to the gas. If the gas reaches the patient, and two sound sensors agree, a
     /// patient draws it in: either the pressure stays up all the same, or no more is missing than an effort takes away. Efforts
-    /// falsify a single estimate of the lung easily, so that it proves nothing then.
+    /// falsify single estimates of the lung easily, so that these prove nothing then.
     fn unresponsive(
         &self,
         state: &mut SupervisorState,
