@@ -296,8 +296,8 @@ pub const ALARMS: [Alarm; 30] = [
         [
             "for 40 ms less than 12 % of a predicted rise of more than 10 cmH2O, or for 20 ms no change over the last 64 ms \
              although such a rise is predicted; not if two pressure sensors agree, the gas reaches the patient, and the \
-             pressure is up, less than 30 cmH2O are missing (40 in a breath that an effort has started), or the \
-             lung has not been estimated from 2 inspirations, at least one begun by the clock",
+             pressure is up, less than 40 cmH2O are missing, or the lung has not been estimated from 2 inspirations, at least \
+             one begun by the clock",
             "2 inspirations in a row raise the pressure",
             "pressure does not respond to the valve",
         ],

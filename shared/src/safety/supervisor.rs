@@ -50,9 +50,8 @@ const REACHES: f32 = 0.5;
 const INHALES: f32 = 0.05;
 /// Modelled flow below which no flow need reach the patient, L/s.
 const LITTLE_FLOW: f32 = 0.1;
-/// Predicted rise that a patient takes away, cmH2O: by an effort during a breath, and in a breath that an effort has started.
-const EFFORT: f32 = 30.0;
-const TRIGGERED_EFFORT: f32 = 40.0;
+/// Predicted rise that a patient takes away, cmH2O: an effort of 20, which the estimates of the lung contain as well.
+const EFFORT: f32 = 40.0;
 /// Time after which an open expiratory valve lets gas out, s: its lag of 15 ms, and the sensor's.
 const OPENED: f32 = 0.04;
 /// Time after an inspiration from which a pressure above PEEP is a baseline, not that of a lung which still empties, s.
@@ -356,8 +355,7 @@ impl Supervisor {
         }
         let rise = pressure - settings.peep;
         let stays_up = rise >= RESPONSE * (settings.pip - settings.peep);
-        let effort = if state.triggered { TRIGGERED_EFFORT } else { EFFORT };
-        let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < effort;
+        let drawn_in = stays_up || !state.lung.is_known() || state.lung.predicted_rise() - rise < EFFORT;
         let reaches = flow < LITTLE_FLOW || readings.flow >= REACHES * flow;
         if !(reaches && drawn_in && state.source.are_both_sound()) {
             self.found(state, Fault::NoResponse);

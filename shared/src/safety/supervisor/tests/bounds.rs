@@ -307,17 +307,14 @@ fn a_doubtful_pressure_below_peep_raises_no_flow() {
 }
 
 /// An inspiration with two sensors on a stiff lung that ends when this rise, cmH2O, is predicted.
-fn filled_to(predicted: f32, triggered: bool, second_sensor: bool) -> Run {
-    filled_after(2, predicted, triggered, second_sensor)
+fn filled_to(predicted: f32, second_sensor: bool) -> Run {
+    filled_after(2, predicted, second_sensor)
 }
 
 /// The same after this number of inspirations.
-fn filled_after(inspirations: u32, predicted: f32, triggered: bool, second_sensor: bool) -> Run {
+fn filled_after(inspirations: u32, predicted: f32, second_sensor: bool) -> Run {
     let mut run = Run::new();
     (0..inspirations).for_each(|_| assert_eq!(run.inspire(STIFF, 30.0), None));
-    if triggered {
-        run.supervisor.triggered(&mut run.state, &breath(), breath().total_ticks() - 1);
-    }
     for tick in 0.. {
         let pressure = 5.0 + 0.1 * run.state.lung.volume();
         let outlet = if second_sensor { pressure + dither(tick + 3) } else { f32::NAN };
@@ -342,30 +339,25 @@ fn is_missing(mut run: Run, pressure: f32, share: f32, second_sensor: bool) -> b
 #[test]
 fn gas_that_a_patient_draws_in_is_no_missing_response() {
     let missing = |share: f32, predicted: f32, second_sensor: bool| {
-        let run = filled_to(predicted, false, second_sensor);
+        let run = filled_to(predicted, second_sensor);
         assert!((0.7..0.83).contains(&run.state.lung.flow()), "L/s at 60 %, less the back-pressure");
         is_missing(run, 5.0, share, second_sensor)
     };
     assert!(!missing(0.5, 12.0, true) && missing(0.49, 12.0, true), "half of the flow reaches the patient");
-    assert!(!missing(1.0, 29.5, true) && missing(1.0, 30.0, true), "no effort takes away 30 cmH2O");
+    assert!(!missing(1.0, 39.5, true) && missing(1.0, 40.0, true), "no effort takes away 40 cmH2O");
     assert!(missing(1.0, 12.0, false), "nothing confirms the only sensor");
-    let started = |predicted: f32| is_missing(filled_to(predicted, true, true), 5.0, 1.0, true);
-    assert!(!started(39.5) && started(40.0), "nor 40 one that has started the breath");
-    let risen = |predicted: f32| is_missing(filled_to(predicted, false, true), 9.0, 1.0, true);
-    assert!(!risen(33.5) && risen(34.0), "4 of 34 are there");
-    assert!(
-        !is_missing(filled_after(1, 50.0, false, true), 5.0, 1.0, true),
-        "a single inspiration proves nothing"
-    );
+    let risen = |predicted: f32| is_missing(filled_to(predicted, true), 9.0, 1.0, true);
+    assert!(!risen(43.5) && risen(44.0), "4 of 44 are there");
+    assert!(!is_missing(filled_after(1, 50.0, true), 5.0, 1.0, true), "a single inspiration proves nothing");
 }
 
 #[test]
 fn a_pressure_that_stays_up_responds_whatever_is_predicted() {
     let Settings { pip, peep, .. } = *breath().settings();
-    let at = |share: f32| is_missing(filled_to(50.0, false, true), peep + share * (pip - peep), 1.0, true);
+    let at = |share: f32| is_missing(filled_to(50.0, true), peep + share * (pip - peep), 1.0, true);
     assert!(!at(0.301) && at(0.299), "30 % of the way from PEEP to PIP");
     let without_flow = |ticks: u32| {
-        let mut run = filled_to(50.0, false, true);
+        let mut run = filled_to(50.0, true);
         for tick in 900..900 + ticks {
             let (outlet, flow) = (25.0 + dither(tick + 3), run.state.lung.flow());
             run.check_all(Readings { airway: 25.0 + dither(tick), outlet, flow }, Some(tick));
