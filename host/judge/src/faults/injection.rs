@@ -65,7 +65,7 @@ pub enum Injection {
     Hang,
     /// The supply dips, which resets the chip.
     BrownOut,
-    /// The supply is away for this time, s. A trial leaves out what is longer than [`POWERLESS_MS`].
+    /// The supply is away for this time, s. A trial runs only the first 10 s of it.
     PowerCut(u32),
     /// The patient coughs with this peak, cmH2O, in the middle of every inspiration.
     Coughs(f64),
