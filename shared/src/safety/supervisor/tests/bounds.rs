@@ -126,18 +126,19 @@ fn a_pressure_that_stays_up_for_a_quarter_of_a_minute_with_a_fifth_of_the_gas_in
 
 #[test]
 fn gas_that_a_leak_takes_does_not_stay_inside() {
-    // 1 L in, of which a known leak takes a part, and 0.15 L out; the leak takes a part of that too.
-    let latched = |leak: f32| {
+    // 1 L in, of which a known leak takes a part; it takes a part of the expiration's flow too.
+    let latched = |leak: f32, expiration: f32| {
         let mut run = Run::new();
         (0..7).any(|_| {
             run.state.volumes = Volumes::default();
             run.state.volumes.add(0.5, 16.0, leak, 2.0);
-            run.state.volumes.add(-0.15, 9.0, leak, 1.0);
+            run.state.volumes.add(expiration, 9.0, leak, 1.0);
             latches_above_peep(&mut run)
         })
     };
     // 8 and 3 mL per 0.001 L/s at 1 cmH2O: three tenths of 1000 - 8 n are 150 + 3 n at 27.8.
-    assert!(latched(0.0) && latched(0.026) && !latched(0.03));
+    assert!(latched(0.0, -0.15) && latched(0.026, -0.15) && !latched(0.03, -0.15));
+    assert!(!latched(0.125, 0.375), "the leak takes all of it");
 }
 
 #[test]
