@@ -426,7 +426,7 @@ pub const ALARMS: [Alarm; 30] = [
         "minute-volume-low",
         (High, Tell),
         [
-            "an expired minute volume below `minute_volume_low`, averaged over 30 s",
+            "an expired minute volume below `minute_volume_low`, averaged over 30 s, or over 10 s after the leak has changed",
             GONE,
             "minute volume too low",
         ],
@@ -436,7 +436,7 @@ pub const ALARMS: [Alarm; 30] = [
         "minute-volume-high",
         (Medium, Tell),
         [
-            "an expired minute volume above `minute_volume_high`, averaged over 30 s",
+            "an expired minute volume above `minute_volume_high`, averaged over 30 s, or over 10 s after the leak has changed",
             GONE,
             "minute volume too high",
         ],

@@ -18,6 +18,8 @@ const BREATHS: u32 = 3;
 const DOUBT: f32 = 0.03;
 /// Time over which the minute volume is averaged, s.
 const AVERAGED: f32 = 30.0;
+/// Shorter time that a mean must cover after a change of the leak, if the settings have been in force for [`AVERAGED`], s.
+const RESTARTED: f32 = 10.0;
 /// Smallest volume, in and out, of a breath that gets through, mL: less than a newborn's, and more than the noise of the flow sensor.
 const DELIVERED: f32 = 3.0;
 /// Time without such a breath that is apnoea, s, and the breaths as set that it takes at least.
@@ -50,6 +52,8 @@ pub struct VolumeState {
     inspired: f32,
     doubt: f32,
     covers: f32,
+    /// Time with the present settings, s, up to [`AVERAGED`].
+    settled: f32,
     /// Time since the last breath that got through, s.
     without: f32,
     /// Breaths that are still not judged after a change of the settings.
@@ -65,6 +69,7 @@ impl VolumeState {
     /// The settings have changed, in the breath that starts now: neither the last one nor this one and the next are judged.
     pub fn settings_changed(&mut self) {
         self.leak_changed();
+        self.settled = 0.0;
         self.unchecked = UNCHECKED_BREATHS + 1;
     }
 
@@ -155,14 +160,14 @@ fn minute_volume(
     seconds: f32,
     settings: &Settings,
 ) -> Option<Fault> {
-    state.covers = (state.covers + seconds).min(AVERAGED);
+    [state.covers, state.settled] = [state.covers, state.settled].map(|time| (time + seconds).min(AVERAGED));
     // A plain mean at first, so that no breath counts more than another.
     let weight = seconds / state.covers;
     let per_minute = LITRES_PER_MINUTE / seconds;
     state.expired += weight * (per_minute * breath.expired - state.expired);
     state.inspired += weight * (per_minute * breath.inspired - state.inspired);
     state.doubt += weight * (per_minute * DOUBT * breath.leaked - state.doubt);
-    if state.covers < AVERAGED {
+    if state.settled < AVERAGED || state.covers < RESTARTED {
         return None;
     }
     let (low, high) = (settings.minute_volume_low, settings.minute_volume_high);
@@ -263,9 +268,9 @@ mod tests {
             assert_eq!(tidal_volume(&mut state, tight(500.0), &settings), None);
         }
         let at = |minute: f32| {
-            let covers = AVERAGED;
+            let [covers, settled] = [AVERAGED; 2];
             let mut state =
-                VolumeState { expired: minute, inspired: minute, covers, ..VolumeState::default() };
+                VolumeState { expired: minute, inspired: minute, covers, settled, ..VolumeState::default() };
             let volume = minute * 50.0;
             minute_volume(&mut state, tight(volume), 3.0, &settings)
         };
@@ -352,7 +357,7 @@ mod tests {
             let state = VolumeState { expired, inspired, ..VolumeState::default() };
             assert_eq!(state.minute_volumes(), wanted);
             let found = |low: f32, high: f32| {
-                let mut state = VolumeState { covers: AVERAGED, ..state };
+                let mut state = VolumeState { covers: AVERAGED, settled: AVERAGED, ..state };
                 let breath =
                     BreathVolumes { inspired: 50.0 * inspired, expired: 50.0 * expired, leaked: 0.0 };
                 minute_volume(&mut state, breath, 3.0, &limits((0.0, 0.0), (low, high)))
@@ -402,7 +407,7 @@ mod tests {
         assert_eq!(run.until(200.0, Fault::TidalVolumeLow), Some(1 + 3));
         run.breaths(20, 400.0);
         run.state.leak_changed();
-        assert_eq!(run.until(290.0, Fault::MinuteVolumeLow), Some(1 + 10), "30 s");
+        assert_eq!(run.until(290.0, Fault::MinuteVolumeLow), Some(1 + 4), "more than 10 s");
         run.state.settings_changed();
         run.state.leak_changed();
         assert_eq!(
@@ -410,6 +415,15 @@ mod tests {
             Some(3 + 3),
             "a change of the settings excuses more"
         );
+    }
+
+    #[test]
+    fn a_mean_covers_10_s_and_the_settings_30_s_before_it_is_judged() {
+        let is_judged = |covers, settled| {
+            let mut state = VolumeState { covers, settled, ..VolumeState::default() };
+            minute_volume(&mut state, tight(50.0), 3.0, &limits((0.0, 0.0), (6.0, 0.0))).is_some()
+        };
+        assert!(is_judged(7.0, 27.0) && !is_judged(6.9, 27.0) && !is_judged(7.0, 26.9));
     }
 
     #[test]
