@@ -168,13 +168,17 @@ fn the_sequence_number_wraps() {
 }
 
 #[test]
-fn a_program_that_fails_before_each_breath_ends_in_standby() {
+fn a_program_that_fails_before_the_end_of_each_breath_ends_in_standby() {
     let memory = PrescriptionMemory::new();
-    Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
-    for time in 0..RESUMES {
-        assert!(resumed(&memory, HANG).is_some(), "time {time}");
+    for completed in [1, BREATH / 2, BREATH - 1] {
+        Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
+        for time in 0..RESUMES {
+            let mut run = Run::start(&memory, HANG);
+            run.ticks(completed);
+            assert!(run.control.prescription().is_some(), "time {time}, after {completed} ticks");
+        }
+        assert_eq!(resumed(&memory, HANG), None);
     }
-    assert_eq!(resumed(&memory, HANG), None);
     Run::start(&memory, None).ventilate(&paper_settings(25.0), 1);
     for _ in 0..3 * RESUMES {
         assert!(resumed(&memory, DIP).is_some(), "a supply that flickers is no failure of the program");
