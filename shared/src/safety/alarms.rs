@@ -284,7 +284,8 @@ pub const ALARMS: [Alarm; 30] = [
         (High, Action::Pid),
         [
             "in 2 breaths in a row less than a third of the volume per pressure rise of the last good breaths, and less than \
-             half of the gas reaches the patient or comes out again; in 10 breaths in a row if more does, but less than 80 % comes out again",
+             half of the gas reaches the patient or comes out again; in 10 breaths in a row if more does, but less than 80 % \
+             comes out again",
             GONE,
             "tube occluded",
         ],
@@ -446,7 +447,8 @@ pub const ALARMS: [Alarm; 30] = [
         "apnoea",
         (High, Tell),
         [
-            "no breath of 3 mL in and out for 20 s, or for two breaths if these take longer; time in which gas goes one way only counts half",
+            "no breath of 3 mL in and out for 20 s, or for two breaths if these take longer; time in which gas goes one way \
+             only counts half",
             "a breath of such a volume",
             "no gas goes in and out",
         ],

@@ -466,6 +466,14 @@ mod tests {
     }
 
     #[test]
+    fn a_baseline_at_other_settings_moves_no_pip() {
+        let (expiration, mut state) = breaths(2, 25.0, |_| 15.0);
+        state.settings_changed();
+        expiration.start_breath(&mut state, Some(1.0));
+        assert!(state.shift(&breath()).abs() < 1e-6 && !expiration.goes_on(&state, &breath(), 3000));
+    }
+
+    #[test]
     fn noise_around_peep_is_no_sag() {
         let (_, state) = breaths(10, 25.0, |tick| if tick % 2 == 0 { 4.6 } else { 5.4 });
         assert!(state.compensation().abs() < 1e-3);

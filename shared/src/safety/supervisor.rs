@@ -43,7 +43,7 @@ const RESPONSE: f32 = 0.3;
 const RESPONSES: u32 = 2;
 /// Shares of the inspired volume below which the expiratory path is blocked: of all gas, and without that of a leak.
 const BLOCKED: f32 = 0.2;
-const COMES_OUT: f32 = 0.3;
+const BLOCKED_WITHOUT_LEAK: f32 = 0.3;
 /// Share of the valve's flow that the flow sensor shows if the gas reaches the patient.
 const REACHES: f32 = 0.5;
 /// Recent rise of the flow to the patient that an effort causes, L/s: in a passive lung the flow falls with the pressure.
@@ -404,7 +404,7 @@ impl Supervisor {
             self.found(state, fault);
         }
         // Without the gas of a leak, more than that of what a patient takes in comes out again.
-        let stays = |breath: BreathVolumes| breath.expired < COMES_OUT * breath.inspired;
+        let stays = |breath: BreathVolumes| breath.expired < BLOCKED_WITHOUT_LEAK * breath.inspired;
         let blocked =
             expired.is_some_and(|share| share < BLOCKED) && state.volumes.breath().is_some_and(stays);
         if self.pressure.is_sustained(&state.pressure) && blocked {
