@@ -10,4 +10,5 @@ pub mod evaluate;
 pub mod faults;
 pub mod identify;
 pub mod rl;
+pub mod robust;
 pub mod simulator;

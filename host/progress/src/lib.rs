@@ -30,6 +30,8 @@ pub enum Stage {
     Torture,
     /// Random patients: minutes of their stays.
     Endure,
+    /// Plants of a family, of a robustness test.
+    Robust,
     /// Sending weights: bytes.
     Upload,
     /// Reading a flight recorder: entries.

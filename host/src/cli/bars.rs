@@ -72,6 +72,7 @@ fn name(event: &Event<'_>) -> String {
         Stage::Faults => "inject faults",
         Stage::Torture => "torture, breaths",
         Stage::Endure => "endure, minutes",
+        Stage::Robust => "plants",
         Stage::Upload => "send weights, bytes",
         Stage::ReadRecorder => "read flight recorder",
         Stage::Import => "read tables, bytes",

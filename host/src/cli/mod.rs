@@ -30,6 +30,7 @@ mod port_args;
 #[cfg(unix)]
 mod qemu;
 mod reproduce;
+mod robust;
 mod self_test;
 mod settings_args;
 mod torture;
@@ -76,6 +77,7 @@ enum Command {
     Faults(faults::Args),
     Torture(torture::Args),
     Endure(endure::Args),
+    Robust(robust::Args),
     #[command(name = "selftest")]
     SelfTest(self_test::Args),
     Blackbox(blackbox::Args),
@@ -122,6 +124,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Faults(args) => faults::run(args),
         Command::Torture(args) => torture::run(args),
         Command::Endure(args) => endure::run(args),
+        Command::Robust(args) => robust::run(args),
         Command::SelfTest(args) => self_test::run(args),
         Command::Blackbox(args) => blackbox::run(args),
     }

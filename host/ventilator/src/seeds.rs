@@ -16,6 +16,7 @@ enum Purpose {
     Training = 3,
     HeldOutSimulator = 4,
     Evaluation = 5,
+    Robustness = 6,
 }
 
 /// Noise under which the baselines are tuned.
@@ -41,6 +42,11 @@ pub fn held_out_simulator(seed: u64) -> u64 {
 /// The [`EVALUATIONS`] noise sequences of reported scores.
 pub fn evaluation(seed: u64) -> Vec<u64> {
     (0..EVALUATIONS).map(|index| derive(Purpose::Evaluation, seed, index)).collect()
+}
+
+/// Noise of a plant of a family, in a robustness test.
+pub fn plant(seed: u64, number: u64) -> u64 {
+    derive(Purpose::Robustness, seed, number)
 }
 
 fn derive(purpose: Purpose, seed: u64, index: u64) -> u64 {

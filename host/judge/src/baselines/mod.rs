@@ -159,13 +159,7 @@ pub fn tune_pid<G: Ground>(
     }
     let grid = search.grid.completed();
     let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
-    let mut tuning = Tuning {
-        screen: Ledger::new(lungs, screening(plan), &work),
-        full: Ledger::new(lungs, plan.clone(), &work),
-        points: grid.points(),
-        grid,
-        search,
-    };
+    let mut tuning = Tuning::new(lungs, grid, search, plan, &work);
     let all: Vec<usize> = (0..lungs.len()).collect();
     // Gains of zero belong to every kind: with them there is a result even if the search is stopped immediately.
     tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
@@ -185,6 +179,30 @@ pub fn tune_pid<G: Ground>(
     Ok(TuneResult { lungs: results, over_all, complete })
 }
 
+/// Searches the best single P, I, PI and PID for all lungs together, by mean score over the lungs, without the search for each of
+/// them.
+///
+/// # Errors
+/// See [`tune_pid`].
+pub fn tune_single_pid<G: Ground>(
+    lungs: &[G],
+    search: &Search,
+    plan: &Plan,
+    progress: &Progress<'_>,
+) -> Result<Best, TuneError> {
+    if lungs.is_empty() {
+        return Err(TuneError::NoLung);
+    }
+    let grid = search.grid.completed();
+    let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
+    let mut tuning = Tuning::new(lungs, grid, search, plan, &work);
+    let all: Vec<usize> = (0..lungs.len()).collect();
+    tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+    let best = tuning.best(&all)?;
+    work.task.finish();
+    Ok(best)
+}
+
 /// A running search.
 struct Tuning<'a, G> {
     screen: Ledger<'a, G>,
@@ -194,7 +212,17 @@ struct Tuning<'a, G> {
     search: &'a Search,
 }
 
-impl<G: Ground> Tuning<'_, G> {
+impl<'a, G: Ground> Tuning<'a, G> {
+    fn new(lungs: &'a [G], grid: Grid, search: &'a Search, plan: &Plan, work: &'a Work<'a>) -> Self {
+        Self {
+            screen: Ledger::new(lungs, screening(plan), work),
+            full: Ledger::new(lungs, plan.clone(), work),
+            points: grid.points(),
+            grid,
+            search,
+        }
+    }
+
     /// The best of each kind for a group of lungs, by their mean score.
     fn best(&mut self, group: &[usize]) -> Result<Best, TuneError> {
         if self.search.exhaustive {

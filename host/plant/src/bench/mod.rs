@@ -42,6 +42,7 @@ mod coughs;
 mod drive;
 mod expiratory;
 mod failure;
+pub mod family;
 mod flow_sensor;
 mod lag;
 mod lung;

@@ -1,0 +1,242 @@
+//! Families of plants: ranges for the parameters of a bench, from which a seed draws any number of plants.
+//!
+//! A family is a bench description with a table `[family]`, in which a range stands in the place of each number that varies:
+//!
+//! ```
+//! # use plant::bench::family::Family;
+//! let family = Family::from_toml(
+//!     "name = \"children\"
+//!      [circuit]
+//!      compliance_ml_per_cmh2o = 1.0
+//!      [family.lung.first]
+//!      resistance_cmh2o_per_l_s = { log_uniform = [10, 80] }
+//!      compliance_ml_per_cmh2o = { uniform = [5, 25] }
+//!      [family.sensor]
+//!      noise_sd_cmh2o = { normal = [0.1, 0.02] }",
+//! )?;
+//! let plant = family.draw(1, 0);
+//! assert!((5.0..=25.0).contains(&plant.lung.first.compliance_ml_per_cmh2o));
+//! assert_eq!(plant, family.draw(1, 0));
+//! # Ok::<(), plant::bench::family::FamilyError>(())
+//! ```
+//!
+//! Each parameter is drawn by a generator of its own, from the seed, the plant's number and the parameter's name: a change of one
+//! range leaves all other draws as they were.
+
+use std::path::{Path, PathBuf};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal, StandardUniform};
+use serde::{Deserialize, Serialize};
+use shared::checksum::fnv;
+use shared::control::pid::PidGains;
+use toml::{Table, Value};
+
+use super::{BenchConfig, BenchError};
+
+/// Standard deviations to which a normal distribution is limited.
+const MOST_DEVIATIONS: f64 = 3.0;
+
+/// The shipped families, by name.
+const SHIPPED: [(&str, &str); 1] = [("adult", include_str!("adult.toml"))];
+
+/// Why a family was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum FamilyError {
+    /// There is no shipped family of that name, and no such file.
+    #[error("there is no family {0}: name a TOML file, or one of {names}", names = Family::names().join(", "))]
+    Unknown(String),
+    /// The file cannot be read.
+    #[error("cannot read the family {}: {source}; check the path", path.display())]
+    File {
+        /// The path tried.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not TOML, or its bench is not one.
+    #[error("the family is not valid: {0}")]
+    Syntax(#[from] toml::de::Error),
+    /// Nothing varies.
+    #[error(
+        "the family varies nothing: add a table such as [family.valve] with lag_ms = {{ uniform = [15, 45] }}"
+    )]
+    Empty,
+    /// A table of ranges contains something else.
+    #[error(
+        "family.{0} is no range: write {{ uniform = [low, high] }}, {{ log_uniform = [low, high] }} or {{ normal = [mean, sd] }}"
+    )]
+    NotARange(String),
+    /// The bench has no such number.
+    #[error("family.{0} is no number of a bench: see the bench description for the names")]
+    NoSuchNumber(String),
+    /// The numbers of a range are in the wrong order, not finite, or negative where they must not be.
+    #[error(
+        "family.{0}: the range is empty; the lower number comes first, log_uniform needs numbers above 0, and an sd is not negative"
+    )]
+    EmptyRange(String),
+    /// The fixed values of the bench, or a value within a range, are not allowed.
+    #[error(transparent)]
+    Bench(#[from] BenchError),
+}
+
+/// Distribution of a parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Range {
+    /// Lowest and highest of equally likely values.
+    Uniform(f64, f64),
+    /// Lowest and highest of values whose logarithms are equally likely.
+    LogUniform(f64, f64),
+    /// Mean and standard deviation; values further than three of these from the mean are moved there.
+    Normal(f64, f64),
+}
+
+impl Range {
+    /// Lowest and highest value; none for a range without any.
+    fn ends(self) -> Option<(f64, f64)> {
+        let (low, high) = match self {
+            Self::Uniform(low, high) => (low, high),
+            Self::LogUniform(low, high) => (if low > 0.0 { low } else { f64::NAN }, high),
+            Self::Normal(mean, sd) => (mean - MOST_DEVIATIONS * sd, mean + MOST_DEVIATIONS * sd),
+        };
+        (low <= high && high.is_finite() && low.is_finite()).then_some((low, high))
+    }
+
+    fn draw(self, rng: &mut ChaCha8Rng) -> f64 {
+        match self {
+            Self::Normal(mean, sd) => {
+                let deviations: f64 = StandardNormal.sample(rng);
+                mean + sd * deviations.clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+            }
+            Self::Uniform(low, high) => low + share(rng) * (high - low),
+            Self::LogUniform(low, high) => low * (high / low).powf(share(rng)),
+        }
+    }
+}
+
+/// An equally likely number from 0 to 1.
+fn share(rng: &mut ChaCha8Rng) -> f64 {
+    StandardUniform.sample(rng)
+}
+
+/// A family of plants.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Family {
+    /// Name in reports and of the plants.
+    pub name: String,
+    /// Best single PID of the family, if known.
+    pub pid: Option<PidGains>,
+    /// Description of a complete bench, with the values that do not vary.
+    bench: Table,
+    /// Path and range of every parameter that varies, such as `valve.lag_ms`.
+    ranges: Vec<(String, Range)>,
+}
+
+impl Family {
+    /// Names of the shipped families.
+    pub fn names() -> Vec<&'static str> {
+        SHIPPED.iter().map(|(name, _)| *name).collect()
+    }
+
+    /// The shipped family of this name or, if there is none, the one in this file.
+    ///
+    /// # Errors
+    /// See [`FamilyError`].
+    pub fn find(name: &str) -> Result<Self, FamilyError> {
+        if let Some((_, text)) = SHIPPED.iter().find(|(shipped, _)| *shipped == name) {
+            return Self::from_toml(text);
+        }
+        let path = Path::new(name);
+        if path.extension().is_none() && !path.exists() {
+            return Err(FamilyError::Unknown(name.to_owned()));
+        }
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| FamilyError::File { path: path.to_owned(), source })?;
+        Self::from_toml(&text)
+    }
+
+    /// Reads and validates a family. Every value within its ranges is allowed on a bench.
+    ///
+    /// # Errors
+    /// See [`FamilyError`].
+    pub fn from_toml(text: &str) -> Result<Self, FamilyError> {
+        let mut table: Table = toml::from_str(text)?;
+        let Some(Value::Table(varies)) = table.remove("family") else { return Err(FamilyError::Empty) };
+        let pid = table.remove("pid").map(Value::try_into).transpose()?;
+        let fixed: BenchConfig = table.try_into()?;
+        fixed.validate()?;
+        let bench = Table::try_from(&fixed).expect("a bench always has a TOML form");
+        let mut ranges = Vec::new();
+        collect(&varies, "", &mut ranges)?;
+        if ranges.is_empty() {
+            return Err(FamilyError::Empty);
+        }
+        let family = Self { name: fixed.name, pid, bench, ranges };
+        family.check()?;
+        Ok(family)
+    }
+
+    /// Checks that the ends of each range are allowed.
+    fn check(&self) -> Result<(), FamilyError> {
+        for (path, range) in &self.ranges {
+            let (low, high) = range.ends().ok_or_else(|| FamilyError::EmptyRange(path.clone()))?;
+            for value in [low, high] {
+                let mut bench = self.bench.clone();
+                set(&mut bench, path, value).ok_or_else(|| FamilyError::NoSuchNumber(path.clone()))?;
+                let bench: BenchConfig = bench.try_into()?;
+                bench.validate()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The plant with this number, from 0, of those that a seed gives.
+    pub fn draw(&self, seed: u64, number: u32) -> BenchConfig {
+        let mut bench = self.bench.clone();
+        for (path, range) in &self.ranges {
+            let words: Vec<u32> = path.bytes().map(u32::from).collect();
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(u64::from(fnv(&words)) << 32 | u64::from(number));
+            set(&mut bench, path, range.draw(&mut rng)).expect("the paths were checked");
+        }
+        bench.insert("name".to_owned(), Value::String(format!("{}-{number}", self.name)));
+        bench.try_into().expect("every value within the ranges is allowed")
+    }
+}
+
+/// Collects the ranges in a table and in those that it contains.
+fn collect(table: &Table, path: &str, ranges: &mut Vec<(String, Range)>) -> Result<(), FamilyError> {
+    for (name, value) in table {
+        let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+        let Value::Table(inner) = value else { return Err(FamilyError::NotARange(path)) };
+        if let Ok(range) = value.clone().try_into() {
+            ranges.push((path, range));
+        } else if inner.values().any(Value::is_array) || inner.is_empty() {
+            return Err(FamilyError::NotARange(path));
+        } else {
+            collect(inner, &path, ranges)?;
+        }
+    }
+    Ok(())
+}
+
+/// Replaces the number at a path; none if there is no number.
+fn set(bench: &mut Table, path: &str, value: f64) -> Option<()> {
+    let (tables, name) = path.rsplit_once('.').unwrap_or(("", path));
+    let mut table = bench;
+    for part in tables.split('.').filter(|part| !part.is_empty()) {
+        table = table.get_mut(part)?.as_table_mut()?;
+    }
+    let number = table.get_mut(name)?;
+    *number = match number {
+        Value::Integer(_) => Value::Integer(value.round() as i64),
+        Value::Float(_) => Value::Float(value),
+        _ => return None,
+    };
+    Some(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,172 @@
+//! `trainer robust`: a controller on many random plants of a family.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use shared::breath::DEFAULT_PERIOD_US;
+
+use super::bars::with_bars;
+use super::common::stopped;
+use super::controller_args::{Chosen, ControllerArgs, format_gains};
+use super::output::{self, OutputArgs};
+use judge::robust::rivals::family_pid;
+use judge::robust::tally::Summary;
+use judge::robust::{Question, Robustness};
+use plant::bench::family::Family;
+use show::report::{Cell, Table};
+
+/// Run a controller on many random plants of a family, beside the best single PID of that family
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer robust --plants 1000 --controller out/once/controller.safetensors
+  trainer robust --plants 100000 --breaths 6 --subset 0 --keep robust.json --json result.json
+  trainer robust --family my-machines.toml --gains 3,30,0 --save-worst worst
+
+A family is a bench description with ranges: each plant draws its valve, circuit, sensor and lung
+from them, by the seed and its number. Every plant gets one of the paper's six waveforms, from rest,
+under both controllers, with the same sensor noise. Breaths 1, 6 and 20 are scored. For the subset,
+the first plants, the plant's own best PID and its reference bound are searched as well, which takes
+about two seconds each.
+
+The result does not depend on the number of threads. With --keep, the plants that are done at Ctrl-C
+are kept, and the same command continues with the others.")]
+pub struct Args {
+    /// Family of plants: adult, or a TOML file
+    #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
+    family: String,
+    /// Number of plants
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
+    plants: u32,
+    /// Number of plants, the first ones, whose own best PID and bound are searched
+    #[arg(long, value_name = "PLANTS", default_value_t = 100)]
+    subset: u32,
+    /// Breaths on each plant
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    breaths: u32,
+    #[command(flatten)]
+    controller: ControllerArgs,
+    /// Seed of the plants and of their sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// File that keeps the results; an existing file is continued
+    #[arg(long, value_name = "FILE")]
+    keep: Option<PathBuf>,
+    /// Write the ten worst plants into this folder, as bench descriptions
+    #[arg(long, value_name = "DIR")]
+    save_worst: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let family = Family::find(&args.family)?;
+    let chosen = args.controller.chosen(None)?;
+    if chosen.period_us != DEFAULT_PERIOD_US {
+        bail!(
+            "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
+            chosen.name,
+            chosen.period_us
+        );
+    }
+    let test = with_bars(|progress| test(args, &family, &chosen, progress))?;
+    let summary = test.summary();
+    args.output.table(&table(&summary));
+    args.output.table(&worst(&summary));
+    if stopped() {
+        args.output.line("stopped: the results are those of the plants so far");
+    }
+    if let Some(folder) = &args.save_worst {
+        save_worst(args, folder, &family, &summary)?;
+    }
+    args.output.finish(&summary)?;
+    Ok(())
+}
+
+/// Runs the plants.
+fn test(
+    args: &Args,
+    family: &Family,
+    chosen: &Chosen,
+    progress: &progress::Progress<'_>,
+) -> anyhow::Result<Robustness> {
+    let question = Question {
+        family: family.name.clone(),
+        first_plant: family.draw(args.seed, 0),
+        controller: chosen.weights_id.clone().unwrap_or_else(|| chosen.name.clone()),
+        family_pid: family_pid(family, progress)?,
+        seed: args.seed,
+        breaths: args.breaths,
+        subset: args.subset,
+    };
+    args.output.line(&format!("best single PID of the family: {}", format_gains(&question.family_pid)));
+    let mut test = Robustness::new(question);
+    if let Some(file) = &args.keep {
+        test = test.resumed(file)?;
+    }
+    test.advance(args.plants, family, &chosen.controller, args.keep.as_deref(), progress)?;
+    Ok(test)
+}
+
+/// The scored breaths.
+fn table(summary: &Summary) -> Table {
+    let mut table = Table::new(
+        &format!(
+            "{} plants, {} of which stopped; scores and overshoot in cmH2O, shares in %",
+            summary.plants, summary.stopped
+        ),
+        &[
+            "breath",
+            "score",
+            "family's PID",
+            "not worse",
+            "not worse than own PID",
+            "ratio to bound",
+            "overshoot, median",
+            "99 %",
+        ],
+    );
+    let known = |value: Option<f64>, digits| {
+        value.map_or_else(|| Cell::right("-"), |value| Cell::number(value, digits))
+    };
+    for (place, breath) in summary.breaths.iter().enumerate() {
+        table.row(vec![
+            Cell::right(breath.to_string()),
+            Cell::number(summary.mean[place], 3),
+            Cell::number(summary.family_pid[place], 3),
+            Cell::number(100.0 * summary.share_not_worse[place], 1),
+            known(summary.own_not_worse[place].map(|share| 100.0 * share), 1),
+            known(summary.bound_ratio[place], 3),
+            Cell::number(summary.overshoot_median[place], 2),
+            Cell::number(summary.overshoot_p99[place], 2),
+        ]);
+    }
+    table
+}
+
+fn worst(summary: &Summary) -> Table {
+    let mut table = Table::new(
+        "The worst plants, by their last scored breath",
+        &["plant", "score", "family's PID", "ratio"],
+    );
+    for plant in &summary.worst {
+        table.row(vec![
+            Cell::right(plant.number.to_string()),
+            Cell::number(plant.score, 3),
+            Cell::number(plant.family_pid, 3),
+            Cell::number(plant.ratio, 2),
+        ]);
+    }
+    table
+}
+
+/// Writes the worst plants as bench descriptions, which other commands accept as `--bench`.
+fn save_worst(args: &Args, folder: &Path, family: &Family, summary: &Summary) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    for plant in &summary.worst {
+        let bench = family.draw(args.seed, plant.number);
+        output::write(&folder.join(format!("{}.toml", bench.name)), bench.to_toml().as_bytes())?;
+    }
+    args.output.saved(folder);
+    Ok(())
+}
