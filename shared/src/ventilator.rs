@@ -19,6 +19,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::breath::{Breath, Phase};
+use crate::control::memory::Lesson;
 use crate::control::pid::{Pid, PidState};
 use crate::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use crate::explore::{Exploration, Perturbation};
@@ -109,6 +110,10 @@ pub struct VentilatorState<S = ControllerState> {
     trigger: TriggerState,
     /// Whether an effort has started the running breath.
     triggered: bool,
+    /// Whether something has disturbed the running inspiration; none outside one.
+    disturbed: Option<bool>,
+    /// What the controller last learned.
+    lesson: Lesson,
 }
 
 impl<C: ControlLaw> Ventilator<C> {
@@ -187,6 +192,8 @@ impl<C: ControlLaw> Ventilator<C> {
             supervisor: SupervisorState::default(),
             trigger: TriggerState::default(),
             triggered: false,
+            disturbed: None,
+            lesson: Lesson::Forget,
         }
     }
 
@@ -270,6 +277,7 @@ impl<C: ControlLaw> Ventilator<C> {
             }
         };
         let command = self.supervisor.command(&mut state.supervisor, wanted, phase != Phase::Inspiration);
+        self.learn(state, phase, explore);
         if phase == Phase::Inspiration {
             self.controller.applied(&mut state.controller, command.u_in());
             self.supervisor.record(&mut state.supervisor, &breath, tick);
@@ -286,6 +294,21 @@ impl<C: ControlLaw> Ventilator<C> {
             explore,
         };
         Output { command, mode: state.mode, sample: Some(sample), alarm: None }
+    }
+
+    /// Notes what disturbs an inspiration; in the first tick after it, the controller learns from it. Then, because no controller
+    /// computes a command in that tick.
+    fn learn(&self, state: &mut VentilatorState<C::State>, phase: Phase, explore: f32) {
+        let Some(disturbed) = state.disturbed else { return };
+        let level = self.supervisor.level(&state.supervisor);
+        let sound = level == Level::Learned && state.supervisor.indications().present().is_empty();
+        let disturbed = disturbed || !sound || state.supervisor.cut() || !(explore == 0.0);
+        state.disturbed = Some(disturbed);
+        if phase != Phase::Inspiration {
+            let lesson = if disturbed { Lesson::Discard } else { Lesson::Adopt };
+            state.lesson = self.controller.learn(&mut state.controller, lesson);
+            state.disturbed = None;
+        }
     }
 
     /// Ends a tick of a breath: the next one starts a breath if it is due or the patient inhales.
@@ -330,9 +353,16 @@ impl<C: ControlLaw> Ventilator<C> {
     }
 
     fn start_breath(&self, state: &mut VentilatorState<C::State>) {
+        // What was learned belongs to the patient and the settings.
+        let mut forgets = state.number == 0;
         if let Some(breath) = state.pending.take() {
+            forgets |= breath.settings() != state.breath.settings();
             state.breath = breath;
         }
+        if forgets {
+            state.lesson = self.controller.learn(&mut state.controller, Lesson::Forget);
+        }
+        state.disturbed = Some(state.triggered);
         state.perturbation = match &self.exploration {
             Some(exploration) => exploration.perturbation(&state.breath, state.number),
             None => Perturbation::default(),
@@ -376,6 +406,11 @@ impl<S> VentilatorState<S> {
     /// Whether an effort of the patient has started the running breath, or at tick 0 the next one.
     pub fn triggered(&self) -> bool {
         self.triggered
+    }
+
+    /// What the controller learned from the last inspiration that has ended, or that it has forgotten all.
+    pub fn lesson(&self) -> Lesson {
+        self.lesson
     }
 
     /// Level of the ladder of trust that commands the inspiratory valve.

@@ -240,7 +240,7 @@ fn exceeded_sizes(size: Size, ceilings: &Ceilings) -> Vec<String> {
 }
 
 /// Proves at compile time that the product's network is an instance of the counted code.
-const _: fn(&Network, &[f32; shared::control::features::FEATURES]) -> f32 = Network::forward;
+const _: fn(&Network, &[f32; shared::control::network::INPUTS]) -> f32 = Network::forward;
 
 #[cfg(test)]
 mod tests {

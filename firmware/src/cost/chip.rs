@@ -9,8 +9,8 @@ use defmt_rtt as _;
 use ed25519_compact::{KeyPair, Seed};
 use embassy_stm32::pac::TIM5;
 use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS, Phase, paper_settings};
-use shared::control::features::{FeatureSpec, FeatureState};
-use shared::control::network::Network;
+use shared::control::features::{FEATURES, FeatureSpec, FeatureState};
+use shared::control::network::{INPUTS, Network};
 use shared::control::residual::{Residual, ResidualSpec};
 use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use shared::device::control::Control;
@@ -151,7 +151,10 @@ fn parts(counting: &Cost) {
         black_box(sensor.of(|| Readings::from(black_box(counts))));
         let pressure = 15.0 + 5.0 * numbers.next();
         let seen = Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick: run };
-        let input = features.of(|| residual.features().step(&mut feature_state, black_box(&seen), 30.0));
+        let seen_features =
+            features.of(|| residual.features().step(&mut feature_state, black_box(&seen), 30.0));
+        let mut input = [0.0; INPUTS];
+        input[..FEATURES].copy_from_slice(&seen_features);
         network.of(|| residual.network().forward(black_box(&input)));
         learned.of(|| {
             let command = controller.step(&mut state, black_box(&seen)).command;

@@ -178,6 +178,12 @@ impl FeatureState {
         Self { errors: History::new(), commands: History::new(), tick: 0 }
     }
 
+    /// The present error, scaled.
+    #[inline]
+    pub fn error(&self) -> f32 {
+        self.errors.ago(self.tick, 0)
+    }
+
     /// Clears the last breath: past errors are zero, past commands are `command` percent.
     pub fn start_breath(&mut self, command: f32) {
         self.errors.fill(0.0);

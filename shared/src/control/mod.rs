@@ -5,11 +5,13 @@
 //! controller runs during the inspiration only and is reset at the start of each breath.
 
 pub mod features;
+pub mod memory;
 pub mod network;
 pub mod pid;
 pub mod residual;
 
 use features::FeatureState;
+use memory::{BreathMemory, Lesson};
 use pid::{Pid, PidState};
 use residual::Residual;
 
@@ -63,6 +65,12 @@ pub trait ControlLaw {
     /// State before the first breath, with the valve closed.
     fn initial_state(&self) -> Self::State;
 
+    /// Learns from the inspiration that has ended, or forgets all before the next one; a law without memory ignores it. Returns what
+    /// has become of the breath.
+    fn learn(&self, _state: &mut Self::State, _lesson: Lesson) -> Lesson {
+        Lesson::Discard
+    }
+
     /// Resets the state for a new breath; the last command was `command` percent.
     fn start_breath(&self, state: &mut Self::State, command: f32);
 
@@ -88,6 +96,7 @@ pub enum Controller {
 pub struct ControllerState {
     pid: PidState,
     features: FeatureState,
+    memory: BreathMemory,
 }
 
 impl Controller {
@@ -107,6 +116,10 @@ impl ControlLaw for Controller {
         ControllerState::new()
     }
 
+    fn learn(&self, state: &mut ControllerState, lesson: Lesson) -> Lesson {
+        state.memory.learn(lesson)
+    }
+
     fn start_breath(&self, state: &mut ControllerState, command: f32) {
         state.pid = PidState::new();
         state.features.start_breath(command);
@@ -121,7 +134,7 @@ impl ControlLaw for Controller {
 
     fn applied(&self, state: &mut ControllerState, command: f32) {
         if let Self::Residual(residual) = self {
-            residual.features().applied(&mut state.features, command);
+            residual.applied(state, command);
         }
     }
 }
@@ -129,6 +142,6 @@ impl ControlLaw for Controller {
 impl ControllerState {
     /// State before the first breath, with the valve closed.
     pub const fn new() -> Self {
-        Self { pid: PidState::new(), features: FeatureState::new() }
+        Self { pid: PidState::new(), features: FeatureState::new(), memory: BreathMemory::new() }
     }
 }

@@ -19,6 +19,7 @@
 use core::iter;
 
 use super::features::FEATURES;
+use super::memory::RECALLED;
 use crate::math;
 
 /// Units of the first hidden layer.
@@ -109,8 +110,11 @@ fn add_scaled<const R: usize>(sums: &mut [f32; R], x: f32, weights: &[f32; R]) {
     }
 }
 
+/// Number of inputs of the residual's network: the features, then what earlier breaths have taught.
+pub const INPUTS: usize = FEATURES + RECALLED;
+
 /// The residual's network: from features to the residual before scaling by lambda, as a fraction of full opening.
-pub type Network = Perceptron<FEATURES, HIDDEN_1, HIDDEN_2>;
+pub type Network = Perceptron<INPUTS, HIDDEN_1, HIDDEN_2>;
 
 /// A network with two hidden layers and one linear output.
 #[derive(Clone, Debug, PartialEq)]
@@ -237,7 +241,7 @@ mod tests {
         network.hidden_2.weights[3][2] = 1.0;
         network.output.weights[2][0] = 1.0;
         network.output.bias[0] = 0.25;
-        let mut features = [0.0; FEATURES];
+        let mut features = [0.0; INPUTS];
         features[0] = 1.0;
         // softsign(1) = 1/2, softsign(1/2) = 1/3
         assert!((network.forward(&features) - (1.0 / 3.0 + 0.25)).abs() < 1e-6);

@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::features::{FeatureError, FeatureSpec, Features};
-use super::network::Network;
+use super::features::{COMMAND_SCALE, FEATURES, FeatureError, FeatureSpec, Features};
+use super::memory::{RECALLED, bin_ticks};
+use super::network::{INPUTS, Network};
 use super::pid::{GainError, Pid, PidGains};
 use super::{COMMAND_MAX, ControlOutput, ControllerState, Observation};
 use crate::breath::PERIOD_BOUNDS_US;
@@ -132,14 +133,31 @@ impl Residual {
     /// Computes the command of one tick.
     pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
         let features = self.features.step(&mut state.features, seen, state.pid.integral);
-        let residual = self.correction(self.network.forward(&features));
+        let recalled = state.memory.recall(seen.tick, bin_ticks(self.spec.period_us));
+        let residual = self.correction(self.network.forward(&inputs(&features, &recalled)));
         self.pid.step(&mut state.pid, seen, residual)
+    }
+
+    /// Records the command applied in the tick, percent, and ends the tick.
+    pub fn applied(&self, state: &mut ControllerState, command: f32) {
+        let error = state.features.error();
+        self.features.applied(&mut state.features, command);
+        state.memory.record(bin_ticks(self.spec.period_us), error, command / COMMAND_SCALE);
     }
 
     /// Converts a network output to a residual in percent: scaled by lambda, limited to the authority.
     pub fn correction(&self, output: f32) -> f32 {
         math::limit(self.spec.lambda * COMMAND_MAX * output, -self.spec.authority, self.spec.authority)
     }
+}
+
+/// The inputs of the network: the features, then what earlier breaths have taught.
+#[inline]
+fn inputs(features: &[f32; FEATURES], recalled: &[f32; RECALLED]) -> [f32; INPUTS] {
+    let mut inputs = [0.0; INPUTS];
+    inputs[..FEATURES].copy_from_slice(features);
+    inputs[FEATURES..].copy_from_slice(recalled);
+    inputs
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::alarm_events::AlarmEvents;
 use super::annunciator::{Annunciator, Signals};
 use super::self_test::{BootFindings, Check, SelfTest};
 use super::{ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
-use crate::breath::Breath;
+use crate::breath::{Breath, Phase};
 use crate::control::Controller;
 use crate::control::pid::Pid;
 use crate::control::residual::Residual;
@@ -63,7 +63,7 @@ pub struct Control {
     state: VentilatorState,
     learned: Option<Residual>,
     status: Status,
-    /// Controller from the next breath on.
+    /// Controller from the next breath on; one that is chosen in the last tick before a breath waits for the one after it.
     next_controller: Option<NextController>,
     queue: Deque<Breath, QUEUE_LENGTH>,
     meter: BreathMeter,
@@ -163,6 +163,7 @@ impl Control {
     pub fn resume(&mut self, prescription: &Settings) -> Result<(), Refusal> {
         self.ventilator.apply(&mut self.state, prescription)?;
         if self.ventilator.monitors().responses().has(responses::Response::Resume) {
+            self.change_controller();
             self.state.resume();
         }
         Ok(())
@@ -213,6 +214,9 @@ impl Control {
         if self.begins_breath() {
             self.begin_breath();
         }
+        if self.next_controller.is_some() && !self.inspires() {
+            self.change_controller();
+        }
         self.tick = self.tick.wrapping_add(1);
         if self.host.is_gone(self.state.mode() == Mode::Ventilating) {
             self.go_on_alone();
@@ -247,12 +251,24 @@ impl Control {
         self.state.mode() == Mode::Ventilating && self.state.tick() == 0
     }
 
-    /// Passes pending settings, exploration and controller to the ventilator.
+    /// Passes pending settings and exploration to the ventilator.
     fn begin_breath(&mut self) {
         if let Some(breath) = self.queue.pop_front() {
             self.state.set_pending(breath);
         }
         self.ventilator.set_exploration(self.status.exploration);
+    }
+
+    /// Whether the next step runs a tick of an inspiration.
+    fn inspires(&self) -> bool {
+        let phase = self.state.breath().phase(self.state.tick());
+        self.state.mode() == Mode::Ventilating && phase == Phase::Inspiration
+    }
+
+    /// Passes a pending controller to the ventilator. Not within an inspiration, where it would change the controller of the
+    /// running breath, and where the ticks have no time for the copy.
+    #[cold]
+    fn change_controller(&mut self) {
         match (self.next_controller.take(), &self.learned) {
             (Some(NextController::Pid(pid)), _) => self.ventilator.set_controller(Controller::Pid(pid)),
             // Copied directly to its destination: each further move would take as long as running the network.
@@ -316,7 +332,14 @@ impl Control {
     pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;
         let reading = reading - self.self_test.airway_zero();
-        Moment { reading, output, settings: self.state.breath().settings(), learned, missed }
+        Moment {
+            reading,
+            output,
+            settings: self.state.breath().settings(),
+            learned,
+            lesson: self.state.lesson(),
+            missed,
+        }
     }
 
     /// Records the times of a tick.
@@ -393,6 +416,7 @@ impl Control {
                 return Err(Refusal::NotConfirmed);
             }
             self.meter = BreathMeter::default();
+            self.change_controller();
             self.state.start();
         }
         Ok(Response::Mode(self.state.mode()))

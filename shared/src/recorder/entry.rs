@@ -4,6 +4,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::breath::Phase;
+use crate::control::memory::Lesson;
 use crate::reset::ResetCause;
 use crate::safety::alarms::Fault;
 use crate::settings::Settings;
@@ -199,6 +200,8 @@ pub enum Happening {
     Alarm(Fault),
     /// The chip reports on itself.
     Chip(ChipEvent),
+    /// What the controller learned from a breath has changed: it adopts breaths, leaves them out, or has forgotten all.
+    Lesson(Lesson),
 }
 
 impl Happening {
@@ -225,6 +228,7 @@ impl Happening {
             Self::Cleared => (10, 0),
             Self::Alarm(fault) => (11, u32::from(fault as u8)),
             Self::Chip(event) => (12, u32::from(event as u8)),
+            Self::Lesson(lesson) => (13, u32::from(lesson as u8)),
         }
     }
 
@@ -243,6 +247,7 @@ impl Happening {
             10 => Self::Cleared,
             11 => Self::Alarm(variant(argument as u8)?),
             12 => Self::Chip(variant(argument as u8)?),
+            13 => Self::Lesson(variant(argument as u8)?),
             _ => return None,
         })
     }

@@ -1,3 +1,4 @@
+use crate::control::memory::Lesson;
 use std::boxed::Box;
 use std::vec;
 use std::vec::Vec as StdVec;
@@ -32,7 +33,14 @@ fn tick(recorder: &mut Recorder, mode: Mode, reading: f32) {
     let sample = (mode == Mode::Ventilating).then(|| sample(3, 5));
     let output = Output { command: ValveCommand::SAFE, mode, sample, alarm: None };
     let settings = Settings::default();
-    recorder.record(&Moment { reading, output: &output, settings: &settings, learned: false, missed: 0 });
+    recorder.record(&Moment {
+        reading,
+        output: &output,
+        settings: &settings,
+        learned: false,
+        lesson: Lesson::Forget,
+        missed: 0,
+    });
 }
 
 pub fn run(recorder: &mut Recorder, mode: Mode, readings: impl IntoIterator<Item = f32>) {
@@ -296,7 +304,14 @@ fn an_alarm_that_does_not_end_ventilation_is_logged_and_recording_goes_on() {
     let latched = told(Mode::Fault(Fault::HardLimit), Fault::HardLimit);
     let settings = Settings::default();
     for output in [&distrusted, &latched] {
-        recorder.record(&Moment { reading: 5.0, output, settings: &settings, learned: false, missed: 0 });
+        recorder.record(&Moment {
+            reading: 5.0,
+            output,
+            settings: &settings,
+            learned: false,
+            lesson: Lesson::Forget,
+            missed: 0,
+        });
     }
     let told: StdVec<Happening> = happenings(&memory)
         .into_iter()

@@ -2,6 +2,7 @@
 
 use super::entry::{Activity, ChipEvent, GAP, Happening, LogEntry, TickEntry};
 use super::{CLEAR, FAST_TAIL, RecorderMemory, RecordingState, SLOW_STRIDE, SLOW_TAIL};
+use crate::control::memory::Lesson;
 use crate::reset::ResetCause;
 use crate::settings::Settings;
 use crate::ventilator::{Mode, Output};
@@ -33,6 +34,8 @@ pub struct Moment<'a> {
     pub settings: &'a Settings,
     /// Whether learned weights run.
     pub learned: bool,
+    /// What the controller last learned.
+    pub lesson: Lesson,
     /// Ticks missed since the last one that ran.
     pub missed: u32,
 }
@@ -55,6 +58,7 @@ pub struct Recorder<'a> {
     highest: f32,
     learned: Option<bool>,
     settings: RateLimited<Happening>,
+    lesson: RateLimited<Lesson>,
     missed: u32,
     missed_logged: RateLimited<u32>,
 }
@@ -112,6 +116,7 @@ impl<'a> Recorder<'a> {
             highest: f32::NAN,
             learned: None,
             settings: RateLimited::NEVER,
+            lesson: RateLimited::NEVER,
             missed: 0,
             missed_logged: RateLimited { logged: Some((0, LOG_INTERVAL.wrapping_neg())) },
         };
@@ -234,6 +239,9 @@ impl<'a> Recorder<'a> {
         }
         if self.learned.replace(moment.learned) != Some(moment.learned) {
             self.enter(Happening::Controller { learned: moment.learned });
+        }
+        if self.lesson.is_due(moment.lesson, self.now) {
+            self.enter(Happening::Lesson(moment.lesson));
         }
         let settings = Happening::settings(moment.settings);
         if self.settings.is_due(settings, self.now) {

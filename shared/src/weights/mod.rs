@@ -48,9 +48,10 @@ pub use image::{decode, decode_trusted, encode};
 /// First bytes of every image.
 pub const MAGIC: [u8; 4] = *b"EUPN";
 /// Version of the layout above and of the [`exercise`]'s script.
-pub const FORMAT_VERSION: u16 = 2;
-/// Architecture: features of [`crate::control::features`], two softsign layers, linear output, PID underneath.
-pub const ARCHITECTURE: u16 = 1;
+pub const FORMAT_VERSION: u16 = 3;
+/// Architecture: features of [`crate::control::features`] and what [`crate::control::memory`] recalls, two softsign layers, linear
+/// output, PID underneath.
+pub const ARCHITECTURE: u16 = 2;
 /// Offset of the plant id, bytes.
 pub const PLANT_AT: usize = 98;
 /// Length of the plant id, bytes.

@@ -7,6 +7,7 @@ mod tests;
 
 pub use csv::csv;
 pub use figures::report;
+use shared::control::memory::Lesson;
 use shared::recorder::{ChipEvent, Happening, LogEntry, RecordingState};
 
 use crate::monitor::words;
@@ -117,5 +118,8 @@ pub fn event(happening: Happening) -> String {
         Happening::Alarm(fault) => format!("alarm: {}", words::fault(fault)),
         Happening::Cleared => "recording cleared by a host".to_owned(),
         Happening::Chip(event) => chip(event).to_owned(),
+        Happening::Lesson(Lesson::Adopt) => "the controller learns from the breaths".to_owned(),
+        Happening::Lesson(Lesson::Discard) => "the controller leaves out a disturbed breath".to_owned(),
+        Happening::Lesson(Lesson::Forget) => "the controller has forgotten the earlier breaths".to_owned(),
     }
 }

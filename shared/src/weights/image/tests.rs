@@ -60,7 +60,7 @@ fn the_fields_lie_where_the_table_says() {
     let residual = residual(1);
     let (bytes, spec) = (packed(&residual), residual.spec());
     let real = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()).to_bits();
-    assert_eq!(&bytes[..16], b"EUPN\x02\0\x01\0\x18\0\x20\0\x10\0\x01\0");
+    assert_eq!(&bytes[..16], b"EUPN\x03\0\x02\0\x20\0\x20\0\x10\0\x01\0");
     assert_eq!(bytes[16..20], spec.period_us.to_le_bytes());
     assert_eq!(real(28), spec.gains.d.to_bits());
     assert_eq!((real(32), real(36)), (spec.lambda.to_bits(), spec.authority.to_bits()));
@@ -114,7 +114,7 @@ fn an_erased_slot_is_no_image_and_the_rest_of_a_slot_is_ignored() {
 fn an_image_made_for_something_else_is_refused_with_the_reason() {
     assert_eq!(decode(&forged(|b| b[4] = 1)), Err(WeightsError::Version(1)));
     assert_eq!(decode(&forged(|b| b[6] = 9)), Err(WeightsError::Architecture(9)));
-    assert_eq!(decode(&forged(|b| b[10] = 64)), Err(WeightsError::Shape([24, 64, 16, 1])));
+    assert_eq!(decode(&forged(|b| b[10] = 64)), Err(WeightsError::Shape([32, 64, 16, 1])));
     assert_eq!(decode(&forged(|b| b[16..20].fill(0))), Err(WeightsError::Spec(ResidualError::Period(0))));
     let (have, need) = (IMAGE_BYTES, IMAGE_BYTES + 0x40);
     let longer = decode(&forged(|b| b[122] ^= 0x40));
@@ -126,14 +126,14 @@ fn a_smaller_sound_image_of_another_architecture_is_not_called_damaged() {
     let mut bytes = packed(&residual(1));
     let end = HEADER_BYTES + SIGNATURE_BYTES;
     bytes.truncate(end);
-    (bytes[6], bytes[122], bytes[123]) = (2, 0, 0);
+    (bytes[6], bytes[122], bytes[123]) = (1, 0, 0);
     let checksum = crc32(&bytes);
     bytes.extend(checksum.to_le_bytes());
-    assert_eq!(decode(&bytes), Err(WeightsError::Architecture(2)));
-    bytes[6] = 1;
+    assert_eq!(decode(&bytes), Err(WeightsError::Architecture(1)));
+    bytes[6] = 2;
     let checksum = crc32(&bytes[..end]);
     bytes[end..].copy_from_slice(&checksum.to_le_bytes());
-    assert_eq!(decode(&bytes), Err(WeightsError::Shape([24, 32, 16, 1])));
+    assert_eq!(decode(&bytes), Err(WeightsError::Shape([32, 32, 16, 1])));
 }
 
 #[test]
