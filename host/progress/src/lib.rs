@@ -14,6 +14,8 @@ pub enum Stage {
     TunePid,
     /// Recording: complete breaths.
     Collect,
+    /// Recording units of a family and fitting their simulators: units.
+    Units,
     /// Fitting simulators: epochs.
     Fit,
     /// Training a controller: gradient steps.

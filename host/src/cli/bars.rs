@@ -64,6 +64,7 @@ fn name(event: &Event<'_>) -> String {
     let stage = match event.stage {
         Stage::TunePid => "search PID, breaths",
         Stage::Collect => "collect breaths",
+        Stage::Units => "record and fit units",
         Stage::Fit => "fit simulators",
         Stage::Train => "train controller",
         Stage::Reinforce => "train by rewards",

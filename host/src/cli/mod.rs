@@ -35,6 +35,7 @@ mod self_test;
 mod settings_args;
 mod torture;
 mod train;
+mod train_family;
 mod tune_pid;
 
 use std::process::ExitCode;
@@ -63,6 +64,7 @@ enum Command {
     Bound(bound::Args),
     Fit(fit::Args),
     Train(train::Args),
+    TrainFamily(train_family::Args),
     Evaluate(evaluate::Args),
     Reproduce(reproduce::Args),
     Pack(pack::Args),
@@ -110,6 +112,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Bound(args) => bound::run(args),
         Command::Fit(args) => fit::run(args),
         Command::Train(args) => train::run(args),
+        Command::TrainFamily(args) => train_family::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Reproduce(args) => reproduce::run(args),
         Command::Pack(args) => pack::run(args),

@@ -17,6 +17,7 @@ enum Purpose {
     HeldOutSimulator = 4,
     Evaluation = 5,
     Robustness = 6,
+    Units = 7,
 }
 
 /// Noise under which the baselines are tuned.
@@ -42,6 +43,11 @@ pub fn held_out_simulator(seed: u64) -> u64 {
 /// The [`EVALUATIONS`] noise sequences of reported scores.
 pub fn evaluation(seed: u64) -> Vec<u64> {
     (0..EVALUATIONS).map(|index| derive(Purpose::Evaluation, seed, index)).collect()
+}
+
+/// Units of a family that a controller is trained on.
+pub fn units(seed: u64) -> u64 {
+    derive(Purpose::Units, seed, 0)
 }
 
 /// Noise of a plant of a family, in a robustness test.

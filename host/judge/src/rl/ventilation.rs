@@ -196,7 +196,7 @@ impl Inspirations {
         let (model, simulator) = &self.simulators[self.running];
         let pressure = Lane::from_fn(|_| simulator.start_pressure + normal(self.config.start_spread));
         let start = BreathStart { pressure, plateau: pip, ..BreathStart::default() };
-        self.rollout.begin(model, &start, self.config.rest);
+        self.rollout.begin(model, &start, &Lane::splat(self.config.rest));
         self.noise.fill_with(|| Lane::from_fn(|_| normal(simulator.noise)));
         (self.pip, self.tick, self.strayed) = (pip, 0, Lane::ZERO);
         for memory in &mut self.memories {
@@ -356,7 +356,7 @@ mod tests {
         let mut lung = Rollout::new(&model, 1000);
         let start =
             BreathStart { pressure: task.rollout.pressure(), plateau: task.pip, ..BreathStart::default() };
-        lung.begin(&model, &start, 5.0);
+        lung.begin(&model, &start, &Lane::splat(5.0));
         for tick in 0..=10 {
             let (pressure, pip) = (lung.pressure()[2] + task.noise[tick as usize][2], task.pip[2]);
             let seen = Observation { pressure, target: pip, pip, peep: 5.0, tick };

@@ -57,7 +57,7 @@ impl<'a> LaneFeatures<'a> {
         let pip = scenario.pip.map(|pip| (pip - PIP_SCALE.0) / PIP_SCALE.1);
         Self {
             features,
-            rest: Lane::splat(scenario.rest / COMMAND_SCALE),
+            rest: scenario.rest.map(|rest| rest / COMMAND_SCALE),
             pressures: [pip, Lane::splat((scenario.peep - PEEP_SCALE.0) / PEEP_SCALE.1)],
         }
     }

@@ -51,6 +51,27 @@ pub(super) fn slope(scenario: &Scenario, pressure: &Lane) -> Lane {
     })
 }
 
+/// Share of the inspiration after which moving the valve has its price.
+const LATE: f32 = 0.4;
+/// Change of the command in a tick below which its price is smoothed, percent.
+const EFFORT_ROUNDING: f32 = 0.2;
+
+/// Gradient of the price of moving the valve with respect to the command of one tick.
+pub(super) fn effort_slope(scenario: &Scenario, commands: &[Lane], tick: usize) -> Lane {
+    let first = (LATE * scenario.ticks as f32) as usize;
+    if scenario.effort_price <= 0.0 || tick < first {
+        return Lane::ZERO;
+    }
+    let share = scenario.effort_price / (scenario.ticks - first) as f32;
+    let step =
+        |from: usize| commands[from].zip(&commands[from + 1], |a, b| huber::slope(b - a, EFFORT_ROUNDING));
+    let mut slope = if tick > first { step(tick - 1) } else { Lane::ZERO };
+    if tick + 1 < scenario.ticks {
+        slope.add_scaled(-1.0, &step(tick));
+    }
+    slope.zip(&scenario.weight, |slope, weight| share * weight * slope)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,14 +2,18 @@
 //!
 //! From the bottom up: the chip's arithmetic over lanes with gradients (`limit`, `pid`, `features`, [`network`]), the
 //! [`loss`], the closed loop of all of them with a simulator ([`rollout`]), the [`scenario`]s of its breaths and
-//! the `efforts` in them, the `training` on them, and the resulting file ([`learned`]).
+//! the `efforts` in them, the `training` on them, and the resulting file ([`learned`]). For a [`family`] of units, breaths follow
+//! each other: the `lives`, and what they remember ([`memory`]).
 
 pub mod config;
 mod efforts;
+pub mod family;
 mod features;
 pub mod learned;
 mod limit;
+mod lives;
 pub mod loss;
+pub mod memory;
 pub mod network;
 mod pid;
 pub mod rollout;
@@ -18,4 +22,5 @@ mod training;
 
 pub use config::{TrainConfig, Weighting};
 pub use efforts::EffortConfig;
-pub use training::{Checkpoint, CurvePoint, PlantModels, Trained, Training};
+pub use family::{FamilyConfig, FamilyModels, FamilyTraining};
+pub use training::{Checkpoint, CurvePoint, PlantModels, Stepwise, Trained, Training};

@@ -2,14 +2,14 @@
 
 use rand_chacha::ChaCha8Rng;
 use shared::control::features::FEATURES;
-use shared::control::network::{HIDDEN_1, HIDDEN_2, Network};
+use shared::control::network::{HIDDEN_1, HIDDEN_2, INPUTS, Network};
 
 use crate::layers::Layers;
 use engine::activation::Activation;
 use engine::dense::DenseLayer;
 
 fn layout() -> [DenseLayer; 3] {
-    DenseLayer::layout([(FEATURES, HIDDEN_1), (HIDDEN_1, HIDDEN_2), (HIDDEN_2, 1)]).0
+    DenseLayer::layout([(INPUTS, HIDDEN_1), (HIDDEN_1, HIDDEN_2), (HIDDEN_2, 1)]).0
 }
 
 /// The network of a parameter vector over lanes.
@@ -31,11 +31,17 @@ pub fn chip_network(parameters: &[f32]) -> Network {
 }
 
 /// A parameter vector to start training from: random hidden layers and a zero output layer, so that the controller
-/// starts as its PID.
+/// starts as its PID. What earlier breaths taught has no weight yet.
 pub fn initial_parameters(rng: &mut ChaCha8Rng) -> Vec<f32> {
     let mut parameters = vec![0.0; Network::PARAMETERS];
     let [first, second, _] = layout();
-    first.initialise(&mut parameters, 1.0, rng);
+    let ([forgetful], length) = DenseLayer::layout([(FEATURES, HIDDEN_1)]);
+    let mut drawn = vec![0.0; length];
+    forgetful.initialise(&mut drawn, 1.0, rng);
+    let rows = first.slice_mut(&mut parameters).chunks_exact_mut(INPUTS);
+    for (row, drawn) in rows.zip(drawn.chunks_exact(FEATURES)).take(HIDDEN_1) {
+        row[..FEATURES].copy_from_slice(drawn);
+    }
     second.initialise(&mut parameters, 1.0, rng);
     parameters
 }

@@ -7,6 +7,7 @@
 
 use engine::Lane;
 use shared::control::COMMAND_MAX;
+use shared::control::features::FEATURES;
 use shared::control::network::Network;
 use shared::control::residual::Residual;
 
@@ -49,6 +50,18 @@ impl ClosedLoopTape {
     }
 }
 
+impl ClosedLoopTape {
+    /// Errors and commands of the breath.
+    pub(super) fn signals(&self) -> &Signals {
+        &self.signals
+    }
+
+    /// Pressure at the end of the breath, cmH2O.
+    pub(super) fn plateau(&self) -> Lane {
+        self.pressure.last().copied().unwrap_or_default()
+    }
+}
+
 /// The controller in training: fixed parts and the current network.
 #[derive(Clone, Debug)]
 pub struct LaneController<'a> {
@@ -72,7 +85,7 @@ impl<'a> LaneController<'a> {
     pub fn forward(&self, model: &Model, scenario: &Scenario, tape: &mut ClosedLoopTape) -> Loss {
         let features = LaneFeatures::new(self.controller.features(), scenario);
         let mut carried = Carried { pid: PidLanes::default(), averages: features.start() };
-        tape.simulator.begin(model, &scenario.start, scenario.rest);
+        tape.simulator.begin(model, &scenario.start, &scenario.rest);
         for tick in 0..scenario.ticks {
             self.tick(&features, scenario, tape, &mut carried, tick);
         }
@@ -97,6 +110,9 @@ impl<'a> LaneController<'a> {
         let Carried { pid, averages } = carried;
         let seen = tape.network.inputs(tick);
         features.forward(averages, &tape.signals, &pid.integral, tick, seen);
+        if let Some(memory) = &scenario.memory {
+            memory.recall(tick, &mut seen[FEATURES..]);
+        }
 
         let scale = self.controller.spec().lambda * COMMAND_MAX;
         let correction = self.network.forward(&mut tape.network, tick).map(|y| scale * y);
@@ -135,6 +151,7 @@ impl<'a> LaneController<'a> {
         let d_signals = &mut tape.d_signals;
         let mut d_command = d_signals.command[tick];
         d_command.add_scaled(1.0, &tape.simulator.command_gradient(tick));
+        d_command.add_scaled(1.0, &loss::effort_slope(scenario, &tape.signals.command, tick));
         features.applied_back(averages, &mut d_command);
 
         let d_errors = &mut d_signals.error;
@@ -204,7 +221,9 @@ mod tests {
                 plateau: Lane::splat(20.0),
                 ..BreathStart::default()
             },
-            rest: 5.0,
+            rest: Lane::splat(5.0),
+            memory: None,
+            effort_price: 0.0,
             noise: (0..ticks).map(|n| Lane::from_fn(|l| 0.1 * ((n * 7 + l) as f32).sin())).collect(),
             pull: (0..ticks).map(|n| Lane::from_fn(|l| 0.2 * l as f32 * (0.1 * n as f32).sin())).collect(),
             weight: Lane::from_fn(|l| if l % 3 == 0 { 1.0 } else { 0.5 }),
@@ -280,7 +299,7 @@ mod tests {
         let chip = Controller::Residual(residual);
         for l in [0, 7, LANES - 1] {
             let mut state = ControllerState::new();
-            chip.start_breath(&mut state, scenario.rest);
+            chip.start_breath(&mut state, scenario.rest[l]);
             for tick in 0..scenario.ticks {
                 let pressure = tape.pressure[tick][l] + scenario.noise[tick][l];
                 let (target, pip) = (scenario.pip[l], scenario.pip[l]);

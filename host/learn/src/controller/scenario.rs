@@ -7,6 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
 
 use super::config::TrainConfig;
+use super::memory::LaneMemory;
 use crate::simulator::BreathStart;
 
 /// The breaths of a shard.
@@ -21,7 +22,11 @@ pub struct Scenario {
     /// Starting states of the breaths.
     pub start: BreathStart,
     /// Command before the inspiration, percent.
-    pub rest: f32,
+    pub rest: Lane,
+    /// What earlier breaths taught; none if every breath is the first.
+    pub memory: Option<LaneMemory>,
+    /// Price of moving the valve late in the inspiration, cmH2O of error per percent of change per tick.
+    pub effort_price: f32,
     /// Sensor noise of each tick, cmH2O.
     pub noise: Vec<Lane>,
     /// Fall of the pressure by the patient's efforts at each tick, cmH2O; empty without any.
@@ -41,7 +46,9 @@ impl Scenario {
             pip,
             peep: 5.0,
             start: BreathStart { pressure: Lane::splat(5.0), plateau: pip, ..BreathStart::default() },
-            rest: 5.0,
+            rest: Lane::splat(5.0),
+            memory: None,
+            effort_price: 0.0,
             noise: vec![Lane::ZERO; ticks],
             pull: Vec::new(),
             weight: Lane::splat(1.0),
@@ -68,7 +75,9 @@ impl Scenario {
                 plateau: pip,
                 ..BreathStart::default()
             },
-            rest: config.rest,
+            rest: Lane::splat(config.rest),
+            memory: None,
+            effort_price: 0.0,
             noise: (0..ticks).map(|_| Lane::from_fn(|_| normal(noise))).collect(),
             pull: Vec::new(),
             weight: Lane::splat(1.0),

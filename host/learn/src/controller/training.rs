@@ -116,6 +116,27 @@ pub struct Checkpoint {
     pub factors: Vec<f32>,
 }
 
+/// A training that can be advanced, stopped and resumed.
+pub trait Stepwise {
+    /// Continues from a checkpoint.
+    fn resume(&mut self, checkpoint: Checkpoint);
+
+    /// The state to keep for resuming the training later.
+    fn checkpoint(&self) -> &Checkpoint;
+
+    /// Number of gradient steps done.
+    fn iteration(&self) -> usize;
+
+    /// Trains until the next validation; `None` when training is done.
+    fn advance(&mut self) -> Option<CurvePoint>;
+
+    /// Ends the training with the best controller.
+    ///
+    /// # Errors
+    /// Weights that exceed their bound.
+    fn finish(&self) -> Result<Trained, ResidualError>;
+}
+
 /// Number of the random stream for validation; training uses the numbers of its steps.
 const VALIDATION_STREAM: u64 = u64::MAX;
 
@@ -159,35 +180,6 @@ impl Training {
         training.base_score = mean(&training.validate(&vec![0.0; Network::PARAMETERS]));
         training.keep_best();
         Ok(training)
-    }
-
-    /// Continues from a checkpoint.
-    pub fn resume(&mut self, checkpoint: Checkpoint) {
-        self.state = checkpoint;
-    }
-
-    /// The state to keep for resuming the training later.
-    pub fn checkpoint(&self) -> &Checkpoint {
-        &self.state
-    }
-
-    /// Number of gradient steps done.
-    pub fn iteration(&self) -> usize {
-        self.state.iteration
-    }
-
-    /// Trains until the next validation; `None` when training is done.
-    pub fn advance(&mut self) -> Option<CurvePoint> {
-        if self.state.iteration >= self.config.iterations {
-            return None;
-        }
-        let mut training = 0.0;
-        let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
-        while self.state.iteration < until {
-            training = self.step();
-        }
-        let validation = self.keep_best();
-        Some(CurvePoint { iteration: self.state.iteration, training, validation })
     }
 
     /// Validates the present parameters and keeps the best so far; returns the mean score over the plants.
@@ -280,11 +272,39 @@ impl Training {
         self.plants.par_iter().map(of_plant).collect()
     }
 
-    /// Ends the training with the best controller.
-    ///
-    /// # Errors
-    /// Weights that exceed their bound.
-    pub fn finish(&self) -> Result<Trained, ResidualError> {
+    /// The present parameters.
+    pub fn parameters(&self) -> &[f32] {
+        &self.state.parameters
+    }
+}
+
+impl Stepwise for Training {
+    fn resume(&mut self, checkpoint: Checkpoint) {
+        self.state = checkpoint;
+    }
+
+    fn checkpoint(&self) -> &Checkpoint {
+        &self.state
+    }
+
+    fn iteration(&self) -> usize {
+        self.state.iteration
+    }
+
+    fn advance(&mut self) -> Option<CurvePoint> {
+        if self.state.iteration >= self.config.iterations {
+            return None;
+        }
+        let mut training = 0.0;
+        let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
+        while self.state.iteration < until {
+            training = self.step();
+        }
+        let validation = self.keep_best();
+        Some(CurvePoint { iteration: self.state.iteration, training, validation })
+    }
+
+    fn finish(&self) -> Result<Trained, ResidualError> {
         let (validation, parameters) = &self.state.best;
         let improved = *validation < self.base_score;
         let controller = if improved {
@@ -295,14 +315,10 @@ impl Training {
         let validation = validation.min(self.base_score);
         Ok(Trained { controller, validation, base: self.base_score, improved })
     }
-
-    /// The present parameters.
-    pub fn parameters(&self) -> &[f32] {
-        &self.state.parameters
-    }
 }
 
-fn mean(values: &[f64]) -> f64 {
+/// Mean of the values.
+pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
@@ -311,7 +327,7 @@ mod tests {
     use super::*;
     use crate::simulator::first_order;
     use shared::control::features::{FEATURES, FeatureSpec};
-    use shared::control::network::HIDDEN_1;
+    use shared::control::network::{HIDDEN_1, INPUTS};
     use shared::control::pid::PidGains;
 
     #[test]
@@ -332,7 +348,7 @@ mod tests {
             training.step();
         }
         let column = |parameters: &[f32], feature: usize| -> Vec<f32> {
-            (0..HIDDEN_1).map(|row| parameters[row * FEATURES + feature]).collect()
+            (0..HIDDEN_1).map(|row| parameters[row * INPUTS + feature]).collect()
         };
         for feature in 0..FEATURES {
             let learned = column(training.parameters(), feature);

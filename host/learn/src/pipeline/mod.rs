@@ -7,6 +7,7 @@
 //! With a folder, every stage saves its result there, and a stopped run continues where it stopped; it then gives the
 //! same files as an uninterrupted run.
 
+pub mod family;
 mod folder;
 mod stages;
 mod training;

@@ -6,7 +6,7 @@ use shared::control::residual::ResidualSpec;
 
 use super::{Folder, PipelineConfig, PipelineError};
 use crate::controller::learned::{Learned, Origin};
-use crate::controller::{Checkpoint, CurvePoint, PlantModels, TrainConfig, Trained, Training};
+use crate::controller::{Checkpoint, CurvePoint, PlantModels, Stepwise, TrainConfig, Trained, Training};
 use crate::simulator::model::{Architecture, Simulator};
 use data::provenance::git_revision;
 use progress::{Progress, Stage};
@@ -25,7 +25,7 @@ struct Pause {
 /// # Errors
 /// A checkpoint that cannot be read or written.
 pub fn train(
-    mut training: Training,
+    mut training: impl Stepwise,
     iterations: usize,
     round: Option<(&Folder, usize)>,
     progress: &Progress<'_>,
@@ -137,6 +137,7 @@ fn suits(simulator: &Simulator, period_us: u32) -> Result<(), String> {
         Architecture::Hybrid(_) => true,
         Architecture::StateSpace(shape) => shape.lungs,
         Architecture::Stitched(_) => false,
+        Architecture::Unit(shape) => shape.units > 1,
     };
     if many_lungs {
         return Err(

@@ -18,6 +18,8 @@ pub type Members = [Option<u32>; LANES];
 pub struct BreathStart {
     /// Pressure just before the breath, cmH2O.
     pub pressure: Lane,
+    /// PEEP, cmH2O; used only by [`unit`](super::unit).
+    pub peep: Lane,
     /// Pressure at the end of the last inspiration, cmH2O, which indicates the volume still in the lung.
     pub plateau: Lane,
     /// Scaled command of the inspiratory valve just before the breath; used only by [`hybrid`](super::hybrid).
@@ -39,6 +41,7 @@ impl Default for BreathStart {
         let LungParameters { resistance, compliance } = USUAL_LUNG;
         Self {
             pressure: Lane::ZERO,
+            peep: Lane::splat(USUAL_PEEP),
             plateau: Lane::ZERO,
             rest: Lane::ZERO,
             group: [None; LANES],

@@ -79,7 +79,9 @@ impl ParameterGroup {
                 let physics = shape.physics();
                 vec![group(physics.clone(), SETTLED), group(physics.end..all, 1.0)]
             }
-            Architecture::StateSpace(_) | Architecture::Stitched(_) => vec![group(0..all, 1.0)],
+            Architecture::StateSpace(_) | Architecture::Stitched(_) | Architecture::Unit(_) => {
+                vec![group(0..all, 1.0)]
+            }
         }
     }
 

@@ -26,6 +26,7 @@ pub mod stitched;
 #[cfg(test)]
 mod tests_support;
 mod timing;
+pub mod unit;
 
 pub use breath_start::{BreathStart, Members, USUAL_LUNG};
 pub use command_log::CommandLog;

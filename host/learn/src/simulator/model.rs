@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::hybrid::{Hybrid, HybridConfig};
 use super::state_space::{StateSpace, StateSpaceConfig};
 use super::stitched::{Stitched, StitchedConfig};
+use super::unit::{UnitConfig, Units};
 use super::{AnyDynamics, Timing};
 use data::tensors::{self, TensorError};
 
@@ -22,6 +23,8 @@ pub enum Architecture {
     Hybrid(HybridConfig),
     /// The authors' stitched networks.
     Stitched(StitchedConfig),
+    /// Our physical model of many units.
+    Unit(UnitConfig),
 }
 
 impl Architecture {
@@ -31,6 +34,7 @@ impl Architecture {
             Self::StateSpace(config) => &config.timing,
             Self::Hybrid(config) => &config.timing,
             Self::Stitched(config) => &config.timing,
+            Self::Unit(config) => &config.timing,
         }
     }
 
@@ -40,6 +44,16 @@ impl Architecture {
             Self::StateSpace(config) => config.parameters(),
             Self::Hybrid(config) => config.parameters(),
             Self::Stitched(config) => config.parameters(),
+            Self::Unit(config) => config.parameters(),
+        }
+    }
+
+    /// Number of units that a breath can name as its ventilator; 1 for a model of one plant.
+    pub fn members(&self) -> usize {
+        match self {
+            Self::Unit(config) => config.units,
+            Self::Hybrid(config) => config.ventilators,
+            Self::StateSpace(_) | Self::Stitched(_) => 1,
         }
     }
 
@@ -49,6 +63,7 @@ impl Architecture {
             Self::StateSpace(config) => config.initialise(rng),
             Self::Hybrid(config) => config.initialise(rng),
             Self::Stitched(config) => config.initialise(rng),
+            Self::Unit(config) => config.initialise(),
         }
     }
 }
@@ -87,6 +102,7 @@ impl Model {
             Architecture::StateSpace(config) => Arc::new(StateSpace::new(config, parameters)),
             Architecture::Hybrid(config) => Arc::new(Hybrid::new(config, parameters)),
             Architecture::Stitched(_) => Arc::new(Stitched::new(parameters)),
+            Architecture::Unit(config) => Arc::new(Units::new(config, parameters)),
         };
         Self { architecture, dynamics }
     }

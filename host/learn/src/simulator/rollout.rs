@@ -46,14 +46,14 @@ impl Rollout {
         }
     }
 
-    /// Starts a breath of a model from a command of `rest` percent, at tick 0.
-    pub fn begin(&mut self, model: &Model, start: &BreathStart, rest: f32) {
+    /// Starts a breath of a model from these commands at rest, percent, at tick 0.
+    pub fn begin(&mut self, model: &Model, start: &BreathStart, rest: &Lane) {
         if self.model.architecture() == model.architecture() {
             self.model = model.clone();
         } else {
             *self = Self::new(model, self.ticks);
         }
-        self.log.reset(Lane::splat(rest / COMMAND_SCALE));
+        self.log.reset(rest.map(|rest| rest / COMMAND_SCALE));
         self.start_breath(start);
         if self.timing.lag() > 0 {
             self.predict(0);
@@ -223,7 +223,7 @@ mod tests {
 
     /// Pressures of a breath, tick by tick.
     fn breath(rollout: &mut Rollout, model: &Model, ticks: usize) -> Vec<Lane> {
-        rollout.begin(model, &start(), REST);
+        rollout.begin(model, &start(), &Lane::splat(REST));
         let step = |tick: usize| {
             let pressure = rollout.pressure();
             rollout.advance(&command(tick));
@@ -277,7 +277,7 @@ mod tests {
 
     /// Sum of the pressures of all ticks under these commands, with different weights.
     fn weighted(rollout: &mut Rollout, model: &Model, commands: &[f32]) -> f64 {
-        rollout.begin(model, &start(), REST);
+        rollout.begin(model, &start(), &Lane::splat(REST));
         let mut total = 0.0;
         for (tick, command) in commands.iter().enumerate() {
             total += f64::from(weight(tick) * rollout.pressure()[3]);

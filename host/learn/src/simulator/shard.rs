@@ -38,6 +38,7 @@ impl<'a> Shard<'a> {
     pub fn start(&self) -> BreathStart {
         BreathStart {
             pressure: self.lane(|episode| episode.start),
+            peep: self.lane(|episode| episode.peep),
             plateau: self.lane(|episode| episode.plateau),
             rest: self.lane(|episode| episode.rest[0]),
             group: std::array::from_fn(|l| self.episode(l).group),

@@ -29,6 +29,7 @@ const BLOCKS: usize = 8;
 fn start() -> BreathStart {
     BreathStart {
         pressure: Lane::from_fn(|l| 5.0 + 0.1 * l as f32),
+        peep: Lane::from_fn(|l| 4.0 + 0.05 * l as f32),
         plateau: Lane::from_fn(|l| 10.0 + l as f32),
         rest: Lane::from_fn(|l| 0.2 + 0.02 * l as f32),
         plateau_command: Lane::from_fn(|l| 1.2 - 0.05 * l as f32),
@@ -81,6 +82,16 @@ pub(super) fn check_gradients_by(
     architecture: Architecture,
     parameters: &[f32],
 ) {
+    check_gradients_in_steps(5e-3, indices, architecture, parameters);
+}
+
+/// Like [`check_gradients_by`], with central differences of this width: a narrow one for a model with kinks.
+pub(super) fn check_gradients_in_steps(
+    step: f32,
+    indices: impl Iterator<Item = usize>,
+    architecture: Architecture,
+    parameters: &[f32],
+) {
     let Timing { points, .. } = *architecture.timing();
     let width = architecture.timing().width();
     let model = Model::new(architecture, parameters);
@@ -103,7 +114,6 @@ pub(super) fn check_gradients_by(
         let tolerance = 0.02 * f64::from(analytic.abs()) + 0.02;
         assert!((numeric - f64::from(analytic)).abs() < tolerance, "{what}: {numeric} against {analytic}");
     };
-    let step = 5e-3;
     let mut varied = parameters.to_vec();
     for n in indices {
         varied[n] = parameters[n] + step;

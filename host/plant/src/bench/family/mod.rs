@@ -192,6 +192,11 @@ impl Family {
         Ok(())
     }
 
+    /// The bench of the family in which nothing varies: its nominal machine, with its usual lung.
+    pub fn nominal(&self) -> BenchConfig {
+        self.bench.clone().try_into().expect("the bench was checked")
+    }
+
     /// The plant with this number, from 0, of those that a seed gives.
     pub fn draw(&self, seed: u64, number: u32) -> BenchConfig {
         let mut bench = self.bench.clone();

@@ -1,0 +1,328 @@
+//! Training one controller for a family of units.
+//!
+//! The lanes of a shard live on different units, each with its waveform and its sensor noise. After each gradient step the breath
+//! just run becomes what its lane remembers, and the lane goes on or, by chance, begins a new life on another unit. So the
+//! controller learns on first breaths, second breaths and late ones alike, with the memories that it makes itself. At every
+//! validation all lives begin anew, so that a stopped training continues exactly.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::PAPER_PIPS;
+use shared::control::network::Network;
+use shared::control::residual::{Residual, ResidualError, ResidualSpec};
+
+use super::lives::Lives;
+use super::network::{chip_network, initial_parameters};
+use super::rollout::{ClosedLoopTape, LaneController};
+use super::training::{Checkpoint, CurvePoint, Stepwise, Trained, mean};
+use crate::simulator::model::Model;
+use engine::adam::{Adam, AdamConfig};
+use engine::{LANES, Lane};
+
+/// Configuration of the training for a family.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FamilyConfig {
+    /// Number of gradient steps.
+    pub iterations: usize,
+    /// Inspirations per gradient step (rounded up to whole shards).
+    pub batch: usize,
+    /// PIPs of half of the lives, cmH2O.
+    pub pips: Vec<f32>,
+    /// Range of the PIPs of the other half, cmH2O.
+    pub pip_range: (f32, f32),
+    /// PEEP, cmH2O.
+    pub peep: f32,
+    /// Command before an inspiration that is not the first, percent.
+    pub rest: f32,
+    /// Inspiratory time, s.
+    pub inspiratory_time: f32,
+    /// Range of the standard deviation of the sensor noise, cmH2O.
+    pub noise: (f32, f32),
+    /// Standard deviation of the starting pressure, cmH2O.
+    pub start_spread: f32,
+    /// Probability that a life ends after a breath.
+    pub mortality: f32,
+    /// Probability that the lung changes after a breath.
+    pub change: f32,
+    /// Factor on the errors of first breaths, on which nothing is remembered.
+    pub first_weight: f32,
+    /// Factor on errors above the target.
+    pub overshoot_weight: f32,
+    /// Price of moving the valve late in the inspiration, cmH2O per percent of change per tick.
+    pub effort_price: f32,
+    /// Gradient steps between validations.
+    pub validate_every: usize,
+    /// Settings of the optimiser.
+    pub adam: AdamConfig,
+    /// Seed of initial weights, lives and noise.
+    pub seed: u64,
+}
+
+impl Default for FamilyConfig {
+    fn default() -> Self {
+        Self {
+            iterations: 8000,
+            batch: 256,
+            pips: PAPER_PIPS.to_vec(),
+            pip_range: (8.0, 37.0),
+            peep: 5.0,
+            rest: 5.0,
+            inspiratory_time: 1.0,
+            noise: (0.05, 0.2),
+            start_spread: 0.05,
+            mortality: 0.12,
+            change: 0.03,
+            first_weight: 3.0,
+            overshoot_weight: 1.0,
+            effort_price: 0.02,
+            validate_every: 100,
+            adam: AdamConfig { rate: 3e-3, final_share: 0.02, weight_decay: 1e-4, clip: 1.0 },
+            seed: 0,
+        }
+    }
+}
+
+/// Shards and breaths of a validation.
+const VALIDATION: (usize, u32) = (8, 6);
+/// Number of the random stream for validation; training uses the numbers of its steps.
+const VALIDATION_STREAM: u64 = 1 << 62;
+
+/// Units of a family as simulators.
+#[derive(Clone, Debug)]
+pub struct FamilyModels {
+    /// Units to train on.
+    pub trained_on: Model,
+    /// Units to validate on.
+    pub held_out: Model,
+}
+
+/// A training that can be advanced step by step, observed, stopped and resumed.
+#[derive(Debug)]
+pub struct FamilyTraining {
+    config: FamilyConfig,
+    base: Residual,
+    ticks: usize,
+    models: FamilyModels,
+    lives: Vec<Lives>,
+    tapes: Vec<ClosedLoopTape>,
+    base_score: f64,
+    state: Checkpoint,
+}
+
+impl FamilyTraining {
+    /// Prepares the training of the residual of `spec`, from `warm` parameters or from scratch.
+    ///
+    /// # Errors
+    /// A specification that cannot be built.
+    pub fn new(
+        spec: ResidualSpec,
+        models: FamilyModels,
+        config: FamilyConfig,
+        warm: Option<&[f32]>,
+    ) -> Result<Self, ResidualError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        let parameters = warm.map_or_else(|| initial_parameters(&mut rng), <[f32]>::to_vec);
+        let base = Residual::new(spec, Network::zero())?;
+        let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
+        let shards = config.batch.div_ceil(LANES).max(1);
+        let state = Checkpoint {
+            iteration: 0,
+            adam: Adam::new(config.adam, parameters.len()),
+            best: (f64::INFINITY, parameters.clone()),
+            factors: Vec::new(),
+            parameters,
+        };
+        let tapes = (0..shards).map(|_| ClosedLoopTape::new(&models.trained_on, ticks)).collect();
+        let mut training =
+            Self { config, base, ticks, models, lives: Vec::new(), tapes, base_score: 0.0, state };
+        training.base_score = training.validate(&vec![0.0; Network::PARAMETERS]);
+        training.keep_best();
+        Ok(training)
+    }
+
+    fn begin_lives(&mut self) {
+        let Self { config, models, base, state, .. } = &*self;
+        let units = models.trained_on.architecture().members() as u32;
+        let lives = (0..self.tapes.len()).map(|shard| {
+            let mut rng = stream(config, state.iteration, shard);
+            Lives::new(units, base.spec().period_us, config, &mut rng)
+        });
+        self.lives = lives.collect();
+    }
+
+    /// Makes one gradient step; returns the geometric mean of the batch's scores.
+    fn step(&mut self) -> f64 {
+        let Self { config, base, ticks, models, lives, tapes, state, .. } = self;
+        let controller = LaneController::new(base, &state.parameters);
+        let (size, iteration, model) = (state.parameters.len(), state.iteration, &models.trained_on);
+        let parts: Vec<(f64, Vec<f32>)> = lives
+            .par_iter_mut()
+            .zip(tapes)
+            .enumerate()
+            .map(|(shard, (lives, tape))| {
+                let mut rng = stream(config, iteration + 1, shard);
+                lives.pass(config, &mut rng);
+                let mut scenario = lives.scenario(config, *ticks, &mut rng);
+                let loss = controller.forward(model, &scenario, tape);
+                scenario.weight = lives.weights(&loss.score, config);
+                let mut gradient = vec![0.0; size];
+                controller.backward(&scenario, tape, &mut gradient);
+                lives.end(tape);
+                (logarithm(&loss.score), gradient)
+            })
+            .collect();
+        let mut gradient = vec![0.0; size];
+        for (_, part) in &parts {
+            for (sum, part) in gradient.iter_mut().zip(part) {
+                *sum += part / (parts.len() * LANES) as f32;
+            }
+        }
+        let progress = state.iteration as f32 / config.iterations as f32;
+        state.adam.step(&mut state.parameters, &gradient, progress);
+        state.iteration += 1;
+        mean(&parts.iter().map(|(score, _)| *score).collect::<Vec<_>>()).exp()
+    }
+
+    /// Validates the present parameters and keeps the best so far; returns their score.
+    fn keep_best(&mut self) -> f64 {
+        let validation = self.validate(&self.state.parameters);
+        if validation < self.state.best.0 {
+            self.state.best = (validation, self.state.parameters.clone());
+        }
+        validation
+    }
+
+    /// Geometric mean of the scores in the first breaths on held-out units, cmH2O: errors count in relation to what a unit allows.
+    fn validate(&self, parameters: &[f32]) -> f64 {
+        let controller = LaneController::new(&self.base, parameters);
+        let (config, model) = (&self.config, &self.models.held_out);
+        let units = model.architecture().members() as u32;
+        let of_shard = |shard: usize| {
+            let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+            rng.set_stream(VALIDATION_STREAM + shard as u64);
+            let mut lives = Lives::new(units, self.base.spec().period_us, config, &mut rng);
+            let mut tape = ClosedLoopTape::new(model, self.ticks);
+            let breath = |_| {
+                let scenario = lives.scenario(config, self.ticks, &mut rng);
+                let loss = controller.forward(model, &scenario, &mut tape);
+                lives.end(&tape);
+                logarithm(&loss.score)
+            };
+            mean(&(0..VALIDATION.1).map(breath).collect::<Vec<_>>())
+        };
+        let shards: Vec<f64> = (0..VALIDATION.0).into_par_iter().map(of_shard).collect();
+        mean(&shards).exp()
+    }
+}
+
+impl Stepwise for FamilyTraining {
+    fn resume(&mut self, checkpoint: Checkpoint) {
+        self.state = checkpoint;
+    }
+
+    fn checkpoint(&self) -> &Checkpoint {
+        &self.state
+    }
+
+    fn iteration(&self) -> usize {
+        self.state.iteration
+    }
+
+    fn advance(&mut self) -> Option<CurvePoint> {
+        if self.state.iteration >= self.config.iterations {
+            return None;
+        }
+        self.begin_lives();
+        let mut training = 0.0;
+        let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
+        while self.state.iteration < until {
+            training = self.step();
+        }
+        let validation = self.keep_best();
+        Some(CurvePoint { iteration: self.state.iteration, training, validation })
+    }
+
+    fn finish(&self) -> Result<Trained, ResidualError> {
+        let (validation, parameters) = &self.state.best;
+        let improved = *validation < self.base_score;
+        let controller = if improved {
+            Residual::new(*self.base.spec(), chip_network(parameters))?
+        } else {
+            self.base.clone()
+        };
+        Ok(Trained {
+            controller,
+            validation: validation.min(self.base_score),
+            base: self.base_score,
+            improved,
+        })
+    }
+}
+
+/// Random numbers of a shard in a gradient step.
+fn stream(config: &FamilyConfig, iteration: usize, shard: usize) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+    rng.set_stream(((iteration as u64 + 1) << 16) + shard as u64);
+    rng
+}
+
+/// Mean logarithm of the lanes' scores.
+fn logarithm(score: &Lane) -> f64 {
+    f64::from(score.map(f32::ln).sum()) / LANES as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::model::Architecture;
+    use crate::simulator::unit::UnitConfig;
+    use shared::control::features::FeatureSpec;
+    use shared::control::pid::PidGains;
+
+    fn training(iterations: usize) -> FamilyTraining {
+        let spec = ResidualSpec {
+            period_us: 10_000,
+            gains: PidGains { p: 1.0, i: 20.0, d: 0.0 },
+            lambda: 1.0,
+            authority: 100.0,
+            features: FeatureSpec::for_period(10_000),
+        };
+        let units = UnitConfig::for_period(10_000, 4);
+        let mut parameters = units.initialise();
+        for (n, parameter) in parameters.iter_mut().enumerate() {
+            *parameter += 0.2 * (n as f32).sin();
+        }
+        let model = Model::new(Architecture::Unit(units), &parameters);
+        let models = FamilyModels { trained_on: model.clone(), held_out: model };
+        let config = FamilyConfig { iterations, batch: 64, validate_every: 30, ..FamilyConfig::default() };
+        FamilyTraining::new(spec, models, config, None).unwrap()
+    }
+
+    #[test]
+    fn training_beats_its_pid_and_uses_what_it_remembers() {
+        let mut training = training(120);
+        while training.advance().is_some() {}
+        let trained = training.finish().unwrap();
+        assert!(trained.improved && trained.validation < 0.8 * trained.base, "{trained:?}");
+        let of_memory = |network: &Network| {
+            let first = &network.hidden_1.weights;
+            first[shared::control::features::FEATURES..].iter().flatten().map(|w| w.abs()).sum::<f32>()
+        };
+        assert!(of_memory(trained.controller.network()) > 0.1);
+    }
+
+    #[test]
+    fn a_resumed_training_ends_like_one_that_was_not_stopped() {
+        let mut whole = training(60);
+        while whole.advance().is_some() {}
+        let mut first = training(60);
+        first.advance();
+        let mut second = training(60);
+        second.resume(first.checkpoint().clone());
+        while second.advance().is_some() {}
+        assert_eq!(whole.checkpoint().parameters, second.checkpoint().parameters);
+    }
+}

@@ -1,0 +1,179 @@
+//! The lives of a shard: rollouts that stay on their unit for several breaths and remember.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::family::FamilyConfig;
+use super::memory::LaneMemory;
+use super::rollout::ClosedLoopTape;
+use super::scenario::Scenario;
+use crate::simulator::BreathStart;
+use engine::{LANES, Lane};
+
+/// Score below which the errors of a life weigh no more, cmH2O.
+const LEAST_SCORE: f32 = 0.1;
+
+/// A machine with a lung in each lane, its waveform and noise, and what was learned of it.
+#[derive(Debug)]
+pub(super) struct Lives {
+    /// Number of units to draw from.
+    units: u32,
+    machine: [Option<u32>; LANES],
+    lung: [Option<u32>; LANES],
+    /// PIP, cmH2O.
+    pip: Lane,
+    /// Standard deviation of the sensor noise, cmH2O.
+    noise: Lane,
+    /// Breaths lived.
+    age: [u32; LANES],
+    /// Pressure at the end of the last inspiration, cmH2O; PEEP before the first.
+    plateau: Lane,
+    /// Lowest score on this lung, cmH2O.
+    best: Lane,
+    memory: LaneMemory,
+}
+
+impl Lives {
+    /// New lives in all lanes, on some of `units` units.
+    pub fn new(units: u32, period_us: u32, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Self {
+        let mut lives = Self {
+            units,
+            machine: [None; LANES],
+            lung: [None; LANES],
+            pip: Lane::ZERO,
+            noise: Lane::ZERO,
+            age: [0; LANES],
+            plateau: Lane::ZERO,
+            best: Lane::ZERO,
+            memory: LaneMemory::new(period_us),
+        };
+        (0..LANES).for_each(|l| lives.begin(l, config, rng));
+        lives
+    }
+
+    /// Begins a new life in a lane.
+    fn begin(&mut self, l: usize, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
+        self.machine[l] = Some(rng.random_range(0..self.units));
+        self.lung[l] = Some(rng.random_range(0..self.units));
+        let usual = rng.random_range(0.0..1.0) < 0.5_f32;
+        self.pip[l] = if usual {
+            config.pips[rng.random_range(0..config.pips.len())]
+        } else {
+            rng.random_range(config.pip_range.0..config.pip_range.1)
+        };
+        self.noise[l] = rng.random_range(config.noise.0..config.noise.1);
+        (self.age[l], self.plateau[l], self.best[l]) = (0, config.peep, f32::INFINITY);
+        self.memory.forget(l);
+    }
+
+    /// Between two breaths, ends some lives, and changes the lung of others, which keep what they remember.
+    pub fn pass(&mut self, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
+        for l in 0..LANES {
+            let [ends, changes]: [f32; 2] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
+            if self.age[l] > 0 && ends < config.mortality {
+                self.begin(l, config, rng);
+            } else if self.age[l] > 0 && changes < config.change {
+                self.lung[l] = Some(rng.random_range(0..self.units));
+                self.best[l] = f32::INFINITY;
+            }
+        }
+    }
+
+    /// The next breath of every life. A life begins in standby, with the valve closed.
+    pub fn scenario(&self, config: &FamilyConfig, ticks: usize, rng: &mut ChaCha8Rng) -> Scenario {
+        let mut normal = || -> f32 { rng.sample(StandardNormal) };
+        let start = BreathStart {
+            pressure: Lane::from_fn(|_| config.peep + config.start_spread * normal()),
+            peep: Lane::splat(config.peep),
+            plateau: self.plateau,
+            ventilator: self.machine,
+            group: self.lung,
+            ..BreathStart::default()
+        };
+        Scenario {
+            ticks,
+            pip: self.pip,
+            peep: config.peep,
+            start,
+            rest: Lane::from_fn(|l| if self.age[l] == 0 { 0.0 } else { config.rest }),
+            noise: (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect(),
+            pull: Vec::new(),
+            weight: Lane::splat(1.0),
+            overshoot_weight: config.overshoot_weight,
+            memory: Some(self.memory.clone()),
+            effort_price: config.effort_price,
+        }
+    }
+
+    /// Weights of the lanes after a breath with these scores: errors count in relation to the best breath of the life, which shows
+    /// what machine and lung allow.
+    pub fn weights(&mut self, score: &Lane, config: &FamilyConfig) -> Lane {
+        self.best = self.best.zip(score, f32::min);
+        Lane::from_fn(|l| {
+            let first = if self.age[l] == 0 { config.first_weight } else { 1.0 };
+            first / self.best[l].max(LEAST_SCORE)
+        })
+    }
+
+    /// Ends the breath: every life learns from it.
+    pub fn end(&mut self, tape: &ClosedLoopTape) {
+        self.memory.adopt(tape.signals());
+        self.plateau = tape.plateau();
+        for age in &mut self.age {
+            *age += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_chacha::rand_core::SeedableRng;
+
+    fn lives(config: &FamilyConfig) -> Lives {
+        Lives::new(50, 1000, config, &mut ChaCha8Rng::seed_from_u64(4))
+    }
+
+    #[test]
+    fn a_life_stays_on_its_machine_with_its_waveform_and_noise() {
+        let config = FamilyConfig { mortality: 0.0, change: 0.0, ..FamilyConfig::default() };
+        let (mut lives, rng) = (lives(&config), &mut ChaCha8Rng::seed_from_u64(5));
+        let before = (lives.machine, lives.lung, lives.pip, lives.noise);
+        lives.age = [1; LANES];
+        (0..100).for_each(|_| lives.pass(&config, rng));
+        assert_eq!((lives.machine, lives.lung, lives.pip, lives.noise), before);
+    }
+
+    #[test]
+    fn lives_end_and_lungs_change_as_often_as_configured() {
+        let config = FamilyConfig { mortality: 0.2, change: 0.1, ..FamilyConfig::default() };
+        let (mut lives, rng) = (lives(&config), &mut ChaCha8Rng::seed_from_u64(5));
+        let (mut ended, mut changed) = (0, 0);
+        for _ in 0..1000 {
+            (lives.age, lives.best) = ([1; LANES], Lane::ZERO);
+            lives.pass(&config, rng);
+            ended += lives.age.iter().filter(|age| **age == 0).count();
+            changed += (0..LANES).filter(|l| lives.age[*l] > 0 && lives.best[*l] > 0.0).count();
+        }
+        let share = |count: usize| count as f32 / (1000 * LANES) as f32;
+        assert!(
+            (share(ended) - 0.2).abs() < 0.02 && (share(changed) - 0.08).abs() < 0.02,
+            "{ended} {changed}"
+        );
+    }
+
+    #[test]
+    fn a_first_breath_begins_with_a_closed_valve_and_weighs_more() {
+        let config = FamilyConfig { first_weight: 3.0, ..FamilyConfig::default() };
+        let mut lives = lives(&config);
+        lives.age[1] = 4;
+        let scenario = lives.scenario(&config, 5, &mut ChaCha8Rng::seed_from_u64(5));
+        assert_eq!((scenario.rest[0], scenario.rest[1]), (0.0, config.rest));
+        let weights = lives.weights(&Lane::splat(2.0), &config);
+        assert_eq!((weights[0], weights[1]), (1.5, 0.5));
+        let weights = lives.weights(&Lane::splat(4.0), &config);
+        assert_eq!(weights[1], 0.5, "the best breath counts");
+        assert_eq!(lives.weights(&Lane::splat(1e-3), &config)[1], 1.0 / LEAST_SCORE);
+    }
+}

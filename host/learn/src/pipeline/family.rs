@@ -1,0 +1,245 @@
+//! From recorded units of a family to one controller for all of them.
+//!
+//! Some units of the family breathe under the known-good PID and explore, and so does the nominal machine with several lungs. A
+//! physical simulator is fitted to the recordings; units that nobody has recorded are drawn around the fitted ones; the controller
+//! is trained on those, from breath to breath. Units of their own validate it. The nominal machine is what a user is most likely to
+//! have, so a share of the training belongs to it.
+//!
+//! With a folder, every fitted unit and the training's checkpoints are saved there, and a stopped run continues.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::features::FeatureSpec;
+use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::{ResidualError, ResidualSpec};
+use shared::control::{COMMAND_MAX, Controller};
+use shared::device::KNOWN_GOOD;
+
+use super::training::learned;
+use super::{Folder, PipelineError, TrainedOnce};
+use crate::controller::{FamilyConfig, FamilyModels, FamilyTraining};
+use crate::simulator::episode::{Episode, episodes};
+use crate::simulator::fit::{Fit, FitConfig};
+use crate::simulator::model::{Architecture, Model, Simulator};
+use crate::simulator::unit::{UnitConfig, spread};
+use engine::adam::AdamConfig;
+use plant::bench::BenchConfig;
+use plant::bench::family::Family;
+use progress::{Progress, Stage, Task};
+use ventilator::collect::{CollectConfig, collect};
+use ventilator::{BenchSource, seeds};
+
+/// Configuration of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FamilyRun {
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// Number of units to record and train on.
+    pub units: u32,
+    /// Number of further units to record, for validation.
+    pub held_out: u32,
+    /// Number of lungs of the family to record on the nominal machine.
+    pub nominal: u32,
+    /// Share of the machines drawn for the training that are nominal ones.
+    pub nominal_share: f32,
+    /// Number of units drawn around the recorded ones, to train and to validate on.
+    pub drawn: (usize, usize),
+    /// Gains of the PID that records.
+    pub collector: PidGains,
+    /// Gains of the PID under the residual: soft, because it must suit every unit.
+    pub gains: PidGains,
+    /// Each unit's recording.
+    pub collect: CollectConfig,
+    /// Each unit's fit.
+    pub fit: FitConfig,
+    /// Training; its range of noise follows from the recordings.
+    pub train: FamilyConfig,
+}
+
+impl Default for FamilyRun {
+    fn default() -> Self {
+        let adam = AdamConfig { rate: 0.03, final_share: 0.02, weight_decay: 0.0, clip: 1.0 };
+        Self {
+            seed: 1,
+            units: 64,
+            held_out: 16,
+            nominal: 16,
+            nominal_share: 0.5,
+            drawn: (4096, 512),
+            collector: KNOWN_GOOD,
+            gains: PidGains { p: 2.5, i: 60.0, d: 0.08 },
+            collect: CollectConfig { breaths: 32, ..CollectConfig::default() },
+            // All breaths in every gradient step: a unit has few numbers and many breaths.
+            fit: FitConfig { epochs: 300, batch: 1024, adam, ..FitConfig::default() },
+            train: FamilyConfig::default(),
+        }
+    }
+}
+
+/// The settings that must match to continue a stopped run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Claim {
+    run: FamilyRun,
+    /// The family's first unit, which shows whether the ranges are the same.
+    first: BenchConfig,
+}
+
+impl FamilyRun {
+    /// Records, fits and trains.
+    ///
+    /// # Errors
+    /// A unit that cannot be recorded, a run stopped before its training, or a folder with another run.
+    pub fn run(
+        &self,
+        family: &Family,
+        folder: Option<&Folder>,
+        progress: &Progress<'_>,
+    ) -> Result<TrainedOnce, PipelineError> {
+        let first = family.draw(seeds::units(self.seed), 0);
+        if let Some(folder) = folder {
+            folder.claim(&Claim { run: self.clone(), first })?;
+        }
+        let units = self.units(family, folder, progress)?;
+        let nominal = self.nominal(family, folder)?;
+        let config =
+            FamilyConfig { noise: noise(&units), seed: seeds::training(self.seed, 0), ..self.train.clone() };
+        let iterations = config.iterations;
+        let training = FamilyTraining::new(self.residual(), self.models(&units, &nominal), config, None)?;
+        let (trained, curve) =
+            super::train(training, iterations, folder.map(|folder| (folder, 0)), progress)?;
+        let complete = curve.last().map_or(0, |point| point.iteration) >= iterations;
+        let improved = trained.improved;
+        let learned = learned(trained, format!("family {}", family.name), self.seed);
+        Ok(TrainedOnce { learned, improved, curve, complete })
+    }
+
+    /// The residual's fixed parts.
+    fn residual(&self) -> ResidualSpec {
+        ResidualSpec {
+            period_us: DEFAULT_PERIOD_US,
+            gains: self.gains,
+            lambda: 1.0,
+            authority: COMMAND_MAX,
+            features: FeatureSpec::for_period(DEFAULT_PERIOD_US),
+        }
+    }
+
+    /// A simulator of every recorded unit, those for validation last.
+    fn units(
+        &self,
+        family: &Family,
+        folder: Option<&Folder>,
+        progress: &Progress<'_>,
+    ) -> Result<Vec<Simulator>, PipelineError> {
+        let count = self.units + self.held_out;
+        let task = progress.task(Stage::Units, count as usize);
+        let units: Result<Vec<_>, PipelineError> =
+            (0..count).into_par_iter().map(|number| self.unit(number, family, folder, &task)).collect();
+        units?.into_iter().collect::<Option<_>>().ok_or(PipelineError::Stopped)
+    }
+
+    /// The simulator of a unit; none if the run was stopped.
+    fn unit(
+        &self,
+        number: u32,
+        family: &Family,
+        folder: Option<&Folder>,
+        task: &Task<'_>,
+    ) -> Result<Option<Simulator>, PipelineError> {
+        let file = folder.map(|folder| folder.file(0, &format!("unit-{number}.safetensors")));
+        let simulator = match file.as_ref().filter(|file| file.exists()) {
+            Some(file) => Simulator::load(file)?,
+            None if task.stopped() => return Ok(None),
+            None => self.fitted(number, family)?,
+        };
+        if let Some(file) = file.filter(|file| !file.exists()) {
+            simulator.save(&file)?;
+        }
+        task.advance(1);
+        Ok(Some(simulator))
+    }
+
+    /// Records a unit and fits its simulator.
+    fn fitted(&self, number: u32, family: &Family) -> Result<Simulator, PipelineError> {
+        let bench = family.draw(seeds::units(self.seed), number);
+        let breaths = self.breaths(number, &bench, 0)?;
+        Ok(self.fit(1, &breaths, &bench.name))
+    }
+
+    /// The simulator of the nominal machine with several lungs: all breaths share the valve of its first unit.
+    fn nominal(&self, family: &Family, folder: Option<&Folder>) -> Result<Simulator, PipelineError> {
+        let file = folder.map(|folder| folder.file(0, "nominal.safetensors"));
+        if let Some(file) = file.as_ref().filter(|file| file.exists()) {
+            return Ok(Simulator::load(file)?);
+        }
+        let machine = family.nominal();
+        let first = self.units + self.held_out;
+        let of_lung = |n: u32| {
+            let lung = family.draw(seeds::units(self.seed), first + n).lung;
+            self.breaths(first + n, &BenchConfig { lung, ..machine.clone() }, n)
+        };
+        let breaths: Vec<Vec<Episode>> =
+            (0..self.nominal).into_par_iter().map(of_lung).collect::<Result<_, PipelineError>>()?;
+        let simulator = self.fit(self.nominal as usize, &breaths.concat(), &machine.name);
+        if let Some(file) = file {
+            simulator.save(&file)?;
+        }
+        Ok(simulator)
+    }
+
+    /// Records breaths of a bench under the known-good PID, for the lung of this unit of a simulator.
+    fn breaths(&self, number: u32, bench: &BenchConfig, lung: u32) -> Result<Vec<Episode>, PipelineError> {
+        let seed = seeds::collection(self.seed, u64::from(number));
+        let pid = Controller::Pid(Pid::new(self.collector, DEFAULT_PERIOD_US).map_err(ResidualError::from)?);
+        let settings = &self.collect.settings;
+        let mut source = BenchSource::new(bench, pid.clone(), settings, DEFAULT_PERIOD_US, seed)?;
+        let config = CollectConfig { seed, ..self.collect.clone() };
+        let recording = collect(&mut source, &pid, &config, &Progress::silent())?.recording;
+        let mut breaths = episodes(&recording, &UnitConfig::for_period(DEFAULT_PERIOD_US, 1).timing);
+        for breath in &mut breaths {
+            (breath.ventilator, breath.group) = (Some(0), Some(lung));
+        }
+        Ok(breaths)
+    }
+
+    /// Fits a simulator of this number of lungs.
+    fn fit(&self, lungs: usize, breaths: &[Episode], name: &str) -> Simulator {
+        let shape = UnitConfig::for_period(DEFAULT_PERIOD_US, lungs);
+        let breaths: Vec<&Episode> = breaths.iter().collect();
+        let mut fit = Fit::new(Architecture::Unit(shape), &breaths, self.fit, None);
+        while fit.epoch().is_some() {}
+        let mut simulator = fit.simulator(name);
+        if lungs == 1 {
+            spread::normalise(&mut simulator.parameters);
+        }
+        simulator
+    }
+
+    /// Units drawn around the recorded ones.
+    fn models(&self, units: &[Simulator], nominal: &Simulator) -> FamilyModels {
+        let (trained_on, held_out) = units.split_at(self.units as usize);
+        let mut rng = ChaCha8Rng::seed_from_u64(seeds::training(self.seed, 1));
+        let mut drawn = |units: &[Simulator], count: usize| {
+            let recorded: Vec<f32> = units.iter().flat_map(|unit| unit.parameters.clone()).collect();
+            let shape = UnitConfig::for_period(DEFAULT_PERIOD_US, count);
+            let mut parameters = spread::draw(&recorded, count, &mut rng);
+            let nominal_ones = (self.nominal_share * count as f32) as usize;
+            spread::put_machine(&nominal.parameters, &mut parameters, nominal_ones, &mut rng);
+            Model::new(Architecture::Unit(shape), &parameters)
+        };
+        FamilyModels { trained_on: drawn(trained_on, self.drawn.0), held_out: drawn(held_out, self.drawn.1) }
+    }
+}
+
+/// Range of the sensor noise of these units, standard deviation, cmH2O.
+fn noise(units: &[Simulator]) -> (f32, f32) {
+    let ends = units
+        .iter()
+        .fold((f32::INFINITY, 0.0_f32), |(low, high), unit| (low.min(unit.noise), high.max(unit.noise)));
+    // The range must not be empty.
+    (ends.0, ends.1.max(ends.0 + f32::EPSILON))
+}

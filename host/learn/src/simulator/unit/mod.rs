@@ -1,0 +1,223 @@
+//! A physical simulator of many units: valve, circuit and lung by their equations, with a few numbers for each unit.
+//!
+//! A breath names its unit as its ventilator and, if the lung is another unit's, that one as its group.
+//!
+//! The structure is known; the numbers are learned from recordings of each unit, by the same open-loop rollouts as those of
+//! the other simulators. A unit that nobody has recorded is a new set of numbers, so families of units can be drawn
+//! around the learned ones ([`spread`]).
+//!
+//! ```text
+//! commands -> valve -> q       dead time, lag, play, dead zone, curve          valve.rs
+//! q -> lung -> p -> sensor     circuit, expiratory valve as it closes, leak, R, C    lung.rs
+//! ```
+
+mod lung;
+pub mod spread;
+mod valve;
+
+use serde::{Deserialize, Serialize};
+
+use self::lung::{LungLanes, LungTape};
+use self::valve::{ValveLanes, ValveTape};
+use super::{BreathStart, CommandLog, Dynamics, Members, Timing};
+use engine::{LANES, Lane};
+
+/// The numbers of a unit, in the order of the parameters. Each parameter is the logarithm of its number.
+pub const NUMBERS: [(&str, f32); PER_UNIT] = [
+    ("dead time, ms", 12.0),
+    ("lag, ms", 25.0),
+    ("play, %", 4.0),
+    ("dead zone, %", 4.0),
+    ("exponent of the curve", 1.3),
+    ("full flow, L/s", 1.6),
+    ("supply pressure, cmH2O", 150.0),
+    ("R, cmH2O/(L/s)", 20.0),
+    ("turbulence, s/L", 0.1),
+    ("C, mL/cmH2O", 20.0),
+    ("leak at 30 cmH2O, L/s", 0.02),
+    ("circuit compliance, mL/cmH2O", 1.5),
+    ("lag of the expiratory valve, ms", 15.0),
+    ("orifice of the expiratory valve, L/s at 1 cmH2O", 0.4),
+    ("lag of the sensor, ms", 4.0),
+    ("resistance of the expiratory path, cmH2O/(L/s)", 3.0),
+];
+/// Number of parameters of a unit.
+pub const PER_UNIT: usize = 16;
+/// Number of parameters of the valve; those of the lung follow.
+const VALVE: usize = 7;
+/// Number of parameters of lung and circuit.
+const LUNG: usize = PER_UNIT - VALVE;
+
+/// Shape of the model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UnitConfig {
+    /// Division of time: one tick per block.
+    pub timing: Timing,
+    /// Number of units.
+    pub units: usize,
+    /// Inspiratory time of the breaths, ms.
+    pub inspiration_ms: u32,
+    /// Expiratory time of the breaths, ms.
+    pub expiration_ms: u32,
+}
+
+impl UnitConfig {
+    /// The shape for a control period in microseconds and this number of units, in the paper's breaths.
+    pub fn for_period(period_us: u32, units: usize) -> Self {
+        let timing = Timing { period_us, block_ticks: 1, parts: 1, points: 1, channels: 1 };
+        Self { timing, units, inspiration_ms: 1000, expiration_ms: 2000 }
+    }
+
+    /// Number of parameters.
+    pub fn parameters(&self) -> usize {
+        self.units * PER_UNIT
+    }
+
+    /// Initial parameters: usual numbers for every unit.
+    pub fn initialise(&self) -> Vec<f32> {
+        let usual = NUMBERS.map(|(_, number)| number.ln());
+        (0..self.units).flat_map(|_| usual).collect()
+    }
+}
+
+/// The units, ready to run.
+#[derive(Clone, Debug)]
+pub(super) struct Units {
+    config: UnitConfig,
+    parameters: Vec<f32>,
+}
+
+/// Forward values and backward gradients of a rollout.
+#[derive(Clone, Debug)]
+pub(super) struct UnitTape {
+    machines: Members,
+    lungs: Members,
+    valve: ValveTape,
+    lung: LungTape,
+}
+
+impl Units {
+    /// Units from their parameters.
+    ///
+    /// # Panics
+    /// If `parameters` does not have [`UnitConfig::parameters`] entries.
+    pub fn new(config: UnitConfig, parameters: &[f32]) -> Self {
+        assert_eq!(parameters.len(), config.parameters(), "parameters of another shape");
+        Self { config, parameters: parameters.to_vec() }
+    }
+
+    /// Index of the first parameter of a lane's unit; the first unit's if it is not known.
+    fn first(&self, member: Option<u32>) -> usize {
+        let unit = member.map_or(0, |unit| unit as usize);
+        if unit < self.config.units { unit * PER_UNIT } else { 0 }
+    }
+
+    /// A number of the unit in each lane.
+    fn number(&self, members: &Members, n: usize) -> Lane {
+        Lane::from_fn(|l| self.parameters[self.first(members[l]) + n].exp())
+    }
+}
+
+impl Dynamics for Units {
+    type Tape = UnitTape;
+
+    fn tape(&self, blocks: usize) -> UnitTape {
+        UnitTape {
+            machines: [None; LANES],
+            lungs: [None; LANES],
+            valve: ValveTape::new(blocks),
+            lung: LungTape::new(blocks),
+        }
+    }
+
+    fn begin(&self, tape: &mut UnitTape, start: &BreathStart) {
+        tape.machines = start.ventilator;
+        tape.lungs = std::array::from_fn(|l| start.group[l].or(start.ventilator[l]));
+        let tick_s = self.config.timing.block_s();
+        let valve: [Lane; VALVE] = std::array::from_fn(|n| self.number(&tape.machines, n));
+        let lung: [Lane; LUNG] = std::array::from_fn(|n| self.number(&tape.lungs, VALVE + n));
+        tape.valve.begin(ValveLanes::new(&valve, tick_s));
+        let times = [self.config.inspiration_ms, self.config.expiration_ms].map(|ms| ms as f32 * 1e-3);
+        tape.lung.begin(LungLanes::new(&lung, tick_s, times), start);
+    }
+
+    fn step(&self, tape: &mut UnitTape, block: usize, log: &CommandLog, points: &mut [Lane]) {
+        let opening = tape.valve.step(block, log);
+        points[0] = tape.lung.step(block, &opening, &tape.valve.lanes.full_flow, &tape.valve.lanes.supply);
+    }
+
+    fn step_back(&self, tape: &mut UnitTape, block: usize, d_points: &[Lane], d_log: &mut CommandLog) {
+        let ValveTape { lanes, openings, .. } = &tape.valve;
+        let d = tape.lung.step_back(block, &openings[block], &lanes.full_flow, &lanes.supply, &d_points[0]);
+        tape.valve.step_back(block, &d, d_log);
+    }
+
+    fn finish(&self, tape: &mut UnitTape, gradient: &mut [f32]) {
+        let valve = tape.valve.gradient().map(|d| (d, &tape.machines));
+        let lung = tape.lung.gradient().map(|d| (d, &tape.lungs));
+        for (n, (d, members)) in valve.into_iter().chain(lung).enumerate() {
+            for (l, member) in members.iter().enumerate() {
+                gradient[self.first(*member) + n] += d[l];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::model::Architecture;
+    use crate::simulator::tests_support::check_gradients_in_steps;
+
+    /// Units with a prompt valve, so that it closes within the few steps of a test.
+    fn prompt() -> (UnitConfig, Vec<f32>) {
+        let config = UnitConfig::for_period(10_000, 2);
+        let mut parameters = config.initialise();
+        for unit in parameters.chunks_exact_mut(PER_UNIT) {
+            (unit[0], unit[1]) = (6.3_f32.ln(), 8.0_f32.ln());
+        }
+        for (n, parameter) in parameters.iter_mut().enumerate() {
+            *parameter += 0.1 * (0.7 * n as f32).cos();
+        }
+        (config, parameters)
+    }
+
+    #[test]
+    fn gradients_of_a_rollout_agree_with_finite_differences() {
+        let (config, parameters) = prompt();
+        check_gradients_in_steps(1e-3, 0..parameters.len(), Architecture::Unit(config), &parameters);
+    }
+
+    #[test]
+    fn the_valve_of_a_unit_works_on_the_lung_of_another() {
+        let (config, parameters) = prompt();
+        let units = Units::new(config, &parameters);
+        let pressures = |ventilator: u32, group: Option<u32>| {
+            let mut tape = Dynamics::tape(&units, 40);
+            let pressure = Lane::splat(5.0);
+            let start = BreathStart {
+                pressure,
+                plateau: pressure,
+                ventilator: [Some(ventilator); LANES],
+                group: [group; LANES],
+                ..BreathStart::default()
+            };
+            let mut log = CommandLog::new(40, vec![Lane::splat(0.1)]);
+            let mut points = [Lane::ZERO];
+            Dynamics::begin(&units, &mut tape, &start);
+            (0..40)
+                .map(|block| {
+                    log.block_mut(block).fill(Lane::splat(0.8));
+                    Dynamics::step(&units, &mut tape, block, &log, &mut points);
+                    points[0][0]
+                })
+                .collect::<Vec<f32>>()
+        };
+        let own = pressures(0, None);
+        assert_eq!(own, pressures(0, Some(0)));
+        assert_ne!(own, pressures(0, Some(1)));
+        assert_ne!(pressures(1, None), pressures(0, Some(1)), "the valve is the other's");
+        assert!(own.last() > own.first() && own.iter().all(|p| (4.9..60.0).contains(p)), "{own:?}");
+    }
+}

@@ -1,0 +1,100 @@
+//! Units that nobody has recorded, drawn around those that were learned.
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::{NUMBERS, PER_UNIT, VALVE};
+
+/// Share of a parameter's spread between the learned units by which a drawn one deviates from its model.
+const BLUR: f32 = 0.3;
+
+/// Parameters that contain the scale of flow, each with its power: full flow, R, turbulence, C, leak, circuit, orifice, outward R.
+const FLOW_SCALE: [(usize, f32); 8] =
+    [(FULL_FLOW, 1.0), (7, -1.0), (8, -1.0), (9, 1.0), (10, 1.0), (CIRCUIT, 1.0), (13, 1.0), (15, -1.0)];
+const CIRCUIT: usize = 11;
+const FULL_FLOW: usize = 5;
+/// Deviation of a valve's numbers between machines of one type, as a share.
+const UNIT_SPREAD: f32 = 0.03;
+
+/// Rescales the flow of each unit so that its circuit has the usual compliance: pressures alone do not tell the scale of the flow.
+pub fn normalise(learned: &mut [f32]) {
+    for unit in learned.chunks_exact_mut(PER_UNIT) {
+        let scale = NUMBERS[CIRCUIT].1.ln() - unit[CIRCUIT];
+        for (n, power) in FLOW_SCALE {
+            unit[n] += power * scale;
+        }
+    }
+}
+
+/// Draws the parameters of `count` units. Each parameter is that of a random learned unit, independently of the others, blurred by
+/// a share of its spread: units combine as machines and lungs do.
+pub fn draw(learned: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    let units: Vec<&[f32]> = learned.chunks_exact(PER_UNIT).collect();
+    let spread: Vec<f32> = (0..PER_UNIT).map(|n| deviation(units.iter().map(|unit| unit[n]))).collect();
+    (0..count * PER_UNIT)
+        .map(|place| {
+            let n = place % PER_UNIT;
+            let normal: f32 = rng.sample(StandardNormal);
+            units[rng.random_range(0..units.len())][n] + BLUR * spread[n] * normal
+        })
+        .collect()
+}
+
+/// Replaces the machine of the first units by that of a learned simulator, its valve's parameters each with a small deviation, as
+/// machines of one type differ. The scale of the flow is that of its lungs' mean circuit.
+pub fn put_machine(learned: &[f32], units: &mut [f32], count: usize, rng: &mut ChaCha8Rng) {
+    let lungs = learned.chunks_exact(PER_UNIT);
+    let circuit = lungs.clone().map(|lung| lung[CIRCUIT]).sum::<f32>() / lungs.len() as f32;
+    let mut machine = learned[..VALVE].to_vec();
+    machine[FULL_FLOW] += NUMBERS[CIRCUIT].1.ln() - circuit;
+    for unit in units.chunks_exact_mut(PER_UNIT).take(count) {
+        for (parameter, number) in unit.iter_mut().zip(&machine) {
+            let normal: f32 = rng.sample(StandardNormal);
+            *parameter = number + UNIT_SPREAD * normal;
+        }
+    }
+}
+
+/// Standard deviation.
+fn deviation(values: impl Iterator<Item = f32> + Clone) -> f32 {
+    let count = values.clone().count() as f32;
+    let mean = values.clone().sum::<f32>() / count;
+    (values.map(|value| (value - mean) * (value - mean)).sum::<f32>() / count).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::unit::UnitConfig;
+    use rand_chacha::rand_core::SeedableRng;
+
+    #[test]
+    fn drawn_units_have_the_spread_of_the_learned_ones_and_combine_their_numbers() {
+        let mut learned = UnitConfig::for_period(1000, 40).initialise();
+        for (n, parameter) in learned.iter_mut().enumerate() {
+            if n % PER_UNIT == 3 {
+                *parameter = if n / PER_UNIT < 20 { 1.0 } else { 3.0 };
+            }
+        }
+        let drawn = draw(&learned, 2000, &mut ChaCha8Rng::seed_from_u64(1));
+        let of = |number: usize| drawn.chunks_exact(PER_UNIT).map(move |unit| unit[number]);
+        // The variance of the blur adds to that of the units.
+        assert!((deviation(of(3)) - (1.0 + BLUR * BLUR).sqrt()).abs() < 0.05);
+        assert!(deviation(of(4)) < 1e-3, "what does not differ is not spread");
+    }
+
+    #[test]
+    fn the_scale_of_the_flow_is_that_of_the_usual_circuit_and_what_pressures_tell_stays() {
+        let mut learned = UnitConfig::for_period(1000, 1).initialise();
+        learned[CIRCUIT] += 0.4;
+        let before = learned.clone();
+        normalise(&mut learned);
+        assert!((learned[CIRCUIT] - NUMBERS[CIRCUIT].1.ln()).abs() < 1e-6);
+        let (flow, resistance, compliance) = (5, 7, 9);
+        let change = |n: usize| learned[n] - before[n];
+        assert!((change(flow) + 0.4).abs() < 1e-6 && (change(resistance) - 0.4).abs() < 1e-6);
+        assert!((change(resistance) + change(compliance)).abs() < 1e-6, "time constants stay");
+        assert!((0..5).all(|n| change(n).abs() < 1e-9), "and so does the valve");
+    }
+}

@@ -1,0 +1,113 @@
+//! `trainer train-family`: one controller for all units of a family.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::bars::with_bars;
+use super::key_args::KeyArgs;
+use super::output::{OutputArgs, write};
+use learn::controller::CurvePoint;
+use learn::pipeline::Folder;
+use learn::pipeline::family::FamilyRun;
+use plant::bench::family::Family;
+
+/// Train one controller for a whole family of units, which learns from breath to breath
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer train-family --out out/adult                       (the shipped controller, adult)
+  trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
+  trainer robust --controller out/adult/controller.safetensors
+
+The command records some units of the family with the known-good PID, fits a physical simulator to
+each, draws thousands of units around them, and trains on those over consecutive breaths: the
+controller sees what the breaths before have left over. The defaults take about fifteen minutes on
+two cores. Ctrl-C stops; the same command continues where it stopped.")]
+pub struct Args {
+    /// Folder for the controller (controller.safetensors) and the state needed to continue
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Family of plants: a shipped one, or a TOML file
+    #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
+    family: String,
+    /// Units to record and train on; a quarter as many validate
+    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().units, value_parser = clap::value_parser!(u32).range(4..))]
+    units: u32,
+    /// Gradient steps
+    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.iterations)]
+    iterations: usize,
+    /// Inspirations per gradient step
+    #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.batch)]
+    batch: usize,
+    /// Price of moving the valve on the plateau, cmH2O per percent of change per tick
+    #[arg(long, value_name = "PRICE", default_value_t = FamilyRun::default().train.effort_price)]
+    effort_price: f32,
+    /// Seed of all random numbers
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    key: KeyArgs,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Summary {
+    seed: u64,
+    controller: PathBuf,
+    validation: f64,
+    base: f64,
+    improved: bool,
+    complete: bool,
+    train_curve: Vec<CurvePoint>,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let family = Family::find(&args.family)?;
+    let folder = Folder::new(&args.out);
+    let config = args.config();
+    let trained = with_bars(|progress| config.run(&family, Some(&folder), progress))?;
+    let controller = args.out.join("controller.safetensors");
+    trained.learned.save(&controller)?;
+    if args.key.key.is_some() {
+        let weights = args.out.join("weights.bin");
+        write(&weights, &args.key.signed(trained.learned.image()?)?)?;
+        args.output.saved(&weights);
+    }
+    let origin = &trained.learned.origin;
+    args.output.line(&format!(
+        "held-out units, geometric mean over six breaths: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
+        origin.validation,
+        origin.base,
+        controller.display()
+    ));
+    if !trained.complete {
+        args.output.line("Stopped early: this is the controller so far. Run the command again to continue.");
+    }
+    args.output.finish(&Summary {
+        seed: args.seed,
+        controller,
+        validation: origin.validation,
+        base: origin.base,
+        improved: trained.improved,
+        complete: trained.complete,
+        train_curve: trained.curve,
+    })
+}
+
+impl Args {
+    fn config(&self) -> FamilyRun {
+        let mut config = FamilyRun {
+            seed: self.seed,
+            units: self.units,
+            held_out: self.units.div_ceil(4),
+            ..FamilyRun::default()
+        };
+        config.train.iterations = self.iterations;
+        config.train.batch = self.batch;
+        config.train.effort_price = self.effort_price;
+        config
+    }
+}
