@@ -10,8 +10,6 @@ pub mod rivals;
 pub mod tally;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod tests;
 
 use std::io;
 use std::path::{Path, PathBuf};
