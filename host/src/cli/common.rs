@@ -55,7 +55,8 @@ pub enum Preset {
 /// The choice of a bench.
 #[derive(Debug, clap::Args)]
 pub struct BenchArgs {
-    /// Lung on the virtual bench: R and C as in R20C20, or a row of the test table as in iso-07
+    /// Lung on the virtual bench: R and C as in R20C20, or a row of the test table as in iso-07; on the machine for newborns as in
+    /// neonate-R100C2 or neonate-iso-14
     #[arg(long, default_value = "R20C20", conflicts_with = "bench")]
     pub lung: String,
     /// Bench description in TOML, which can set every parameter (`trainer inspect --bench R20C20` prints one)

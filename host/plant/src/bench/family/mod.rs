@@ -20,6 +20,9 @@
 //! # Ok::<(), plant::bench::family::FamilyError>(())
 //! ```
 //!
+//! `bench = "neonate"`, or the name of another lung, gives the values that the file leaves out; without it they are the defaults.
+//! `pips` and `[settings]` are the waveforms on which the family's plants are judged; without them they are the paper's.
+//!
 //! Each parameter is drawn by a generator of its own, from the seed, the plant's number and the parameter's name: a change of one
 //! range leaves all other draws as they were.
 
@@ -29,8 +32,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use serde::{Deserialize, Serialize};
+use shared::breath::PAPER_PIPS;
 use shared::checksum::fnv;
 use shared::control::pid::PidGains;
+use shared::settings::{Settings, SettingsError};
 use toml::{Table, Value};
 
 use super::{BenchConfig, BenchError};
@@ -39,7 +44,8 @@ use super::{BenchConfig, BenchError};
 const MOST_DEVIATIONS: f64 = 3.0;
 
 /// The shipped families, by name.
-const SHIPPED: [(&str, &str); 1] = [("adult", include_str!("adult.toml"))];
+const SHIPPED: [(&str, &str); 2] =
+    [("adult", include_str!("adult.toml")), ("neonate", include_str!("neonate.toml"))];
 
 /// Why a family was refused.
 #[derive(Debug, thiserror::Error)]
@@ -76,6 +82,12 @@ pub enum FamilyError {
         "family.{0}: the range is empty; the lower number comes first, log_uniform needs numbers above 0, and an sd is not negative"
     )]
     EmptyRange(String),
+    /// There is no waveform.
+    #[error("the family has no waveform: name at least one PIP, as in pips = [15, 25]")]
+    NoWaveform,
+    /// The settings of a waveform are not allowed.
+    #[error("a waveform of the family cannot be run: {0}")]
+    Settings(#[from] SettingsError),
     /// The fixed values of the bench, or a value within a range, are not allowed.
     #[error(transparent)]
     Bench(#[from] BenchError),
@@ -128,6 +140,10 @@ pub struct Family {
     pub name: String,
     /// Best single PID of the family, if known.
     pub pid: Option<PidGains>,
+    /// PIPs of the waveforms, cmH2O.
+    pub pips: Vec<f32>,
+    /// All other settings of the waveforms.
+    pub settings: Settings,
     /// Description of a complete bench, with the values that do not vary.
     bench: Table,
     /// Path and range of every parameter that varies, such as `valve.lag_ms`.
@@ -165,21 +181,29 @@ impl Family {
         let mut table: Table = toml::from_str(text)?;
         let Some(Value::Table(varies)) = table.remove("family") else { return Err(FamilyError::Empty) };
         let pid = table.remove("pid").map(Value::try_into).transpose()?;
-        let fixed: BenchConfig = table.try_into()?;
-        fixed.validate()?;
-        let bench = Table::try_from(&fixed).expect("a bench always has a TOML form");
+        let pips = table.remove("pips").map(Value::try_into).transpose()?;
+        let settings = table.remove("settings").map(Value::try_into).transpose()?.unwrap_or_default();
+        let fixed = fixed(table)?;
+        let bench = toml_of(&fixed);
         let mut ranges = Vec::new();
         collect(&varies, "", &mut ranges)?;
         if ranges.is_empty() {
             return Err(FamilyError::Empty);
         }
-        let family = Self { name: fixed.name, pid, bench, ranges };
+        let pips = pips.unwrap_or_else(|| PAPER_PIPS.to_vec());
+        let family = Self { name: fixed.name, pid, pips, settings, bench, ranges };
         family.check()?;
         Ok(family)
     }
 
-    /// Checks that the ends of each range are allowed.
+    /// Checks that the waveforms and the ends of each range are allowed.
     fn check(&self) -> Result<(), FamilyError> {
+        if self.pips.is_empty() {
+            return Err(FamilyError::NoWaveform);
+        }
+        for number in 0..self.pips.len() {
+            self.waveform(number as u32).validate()?;
+        }
         for (path, range) in &self.ranges {
             let (low, high) = range.ends().ok_or_else(|| FamilyError::EmptyRange(path.clone()))?;
             for value in [low, high] {
@@ -197,6 +221,11 @@ impl Family {
         self.bench.clone().try_into().expect("the bench was checked")
     }
 
+    /// Settings of the waveform for the plant with this number: the waveforms take turns.
+    pub fn waveform(&self, number: u32) -> Settings {
+        Settings { pip: self.pips[number as usize % self.pips.len()], ..self.settings }
+    }
+
     /// The plant with this number, from 0, of those that a seed gives.
     pub fn draw(&self, seed: u64, number: u32) -> BenchConfig {
         let mut bench = self.bench.clone();
@@ -208,6 +237,33 @@ impl Family {
         }
         bench.insert("name".to_owned(), Value::String(format!("{}-{number}", self.name)));
         bench.try_into().expect("every value within the ranges is allowed")
+    }
+}
+
+/// The bench of a family: the named one, with the values of the file in place of its own.
+fn fixed(mut table: Table) -> Result<BenchConfig, FamilyError> {
+    let named: Option<String> = table.remove("bench").map(Value::try_into).transpose()?;
+    let named = named.map(|name| BenchConfig::from_name(&name)).transpose()?.unwrap_or_default();
+    let mut complete = toml_of(&named);
+    replace(&mut complete, table);
+    let bench: BenchConfig = complete.try_into()?;
+    bench.validate()?;
+    Ok(bench)
+}
+
+fn toml_of(bench: &BenchConfig) -> Table {
+    Table::try_from(bench).expect("a bench always has a TOML form")
+}
+
+/// Replaces the values of a table by those of another, table by table.
+fn replace(table: &mut Table, values: Table) {
+    for (name, value) in values {
+        match (table.get_mut(&name), value) {
+            (Some(Value::Table(inner)), Value::Table(values)) => replace(inner, values),
+            (_, value) => {
+                table.insert(name, value);
+            }
+        }
     }
 }
 

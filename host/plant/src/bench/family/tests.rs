@@ -72,6 +72,40 @@ fn what_no_range_names_is_as_the_file_says() {
 }
 
 #[test]
+fn a_named_bench_gives_what_the_file_leaves_out() {
+    let family = ranges(
+        "bench = \"neonate-R50C1\"\n[circuit]\nleak_l_per_s_at_30_cmh2o = 0.01\n[family.valve]\nlag_ms = { uniform = [10, 30] }",
+    )
+    .unwrap();
+    let (plant, named) = (family.draw(1, 0), BenchConfig::from_name("neonate-R50C1").unwrap());
+    assert_eq!((plant.lung, plant.sensor, plant.flow_sensor), (named.lung, named.sensor, named.flow_sensor));
+    let leak = plant.circuit.leak_l_per_s_at_30_cmh2o;
+    assert!((leak - 0.01).abs() < 1e-12 && named.circuit.leak_l_per_s_at_30_cmh2o < 0.01);
+    assert!((plant.circuit.compliance_ml_per_cmh2o - named.circuit.compliance_ml_per_cmh2o).abs() < 1e-12);
+    assert!(
+        refusal("bench = \"frog\"\n[family.valve]\nlag_ms = { uniform = [1, 2] }").contains("unknown lung")
+    );
+}
+
+#[test]
+fn the_waveforms_are_the_papers_unless_the_file_says_otherwise() {
+    let range = "[family.valve]\nlag_ms = { uniform = [10, 30] }";
+    let paper = ranges(range).unwrap();
+    assert_eq!((paper.pips.as_slice(), paper.settings), (&PAPER_PIPS[..], Settings::default()));
+    let own =
+        ranges(&format!("pips = [12, 18]\n[settings]\nrate = 40\ninspiratory_time = 0.5\n{range}")).unwrap();
+    let pips: Vec<f32> = (0..3).map(|number| own.waveform(number).pip).collect();
+    assert_eq!(pips, [12.0, 18.0, 12.0]);
+    assert_eq!(
+        own.waveform(1),
+        Settings { pip: 18.0, rate: 40.0, inspiratory_time: 0.5, ..Settings::default() }
+    );
+    assert!(refusal(&format!("pips = []\n{range}")).starts_with("the family has no waveform"));
+    let refused = refusal(&format!("pips = [12, 500]\n{range}"));
+    assert!(refused.starts_with("a waveform of the family cannot be run: "), "{refused}");
+}
+
+#[test]
 fn every_plant_of_a_shipped_family_runs() {
     for name in Family::names() {
         let family = Family::find(name).unwrap();
@@ -114,7 +148,7 @@ fn refusals_say_what_to_do() {
             .starts_with("the family is not valid")
     );
     let unknown = Family::find("aliens").unwrap_err().to_string();
-    assert_eq!(unknown, "there is no family aliens: name a TOML file, or one of adult");
+    assert_eq!(unknown, "there is no family aliens: name a TOML file, or one of adult, neonate");
     assert!(
         Family::find("none.toml").unwrap_err().to_string().starts_with("cannot read the family none.toml")
     );

@@ -132,12 +132,58 @@ fn names_find_their_lungs() {
 }
 
 #[test]
+fn newborns_have_a_machine_of_their_own() {
+    let named = |name: &str| BenchConfig::from_name(name).unwrap();
+    for name in ["neonate", "neonate-R50C1", "neonate-iso-14"] {
+        let bench = named(name);
+        assert_eq!(bench.name, name);
+        assert!((bench.valve.max_flow_l_per_s - 0.5).abs() < 1e-12, "{name}");
+        assert!((bench.circuit.compliance_ml_per_cmh2o - 0.5).abs() < 1e-12, "{name}");
+        assert!(
+            bench.flow_sensor.noise_sd_l_per_s < 0.2 * BenchConfig::default().flow_sensor.noise_sd_l_per_s
+        );
+        assert_eq!(BenchConfig::from_toml(&bench.to_toml()).unwrap(), bench);
+    }
+    let (adult, neonate) = (named("iso-14").lung.first, named("neonate-iso-14").lung.first);
+    assert_eq!(adult.resistance_cmh2o_per_l_s.to_bits(), neonate.resistance_cmh2o_per_l_s.to_bits());
+    assert_eq!(adult.compliance_ml_per_cmh2o.to_bits(), neonate.compliance_ml_per_cmh2o.to_bits());
+    assert!(neonate.turbulence_s_per_l > adult.turbulence_s_per_l, "of the endotracheal tube");
+}
+
+#[test]
+fn each_row_of_the_table_has_the_machine_that_fits_its_lung() {
+    let matched = BenchConfig::preset("iso-matched").unwrap();
+    assert_eq!(matched.len(), 21);
+    for (number, bench) in (1..).zip(&matched) {
+        let neonatal = bench.valve.max_flow_l_per_s < 1.0;
+        assert_eq!(neonatal, bench.lung.first.compliance_ml_per_cmh2o <= 3.0, "{}", bench.name);
+        let prefix = if neonatal { "neonate-" } else { "" };
+        assert_eq!(bench.name, format!("{prefix}iso-{number:02}"));
+        assert_eq!(BenchConfig::from_name(&bench.name).unwrap(), *bench);
+    }
+    assert_eq!(BenchConfig::preset("neonate-iso").unwrap(), matched[8..]);
+}
+
+#[test]
 fn names_that_mean_nothing_are_refused() {
-    for name in ["paper", "iso", "", "R20", "C20", "R20C", "RxC2", "iso-0", "iso-22", "r20c20"] {
+    for name in [
+        "paper",
+        "iso",
+        "",
+        "R20",
+        "C20",
+        "R20C",
+        "RxC2",
+        "iso-0",
+        "iso-22",
+        "r20c20",
+        "neonate-",
+        "neonate-neonate",
+    ] {
         let error = BenchConfig::from_name(name).unwrap_err();
         assert!(matches!(error, BenchError::UnknownName(_)), "{name}: {error}");
     }
-    for name in ["R0C20", "R20Cinf", "RnanC20", "R-5C20"] {
+    for name in ["R0C20", "R20Cinf", "RnanC20", "R-5C20", "neonate-R0C1"] {
         let error = BenchConfig::from_name(name).unwrap_err();
         assert!(matches!(error, BenchError::OutOfRange { .. }), "{name}: {error}");
     }
