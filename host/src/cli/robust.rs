@@ -10,10 +10,12 @@ use super::common::stopped;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::{self, OutputArgs};
 use judge::robust::rivals::family_pid;
-use judge::robust::tally::Summary;
-use judge::robust::{Question, Robustness};
+use judge::robust::{Question, Robustness, Summary};
 use plant::bench::family::Family;
-use show::report::{Cell, Table};
+use show::report::{Cell, Plot, Series, Style, Table};
+
+/// Ratios to the family's PID that the figure shows.
+const RATIOS: (f64, f64) = (0.3, 1.5);
 
 /// Run a controller on many random plants of a family, beside the best single PID of that family
 #[derive(Debug, clap::Args)]
@@ -24,15 +26,19 @@ Examples:
   trainer robust --family my-machines.toml --gains 3,30,0 --save-worst worst
 
 A family is a bench description with ranges: each plant draws its valve, circuit, sensor and lung
-from them, by the seed and its number. Every plant gets one of the paper's six waveforms, from rest,
-under both controllers, with the same sensor noise. Breaths 1, 6 and 20 are scored. For the subset,
-the first plants, the plant's own best PID and its reference bound are searched as well, which takes
-about two seconds each.
+from them, by the seed and its number. Every plant gets one of the family's waveforms (the paper's,
+unless the family has its own), from rest, under both controllers, with the same sensor noise.
+Breaths 1, 6 and 20 are scored in full. For the subset, the first plants, the plant's own best PID
+and its reference bound are searched as well, which takes several seconds each.
+
+A plant counts as worsened if a breath is worse than the first by more than 5 % and by more than
+0.3 cmH2O; as unstable if the pressure oscillates on a plateau by more than the plateau may be off,
+2 cmH2O + 4 % of PIP to either side; as stopped if the ventilator entered its safe state.
 
 The result does not depend on the number of threads. With --keep, the plants that are done at Ctrl-C
 are kept, and the same command continues with the others.")]
 pub struct Args {
-    /// Family of plants: adult, or a TOML file
+    /// Family of plants: adult, neonate, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
     family: String,
     /// Number of plants
@@ -55,6 +61,10 @@ pub struct Args {
     /// Write the ten worst plants into this folder, as bench descriptions
     #[arg(long, value_name = "DIR")]
     save_worst: Option<PathBuf>,
+    /// Write the figures ratios.svg (distribution of the ratios to the family's PID) and breaths.svg (mean score by breath) into
+    /// this folder
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -72,6 +82,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let test = with_bars(|progress| test(args, &family, &chosen, progress))?;
     let summary = test.summary();
     args.output.table(&table(&summary));
+    args.output.table(&failures(&summary));
     args.output.table(&worst(&summary));
     if stopped() {
         args.output.line("stopped: the results are those of the plants so far");
@@ -79,8 +90,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(folder) = &args.save_worst {
         save_worst(args, folder, &family, &summary)?;
     }
-    args.output.finish(&summary)?;
-    Ok(())
+    if let Some(folder) = &args.figures {
+        create(folder)?;
+        output::write(&folder.join("ratios.svg"), ratios(&test).to_svg()?.as_bytes())?;
+        output::write(&folder.join("breaths.svg"), by_breath(&summary).to_svg()?.as_bytes())?;
+        args.output.saved(folder);
+    }
+    args.output.finish(&summary)
 }
 
 /// Runs the plants.
@@ -111,9 +127,9 @@ fn test(
 /// The scored breaths.
 fn table(summary: &Summary) -> Table {
     let mut table = Table::new(
-        &format!(
-            "{} plants, {} of which stopped; scores and overshoot in cmH2O, shares in %",
-            summary.plants, summary.stopped
+        format!(
+            "{} plants: scores and overshoot in cmH2O, shares in %, valve effort in % per second",
+            summary.plants
         ),
         &[
             "breath",
@@ -124,6 +140,8 @@ fn table(summary: &Summary) -> Table {
             "ratio to bound",
             "overshoot, median",
             "99 %",
+            "effort",
+            "family's PID",
         ],
     );
     let known = |value: Option<f64>, digits| {
@@ -139,8 +157,25 @@ fn table(summary: &Summary) -> Table {
             known(summary.bound_ratio[place], 3),
             Cell::number(summary.overshoot_median[place], 2),
             Cell::number(summary.overshoot_p99[place], 2),
+            Cell::number(summary.effort[place].total_variation, 0),
+            Cell::number(summary.family_effort[place].total_variation, 0),
         ]);
     }
+    table
+}
+
+fn failures(summary: &Summary) -> Table {
+    let mut table = Table::new("Plants that failed", &["", "worsened, %", "unstable", "stopped"]);
+    let mut row = |name: &str, worsened: f64, unstable: u64, stopped: u64| {
+        table.row(vec![
+            Cell::text(name),
+            Cell::number(100.0 * worsened, 2),
+            Cell::right(unstable.to_string()),
+            Cell::right(stopped.to_string()),
+        ]);
+    };
+    row("controller", summary.worsened, summary.unstable, summary.stopped);
+    row("family's PID", summary.family_worsened, summary.family_unstable, summary.family_stopped);
     table
 }
 
@@ -162,11 +197,50 @@ fn worst(summary: &Summary) -> Table {
 
 /// Writes the worst plants as bench descriptions, which other commands accept as `--bench`.
 fn save_worst(args: &Args, folder: &Path, family: &Family, summary: &Summary) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    create(folder)?;
     for plant in &summary.worst {
         let bench = family.draw(args.seed, plant.number);
         output::write(&folder.join(format!("{}.toml", bench.name)), bench.to_toml().as_bytes())?;
     }
     args.output.saved(folder);
     Ok(())
+}
+
+fn create(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))
+}
+
+/// Share of the plants up to each ratio to the family's PID, by breath.
+fn ratios(test: &Robustness) -> Plot {
+    let breaths = test.summary().breaths.into_iter().zip(test.ratio_distributions());
+    let curve =
+        |points: Vec<(f64, f64)>| points.into_iter().map(|(ratio, share)| (ratio, 100.0 * share)).collect();
+    let mut series = vec![Series::new("equal", Style::Dashed, vec![(1.0, 0.0), (1.0, 100.0)])];
+    series.extend(
+        breaths.map(|(breath, points)| Series::new(format!("breath {breath}"), Style::Step, curve(points))),
+    );
+    Plot {
+        x_range: Some(RATIOS),
+        y_range: Some((0.0, 100.0)),
+        ..Plot::new(
+            "Ratio to the family's PID",
+            "score / score of the family's PID",
+            "plants up to it, %",
+            series,
+        )
+    }
+}
+
+/// Mean scores of every breath.
+fn by_breath(summary: &Summary) -> Plot {
+    let points = |scores: &[f64]| (1..).map(f64::from).zip(scores.iter().copied()).collect();
+    Plot::new(
+        "Mean score by breath",
+        "breath",
+        "mean absolute error, cmH2O",
+        vec![
+            Series::new("family's PID", Style::Dashed, points(&summary.family_pid_by_breath)),
+            Series::new("controller", Style::Line, points(&summary.mean_by_breath)),
+        ],
+    )
 }

@@ -27,6 +27,7 @@ fn every_command_explains_itself() {
         "faults",
         "torture",
         "endure",
+        "robust",
         "keys",
         "flash",
         "qemu",

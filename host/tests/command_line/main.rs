@@ -10,4 +10,5 @@ mod keys;
 mod pipeline;
 mod plant;
 mod recordings;
+mod robust;
 mod support;

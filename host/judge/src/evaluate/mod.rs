@@ -5,6 +5,7 @@
 //! curves of a few breaths; [`seeds`] keeps the noise of tuning, training and evaluation apart.
 
 mod comparison;
+mod effort;
 mod ground;
 mod score;
 #[cfg(test)]
@@ -12,8 +13,9 @@ mod tests;
 mod trace;
 
 pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
+pub use effort::ValveEffort;
 pub use ground::{Ground, SourceGround};
-pub use score::{InspirationRecord, Score, score_breath};
+pub use score::{InspirationRecord, Score, plateau_tolerance, score_breath};
 pub use trace::{BreathTrace, trace, trace_source};
 
 use rayon::prelude::*;

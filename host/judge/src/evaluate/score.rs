@@ -4,12 +4,15 @@ use serde::{Deserialize, Serialize};
 use shared::breath::{Phase, period_s};
 use shared::settings::Settings;
 
+use super::ValveEffort;
 use ventilator::Tick;
 
 /// Start of the late part of the inspiration, s; by then a good controller has finished the rise.
 const LATE_FROM_S: f64 = 0.15;
 /// Length of the plateau at the end of the inspiration, s.
 const PLATEAU_S: f64 = 0.3;
+/// Distance from PIP that the plateau may have: cmH2O, plus this share of PIP (ISO 80601-2-12, as makers of ventilators declare it).
+const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 /// Shares of the way from PEEP to PIP between which the rise is timed.
 const RISE: (f64, f64) = (0.1, 0.9);
 
@@ -28,11 +31,12 @@ pub struct Score {
     pub late_error: f64,
 }
 
-/// Pressure and target of an inspiration, sampled at the start of every control tick.
+/// Pressure, target and command of an inspiration, sampled at the start of every control tick.
 #[derive(Clone, Debug, Default)]
 pub struct InspirationRecord {
     pressure: Vec<f64>,
     target: Vec<f64>,
+    command: Vec<f64>,
 }
 
 impl InspirationRecord {
@@ -42,6 +46,7 @@ impl InspirationRecord {
             let believed = truth.map_or(sample.pressure, |truth| truth.airway_pressure);
             self.pressure.push(f64::from(believed));
             self.target.push(f64::from(sample.target));
+            self.command.push(f64::from(sample.u_in));
         }
     }
 
@@ -49,6 +54,37 @@ impl InspirationRecord {
     pub fn score(&self, breath: &Settings, period_us: u32) -> Score {
         score_breath(breath, f64::from(period_s(period_us)), &self.pressure, &self.target)
     }
+
+    /// Valve effort over the plateau.
+    pub fn effort(&self, period_us: u32) -> ValveEffort {
+        let period_s = f64::from(period_s(period_us));
+        ValveEffort::of(plateau(&self.command, period_s), period_s)
+    }
+
+    /// Oscillation of the pressure over the plateau, cmH2O: its range beyond the difference between its ends, so that a pressure
+    /// that is still rising does not count; 0 without samples.
+    pub fn oscillation(&self, period_us: u32) -> f64 {
+        let plateau = plateau(&self.pressure, f64::from(period_s(period_us)));
+        let [first, .., last] = plateau else { return 0.0 };
+        let highest = plateau.iter().copied().fold(*first, f64::max);
+        let lowest = plateau.iter().copied().fold(*first, f64::min);
+        highest - lowest - (last - first).abs()
+    }
+}
+
+/// Distance from PIP that the plateau may have, cmH2O.
+pub fn plateau_tolerance(pip: f32) -> f64 {
+    let (absolute, share) = PLATEAU_TOLERANCE;
+    absolute + share * f64::from(pip)
+}
+
+/// The samples of the plateau, the last one at least.
+fn plateau(samples: &[f64], period_s: f64) -> &[f64] {
+    &samples[samples.len().saturating_sub(ticks(PLATEAU_S, period_s).max(1))..]
+}
+
+fn ticks(seconds: f64, period_s: f64) -> usize {
+    (seconds / period_s).round() as usize
 }
 
 /// Scores an inspiration of true airway pressures, cmH2O, against the same number of targets, cmH2O. Samples are
@@ -60,9 +96,7 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
     let (peep, pip) = (f64::from(breath.peep), f64::from(breath.pip));
     let errors: Vec<f64> = pressure.iter().zip(target).map(|(p, target)| (p - target).abs()).collect();
     let from_pip: Vec<f64> = pressure.iter().map(|p| (p - pip).abs()).collect();
-    let ticks = |seconds: f64| (seconds / period_s).round() as usize;
-    let late = ticks(LATE_FROM_S).min(errors.len().saturating_sub(1));
-    let plateau = from_pip.len().saturating_sub(ticks(PLATEAU_S).max(1));
+    let late = ticks(LATE_FROM_S, period_s).min(errors.len().saturating_sub(1));
     let reached = |part: f64| Some(reached_at(pressure, peep + part * (pip - peep))? * period_s);
     let rise_s = match (reached(RISE.0), reached(RISE.1)) {
         (Some(start), Some(end)) => end - start,
@@ -72,7 +106,7 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
         score: mean_over_time(&errors),
         rise_ms: 1e3 * rise_s,
         overshoot: pressure.iter().fold(0.0, |most: f64, p| most.max(p - pip)),
-        plateau_error: mean_over_time(&from_pip[plateau..]),
+        plateau_error: mean_over_time(plateau(&from_pip, period_s)),
         late_error: mean_over_time(&errors[late..]),
     }
 }

@@ -4,12 +4,19 @@
 //! ([`plant_run`]). For the first plants, a subset, the plant's own best PID and its reference bound are searched as well
 //! ([`rivals`]). Only sums and histograms are kept ([`tally`]), so memory does not grow with the number of plants; they are added in
 //! the order of the plants, so the result depends neither on the number of threads nor on where an earlier run was stopped.
+//! [`Summary`] reads means, shares and quantiles from them.
 
+mod histogram;
 pub mod plant_run;
 pub mod rivals;
-pub mod tally;
+mod summary;
+mod tally;
 #[cfg(test)]
 mod tests;
+
+pub use histogram::Quantiles;
+pub use summary::Summary;
+pub use tally::WorstPlant;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -27,13 +34,11 @@ use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use plant_run::{PlantRun, SCORED, breaths};
 use progress::{Progress, Stage};
-use tally::{BreathTally, PlantResult, Rivals, Summary, WorstPlant};
+use tally::{PlantResult, Rivals, Tally};
 use ventilator::SourceError;
 
 /// Plants per thread between two saves.
 const BATCH: usize = 32;
-/// Number of the worst plants that are kept.
-const WORST: usize = 10;
 
 /// Why a robustness test cannot continue.
 #[derive(Debug, Error)]
@@ -81,24 +86,15 @@ pub struct Robustness {
     question: Question,
     /// Number of the plants that are done: the first ones.
     done: u32,
-    /// Plants on which the ventilator ended in its safe state under the controller.
-    stopped: u64,
-    tallies: Vec<BreathTally>,
-    /// The plants on which the controller is worst in its last scored breath, relative to the family's PID.
-    worst: Vec<WorstPlant>,
+    tally: Tally,
 }
 
 impl Robustness {
     /// A test at its beginning.
     pub fn new(question: Question) -> Self {
         let scored = SCORED.iter().filter(|breath| **breath <= question.breaths).count();
-        Self {
-            question,
-            done: 0,
-            stopped: 0,
-            tallies: vec![BreathTally::default(); scored],
-            worst: Vec::new(),
-        }
+        let tally = Tally::new(question.breaths as usize, scored);
+        Self { question, done: 0, tally }
     }
 
     /// The same test as a file has kept it, or unchanged if there is no such file.
@@ -143,7 +139,9 @@ impl Robustness {
                 .collect();
             // A batch that was stopped counts for nothing: its plants are run again.
             let Some(results) = results?.into_iter().collect::<Option<Vec<_>>>() else { break };
-            results.iter().for_each(|result| self.add(result));
+            for result in &results {
+                self.tally.add(result);
+            }
             self.done += results.len() as u32;
             if let Some(file) = keep {
                 write_json(file, self).map_err(failure(file))?;
@@ -164,7 +162,7 @@ impl Robustness {
         let family_pid = rivals::pid(question.family_pid)?;
         let rivals = if number < question.subset {
             let gains = rivals::own_pid(&run)?;
-            Some(Rivals { own: breaths(&run, &rivals::pid(gains)?)?, bound: rivals::bound(&run)? })
+            Some(Rivals { own: breaths(&run, &rivals::pid(gains)?)?.scored, bound: rivals::bound(&run)? })
         } else {
             None
         };
@@ -176,21 +174,15 @@ impl Robustness {
         })
     }
 
-    fn add(&mut self, result: &PlantResult) {
-        self.stopped += u64::from(result.controller.len() < self.tallies.len());
-        for (place, tally) in self.tallies.iter_mut().enumerate() {
-            tally.add(result, place);
-        }
-        if let Some(worst) = result.worst(self.tallies.len()) {
-            self.worst.push(worst);
-            self.worst.sort_by(|one, other| other.ratio.total_cmp(&one.ratio));
-            self.worst.truncate(WORST);
-        }
-    }
-
     /// The results so far.
     pub fn summary(&self) -> Summary {
-        Summary::of(self.done, self.stopped, &self.tallies, &self.worst)
+        Summary::of(self.done, &self.tally)
+    }
+
+    /// Share of the plants whose ratio to the family's best single PID is at most a value: pairs of value and share for every
+    /// scored breath.
+    pub fn ratio_distributions(&self) -> Vec<Vec<(f64, f64)>> {
+        self.tally.scored.iter().map(|breath| breath.ratios.cumulative()).collect()
     }
 }
 

@@ -1,17 +1,20 @@
 //! One plant of a family: its waveform and noise, and the breaths of a controller on it.
 
 use serde::{Deserialize, Serialize};
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS, paper_settings};
+use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::settings::Settings;
 
-use crate::evaluate::InspirationRecord;
+use crate::evaluate::{InspirationRecord, ValveEffort, plateau_tolerance};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use ventilator::{BenchSource, SourceError, seeds};
 
-/// Breaths that are scored, by their numbers from 1.
+/// Breaths that are scored in full, by their numbers from 1.
 pub const SCORED: [u32; 3] = [1, 6, 20];
+/// A later breath may be worse than the first by this share of its score, or by this many cmH2O if that is more.
+const WORSE_SHARE: f64 = 0.05;
+const WORSE_CMH2O: f64 = 0.3;
 
 /// A plant, its settings and the seed of its noise.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,11 +30,11 @@ pub struct PlantRun {
 }
 
 impl PlantRun {
-    /// The plant with this number. The paper's waveforms take turns.
+    /// The plant with this number. The family's waveforms take turns.
     pub fn new(family: &Family, seed: u64, number: u32, breaths: u32) -> Self {
         Self {
             bench: family.draw(seed, number),
-            settings: paper_settings(PAPER_PIPS[number as usize % PAPER_PIPS.len()]),
+            settings: family.waveform(number),
             noise: seeds::plant(seed, u64::from(number)),
             breaths,
         }
@@ -39,38 +42,57 @@ impl PlantRun {
 }
 
 /// Score of one breath.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BreathScore {
     /// Mean absolute error over the inspiration, cmH2O.
     pub score: f64,
     /// Highest pressure above PIP, cmH2O, at least 0.
     pub overshoot: f64,
+    /// Valve effort over the plateau.
+    pub effort: ValveEffort,
 }
 
-/// Runs a controller on a plant from rest; returns the [`SCORED`] breaths up to the end or to the ventilator's safe state.
+/// The breaths of a controller on a plant, up to the last one or to the ventilator's safe state.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlantBreaths {
+    /// Mean absolute error of every breath, cmH2O.
+    pub every: Vec<f64>,
+    /// The breaths whose numbers are in [`SCORED`].
+    pub scored: Vec<BreathScore>,
+    /// Whether the pressure oscillated on the plateau of a breath by more than the plateau may be off.
+    pub unstable: bool,
+}
+
+impl PlantBreaths {
+    /// Whether a later breath is worse than the first by more than 5 % and by more than 0.3 cmH2O.
+    pub fn worsened(&self) -> bool {
+        let Some((first, later)) = self.every.split_first() else { return false };
+        let allowed = (first * (1.0 + WORSE_SHARE)).max(first + WORSE_CMH2O);
+        later.iter().any(|score| *score > allowed)
+    }
+}
+
+/// Runs a controller on a plant from rest.
 ///
 /// # Errors
 /// A bench or settings that are refused.
-pub fn breaths(run: &PlantRun, controller: &Controller) -> Result<Vec<BreathScore>, SourceError> {
-    let mut source =
-        BenchSource::new(&run.bench, controller.clone(), &run.settings, DEFAULT_PERIOD_US, run.noise)?;
-    let mut scores = Vec::with_capacity(SCORED.len());
-    for number in 1..=run.breaths {
+pub fn breaths(run: &PlantRun, controller: &Controller) -> Result<PlantBreaths, SourceError> {
+    let PlantRun { bench, settings, noise, breaths } = run;
+    let mut source = BenchSource::new(bench, controller.clone(), settings, DEFAULT_PERIOD_US, *noise)?;
+    let mut found = PlantBreaths::default();
+    for number in 1..=*breaths {
         let mut record = InspirationRecord::default();
-        let scored = SCORED.contains(&number);
-        let mut sink = |tick: &_| {
-            if scored {
-                record.add(tick);
-            }
-        };
-        match source.breathe(&run.settings, &mut sink) {
+        match source.breathe(settings, &mut |tick| record.add(tick)) {
             Err(SourceError::Fault { .. }) => break,
             outcome => outcome?,
         }
-        if scored {
-            let score = record.score(&run.settings, DEFAULT_PERIOD_US);
-            scores.push(BreathScore { score: score.score, overshoot: score.overshoot });
+        let score = record.score(settings, DEFAULT_PERIOD_US);
+        found.every.push(score.score);
+        found.unstable |= record.oscillation(DEFAULT_PERIOD_US) > 2.0 * plateau_tolerance(settings.pip);
+        if SCORED.contains(&number) {
+            let effort = record.effort(DEFAULT_PERIOD_US);
+            found.scored.push(BreathScore { score: score.score, overshoot: score.overshoot, effort });
         }
     }
-    Ok(scores)
+    Ok(found)
 }

@@ -1,14 +1,15 @@
-//! Sums and histograms over the plants of a family, and their summary.
+//! Sums and histograms over the plants of a family.
 
 use serde::{Deserialize, Serialize};
 
-use super::plant_run::{BreathScore, SCORED};
+use super::histogram::Histogram;
+use super::plant_run::{BreathScore, PlantBreaths};
+use crate::evaluate::ValveEffort;
 
-/// Width of a histogram's bins, and their number, in cmH2O: overshoots above the last one count in it.
-const BIN_CMH2O: f64 = 0.05;
-const BINS: usize = 1200;
+/// Number of the worst plants that are kept.
+const WORST: usize = 10;
 
-/// Scores of a plant under its rivals.
+/// Results of a plant under its rivals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rivals {
     /// Scored breaths of the plant's own best PID.
@@ -22,19 +23,19 @@ pub struct Rivals {
 pub struct PlantResult {
     /// Number of the plant.
     pub number: u32,
-    /// Scored breaths under the controller.
-    pub controller: Vec<BreathScore>,
-    /// Scored breaths under the best single PID of the family.
-    pub family: Vec<BreathScore>,
+    /// Breaths under the controller.
+    pub controller: PlantBreaths,
+    /// Breaths under the best single PID of the family.
+    pub family: PlantBreaths,
     /// Further rivals, if the plant is one of the subset.
     pub rivals: Option<Rivals>,
 }
 
 impl PlantResult {
     /// The plant as one of the worst, by its last scored breath; none without that breath.
-    pub fn worst(&self, scored: usize) -> Option<WorstPlant> {
+    fn worst(&self, scored: usize) -> Option<WorstPlant> {
         let last = scored.checked_sub(1)?;
-        let (score, family) = (self.controller.get(last)?.score, self.family.get(last)?.score);
+        let (score, family) = (self.controller.scored.get(last)?.score, self.family.scored.get(last)?.score);
         Some(WorstPlant { number: self.number, score, family_pid: family, ratio: score / family })
     }
 }
@@ -52,125 +53,138 @@ pub struct WorstPlant {
     pub ratio: f64,
 }
 
-/// Counts in bins of 0.05 cmH2O.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Histogram(Vec<u64>);
-
-impl Default for Histogram {
-    fn default() -> Self {
-        Self(vec![0; BINS])
-    }
-}
-
-impl Histogram {
-    fn add(&mut self, value: f64) {
-        self.0[((value / BIN_CMH2O) as usize).min(BINS - 1)] += 1;
-    }
-
-    /// The value below which this share lies, to the upper end of its bin; 0 without values.
-    fn quantile(&self, share: f64) -> f64 {
-        let wanted = share * self.0.iter().sum::<u64>() as f64;
-        let mut below = 0;
-        for (bin, count) in self.0.iter().enumerate() {
-            below += count;
-            if *count > 0 && below as f64 >= wanted {
-                return (bin + 1) as f64 * BIN_CMH2O;
-            }
-        }
-        0.0
-    }
-}
-
 /// Sums over the plants for one scored breath.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BreathTally {
-    /// Plants with this breath under both controllers, and the sums of the two scores.
-    plants: u64,
-    score: f64,
-    family: f64,
+    /// Plants with this breath under both controllers, and the sums over them.
+    pub plants: u64,
+    pub score: f64,
+    pub family: f64,
+    pub effort: ValveEffort,
+    pub family_effort: ValveEffort,
     /// Plants on which the controller is not worse than the family's PID.
-    not_worse: u64,
-    overshoot: Histogram,
-    /// Plants of the subset, those on which the controller is not worse than the plant's own PID, those with this breath, and the
-    /// sum of their ratios to the bound.
-    subset: u64,
-    own_not_worse: u64,
-    bounded: u64,
-    bound_ratio: f64,
+    pub not_worse: u64,
+    /// Values of the controller, and its ratios to the family's PID.
+    pub scores: Histogram,
+    pub overshoot: Histogram,
+    pub ratios: Histogram,
+    /// Plants of the subset, and those on which the controller is not worse than the plant's own PID.
+    pub subset: u64,
+    pub own_not_worse: u64,
+    /// Ratios to the plant's own PID.
+    pub own_ratios: Histogram,
+    /// Plants of the subset with this breath under both the controller and the plant's own PID, and the sums over them.
+    pub bounded: u64,
+    pub bound_ratio: f64,
+    pub bounded_score: f64,
+    pub own: f64,
+    pub bound: f64,
 }
 
 impl BreathTally {
     /// Adds a plant's breath at this place of the scored ones. A rival without the breath was stopped, and is worse.
-    pub fn add(&mut self, result: &PlantResult, place: usize) {
+    fn add(&mut self, result: &PlantResult, place: usize) {
         self.subset += u64::from(result.rivals.is_some());
-        let Some(breath) = result.controller.get(place) else { return };
-        let not_worse =
-            |rival: &[BreathScore]| rival.get(place).is_none_or(|rival| breath.score <= rival.score);
+        let Some(breath) = result.controller.scored.get(place) else { return };
+        let not_worse = |rival: Option<&BreathScore>| rival.is_none_or(|rival| breath.score <= rival.score);
+        self.scores.add(breath.score);
         self.overshoot.add(breath.overshoot);
-        self.not_worse += u64::from(not_worse(&result.family));
-        if let Some(family) = result.family.get(place) {
+        let family = result.family.scored.get(place);
+        self.not_worse += u64::from(not_worse(family));
+        if let Some(family) = family {
             self.plants += 1;
             self.score += breath.score;
             self.family += family.score;
+            self.effort = sum(self.effort, breath.effort);
+            self.family_effort = sum(self.family_effort, family.effort);
+            self.ratios.add(breath.score / family.score);
         }
         if let Some(rivals) = &result.rivals {
-            self.bounded += 1;
-            self.own_not_worse += u64::from(not_worse(&rivals.own));
-            self.bound_ratio += breath.score / rivals.bound;
+            let own = rivals.own.get(place);
+            self.own_not_worse += u64::from(not_worse(own));
+            if let Some(own) = own {
+                self.own_ratios.add(breath.score / own.score);
+                self.bounded += 1;
+                self.bound_ratio += breath.score / rivals.bound;
+                self.bounded_score += breath.score;
+                self.own += own.score;
+                self.bound += rivals.bound;
+            }
         }
     }
 }
 
-/// Results of a robustness test; each list has a value for every scored breath.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
-    /// Number of plants.
-    pub plants: u32,
+fn sum(one: ValveEffort, other: ValveEffort) -> ValveEffort {
+    ValveEffort {
+        total_variation: one.total_variation + other.total_variation,
+        deviation: one.deviation + other.deviation,
+    }
+}
+
+/// Counts of plants on which a controller fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failures {
     /// Plants on which the ventilator ended in its safe state.
     pub stopped: u64,
-    /// Numbers of the scored breaths.
-    pub breaths: Vec<u32>,
-    /// Mean score of the controller, cmH2O.
-    pub mean: Vec<f64>,
-    /// Mean score of the family's best single PID, cmH2O.
-    pub family_pid: Vec<f64>,
-    /// Share of the plants on which the controller is not worse than that PID.
-    pub share_not_worse: Vec<f64>,
-    /// Number of plants in the subset.
-    pub subset: u64,
-    /// Share of the subset on which the controller is not worse than the plant's own best PID; none without a subset.
-    pub own_not_worse: Vec<Option<f64>>,
-    /// Mean ratio of the controller's score to the plant's bound, over the subset.
-    pub bound_ratio: Vec<Option<f64>>,
-    /// Median of the overshoot, cmH2O.
-    pub overshoot_median: Vec<f64>,
-    /// 99th percentile of the overshoot, cmH2O.
-    pub overshoot_p99: Vec<f64>,
-    /// The worst plants, the worst first.
+    /// Plants on which the pressure oscillated.
+    pub unstable: u64,
+    /// Plants on which a breath was worse than the first.
+    pub worsened: u64,
+}
+
+impl Failures {
+    fn add(&mut self, breaths: &PlantBreaths, wanted: usize) {
+        self.stopped += u64::from(breaths.every.len() < wanted);
+        self.unstable += u64::from(breaths.unstable);
+        self.worsened += u64::from(breaths.worsened());
+    }
+}
+
+/// Sums for one breath of all, over the plants that have it under both controllers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BreathSum {
+    pub plants: u64,
+    pub controller: f64,
+    pub family: f64,
+}
+
+/// All sums of a robustness test.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Sums for every breath.
+    pub every: Vec<BreathSum>,
+    /// Sums for the scored breaths.
+    pub scored: Vec<BreathTally>,
+    pub controller: Failures,
+    pub family: Failures,
+    /// The plants on which the controller is worst in its last scored breath, relative to the family's PID.
     pub worst: Vec<WorstPlant>,
 }
 
-impl Summary {
-    /// The summary of these sums over a number of plants.
-    pub fn of(plants: u32, stopped: u64, tallies: &[BreathTally], worst: &[WorstPlant]) -> Self {
-        let each = |figure: fn(&BreathTally) -> f64| tallies.iter().map(figure).collect::<Vec<_>>();
-        let share = |sum: f64, count: u64| (count > 0).then(|| sum / count as f64);
-        let own = |tally: &BreathTally| share(tally.own_not_worse as f64, tally.subset);
-        let bound = |tally: &BreathTally| share(tally.bound_ratio, tally.bounded);
-        let all = f64::from(plants.max(1));
-        Self {
-            plants,
-            stopped,
-            breaths: SCORED[..tallies.len()].to_vec(),
-            mean: each(|tally| tally.score / tally.plants.max(1) as f64),
-            family_pid: each(|tally| tally.family / tally.plants.max(1) as f64),
-            share_not_worse: tallies.iter().map(|tally| tally.not_worse as f64 / all).collect(),
-            subset: tallies.iter().map(|tally| tally.subset).max().unwrap_or(0),
-            own_not_worse: tallies.iter().map(own).collect(),
-            bound_ratio: tallies.iter().map(bound).collect(),
-            overshoot_median: each(|tally| tally.overshoot.quantile(0.5)),
-            overshoot_p99: each(|tally| tally.overshoot.quantile(0.99)),
-            worst: worst.to_vec(),
+impl Tally {
+    /// Sums of no plant yet, for this number of breaths and of scored breaths.
+    pub fn new(breaths: usize, scored: usize) -> Self {
+        let (every, scored) = (vec![BreathSum::default(); breaths], vec![BreathTally::default(); scored]);
+        Self { every, scored, ..Self::default() }
+    }
+
+    /// Adds a plant.
+    pub fn add(&mut self, result: &PlantResult) {
+        self.controller.add(&result.controller, self.every.len());
+        self.family.add(&result.family, self.every.len());
+        let both = result.controller.every.iter().zip(&result.family.every);
+        for (sum, (controller, family)) in self.every.iter_mut().zip(both) {
+            sum.plants += 1;
+            sum.controller += controller;
+            sum.family += family;
+        }
+        for (place, tally) in self.scored.iter_mut().enumerate() {
+            tally.add(result, place);
+        }
+        if let Some(worst) = result.worst(self.scored.len()) {
+            self.worst.push(worst);
+            self.worst.sort_by(|one, other| other.ratio.total_cmp(&one.ratio));
+            self.worst.truncate(WORST);
         }
     }
 }

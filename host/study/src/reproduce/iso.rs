@@ -8,15 +8,13 @@ use shared::control::Controller;
 use super::generalist;
 use super::study::Study;
 use crate::error::Result;
-use judge::evaluate::{InspirationRecord, Score};
+use judge::evaluate::{InspirationRecord, Score, plateau_tolerance};
 use plant::bench::BenchConfig;
 use progress::Stage;
 use ventilator::{BenchSource, Source, SourceError};
 
 /// Breaths before the measured one: low rates and long time constants need several.
 const WARM_UP: usize = 5;
-/// Allowed distance of the plateau from PIP: cmH2O, plus this share of PIP.
-const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 
 /// Result of one controller on a row.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -104,6 +102,6 @@ fn run(
         }
     })?;
     let score = record.score(&settings, plan.period_us);
-    let allowed = PLATEAU_TOLERANCE.0 + PLATEAU_TOLERANCE.1 * f64::from(row.pip);
-    Ok(IsoOutcome { score, tidal_volume: most - least, pass: score.plateau_error <= allowed })
+    let pass = score.plateau_error <= plateau_tolerance(row.pip);
+    Ok(IsoOutcome { score, tidal_volume: most - least, pass })
 }

@@ -1,0 +1,51 @@
+//! The robustness test at a tiny size.
+
+use super::support::Place;
+
+#[test]
+fn the_json_has_the_fixed_fields_with_a_value_for_every_scored_breath() {
+    let place = Place::new();
+    let line = "robust --family adult --plants 3 --breaths 6 --subset 1 --gains 5,200,0.1 --seed 4";
+    let result = place.json(&format!("{line} --figures figures --save-worst worst"));
+    assert_eq!(result["plants"], 3);
+    assert_eq!(result["breaths"], serde_json::json!([1, 6]));
+    for field in [
+        "mean",
+        "family_pid",
+        "share_not_worse",
+        "own_not_worse",
+        "bound_ratio",
+        "overshoot_median",
+        "overshoot_p99",
+    ] {
+        let values = result[field].as_array().unwrap_or_else(|| panic!("{field}"));
+        assert!(values.len() == 2 && values.iter().all(serde_json::Value::is_number), "{field}: {values:?}");
+    }
+    for field in ["effort", "family_effort"] {
+        assert!(result[field][1]["total_variation"].as_f64().unwrap() > 0.0, "{field}");
+        assert!(result[field][1]["deviation"].as_f64().unwrap() > 0.0, "{field}");
+    }
+    assert!(result["worsened"].is_number());
+    assert_eq!(result["mean_by_breath"].as_array().unwrap().len(), 6);
+    for figure in ["ratios.svg", "breaths.svg"] {
+        assert!(std::fs::read_to_string(place.path("figures").join(figure)).unwrap().contains("<svg"));
+    }
+    let worst = result["worst"][0]["number"].as_u64().unwrap();
+    place.ok(&format!("evaluate --bench worst/adult-{worst}.toml --pips 15 --breaths 1"));
+    assert_eq!(result, place.json(&format!("{line} --keep kept.json")), "kept or not");
+    assert_eq!(result, place.json(&format!("{line} --keep kept.json")), "nothing is left to do");
+}
+
+#[test]
+fn twenty_breaths_without_a_subset_leave_out_what_needs_a_search() {
+    let place = Place::new();
+    let result = place.json("robust --plants 1 --subset 0");
+    assert_eq!(result["breaths"], serde_json::json!([1, 6, 20]));
+    assert_eq!(result["own_not_worse"], serde_json::json!([null, null, null]));
+}
+
+#[test]
+fn a_family_that_does_not_exist_is_refused() {
+    let refusal = Place::new().refused("robust --family aliens");
+    assert!(refusal.contains("there is no family aliens"), "{refusal}");
+}
