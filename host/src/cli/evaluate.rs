@@ -19,7 +19,7 @@ use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
 use data::provenance::Provenance;
 use judge::breathing::breathing;
-use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace};
+use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_after};
 use plant::bench::BenchConfig;
 use show::report::{Block, Plot, Report, Section, Series, Style};
 use ventilator::{PlantSource, SharedLink};
@@ -33,6 +33,8 @@ Examples:
   trainer evaluate --controller controller.safetensors --lung paper --breathing
   trainer evaluate --weights weights.bin --port tcp:localhost:5555
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
+  trainer evaluate --controller controller.safetensors --lung R5C50 --breaths-of-learning 20
+  trainer evaluate --lung neonate-iso-14 --pips 35 --rate 30 --inspiratory-time 0.6
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
@@ -61,6 +63,10 @@ pub struct Args {
     /// Scored breaths per waveform and noise sequence
     #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
     breaths: usize,
+    /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath; with 0 there is one, as
+    /// with 1
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=1_000_000), conflicts_with = "breathing")]
+    breaths_of_learning: u32,
     #[command(flatten)]
     settings: SettingsArgs,
     /// Seed of the sensor noise
@@ -93,6 +99,7 @@ struct Summary {
     gains: PidGains,
     period_us: u32,
     breaths: usize,
+    breaths_of_learning: u32,
     #[serde(flatten)]
     comparison: Comparison,
 }
@@ -113,10 +120,12 @@ impl Args {
     /// The controller and the breaths of its evaluation.
     fn chosen_and_plan(&self, plant: Option<&SharedLink>) -> anyhow::Result<(Chosen, Plan)> {
         let chosen = self.controller.chosen(plant)?;
+        let least = Plan::default().warm_up;
         let plan = Plan {
             period_us: chosen.period_us,
             pips: self.pips.clone(),
             breaths: self.breaths,
+            warm_up: least.max(self.breaths_of_learning as usize),
             settings: self.settings.checked(&self.pips)?,
             ..Plan::evaluation(self.seed)
         };
@@ -184,6 +193,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         gains: setup.pid.pid().gains(),
         period_us: setup.plan.period_us,
         breaths: setup.plan.breaths,
+        breaths_of_learning: args.breaths_of_learning,
         comparison,
     })
 }
@@ -251,8 +261,9 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
 
 /// One breath of a waveform: pressures and valves.
 fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Section> {
-    let Plan { period_us, seeds, .. } = &setup.plan;
-    let run = |controller| trace(bench, controller, &setup.plan.waveform(pip), *period_us, seeds[0], 1);
+    let Plan { period_us, seeds, warm_up, .. } = &setup.plan;
+    let settings = setup.plan.waveform(pip);
+    let run = |controller| trace_after(*warm_up, bench, controller, &settings, *period_us, seeds[0], 1);
     let mut traces = vec![("PID", run(&setup.pid)?)];
     if let Some(learned) = setup.learned() {
         traces.push(("learned", run(learned)?));

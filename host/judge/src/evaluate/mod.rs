@@ -16,7 +16,7 @@ pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
 pub use effort::ValveEffort;
 pub use ground::{Ground, SourceGround};
 pub use score::{InspirationRecord, Score, plateau_tolerance, score_breath};
-pub use trace::{BreathTrace, trace, trace_source};
+pub use trace::{BreathTrace, trace, trace_after, trace_source};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,8 @@ pub struct Plan {
     pub pips: Vec<f32>,
     /// Number of scored breaths of every waveform.
     pub breaths: usize,
-    /// Number of unscored breaths before them; the first one starts from rest, with the valve closed.
+    /// Number of unscored breaths before them; the first one starts from rest, with the valve closed. A controller that learns from
+    /// breath to breath learns in these.
     pub warm_up: usize,
     /// Seeds of the sensor noise; every waveform runs once with each.
     pub seeds: Vec<u64>,
@@ -207,7 +208,8 @@ fn summarize(plan: &Plan, scores: &[Score]) -> Evaluation {
 fn breaths(plan: &Plan, pip: f32) -> Vec<Settings> {
     let settings = plan.waveform(pip);
     let mut breaths = vec![settings; plan.warm_up + plan.breaths];
-    if let Some(last) = breaths.last_mut() {
+    // A controller that learns from breath to breath may forget when the settings change.
+    if let Some(last) = breaths.last_mut().filter(|_| plan.warm_up <= 1) {
         *last = cut_short(&settings);
     }
     breaths

@@ -73,6 +73,32 @@ fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
 }
 
 #[test]
+fn breaths_before_the_scored_ones_have_the_same_settings_as_these() {
+    let plan = Plan { warm_up: 20, breaths: 2, ..small() };
+    assert_eq!(
+        breaths(&plan, 15.0),
+        vec![plan.waveform(15.0); 22],
+        "a change could make a controller forget"
+    );
+    let plan = Plan { warm_up: 1, ..plan };
+    assert_eq!(breaths(&plan, 15.0)[..2], [plan.waveform(15.0); 2]);
+    assert_eq!(breaths(&plan, 15.0)[2], cut_short(&plan.waveform(15.0)));
+}
+
+#[test]
+fn scores_after_some_breaths_are_those_of_a_longer_run_without_its_beginning() {
+    let score = |warm_up, breaths| {
+        let plan = Plan { pips: vec![20.0], seeds: vec![3], warm_up, breaths, ..Plan::default() };
+        evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap().mean.score
+    };
+    assert!((score(2, 4) - (3.0 * score(2, 3) + score(5, 1)) / 4.0).abs() < 1e-9);
+    let curves =
+        trace_after(5, &lung(), &pid(1.0, 30.0), &paper_settings(20.0), DEFAULT_PERIOD_US, 3, 1).unwrap();
+    let scored = score_breath(&paper_settings(20.0), 1e-3, &curves.pressure[..1000], &curves.target[..1000]);
+    assert!((score(5, 1) - scored.score).abs() < 1e-9);
+}
+
+#[test]
 fn settings_that_leave_nothing_to_cut_stay_as_they_are() {
     let fast = Settings { inspiratory_time: 0.4, fall_time: 0.2, rate: 60.0, ..Settings::default() };
     assert_eq!(cut_short(&fast), fast);

@@ -53,8 +53,24 @@ pub fn trace(
     seed: u64,
     breaths: usize,
 ) -> Result<BreathTrace, SourceError> {
+    trace_after(WARM_UP, bench, controller, settings, period_us, seed, breaths)
+}
+
+/// Like [`trace`], after this number of unrecorded breaths.
+///
+/// # Errors
+/// See [`trace`].
+pub fn trace_after(
+    warm_up: usize,
+    bench: &BenchConfig,
+    controller: &Controller,
+    settings: &Settings,
+    period_us: u32,
+    seed: u64,
+    breaths: usize,
+) -> Result<BreathTrace, SourceError> {
     let mut source = BenchSource::new(bench, controller.clone(), settings, period_us, seed)?;
-    trace_source(&mut source, settings, breaths)
+    record(&mut source, settings, warm_up, breaths)
 }
 
 /// Like [`trace`], on any ventilator.
@@ -66,10 +82,19 @@ pub fn trace_source(
     settings: &Settings,
     breaths: usize,
 ) -> Result<BreathTrace, SourceError> {
+    record(source, settings, WARM_UP, breaths)
+}
+
+fn record(
+    source: &mut dyn Source,
+    settings: &Settings,
+    warm_up: usize,
+    breaths: usize,
+) -> Result<BreathTrace, SourceError> {
     let period = f64::from(period_s(source.period_us()));
     let mut trace = BreathTrace::default();
-    source.upcoming(&vec![*settings; WARM_UP + breaths])?;
-    for _ in 0..WARM_UP {
+    source.upcoming(&vec![*settings; warm_up + breaths])?;
+    for _ in 0..warm_up {
         source.breath(settings, &mut |_| ())?;
     }
     for _ in 0..breaths {
