@@ -12,3 +12,4 @@ pub mod identify;
 pub mod rl;
 pub mod robust;
 pub mod simulator;
+pub mod verdict;

@@ -20,6 +20,7 @@ mod flash;
 mod identify;
 mod import;
 mod inspect;
+mod judge;
 mod key_args;
 mod keys;
 mod monitor;
@@ -74,6 +75,7 @@ enum Command {
     Qemu(qemu::Args),
     Inspect(inspect::Args),
     Import(import::Args),
+    Judge(judge::Args),
     Identify(identify::Args),
     Monitor(monitor::Args),
     Faults(faults::Args),
@@ -89,6 +91,8 @@ enum Command {
 const LOG_VARIABLE: &str = "EUPNEA_LOG";
 /// Exit code of a command that Ctrl-C ended early, as shells expect it; its results so far are saved.
 const INTERRUPTED: u8 = 130;
+/// Exit code of `trainer judge` if a breath violates a declared limit.
+const VIOLATED: u8 = 3;
 
 /// Runs the command given by the process's arguments and returns its exit code.
 pub fn run() -> ExitCode {
@@ -99,7 +103,7 @@ pub fn run() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {}", message(&error));
-            ExitCode::FAILURE
+            if error.is::<judge::Violated>() { ExitCode::from(VIOLATED) } else { ExitCode::FAILURE }
         }
     }
 }
@@ -122,6 +126,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Qemu(args) => qemu::run(args),
         Command::Inspect(args) => inspect::run(args),
         Command::Import(args) => import::run(args),
+        Command::Judge(args) => judge::run(args),
         Command::Identify(args) => identify::run(args),
         Command::Monitor(args) => monitor::run(args),
         Command::Faults(args) => faults::run(args),

@@ -19,6 +19,7 @@ fn every_command_explains_itself() {
         "import respiraworks",
         "import kaggle",
         "import csv",
+        "judge",
         "reproduce",
         "identify",
         "monitor",

@@ -6,6 +6,7 @@ mod blackbox;
 mod endure;
 mod help;
 mod interrupted;
+mod judge;
 mod keys;
 mod pipeline;
 mod plant;

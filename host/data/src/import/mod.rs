@@ -27,6 +27,9 @@ use self::reader::TableReader;
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter};
 
+/// Note of a recording whose tables have no set-point: its targets cannot tell how well they were met.
+pub const NO_SET_POINT: &str =
+    "no set-point in the tables: target and PIP are the measured plateau, PEEP the first pressure";
 /// Number of rows whose time steps determine the sample period.
 const PERIOD_ROWS: usize = 20_000;
 /// Number of rows between two progress reports.
@@ -105,11 +108,10 @@ fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Proven
     let files: Vec<_> =
         paths.iter().filter_map(|path| path.file_name()).map(|name| name.to_string_lossy()).collect();
     let measured = layout.origins[Quantity::Target as usize].is_none();
-    let note = "no set-point in the tables: target and PIP are the measured plateau, PEEP the first pressure";
     Provenance {
         plant: layout.plant.clone(),
         settings: json!({ "files": files, "columns": format!("{:?}", layout.origins) }),
-        notes: layout.note.clone().into_iter().chain(measured.then(|| note.to_owned())).collect(),
+        notes: layout.note.clone().into_iter().chain(measured.then(|| NO_SET_POINT.to_owned())).collect(),
         ..Provenance::new(period_us, "import of tables")
     }
 }

@@ -10,11 +10,11 @@ use ventilator::Tick;
 /// Start of the late part of the inspiration, s; by then a good controller has finished the rise.
 const LATE_FROM_S: f64 = 0.15;
 /// Length of the plateau at the end of the inspiration, s.
-const PLATEAU_S: f64 = 0.3;
+pub(crate) const PLATEAU_S: f64 = 0.3;
 /// Distance from PIP that the plateau may have: cmH2O, plus this share of PIP (ISO 80601-2-12, as makers of ventilators declare it).
 const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
 /// Shares of the way from PEEP to PIP between which the rise is timed.
-const RISE: (f64, f64) = (0.1, 0.9);
+pub(crate) const RISE: (f64, f64) = (0.1, 0.9);
 
 /// How well an inspiration followed its target; for several breaths, the mean of every value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -97,22 +97,24 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
     let errors: Vec<f64> = pressure.iter().zip(target).map(|(p, target)| (p - target).abs()).collect();
     let from_pip: Vec<f64> = pressure.iter().map(|p| (p - pip).abs()).collect();
     let late = ticks(LATE_FROM_S, period_s).min(errors.len().saturating_sub(1));
-    let reached = |part: f64| Some(reached_at(pressure, peep + part * (pip - peep))? * period_s);
-    let rise_s = match (reached(RISE.0), reached(RISE.1)) {
-        (Some(start), Some(end)) => end - start,
-        _ => pressure.len() as f64 * period_s,
-    };
+    let whole = pressure.len() as f64 * period_s;
     Score {
         score: mean_over_time(&errors),
-        rise_ms: 1e3 * rise_s,
+        rise_ms: 1e3 * rise(pressure, (peep, pip), period_s).map_or(whole, |(start, end)| end - start),
         overshoot: pressure.iter().fold(0.0, |most: f64, p| most.max(p - pip)),
         plateau_error: mean_over_time(plateau(&from_pip, period_s)),
         late_error: mean_over_time(&errors[late..]),
     }
 }
 
+/// Times at which the pressure first reaches 10 and 90 % of the way between two pressures, s; `None` if it does not.
+pub(crate) fn rise(pressure: &[f64], (from, to): (f64, f64), period_s: f64) -> Option<(f64, f64)> {
+    let reached = |part: f64| Some(reached_at(pressure, from + part * (to - from))? * period_s);
+    Some((reached(RISE.0)?, reached(RISE.1)?))
+}
+
 /// Mean of a quantity between its first and last sample.
-fn mean_over_time(samples: &[f64]) -> f64 {
+pub(crate) fn mean_over_time(samples: &[f64]) -> f64 {
     match samples {
         [] => 0.0,
         [only] => *only,

@@ -81,7 +81,7 @@ pub struct LungId {
 impl LungId {
     /// The lung of a row. Two test runs with the same stated values need not have used the same resistor, so they count
     /// as two lungs; without test runs the stated values distinguish lungs.
-    fn of(recording: &Recording, row: usize) -> Self {
+    pub(crate) fn of(recording: &Recording, row: usize) -> Self {
         let number = |column: &Option<Vec<f32>>| column.as_ref().map(|values| f64::from(values[row]));
         Self {
             run: recording.test_run(row).cloned(),

@@ -126,6 +126,15 @@ impl Plot {
         Ok(self.drawing()?.to_document())
     }
 
+    /// Several plots below each other, as one SVG document.
+    ///
+    /// # Errors
+    /// See [`Self::to_svg`].
+    pub fn stacked(plots: &[Self]) -> Result<String, ReportError> {
+        let drawings = plots.iter().map(Self::drawing).collect::<Result<Vec<_>, _>>()?;
+        Ok(Svg::stacked(&drawings).to_document())
+    }
+
     pub(super) fn size(&self) -> (u32, u32) {
         self.size.unwrap_or(SIZE)
     }

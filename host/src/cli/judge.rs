@@ -1,0 +1,188 @@
+//! `trainer judge`: a verdict on recordings from any ventilator.
+
+mod picture;
+mod tables;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+
+use super::bars::with_bars;
+use super::output::OutputArgs;
+use data::import::map::ColumnMap;
+use data::recording::Recording;
+use judge::verdict::{Band, Judged, Kind, Limits, Verdict, judge};
+
+/// Judge recordings from any ventilator, breath by breath: rise, overshoot, oscillation, accuracy
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer judge first.parquet
+  trainer judge CT_AIR.csv NPV_AIR.csv --map respiraworks --figure sore-spots
+  trainer judge measured.csv --map columns.toml --json verdict.json
+  trainer judge first.parquet --accuracy 2,4 --overshoot 2     # fails if a breath violates a limit
+
+Prints the fields of a pressure-control test report and the mean figures for each lung and pair of
+settings, the accuracy at the end of inspiration and expiration as ±(A cmH2O + B %), and the sore
+spots: for each lung the worst breath of each kind of trouble, the most severe first. Figures of
+each breath are in the JSON. docs/JUDGE.md defines them, and says what happens with missing ticks,
+missing flows, missing set-points and breaths that are cut short.
+
+Exit status: 0 if every declared limit is kept (or none is declared), 1 if a file cannot be judged,
+2 for wrong arguments, 3 if a breath violates a declared limit.")]
+pub struct Args {
+    /// Recordings (Parquet) or, with --map, tables (CSV); each one is judged alone
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+    /// Column map of the tables: respiraworks, kaggle or a TOML file, as for `trainer import`
+    #[arg(long, value_name = "NAME|FILE")]
+    map: Option<String>,
+    /// Judge the measured pressure even if the true one is recorded
+    #[arg(long)]
+    measured: bool,
+    /// Number of sore spots of each file to print and draw
+    #[arg(long, value_name = "COUNT", default_value_t = 10)]
+    worst: usize,
+    /// Draw each printed sore spot's breath into this folder (SVG): target, pressure, commands
+    #[arg(long, value_name = "FOLDER")]
+    figure: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+    // Last, because its heading applies to all options after it.
+    #[command(flatten)]
+    limits: LimitArgs,
+}
+
+/// Declared limits.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Limits")]
+struct LimitArgs {
+    /// Plateau error at most A cmH2O + B % of the target
+    #[arg(long, value_name = "A,B")]
+    accuracy: Option<Band>,
+    /// Distance from PEEP at the end of the expiration at most A cmH2O + B % of PEEP
+    #[arg(long, value_name = "A,B")]
+    peep_accuracy: Option<Band>,
+    /// Highest overshoot, cmH2O
+    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    overshoot: Option<f64>,
+    /// Deepest fall below the target after the first peak, cmH2O
+    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    undershoot: Option<f64>,
+    /// Largest swing of an oscillation (three swings or more), cmH2O
+    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    oscillation: Option<f64>,
+    /// Longest rise time, ms
+    #[arg(long, value_name = "MS", value_parser = limit)]
+    rise: Option<f64>,
+    /// Steepest plateau, rising or falling, cmH2O/s
+    #[arg(long, value_name = "CMH2O/S", value_parser = limit)]
+    slope: Option<f64>,
+    /// Largest mean absolute error over an inspiration, cmH2O
+    #[arg(long, value_name = "CMH2O", value_parser = limit)]
+    error: Option<f64>,
+}
+
+/// Parses a limit.
+fn limit(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(limit) if (0.0..f64::INFINITY).contains(&limit) => Ok(limit),
+        _ => Err("give a number of at least 0".into()),
+    }
+}
+
+impl LimitArgs {
+    fn limits(&self) -> Limits {
+        let plain = |limit: Option<f64>| limit.map(|fixed| Band { fixed, percent: 0.0 });
+        Limits::default()
+            .with(Kind::Plateau, self.accuracy)
+            .with(Kind::Baseline, self.peep_accuracy)
+            .with(Kind::Overshoot, plain(self.overshoot))
+            .with(Kind::Undershoot, plain(self.undershoot))
+            .with(Kind::Oscillation, plain(self.oscillation))
+            .with(Kind::Rise, plain(self.rise))
+            .with(Kind::Slope, plain(self.slope))
+            .with(Kind::Error, plain(self.error))
+    }
+}
+
+/// Breaths violate declared limits; the command has its own exit code for that.
+#[derive(Debug)]
+pub struct Violated {
+    breaths: usize,
+    judged: usize,
+}
+
+impl fmt::Display for Violated {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of {} judged breaths violate a declared limit", self.breaths, self.judged)
+    }
+}
+
+impl std::error::Error for Violated {}
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Summary {
+    /// Whether every declared limit is kept by every breath.
+    pass: bool,
+    files: Vec<FileVerdict>,
+}
+
+#[derive(Debug, Serialize)]
+struct FileVerdict {
+    file: String,
+    #[serde(flatten)]
+    verdict: Verdict,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let map = args.map.as_deref().map(column_map).transpose()?;
+    let limits = args.limits.limits();
+    let judged = if args.measured { Judged::Measured } else { Judged::True };
+    let mut files = Vec::new();
+    for file in &args.files {
+        let recording = load(file, map.as_ref())?;
+        let name = file.display().to_string();
+        let verdict = judge(&recording, judged, &limits).with_context(|| format!("cannot judge {name}"))?;
+        tables::print(&args.output, &name, &verdict, args.worst);
+        if let Some(folder) = &args.figure {
+            for path in picture::draw(folder, file, &recording, &verdict, args.worst)? {
+                args.output.saved(&path);
+            }
+        }
+        files.push(FileVerdict { file: name, verdict });
+    }
+    let violated: usize = files.iter().map(|file| file.verdict.violating_breaths()).sum();
+    let judged = files.iter().map(|file| file.verdict.breaths.len()).sum();
+    args.output.finish(&Summary { pass: violated == 0, files })?;
+    if violated > 0 {
+        return Err(Violated { breaths: violated, judged }.into());
+    }
+    Ok(())
+}
+
+fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
+    Ok(match name {
+        "respiraworks" => ColumnMap::respiraworks()?,
+        "kaggle" => ColumnMap::kaggle()?,
+        file => ColumnMap::load(Path::new(file)).with_context(|| file.to_owned())?,
+    })
+}
+
+/// Reads a recording, or imports a table.
+fn load(file: &Path, map: Option<&ColumnMap>) -> anyhow::Result<Recording> {
+    if file.extension().is_some_and(|extension| extension == "parquet") {
+        return Ok(Recording::load(file)?);
+    }
+    let Some(map) = map else {
+        bail!("{} is not a recording (.parquet): name its column map with --map", file.display());
+    };
+    let layout = map.layout()?;
+    let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
+    let out = folder.path().join("imported.parquet");
+    with_bars(|progress| data::import::import(&[file.to_owned()], &layout, &out, progress))?;
+    Ok(Recording::load(&out)?)
+}

@@ -1,0 +1,175 @@
+//! The verdict as text.
+
+use std::collections::BTreeMap;
+
+use super::super::output::OutputArgs;
+use judge::verdict::{Accuracy, Judged, LimitResult, LungReport, Mean, USUAL, Verdict};
+use show::report::{Cell, Table};
+
+/// Prints a verdict with at most `worst` sore spots.
+pub fn print(output: &OutputArgs, file: &str, verdict: &Verdict, worst: usize) {
+    output.line(&head(file, verdict));
+    output.table(&report(verdict));
+    output.table(&figures(verdict));
+    for line in accuracy(verdict).into_iter().chain(limits(verdict)).chain(sore_spots(verdict, worst)) {
+        output.line(&line);
+    }
+}
+
+/// What was judged, and what was not.
+fn head(file: &str, verdict: &Verdict) -> String {
+    let judged = match verdict.judged {
+        Judged::True => "true pressure",
+        Judged::Measured => "measured pressure",
+    };
+    let mut lines = vec![
+        format!("{file}: {}", if verdict.plant.is_empty() { "unknown plant" } else { &verdict.plant }),
+        format!(
+            "{} of {} breaths judged by the {judged}, {} ms, noise {:.2} cmH2O (sd)",
+            verdict.breaths.len(),
+            verdict.breaths.len() + verdict.unjudged.len(),
+            f64::from(verdict.period_us) * 1e-3,
+            verdict.noise
+        ),
+    ];
+    if !verdict.set_point {
+        lines.push(
+            "No set-points: errors and accuracy are unknown; all else refers to the measured plateau."
+                .to_owned(),
+        );
+    }
+    if verdict.explored > 0.0 {
+        lines.push(format!(
+            "{:.0} % of the inspiratory ticks were perturbed to explore: the figures are not the controller's own.",
+            100.0 * verdict.explored
+        ));
+    }
+    lines.extend(remarks(verdict));
+    lines.join("\n") + "\n"
+}
+
+/// Breaths that are not judged and remarks on those that are, each text once with its number of breaths.
+fn remarks(verdict: &Verdict) -> Vec<String> {
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for breath in &verdict.unjudged {
+        *counts.entry(format!("not judged, {}", breath.reason)).or_default() += 1;
+    }
+    for remark in verdict.breaths.iter().flat_map(|breath| &breath.figures.remarks) {
+        *counts.entry(remark.clone()).or_default() += 1;
+    }
+    let breaths = |count: usize| if count == 1 { "1 breath".to_owned() } else { format!("{count} breaths") };
+    counts.into_iter().map(|(text, count)| format!("{}: {text}", breaths(count))).collect()
+}
+
+fn mean(value: Option<Mean>, decimals: usize) -> Cell {
+    Cell::known(value.map(|value| value.mean), decimals)
+}
+
+fn worst(value: Option<Mean>, decimals: usize) -> Cell {
+    Cell::known(value.map(|value| value.worst), decimals)
+}
+
+/// The fields of a test report.
+fn report(verdict: &Verdict) -> Table {
+    Table::of(
+        "Test report, means; pressures in cmH2O, rate in 1/min, time in s, volume in mL, flow in L/min",
+        &verdict.lungs,
+        &[
+            ("lung", &|lung: &LungReport| Cell::text(&lung.name)),
+            ("row", &|lung| {
+                lung.iso.map_or_else(|| Cell::right("-"), |iso| Cell::count(usize::from(iso.row)))
+            }),
+            ("PIP", &|lung| Cell::number(lung.pip, 1)),
+            ("PEEP", &|lung| Cell::number(lung.peep, 1)),
+            ("measured PIP", &|lung| mean(lung.measured_pip, 1)),
+            ("end insp.", &|lung| mean(lung.end_inspiration, 1)),
+            ("PEEP ", &|lung| mean(lung.measured_peep, 1)),
+            ("rate", &|lung| mean(lung.rate, 1)),
+            ("time", &|lung| mean(lung.inspiratory_time_s, 2)),
+            ("volume", &|lung| mean(lung.tidal_volume_ml, 0)),
+            ("flow", &|lung| mean(lung.peak_flow_l_min, 0)),
+            ("breaths", &|lung| Cell::count(lung.breaths)),
+        ],
+    )
+}
+
+/// The mean figures.
+fn figures(verdict: &Verdict) -> Table {
+    Table::of(
+        "Figures, means; overshoot, undershoot, swing and fall below PEEP: the worst breath's; rise in ms, all else in \
+         cmH2O",
+        &verdict.lungs,
+        &[
+            ("lung", &|lung: &LungReport| Cell::text(&lung.name)),
+            ("PIP", &|lung| Cell::number(lung.pip, 1)),
+            ("error", &|lung| mean(lung.error, 2)),
+            ("rise", &|lung| mean(lung.rise_ms, 0)),
+            ("overshoot", &|lung| worst(lung.overshoot, 2)),
+            ("undershoot", &|lung| worst(lung.undershoot, 2)),
+            ("swings", &|lung| mean(lung.swings, 1)),
+            ("swing", &|lung| worst(lung.swing_size, 2)),
+            ("Hz", &|lung| mean(lung.frequency, 1)),
+            ("plateau", &|lung| mean(lung.plateau_error, 2)),
+            ("slope, 1/s", &|lung| mean(lung.slope, 1)),
+            ("below PEEP", &|lung| worst(lung.below_peep, 2)),
+        ],
+    )
+}
+
+fn accuracy(verdict: &Verdict) -> Vec<String> {
+    let line = |end: &str, accuracy: Option<Accuracy>| match accuracy {
+        Some(found) => format!(
+            "End of {end}: {} covers {} breaths; largest error {:.2} cmH2O, {:.0} % of {USUAL}",
+            found.declared,
+            found.breaths,
+            found.largest,
+            100.0 * found.of_usual
+        ),
+        None => format!("End of {end}: accuracy unknown"),
+    };
+    let lines =
+        [line("inspiration", verdict.accuracy_inspiration), line("expiration", verdict.accuracy_expiration)];
+    vec![lines.join("\n") + "\n"]
+}
+
+fn limits(verdict: &Verdict) -> Vec<String> {
+    let one = |result: &LimitResult| {
+        let (name, unit) = (result.kind.name(), result.kind.unit());
+        let limit = match result.limit.percent {
+            0.0 => format!("{} {unit}", result.limit.fixed),
+            percent => format!("{} {unit} + {percent} %", result.limit.fixed),
+        };
+        let worst =
+            result.violations.iter().max_by(|a, b| (a.value - a.allowed).total_cmp(&(b.value - b.allowed)));
+        let unknown = match result.unknown {
+            0 => String::new(),
+            unknown => format!(", unknown in {unknown}"),
+        };
+        match worst {
+            None => format!("Limit on {name}, {limit}: kept by {} breaths{unknown}", result.checked),
+            Some(worst) => format!(
+                "Limit on {name}, {limit}: VIOLATED by {} of {} breaths{unknown}; worst {:.2} in breath {} of {}",
+                result.violations.len(),
+                result.checked,
+                worst.value,
+                worst.breath,
+                worst.lung
+            ),
+        }
+    };
+    let lines: Vec<String> = verdict.limits.iter().map(one).collect();
+    if lines.is_empty() { lines } else { vec![lines.join("\n") + "\n"] }
+}
+
+fn sore_spots(verdict: &Verdict, worst: usize) -> Vec<String> {
+    let spots = &verdict.sore_spots;
+    if spots.is_empty() {
+        return vec!["No sore spots\n".to_owned()];
+    }
+    let shown = spots.iter().take(worst).enumerate();
+    let lines = shown.map(|(n, spot)| format!("{:>3}. {}", n + 1, spot.text));
+    let more = spots.len().saturating_sub(worst);
+    let more = (more > 0).then(|| format!("     and {more} more (--worst)"));
+    let title = "Sore spots, the most severe first".to_owned();
+    vec![std::iter::once(title).chain(lines).chain(more).collect::<Vec<_>>().join("\n") + "\n"]
+}
