@@ -14,6 +14,8 @@ pub(super) struct Circuit {
     pressure: f64,
     /// Compliance over the duration of a sub-step, L/(s cmH2O).
     storage: f64,
+    /// Pressure that a sub-step of the drawn flow takes from the compliance, cmH2O.
+    drawn: f64,
     /// Leak at the specified pressure, L/s.
     leak: f64,
     /// The same without a failure.
@@ -32,6 +34,7 @@ impl Circuit {
         Self {
             pressure,
             storage: config.compliance_ml_per_cmh2o * 1e-3 / sub_step_s,
+            drawn: 0.0,
             leak: config.leak_l_per_s_at_30_cmh2o,
             sound_leak: config.leak_l_per_s_at_30_cmh2o,
             failed: false,
@@ -75,9 +78,14 @@ impl Circuit {
         }
     }
 
-    /// The compliance as a branch to the present pressure.
+    /// Draws this flow out of the circuit from now on, L/s.
+    pub(super) fn draw(&mut self, flow: f64) {
+        self.drawn = flow / self.storage;
+    }
+
+    /// The compliance as a branch to the present pressure, less what the drawn flow takes.
     pub(super) fn storage(&self) -> Branch {
-        Branch { conductance: self.storage, source: self.pressure }
+        Branch { conductance: self.storage, source: self.pressure - self.drawn }
     }
 
     /// The leak as a branch to the room.

@@ -229,6 +229,12 @@ impl Bench {
         self.lung.change(resistance, compliance);
     }
 
+    /// Draws this flow out of the circuit from now on, L/s, whatever the pressure: a plateau then needs an open valve for as long as
+    /// a measurement takes. No sensor sees the flow.
+    pub fn draw(&mut self, flow: f64) {
+        self.circuit.draw(flow);
+    }
+
     /// Runs 1 ms with the inspiratory valve commanded to `u_in` percent and the expiratory valve open if `u_out`;
     /// returns the sensor's pressure at its end, cmH2O. A command outside 0 to 100 is limited; one that is not finite
     /// closes the valve.

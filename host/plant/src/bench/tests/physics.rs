@@ -52,12 +52,14 @@ mod flow {
             lung in 0..30_usize,
             two_compartments in any::<bool>(),
             effort in 0.0..20.0_f64,
+            drawn in 0.0..0.3_f64,
             commands in prop::collection::vec((0.0..100.0_f32, any::<bool>(), 1..300_u32), 1..12),
         ) {
             let mut config = all_lungs().swap_remove(lung);
             config.lung.second = two_compartments.then(CompartmentConfig::default);
             config.patient.effort_cmh2o = effort;
             let mut bench = bench(&config);
+            bench.draw(drawn);
             let before = stored_ml(&config, &bench.truth());
             let (mut net_ml, mut into_lung_ml) = (0.0, 0.0);
             let lung_before = bench.truth().lung_volume_ml;
@@ -65,7 +67,7 @@ mod flow {
                 for _ in 0..steps {
                     bench.step(u_in, u_out);
                     let t = bench.truth();
-                    let net = t.flow_valve - t.flow_expiratory - t.flow_leak - t.flow_relief;
+                    let net = t.flow_valve - t.flow_expiratory - t.flow_leak - t.flow_relief - drawn;
                     net_ml += 1e3 * net * STEP_S;
                     into_lung_ml += 1e3 * t.flow_lung * STEP_S;
                     prop_assert!(t.flow_valve >= 0.0 && t.flow_expiratory >= 0.0 && t.flow_relief >= 0.0);
