@@ -10,20 +10,21 @@ use crate::trainer::Trainer;
 
 /// Folder of the examples.
 const EXAMPLES: &str = "examples/python";
-/// Imports of the example for files, to check that its packages are installed.
-const PACKAGES: &str = "import numpy, pandas, pyarrow, safetensors";
+/// Imports of the examples, to check that their packages are installed.
+const PACKAGES: &str = "import control, numpy, pandas, pyarrow, safetensors";
 
 /// Placeholder in command lines, and the plant that replaces it: the Python plant on a pipe.
 const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
 
-/// Runs both examples.
+/// Runs all examples.
 pub fn run(shell: &Shell) -> Result<()> {
     let python = with_packages(shell)?;
     // The pipeline would reuse the results of an earlier run.
     shell.remove_path("target/python/run")?;
     let trainer = Trainer::build(shell)?;
     pipeline_on_a_plant(&trainer)?;
-    open_files(shell, &trainer, &python)
+    open_files(shell, &trainer, &python)?;
+    repeat_margins(shell, &trainer, &python)
 }
 
 /// Python with the packages: the machine's own, or a virtual environment that is created here.
@@ -88,5 +89,13 @@ fn open_files(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()>
     )
     .quiet()
     .run()?;
+    Ok(())
+}
+
+/// Repeats the margins of a controller with python-control.
+fn repeat_margins(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
+    let file = "target/python/margins.json";
+    trainer.run(&format!("margins --lung R20C20 --gains 3,30 --json {file}"), &[])?;
+    cmd!(shell, "{python} {EXAMPLES}/margins.py {file}").quiet().run()?;
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! Evaluation: scores of any controller, baselines and bounds, and behaviour under faults.
 #![forbid(unsafe_code)]
 
+pub mod accuracy;
 pub mod balloon;
 pub mod baselines;
 pub mod bound;
@@ -9,6 +10,7 @@ pub mod endure;
 pub mod evaluate;
 pub mod faults;
 pub mod identify;
+pub mod margins;
 pub mod rl;
 pub mod robust;
 pub mod simulator;

@@ -34,6 +34,10 @@ pub enum Stage {
     Endure,
     /// Plants of a family, of a robustness test.
     Robust,
+    /// Measuring stability margins: operating points.
+    Margins,
+    /// Measuring the accuracy of the pressure: plants.
+    Accuracy,
     /// Sending weights: bytes.
     Upload,
     /// Reading a flight recorder: entries.

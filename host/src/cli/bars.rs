@@ -74,6 +74,8 @@ fn name(event: &Event<'_>) -> String {
         Stage::Torture => "torture, breaths",
         Stage::Endure => "endure, minutes",
         Stage::Robust => "plants",
+        Stage::Margins => "measure loops",
+        Stage::Accuracy => "measure accuracy, plants",
         Stage::Upload => "send weights, bytes",
         Stage::ReadRecorder => "read flight recorder",
         Stage::Import => "read tables, bytes",

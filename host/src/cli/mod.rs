@@ -23,6 +23,7 @@ mod inspect;
 mod judge;
 mod key_args;
 mod keys;
+mod margins;
 mod monitor;
 mod output;
 mod pack;
@@ -82,6 +83,7 @@ enum Command {
     Torture(torture::Args),
     Endure(endure::Args),
     Robust(robust::Args),
+    Margins(margins::Args),
     #[command(name = "selftest")]
     SelfTest(self_test::Args),
     Blackbox(blackbox::Args),
@@ -133,6 +135,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Torture(args) => torture::run(args),
         Command::Endure(args) => endure::run(args),
         Command::Robust(args) => robust::run(args),
+        Command::Margins(args) => margins::run(args),
         Command::SelfTest(args) => self_test::run(args),
         Command::Blackbox(args) => blackbox::run(args),
     }

@@ -29,6 +29,7 @@ fn every_command_explains_itself() {
         "torture",
         "endure",
         "robust",
+        "margins",
         "keys",
         "flash",
         "qemu",

@@ -82,3 +82,12 @@ fn an_interrupted_endurance_test_continues() {
     assert_eq!(continued.results.len(), patients);
     assert!(kept.results.iter().all(|result| continued.results.contains(result)));
 }
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_measurement_of_margins_ends_soon() {
+    let place = Place::new();
+    let output = interrupt(&place, "margins --family adult --plants 5000");
+    assert_eq!(output.status.code(), INTERRUPTED, "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("stopped"), "{}", text(&output.stdout));
+}

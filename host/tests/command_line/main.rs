@@ -8,6 +8,7 @@ mod help;
 mod interrupted;
 mod judge;
 mod keys;
+mod margins;
 mod pipeline;
 mod plant;
 mod recordings;

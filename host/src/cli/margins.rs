@@ -1,0 +1,452 @@
+//! `trainer margins`: stability margins by sine injection, the residual's gain, the certificate of iterative learning, and the
+//! accuracy of the pressure.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use shared::control::pid::PidGains;
+
+use super::bars::with_bars;
+use super::common::{benches, stopped};
+use super::controller_args::{Chosen, ControllerArgs};
+use super::output::{self, OutputArgs};
+use judge::accuracy::{self, Accuracy, PhaseEnd, Setup};
+use judge::margins::iteration::{Contraction, LearningFilter};
+use judge::margins::residual_gain::ResidualGain;
+use judge::margins::response::Sweep;
+use judge::margins::stability::{Margins, Required};
+use judge::margins::{MeasuredPoint, PlantMargins, Question, measure};
+use plant::bench::BenchConfig;
+use plant::bench::family::Family;
+use progress::{Progress, Stage};
+use show::report::{Cell, Plot, Series, Style, Table};
+
+/// Curves that a figure shows at most: those of the plants with the worst margins.
+const CURVES: usize = 6;
+/// Points of a circle in a figure.
+const CIRCLE: usize = 180;
+
+/// Measure the stability margins of a controller by sine injection in closed loop
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer margins --gains 6,290,0.21
+  trainer margins --controller out/once/controller.safetensors --lung paper --json margins.json
+  trainer margins --gains 6,290,0.21 --bench slow.toml --bench fast.toml --figure nyquist.svg
+  trainer margins --family adult --plants 100 --seed 2 --controller out/once/controller.safetensors
+  trainer margins --gains 2.5,60,0.08 --learning 2,50,15 --learning-figure learning.svg
+
+A plateau is held at each of the paper's six PIPs, and a sine is added to the command of the
+inspiratory valve. The ratio of the commands before and after the sine is the loop gain L. From it:
+Ms, the largest abs(1 / (1 + L)); the gain, phase and delay margins; and the disk margin. A robust
+loop keeps Ms at most 2, a gain margin of at least 2 and a delay margin of at least 10 ms.
+
+A plateau needs almost no flow, so the valve would be nearly closed and the sine cut. Therefore the
+mean flow of an inspiration is drawn out of the circuit, whatever its pressure. Backlash makes the
+margins depend on the amplitude of the sine: they are measured at twice the amplitude too.
+
+For a learned controller, the PID underneath is measured as well, and the residual's gain: the
+largest response of the residual to the measured pressure in recorded breaths, by the Jacobian of
+its network, and its product with the PID's loop. Below one, the residual cannot destabilise that
+loop; above one, it might.
+
+The accuracy is the smallest +-(A + B % of the target) that holds for the true pressure at the end of
+each phase, on all plants, at PEEP 5 and 10, without a leak and with one of 0.1 L/s at 30 cmH2O.
+
+With --learning, the controller is the one under iterative learning control: the largest factor on
+an error from breath to breath is printed. It must be below one.")]
+pub struct Args {
+    #[command(flatten)]
+    controller: ControllerArgs,
+    /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
+    #[arg(long, value_name = "NAME", default_value = "R20C20", conflicts_with_all = ["bench", "family"])]
+    lung: Vec<String>,
+    /// Bench description in TOML, in place of --lung; repeatable
+    #[arg(long, value_name = "FILE", conflicts_with = "family")]
+    bench: Vec<PathBuf>,
+    /// Random plants of a family, in place of --lung: adult, or a TOML file
+    #[arg(long, value_name = "NAME|FILE")]
+    family: Option<String>,
+    /// Number of plants of the family
+    #[arg(long, requires = "family", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    plants: u32,
+    /// Amplitude of the sine, percent
+    #[arg(long, value_name = "PERCENT", value_parser = amplitude, default_value_t = Sweep::default().amplitude)]
+    amplitude: f64,
+    /// Iterative learning to certify: gain in percent per cmH2O, lead and half base of the triangle in ms
+    #[arg(long, value_name = "GAIN,MS,MS", value_parser = learning)]
+    learning: Option<LearningFilter>,
+    /// Seed of the plants of a family and of the sensor noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Write the Nyquist plot of the worst loops as SVG
+    #[arg(long, value_name = "FILE.svg")]
+    figure: Option<PathBuf>,
+    /// Write the factors of iterative learning over frequency as SVG
+    #[arg(long, value_name = "FILE.svg", requires = "learning")]
+    learning_figure: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Summary {
+    controller: String,
+    weights_id: Option<String>,
+    gains: PidGains,
+    period_us: u32,
+    seed: u64,
+    sweep: Sweep,
+    required: Required,
+    /// Share of the plants that keep the required margins.
+    share_robust: f64,
+    /// The worst margins of all plants; none if a loop oscillates by itself.
+    worst: Option<Margins>,
+    /// The residual's largest gain on all plants.
+    residual: Option<ResidualGain>,
+    accuracy: Vec<Declared>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    learning: Option<Learning>,
+    plants: Vec<PlantMargins>,
+}
+
+/// Accuracy at one phase's end.
+#[derive(Debug, Serialize)]
+struct Declared {
+    phase: &'static str,
+    leak: bool,
+    accuracy: Option<Accuracy>,
+}
+
+/// Certificate of iterative learning.
+#[derive(Debug, Serialize)]
+struct Learning {
+    filter: LearningFilter,
+    worst: Option<Contraction>,
+}
+
+fn amplitude(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(percent) if percent > 0.0 && percent <= 50.0 => Ok(percent),
+        _ => Err("give an amplitude above 0 and up to 50 percent".into()),
+    }
+}
+
+fn learning(text: &str) -> Result<LearningFilter, String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    match numbers[..] {
+        [gain, lead_ms, half_base_ms] if numbers.iter().all(|number| (0.0..=1000.0).contains(number)) => {
+            Ok(LearningFilter { gain, lead_s: 1e-3 * lead_ms, half_base_s: 1e-3 * half_base_ms })
+        }
+        _ => Err("write gain, lead and half base, such as 2,50,15".into()),
+    }
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let plants = plants(args)?;
+    let chosen = args.controller.chosen(None)?;
+    let sweep = Sweep::default().with_amplitude(args.amplitude);
+    let question = Question { period_us: chosen.period_us, sweep, seed: args.seed };
+    let (measured, accuracy) = with_bars(|progress| -> anyhow::Result<_> {
+        let measured = measure(&plants, &chosen.controller, &question, progress)?;
+        Ok((measured, declared(&plants, &chosen, args.seed, progress)?))
+    })?;
+    if measured.is_empty() {
+        args.output.line("stopped before the first plant was measured");
+        return Ok(());
+    }
+    let summary = summary(args, &chosen, sweep, measured, accuracy);
+    print(args, &summary);
+    if let Some(file) = &args.figure {
+        save(args, file, &nyquist(&summary.plants))?;
+    }
+    if let (Some(file), Some(learning)) = (&args.learning_figure, &summary.learning) {
+        save(args, file, &contraction(&summary.plants, learning.filter, chosen.period_us))?;
+    }
+    args.output.finish(&summary)
+}
+
+/// The chosen plants.
+fn plants(args: &Args) -> anyhow::Result<Vec<BenchConfig>> {
+    match &args.family {
+        Some(name) => {
+            let family = Family::find(name)?;
+            Ok((0..args.plants).map(|number| family.draw(args.seed, number)).collect())
+        }
+        None => benches(&args.lung, &args.bench),
+    }
+}
+
+/// The accuracy over all plants, by phase and leak. Plants on which the ventilator stops, and those that are left when the user stops
+/// the command, do not count.
+fn declared(
+    plants: &[BenchConfig],
+    chosen: &Chosen,
+    seed: u64,
+    progress: &Progress<'_>,
+) -> anyhow::Result<Vec<Declared>> {
+    let setup = Setup { period_us: chosen.period_us, seed };
+    let task = progress.task(Stage::Accuracy, 2 * plants.len());
+    let mut declared = Vec::new();
+    for leak in [false, true] {
+        let ends: Vec<PhaseEnd> = accuracy::measure_all(plants, &chosen.controller, leak, setup, &task)?;
+        let gathered = |of: fn(&PhaseEnd) -> &Vec<_>| ends.iter().flat_map(of).copied().collect::<Vec<_>>();
+        for (phase, measured) in [
+            ("inspiration", gathered(|end| &end.inspiration)),
+            ("expiration", gathered(|end| &end.expiration)),
+        ] {
+            declared.push(Declared { phase, leak, accuracy: Accuracy::declared(&measured) });
+        }
+    }
+    Ok(declared)
+}
+
+fn summary(
+    args: &Args,
+    chosen: &Chosen,
+    sweep: Sweep,
+    plants: Vec<PlantMargins>,
+    accuracy: Vec<Declared>,
+) -> Summary {
+    let required = Required::default();
+    let robust =
+        plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(&required))).count();
+    let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
+    let gains = plants.iter().filter_map(|plant| plant.pid.as_ref().map(|pid| pid.residual));
+    let learning = args.learning.map(|filter| {
+        let responses = plants.iter().flat_map(|plant| plant.points.iter().map(|point| &point.response[..]));
+        Learning { filter, worst: filter.worst(responses, chosen.period_us) }
+    });
+    Summary {
+        controller: chosen.name.clone(),
+        weights_id: chosen.weights_id.clone(),
+        gains: chosen.gains(),
+        period_us: chosen.period_us,
+        seed: args.seed,
+        sweep,
+        required,
+        share_robust: robust as f64 / plants.len().max(1) as f64,
+        worst: worst.and_then(|all| all.into_iter().reduce(|one, other| one.worst(&other))),
+        residual: gains.reduce(|one, other| one.worst(&other)),
+        accuracy,
+        learning,
+        plants,
+    }
+}
+
+/// Prints the tables.
+fn print(args: &Args, summary: &Summary) {
+    let several = summary.plants.len() > 1;
+    let title = format!("Margins of {}, sine of {} %", summary.controller, args.amplitude);
+    args.output.table(&if several {
+        by_plant(&title, &summary.plants)
+    } else {
+        by_pip(&title, &summary.plants[0])
+    });
+    let robust = (summary.share_robust * summary.plants.len() as f64).round();
+    args.output.line(&format!(
+        "{robust} of {} plants keep Ms 2, gain margin 2 and delay margin 10 ms",
+        summary.plants.len()
+    ));
+    if let Some(gain) = &summary.residual {
+        for (name, largest) in [
+            ("to the pressure, %/cmH2O", gain.direct),
+            ("with its own commands fed back, %/cmH2O", gain.residual),
+            ("times the loop of its PID", gain.times_loop),
+        ] {
+            args.output.line(&format!(
+                "largest gain of the residual {name}: {:.2} (at {:.1} Hz, PIP {})",
+                largest.value, largest.hz, largest.pip
+            ));
+        }
+    }
+    if let Some(learning) = &summary.learning
+        && let Some(worst) = learning.worst
+    {
+        args.output.line(&format!(
+            "iterative learning: an error changes from breath to breath by at most {:.3} times (at {:.1} Hz)",
+            worst.factor, worst.hz
+        ));
+    }
+    args.output.table(&accuracy_table(&summary.accuracy));
+    if stopped() {
+        args.output.line("stopped: only the plants measured so far are shown");
+    }
+}
+
+/// Columns of margins, with the number of decimals.
+type Column = (&'static str, usize, fn(&Margins) -> Option<f64>);
+
+const COLUMNS: [Column; 6] = [
+    ("Ms", 2, |margins| Some(margins.ms)),
+    ("gain margin", 2, |margins| margins.gain_margin),
+    ("phase margin, deg", 1, |margins| margins.phase_margin_deg),
+    ("delay margin, ms", 1, |margins| margins.delay_margin_ms),
+    ("disk margin", 2, |margins| Some(margins.disk_margin)),
+    ("crossover, Hz", 1, |margins| margins.crossover_hz),
+];
+
+/// A table with these first columns, then the margins and Ms at twice the amplitude.
+fn margins_table(title: &str, first: &[&str]) -> Table {
+    let mut table = Table::new(title, first);
+    table.header.extend(COLUMNS.map(|(name, ..)| name.to_owned()));
+    table.header.push("Ms, doubled sine".to_owned());
+    table
+}
+
+fn margins_row(table: &mut Table, mut row: Vec<Cell>, margins: Option<&Margins>, doubled: Option<f64>) {
+    let cell = |(_, decimals, value): Column| Cell::known(margins.and_then(value), decimals);
+    row.extend(COLUMNS.map(cell));
+    row.push(Cell::known(doubled, 2));
+    table.row(row);
+}
+
+/// The loops of a plant, by PIP. A loop that oscillates by itself has no margins.
+fn by_pip(title: &str, plant: &PlantMargins) -> Table {
+    let mut table = margins_table(&format!("{title}, on {}", plant.plant), &["PIP", "flow, L/s"]);
+    let mut rows = |name: &str, points: &[MeasuredPoint]| {
+        for measured in points {
+            let first = vec![
+                Cell::right(format!("{name}{}", measured.point.pip)),
+                Cell::number(measured.point.flow_l_s, 2),
+            ];
+            let doubled = measured.doubled.map(|margins| margins.ms);
+            margins_row(&mut table, first, measured.margins.as_ref(), doubled);
+        }
+    };
+    rows("", &plant.points);
+    if let Some(pid) = &plant.pid {
+        rows("PID alone, ", &pid.points);
+    }
+    table
+}
+
+/// The worst margins of every plant. A plant with a loop that oscillates by itself has none.
+fn by_plant(title: &str, plants: &[PlantMargins]) -> Table {
+    let mut table = margins_table(&format!("{title}, worst of six PIPs"), &["plant"]);
+    for plant in plants {
+        let first = vec![Cell::text(&plant.plant)];
+        margins_row(&mut table, first, plant.worst.as_ref(), highest_doubled(&plant.points));
+        if let Some(pid) = &plant.pid {
+            let first = vec![Cell::text(format!("{}, PID alone", plant.plant))];
+            margins_row(&mut table, first, pid.worst.as_ref(), highest_doubled(&pid.points));
+        }
+    }
+    table
+}
+
+fn highest_doubled(points: &[MeasuredPoint]) -> Option<f64> {
+    points
+        .iter()
+        .map(|point| point.doubled.map(|margins| margins.ms))
+        .collect::<Option<Vec<_>>>()?
+        .into_iter()
+        .reduce(f64::max)
+}
+
+fn accuracy_table(declared: &[Declared]) -> Table {
+    let mut table = Table::new(
+        "Accuracy of the true pressure: +-(A + B % of the target)",
+        &["end of", "leak", "A, cmH2O", "B, %"],
+    );
+    for end in declared {
+        // Rounded up: the declared accuracy must hold.
+        let up = |value: f64| (1e2 * value).ceil() / 1e2;
+        table.row(vec![
+            Cell::text(end.phase),
+            Cell::text(if end.leak { "yes" } else { "no" }),
+            Cell::known(end.accuracy.map(|accuracy| up(accuracy.absolute)), 2),
+            Cell::known(end.accuracy.map(|accuracy| up(accuracy.percent)), 2),
+        ]);
+    }
+    table
+}
+
+/// The point of a plant with the highest Ms; an oscillating one before all others.
+fn worst_point(plant: &PlantMargins) -> Option<&MeasuredPoint> {
+    let ms = |point: &MeasuredPoint| point.margins.map_or(f64::INFINITY, |margins| margins.ms);
+    plant.points.iter().max_by(|one, other| ms(one).total_cmp(&ms(other)))
+}
+
+/// The plants with the worst margins, each with its worst point, the worst first.
+fn worst_plants(plants: &[PlantMargins]) -> Vec<(&str, &MeasuredPoint)> {
+    let mut worst: Vec<_> =
+        plants.iter().filter_map(|plant| Some((plant.plant.as_str(), worst_point(plant)?))).collect();
+    let ms = |point: &MeasuredPoint| point.margins.map_or(f64::INFINITY, |margins| margins.ms);
+    worst.sort_by(|one, other| ms(other.1).total_cmp(&ms(one.1)));
+    worst.truncate(CURVES);
+    worst
+}
+
+/// Nyquist plot of the worst loops, with the unit circle and that of Ms 2 around -1.
+fn nyquist(plants: &[PlantMargins]) -> Plot {
+    let circle = |name: &str, centre: f64, radius: f64| {
+        let at = |place: usize| {
+            let angle = std::f64::consts::TAU * place as f64 / CIRCLE as f64;
+            (centre + radius * angle.cos(), radius * angle.sin())
+        };
+        Series::new(name, Style::Dashed, (0..=CIRCLE).map(at).collect())
+    };
+    let mut series = vec![
+        circle("abs(L) = 1", 0.0, 1.0),
+        Series { color: Some((150, 30, 30)), ..circle("Ms = 2", -1.0, 1.0 / Required::default().ms) },
+    ];
+    for (plant, measured) in worst_plants(plants) {
+        let points = measured.response.iter().map(|at| (at.loop_gain.re, at.loop_gain.im)).collect();
+        series.push(Series::new(format!("{plant}, PIP {}", measured.point.pip), Style::Line, points));
+    }
+    Plot {
+        x_range: Some((-2.5, 1.5)),
+        y_range: Some((-2.5, 1.5)),
+        size: Some((640, 700)),
+        ..Plot::new("Loop gain", "real part", "imaginary part", series)
+    }
+}
+
+/// Factor of iterative learning over frequency, on the plants where it is the largest.
+fn contraction(plants: &[PlantMargins], filter: LearningFilter, period_us: u32) -> Plot {
+    let mut curves: Vec<(f64, Series)> = Vec::new();
+    for plant in plants {
+        for measured in &plant.points {
+            let factors = filter.contraction(&measured.response, period_us);
+            let highest = factors.iter().map(|at| at.factor).fold(0.0, f64::max);
+            let points = factors.iter().map(|at| (at.hz, at.factor)).collect();
+            let name = format!("{}, PIP {}", plant.plant, measured.point.pip);
+            curves.push((highest, Series::new(name, Style::Line, points)));
+        }
+    }
+    curves.sort_by(|one, other| other.0.total_cmp(&one.0));
+    curves.truncate(CURVES);
+    let (low, high) = Sweep::default().range_hz;
+    let mut series = vec![Series::new("limit", Style::Dashed, vec![(low, 1.0), (high, 1.0)])];
+    series.extend(curves.into_iter().map(|(_, curve)| curve));
+    Plot::new("Factor on an error from breath to breath", "frequency, Hz", "abs(Q (1 - L P S))", series)
+}
+
+fn save(args: &Args, file: &std::path::Path, plot: &Plot) -> anyhow::Result<()> {
+    output::write(file, plot.to_svg()?.as_bytes())?;
+    args.output.saved(file);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_learning_rule_is_three_numbers_in_percent_and_milliseconds() {
+        assert_eq!(learning("2,50,15"), Ok(LearningFilter::default()));
+        for refused in ["2,50", "2,50,x", "-1,50,15", "2,5000,15"] {
+            assert!(learning(refused).is_err(), "{refused}");
+        }
+    }
+
+    #[test]
+    fn an_amplitude_is_above_zero_and_leaves_the_valve_room() {
+        assert_eq!(amplitude("50"), Ok(50.0));
+        for refused in ["0", "-1", "51", "NaN", "x"] {
+            assert!(amplitude(refused).is_err(), "{refused}");
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! `trainer margins`, on one lung.
+
+use super::support::Place;
+
+#[test]
+fn a_pid_has_margins_at_six_points_the_same_for_the_same_seed() {
+    let place = Place::new();
+    let line = "margins --gains 3,30 --learning 2,50,15 --figure nyquist.svg --learning-figure learning.svg";
+    let result = place.json(line);
+    let plant = &result["plants"][0];
+    assert_eq!(plant["plant"], "R20C20");
+    let points = plant["points"].as_array().unwrap();
+    assert_eq!(points.len(), 6);
+    let worst = points.iter().map(|point| point["margins"]["ms"].as_f64().unwrap()).fold(0.0, f64::max);
+    assert_eq!(result["worst"]["ms"].as_f64(), Some(worst));
+    assert_eq!(points[0]["response"][0]["loop"].as_array().map(Vec::len), Some(2));
+    assert_eq!(result["accuracy"].as_array().map(Vec::len), Some(4));
+    assert!(result["learning"]["worst"]["factor"].is_number() && result["residual"].is_null());
+    for figure in ["nyquist.svg", "learning.svg"] {
+        assert!(std::fs::read_to_string(place.path(figure)).unwrap().starts_with("<svg"), "{figure}");
+    }
+    assert_eq!(result, place.json(line));
+}
+
+#[test]
+fn a_learned_controller_is_measured_beside_its_pid_with_the_gain_of_its_residual() {
+    let place = Place::new();
+    let controller = place.controller();
+    let text = place.ok(&format!("margins --controller {controller}"));
+    assert!(text.contains("PID alone, 35"), "{text}");
+    // The network of this controller ignores its inputs.
+    assert!(text.contains("to the pressure, %/cmH2O: 0.00"), "{text}");
+    assert!(place.refused("margins --family aliens").contains("there is no family aliens"));
+}
