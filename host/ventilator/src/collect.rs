@@ -6,7 +6,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 use shared::breath::{PAPER_PIPS, Phase};
-use shared::control::Controller;
 use shared::explore::{Exploration, ExplorationError};
 use shared::settings::{LIMIT_MARGIN, Settings};
 use thiserror::Error;
@@ -102,9 +101,9 @@ pub struct Collected {
 /// # Errors
 /// An invalid configuration, or a source that fails for a reason other than a ventilator fault; the error contains the
 /// recording up to then.
-pub fn collect(
-    source: &mut dyn Source,
-    controller: &Controller,
+pub fn collect<C: Clone>(
+    source: &mut dyn Source<C>,
+    controller: &C,
     config: &CollectConfig,
     progress: &Progress<'_>,
 ) -> Result<Collected, CollectError> {
@@ -126,9 +125,9 @@ pub fn collect(
 }
 
 /// Records breaths until the collection is complete or the source fails.
-fn record(
-    source: &mut dyn Source,
-    controller: &Controller,
+fn record<C: Clone>(
+    source: &mut dyn Source<C>,
+    controller: &C,
     config: &CollectConfig,
     progress: &Progress<'_>,
     collected: &mut Collected,
@@ -199,7 +198,7 @@ fn exploration(config: &CollectConfig, restart: u64) -> Option<Exploration> {
     })
 }
 
-fn provenance(source: &dyn Source, config: &CollectConfig) -> Result<Provenance, CollectError> {
+fn provenance<C>(source: &dyn Source<C>, config: &CollectConfig) -> Result<Provenance, CollectError> {
     Ok(Provenance {
         seed: config.seed,
         plant: source.plant(),
@@ -238,6 +237,7 @@ mod tests {
     use crate::BenchSource;
     use plant::bench::BenchConfig;
     use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+    use shared::control::Controller;
     use shared::control::pid::{Pid, PidGains};
     use std::sync::atomic::AtomicBool;
 

@@ -43,7 +43,7 @@ pub type BenchSource<C = Controller> = InProcess<BenchPlant, C>;
 /// A link used by several sources, one after the other.
 pub type SharedLink = Arc<Mutex<PlantLink>>;
 /// A ventilator on a third-party plant.
-pub type PlantSource = InProcess<SharedLink>;
+pub type PlantSource<C = Controller> = InProcess<SharedLink, C>;
 /// A ventilator on the authors' balloon, at its control period of 30 ms.
 pub type BalloonSource = InProcess<Balloon>;
 
@@ -66,9 +66,9 @@ impl<C: ControlLaw> InProcess<BenchPlant, C> {
     }
 }
 
-impl InProcess<SharedLink> {
+impl<C: ControlLaw> InProcess<SharedLink, C> {
     /// A ventilator on a plant, which is reset with `seed` before the first breath.
-    pub fn new(link: SharedLink, controller: Controller, period_us: u32, seed: u64) -> Self {
+    pub fn new(link: SharedLink, controller: C, period_us: u32, seed: u64) -> Self {
         Self::on_any_plant(link, controller, period_us, seed)
     }
 }
@@ -80,9 +80,9 @@ impl InProcess<Balloon> {
     }
 }
 
-impl<P> InProcess<P> {
+impl<P, C: ControlLaw> InProcess<P, C> {
     /// With only the monitors that suit any plant's valve and sensor: those of excessive pressure.
-    fn on_any_plant(plant: P, controller: Controller, period_us: u32, seed: u64) -> Self {
+    fn on_any_plant(plant: P, controller: C, period_us: u32, seed: u64) -> Self {
         let ventilator = Ventilator::new(period_us, controller).with_monitors(Monitors::ANY_PLANT);
         Self { plant, ventilator, seed, run: None }
     }
@@ -169,7 +169,7 @@ fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<Fault> {
     }
 }
 
-impl<P: Plant> Source for InProcess<P>
+impl<P: Plant, C: ControlLaw> Source<C> for InProcess<P, C>
 where
     SourceError: From<P::Error>,
 {
@@ -185,11 +185,7 @@ where
         self.plant.parameters()
     }
 
-    fn configure(
-        &mut self,
-        controller: Controller,
-        exploration: Option<Exploration>,
-    ) -> Result<(), SourceError> {
+    fn configure(&mut self, controller: C, exploration: Option<Exploration>) -> Result<(), SourceError> {
         self.ventilator.set_controller(controller);
         self.ventilator.set_exploration(exploration);
         Ok(())
@@ -210,7 +206,7 @@ where
     }
 }
 
-impl<P: Plant> Reseed for InProcess<P>
+impl<P: Plant, C: ControlLaw> Reseed<C> for InProcess<P, C>
 where
     SourceError: From<P::Error>,
 {

@@ -92,13 +92,16 @@ pub enum SourceError {
         /// The current breath.
         breath: u32,
     },
+    /// The controller cannot run on this plant or device.
+    #[error("the controller cannot run here: {0}")]
+    Controller(String),
     /// The user asked to stop.
     #[error("stopped before all breaths were run")]
     Stopped,
 }
 
-/// A ventilator that the host can run.
-pub trait Source {
+/// A ventilator that the host can run, with controllers of the type `C`: those of a device, or any that run in this process.
+pub trait Source<C = Controller> {
     /// Control period, microseconds.
     fn period_us(&self) -> u32;
 
@@ -112,11 +115,7 @@ pub trait Source {
     ///
     /// # Errors
     /// A source that cannot be reached or cannot run the controller.
-    fn configure(
-        &mut self,
-        controller: Controller,
-        exploration: Option<Exploration>,
-    ) -> Result<(), SourceError>;
+    fn configure(&mut self, controller: C, exploration: Option<Exploration>) -> Result<(), SourceError>;
 
     /// Announces the settings of the next breaths. A source with its own clock must know them before the current breath
     /// ends.
@@ -142,7 +141,7 @@ pub trait Source {
 }
 
 /// A source whose plant can be reset to rest.
-pub trait Reseed: Source {
+pub trait Reseed<C = Controller>: Source<C> {
     /// Makes the plant start from rest with this noise seed before the next breath.
     fn reseed(&mut self, seed: u64);
 }
