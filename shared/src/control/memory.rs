@@ -73,6 +73,8 @@ pub struct BreathMemory {
     ticks: u32,
     /// Sum over the bins of the difference between the running error and the remembered one.
     difference: f32,
+    /// Whether all values of the running breath are finite.
+    finite: bool,
     /// Breaths adopted since all was forgotten, up to [`LEARNING`].
     adopted: u8,
     /// Whether the last breath surprised.
@@ -94,6 +96,7 @@ impl BreathMemory {
             sums: [0.0; 2],
             ticks: 0,
             difference: 0.0,
+            finite: true,
             adopted: 0,
             surprised: false,
         }
@@ -113,7 +116,7 @@ impl BreathMemory {
     pub fn learn(&mut self, lesson: Lesson) -> Lesson {
         let running = (self.remembered & 1) ^ 1;
         let filled = self.profiles[running].filled;
-        let sound = self.difference.is_finite() && filled >= LEAST_BINS;
+        let sound = self.finite && filled >= LEAST_BINS;
         let surprises = self.adopted >= LEARNING && self.difference >= SURPRISE * filled as f32;
         let learned = match lesson {
             Lesson::Adopt if !sound || (surprises && !self.surprised) => Lesson::Discard,
@@ -129,7 +132,7 @@ impl BreathMemory {
         }
         self.surprised = lesson == Lesson::Adopt && learned == Lesson::Discard && surprises;
         self.profiles[(self.remembered & 1) ^ 1].filled = 0;
-        (self.sums, self.ticks, self.difference) = ([0.0; 2], 0, 0.0);
+        (self.sums, self.ticks, self.difference, self.finite) = ([0.0; 2], 0, 0.0, true);
         learned
     }
 
@@ -158,8 +161,8 @@ impl BreathMemory {
         running.filled = bin + 1;
         let known = mean.bins.get(bin).filter(|_| bin < mean.filled);
         let old = known.copied().unwrap_or(new);
-        // A number that is not finite shows in the sum, whether or not there is an old one.
-        self.difference += (new[0] - old[0]).abs() + (new[1] - old[1]).abs() * 0.0;
+        self.finite &= new.iter().all(|value| value.is_finite());
+        self.difference += (new[0] - old[0]).abs();
         // After a surprise, the earlier breaths may belong to another lung.
         if known.is_some() && !self.surprised {
             *place = [0, 1].map(|n| old[n] + NEWEST * (new[n] - old[n]));
@@ -242,6 +245,10 @@ mod tests {
         [recalled[0], recalled[ERRORS_AHEAD.len()]]
     }
 
+    fn bits(memory: &BreathMemory, tick: u32) -> [u32; RECALLED] {
+        memory.recall(tick, BIN).map(f32::to_bits)
+    }
+
     #[track_caller]
     fn near(value: f32, wanted: f32) {
         assert!((value - wanted).abs() < 1e-5, "{value}, not {wanted}");
@@ -257,7 +264,7 @@ mod tests {
         let mut memory = BreathMemory::new();
         breathe(&mut memory, 1000, 0.3, 0.5);
         assert!(!memory.is_known());
-        assert_eq!(memory.recall(100, BIN), [0.0; RECALLED]);
+        assert_eq!(bits(&memory, 100), [0; RECALLED]);
         assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
         assert!(memory.is_known());
         let recalled = memory.recall(100, BIN);
@@ -328,11 +335,11 @@ mod tests {
     #[test]
     fn an_unfinished_breath_changes_nothing_that_is_recalled() {
         let mut memory = after(2, 0.1);
-        let before = memory.recall(300, BIN);
+        let before = bits(&memory, 300);
         breathe(&mut memory, 700, 0.9, 0.9);
-        assert_eq!(memory.recall(300, BIN), before);
+        assert_eq!(bits(&memory, 300), before);
         assert_eq!(memory.learn(Lesson::Discard), Lesson::Discard);
-        assert_eq!(memory.recall(300, BIN), before);
+        assert_eq!(bits(&memory, 300), before);
         // It has left nothing to the next breath either.
         breathe(&mut memory, 1000, 0.1, 0.5);
         memory.learn(Lesson::Adopt);
@@ -343,7 +350,7 @@ mod tests {
     fn what_is_forgotten_is_not_recalled_and_has_no_part_in_the_next_mean() {
         let mut memory = after(5, 0.1);
         assert_eq!(memory.learn(Lesson::Forget), Lesson::Forget);
-        assert_eq!(memory.recall(300, BIN), [0.0; RECALLED]);
+        assert_eq!(bits(&memory, 300), [0; RECALLED]);
         breathe(&mut memory, 1000, 0.4, 0.2);
         assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
         near(at(&memory, 300)[0], 0.4);

@@ -130,11 +130,18 @@ impl Residual {
         &self.network
     }
 
-    /// Computes the command of one tick.
-    pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
+    /// Records this tick's observation and returns the network's inputs: the features, then what earlier breaths have taught.
+    #[inline]
+    pub fn inputs(&self, state: &mut ControllerState, seen: &Observation) -> [f32; INPUTS] {
         let features = self.features.step(&mut state.features, seen, state.pid.integral);
         let recalled = state.memory.recall(seen.tick, bin_ticks(self.spec.period_us));
-        let residual = self.correction(self.network.forward(&inputs(&features, &recalled)));
+        with_recalled(&features, &recalled)
+    }
+
+    /// Computes the command of one tick.
+    pub fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
+        let inputs = self.inputs(state, seen);
+        let residual = self.correction(self.network.forward(&inputs));
         self.pid.step(&mut state.pid, seen, residual)
     }
 
@@ -151,9 +158,9 @@ impl Residual {
     }
 }
 
-/// The inputs of the network: the features, then what earlier breaths have taught.
+/// The inputs of the network from features and what earlier breaths have taught.
 #[inline]
-fn inputs(features: &[f32; FEATURES], recalled: &[f32; RECALLED]) -> [f32; INPUTS] {
+pub fn with_recalled(features: &[f32; FEATURES], recalled: &[f32; RECALLED]) -> [f32; INPUTS] {
     let mut inputs = [0.0; INPUTS];
     inputs[..FEATURES].copy_from_slice(features);
     inputs[FEATURES..].copy_from_slice(recalled);

@@ -480,6 +480,13 @@ fn taught(
     lessons
 }
 
+/// Runs ticks near the target.
+fn run_any(ventilator: &Ventilator<Pupil>, state: &mut VentilatorState<Vec<Lesson>>, ticks: u32) {
+    for _ in 0..ticks {
+        ventilator.step(state, 18.0);
+    }
+}
+
 #[test]
 fn an_undisturbed_breath_is_adopted_once_and_the_first_of_all_forgets_what_was_before() {
     let lessons = taught(3, |_, _, _| ());
@@ -495,7 +502,7 @@ fn the_controller_learns_in_the_first_tick_after_the_inspiration() {
     let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
     assert_eq!(state.lesson(), Lesson::Forget);
     state.start();
-    (0..1000).for_each(|_| drop(ventilator.step(&mut state, 18.0)));
+    run_any(&ventilator, &mut state, 1000);
     assert_eq!((state.controller.clone(), state.lesson()), (std::vec![Lesson::Forget], Lesson::Forget));
     ventilator.step(&mut state, 18.0);
     assert_eq!((state.controller.len(), state.lesson()), (2, Lesson::Adopt));
@@ -557,6 +564,6 @@ fn a_perturbed_breath_is_left_out() {
         .with_exploration(Some(Exploration { boundary_probability: 1.0, ..Exploration::default() }));
     let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
     state.start();
-    (0..1001).for_each(|_| drop(ventilator.step(&mut state, 18.0)));
+    run_any(&ventilator, &mut state, 1001);
     assert_eq!(state.controller, [Lesson::Forget, Lesson::Discard]);
 }

@@ -11,12 +11,14 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 use shared::breath::{Breath, Phase, paper_settings, period_s};
-use shared::control::Observation;
 use shared::control::features::{
-    COMMAND_SCALE, ERROR_SCALE, FEATURES, FeatureState, Features, INTEGRAL, LEAKY, PAST_COMMANDS, PAST_ERRORS,
+    COMMAND_SCALE, ERROR_SCALE, FEATURES, Features, INTEGRAL, LEAKY, PAST_COMMANDS, PAST_ERRORS,
 };
-use shared::control::pid::{Pid, PidState};
+use shared::control::memory::Lesson;
+use shared::control::network::INPUTS;
+use shared::control::pid::Pid;
 use shared::control::residual::Residual;
+use shared::control::{ControlLaw, Controller, ControllerState, Observation};
 
 use super::MeasuredPoint;
 use super::complex::Complex;
@@ -106,7 +108,7 @@ fn states(
     plant: &BenchConfig,
     pip: f32,
     seed: u64,
-) -> Result<Vec<[f32; FEATURES]>, BenchError> {
+) -> Result<Vec<[f32; INPUTS]>, BenchError> {
     let settings = paper_settings(pip);
     let period_us = residual.spec().period_us;
     let steps = steps_per_period(period_us)?;
@@ -115,21 +117,19 @@ fn states(
     let mut bench = Bench::new(plant, settings.peep, seed)?;
     let (mut pressure, mut command) = (settings.peep, 0.0);
     let mut states = Vec::new();
+    let (controller, mut state) = (Controller::Residual(residual.clone()), ControllerState::new());
     for _ in 0..BREATHS {
-        let (mut past, mut pid) = (FeatureState::new(), PidState::new());
-        past.start_breath(command);
+        controller.start_breath(&mut state, command);
         for tick in 0..breath.total_ticks() {
             let inspiration = breath.phase(tick) == Phase::Inspiration;
             command = if inspiration {
                 let seen =
                     Observation { pressure, target: breath.target(tick), pip, peep: settings.peep, tick };
-                let features = residual.features().step(&mut past, &seen, pid.integral);
                 if tick % EVERY == 0 {
-                    states.push(features);
+                    states.push(residual.inputs(&mut state.clone(), &seen));
                 }
-                let extra = residual.correction(residual.network().forward(&features));
-                let command = residual.pid().step(&mut pid, &seen, extra).command;
-                residual.features().applied(&mut past, command);
+                let command = controller.step(&mut state, &seen).command;
+                controller.applied(&mut state, command);
                 command
             } else {
                 settings.expiratory_bias
@@ -138,12 +138,13 @@ fn states(
                 pressure = bench.step(command, !inspiration);
             }
         }
+        controller.learn(&mut state, Lesson::Adopt);
     }
     Ok(states)
 }
 
-/// Derivatives of the residual by the network's inputs, percent.
-fn jacobian(residual: &Residual, state: &[f32; FEATURES]) -> [f64; FEATURES] {
+/// Derivatives of the residual by the features, percent; what the network recalls of earlier breaths does not depend on the running one.
+fn jacobian(residual: &Residual, state: &[f32; INPUTS]) -> [f64; FEATURES] {
     let at = |place: usize, step: f32| {
         let mut moved = *state;
         moved[place] += step;
@@ -226,9 +227,13 @@ pub(super) fn pid(pid: &Pid, late: Complex) -> Complex {
 mod tests {
     use super::*;
     use shared::control::features::FeatureSpec;
+    use shared::control::features::FeatureState;
+    use shared::control::memory::RECALLED;
     use shared::control::network::Network;
     use shared::control::pid::PidGains;
+    use shared::control::pid::PidState;
     use shared::control::residual::ResidualSpec;
+    use shared::control::residual::with_recalled;
 
     /// A learned controller whose network passes one input on with this weight: softsign is the identity near zero.
     fn passing(place: usize, weight: f32) -> Residual {
@@ -248,7 +253,7 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_the_slope_by_each_input() {
-        let row = jacobian(&passing(3, 0.2), &[0.01; FEATURES]);
+        let row = jacobian(&passing(3, 0.2), &[0.01; INPUTS]);
         for (place, slope) in row.iter().enumerate() {
             let expected = if place == 3 { 20.0 } else { 0.0 };
             assert!((slope - expected).abs() < 0.02, "{place}: {slope}");
@@ -266,7 +271,8 @@ mod tests {
             let wave = angle(tick).sin() as f32;
             let seen = Observation { pressure: 20.0 - wave, target: 20.0, pip: 20.0, peep: 5.0, tick };
             let features = residual.features().step(&mut past, &seen, state.integral);
-            let correction = residual.correction(residual.network().forward(&features));
+            let inputs = with_recalled(&features, &[0.0; RECALLED]);
+            let correction = residual.correction(residual.network().forward(&inputs));
             // Around a command of 50 percent, nothing is limited.
             let output = residual.pid().step(&mut state, &seen, 50.0 + correction);
             residual.features().applied(&mut past, output.command - 50.0);
@@ -276,7 +282,7 @@ mod tests {
                 extra = extra + turn.times(f64::from(correction));
             }
         }
-        let expected = Inputs::at(&residual, hz).residual(&jacobian(&residual, &[0.0; FEATURES]));
+        let expected = Inputs::at(&residual, hz).residual(&jacobian(&residual, &[0.0; INPUTS]));
         (extra / error, expected)
     }
 

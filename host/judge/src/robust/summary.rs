@@ -24,10 +24,10 @@ pub struct Summary {
     pub subset: u64,
     /// Share of the subset on which the controller is not worse than the plant's own best PID; none without a subset.
     pub own_not_worse: Vec<Option<f64>>,
-    /// Mean of the plants' ratios of the controller's score to the bound, over the subset.
+    /// Ratio of the controller's mean score to the mean bound, over the subset.
     pub bound_ratio: Vec<Option<f64>>,
-    /// Ratio of the controller's mean score to the mean bound, over the subset: plants with high scores weigh more.
-    pub bound_ratio_of_means: Vec<Option<f64>>,
+    /// Mean of the plants' own ratios to their bounds: plants with a small bound weigh more.
+    pub bound_ratio_each: Vec<Option<f64>>,
     /// Mean score of the plants' own best PIDs, over the subset, cmH2O.
     pub own_pid: Vec<Option<f64>>,
     /// Mean bound, over the subset, cmH2O.
@@ -84,10 +84,8 @@ impl Summary {
             share_not_worse: each(scored, |tally| tally.not_worse as f64 / all),
             subset: scored.iter().map(|tally| tally.subset).max().unwrap_or(0),
             own_not_worse: each(scored, |tally| share(tally.own_not_worse as f64, tally.subset)),
-            bound_ratio: each(scored, |tally| share(tally.bound_ratio, tally.bounded)),
-            bound_ratio_of_means: each(scored, |tally| {
-                (tally.bounded > 0).then(|| tally.bounded_score / tally.bound)
-            }),
+            bound_ratio: each(scored, |tally| (tally.bounded > 0).then(|| tally.bounded_score / tally.bound)),
+            bound_ratio_each: each(scored, |tally| share(tally.bound_ratio, tally.bounded)),
             own_pid: each(scored, |tally| share(tally.own, tally.bounded)),
             bound: each(scored, |tally| share(tally.bound, tally.bounded)),
             overshoot_median: each(scored, |tally| tally.overshoot.quantile(0.5)),

@@ -79,7 +79,7 @@ fn scores_are_compared_plant_by_plant_with_each_rival() {
     near(found.share_not_worse[1], 2.0 / 3.0);
     assert_eq!((found.own_not_worse[1], found.bound_ratio[1]), (Some(0.5), Some(2.0)));
     assert_eq!((found.own_pid[1], found.bound[1]), (Some(1.45), Some(0.75)));
-    assert_eq!(found.bound_ratio_of_means[1], Some(2.0));
+    assert_eq!(found.bound_ratio_each[1], Some(2.0));
     near(found.overshoot_median[1], 4.01);
     near(found.overshoot_p99[1], 6.01);
     near(found.scores[1].unwrap().median, 2.01);

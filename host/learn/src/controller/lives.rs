@@ -169,11 +169,16 @@ mod tests {
         let mut lives = lives(&config);
         lives.age[1] = 4;
         let scenario = lives.scenario(&config, 5, &mut ChaCha8Rng::seed_from_u64(5));
-        assert_eq!((scenario.rest[0], scenario.rest[1]), (0.0, config.rest));
-        let weights = lives.weights(&Lane::splat(2.0), &config);
-        assert_eq!((weights[0], weights[1]), (1.5, 0.5));
-        let weights = lives.weights(&Lane::splat(4.0), &config);
-        assert_eq!(weights[1], 0.5, "the best breath counts");
-        assert_eq!(lives.weights(&Lane::splat(1e-3), &config)[1], 1.0 / LEAST_SCORE);
+        assert_eq!(
+            [scenario.rest[0], scenario.rest[1]].map(f32::to_bits),
+            [0.0, config.rest].map(f32::to_bits)
+        );
+        let mut weights = |score: f32| {
+            let weights = lives.weights(&Lane::splat(score), &config);
+            [weights[0], weights[1]].map(|weight| (10.0 * weight).round() as i32)
+        };
+        assert_eq!(weights(2.0), [15, 5]);
+        assert_eq!(weights(4.0)[1], 5, "the best breath counts");
+        assert_eq!(weights(1e-3)[1], 100, "but not without limit");
     }
 }

@@ -111,8 +111,8 @@ impl LungTape {
         }
     }
 
-    pub fn begin(&mut self, lanes: LungLanes, start: &BreathStart) {
-        self.lanes = lanes;
+    pub fn begin(&mut self, lanes: &LungLanes, start: &BreathStart) {
+        self.lanes = *lanes;
         self.peep = start.peep;
         self.above_peep = start.plateau.zip(&start.peep, |plateau, peep| plateau - peep);
         let alveolar = Lane::from_fn(|l| self.peep[l] + self.above_peep[l] * lanes.left(l)[0]);

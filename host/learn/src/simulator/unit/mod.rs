@@ -137,9 +137,9 @@ impl Dynamics for Units {
         let tick_s = self.config.timing.block_s();
         let valve: [Lane; VALVE] = std::array::from_fn(|n| self.number(&tape.machines, n));
         let lung: [Lane; LUNG] = std::array::from_fn(|n| self.number(&tape.lungs, VALVE + n));
-        tape.valve.begin(ValveLanes::new(&valve, tick_s));
+        tape.valve.begin(&ValveLanes::new(&valve, tick_s));
         let times = [self.config.inspiration_ms, self.config.expiration_ms].map(|ms| ms as f32 * 1e-3);
-        tape.lung.begin(LungLanes::new(&lung, tick_s, times), start);
+        tape.lung.begin(&LungLanes::new(&lung, tick_s, times), start);
     }
 
     fn step(&self, tape: &mut UnitTape, block: usize, log: &CommandLog, points: &mut [Lane]) {

@@ -115,8 +115,8 @@ impl ValveTape {
         }
     }
 
-    pub fn begin(&mut self, lanes: ValveLanes) {
-        self.lanes = lanes;
+    pub fn begin(&mut self, lanes: &ValveLanes) {
+        self.lanes = *lanes;
         (self.d_actuator, self.d_stem, self.d) = (Lane::ZERO, Lane::ZERO, [Lane::ZERO; VALVE]);
     }
 
@@ -161,10 +161,10 @@ impl ValveTape {
         self.d[FULL_FLOW].add_scaled(1.0, &d[1]);
         self.d[SUPPLY].add_scaled(1.0, &d[2]);
         let step = &self.steps[tick];
-        for l in 0..LANES {
+        for (l, d_opening) in d[0].0.iter().enumerate() {
             let (travel, opening) = (step.travel[l], self.openings[tick][l]);
             if travel > LEAST {
-                let by_logarithm = d[0][l] * opening * lanes.exponent[l];
+                let by_logarithm = d_opening * opening * lanes.exponent[l];
                 self.d[EXPONENT][l] += by_logarithm * travel.ln();
                 let d_travel = by_logarithm / travel;
                 let width = FULL - lanes.zone[l];
