@@ -10,6 +10,7 @@ use shared::weights::decode;
 
 use super::{common, plant_args};
 use learn::controller::learned::Learned;
+use learn::controller::shipped;
 use ventilator::SharedLink;
 
 /// The choice of a controller.
@@ -18,8 +19,8 @@ pub struct ControllerArgs {
     /// Gains P,I,D of a PID: percent per cmH2O, percent per cmH2O and second, percent per cmH2O/s [default: 3,30,0]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
     gains: Option<PidGains>,
-    /// A learned controller, as written by `trainer train`
-    #[arg(long, value_name = "FILE", group = "which")]
+    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`
+    #[arg(long, value_name = "NAME|FILE", group = "which")]
     controller: Option<PathBuf>,
     /// A weights image, as written by `trainer pack`
     #[arg(long, value_name = "FILE", group = "which")]
@@ -68,7 +69,7 @@ impl ControllerArgs {
     fn built(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
         match (&self.controller, &self.weights) {
             (Some(file), _) => {
-                let image = Learned::load(file)?.image()?;
+                let image = image_of(file)?;
                 self.learned(file, image)
             }
             (None, Some(file)) => self.learned(file, read(file)?),
@@ -98,6 +99,18 @@ impl ControllerArgs {
             name: file.display().to_string(),
         })
     }
+}
+
+/// The weights image of a learned controller: of the shipped one with this name, or of the one in this file.
+pub fn image_of(controller: &Path) -> anyhow::Result<Vec<u8>> {
+    if let Some(image) = controller.to_str().and_then(shipped::image) {
+        return Ok(image.to_vec());
+    }
+    if controller.extension().is_none() && !controller.exists() {
+        let names: Vec<_> = shipped::names().collect();
+        bail!("there is no controller {}: name a file, or one of {}", controller.display(), names.join(", "));
+    }
+    Ok(Learned::load(controller)?.image()?)
 }
 
 /// Reads a file.

@@ -13,13 +13,12 @@ use shared::weights::decode;
 use self::diary::{Diary, describe};
 use super::bars::with_bars;
 use super::common::stopped;
-use super::controller_args::image_id;
+use super::controller_args::{image_id, image_of};
 use super::output::OutputArgs;
 use judge::endure::course;
 use judge::endure::patient::Patient;
 use judge::endure::tally::{AlarmRow, PatientResult, Summary};
 use judge::endure::{Endurance, sound_controller};
-use learn::controller::learned::Learned;
 use show::report::{Cell, Table};
 
 /// Ventilate random patients for hours, and check that ventilation goes on and that every alarm is deserved
@@ -91,7 +90,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn learned(file: &Path) -> anyhow::Result<(Controller, String)> {
-    let image = Learned::load(file)?.image()?;
+    let image = image_of(file)?;
     let image = decode(&image).with_context(|| file.display().to_string())?;
     let period_us = image.residual.spec().period_us;
     if period_us != DEFAULT_PERIOD_US {

@@ -5,23 +5,23 @@ use std::path::PathBuf;
 use serde::Serialize;
 use shared::weights::decode;
 
-use super::controller_args::image_id;
+use super::controller_args::{image_id, image_of};
 use super::key_args::KeyArgs;
 use super::output::{OutputArgs, write};
-use learn::controller::learned::Learned;
 
 /// Pack a learned controller into the weights image for the chip
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  trainer pack adult --out weights.bin
   trainer pack controller.safetensors --out weights.bin
   trainer pack controller.safetensors --out weights.bin --json -
   trainer pack controller.safetensors --out weights.bin --key weights.key
 
 Before the image is written it is read back, and its controller runs once as a check.")]
 pub struct Args {
-    /// The controller, as written by `trainer train`
-    #[arg(value_name = "CONTROLLER.safetensors")]
+    /// The controller: a shipped one, such as adult, or a file as written by `trainer train`
+    #[arg(value_name = "CONTROLLER")]
     controller: PathBuf,
     /// File to write the image to
     #[arg(long, value_name = "FILE.bin")]
@@ -41,7 +41,7 @@ struct Summary {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let bytes = args.key.signed(Learned::load(&args.controller)?.image()?)?;
+    let bytes = args.key.signed(image_of(&args.controller)?)?;
     let image = decode(&bytes)?;
     write(&args.out, &bytes)?;
     let id = image_id(image.id);

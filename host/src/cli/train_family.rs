@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
+use shared::control::pid::PidGains;
 
 use super::bars::with_bars;
+use super::common::gains;
 use super::key_args::KeyArgs;
 use super::output::{OutputArgs, write};
 use learn::controller::CurvePoint;
@@ -34,6 +36,12 @@ pub struct Args {
     /// Units to record and train on; a quarter as many validate
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().units, value_parser = clap::value_parser!(u32).range(4..))]
     units: u32,
+    /// Gains P,I,D of the PID that records [default: 3,30,0]
+    #[arg(long, value_name = "P,I,D", value_parser = gains)]
+    collector: Option<PidGains>,
+    /// Gains P,I,D of the PID under the residual: soft, because it must suit every unit [default: 2.5,60,0.08]
+    #[arg(long, value_name = "P,I,D", value_parser = gains)]
+    gains: Option<PidGains>,
     /// Gradient steps
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.iterations)]
     iterations: usize,
@@ -67,7 +75,7 @@ struct Summary {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let family = Family::find(&args.family)?;
     let folder = Folder::new(&args.out);
-    let config = args.config();
+    let config = args.config(&family);
     let trained = with_bars(|progress| config.run(&family, Some(&folder), progress))?;
     let controller = args.out.join("controller.safetensors");
     trained.learned.save(&controller)?;
@@ -98,13 +106,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 impl Args {
-    fn config(&self) -> FamilyRun {
+    fn config(&self, family: &Family) -> FamilyRun {
         let mut config = FamilyRun {
             seed: self.seed,
             units: self.units,
             held_out: self.units.div_ceil(4),
-            ..FamilyRun::default()
+            ..FamilyRun::of(family)
         };
+        config.collector = self.collector.unwrap_or(config.collector);
+        config.gains = self.gains.unwrap_or(config.gains);
         config.train.iterations = self.iterations;
         config.train.batch = self.batch;
         config.train.effort_price = self.effort_price;

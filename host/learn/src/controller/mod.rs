@@ -18,6 +18,7 @@ pub mod network;
 mod pid;
 pub mod rollout;
 pub mod scenario;
+pub mod shipped;
 mod training;
 
 pub use config::{TrainConfig, Weighting};

@@ -32,6 +32,9 @@ use progress::{Progress, Stage, Task};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, seeds};
 
+/// Distance by which random PIPs go beyond those of the family's waveforms, cmH2O.
+const BEYOND_CMH2O: f32 = 2.0;
+
 /// Configuration of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -68,7 +71,7 @@ impl Default for FamilyRun {
             units: 64,
             held_out: 16,
             nominal: 16,
-            nominal_share: 0.5,
+            nominal_share: 0.25,
             drawn: (4096, 512),
             collector: KNOWN_GOOD,
             gains: PidGains { p: 2.5, i: 60.0, d: 0.08 },
@@ -89,6 +92,27 @@ struct Claim {
 }
 
 impl FamilyRun {
+    /// The default in the breaths of a family.
+    pub fn of(family: &Family) -> Self {
+        let (mut run, settings) = (Self::default(), family.settings);
+        let ends = family
+            .pips
+            .iter()
+            .fold((f32::INFINITY, 0.0_f32), |(low, high), pip| (low.min(*pip), high.max(*pip)));
+        let pip_range = (ends.0 - BEYOND_CMH2O, ends.1 + BEYOND_CMH2O);
+        (run.collect.settings, run.collect.pip_range) = (settings, pip_range);
+        run.collect.pips.clone_from(&family.pips);
+        run.train = FamilyConfig {
+            pips: family.pips.clone(),
+            pip_range,
+            peep: settings.peep,
+            rest: settings.expiratory_bias,
+            inspiratory_time: settings.inspiratory_time,
+            ..run.train
+        };
+        run
+    }
+
     /// Records, fits and trains.
     ///
     /// # Errors
@@ -199,16 +223,21 @@ impl FamilyRun {
         let mut source = BenchSource::new(bench, pid.clone(), settings, DEFAULT_PERIOD_US, seed)?;
         let config = CollectConfig { seed, ..self.collect.clone() };
         let recording = collect(&mut source, &pid, &config, &Progress::silent())?.recording;
-        let mut breaths = episodes(&recording, &UnitConfig::for_period(DEFAULT_PERIOD_US, 1).timing);
+        let mut breaths = episodes(&recording, &self.shape(1).timing);
         for breath in &mut breaths {
             (breath.ventilator, breath.group) = (Some(0), Some(lung));
         }
         Ok(breaths)
     }
 
+    /// The shape of a simulator of this number of units, in the breaths of the collection.
+    fn shape(&self, units: usize) -> UnitConfig {
+        UnitConfig::for_breaths(DEFAULT_PERIOD_US, units, &self.collect.settings)
+    }
+
     /// Fits a simulator of this number of lungs.
     fn fit(&self, lungs: usize, breaths: &[Episode], name: &str) -> Simulator {
-        let shape = UnitConfig::for_period(DEFAULT_PERIOD_US, lungs);
+        let shape = self.shape(lungs);
         let breaths: Vec<&Episode> = breaths.iter().collect();
         let mut fit = Fit::new(Architecture::Unit(shape), &breaths, self.fit, None);
         while fit.epoch().is_some() {}
@@ -225,7 +254,7 @@ impl FamilyRun {
         let mut rng = ChaCha8Rng::seed_from_u64(seeds::training(self.seed, 1));
         let mut drawn = |units: &[Simulator], count: usize| {
             let recorded: Vec<f32> = units.iter().flat_map(|unit| unit.parameters.clone()).collect();
-            let shape = UnitConfig::for_period(DEFAULT_PERIOD_US, count);
+            let shape = self.shape(count);
             let mut parameters = spread::draw(&recorded, count, &mut rng);
             let nominal_ones = (self.nominal_share * count as f32) as usize;
             spread::put_machine(&nominal.parameters, &mut parameters, nominal_ones, &mut rng);

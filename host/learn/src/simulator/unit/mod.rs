@@ -16,6 +16,7 @@ pub mod spread;
 mod valve;
 
 use serde::{Deserialize, Serialize};
+use shared::settings::Settings;
 
 use self::lung::{LungLanes, LungTape};
 use self::valve::{ValveLanes, ValveTape};
@@ -65,8 +66,20 @@ pub struct UnitConfig {
 impl UnitConfig {
     /// The shape for a control period in microseconds and this number of units, in the paper's breaths.
     pub fn for_period(period_us: u32, units: usize) -> Self {
+        Self::for_breaths(period_us, units, &Settings::default())
+    }
+
+    /// The shape in breaths with these settings.
+    pub fn for_breaths(period_us: u32, units: usize, settings: &Settings) -> Self {
         let timing = Timing { period_us, block_ticks: 1, parts: 1, points: 1, channels: 1 };
-        Self { timing, units, inspiration_ms: 1000, expiration_ms: 2000 }
+        let ms = |seconds: f32| (1e3 * seconds).round() as u32;
+        let breath_s = 60.0 / settings.rate;
+        Self {
+            timing,
+            units,
+            inspiration_ms: ms(settings.inspiratory_time),
+            expiration_ms: ms(breath_s - settings.inspiratory_time),
+        }
     }
 
     /// Number of parameters.
