@@ -100,8 +100,7 @@ fn start() {
 /// Gives the control half the weights in flash; the slot they are from. A separate function, so that they leave the stack.
 #[inline(never)]
 fn load(storage: &mut Slots<BoardFlash>, control: &mut Control) -> Option<Slot> {
-    let (slot, image) = storage.load()?;
-    control.learn(&image.residual);
+    let (slot, ()) = storage.load(|image| control.learn(&image.residual))?;
     Some(slot)
 }
 

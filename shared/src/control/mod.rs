@@ -117,12 +117,11 @@ impl ControlLaw for Controller {
     }
 
     fn learn(&self, state: &mut ControllerState, lesson: Lesson) -> Lesson {
-        state.memory.learn(lesson)
+        state.learn(lesson)
     }
 
     fn start_breath(&self, state: &mut ControllerState, command: f32) {
-        state.pid = PidState::new();
-        state.features.start_breath(command);
+        state.start_breath(command);
     }
 
     fn step(&self, state: &mut ControllerState, seen: &Observation) -> ControlOutput {
@@ -140,6 +139,17 @@ impl ControlLaw for Controller {
 }
 
 impl ControllerState {
+    /// Starts a breath; the last command was `command` percent.
+    pub(crate) fn start_breath(&mut self, command: f32) {
+        self.pid = PidState::new();
+        self.features.start_breath(command);
+    }
+
+    /// Learns from the inspiration that has ended, or forgets.
+    pub(crate) fn learn(&mut self, lesson: Lesson) -> Lesson {
+        self.memory.learn(lesson)
+    }
+
     /// State before the first breath, with the valve closed.
     pub const fn new() -> Self {
         Self { pid: PidState::new(), features: FeatureState::new(), memory: BreathMemory::new() }

@@ -266,8 +266,8 @@ impl Control {
     }
 
     /// Passes a pending controller to the ventilator. Not within an inspiration, where it would change the controller of the
-    /// running breath, and where the ticks have no time for the copy.
-    #[cold]
+    /// running breath, and where the ticks have no time for the copy. Not inlined, so that the stack holds no copy of its own.
+    #[inline(never)]
     fn change_controller(&mut self) {
         match (self.next_controller.take(), &self.learned) {
             (Some(NextController::Pid(pid)), _) => self.ventilator.set_controller(Controller::Pid(pid)),

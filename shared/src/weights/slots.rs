@@ -139,16 +139,16 @@ impl<F: NorFlash> Slots<F> {
         &mut self.flash
     }
 
-    /// Decodes the newest valid image; if it is refused, that of the other slot.
-    pub fn load(&mut self) -> Option<(Slot, Image)> {
-        let newest_first = by_age(&self.states());
-        newest_first.into_iter().find_map(|slot| match self.decode(slot) {
-            Ok(image) => Some((slot, image)),
-            Err(error) => {
-                self.refused[slot as usize] = Some(error.into());
-                None
+    /// Decodes the newest valid image or, if it is refused, that of the other slot; returns what `take` makes of it. The image itself
+    /// is not returned, because each move of it would take kilobytes of the stack.
+    pub fn load<T>(&mut self, mut take: impl FnMut(&Image) -> T) -> Option<(Slot, T)> {
+        for slot in by_age(&self.states()) {
+            match &self.decode(slot) {
+                Ok(image) => return Some((slot, take(image))),
+                Err(error) => self.refused[slot as usize] = Some((*error).into()),
             }
-        })
+        }
+        None
     }
 
     /// Decodes the image in a slot. Not inlined, so that its buffer is on the stack only meanwhile.

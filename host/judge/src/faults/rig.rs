@@ -22,7 +22,7 @@ use shared::settings::Settings;
 use shared::timing::TickTime;
 use shared::ventilator::{Output, VentilatorState};
 use shared::weights::slots::SlotState;
-use shared::weights::{IMAGE_BYTES, Identity, encode};
+use shared::weights::{IMAGE_BYTES, Identity, Image, encode};
 
 use super::flash::Flash;
 use super::injection::Damage;
@@ -178,7 +178,7 @@ impl<'a> Rig<'a> {
             }
         }
         let mut slots = flash.slots();
-        let image = slots.load().map(|(_, image)| image);
+        let image = slots.load(Image::clone).map(|(_, image)| image);
         let control = device(image.as_ref().map(|image| &image.residual), self.monitors)?;
         self.boot(ResetCause::BrownOut, 0, control, slots.states());
         Ok(())

@@ -64,7 +64,7 @@ pub struct FamilyConfig {
 impl Default for FamilyConfig {
     fn default() -> Self {
         Self {
-            iterations: 12_000,
+            iterations: 8000,
             batch: 256,
             pips: PAPER_PIPS.to_vec(),
             pip_range: (8.0, 37.0),

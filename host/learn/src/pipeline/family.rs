@@ -71,7 +71,7 @@ impl Default for FamilyRun {
             units: 64,
             held_out: 16,
             nominal: 16,
-            nominal_share: 0.25,
+            nominal_share: 0.5,
             drawn: (4096, 512),
             collector: KNOWN_GOOD,
             gains: PidGains { p: 2.5, i: 60.0, d: 0.08 },

@@ -84,15 +84,19 @@ fn an_image_that_is_not_trusted_does_not_run_and_holds_no_version() {
     for image in [signed(1, 9, 2), unsigned(1)] {
         development.store(&image).unwrap();
     }
-    assert_eq!(development.load().map(|(slot, _)| slot), Some(Slot::B), "a development build runs it");
+    assert_eq!(
+        development.load(Image::clone).map(|(slot, _)| slot),
+        Some(Slot::B),
+        "a development build runs it"
+    );
     flash = development.flash;
     let mut slots = Slots::new(flash.clone(), STARTS).trusting(trust(1));
-    assert_eq!(slots.load().map(|(slot, _)| slot), None);
+    assert_eq!(slots.load(Image::clone).map(|(slot, _)| slot), None);
     let invalid = [ImageProblem::Signature, ImageProblem::Unsigned].map(SlotState::Invalid);
     assert_eq!(slots.states(), invalid);
     assert!(trusted(&mut flash, &signed(1, 1, 1)).is_ok());
     let mut slots = Slots::new(flash, STARTS).trusting(trust(1));
-    assert_eq!(slots.load().map(|(_, image)| image.version), Some(1));
+    assert_eq!(slots.load(Image::clone).map(|(_, image)| image.version), Some(1));
 }
 
 fn id(image: &[u8; IMAGE_BYTES]) -> u32 {
@@ -101,7 +105,7 @@ fn id(image: &[u8; IMAGE_BYTES]) -> u32 {
 
 /// The slot and image id that are loaded at a start.
 fn boot<const W: usize>(flash: &Nor<W>) -> Option<(Slot, u32)> {
-    Slots::new(flash.powered(), STARTS).load().map(|(slot, image)| (slot, image.id))
+    Slots::new(flash.powered(), STARTS).load(Image::clone).map(|(slot, image)| (slot, image.id))
 }
 
 /// Like [`boot`], but by the checksums alone: fast enough to call after every byte.
@@ -123,7 +127,7 @@ fn stored<const W: usize>(flash: Nor<W>, image: &[u8; IMAGE_BYTES]) -> Nor<W> {
 #[test]
 fn an_erased_flash_holds_nothing() {
     let mut slots = Slots::new(Nor::<4>::new(), STARTS);
-    assert_eq!((slots.load(), slots.states()), (None, [SlotState::Empty; 2]));
+    assert_eq!((slots.load(Image::clone), slots.states()), (None, [SlotState::Empty; 2]));
 }
 
 #[test]
@@ -199,7 +203,7 @@ fn a_damaged_image_is_refused_and_the_older_one_runs() {
 fn a_sound_image_that_the_decoder_refuses_falls_back_and_is_the_one_overwritten() {
     let (old, forged) = (image(1.0), forged(2.0));
     let mut slots = Slots::new(stored(stored(Nor::<4>::new(), &old), &forged), STARTS);
-    assert_eq!(slots.load().unwrap().0, Slot::A);
+    assert_eq!(slots.load(Image::clone).unwrap().0, Slot::A);
     assert_eq!(slots.states()[1], SlotState::Invalid(ImageProblem::Golden));
     assert_eq!(slots.store(&image(3.0)).unwrap().0, Slot::B, "the slot that runs stays");
 }
@@ -218,7 +222,7 @@ fn an_unreadable_slot_is_not_overwritten() {
 fn a_refused_image_stays_refused_when_its_erase_fails() {
     let (old, forged) = (image(1.0), forged(2.0));
     let mut slots = Slots::new(stored(stored(Nor::<4>::new(), &old), &forged), STARTS);
-    slots.load().unwrap();
+    slots.load(Image::clone).unwrap();
     let sound = slots.flash.cells.clone();
     slots.flash.supply = 0;
     assert_eq!(slots.store(&image(3.0)), Err(StoreError::Flash(FlashError::Operation)));
@@ -254,7 +258,7 @@ proptest! {
         for (number, supply) in events {
             let image = image(f32::from(number));
             let mut slots = Slots::new(Nor { supply, ..flash }, STARTS);
-            slots.load();
+            slots.load(Image::clone);
             if slots.store(&image).is_ok() || boot(&slots.flash).map(|b| b.1) == Some(id(&image)) {
                 committed.push(id(&image));
             }
