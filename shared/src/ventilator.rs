@@ -296,8 +296,7 @@ impl<C: ControlLaw> Ventilator<C> {
         Output { command, mode: state.mode, sample: Some(sample), alarm: None }
     }
 
-    /// Notes what disturbs an inspiration; in the first tick after it, the controller learns from it. Then, because no controller
-    /// computes a command in that tick.
+    /// Notes what disturbs an inspiration. The controller learns in the first tick after it, in which no controller computes a command.
     fn learn(&self, state: &mut VentilatorState<C::State>, phase: Phase, explore: f32) {
         let Some(disturbed) = state.disturbed else { return };
         let level = self.supervisor.level(&state.supervisor);

@@ -63,8 +63,7 @@ pub struct Args {
     /// Scored breaths per waveform and noise sequence
     #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
     breaths: usize,
-    /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath; with 0 there is one, as
-    /// with 1
+    /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath; with 0 there is one
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=1_000_000), conflicts_with = "breathing")]
     breaths_of_learning: u32,
     #[command(flatten)]

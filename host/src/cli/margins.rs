@@ -51,10 +51,11 @@ its network, and its product with the PID's loop. Below one, the residual cannot
 loop; above one, it might.
 
 The accuracy is the smallest +-(A + B % of the target) that holds for the true pressure at the end of
-each phase, on all plants, at PEEP 5 and 10, without a leak and with one of 0.1 L/s at 30 cmH2O.
+each phase, on all plants on which the ventilator does not stop, at PEEP 5 and 10, without a leak and with one of 0.1 L/s at 30 cmH2O.
 
 With --learning, the controller is the one under iterative learning control: the largest factor on
-an error from breath to breath is printed. It must be below one.")]
+an error from breath to breath is printed. It must be below one. It says nothing about what a learned
+controller does with remembered breaths; `trainer robust` counts plants on which a later breath is worse.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
@@ -64,7 +65,7 @@ pub struct Args {
     /// Bench description in TOML, in place of --lung; repeatable
     #[arg(long, value_name = "FILE", conflicts_with = "family")]
     bench: Vec<PathBuf>,
-    /// Random plants of a family, in place of --lung: adult, or a TOML file
+    /// Random plants of a family, in place of --lung: adult, neonate, or a TOML file
     #[arg(long, value_name = "NAME|FILE")]
     family: Option<String>,
     /// Number of plants of the family
@@ -245,8 +246,9 @@ fn print(args: &Args, summary: &Summary) {
         by_pip(&title, &summary.plants[0])
     });
     let robust = (summary.share_robust * summary.plants.len() as f64).round();
+    let Required { ms, gain_margin, delay_margin_ms } = summary.required;
     args.output.line(&format!(
-        "{robust} of {} plants keep Ms 2, gain margin 2 and delay margin 10 ms",
+        "{robust} of {} plants keep Ms {ms}, gain margin {gain_margin} and delay margin {delay_margin_ms} ms",
         summary.plants.len()
     ));
     if let Some(gain) = &summary.residual {
@@ -390,7 +392,10 @@ fn nyquist(plants: &[PlantMargins]) -> Plot {
     };
     let mut series = vec![
         circle("abs(L) = 1", 0.0, 1.0),
-        Series { color: Some((150, 30, 30)), ..circle("Ms = 2", -1.0, 1.0 / Required::default().ms) },
+        Series {
+            color: Some((150, 30, 30)),
+            ..circle(&format!("Ms = {}", Required::default().ms), -1.0, 1.0 / Required::default().ms)
+        },
     ];
     for (plant, measured) in worst_plants(plants) {
         let points = measured.response.iter().map(|at| (at.loop_gain.re, at.loop_gain.im)).collect();

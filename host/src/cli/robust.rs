@@ -32,8 +32,8 @@ Breaths 1, 6 and 20 are scored in full. For the subset, the first plants, the pl
 and its reference bound are searched as well, which takes several seconds each.
 
 A plant counts as worsened if a breath is worse than the first by more than 5 % and by more than
-0.3 cmH2O; as unstable if the pressure oscillates on a plateau by more than the plateau may be off,
-2 cmH2O + 4 % of PIP to either side; as stopped if the ventilator entered its safe state.
+0.3 cmH2O; as unstable if the pressure oscillates on a plateau, from peak to trough, by more than
+twice the plateau tolerance (2 cmH2O + 4 % of PIP); as stopped if the ventilator entered its safe state.
 
 The result does not depend on the number of threads. With --keep, the plants that are done at Ctrl-C
 are kept, and the same command continues with the others.")]

@@ -14,7 +14,7 @@ use learn::pipeline::Folder;
 use learn::pipeline::family::FamilyRun;
 use plant::bench::family::Family;
 
-/// Train one controller for a whole family of units, which learns from breath to breath
+/// Train one controller, which learns from breath to breath, for a whole family of units
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -24,8 +24,8 @@ Examples:
 
 The command records some units of the family with the known-good PID, fits a physical simulator to
 each, draws thousands of units around them, and trains on those over consecutive breaths: the
-controller sees what the breaths before have left over. The defaults take about fifteen minutes on
-two cores. Ctrl-C stops; the same command continues where it stopped.")]
+controller sees the error and the command of earlier breaths. The defaults take about ten minutes on
+two idle cores. Ctrl-C stops; the same command continues where it stopped.")]
 pub struct Args {
     /// Folder for the controller (controller.safetensors) and the state needed to continue
     #[arg(long, value_name = "DIR")]
@@ -48,8 +48,8 @@ pub struct Args {
     /// Inspirations per gradient step
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.batch)]
     batch: usize,
-    /// Price of moving the valve on the plateau, cmH2O per percent of change per tick
-    #[arg(long, value_name = "PRICE", default_value_t = FamilyRun::default().train.effort_price)]
+    /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick
+    #[arg(long, value_name = "PRICE", value_parser = price, default_value_t = FamilyRun::default().train.effort_price)]
     effort_price: f32,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
@@ -86,7 +86,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let origin = &trained.learned.origin;
     args.output.line(&format!(
-        "held-out units, geometric mean over six breaths: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
+        "validation units, geometric mean over the first breaths: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
         origin.validation,
         origin.base,
         controller.display()
@@ -103,6 +103,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         complete: trained.complete,
         train_curve: trained.curve,
     })
+}
+
+/// Parses a price.
+fn price(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(price) if (0.0..f32::INFINITY).contains(&price) => Ok(price),
+        _ => Err("write a number of at least 0, such as 0.02".to_owned()),
+    }
 }
 
 impl Args {

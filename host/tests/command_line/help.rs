@@ -8,6 +8,7 @@ fn every_command_explains_itself() {
     for command in [
         "demo",
         "train",
+        "train-family",
         "collect",
         "tune-pid",
         "bound",

@@ -6,18 +6,20 @@
 //! mean error is still the one that belongs to the mean command. The next breath looks ahead in the profile, because the valve acts
 //! late.
 //!
-//! A breath whose error surprises is either disturbed, by a cough for example, or the first one of a changed lung. So the first such
-//! breath is left out; a second one in a row replaces all that was remembered.
+//! A breath whose error surprises is either disturbed, by a cough for example, or the first one of a changed lung. The first such
+//! breath is left out. The next one that is adopted replaces all that was remembered, because by then the lung may have changed;
+//! after a single cough, this costs the mean over breaths.
 
 use serde::{Deserialize, Serialize};
 
+use super::features::ERROR_SCALE;
 use crate::math;
 
 /// Number of bins of a profile; after the last one, a profile keeps its value.
 pub const BINS: usize = 128;
 /// Duration of a bin, s: short beside the valve's lag.
 const BIN_S: f32 = 0.008;
-/// Ages into the future, in bins, at which the next breath reads the remembered error: the dead time and lag of a valve.
+/// How far ahead, in bins, the next breath reads the remembered error: about the dead time and lag of a valve.
 pub const ERRORS_AHEAD: [usize; 5] = [1, 3, 5, 7, 10];
 /// The same for the remembered command.
 pub const COMMANDS_AHEAD: [usize; 2] = [0, 3];
@@ -27,9 +29,9 @@ pub const RECALLED: usize = ERRORS_AHEAD.len() + COMMANDS_AHEAD.len() + 1;
 const LEAST_BINS: usize = 8;
 /// Weight of the newest breath in the mean over breaths.
 const NEWEST: f32 = 0.5;
-/// Mean difference to the remembered error from which a breath surprises, in the scaled units of the features: 0.5 cmH2O.
-const SURPRISE: f32 = 0.05;
-/// Breaths until which nothing surprises: a controller that is still learning changes its errors by itself.
+/// Mean difference to the remembered error from which a breath surprises: 0.5 cmH2O, in the scaled units of the features.
+const SURPRISE: f32 = 0.5 / ERROR_SCALE;
+/// Adopted breaths before which no breath counts as a surprise: a controller that is still learning changes its errors by itself.
 const LEARNING: u8 = 4;
 
 /// What to do with the breath that has just ended, or what was done with it. The order of the variants is part of the flight
@@ -378,7 +380,7 @@ mod tests {
         let [error, command] = at(&memory, 300);
         near(error, 0.4);
         near(command, 0.8);
-        // On the other lung the controller learns anew, so that nothing surprises for a while.
+        // On the other lung the controller starts to learn again, so that nothing surprises for a while.
         for error in [0.2, 0.1] {
             breathe(&mut memory, 1000, error, 0.8);
             assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);

@@ -117,7 +117,11 @@ impl ControlLaw for Controller {
     }
 
     fn learn(&self, state: &mut ControllerState, lesson: Lesson) -> Lesson {
-        state.learn(lesson)
+        match self {
+            Self::Residual(_) => state.learn(lesson),
+            // A memory would be out of date by the time a residual runs again.
+            Self::Pid(_) => state.learn(Lesson::Forget),
+        }
     }
 
     fn start_breath(&self, state: &mut ControllerState, command: f32) {

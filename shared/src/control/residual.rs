@@ -171,6 +171,7 @@ pub fn with_recalled(features: &[f32; FEATURES], recalled: &[f32; RECALLED]) -> 
 mod tests {
     use super::*;
     use crate::breath::DEFAULT_PERIOD_US;
+    use crate::control::memory::Lesson;
     use crate::control::{ControlLaw, Controller};
 
     fn spec(lambda: f32) -> ResidualSpec {
@@ -213,6 +214,34 @@ mod tests {
         let at = |lambda| run(&Controller::Residual(Residual::new(spec(lambda), constant(0.2)).unwrap()), 1);
         assert!((at(0.5) - at(0.0) - 10.0).abs() < 1e-4);
         assert!((at(1.0) - at(0.0) - 20.0).abs() < 1e-4);
+    }
+
+    /// Runs and adopts a breath.
+    fn breathe(controller: &Controller, state: &mut ControllerState) {
+        controller.start_breath(state, 5.0);
+        for tick in 0..1000 {
+            let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick };
+            let command = controller.step(state, &seen).command;
+            controller.applied(state, command);
+        }
+        controller.learn(state, Lesson::Adopt);
+    }
+
+    #[test]
+    fn the_network_sees_what_the_breath_before_has_taught_until_a_pid_breathes() {
+        let residual = Residual::new(spec(1.0), constant(0.1)).unwrap();
+        let (learned, pid) = (Controller::Residual(residual.clone()), Controller::Pid(*residual.pid()));
+        let mut state = ControllerState::new();
+        let seen = Observation { pressure: 12.0, target: 20.0, pip: 20.0, peep: 5.0, tick: 500 };
+        let mut recalls = |controller: &Controller| {
+            breathe(controller, &mut state);
+            let inputs = residual.inputs(&mut state.clone(), &seen);
+            [inputs[FEATURES], inputs[INPUTS - 1]].map(|value| (100.0 * value).round() as i32)
+        };
+        // An error of 8 cmH2O, and the flag.
+        assert_eq!(recalls(&learned), [80, 100]);
+        assert_eq!(recalls(&pid), [0, 0]);
+        assert_eq!(recalls(&learned), [80, 100]);
     }
 
     #[test]

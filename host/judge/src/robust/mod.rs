@@ -1,6 +1,6 @@
 //! Robustness: a controller on many random plants of a family, beside the best single PID of that family.
 //!
-//! Every plant gets one of the paper's waveforms and a few breaths from rest, once under each controller, with the same sensor noise
+//! Every plant gets one of the family's waveforms and a few breaths from rest, once under each controller, with the same sensor noise
 //! ([`plant_run`]). For the first plants, a subset, the plant's own best PID and its reference bound are searched as well
 //! ([`rivals`]). Only sums and histograms are kept ([`tally`]), so memory does not grow with the number of plants; they are added in
 //! the order of the plants, so the result depends neither on the number of threads nor on where an earlier run was stopped.

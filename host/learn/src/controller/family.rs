@@ -1,9 +1,8 @@
 //! Training one controller for a family of units.
 //!
-//! The lanes of a shard live on different units, each with its waveform and its sensor noise. After each gradient step the breath
-//! just run becomes what its lane remembers, and the lane goes on or, by chance, begins a new life on another unit. So the
-//! controller learns on first breaths, second breaths and late ones alike, with the memories that it makes itself. At every
-//! validation all lives begin anew, so that a stopped training continues exactly.
+//! Each lane follows a course of breaths on one unit. After a gradient step, the lane remembers the breath just run; with a small
+//! probability, it starts a new course on another unit. So the controller trains on first, second and late breaths, with memories
+//! that it has made itself. After every validation all courses start again, so that a stopped training continues exactly.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -13,7 +12,7 @@ use shared::breath::PAPER_PIPS;
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
-use super::lives::Lives;
+use super::courses::Courses;
 use super::network::{chip_network, initial_parameters};
 use super::rollout::{ClosedLoopTape, LaneController};
 use super::training::{Checkpoint, CurvePoint, Stepwise, Trained, mean};
@@ -29,7 +28,7 @@ pub struct FamilyConfig {
     pub iterations: usize,
     /// Inspirations per gradient step (rounded up to whole shards).
     pub batch: usize,
-    /// PIPs of half of the lives, cmH2O.
+    /// PIPs of half of the courses, cmH2O.
     pub pips: Vec<f32>,
     /// Range of the PIPs of the other half, cmH2O.
     pub pip_range: (f32, f32),
@@ -43,21 +42,21 @@ pub struct FamilyConfig {
     pub noise: (f32, f32),
     /// Standard deviation of the starting pressure, cmH2O.
     pub start_spread: f32,
-    /// Probability that a life ends after a breath.
-    pub mortality: f32,
+    /// Probability that a course ends after a breath.
+    pub restart_probability: f32,
     /// Probability that the lung changes after a breath.
-    pub change: f32,
+    pub lung_change_probability: f32,
     /// Factor on the errors of first breaths, on which nothing is remembered.
     pub first_weight: f32,
     /// Factor on errors above the target.
     pub overshoot_weight: f32,
-    /// Price of moving the valve late in the inspiration, cmH2O per percent of change per tick.
+    /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick.
     pub effort_price: f32,
     /// Gradient steps between validations.
     pub validate_every: usize,
     /// Settings of the optimiser.
     pub adam: AdamConfig,
-    /// Seed of initial weights, lives and noise.
+    /// Seed of initial weights, courses and noise.
     pub seed: u64,
 }
 
@@ -73,8 +72,8 @@ impl Default for FamilyConfig {
             inspiratory_time: 1.0,
             noise: (0.05, 0.2),
             start_spread: 0.05,
-            mortality: 0.12,
-            change: 0.03,
+            restart_probability: 0.12,
+            lung_change_probability: 0.03,
             first_weight: 3.0,
             overshoot_weight: 1.0,
             effort_price: 0.02,
@@ -106,7 +105,7 @@ pub struct FamilyTraining {
     base: Residual,
     ticks: usize,
     models: FamilyModels,
-    lives: Vec<Lives>,
+    courses: Vec<Courses>,
     tapes: Vec<ClosedLoopTape>,
     base_score: f64,
     state: Checkpoint,
@@ -137,40 +136,40 @@ impl FamilyTraining {
         };
         let tapes = (0..shards).map(|_| ClosedLoopTape::new(&models.trained_on, ticks)).collect();
         let mut training =
-            Self { config, base, ticks, models, lives: Vec::new(), tapes, base_score: 0.0, state };
+            Self { config, base, ticks, models, courses: Vec::new(), tapes, base_score: 0.0, state };
         training.base_score = training.validate(&vec![0.0; Network::PARAMETERS]);
         training.keep_best();
         Ok(training)
     }
 
-    fn begin_lives(&mut self) {
+    fn begin_courses(&mut self) {
         let Self { config, models, base, state, .. } = &*self;
         let units = models.trained_on.architecture().members() as u32;
-        let lives = (0..self.tapes.len()).map(|shard| {
+        let courses = (0..self.tapes.len()).map(|shard| {
             let mut rng = stream(config, state.iteration, shard);
-            Lives::new(units, base.spec().period_us, config, &mut rng)
+            Courses::new(units, base.spec().period_us, config, &mut rng)
         });
-        self.lives = lives.collect();
+        self.courses = courses.collect();
     }
 
     /// Makes one gradient step; returns the geometric mean of the batch's scores.
     fn step(&mut self) -> f64 {
-        let Self { config, base, ticks, models, lives, tapes, state, .. } = self;
+        let Self { config, base, ticks, models, courses, tapes, state, .. } = self;
         let controller = LaneController::new(base, &state.parameters);
         let (size, iteration, model) = (state.parameters.len(), state.iteration, &models.trained_on);
-        let parts: Vec<(f64, Vec<f32>)> = lives
+        let parts: Vec<(f64, Vec<f32>)> = courses
             .par_iter_mut()
             .zip(tapes)
             .enumerate()
-            .map(|(shard, (lives, tape))| {
+            .map(|(shard, (courses, tape))| {
                 let mut rng = stream(config, iteration + 1, shard);
-                lives.pass(config, &mut rng);
-                let mut scenario = lives.scenario(config, *ticks, &mut rng);
+                courses.pass(config, &mut rng);
+                let mut scenario = courses.scenario(config, *ticks, &mut rng);
                 let loss = controller.forward(model, &scenario, tape);
-                scenario.weight = lives.weights(&loss.score, config);
+                scenario.weight = courses.weights(&loss.score, config);
                 let mut gradient = vec![0.0; size];
                 controller.backward(&scenario, tape, &mut gradient);
-                lives.end(tape);
+                courses.end(tape);
                 (logarithm(&loss.score), gradient)
             })
             .collect();
@@ -203,12 +202,12 @@ impl FamilyTraining {
         let of_shard = |shard: usize| {
             let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
             rng.set_stream(VALIDATION_STREAM + shard as u64);
-            let mut lives = Lives::new(units, self.base.spec().period_us, config, &mut rng);
+            let mut courses = Courses::new(units, self.base.spec().period_us, config, &mut rng);
             let mut tape = ClosedLoopTape::new(model, self.ticks);
             let breath = |_| {
-                let scenario = lives.scenario(config, self.ticks, &mut rng);
+                let scenario = courses.scenario(config, self.ticks, &mut rng);
                 let loss = controller.forward(model, &scenario, &mut tape);
-                lives.end(&tape);
+                courses.end(&tape);
                 logarithm(&loss.score)
             };
             mean(&(0..VALIDATION.1).map(breath).collect::<Vec<_>>())
@@ -235,7 +234,7 @@ impl Stepwise for FamilyTraining {
         if self.state.iteration >= self.config.iterations {
             return None;
         }
-        self.begin_lives();
+        self.begin_courses();
         let mut training = 0.0;
         let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
         while self.state.iteration < until {
@@ -262,7 +261,8 @@ impl Stepwise for FamilyTraining {
     }
 }
 
-/// Random numbers of a shard in a gradient step.
+/// Random numbers of a shard in a gradient step. The courses that begin after a step are drawn from the same numbers as its noise:
+/// neither depends on what is learned.
 fn stream(config: &FamilyConfig, iteration: usize, shard: usize) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     rng.set_stream(((iteration as u64 + 1) << 16) + shard as u64);

@@ -3,15 +3,15 @@
 //! From the bottom up: the chip's arithmetic over lanes with gradients (`limit`, `pid`, `features`, [`network`]), the
 //! [`loss`], the closed loop of all of them with a simulator ([`rollout`]), the [`scenario`]s of its breaths and
 //! the `efforts` in them, the `training` on them, and the resulting file ([`learned`]). For a [`family`] of units, breaths follow
-//! each other: the `lives`, and what they remember ([`memory`]).
+//! each other: the `courses`, and what they remember ([`memory`]).
 
 pub mod config;
+mod courses;
 mod efforts;
 pub mod family;
 mod features;
 pub mod learned;
 mod limit;
-mod lives;
 pub mod loss;
 pub mod memory;
 pub mod network;

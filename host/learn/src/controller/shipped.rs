@@ -1,6 +1,6 @@
 //! Learned controllers that come with the program, by name: one for each shipped family.
 //!
-//! `trainer train-family --family NAME --out DIR`, then `trainer pack DIR/controller.safetensors --out NAME.bin`, makes them again.
+//! `trainer train-family --family NAME --out DIR`, then `trainer pack DIR/controller.safetensors --out NAME.bin`, reproduces them.
 
 /// Name and weights image of every shipped controller.
 const SHIPPED: [(&str, &[u8]); 1] = [("adult", include_bytes!("../../controllers/adult.bin"))];

@@ -2,7 +2,8 @@
 //!
 //! Some units of the family breathe under the known-good PID and explore, and so does the nominal machine with several lungs. A
 //! physical simulator is fitted to the recordings; units that nobody has recorded are drawn around the fitted ones; the controller
-//! is trained on those, from breath to breath. Units of their own validate it. The nominal machine is what a user is most likely to
+//! is trained on those, from breath to breath. Further recorded units validate it; in validation as in training, half of the machines are
+//! the nominal one. The nominal machine is what a user is most likely to
 //! have, so a share of the training belongs to it.
 //!
 //! With a folder, every fitted unit and the training's checkpoints are saved there, and a stopped run continues.
@@ -128,7 +129,7 @@ impl FamilyRun {
             folder.claim(&Claim { run: self.clone(), first })?;
         }
         let units = self.units(family, folder, progress)?;
-        let nominal = self.nominal(family, folder)?;
+        let nominal = self.nominal(family, folder, progress)?;
         let config =
             FamilyConfig { noise: noise(&units), seed: seeds::training(self.seed, 0), ..self.train.clone() };
         let iterations = config.iterations;
@@ -195,10 +196,18 @@ impl FamilyRun {
     }
 
     /// The simulator of the nominal machine with several lungs: all breaths share the valve of its first unit.
-    fn nominal(&self, family: &Family, folder: Option<&Folder>) -> Result<Simulator, PipelineError> {
+    fn nominal(
+        &self,
+        family: &Family,
+        folder: Option<&Folder>,
+        progress: &Progress<'_>,
+    ) -> Result<Simulator, PipelineError> {
         let file = folder.map(|folder| folder.file(0, "nominal.safetensors"));
         if let Some(file) = file.as_ref().filter(|file| file.exists()) {
             return Ok(Simulator::load(file)?);
+        }
+        if progress.stopped() {
+            return Err(PipelineError::Stopped);
         }
         let machine = family.nominal();
         let first = self.units + self.held_out;

@@ -119,7 +119,7 @@ pub fn event(happening: Happening) -> String {
         Happening::Cleared => "recording cleared by a host".to_owned(),
         Happening::Chip(event) => chip(event).to_owned(),
         Happening::Lesson(Lesson::Adopt) => "the controller learns from the breaths".to_owned(),
-        Happening::Lesson(Lesson::Discard) => "the controller leaves out a disturbed breath".to_owned(),
+        Happening::Lesson(Lesson::Discard) => "the controller leaves out a breath".to_owned(),
         Happening::Lesson(Lesson::Forget) => "the controller has forgotten the earlier breaths".to_owned(),
     }
 }

@@ -9,15 +9,15 @@ use super::LUNG;
 use crate::simulator::BreathStart;
 use engine::{LANES, Lane};
 
-const RESISTANCE: usize = 0;
-const TURBULENCE: usize = 1;
-const COMPLIANCE: usize = 2;
-const LEAK: usize = 3;
-const CIRCUIT: usize = 4;
+pub(super) const RESISTANCE: usize = 0;
+pub(super) const TURBULENCE: usize = 1;
+pub(super) const COMPLIANCE: usize = 2;
+pub(super) const LEAK: usize = 3;
+pub(super) const CIRCUIT: usize = 4;
 const CLOSING: usize = 5;
-const ORIFICE: usize = 6;
+pub(super) const ORIFICE: usize = 6;
 const SENSOR: usize = 7;
-const OUTWARD: usize = 8;
+pub(super) const OUTWARD: usize = 8;
 const ML_PER_L: f32 = 1e3;
 const MS_PER_S: f32 = 1e3;
 /// Linear and square part of a leak of one L/s at 30 cmH2O.

@@ -3,12 +3,12 @@
 //! A breath names its unit as its ventilator and, if the lung is another unit's, that one as its group.
 //!
 //! The structure is known; the numbers are learned from recordings of each unit, by the same open-loop rollouts as those of
-//! the other simulators. A unit that nobody has recorded is a new set of numbers, so families of units can be drawn
+//! the other simulators. An unrecorded unit is a new set of numbers, so families of units can be drawn
 //! around the learned ones ([`spread`]).
 //!
 //! ```text
-//! commands -> valve -> q       dead time, lag, play, dead zone, curve          valve.rs
-//! q -> lung -> p -> sensor     circuit, expiratory valve as it closes, leak, R, C    lung.rs
+//! commands -> valve -> w               dead time, lag, play, dead zone, curve                 valve.rs
+//! w -> circuit, lung -> p -> sensor    supply, expiratory valve as it closes, leak, R, C      lung.rs
 //! ```
 
 mod lung;

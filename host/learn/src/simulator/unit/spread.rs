@@ -1,19 +1,27 @@
-//! Units that nobody has recorded, drawn around those that were learned.
+//! Unrecorded units, drawn around those that were learned.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{NUMBERS, PER_UNIT, VALVE};
+use super::{NUMBERS, PER_UNIT, VALVE, lung, valve};
 
 /// Share of a parameter's spread between the learned units by which a drawn one deviates from its model.
 const BLUR: f32 = 0.3;
 
-/// Parameters that contain the scale of flow, each with its power: full flow, R, turbulence, C, leak, circuit, orifice, outward R.
-const FLOW_SCALE: [(usize, f32); 8] =
-    [(FULL_FLOW, 1.0), (7, -1.0), (8, -1.0), (9, 1.0), (10, 1.0), (CIRCUIT, 1.0), (13, 1.0), (15, -1.0)];
-const CIRCUIT: usize = 11;
-const FULL_FLOW: usize = 5;
+const FULL_FLOW: usize = valve::FULL_FLOW;
+const CIRCUIT: usize = VALVE + lung::CIRCUIT;
+/// Parameters that contain the scale of the flow, each with its power.
+const FLOW_SCALE: [(usize, f32); 8] = [
+    (FULL_FLOW, 1.0),
+    (VALVE + lung::RESISTANCE, -1.0),
+    (VALVE + lung::TURBULENCE, -1.0),
+    (VALVE + lung::COMPLIANCE, 1.0),
+    (VALVE + lung::LEAK, 1.0),
+    (CIRCUIT, 1.0),
+    (VALVE + lung::ORIFICE, 1.0),
+    (VALVE + lung::OUTWARD, -1.0),
+];
 /// Deviation of a valve's numbers between machines of one type, as a share.
 const UNIT_SPREAD: f32 = 0.03;
 
@@ -91,7 +99,7 @@ mod tests {
         let before = learned.clone();
         normalise(&mut learned);
         assert!((learned[CIRCUIT] - NUMBERS[CIRCUIT].1.ln()).abs() < 1e-6);
-        let (flow, resistance, compliance) = (5, 7, 9);
+        let (flow, resistance, compliance) = (FULL_FLOW, VALVE + lung::RESISTANCE, VALVE + lung::COMPLIANCE);
         let change = |n: usize| learned[n] - before[n];
         assert!((change(flow) + 0.4).abs() < 1e-6 && (change(resistance) - 0.4).abs() < 1e-6);
         assert!((change(resistance) + change(compliance)).abs() < 1e-6, "time constants stay");

@@ -14,7 +14,7 @@ const LAG: usize = 1;
 const PLAY: usize = 2;
 const ZONE: usize = 3;
 const EXPONENT: usize = 4;
-const FULL_FLOW: usize = 5;
+pub(super) const FULL_FLOW: usize = 5;
 const SUPPLY: usize = 6;
 const MS_PER_S: f32 = 1e3;
 /// Highest command, percent.
@@ -123,7 +123,8 @@ impl ValveTape {
     /// Runs one tick; returns the share of the full flow after it.
     pub fn step(&mut self, tick: usize, log: &CommandLog) -> Lane {
         if tick == 0 {
-            // Long enough at rest for the actuator; closing, the stem has come from the seat.
+            // At rest for long enough, the actuator has reached the command. The valve was closed before, so the stem was last pushed
+            // open and follows without play.
             self.actuator = log.block(None)[0].map(|u| COMMAND_SCALE * u);
             self.stem = self.actuator;
         }

@@ -1,4 +1,4 @@
-//! The lives of a shard: rollouts that stay on their unit for several breaths and remember.
+//! The courses of a shard: consecutive breaths on one unit in each lane, with what they remember.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -11,12 +11,12 @@ use super::scenario::Scenario;
 use crate::simulator::BreathStart;
 use engine::{LANES, Lane};
 
-/// Score below which the errors of a life weigh no more, cmH2O.
+/// Score below which the errors of a course weigh no more, cmH2O.
 const LEAST_SCORE: f32 = 0.1;
 
 /// A machine with a lung in each lane, its waveform and noise, and what was learned of it.
 #[derive(Debug)]
-pub(super) struct Lives {
+pub(super) struct Courses {
     /// Number of units to draw from.
     units: u32,
     machine: [Option<u32>; LANES],
@@ -25,8 +25,8 @@ pub(super) struct Lives {
     pip: Lane,
     /// Standard deviation of the sensor noise, cmH2O.
     noise: Lane,
-    /// Breaths lived.
-    age: [u32; LANES],
+    /// Breaths run.
+    breath: [u32; LANES],
     /// Pressure at the end of the last inspiration, cmH2O; PEEP before the first.
     plateau: Lane,
     /// Lowest score on this lung, cmH2O.
@@ -34,25 +34,25 @@ pub(super) struct Lives {
     memory: LaneMemory,
 }
 
-impl Lives {
-    /// New lives in all lanes, on some of `units` units.
+impl Courses {
+    /// New courses in all lanes, on some of `units` units.
     pub fn new(units: u32, period_us: u32, config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Self {
-        let mut lives = Self {
+        let mut courses = Self {
             units,
             machine: [None; LANES],
             lung: [None; LANES],
             pip: Lane::ZERO,
             noise: Lane::ZERO,
-            age: [0; LANES],
+            breath: [0; LANES],
             plateau: Lane::ZERO,
             best: Lane::ZERO,
             memory: LaneMemory::new(period_us),
         };
-        (0..LANES).for_each(|l| lives.begin(l, config, rng));
-        lives
+        (0..LANES).for_each(|l| courses.begin(l, config, rng));
+        courses
     }
 
-    /// Begins a new life in a lane.
+    /// Starts a new course in a lane.
     fn begin(&mut self, l: usize, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
         self.machine[l] = Some(rng.random_range(0..self.units));
         self.lung[l] = Some(rng.random_range(0..self.units));
@@ -63,24 +63,24 @@ impl Lives {
             rng.random_range(config.pip_range.0..config.pip_range.1)
         };
         self.noise[l] = rng.random_range(config.noise.0..config.noise.1);
-        (self.age[l], self.plateau[l], self.best[l]) = (0, config.peep, f32::INFINITY);
+        (self.breath[l], self.plateau[l], self.best[l]) = (0, config.peep, f32::INFINITY);
         self.memory.forget(l);
     }
 
-    /// Between two breaths, ends some lives, and changes the lung of others, which keep what they remember.
+    /// Between two breaths, starts some courses again, and changes the lung of others, which keep what they remember.
     pub fn pass(&mut self, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
         for l in 0..LANES {
-            let [ends, changes]: [f32; 2] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
-            if self.age[l] > 0 && ends < config.mortality {
+            let [restarts, changes]: [f32; 2] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
+            if self.breath[l] > 0 && restarts < config.restart_probability {
                 self.begin(l, config, rng);
-            } else if self.age[l] > 0 && changes < config.change {
+            } else if self.breath[l] > 0 && changes < config.lung_change_probability {
                 self.lung[l] = Some(rng.random_range(0..self.units));
                 self.best[l] = f32::INFINITY;
             }
         }
     }
 
-    /// The next breath of every life. A life begins in standby, with the valve closed.
+    /// The next breath of every course. A course begins in standby, with the valve closed.
     pub fn scenario(&self, config: &FamilyConfig, ticks: usize, rng: &mut ChaCha8Rng) -> Scenario {
         let mut normal = || -> f32 { rng.sample(StandardNormal) };
         let start = BreathStart {
@@ -96,7 +96,7 @@ impl Lives {
             pip: self.pip,
             peep: config.peep,
             start,
-            rest: Lane::from_fn(|l| if self.age[l] == 0 { 0.0 } else { config.rest }),
+            rest: Lane::from_fn(|l| if self.breath[l] == 0 { 0.0 } else { config.rest }),
             noise: (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect(),
             pull: Vec::new(),
             weight: Lane::splat(1.0),
@@ -106,22 +106,22 @@ impl Lives {
         }
     }
 
-    /// Weights of the lanes after a breath with these scores: errors count in relation to the best breath of the life, which shows
+    /// Weights of the lanes after a breath with these scores: errors count in relation to the best breath of the course, which shows
     /// what machine and lung allow.
     pub fn weights(&mut self, score: &Lane, config: &FamilyConfig) -> Lane {
         self.best = self.best.zip(score, f32::min);
         Lane::from_fn(|l| {
-            let first = if self.age[l] == 0 { config.first_weight } else { 1.0 };
+            let first = if self.breath[l] == 0 { config.first_weight } else { 1.0 };
             first / self.best[l].max(LEAST_SCORE)
         })
     }
 
-    /// Ends the breath: every life learns from it.
+    /// Ends the breath, and offers it to the memory of every lane.
     pub fn end(&mut self, tape: &ClosedLoopTape) {
         self.memory.adopt(tape.signals());
         self.plateau = tape.plateau();
-        for age in &mut self.age {
-            *age += 1;
+        for breath in &mut self.breath {
+            *breath += 1;
         }
     }
 }
@@ -131,50 +131,58 @@ mod tests {
     use super::*;
     use rand_chacha::rand_core::SeedableRng;
 
-    fn lives(config: &FamilyConfig) -> Lives {
-        Lives::new(50, 1000, config, &mut ChaCha8Rng::seed_from_u64(4))
+    fn courses(config: &FamilyConfig) -> Courses {
+        Courses::new(50, 1000, config, &mut ChaCha8Rng::seed_from_u64(4))
     }
 
     #[test]
-    fn a_life_stays_on_its_machine_with_its_waveform_and_noise() {
-        let config = FamilyConfig { mortality: 0.0, change: 0.0, ..FamilyConfig::default() };
-        let (mut lives, rng) = (lives(&config), &mut ChaCha8Rng::seed_from_u64(5));
-        let before = (lives.machine, lives.lung, lives.pip, lives.noise);
-        lives.age = [1; LANES];
-        (0..100).for_each(|_| lives.pass(&config, rng));
-        assert_eq!((lives.machine, lives.lung, lives.pip, lives.noise), before);
+    fn a_course_stays_on_its_machine_with_its_waveform_and_noise() {
+        let config = FamilyConfig {
+            restart_probability: 0.0,
+            lung_change_probability: 0.0,
+            ..FamilyConfig::default()
+        };
+        let (mut courses, rng) = (courses(&config), &mut ChaCha8Rng::seed_from_u64(5));
+        let before = (courses.machine, courses.lung, courses.pip, courses.noise);
+        courses.breath = [1; LANES];
+        (0..100).for_each(|_| courses.pass(&config, rng));
+        assert_eq!((courses.machine, courses.lung, courses.pip, courses.noise), before);
     }
 
     #[test]
-    fn lives_end_and_lungs_change_as_often_as_configured() {
-        let config = FamilyConfig { mortality: 0.2, change: 0.1, ..FamilyConfig::default() };
-        let (mut lives, rng) = (lives(&config), &mut ChaCha8Rng::seed_from_u64(5));
-        let (mut ended, mut changed) = (0, 0);
+    fn courses_start_again_and_lungs_change_as_often_as_configured() {
+        let config = FamilyConfig {
+            restart_probability: 0.2,
+            lung_change_probability: 0.1,
+            ..FamilyConfig::default()
+        };
+        let (mut courses, rng) = (courses(&config), &mut ChaCha8Rng::seed_from_u64(5));
+        let (mut restarted, mut changed) = (0, 0);
         for _ in 0..1000 {
-            (lives.age, lives.best) = ([1; LANES], Lane::ZERO);
-            lives.pass(&config, rng);
-            ended += lives.age.iter().filter(|age| **age == 0).count();
-            changed += (0..LANES).filter(|l| lives.age[*l] > 0 && lives.best[*l] > 0.0).count();
+            (courses.breath, courses.best) = ([1; LANES], Lane::ZERO);
+            courses.pass(&config, rng);
+            restarted += courses.breath.iter().filter(|breath| **breath == 0).count();
+            changed += (0..LANES).filter(|l| courses.breath[*l] > 0 && courses.best[*l] > 0.0).count();
         }
         let share = |count: usize| count as f32 / (1000 * LANES) as f32;
         assert!(
-            (share(ended) - 0.2).abs() < 0.02 && (share(changed) - 0.08).abs() < 0.02,
-            "{ended} {changed}"
+            (share(restarted) - 0.2).abs() < 0.02 && (share(changed) - 0.08).abs() < 0.02,
+            "{restarted} {changed}"
         );
     }
 
     #[test]
     fn a_first_breath_begins_with_a_closed_valve_and_weighs_more() {
         let config = FamilyConfig { first_weight: 3.0, ..FamilyConfig::default() };
-        let mut lives = lives(&config);
-        lives.age[1] = 4;
-        let scenario = lives.scenario(&config, 5, &mut ChaCha8Rng::seed_from_u64(5));
+        let mut courses = courses(&config);
+        courses.breath[1] = 4;
+        let scenario = courses.scenario(&config, 5, &mut ChaCha8Rng::seed_from_u64(5));
         assert_eq!(
             [scenario.rest[0], scenario.rest[1]].map(f32::to_bits),
             [0.0, config.rest].map(f32::to_bits)
         );
         let mut weights = |score: f32| {
-            let weights = lives.weights(&Lane::splat(score), &config);
+            let weights = courses.weights(&Lane::splat(score), &config);
             [weights[0], weights[1]].map(|weight| (10.0 * weight).round() as i32)
         };
         assert_eq!(weights(2.0), [15, 5]);
