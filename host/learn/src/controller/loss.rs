@@ -59,7 +59,8 @@ const EFFORT_ROUNDING: f32 = 0.2;
 /// Gradient of the price of moving the valve with respect to the command of one tick.
 pub(super) fn effort_slope(scenario: &Scenario, commands: &[Lane], tick: usize) -> Lane {
     let first = (LATE * scenario.ticks as f32) as usize;
-    if !(scenario.effort_price > 0.0) || tick < first {
+    let priced = scenario.effort_price > 0.0;
+    if !priced || tick < first {
         return Lane::ZERO;
     }
     let share = scenario.effort_price / (scenario.ticks - first) as f32;
