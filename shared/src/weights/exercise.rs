@@ -4,7 +4,7 @@
 //! The script is part of the format version. A breath starts with the valve at 5 %. In each tick `k` of [`TICKS`] the
 //! target is 25 cmH2O, PIP 25 and PEEP 8, and the pressure is `((7 k) mod 16) / 2 - 2` cmH2O below the target; every
 //! command is applied unchanged. All these numbers are exact in single precision. The breath is then adopted, and
-//! [`SECOND_TICKS`] of a second one follow in the same way, with what the first one taught.
+//! 80 ticks of a second one follow in the same way, with what the first one taught.
 
 use serde::{Deserialize, Serialize};
 

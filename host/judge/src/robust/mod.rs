@@ -2,7 +2,7 @@
 //!
 //! Every plant gets one of the family's waveforms and a few breaths from rest, once under each controller, with the same sensor noise
 //! ([`plant_run`]). For the first plants, a subset, the plant's own best PID and its reference bound are searched as well
-//! ([`rivals`]). Only sums and histograms are kept ([`tally`]), so memory does not grow with the number of plants; they are added in
+//! ([`rivals`]). Only sums and histograms are kept (`tally`), so memory does not grow with the number of plants; they are added in
 //! the order of the plants, so the result depends neither on the number of threads nor on where an earlier run was stopped.
 //! [`Summary`] reads means, shares and quantiles from them.
 
