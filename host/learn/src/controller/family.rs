@@ -13,7 +13,7 @@ use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
 use super::courses::Courses;
-use super::network::{chip_network, initial_parameters};
+use super::network::initial_parameters;
 use super::rollout::{ClosedLoopTape, LaneController};
 use super::training::{Checkpoint, CurvePoint, Stepwise, Trained, mean};
 use crate::simulator::model::Model;
@@ -245,19 +245,7 @@ impl Stepwise for FamilyTraining {
     }
 
     fn finish(&self) -> Result<Trained, ResidualError> {
-        let (validation, parameters) = &self.state.best;
-        let improved = *validation < self.base_score;
-        let controller = if improved {
-            Residual::new(*self.base.spec(), chip_network(parameters))?
-        } else {
-            self.base.clone()
-        };
-        Ok(Trained {
-            controller,
-            validation: validation.min(self.base_score),
-            base: self.base_score,
-            improved,
-        })
+        Trained::of(&self.base, self.base_score, &self.state.best)
     }
 }
 

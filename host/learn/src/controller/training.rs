@@ -88,6 +88,23 @@ pub struct Trained {
     pub improved: bool,
 }
 
+impl Trained {
+    /// The result of a training with this best score and these parameters; the PID of `base` alone if that scores better.
+    ///
+    /// # Errors
+    /// Weights that exceed their bound.
+    pub(super) fn of(
+        base: &Residual,
+        base_score: f64,
+        (validation, parameters): &(f64, Vec<f32>),
+    ) -> Result<Self, ResidualError> {
+        let improved = *validation < base_score;
+        let controller =
+            if improved { Residual::new(*base.spec(), chip_network(parameters))? } else { base.clone() };
+        Ok(Self { controller, validation: validation.min(base_score), base: base_score, improved })
+    }
+}
+
 /// A training that can be advanced step by step, observed, stopped and resumed.
 #[derive(Debug)]
 pub struct Training {
@@ -305,15 +322,7 @@ impl Stepwise for Training {
     }
 
     fn finish(&self) -> Result<Trained, ResidualError> {
-        let (validation, parameters) = &self.state.best;
-        let improved = *validation < self.base_score;
-        let controller = if improved {
-            Residual::new(*self.base.spec(), chip_network(parameters))?
-        } else {
-            self.base.clone()
-        };
-        let validation = validation.min(self.base_score);
-        Ok(Trained { controller, validation, base: self.base_score, improved })
+        Trained::of(&self.base, self.base_score, &self.state.best)
     }
 }
 
