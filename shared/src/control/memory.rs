@@ -16,7 +16,7 @@ use super::features::ERROR_SCALE;
 use crate::math;
 
 /// Number of bins of a profile; after the last one, a profile keeps its value.
-pub const BINS: usize = 128;
+const BINS: usize = 128;
 /// Duration of a bin, s: short beside the valve's lag.
 const BIN_S: f32 = 0.008;
 /// How far ahead, in bins, the next breath reads the remembered error: about the dead time and lag of a valve.
@@ -68,8 +68,8 @@ impl Profile {
 #[derive(Clone, Debug, PartialEq)]
 pub struct BreathMemory {
     profiles: [Profile; 2],
-    /// Which profile is remembered; the other one is that of the running breath.
-    remembered: usize,
+    /// Whether the second profile is the remembered one; the other one is that of the running breath.
+    second: bool,
     /// Sums over the running bin, and the ticks in it.
     sums: [f32; 2],
     ticks: u32,
@@ -94,7 +94,7 @@ impl BreathMemory {
     pub const fn new() -> Self {
         Self {
             profiles: [Profile::empty(), Profile::empty()],
-            remembered: 0,
+            second: false,
             sums: [0.0; 2],
             ticks: 0,
             difference: 0.0,
@@ -104,20 +104,13 @@ impl BreathMemory {
         }
     }
 
-    /// Whether a breath is remembered.
-    #[inline]
-    pub fn is_known(&self) -> bool {
-        self.mean().filled > 0
-    }
-
     fn mean(&self) -> &Profile {
-        &self.profiles[self.remembered & 1]
+        &self.profiles[usize::from(self.second)]
     }
 
     /// Ends the running inspiration, or forgets; returns what has become of the breath.
     pub fn learn(&mut self, lesson: Lesson) -> Lesson {
-        let running = (self.remembered & 1) ^ 1;
-        let filled = self.profiles[running].filled;
+        let filled = self.profiles[usize::from(!self.second)].filled;
         let sound = self.finite && filled >= LEAST_BINS;
         let surprises = self.adopted >= LEARNING && self.difference >= SURPRISE * filled as f32;
         let learned = match lesson {
@@ -127,13 +120,13 @@ impl BreathMemory {
         match learned {
             Lesson::Adopt => {
                 self.adopted = if surprises { 1 } else { (self.adopted + 1).min(LEARNING) };
-                self.remembered = running;
+                self.second = !self.second;
             }
             Lesson::Discard => {}
-            Lesson::Forget => (self.adopted, self.profiles[self.remembered & 1].filled) = (0, 0),
+            Lesson::Forget => (self.adopted, self.profiles[usize::from(self.second)].filled) = (0, 0),
         }
         self.surprised = lesson == Lesson::Adopt && learned == Lesson::Discard && surprises;
-        self.profiles[(self.remembered & 1) ^ 1].filled = 0;
+        self.profiles[usize::from(!self.second)].filled = 0;
         (self.sums, self.ticks, self.difference, self.finite) = ([0.0; 2], 0, 0.0, true);
         learned
     }
@@ -152,11 +145,8 @@ impl BreathMemory {
 
     /// Adds a bin to the profile of the running breath.
     fn fill(&mut self, new: [f32; 2]) {
-        let (first, second) = self.profiles.split_at_mut(1);
-        let (mean, running) = match self.remembered & 1 {
-            0 => (&first[0], &mut second[0]),
-            _ => (&second[0], &mut first[0]),
-        };
+        let [first, second] = &mut self.profiles;
+        let (mean, running) = if self.second { (&*second, first) } else { (&*first, second) };
         let bin = running.filled;
         let Some(place) = running.bins.get_mut(bin) else { return };
         *place = new;
@@ -194,18 +184,17 @@ impl BreathMemory {
 }
 
 /// A position between the middles of two bins.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+struct Place {
     /// The earlier bin.
-    pub bin: usize,
+    bin: usize,
     /// Weight of the later bin.
-    pub share: f32,
+    share: f32,
 }
 
 impl Place {
     /// The position of a tick.
     #[inline]
-    pub fn of(tick: u32, bin_ticks: u32) -> Self {
+    fn of(tick: u32, bin_ticks: u32) -> Self {
         let since_middle = tick.saturating_sub(bin_ticks / 2);
         let share = (since_middle % bin_ticks) as f32 / bin_ticks as f32;
         Self { bin: (since_middle / bin_ticks) as usize, share }
@@ -265,10 +254,8 @@ mod tests {
     fn nothing_is_recalled_before_a_breath_was_adopted() {
         let mut memory = BreathMemory::new();
         breathe(&mut memory, 1000, 0.3, 0.5);
-        assert!(!memory.is_known());
         assert_eq!(bits(&memory, 100), [0; RECALLED]);
         assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
-        assert!(memory.is_known());
         let recalled = memory.recall(100, BIN);
         recalled[..ERRORS_AHEAD.len()].iter().for_each(|error| near(*error, 0.3));
         assert_eq!(recalled[ERRORS_AHEAD.len()..], [0.5, 0.5, 1.0]);

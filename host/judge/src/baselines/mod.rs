@@ -154,15 +154,9 @@ pub fn tune_pid<G: Ground>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<TuneResult, TuneError> {
-    if lungs.is_empty() {
-        return Err(TuneError::NoLung);
-    }
     let grid = search.grid.completed();
     let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
-    let mut tuning = Tuning::new(lungs, grid, search, plan, &work);
-    let all: Vec<usize> = (0..lungs.len()).collect();
-    // Gains of zero belong to every kind: with them there is a result even if the search is stopped immediately.
-    tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+    let (mut tuning, all) = Tuning::begun(lungs, grid, search, plan, &work)?;
     let mut results = Vec::with_capacity(lungs.len());
     for (index, lung) in lungs.iter().enumerate() {
         let best = tuning.best(&[index])?;
@@ -190,14 +184,9 @@ pub fn tune_single_pid<G: Ground>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<Best, TuneError> {
-    if lungs.is_empty() {
-        return Err(TuneError::NoLung);
-    }
     let grid = search.grid.completed();
     let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
-    let mut tuning = Tuning::new(lungs, grid, search, plan, &work);
-    let all: Vec<usize> = (0..lungs.len()).collect();
-    tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+    let (mut tuning, all) = Tuning::begun(lungs, grid, search, plan, &work)?;
     let best = tuning.best(&all)?;
     work.task.finish();
     Ok(best)
@@ -213,14 +202,28 @@ struct Tuning<'a, G> {
 }
 
 impl<'a, G: Ground> Tuning<'a, G> {
-    fn new(lungs: &'a [G], grid: Grid, search: &'a Search, plan: &Plan, work: &'a Work<'a>) -> Self {
-        Self {
+    /// A search with its first result, and the indices of all lungs. Gains of zero belong to every kind: with them there is a result
+    /// even if the search is stopped immediately.
+    fn begun(
+        lungs: &'a [G],
+        grid: Grid,
+        search: &'a Search,
+        plan: &Plan,
+        work: &'a Work<'a>,
+    ) -> Result<(Self, Vec<usize>), TuneError> {
+        if lungs.is_empty() {
+            return Err(TuneError::NoLung);
+        }
+        let mut tuning = Self {
             screen: Ledger::new(lungs, screening(plan), work),
             full: Ledger::new(lungs, plan.clone(), work),
             points: grid.points(),
             grid,
             search,
-        }
+        };
+        let all: Vec<usize> = (0..lungs.len()).collect();
+        tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+        Ok((tuning, all))
     }
 
     /// The best of each kind for a group of lungs, by their mean score.

@@ -1,4 +1,4 @@
-//! The courses of a shard: consecutive breaths on one unit in each lane, with what they remember.
+//! The courses of a shard: consecutive breaths on one unit in each lane, and the memory of these breaths.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -67,7 +67,8 @@ impl Courses {
         self.memory.forget(l);
     }
 
-    /// Between two breaths, starts some courses again, and changes the lung of others, which keep what they remember.
+    /// Prepares the next breath: ends some courses and starts new ones in their lanes, and gives others a different lung. A course
+    /// with a different lung keeps its memory.
     pub fn pass(&mut self, config: &FamilyConfig, rng: &mut ChaCha8Rng) {
         for l in 0..LANES {
             let [restarts, changes]: [f32; 2] = std::array::from_fn(|_| rng.random_range(0.0..1.0));

@@ -23,24 +23,24 @@ use self::valve::{ValveLanes, ValveTape};
 use super::{BreathStart, CommandLog, Dynamics, Members, Timing};
 use engine::{LANES, Lane};
 
-/// The numbers of a unit, in the order of the parameters. Each parameter is the logarithm of its number.
-pub const NUMBERS: [(&str, f32); PER_UNIT] = [
-    ("dead time, ms", 12.0),
-    ("lag, ms", 25.0),
-    ("play, %", 4.0),
-    ("dead zone, %", 4.0),
-    ("exponent of the curve", 1.3),
-    ("full flow, L/s", 1.6),
-    ("supply pressure, cmH2O", 150.0),
-    ("R, cmH2O/(L/s)", 20.0),
-    ("turbulence, s/L", 0.1),
-    ("C, mL/cmH2O", 20.0),
-    ("leak at 30 cmH2O, L/s", 0.02),
-    ("circuit compliance, mL/cmH2O", 1.5),
-    ("lag of the expiratory valve, ms", 15.0),
-    ("orifice of the expiratory valve, L/s at 1 cmH2O", 0.4),
-    ("lag of the sensor, ms", 4.0),
-    ("resistance of the expiratory path, cmH2O/(L/s)", 3.0),
+/// Usual numbers of a unit, in the order of the parameters. Each parameter is the logarithm of its number.
+const USUAL: [f32; PER_UNIT] = [
+    12.0,  // dead time, ms
+    25.0,  // lag, ms
+    4.0,   // play, %
+    4.0,   // dead zone, %
+    1.3,   // exponent of the curve
+    1.6,   // full flow, L/s
+    150.0, // supply pressure, cmH2O
+    20.0,  // R, cmH2O/(L/s)
+    0.1,   // turbulence, s/L
+    20.0,  // C, mL/cmH2O
+    0.02,  // leak at 30 cmH2O, L/s
+    1.5,   // compliance of the circuit, mL/cmH2O
+    15.0,  // lag of the expiratory valve, ms
+    0.4,   // orifice of the expiratory valve, L/s at 1 cmH2O
+    4.0,   // lag of the sensor, ms
+    3.0,   // resistance of the expiratory path, cmH2O/(L/s)
 ];
 /// Number of parameters of a unit.
 pub const PER_UNIT: usize = 16;
@@ -89,7 +89,7 @@ impl UnitConfig {
 
     /// Initial parameters: usual numbers for every unit.
     pub fn initialise(&self) -> Vec<f32> {
-        let usual = NUMBERS.map(|(_, number)| number.ln());
+        let usual = USUAL.map(f32::ln);
         (0..self.units).flat_map(|_| usual).collect()
     }
 }

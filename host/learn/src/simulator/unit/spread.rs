@@ -4,7 +4,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::{NUMBERS, PER_UNIT, VALVE, lung, valve};
+use super::{PER_UNIT, USUAL, VALVE, lung, valve};
 
 /// Share of a parameter's spread between the learned units by which a drawn one deviates from its model.
 const BLUR: f32 = 0.3;
@@ -28,7 +28,7 @@ const UNIT_SPREAD: f32 = 0.03;
 /// Rescales the flow of each unit so that its circuit has the usual compliance: pressures alone do not tell the scale of the flow.
 pub fn normalise(learned: &mut [f32]) {
     for unit in learned.chunks_exact_mut(PER_UNIT) {
-        let scale = NUMBERS[CIRCUIT].1.ln() - unit[CIRCUIT];
+        let scale = USUAL[CIRCUIT].ln() - unit[CIRCUIT];
         for (n, power) in FLOW_SCALE {
             unit[n] += power * scale;
         }
@@ -55,7 +55,7 @@ pub fn put_machine(learned: &[f32], units: &mut [f32], count: usize, rng: &mut C
     let lungs = learned.chunks_exact(PER_UNIT);
     let circuit = lungs.clone().map(|lung| lung[CIRCUIT]).sum::<f32>() / lungs.len() as f32;
     let mut machine = learned[..VALVE].to_vec();
-    machine[FULL_FLOW] += NUMBERS[CIRCUIT].1.ln() - circuit;
+    machine[FULL_FLOW] += USUAL[CIRCUIT].ln() - circuit;
     for unit in units.chunks_exact_mut(PER_UNIT).take(count) {
         for (parameter, number) in unit.iter_mut().zip(&machine) {
             let normal: f32 = rng.sample(StandardNormal);
@@ -98,7 +98,7 @@ mod tests {
         learned[CIRCUIT] += 0.4;
         let before = learned.clone();
         normalise(&mut learned);
-        assert!((learned[CIRCUIT] - NUMBERS[CIRCUIT].1.ln()).abs() < 1e-6);
+        assert!((learned[CIRCUIT] - USUAL[CIRCUIT].ln()).abs() < 1e-6);
         let (flow, resistance, compliance) = (FULL_FLOW, VALVE + lung::RESISTANCE, VALVE + lung::COMPLIANCE);
         let change = |n: usize| learned[n] - before[n];
         assert!((change(flow) + 0.4).abs() < 1e-6 && (change(resistance) - 0.4).abs() < 1e-6);
