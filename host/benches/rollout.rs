@@ -4,7 +4,7 @@
 //! Run with `cargo bench -p host -- rollout`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use learn::controller::{PlantModels, TrainConfig, Training};
+use learn::controller::{PlantModels, Stepwise, TrainConfig, Training};
 use learn::simulator::model::{Architecture, Simulator};
 use learn::simulator::state_space::StateSpaceConfig;
 use rand_chacha::ChaCha8Rng;

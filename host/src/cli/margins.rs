@@ -117,6 +117,8 @@ struct Summary {
 struct Declared {
     phase: &'static str,
     leak: bool,
+    /// Number of plants measured; on the others the ventilator stopped.
+    plants: usize,
     accuracy: Option<Accuracy>,
 }
 
@@ -197,7 +199,12 @@ fn declared(
             ("inspiration", gathered(|end| &end.inspiration)),
             ("expiration", gathered(|end| &end.expiration)),
         ] {
-            declared.push(Declared { phase, leak, accuracy: Accuracy::declared(&measured) });
+            declared.push(Declared {
+                phase,
+                leak,
+                plants: ends.len(),
+                accuracy: Accuracy::declared(&measured),
+            });
         }
     }
     Ok(declared)
@@ -350,7 +357,7 @@ fn highest_doubled(points: &[MeasuredPoint]) -> Option<f64> {
 fn accuracy_table(declared: &[Declared]) -> Table {
     let mut table = Table::new(
         "Accuracy of the true pressure: +-(A + B % of the target)",
-        &["end of", "leak", "A, cmH2O", "B, %"],
+        &["end of", "leak", "plants", "A, cmH2O", "B, %"],
     );
     for end in declared {
         // Rounded up: the declared accuracy must hold.
@@ -358,6 +365,7 @@ fn accuracy_table(declared: &[Declared]) -> Table {
         table.row(vec![
             Cell::text(end.phase),
             Cell::text(if end.leak { "yes" } else { "no" }),
+            Cell::count(end.plants),
             Cell::known(end.accuracy.map(|accuracy| up(accuracy.absolute)), 2),
             Cell::known(end.accuracy.map(|accuracy| up(accuracy.percent)), 2),
         ]);

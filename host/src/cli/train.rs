@@ -17,7 +17,7 @@ use super::settings_args::SettingsArgs;
 use learn::controller::learned::Learned;
 use learn::controller::{CurvePoint, TrainConfig, Weighting};
 use learn::pipeline::{
-    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, run_on_benches, run_on_plant,
+    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches, run_on_plant,
     train_on_simulators,
 };
 use learn::simulator::model::Simulator;
@@ -48,9 +48,6 @@ inspirations. Most have begun shortly before the breath; the others begin at any
 exploration around their PID, and their simulator with their optimiser. Residual and training remain
 ours.")]
 pub struct Args {
-    /// Folder for the controller (controller.safetensors) and the state needed to continue
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
     #[command(flatten)]
     bench: BenchArgs,
     #[command(flatten)]
@@ -112,18 +109,13 @@ pub struct Args {
     period_us: Option<u32>,
     #[command(flatten)]
     settings: SettingsArgs,
-    /// Seed of all random numbers
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     #[command(flatten)]
-    key: KeyArgs,
-    #[command(flatten)]
-    output: OutputArgs,
+    result: ResultArgs,
 }
 
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
-struct Summary {
+pub struct Summary {
     seed: u64,
     controller: PathBuf,
     validation: f64,
@@ -132,6 +124,68 @@ struct Summary {
     complete: bool,
     rounds: Vec<Round>,
     train_curve: Vec<CurvePoint>,
+}
+
+/// Where a training writes its controller, and how it reports it.
+#[derive(Debug, clap::Args)]
+pub struct ResultArgs {
+    /// Folder for the controller (controller.safetensors) and the state needed to continue
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Seed of all random numbers
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    #[command(flatten)]
+    key: KeyArgs,
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+impl ResultArgs {
+    /// Saves a controller and returns its scores.
+    pub fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
+        let controller = self.out.join(CONTROLLER);
+        learned.save(&controller)?;
+        if self.key.key.is_some() {
+            let weights = self.out.join(WEIGHTS);
+            write(&weights, &self.key.signed(learned.image()?)?)?;
+            self.output.saved(&weights);
+        }
+        Ok(Summary {
+            seed: self.seed,
+            controller,
+            validation: learned.origin.validation,
+            base: learned.origin.base,
+            improved,
+            complete,
+            rounds: Vec::new(),
+            train_curve: Vec::new(),
+        })
+    }
+
+    /// The result of a training on simulators.
+    pub fn once(&self, trained: TrainedOnce) -> anyhow::Result<Summary> {
+        let summary = self.saved(&trained.learned, trained.improved, trained.complete)?;
+        Ok(Summary { train_curve: trained.curve, ..summary })
+    }
+
+    /// Prints the scores, `on` what they are scored, and writes the summary.
+    pub fn finish(&self, on: &str, summary: &Summary) -> anyhow::Result<()> {
+        self.output.line(&format!(
+            "{on}: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
+            summary.validation,
+            summary.base,
+            summary.controller.display()
+        ));
+        if !summary.improved {
+            self.output.line("The residual did not beat its PID there, so the PID alone was kept.");
+        }
+        if !summary.complete {
+            self.output
+                .line("Stopped early: this is the controller so far. Run the command again to continue.");
+        }
+        self.output.finish(summary)
+    }
 }
 
 /// File name of the controller in the folder.
@@ -149,19 +203,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         args.once(&config, &simulators)?
     };
-    args.output.line(&format!(
-        "held-out simulator: learned {:.3} cmH2O, PID alone {:.3}\ncontroller: {}",
-        summary.validation,
-        summary.base,
-        summary.controller.display()
-    ));
-    if !summary.improved {
-        args.output.line("The residual did not beat its PID there, so the PID alone was kept.");
-    }
-    if !summary.complete {
-        args.output.line("Stopped early: this is the controller so far. Run the command again to continue.");
-    }
-    args.output.finish(&summary)
+    args.result.finish("held-out simulator", &summary)
 }
 
 fn temperature(text: &str) -> Result<f64, String> {
@@ -194,7 +236,7 @@ impl Args {
             None => PipelineConfig::for_period(period_us),
         };
         let mut config = PipelineConfig {
-            seed: self.seed,
+            seed: self.result.seed,
             rounds: self.rounds,
             gains: self.gains.unwrap_or(preset.gains),
             lambda: self.lambda,
@@ -226,20 +268,23 @@ impl Args {
     }
 
     fn rounds(&self, config: &PipelineConfig, plant: Option<&SharedLink>) -> anyhow::Result<Summary> {
-        let folder = Folder::new(&self.out);
+        let folder = Folder::new(&self.result.out);
         let outcome = if let Some(link) = plant {
             with_bars(|progress| run_on_plant(config, link, Some(&folder), progress))
         } else {
             let benches = self.bench.benches()?;
             with_bars(|progress| run_on_benches(config, &benches, Some(&folder), progress))
         }?;
-        self.output.table(&rounds_table(&outcome.rounds));
+        self.result.output.table(&rounds_table(&outcome.rounds));
         let improved = outcome.rounds.last().is_some_and(|round| round.improved);
-        Ok(Summary { rounds: outcome.rounds, ..self.saved(&outcome.learned, improved, outcome.complete)? })
+        Ok(Summary {
+            rounds: outcome.rounds,
+            ..self.result.saved(&outcome.learned, improved, outcome.complete)?
+        })
     }
 
     fn once(&self, config: &PipelineConfig, simulators: &[Simulator]) -> anyhow::Result<Summary> {
-        let folder = Folder::new(&self.out);
+        let folder = Folder::new(&self.result.out);
         let trained = with_bars(|progress| train_on_simulators(config, simulators, &folder, progress))
             .map_err(|error| match error {
                 PipelineError::Simulator { number, reason } => {
@@ -247,31 +292,7 @@ impl Args {
                 }
                 other => other.into(),
             })?;
-        Ok(Summary {
-            train_curve: trained.curve,
-            ..self.saved(&trained.learned, trained.improved, trained.complete)?
-        })
-    }
-
-    /// Saves a controller and returns its scores.
-    fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
-        let controller = self.out.join(CONTROLLER);
-        learned.save(&controller)?;
-        if self.key.key.is_some() {
-            let weights = self.out.join(WEIGHTS);
-            write(&weights, &self.key.signed(learned.image()?)?)?;
-            self.output.saved(&weights);
-        }
-        Ok(Summary {
-            seed: self.seed,
-            controller,
-            validation: learned.origin.validation,
-            base: learned.origin.base,
-            improved,
-            complete,
-            rounds: Vec::new(),
-            train_curve: Vec::new(),
-        })
+        self.result.once(trained)
     }
 }
 

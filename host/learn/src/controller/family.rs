@@ -15,7 +15,7 @@ use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 use super::courses::Courses;
 use super::network::initial_parameters;
 use super::rollout::{ClosedLoopTape, LaneController};
-use super::training::{Checkpoint, CurvePoint, Stepwise, Trained, mean};
+use super::training::{Checkpoint, Stepwise, Trained, mean};
 use crate::simulator::model::Model;
 use engine::adam::{Adam, AdamConfig};
 use engine::{LANES, Lane};
@@ -142,7 +142,44 @@ impl FamilyTraining {
         Ok(training)
     }
 
-    fn begin_courses(&mut self) {
+    /// Geometric mean of the scores in the first breaths on held-out units, cmH2O: errors count in relation to what a unit allows.
+    fn validate(&self, parameters: &[f32]) -> f64 {
+        let controller = LaneController::new(&self.base, parameters);
+        let (config, model) = (&self.config, &self.models.held_out);
+        let units = model.architecture().members() as u32;
+        let of_shard = |shard: usize| {
+            let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+            rng.set_stream(VALIDATION_STREAM + shard as u64);
+            let mut courses = Courses::new(units, self.base.spec().period_us, config, &mut rng);
+            let mut tape = ClosedLoopTape::new(model, self.ticks);
+            let breath = |_| {
+                let scenario = courses.scenario(config, self.ticks, &mut rng);
+                let loss = controller.forward(model, &scenario, &mut tape);
+                courses.end(&tape);
+                logarithm(&loss.score)
+            };
+            mean(&(0..VALIDATION.1).map(breath).collect::<Vec<_>>())
+        };
+        let shards: Vec<f64> = (0..VALIDATION.0).into_par_iter().map(of_shard).collect();
+        mean(&shards).exp()
+    }
+}
+
+impl Stepwise for FamilyTraining {
+    fn checkpoint(&self) -> &Checkpoint {
+        &self.state
+    }
+
+    fn resume(&mut self, checkpoint: Checkpoint) {
+        self.state = checkpoint;
+    }
+
+    fn schedule(&self) -> (usize, usize) {
+        (self.config.iterations, self.config.validate_every)
+    }
+
+    /// Starts all courses again.
+    fn prepare(&mut self) {
         let Self { config, models, base, state, .. } = &*self;
         let units = models.trained_on.architecture().members() as u32;
         let courses = (0..self.tapes.len()).map(|shard| {
@@ -152,7 +189,7 @@ impl FamilyTraining {
         self.courses = courses.collect();
     }
 
-    /// Makes one gradient step; returns the geometric mean of the batch's scores.
+    /// The score is a geometric mean.
     fn step(&mut self) -> f64 {
         let Self { config, base, ticks, models, courses, tapes, state, .. } = self;
         let controller = LaneController::new(base, &state.parameters);
@@ -185,63 +222,12 @@ impl FamilyTraining {
         mean(&parts.iter().map(|(score, _)| *score).collect::<Vec<_>>()).exp()
     }
 
-    /// Validates the present parameters and keeps the best so far; returns their score.
     fn keep_best(&mut self) -> f64 {
         let validation = self.validate(&self.state.parameters);
         if validation < self.state.best.0 {
             self.state.best = (validation, self.state.parameters.clone());
         }
         validation
-    }
-
-    /// Geometric mean of the scores in the first breaths on held-out units, cmH2O: errors count in relation to what a unit allows.
-    fn validate(&self, parameters: &[f32]) -> f64 {
-        let controller = LaneController::new(&self.base, parameters);
-        let (config, model) = (&self.config, &self.models.held_out);
-        let units = model.architecture().members() as u32;
-        let of_shard = |shard: usize| {
-            let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-            rng.set_stream(VALIDATION_STREAM + shard as u64);
-            let mut courses = Courses::new(units, self.base.spec().period_us, config, &mut rng);
-            let mut tape = ClosedLoopTape::new(model, self.ticks);
-            let breath = |_| {
-                let scenario = courses.scenario(config, self.ticks, &mut rng);
-                let loss = controller.forward(model, &scenario, &mut tape);
-                courses.end(&tape);
-                logarithm(&loss.score)
-            };
-            mean(&(0..VALIDATION.1).map(breath).collect::<Vec<_>>())
-        };
-        let shards: Vec<f64> = (0..VALIDATION.0).into_par_iter().map(of_shard).collect();
-        mean(&shards).exp()
-    }
-}
-
-impl Stepwise for FamilyTraining {
-    fn resume(&mut self, checkpoint: Checkpoint) {
-        self.state = checkpoint;
-    }
-
-    fn checkpoint(&self) -> &Checkpoint {
-        &self.state
-    }
-
-    fn iteration(&self) -> usize {
-        self.state.iteration
-    }
-
-    fn advance(&mut self) -> Option<CurvePoint> {
-        if self.state.iteration >= self.config.iterations {
-            return None;
-        }
-        self.begin_courses();
-        let mut training = 0.0;
-        let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
-        while self.state.iteration < until {
-            training = self.step();
-        }
-        let validation = self.keep_best();
-        Some(CurvePoint { iteration: self.state.iteration, training, validation })
     }
 
     fn finish(&self) -> Result<Trained, ResidualError> {

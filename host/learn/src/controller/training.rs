@@ -135,23 +135,50 @@ pub struct Checkpoint {
 
 /// A training that can be advanced, stopped and resumed.
 pub trait Stepwise {
-    /// Continues from a checkpoint.
-    fn resume(&mut self, checkpoint: Checkpoint);
-
     /// The state to keep for resuming the training later.
     fn checkpoint(&self) -> &Checkpoint;
 
-    /// Number of gradient steps done.
-    fn iteration(&self) -> usize;
+    /// Continues from a checkpoint.
+    fn resume(&mut self, checkpoint: Checkpoint);
 
-    /// Trains until the next validation; `None` when training is done.
-    fn advance(&mut self) -> Option<CurvePoint>;
+    /// Number of gradient steps of the whole training, and between validations.
+    fn schedule(&self) -> (usize, usize);
+
+    /// Prepares the steps up to the next validation.
+    fn prepare(&mut self) {}
+
+    /// Makes one gradient step; returns the batch's score.
+    fn step(&mut self) -> f64;
+
+    /// Validates the present parameters and keeps the best so far; returns their score.
+    fn keep_best(&mut self) -> f64;
 
     /// Ends the training with the best controller.
     ///
     /// # Errors
     /// Weights that exceed their bound.
     fn finish(&self) -> Result<Trained, ResidualError>;
+
+    /// Number of gradient steps done.
+    fn iteration(&self) -> usize {
+        self.checkpoint().iteration
+    }
+
+    /// Trains until the next validation; `None` when training is done.
+    fn advance(&mut self) -> Option<CurvePoint> {
+        let (iterations, validate_every) = self.schedule();
+        if self.iteration() >= iterations {
+            return None;
+        }
+        self.prepare();
+        let mut training = 0.0;
+        let until = (self.iteration() + validate_every.max(1)).min(iterations);
+        while self.iteration() < until {
+            training = self.step();
+        }
+        let validation = self.keep_best();
+        Some(CurvePoint { iteration: self.iteration(), training, validation })
+    }
 }
 
 /// Number of the random stream for validation; training uses the numbers of its steps.
@@ -197,41 +224,6 @@ impl Training {
         training.base_score = mean(&training.validate(&vec![0.0; Network::PARAMETERS]));
         training.keep_best();
         Ok(training)
-    }
-
-    /// Validates the present parameters and keeps the best so far; returns the mean score over the plants.
-    fn keep_best(&mut self) -> f64 {
-        let scores = self.validate(&self.state.parameters);
-        self.state.factors = self.config.weighting.factors(&scores);
-        let validation = mean(&scores);
-        if validation < self.state.best.0 {
-            self.state.best = (validation, self.state.parameters.clone());
-        }
-        validation
-    }
-
-    /// Makes one gradient step; returns the batch's mean score.
-    pub fn step(&mut self) -> f64 {
-        let size = self.state.parameters.len();
-        let parts = self.on_shards(|controller, model, scenario, tape| {
-            let mut gradient = vec![0.0; size];
-            let loss = controller.forward(model, scenario, tape);
-            controller.backward(scenario, tape, &mut gradient);
-            (loss.mean_score(), gradient)
-        });
-        let mut gradient = vec![0.0; size];
-        let mut score = 0.0;
-        for (part_score, part) in &parts {
-            score += part_score / parts.len() as f64;
-            for (sum, part) in gradient.iter_mut().zip(part) {
-                *sum += part / (parts.len() * LANES) as f32;
-            }
-        }
-        blind_to(&self.config.blind_to, &mut gradient);
-        let progress = self.state.iteration as f32 / self.config.iterations as f32;
-        self.state.adam.step(&mut self.state.parameters, &gradient, progress);
-        self.state.iteration += 1;
-        score
     }
 
     /// Runs the next step's batch in closed loop without learning from it; returns its mean score.
@@ -296,29 +288,49 @@ impl Training {
 }
 
 impl Stepwise for Training {
-    fn resume(&mut self, checkpoint: Checkpoint) {
-        self.state = checkpoint;
-    }
-
     fn checkpoint(&self) -> &Checkpoint {
         &self.state
     }
 
-    fn iteration(&self) -> usize {
-        self.state.iteration
+    fn resume(&mut self, checkpoint: Checkpoint) {
+        self.state = checkpoint;
     }
 
-    fn advance(&mut self) -> Option<CurvePoint> {
-        if self.state.iteration >= self.config.iterations {
-            return None;
+    fn schedule(&self) -> (usize, usize) {
+        (self.config.iterations, self.config.validate_every)
+    }
+
+    fn step(&mut self) -> f64 {
+        let size = self.state.parameters.len();
+        let parts = self.on_shards(|controller, model, scenario, tape| {
+            let mut gradient = vec![0.0; size];
+            let loss = controller.forward(model, scenario, tape);
+            controller.backward(scenario, tape, &mut gradient);
+            (loss.mean_score(), gradient)
+        });
+        let mut gradient = vec![0.0; size];
+        let mut score = 0.0;
+        for (part_score, part) in &parts {
+            score += part_score / parts.len() as f64;
+            for (sum, part) in gradient.iter_mut().zip(part) {
+                *sum += part / (parts.len() * LANES) as f32;
+            }
         }
-        let mut training = 0.0;
-        let until = (self.state.iteration + self.config.validate_every.max(1)).min(self.config.iterations);
-        while self.state.iteration < until {
-            training = self.step();
+        blind_to(&self.config.blind_to, &mut gradient);
+        let progress = self.state.iteration as f32 / self.config.iterations as f32;
+        self.state.adam.step(&mut self.state.parameters, &gradient, progress);
+        self.state.iteration += 1;
+        score
+    }
+
+    fn keep_best(&mut self) -> f64 {
+        let scores = self.validate(&self.state.parameters);
+        self.state.factors = self.config.weighting.factors(&scores);
+        let validation = mean(&scores);
+        if validation < self.state.best.0 {
+            self.state.best = (validation, self.state.parameters.clone());
         }
-        let validation = self.keep_best();
-        Some(CurvePoint { iteration: self.state.iteration, training, validation })
+        validation
     }
 
     fn finish(&self) -> Result<Trained, ResidualError> {
