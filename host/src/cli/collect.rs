@@ -129,7 +129,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let plant = args.plant.connect()?;
     let chosen = args.controller.chosen(plant.as_ref())?;
     let config = config(args)?;
-    let mut source = source(args, plant, &chosen, &config)?;
+    let mut source = source(&args.bench, &args.port, plant, &chosen, &config)?;
     let recorded = with_bars(|progress| collect(source.as_mut(), &chosen.controller, &config, progress));
     let (mut collected, failure) = match recorded {
         Ok(collected) => (collected, None),
@@ -177,19 +177,20 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
 }
 
 /// The source of breaths: a device, the user's own plant, or the bench.
-fn source(
-    args: &Args,
+pub fn source(
+    bench: &BenchArgs,
+    port: &PortArgs,
     plant: Option<SharedLink>,
     chosen: &Chosen,
     config: &CollectConfig,
 ) -> anyhow::Result<Box<dyn Source>> {
     let (controller, period_us) = (chosen.controller.clone(), chosen.period_us);
-    Ok(if let Some(address) = &args.port.port {
+    Ok(if let Some(address) = &port.port {
         Box::new(port_args::source(address, chosen, config.seed)?)
     } else if let Some(link) = plant {
         Box::new(PlantSource::new(link, controller, period_us, config.seed))
     } else {
-        let bench = args.bench.one()?;
+        let bench = bench.one()?;
         Box::new(BenchSource::new(&bench, controller, &config.settings, period_us, config.seed)?)
     })
 }

@@ -46,6 +46,24 @@ pub struct Chosen {
 }
 
 impl Chosen {
+    /// A PID.
+    pub fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<Self> {
+        let (controller, name) = (Controller::Pid(Pid::new(gains, period_us)?), format_gains(&gains));
+        Ok(Self { controller, period_us, weights_id: None, image: None, name })
+    }
+
+    /// Checks that the control period is that of `plant`, if there is one and it has its own.
+    pub fn suits(&self, plant: Option<&SharedLink>) -> anyhow::Result<()> {
+        match plant_args::own_period_us(plant) {
+            Some(own) if own != self.period_us => bail!(
+                "{} is trained for a control period of {} us, but the plant's is {own} us: train a controller on the plant",
+                self.name,
+                self.period_us
+            ),
+            _ => Ok(()),
+        }
+    }
+
     /// Gains of the PID, or of the PID under the residual.
     pub fn gains(&self) -> PidGains {
         self.controller.pid().gains()
@@ -56,49 +74,45 @@ impl ControllerArgs {
     /// The chosen controller, built for `plant` if there is one.
     pub fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
         let chosen = self.built(plant)?;
-        match plant_args::own_period_us(plant) {
-            Some(own) if own != chosen.period_us => bail!(
-                "{} is trained for a control period of {} us, but the plant's is {own} us: train a controller on the plant",
-                chosen.name,
-                chosen.period_us
-            ),
-            _ => Ok(chosen),
-        }
+        chosen.suits(plant)?;
+        Ok(chosen)
     }
 
     fn built(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
-        match (&self.controller, &self.weights) {
-            (Some(file), _) => {
-                let image = image_of(file)?;
-                self.learned(file, image)
-            }
-            (None, Some(file)) => self.learned(file, read(file)?),
+        let learned = match (&self.controller, &self.weights) {
+            (Some(file), _) => learned(file)?,
+            (None, Some(file)) => of_image(file, read(file)?)?,
             (None, None) => {
                 let gains = self.gains.unwrap_or(KNOWN_GOOD);
-                let period_us = plant_args::period_us(self.period_us, plant)?;
-                let (controller, name) = (Controller::Pid(Pid::new(gains, period_us)?), format_gains(&gains));
-                Ok(Chosen { controller, period_us, weights_id: None, image: None, name })
+                return Chosen::pid(gains, plant_args::period_us(self.period_us, plant)?);
             }
-        }
-    }
-
-    fn learned(&self, file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
-        let image = decode(&bytes).with_context(|| file.display().to_string())?;
-        let period_us = image.residual.spec().period_us;
-        if let Some(asked) = self.period_us.filter(|asked| *asked != period_us) {
+        };
+        if let Some(asked) = self.period_us.filter(|asked| *asked != learned.period_us) {
             bail!(
-                "{} is trained for a control period of {period_us} us, not {asked}: omit --period-us",
-                file.display()
+                "{} is trained for a control period of {} us, not {asked}: omit --period-us",
+                learned.name,
+                learned.period_us
             );
         }
-        Ok(Chosen {
-            controller: Controller::Residual(image.residual),
-            period_us,
-            weights_id: Some(image_id(image.id)),
-            image: Some(bytes),
-            name: file.display().to_string(),
-        })
+        Ok(learned)
     }
+}
+
+/// A learned controller: the shipped one with this name, or the one in this file.
+pub fn learned(controller: &Path) -> anyhow::Result<Chosen> {
+    of_image(controller, image_of(controller)?)
+}
+
+/// The controller of a weights image from a file.
+fn of_image(file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
+    let image = decode(&bytes).with_context(|| file.display().to_string())?;
+    Ok(Chosen {
+        period_us: image.residual.spec().period_us,
+        controller: Controller::Residual(image.residual),
+        weights_id: Some(image_id(image.id)),
+        image: Some(bytes),
+        name: file.display().to_string(),
+    })
 }
 
 /// The weights image of a learned controller: of the shipped one with this name, or of the one in this file.

@@ -8,6 +8,7 @@ mod blackbox;
 mod bound;
 mod breathing;
 mod collect;
+mod commission;
 mod common;
 mod comparison;
 mod controller_args;
@@ -67,6 +68,7 @@ enum Command {
     Fit(fit::Args),
     Train(train::Args),
     TrainFamily(train_family::Args),
+    Commission(commission::Args),
     Evaluate(evaluate::Args),
     Reproduce(reproduce::Args),
     Pack(pack::Args),
@@ -119,6 +121,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Fit(args) => fit::run(args),
         Command::Train(args) => train::run(args),
         Command::TrainFamily(args) => train_family::run(args),
+        Command::Commission(args) => commission::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Reproduce(args) => reproduce::run(args),
         Command::Pack(args) => pack::run(args),

@@ -3,6 +3,7 @@
 //! The flags are built from [`TEMPLATE_FIELDS`], so a new setting appears here automatically. PIP is excluded: commands
 //! that run several waveforms take a list of PIPs.
 
+use anyhow::bail;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use shared::settings::{Field, Settings, SettingsError, TEMPLATE_FIELDS};
 
@@ -17,6 +18,15 @@ impl SettingsArgs {
     pub fn checked(&self, pips: &[f32]) -> Result<Settings, SettingsError> {
         pips.iter().try_for_each(|pip| Settings { pip: *pip, ..self.settings }.validate())?;
         Ok(self.settings)
+    }
+
+    /// The same, checked for a training too.
+    pub fn for_training(&self, pips: &[f32]) -> anyhow::Result<Settings> {
+        let settings = self.checked(pips)?;
+        if settings.rise_time > 0.0 {
+            bail!("training supports only the paper's square rise: leave --rise-time at 0");
+        }
+        Ok(settings)
     }
 }
 

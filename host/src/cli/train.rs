@@ -7,9 +7,11 @@ use anyhow::{anyhow, bail};
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::pid::PidGains;
+use shared::weights::decode;
 
 use super::bars::with_bars;
 use super::common::{BenchArgs, Preset, gains};
+use super::controller_args::image_id;
 use super::key_args::KeyArgs;
 use super::output::{OutputArgs, write};
 use super::plant_args::{self, PlantArgs};
@@ -147,9 +149,7 @@ impl ResultArgs {
         let controller = self.out.join(CONTROLLER);
         learned.save(&controller)?;
         if self.key.key.is_some() {
-            let weights = self.out.join(WEIGHTS);
-            write(&weights, &self.key.signed(learned.image()?)?)?;
-            self.output.saved(&weights);
+            self.packed(learned)?;
         }
         Ok(Summary {
             seed: self.seed,
@@ -161,6 +161,15 @@ impl ResultArgs {
             rounds: Vec::new(),
             train_curve: Vec::new(),
         })
+    }
+
+    /// Writes the weights image of a controller, signed if there is a key; returns its path and id.
+    pub fn packed(&self, learned: &Learned) -> anyhow::Result<(PathBuf, String)> {
+        let weights = self.out.join(WEIGHTS);
+        let image = self.key.signed(learned.image()?)?;
+        write(&weights, &image)?;
+        self.output.saved(&weights);
+        Ok((weights, image_id(decode(&image)?.id)))
     }
 
     /// The result of a training on simulators.
@@ -189,7 +198,7 @@ impl ResultArgs {
 }
 
 /// File name of the controller in the folder.
-const CONTROLLER: &str = "controller.safetensors";
+pub const CONTROLLER: &str = "controller.safetensors";
 /// File name of the signed weights image in the folder.
 const WEIGHTS: &str = "weights.bin";
 
@@ -227,10 +236,7 @@ impl Args {
     }
 
     fn config(&self, period_us: u32) -> anyhow::Result<PipelineConfig> {
-        let settings = self.settings.checked(&self.pips)?;
-        if settings.rise_time > 0.0 {
-            bail!("training supports only the paper's square rise: leave --rise-time at 0");
-        }
+        let settings = self.settings.for_training(&self.pips)?;
         let preset = match self.preset {
             Some(Preset::Paper30Ms) => PipelineConfig::paper_30ms(),
             None => PipelineConfig::for_period(period_us),

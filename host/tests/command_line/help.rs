@@ -9,6 +9,7 @@ fn every_command_explains_itself() {
         "demo",
         "train",
         "train-family",
+        "commission",
         "collect",
         "tune-pid",
         "bound",

@@ -3,6 +3,7 @@
 mod bad_input;
 #[cfg(unix)]
 mod blackbox;
+mod commission;
 mod endure;
 mod help;
 mod interrupted;

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use shared::breath::PAPER_PIPS;
 use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
+use shared::settings::Settings;
 
 use super::courses::Courses;
 use super::network::initial_parameters;
@@ -84,6 +85,30 @@ impl Default for FamilyConfig {
     }
 }
 
+impl FamilyConfig {
+    /// The configuration in breaths with these settings and PIPs, cmH2O; random PIPs go a little beyond them where the settings'
+    /// bounds allow it.
+    #[must_use]
+    pub fn in_breaths(self, settings: &Settings, pips: &[f32]) -> Self {
+        let ends =
+            pips.iter().fold((f32::INFINITY, 0.0_f32), |(low, high), pip| (low.min(*pip), high.max(*pip)));
+        let allowed = |pip: f32| Settings { pip, ..*settings }.validate().is_ok().then_some(pip);
+        Self {
+            pips: pips.to_vec(),
+            pip_range: (
+                allowed(ends.0 - BEYOND_CMH2O).unwrap_or(ends.0),
+                allowed(ends.1 + BEYOND_CMH2O).unwrap_or(ends.1),
+            ),
+            peep: settings.peep,
+            rest: settings.expiratory_bias,
+            inspiratory_time: settings.inspiratory_time,
+            ..self
+        }
+    }
+}
+
+/// Distance by which random PIPs go beyond those of the waveforms, cmH2O.
+const BEYOND_CMH2O: f32 = 2.0;
 /// Shards and breaths of a validation.
 const VALIDATION: (usize, u32) = (8, 6);
 /// Number of the random stream for validation; training uses the numbers of its steps.
@@ -286,6 +311,13 @@ mod tests {
             first[shared::control::features::FEATURES..].iter().flatten().map(|w| w.abs()).sum::<f32>()
         };
         assert!(of_memory(trained.controller.network()) > 0.1);
+    }
+
+    #[test]
+    fn random_pips_go_beyond_the_waveforms_but_not_beyond_the_settings_bounds() {
+        let range = |pips: &[f32]| FamilyConfig::default().in_breaths(&Settings::default(), pips).pip_range;
+        assert_eq!(range(&[20.0, 10.0, 35.0]), FamilyConfig::default().pip_range);
+        assert_eq!(range(&[6.0, 50.0]), (6.0, 50.0));
     }
 
     #[test]

@@ -33,9 +33,6 @@ use progress::{Progress, Stage, Task};
 use ventilator::collect::{CollectConfig, collect};
 use ventilator::{BenchSource, seeds};
 
-/// Distance by which random PIPs go beyond those of the family's waveforms, cmH2O.
-const BEYOND_CMH2O: f32 = 2.0;
-
 /// Configuration of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -95,22 +92,10 @@ struct Claim {
 impl FamilyRun {
     /// The default in the breaths of a family.
     pub fn of(family: &Family) -> Self {
-        let (mut run, settings) = (Self::default(), family.settings);
-        let ends = family
-            .pips
-            .iter()
-            .fold((f32::INFINITY, 0.0_f32), |(low, high), pip| (low.min(*pip), high.max(*pip)));
-        let pip_range = (ends.0 - BEYOND_CMH2O, ends.1 + BEYOND_CMH2O);
-        (run.collect.settings, run.collect.pip_range) = (settings, pip_range);
+        let mut run = Self::default();
+        run.train = run.train.in_breaths(&family.settings, &family.pips);
+        (run.collect.settings, run.collect.pip_range) = (family.settings, run.train.pip_range);
         run.collect.pips.clone_from(&family.pips);
-        run.train = FamilyConfig {
-            pips: family.pips.clone(),
-            pip_range,
-            peep: settings.peep,
-            rest: settings.expiratory_bias,
-            inspiratory_time: settings.inspiratory_time,
-            ..run.train
-        };
         run
     }
 

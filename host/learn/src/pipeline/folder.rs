@@ -35,6 +35,11 @@ impl Folder {
         self.path.join(format!("round-{round}")).join(name)
     }
 
+    /// Path of a file of the whole run.
+    pub fn whole(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+
     /// Claims the folder for this configuration.
     ///
     /// # Errors

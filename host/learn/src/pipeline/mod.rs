@@ -7,6 +7,7 @@
 //! With a folder, every stage saves its result there, and a stopped run continues where it stopped; it then gives the
 //! same files as an uninterrupted run.
 
+pub mod commission;
 pub mod family;
 mod folder;
 mod stages;
@@ -181,7 +182,9 @@ pub enum PipelineError {
         needed: usize,
     },
     /// The folder belongs to another run.
-    #[error("{0} contains a run with another seed or configuration: choose another folder or remove it")]
+    #[error(
+        "{0} contains a run on another plant, or with another seed or configuration: choose another folder or remove it"
+    )]
     OtherRun(String),
     /// A state file of the folder cannot be read or written.
     #[error("{path}: {reason}")]
@@ -191,6 +194,9 @@ pub enum PipelineError {
         /// The problem.
         reason: String,
     },
+    /// A unit must not be commissioned.
+    #[error(transparent)]
+    Commission(#[from] commission::Problem),
     /// No simulator to train on was given.
     #[error("name at least one simulator to train on")]
     NoSimulator,

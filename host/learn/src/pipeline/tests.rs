@@ -39,7 +39,7 @@ fn run_small(folder: Option<&Path>, progress: &Progress<'_>) -> Result<Outcome, 
 }
 
 /// Mean true |p - target| over the inspirations of the paper's waveforms, under noise not used in learning.
-fn score(lung: &BenchConfig, controller: &Controller) -> f32 {
+pub(super) fn score(lung: &BenchConfig, controller: &Controller) -> f32 {
     let mut errors = Vec::new();
     for seed in ventilator::seeds::evaluation(3) {
         for settings in PAPER_PIPS.map(paper_settings) {

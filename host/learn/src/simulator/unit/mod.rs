@@ -12,6 +12,7 @@
 //! ```
 
 mod lung;
+mod numbers;
 pub mod spread;
 mod valve;
 
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 use shared::settings::Settings;
 
 use self::lung::{LungLanes, LungTape};
+pub use self::numbers::UnitNumbers;
 use self::valve::{ValveLanes, ValveTape};
 use super::{BreathStart, CommandLog, Dynamics, Members, Timing};
 use engine::{LANES, Lane};

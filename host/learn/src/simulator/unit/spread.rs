@@ -3,6 +3,7 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
 
 use super::{PER_UNIT, USUAL, VALVE, lung, valve};
 
@@ -22,6 +23,8 @@ const FLOW_SCALE: [(usize, f32); 8] = [
     (VALVE + lung::ORIFICE, 1.0),
     (VALVE + lung::OUTWARD, -1.0),
 ];
+/// Parameters of the lung; all others are the machine's.
+const OF_LUNG: [usize; 3] = [VALVE + lung::RESISTANCE, VALVE + lung::TURBULENCE, VALVE + lung::COMPLIANCE];
 /// Deviation of a valve's numbers between machines of one type, as a share.
 const UNIT_SPREAD: f32 = 0.03;
 
@@ -45,6 +48,34 @@ pub fn draw(learned: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
             let n = place % PER_UNIT;
             let normal: f32 = rng.sample(StandardNormal);
             units[rng.random_range(0..units.len())][n] + BLUR * spread[n] * normal
+        })
+        .collect()
+}
+
+/// Standard deviations of the units drawn around a recorded one, as shares of its numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Around {
+    /// Of the machine's numbers.
+    pub machine: f32,
+    /// Of the lung's numbers in the first half of the units.
+    pub lung: f32,
+    /// Of the lung's numbers in the other half: other lungs on the same machine.
+    pub other_lungs: f32,
+}
+
+/// Draws the parameters of `count` units around one recorded unit.
+pub fn around(recorded: &[f32], count: usize, deviations: &Around, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    (0..count * PER_UNIT)
+        .map(|place| {
+            let (unit, n) = (place / PER_UNIT, place % PER_UNIT);
+            let deviation = match (OF_LUNG.contains(&n), unit < count / 2) {
+                (false, _) => deviations.machine,
+                (true, true) => deviations.lung,
+                (true, false) => deviations.other_lungs,
+            };
+            let normal: f32 = rng.sample(StandardNormal);
+            recorded[n] + deviation * normal
         })
         .collect()
 }
@@ -90,6 +121,26 @@ mod tests {
         // The variance of the blur adds to that of the units.
         assert!((deviation(of(3)) - (1.0 + BLUR * BLUR).sqrt()).abs() < 0.05);
         assert!(deviation(of(4)) < 1e-3, "what does not differ is not spread");
+    }
+
+    #[test]
+    fn units_around_a_recorded_one_deviate_from_it_as_machines_and_as_lungs() {
+        let mut recorded = UnitConfig::for_period(1000, 1).initialise();
+        for parameter in &mut recorded {
+            *parameter += 0.3;
+        }
+        let deviations = Around { machine: 0.05, lung: 0.1, other_lungs: 0.4 };
+        let drawn = around(&recorded, 8000, &deviations, &mut ChaCha8Rng::seed_from_u64(1));
+        let (first, rest) = drawn.split_at(drawn.len() / 2);
+        for (n, expected) in recorded.iter().enumerate() {
+            let of_lung = OF_LUNG.contains(&n);
+            for (units, of_lungs) in [(first, 0.1), (rest, 0.4)] {
+                let of = units.chunks_exact(PER_UNIT).map(|unit| unit[n]);
+                let share = if of_lung { of_lungs } else { 0.05 };
+                assert!((deviation(of.clone()) / share - 1.0).abs() < 0.05, "parameter {n}");
+                assert!((of.sum::<f32>() / 4000.0 - expected).abs() < 0.1 * share, "parameter {n}");
+            }
+        }
     }
 
     #[test]

@@ -9,8 +9,8 @@ use super::VALVE;
 use crate::simulator::{COMMAND_SCALE, CommandLog};
 use engine::{LANES, Lane};
 
-const DEAD_TIME: usize = 0;
-const LAG: usize = 1;
+pub(super) const DEAD_TIME: usize = 0;
+pub(super) const LAG: usize = 1;
 const PLAY: usize = 2;
 const ZONE: usize = 3;
 const EXPONENT: usize = 4;

@@ -1,0 +1,380 @@
+//! `trainer commission`: a controller for one unit, from a minute of its own breaths.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use serde::Serialize;
+use shared::breath::PAPER_PIPS;
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::Residual;
+
+use super::bars::with_bars;
+use super::collect::source;
+use super::common::{BenchArgs, gains};
+use super::controller_args::{self, Chosen, format_gains};
+use super::plant_args::PlantArgs;
+use super::port_args::PortArgs;
+use super::settings_args::SettingsArgs;
+use super::train::{CONTROLLER, ResultArgs};
+use data::recording::Recording;
+use judge::evaluate::{Plan, evaluate_law};
+use learn::controller::CurvePoint;
+use learn::pipeline::Folder;
+use learn::pipeline::commission::{
+    BREATHS_NEEDED, CommissionRun, Commissioned, Figures, OPEN_LOOP_LIMIT, RECORDING, Winner,
+};
+use plant::bench::BenchConfig;
+use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
+
+/// Train the family's controller further for one unit, from a minute of its own breaths
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer commission --port /dev/ttyACM0 --out out/unit-7
+  trainer commission --bench my-unit.toml --out out/mine
+  trainer commission --plant tcp:localhost:7000 --out out/plant
+  trainer commission --lung R20C20 --controller out/adult/controller.safetensors --out out/r20c20
+
+Connect a passive test lung of medium resistance, such as R20C20, never a patient: a recording on
+a low resistance says little about small flows. The command works in five stages: it records the
+unit under a soft PID with random exploration; it fits a physical simulator and checks it on
+breaths left out of the fit; it trains the controller further, in small steps, on units drawn
+narrowly around that simulator; it compares PID, starting and fine-tuned controller, on a bench
+also under new sensor noise; and it packs the best of them for the chip.
+
+The defaults take 60 s of breathing at 20 breaths/min, and about 60 s of processor time, shared by
+all cores. The number of gradient steps is fixed, so that the same seed gives the same weights
+everywhere. If a check fails, the command says what to do and ends with a non-zero status.
+
+The folder then has recording.parquet, controller.safetensors, weights.bin and report.html. Ctrl-C
+stops; the same command continues from the recording in the folder. A recording that was not
+complete is repeated.")]
+pub struct Args {
+    #[command(flatten)]
+    bench: BenchArgs,
+    #[command(flatten)]
+    port: PortArgs,
+    #[command(flatten)]
+    plant: PlantArgs,
+    /// The learned controller to start from: a shipped one, or a file as written by `trainer train-family`
+    #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
+    controller: PathBuf,
+    /// Number of breaths to record
+    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().collect.breaths as u32,
+        value_parser = clap::value_parser!(u32).range(BREATHS_NEEDED as i64..))]
+    breaths: u32,
+    /// Gains P,I,D of the PID that records
+    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&CommissionRun::default().collector))]
+    collector: PidGains,
+    /// PIPs of every second breath, of half of the training and of the comparison; the others are random ones around them, cmH2O
+    #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
+    pips: Vec<f32>,
+    /// Gradient steps
+    #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations)]
+    iterations: usize,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    #[command(flatten)]
+    result: ResultArgs,
+}
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Summary {
+    seed: u64,
+    plant: String,
+    start: String,
+    gains: PidGains,
+    #[serde(flatten)]
+    figures: Figures,
+    winner: Winner,
+    /// Scores on the units drawn around the learned simulator, cmH2O.
+    simulator: Scores,
+    /// Scores on the bench, for every number of breaths of learning.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    bench: Vec<OnBench>,
+    controller: PathBuf,
+    weights: PathBuf,
+    weights_id: String,
+    train_curve: Vec<CurvePoint>,
+}
+
+/// Scores of the three controllers, cmH2O.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct Scores {
+    pid: f64,
+    start: f64,
+    commissioned: f64,
+}
+
+/// Scores on the bench after this number of breaths of learning.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct OnBench {
+    breaths_of_learning: usize,
+    #[serde(flatten)]
+    scores: Scores,
+}
+
+/// Numbers of breaths of learning before the scored breaths on a bench; with 0 the first breath from rest is scored alone.
+const BREATHS_OF_LEARNING: [usize; 3] = [0, 1, 20];
+/// File name of the report in the folder.
+const REPORT: &str = "report.html";
+
+/// A commissioning.
+struct Job<'a> {
+    args: &'a Args,
+    run: CommissionRun,
+    folder: Folder,
+    start: Chosen,
+    residual: Residual,
+    /// Address of the unit, or description of the bench.
+    unit: String,
+    /// The bench, if the unit is one.
+    bench: Option<BenchConfig>,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let job = Job::new(args)?;
+    let recording = job.recording()?;
+    job.stage(2, "check: fits a physical simulator and compares it with breaths left out of the fit");
+    let checked = with_bars(|progress| job.run.check(&recording, progress))?;
+    let tables = [figures_table(&checked.figures), unit_table(&checked.figures)];
+    for table in &tables {
+        args.result.output.table(table);
+    }
+    args.result.output.line(SCALE);
+    if let Some(problem) = checked.figures.problem() {
+        bail!("{problem}");
+    }
+    job.stage(3, &format!("fine-tune: trains {} further on units around this simulator", job.start.name));
+    let commissioned =
+        with_bars(|progress| job.run.tune(&job.residual, &checked.simulator, Some(&job.folder), progress))?;
+    if !commissioned.complete {
+        args.result.output.line("Stopped. Run the same command again to continue.");
+        return Ok(());
+    }
+    args.result.output.line(verdict(commissioned.winner));
+    job.stage(4, "compare: scores the PID, the starting and the commissioned controller");
+    let on_bench = job.on_bench(&commissioned)?;
+    job.finish(&recording, &checked.figures, tables, commissioned, on_bench)
+}
+
+impl<'a> Job<'a> {
+    fn new(args: &'a Args) -> anyhow::Result<Self> {
+        let start = controller_args::learned(&args.controller)?;
+        let Controller::Residual(residual) = &start.controller else {
+            bail!("{} is no learned controller", start.name)
+        };
+        let mut run = CommissionRun {
+            seed: args.result.seed,
+            collector: args.collector,
+            ..CommissionRun::of(&args.settings.for_training(&args.pips)?, &args.pips)
+        };
+        run.collect.breaths = args.breaths as usize;
+        run.train.iterations = args.iterations;
+        let (port, plant) = (&args.port.port, &args.plant.plant);
+        let bench = if port.is_none() && plant.is_none() { Some(args.bench.one()?) } else { None };
+        let unit = match (&bench, port, plant) {
+            (Some(bench), ..) => bench.to_toml(),
+            (None, Some(port), _) => port.to_string(),
+            (None, None, plant) => plant.iter().map(ToString::to_string).collect(),
+        };
+        let folder = Folder::new(&args.result.out);
+        Ok(Self { args, run, folder, unit, residual: residual.clone(), start, bench })
+    }
+
+    /// Announces a stage.
+    fn stage(&self, number: usize, text: &str) {
+        self.args.result.output.line(&format!("[{number}/5] {text}"));
+    }
+
+    /// Records the unit, or loads the recording of an earlier call.
+    fn recording(&self) -> anyhow::Result<Recording> {
+        let Self { args, run, folder, .. } = self;
+        if folder.whole(RECORDING).exists() {
+            self.claim()?;
+            self.stage(1, &format!("collect: {} is complete", folder.whole(RECORDING).display()));
+            return Ok(CommissionRun::recorded(folder)?);
+        }
+        let plant = args.plant.connect()?;
+        self.start.suits(plant.as_ref())?;
+        let pid = Chosen::pid(run.collector, self.start.period_us)?;
+        let mut source = source(&args.bench, &args.port, plant, &pid, &run.collection())?;
+        // Only now: a unit that cannot be reached leaves no trace in the folder.
+        self.claim()?;
+        let settings = &run.collect.settings;
+        self.stage(
+            1,
+            &format!(
+                "collect: records {} breaths, {:.0} s, under the PID {} with random exploration; {} cmH2O ends a breath",
+                run.collect.breaths,
+                run.collect.breaths as f32 * 60.0 / settings.rate,
+                format_gains(&run.collector),
+                settings.pressure_limit,
+            ),
+        );
+        Ok(with_bars(|progress| run.record(source.as_mut(), folder, progress))?)
+    }
+
+    /// Claims the folder for this commissioning.
+    fn claim(&self) -> anyhow::Result<()> {
+        Ok(self.run.claim(&self.folder, &self.unit, &self.residual)?)
+    }
+
+    /// Scores on the bench, if the unit is one, under noise that was not used before.
+    fn on_bench(&self, commissioned: &Commissioned) -> anyhow::Result<Vec<OnBench>> {
+        let Some(bench) = &self.bench else { return Ok(Vec::new()) };
+        let pid = Controller::Pid(Pid::new(self.start.gains(), self.start.period_us)?);
+        let learned = Controller::Residual(commissioned.learned.controller.clone());
+        let after = |breaths_of_learning| -> anyhow::Result<OnBench> {
+            let plan = Plan {
+                period_us: self.start.period_us,
+                pips: self.args.pips.clone(),
+                warm_up: breaths_of_learning,
+                breaths: if breaths_of_learning == 0 { 1 } else { Plan::default().breaths },
+                settings: self.run.collect.settings,
+                ..Plan::evaluation(self.run.seed)
+            };
+            let score = |controller| -> anyhow::Result<f64> {
+                Ok(with_bars(|progress| evaluate_law(bench, controller, &plan, progress))?.mean.score)
+            };
+            let (pid, start) = (score(&pid)?, score(&self.start.controller)?);
+            Ok(OnBench { breaths_of_learning, scores: Scores { pid, start, commissioned: score(&learned)? } })
+        };
+        BREATHS_OF_LEARNING.into_iter().map(after).collect()
+    }
+
+    /// Prints the comparison, packs the controller and writes the report.
+    fn finish(
+        &self,
+        recording: &Recording,
+        figures: &Figures,
+        tables: [Table; 2],
+        commissioned: Commissioned,
+        bench: Vec<OnBench>,
+    ) -> anyhow::Result<()> {
+        let ResultArgs { output, out, .. } = &self.args.result;
+        let Commissioned { learned, winner, start, curve, .. } = commissioned;
+        let simulator = Scores { pid: learned.origin.base, start, commissioned: learned.origin.validation };
+        let comparison = comparison_table(simulator, &bench);
+        output.table(&comparison);
+        if bench.iter().any(|on| on.scores.commissioned > on.scores.start) {
+            output.line(WORSE);
+        }
+        self.stage(5, "pack");
+        let report = Report {
+            title: "Commissioning".into(),
+            subtitle: format!("{} from {}", recording.provenance.plant, self.start.name),
+            sections: sections(tables, comparison, winner, &curve),
+            provenance: Some(recording.provenance.clone()),
+        };
+        let controller = out.join(CONTROLLER);
+        learned.save(&controller)?;
+        output.saved(&controller);
+        let (weights, weights_id) = self.args.result.packed(&learned)?;
+        output.report(Some(&out.join(REPORT)), || Ok(report))?;
+        let port = self.args.port.port.as_ref().map_or_else(|| "/dev/ttyACM0".into(), ToString::to_string);
+        output.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
+        output.finish(&Summary {
+            seed: self.run.seed,
+            plant: recording.provenance.plant.clone(),
+            start: self.start.name.clone(),
+            gains: self.start.gains(),
+            figures: *figures,
+            winner,
+            simulator,
+            bench,
+            controller,
+            weights,
+            weights_id,
+            train_curve: curve,
+        })
+    }
+}
+
+/// Said of the estimates.
+const SCALE: &str = "Pressures alone do not tell the scale of the flow: full flow, R, C and leak are those of a circuit of 1.5 mL/cmH2O.\nAt a low R they can be wrong by a factor of two; the times and the controller do not depend on that scale.";
+/// Said if the bench disagrees with the simulator.
+const WORSE: &str = "On the bench the commissioned controller is worse than the starting one: keep the starting one, and record more breaths (--breaths) or with another --seed.";
+
+fn verdict(winner: Winner) -> &'static str {
+    match winner {
+        Winner::FineTuned => "The fine-tuned controller beats the starting one on the validation units.",
+        Winner::Start => {
+            "The fine-tuned controller does not beat the starting one on the validation units: the starting one is kept."
+        }
+        Winner::Pid => {
+            "Neither controller beats the PID on the validation units: the PID alone is kept. Start from a controller trained for this family (--controller)."
+        }
+    }
+}
+
+fn figures_table(figures: &Figures) -> Table {
+    let mut table = Table::new("The recording and the simulator", &["figure", "value", "limit", "unit"]);
+    for (name, value, limit, unit) in [
+        (
+            "complete breaths",
+            Cell::count(figures.breaths),
+            Cell::right(format!("at least {BREATHS_NEEDED}")),
+            "",
+        ),
+        (
+            "open-loop distance on breaths left out of the fit",
+            Cell::number(figures.open_loop, 3),
+            Cell::right(format!("at most {OPEN_LOOP_LIMIT}")),
+            "cmH2O",
+        ),
+        ("sensor noise", Cell::number(figures.noise.into(), 3), Cell::right(""), "cmH2O"),
+    ] {
+        table.row(vec![Cell::text(name), value, limit, Cell::text(unit)]);
+    }
+    table
+}
+
+fn unit_table(figures: &Figures) -> Table {
+    let unit = &figures.unit;
+    let mut table = Table::new("The unit", &["number", "estimate", "unit"]);
+    for (name, value, decimals, of) in [
+        ("dead time of the valve", unit.dead_time_ms, 1, "ms"),
+        ("lag of the valve", unit.lag_ms, 1, "ms"),
+        ("full flow of the valve", unit.full_flow_l_per_s, 2, "L/s"),
+        ("R", unit.resistance_cmh2o_per_l_s, 1, "cmH2O/(L/s)"),
+        ("C", unit.compliance_ml_per_cmh2o, 1, "mL/cmH2O"),
+        ("leak at 30 cmH2O", unit.leak_l_per_s_at_30_cmh2o, 3, "L/s"),
+    ] {
+        table.row(vec![Cell::text(name), Cell::number(value.into(), decimals), Cell::text(of)]);
+    }
+    table
+}
+
+fn comparison_table(simulator: Scores, bench: &[OnBench]) -> Table {
+    let mut table = Table::new(
+        "Mean absolute error, cmH2O; on the simulator the geometric mean over units and first breaths",
+        &["on", "PID", "starting", "commissioned"],
+    );
+    let mut row = |name: String, scores: &Scores| {
+        table.row(vec![
+            Cell::text(name),
+            Cell::number(scores.pid, 3),
+            Cell::number(scores.start, 3),
+            Cell::number(scores.commissioned, 3).best_if(scores.commissioned <= scores.start),
+        ]);
+    };
+    row("simulator".into(), &simulator);
+    for on in bench {
+        row(format!("bench, breaths of learning before: {}", on.breaths_of_learning), &on.scores);
+    }
+    table
+}
+
+/// The sections of the report.
+fn sections(tables: [Table; 2], comparison: Table, winner: Winner, curve: &[CurvePoint]) -> Vec<Section> {
+    let points = curve.iter().map(|point| (point.iteration as f64, point.validation)).collect();
+    let series = vec![Series::new("validation units", Style::Line, points)];
+    let plot = Plot::new("Fine-tuning", "gradient steps", "mean absolute error, cmH2O", series);
+    vec![
+        Section::new("Check", SCALE, tables.map(Block::Table).into()),
+        Section::new("Comparison", verdict(winner), vec![Block::Table(comparison), Block::Plot(plot)]),
+    ]
+}
