@@ -12,6 +12,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 pub enum Stage {
     /// Searching gains of a PID: simulated breaths.
     TunePid,
+    /// Searching parameters of a rival: runs of a plant.
+    TuneRival,
     /// Recording: complete breaths.
     Collect,
     /// Recording units of a family and fitting their simulators: units.

@@ -63,6 +63,7 @@ fn bar(name: &str) -> ProgressBar {
 fn name(event: &Event<'_>) -> String {
     let stage = match event.stage {
         Stage::TunePid => "search PID, breaths",
+        Stage::TuneRival => "search rival, plants",
         Stage::Collect => "collect breaths",
         Stage::Units => "record and fit units",
         Stage::Fit => "fit simulators",

@@ -33,14 +33,14 @@ pub struct Summary {
     /// Scored breaths of every run.
     pub breaths: usize,
     /// Names of the controllers, in the order of the scores.
-    pub controllers: Vec<&'static str>,
+    pub controllers: Vec<String>,
     /// The scores.
     #[serde(flatten)]
     pub breathing: Breathing,
 }
 
 /// The scores as a table: patients by lung and effort, then the mean.
-pub fn table(breathing: &Breathing, controllers: &[&str], title: &str) -> Table {
+pub fn table(breathing: &Breathing, controllers: &[String], title: &str) -> Table {
     let mut table = Table::new(title, &["lung", "effort, cmH2O", "controller"]);
     table.header.extend(COLUMNS.map(|(name, ..)| name.to_owned()));
     for patients in &breathing.patients {
@@ -51,9 +51,9 @@ pub fn table(breathing: &Breathing, controllers: &[&str], title: &str) -> Table 
     table
 }
 
-fn rows(table: &mut Table, lung: &str, effort: &Cell, controllers: &[&str], scores: &[Kinds]) {
+fn rows(table: &mut Table, lung: &str, effort: &Cell, controllers: &[String], scores: &[Kinds]) {
     for (controller, kinds) in controllers.iter().zip(scores) {
-        let mut row = vec![Cell::text(lung), effort.clone(), Cell::text(*controller)];
+        let mut row = vec![Cell::text(lung), effort.clone(), Cell::text(controller.as_str())];
         row.extend(COLUMNS.map(|(_, decimals, value)| Cell::known(value(kinds), decimals)));
         table.row(row);
     }
@@ -76,7 +76,7 @@ mod tests {
             controllers: vec![kinds, none],
         };
         let breathing = Breathing { patients: vec![patients], mean: vec![kinds, none] };
-        let text = table(&breathing, &["PID", "learned"], "").to_plain();
+        let text = table(&breathing, &["PID".to_owned(), "learned".to_owned()], "").to_plain();
         assert_eq!((text.matches("1.200").count(), text.matches("1.500").count()), (2, 4), "{text}");
         assert_eq!(text.matches(" -").count(), 6, "{text}");
     }

@@ -128,9 +128,10 @@ struct Summary {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plant = args.plant.connect()?;
     let chosen = args.controller.chosen(plant.as_ref())?;
+    let controller = chosen.chip()?;
     let config = config(args)?;
     let mut source = source(&args.bench, &args.port, plant, &chosen, &config)?;
-    let recorded = with_bars(|progress| collect(source.as_mut(), &chosen.controller, &config, progress));
+    let recorded = with_bars(|progress| collect(source.as_mut(), controller, &config, progress));
     let (mut collected, failure) = match recorded {
         Ok(collected) => (collected, None),
         Err(CollectError::Interrupted { reason, collected }) => (*collected, Some(reason)),
@@ -184,7 +185,7 @@ pub fn source(
     chosen: &Chosen,
     config: &CollectConfig,
 ) -> anyhow::Result<Box<dyn Source>> {
-    let (controller, period_us) = (chosen.controller.clone(), chosen.period_us);
+    let (controller, period_us) = (chosen.chip()?.clone(), chosen.period_us);
     Ok(if let Some(address) = &port.port {
         Box::new(port_args::source(address, chosen, config.seed)?)
     } else if let Some(link) = plant {

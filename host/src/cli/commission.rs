@@ -163,9 +163,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 impl<'a> Job<'a> {
     fn new(args: &'a Args) -> anyhow::Result<Self> {
         let start = controller_args::learned(&args.controller)?;
-        let Controller::Residual(residual) = &start.controller else {
-            bail!("{} is no learned controller", start.name)
-        };
+        let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
+        let residual = residual.clone();
         let mut run = CommissionRun {
             seed: args.result.seed,
             collector: args.collector,
@@ -181,7 +180,7 @@ impl<'a> Job<'a> {
             (None, None, plant) => plant.iter().map(ToString::to_string).collect(),
         };
         let folder = Folder::new(&args.result.out);
-        Ok(Self { args, run, folder, unit, residual: residual.clone(), start, bench })
+        Ok(Self { args, run, folder, unit, residual, start, bench })
     }
 
     /// Announces a stage.
@@ -239,7 +238,7 @@ impl<'a> Job<'a> {
             let score = |controller| -> anyhow::Result<f64> {
                 Ok(with_bars(|progress| evaluate_law(bench, controller, &plan, progress))?.mean.score)
             };
-            let (pid, start) = (score(&pid)?, score(&self.start.controller)?);
+            let (pid, start) = (score(&pid)?, score(self.start.chip()?)?);
             Ok(OnBench { breaths_of_learning, scores: Scores { pid, start, commissioned: score(&learned)? } })
         };
         BREATHS_OF_LEARNING.into_iter().map(after).collect()

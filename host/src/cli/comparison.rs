@@ -1,24 +1,24 @@
-//! The table that compares a learned controller with its PID, waveform by waveform.
+//! The table that compares a controller with a PID, waveform by waveform.
 
 use judge::evaluate::{Comparison, Pair, Score};
 use show::report::{Cell, Table};
 
-/// A comparison as a table that marks the better score of each waveform.
-pub fn table(comparison: &Comparison, title: &str) -> Table {
+/// A comparison as a table that marks the better score of each waveform; `beside` is the controller that is not the PID.
+pub fn table(comparison: &Comparison, beside: &str, title: &str) -> Table {
     let mut table = Table::new(
         title,
         &["waveform", "controller", "score", "rise, ms", "overshoot", "plateau error", "late error"],
     );
     for waveform in &comparison.waveforms {
-        rows(&mut table, &format!("PIP {}", waveform.pip), &waveform.pair);
+        rows(&mut table, &format!("PIP {}", waveform.pip), beside, &waveform.pair);
     }
-    rows(&mut table, "mean", &comparison.mean);
+    rows(&mut table, "mean", beside, &comparison.mean);
     table
 }
 
-fn rows(table: &mut Table, name: &str, pair: &Pair) {
+fn rows(table: &mut Table, name: &str, beside: &str, pair: &Pair) {
     let better = |score: &Score, than: Option<Score>| than.is_some_and(|other| score.score <= other.score);
-    let both = [("PID", Some(pair.pid), pair.learned), ("learned", pair.learned, Some(pair.pid))];
+    let both = [("PID", Some(pair.pid), pair.learned), (beside, pair.learned, Some(pair.pid))];
     for (controller, score, other) in both {
         let Some(score) = score else { continue };
         table.row(vec![
@@ -41,7 +41,7 @@ mod tests {
     fn text(pid: f64, learned: Option<f64>) -> String {
         let score = |score| Score { score, rise_ms: 90.0, ..Score::default() };
         let pair = Pair { pid: score(pid), learned: learned.map(score) };
-        table(&Comparison::new(vec![WaveformPair { pip: 15.0, pair }]), "").to_plain()
+        table(&Comparison::new(vec![WaveformPair { pip: 15.0, pair }]), "learned", "").to_plain()
     }
 
     #[test]

@@ -1,16 +1,20 @@
-//! The choice of a controller (gains, a learned controller's file, or its weights image) and its control period.
+//! The choice of a controller (gains, a learned controller's file or its weights image, or a rival) and its control period.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::Residual;
 use shared::device::KNOWN_GOOD;
 use shared::weights::decode;
 
 use super::{common, plant_args};
+use judge::rivals::machine::Machine;
+use judge::rivals::{AnyLaw, Rival};
 use learn::controller::learned::Learned;
 use learn::controller::shipped;
+use plant::bench::BenchConfig;
 use ventilator::SharedLink;
 
 /// The choice of a controller.
@@ -19,9 +23,13 @@ pub struct ControllerArgs {
     /// Gains P,I,D of a PID: percent per cmH2O, percent per cmH2O and second, percent per cmH2O/s [default: 3,30,0]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
     gains: Option<PidGains>,
-    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`
+    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`; or a rival that runs on the host
+    /// only: variable-gain, iterative or feed-forward
     #[arg(long, value_name = "NAME|FILE", group = "which")]
     controller: Option<PathBuf>,
+    /// Values of a rival's parameters, in the order in which `trainer tune-rival` prints them [default: those tuned for adults]
+    #[arg(long, value_name = "VALUE,..", value_delimiter = ',', requires = "controller")]
+    parameters: Option<Vec<f32>>,
     /// A weights image, as written by `trainer pack`
     #[arg(long, value_name = "FILE", group = "which")]
     weights: Option<PathBuf>,
@@ -34,22 +42,22 @@ pub struct ControllerArgs {
 #[derive(Clone, Debug)]
 pub struct Chosen {
     /// The controller.
-    pub controller: Controller,
+    pub controller: AnyLaw,
     /// Its control period, microseconds.
     pub period_us: u32,
     /// The id of a learned controller: its image's checksum in hexadecimal.
     pub weights_id: Option<String>,
     /// The weights image of a learned controller.
     pub image: Option<Vec<u8>>,
-    /// The name for output: gains or file.
+    /// The name for output: gains, file or rival.
     pub name: String,
 }
 
 impl Chosen {
     /// A PID.
     pub fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<Self> {
-        let (controller, name) = (Controller::Pid(Pid::new(gains, period_us)?), format_gains(&gains));
-        Ok(Self { controller, period_us, weights_id: None, image: None, name })
+        let controller = AnyLaw::Chip(Controller::Pid(Pid::new(gains, period_us)?));
+        Ok(Self { controller, period_us, weights_id: None, image: None, name: format_gains(&gains) })
     }
 
     /// Checks that the control period is that of `plant`, if there is one and it has its own.
@@ -64,9 +72,32 @@ impl Chosen {
         }
     }
 
-    /// Gains of the PID, or of the PID under the residual.
+    /// Gains of the PID, or of the one underneath.
     pub fn gains(&self) -> PidGains {
         self.controller.pid().gains()
+    }
+
+    /// The controller, which must be one that a device can run.
+    pub fn chip(&self) -> anyhow::Result<&Controller> {
+        let refused = || anyhow!("{} runs on the host only: choose gains or a learned controller", self.name);
+        self.controller.chip().ok_or_else(refused)
+    }
+
+    /// The residual, if the controller is a learned one.
+    pub fn residual(&self) -> Option<&Residual> {
+        match &self.controller {
+            AnyLaw::Chip(Controller::Residual(residual)) => Some(residual),
+            _ => None,
+        }
+    }
+
+    /// What the controller is beside its PID, for output; none for a PID.
+    pub fn beside_pid(&self) -> Option<&str> {
+        match &self.controller {
+            AnyLaw::Chip(Controller::Pid(_)) => None,
+            AnyLaw::Chip(Controller::Residual(_)) => Some("learned"),
+            _ => Some(&self.name),
+        }
     }
 }
 
@@ -79,6 +110,13 @@ impl ControllerArgs {
     }
 
     fn built(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
+        let rival = self.controller.as_deref().and_then(Path::to_str).and_then(Rival::find);
+        if let Some(rival) = rival {
+            return self.rival(rival, plant);
+        }
+        if self.parameters.is_some() {
+            bail!("--parameters are those of a rival: name one with --controller, {}", rival_names());
+        }
         let learned = match (&self.controller, &self.weights) {
             (Some(file), _) => learned(file)?,
             (None, Some(file)) => of_image(file, read(file)?)?,
@@ -96,6 +134,14 @@ impl ControllerArgs {
         }
         Ok(learned)
     }
+
+    /// A rival on the nominal machine for adults.
+    fn rival(&self, rival: Rival, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
+        let period_us = plant_args::period_us(self.period_us, plant)?;
+        let values = self.parameters.clone().unwrap_or_else(|| rival.tuned());
+        let controller = rival.law(&values, Machine::of(&BenchConfig::default()), period_us)?;
+        Ok(Chosen { controller, period_us, weights_id: None, image: None, name: rival.name().to_owned() })
+    }
 }
 
 /// A learned controller: the shipped one with this name, or the one in this file.
@@ -108,21 +154,34 @@ fn of_image(file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
     let image = decode(&bytes).with_context(|| file.display().to_string())?;
     Ok(Chosen {
         period_us: image.residual.spec().period_us,
-        controller: Controller::Residual(image.residual),
+        controller: AnyLaw::Chip(Controller::Residual(image.residual)),
         weights_id: Some(image_id(image.id)),
         image: Some(bytes),
         name: file.display().to_string(),
     })
 }
 
+/// The names of the rivals.
+pub fn rival_names() -> String {
+    Rival::ALL.map(Rival::name).join(", ")
+}
+
 /// The weights image of a learned controller: of the shipped one with this name, or of the one in this file.
 pub fn image_of(controller: &Path) -> anyhow::Result<Vec<u8>> {
+    if let Some(rival) = controller.to_str().and_then(Rival::find) {
+        bail!("{} runs on the host only and has no weights: choose a learned controller", rival.name());
+    }
     if let Some(image) = controller.to_str().and_then(shipped::image) {
         return Ok(image.to_vec());
     }
     if controller.extension().is_none() && !controller.exists() {
         let names: Vec<_> = shipped::names().collect();
-        bail!("there is no controller {}: name a file, or one of {}", controller.display(), names.join(", "));
+        bail!(
+            "there is no controller {}: name a file, or one of {}, or for evaluate, robust and margins a rival, {}",
+            controller.display(),
+            names.join(", "),
+            rival_names()
+        );
     }
     Ok(Learned::load(controller)?.image()?)
 }

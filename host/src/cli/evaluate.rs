@@ -1,4 +1,4 @@
-//! `trainer evaluate`: scores a controller; compares a learned one with its PID.
+//! `trainer evaluate`: scores a controller; compares a learned one or a rival with its PID.
 
 use std::path::PathBuf;
 
@@ -20,8 +20,9 @@ use super::settings_args::SettingsArgs;
 use data::provenance::Provenance;
 use judge::breathing::breathing;
 use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_after};
+use judge::rivals::{AnyLaw, DeviceGround};
 use plant::bench::BenchConfig;
-use show::report::{Block, Plot, Report, Section, Series, Style};
+use show::report::{Block, Plot, Report, Section, Series, Style, Table};
 use ventilator::{PlantSource, SharedLink};
 
 /// Compare controllers on any bench, device or plant, under the same sensor noise
@@ -34,13 +35,14 @@ Examples:
   trainer evaluate --weights weights.bin --port tcp:localhost:5555
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
   trainer evaluate --controller controller.safetensors --lung R5C50 --breaths-of-learning 20
+  trainer evaluate --controller iterative --against 6,250,0.15 --lung R5C50 --breaths-of-learning 20
   trainer evaluate --lung neonate-iso-14 --pips 35 --rate 30 --inspiratory-time 0.6
   trainer evaluate --weights weights.bin --against 2.5,25,0.02 --lung iso-05 --seed 7 --json -
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
 from the true airway pressure; with --plant from the true pressure if the plant reports it; with
---port from the measured pressure. A learned controller is compared with the PID underneath it, or
-with --against. On a device (--port), weights that are not running yet are uploaded first.
+--port from the measured pressure. A learned controller or a rival is compared with the PID underneath
+it, or with --against. On a device (--port), weights that are not running yet are uploaded first.
 
 With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set rate,
 take the place of the bench's own. Scores are those of breaths without efforts (passive), of breaths
@@ -48,7 +50,7 @@ of these patients that the clock starts (timed) and of those that an effort star
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
-    /// Gains P,I,D of the PID to compare a learned controller with [default: the PID underneath it]
+    /// Gains P,I,D of the PID to compare a learned controller or a rival with [default: the PID underneath it]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, conflicts_with = "gains")]
     against: Option<PidGains>,
     #[command(flatten)]
@@ -103,14 +105,14 @@ struct Summary {
     comparison: Comparison,
 }
 
-/// The ventilator, the PID and the learned controller.
+/// The ventilator, the PID and the controller beside it.
 struct Setup {
-    ground: Box<dyn Ground>,
+    ground: Box<dyn Ground<AnyLaw>>,
     /// The bench, if the breaths run on one.
     bench: Option<BenchConfig>,
     /// The pressure that is scored.
     pressure: &'static str,
-    pid: Controller,
+    pid: AnyLaw,
     chosen: Chosen,
     plan: Plan,
 }
@@ -132,6 +134,11 @@ impl Args {
     }
 }
 
+/// A PID with these gains.
+fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<AnyLaw> {
+    Ok(AnyLaw::Chip(Controller::Pid(Pid::new(gains, period_us)?)))
+}
+
 impl Setup {
     fn new(args: &Args) -> anyhow::Result<Self> {
         let plant = args.plant.connect()?;
@@ -143,9 +150,11 @@ impl Setup {
             (None, None) => "true airway pressure, known only to the bench",
         };
         let mut bench = None;
-        let ground: Box<dyn Ground> = match (&args.port.port, plant) {
+        let ground: Box<dyn Ground<AnyLaw>> = match (&args.port.port, plant) {
             (Some(address), _) => {
-                Box::new(SourceGround::new(port_args::source(address, &chosen, plan.seeds[0])?))
+                chosen.chip()?;
+                let source = port_args::source(address, &chosen, plan.seeds[0])?;
+                Box::new(DeviceGround(SourceGround::new(source)))
             }
             (None, Some(link)) => {
                 let controller = chosen.controller.clone();
@@ -154,13 +163,18 @@ impl Setup {
             }
             (None, None) => Box::new(bench.insert(args.bench.one()?).clone()),
         };
-        let pid = Controller::Pid(Pid::new(gains, chosen.period_us)?);
+        let pid = pid(gains, chosen.period_us)?;
         Ok(Self { ground, bench, pressure, pid, chosen, plan })
     }
 
-    /// The learned controller, if there is one.
-    fn learned(&self) -> Option<&Controller> {
-        self.chosen.weights_id.as_ref().map(|_| &self.chosen.controller)
+    /// The controller to compare with the PID, with its name for output; none if the PID alone is scored.
+    fn beside(&self) -> Option<(&str, &AnyLaw)> {
+        Some((self.chosen.beside_pid()?, &self.chosen.controller))
+    }
+
+    /// The table of a comparison.
+    fn table(&self, comparison: &Comparison, title: &str) -> Table {
+        table(comparison, self.chosen.beside_pid().unwrap_or_default(), title)
     }
 }
 
@@ -170,13 +184,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let setup = Setup::new(args)?;
     let Setup { ground, pid, plan, .. } = &setup;
-    let comparison = with_bars(|progress| compare(ground.as_ref(), pid, setup.learned(), plan, progress))?;
+    let beside = setup.beside().map(|(_, law)| law);
+    let comparison = with_bars(|progress| compare(ground.as_ref(), pid, beside, plan, progress))?;
     if comparison.waveforms.is_empty() {
         bail!("stopped before the first waveform was complete");
     }
     let title =
         format!("{} on {}: errors of the {}, cmH2O", setup.chosen.name, setup.ground.name(), setup.pressure);
-    args.output.table(&table(&comparison, &title));
+    args.output.table(&setup.table(&comparison, &title));
     if stopped() {
         args.output.line("stopped: only the completed waveforms are shown");
     }
@@ -200,9 +215,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 /// Triggered and timed breaths of breathing patients.
 fn run_breathing(args: &Args) -> anyhow::Result<()> {
     let (chosen, plan) = args.chosen_and_plan(None)?;
-    let pid = Controller::Pid(Pid::new(args.against.unwrap_or(chosen.gains()), chosen.period_us)?);
-    let mut controllers = vec![("PID", &pid)];
-    controllers.extend(chosen.weights_id.is_some().then_some(("learned", &chosen.controller)));
+    let pid = pid(args.against.unwrap_or(chosen.gains()), chosen.period_us)?;
+    let mut controllers = vec![("PID".to_owned(), &pid)];
+    controllers.extend(chosen.beside_pid().map(|name| (name.to_owned(), &chosen.controller)));
     let (names, controllers): (Vec<_>, Vec<_>) = controllers.into_iter().unzip();
     let benches = args.bench.benches()?;
     let breathing = with_bars(|progress| breathing(&benches, &controllers, &plan, progress))?;
@@ -236,7 +251,7 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
             format_gains(&setup.pid.pid().gains()),
             setup.pressure
         ),
-        blocks: vec![Block::Table(table(comparison, ""))],
+        blocks: vec![Block::Table(setup.table(comparison, ""))],
     }];
     if let Some(bench) = &setup.bench {
         for waveform in &comparison.waveforms {
@@ -264,8 +279,8 @@ fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Sectio
     let settings = setup.plan.waveform(pip);
     let run = |controller| trace_after(*warm_up, bench, controller, &settings, *period_us, seeds[0], 1);
     let mut traces = vec![("PID", run(&setup.pid)?)];
-    if let Some(learned) = setup.learned() {
-        traces.push(("learned", run(learned)?));
+    if let Some((name, law)) = setup.beside() {
+        traces.push((name, run(law)?));
     }
     let target = points(&traces[0].1, &traces[0].1.target);
     let mut pressure = vec![Series::new("target", Style::Dashed, target)];

@@ -3,6 +3,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::bail;
 use serde::Serialize;
 use shared::control::pid::PidGains;
 
@@ -53,7 +54,8 @@ loop; above one, it might.
 The accuracy is the smallest +-(A + B % of the target) that holds for the true pressure at the end of
 each phase, on all plants on which the ventilator does not stop, at PEEP 5 and 10, without a leak and with one of 0.1 L/s at 30 cmH2O.
 
-With --learning, the controller is the one under iterative learning control: the largest factor on
+With --learning, the controller is the one under iterative learning control; --controller iterative
+has a rule of its own, and its margins are those of its PID. The largest factor on
 an error from breath to breath is printed. It must be below one. It says nothing about what a learned
 controller does with remembered breaths; `trainer robust` counts plants on which a later breath is worse.")]
 pub struct Args {
@@ -74,7 +76,8 @@ pub struct Args {
     /// Amplitude of the sine, percent
     #[arg(long, value_name = "PERCENT", value_parser = amplitude, default_value_t = Sweep::default().amplitude)]
     amplitude: f64,
-    /// Iterative learning to certify: gain in percent per cmH2O, lead and half base of the triangle in ms
+    /// Iterative learning to certify: gain in percent per cmH2O, lead and half base of the triangle in ms [default: that of
+    /// --controller iterative]
     #[arg(long, value_name = "GAIN,MS,MS", value_parser = learning)]
     learning: Option<LearningFilter>,
     /// Seed of the plants of a family and of the sensor noise
@@ -84,7 +87,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.svg")]
     figure: Option<PathBuf>,
     /// Write the factors of iterative learning over frequency as SVG
-    #[arg(long, value_name = "FILE.svg", requires = "learning")]
+    #[arg(long, value_name = "FILE.svg")]
     learning_figure: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
@@ -149,10 +152,13 @@ fn learning(text: &str) -> Result<LearningFilter, String> {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let plants = plants(args)?;
     let chosen = args.controller.chosen(None)?;
+    if args.learning_figure.is_some() && learning_of(args, &chosen).is_none() {
+        bail!("--learning-figure needs a learning rule: give --learning, or choose --controller iterative");
+    }
     let sweep = Sweep::default().with_amplitude(args.amplitude);
     let question = Question { period_us: chosen.period_us, sweep, seed: args.seed };
     let (measured, accuracy) = with_bars(|progress| -> anyhow::Result<_> {
-        let measured = measure(&plants, &chosen.controller, &question, progress)?;
+        let measured = measure(&plants, &chosen.controller, chosen.residual(), &question, progress)?;
         Ok((measured, declared(&plants, &chosen, args.seed, progress)?))
     })?;
     if measured.is_empty() {
@@ -168,6 +174,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         save(args, file, &contraction(&summary.plants, learning.filter, chosen.period_us))?;
     }
     args.output.finish(&summary)
+}
+
+/// The learning rule to certify: the given one, or the controller's own.
+fn learning_of(args: &Args, chosen: &Chosen) -> Option<LearningFilter> {
+    args.learning.or(chosen.controller.learning())
 }
 
 /// The chosen plants.
@@ -222,7 +233,7 @@ fn summary(
         plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(&required))).count();
     let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
     let gains = plants.iter().filter_map(|plant| plant.pid.as_ref().map(|pid| pid.residual));
-    let learning = args.learning.map(|filter| {
+    let learning = learning_of(args, chosen).map(|filter| {
         let responses = plants.iter().flat_map(|plant| plant.points.iter().map(|point| &point.response[..]));
         Learning { filter, worst: filter.worst(responses, chosen.period_us) }
     });

@@ -40,6 +40,7 @@ mod torture;
 mod train;
 mod train_family;
 mod tune_pid;
+mod tune_rival;
 
 use std::process::ExitCode;
 
@@ -64,6 +65,7 @@ enum Command {
     Demo(demo::Args),
     Collect(collect::Args),
     TunePid(tune_pid::Args),
+    TuneRival(tune_rival::Args),
     Bound(bound::Args),
     Fit(fit::Args),
     Train(train::Args),
@@ -117,6 +119,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Demo(args) => demo::run(args),
         Command::Collect(args) => collect::run(args),
         Command::TunePid(args) => tune_pid::run(args),
+        Command::TuneRival(args) => tune_rival::run(args),
         Command::Bound(args) => bound::run(args),
         Command::Fit(args) => fit::run(args),
         Command::Train(args) => train::run(args),

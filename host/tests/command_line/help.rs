@@ -12,6 +12,7 @@ fn every_command_explains_itself() {
         "commission",
         "collect",
         "tune-pid",
+        "tune-rival",
         "bound",
         "fit",
         "evaluate",

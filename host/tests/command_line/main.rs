@@ -13,5 +13,6 @@ mod margins;
 mod pipeline;
 mod plant;
 mod recordings;
+mod rivals;
 mod robust;
 mod support;

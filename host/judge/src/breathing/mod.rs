@@ -10,7 +10,7 @@ mod tests;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use shared::control::Controller;
+use shared::control::ControlLaw;
 
 use crate::evaluate::{InspirationRecord, Plan};
 use plant::bench::{BenchConfig, PatientConfig};
@@ -89,10 +89,9 @@ struct Sum {
 type Sums = [Sum; 2];
 
 /// One controller on one lung: without efforts, or with efforts of one strength.
-#[derive(Clone, Copy)]
-struct Job<'a> {
+struct Job<'a, C> {
     bench: &'a BenchConfig,
-    controller: &'a Controller,
+    controller: &'a C,
     strength: f64,
 }
 
@@ -101,9 +100,9 @@ struct Job<'a> {
 ///
 /// # Errors
 /// The error of the first breath that could not be run.
-pub fn breathing(
+pub fn breathing<C: ControlLaw + Clone + Sync>(
     benches: &[BenchConfig],
-    controllers: &[&Controller],
+    controllers: &[&C],
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<Breathing, SourceError> {
@@ -123,16 +122,19 @@ pub fn breathing(
 }
 
 /// All patients of one bench.
-fn on_bench(
+fn on_bench<C: ControlLaw + Clone + Sync>(
     bench: &BenchConfig,
-    controllers: &[&Controller],
+    controllers: &[&C],
     plan: &Plan,
     task: &Task<'_>,
 ) -> Result<Vec<Patients>, SourceError> {
     let strengths = [&[0.0], STRENGTHS.as_slice()].concat();
     let mut scores = Vec::with_capacity(strengths.len());
     for strength in strengths {
-        let of = |controller: &&Controller| waveforms(Job { bench, controller, strength }, plan, task);
+        let of = |controller: &&C| {
+            let controller: &C = controller;
+            waveforms(&Job { bench, controller, strength }, plan, task)
+        };
         scores.push(controllers.iter().map(of).collect::<Result<Vec<_>, _>>()?);
     }
     let passive: Vec<Option<f64>> = scores[0].iter().map(|waveforms| score(waveforms, 0)).collect();
@@ -156,7 +158,11 @@ fn on_bench(
 }
 
 /// The sums of every waveform, over all seeds and rhythms.
-fn waveforms(job: Job<'_>, plan: &Plan, task: &Task<'_>) -> Result<Vec<Sums>, SourceError> {
+fn waveforms<C: ControlLaw + Clone + Sync>(
+    job: &Job<'_, C>,
+    plan: &Plan,
+    task: &Task<'_>,
+) -> Result<Vec<Sums>, SourceError> {
     let rhythms = if job.strength > 0.0 { RHYTHMS.as_slice() } else { &RHYTHMS[..1] };
     let of_pip = |pip: &f32| -> Result<Sums, SourceError> {
         let mut sums = Sums::default();
@@ -176,8 +182,8 @@ fn waveforms(job: Job<'_>, plan: &Plan, task: &Task<'_>) -> Result<Vec<Sums>, So
 }
 
 /// Runs and scores the breaths of one patient at one PIP.
-fn run(
-    job: Job<'_>,
+fn run<C: ControlLaw + Clone>(
+    job: &Job<'_, C>,
     (share, duration_s): (f64, f64),
     plan: &Plan,
     pip: f32,

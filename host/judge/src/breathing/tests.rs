@@ -8,6 +8,7 @@ use shared::control::pid::{Pid, PidGains};
 use super::*;
 use crate::evaluate::evaluate;
 use progress::Event;
+use shared::control::Controller;
 
 fn pid(p: f32, i: f32) -> Controller {
     Controller::Pid(Pid::new(PidGains { p, i, d: 0.0 }, 1000).unwrap())

@@ -5,7 +5,6 @@ use thiserror::Error;
 
 use super::{Ground, Plan, Score};
 use progress::{Progress, Stage};
-use shared::control::Controller;
 use ventilator::SourceError;
 
 /// Scores under the same noise.
@@ -61,10 +60,10 @@ pub struct CompareError {
 ///
 /// # Errors
 /// The error of the first waveform that could not be run.
-pub fn compare(
-    ground: &dyn Ground,
-    pid: &Controller,
-    learned: Option<&Controller>,
+pub fn compare<C>(
+    ground: &dyn Ground<C>,
+    pid: &C,
+    learned: Option<&C>,
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<Comparison, CompareError> {
@@ -98,6 +97,7 @@ mod tests {
 
     use plant::bench::BenchConfig;
     use progress::Event;
+    use shared::control::Controller;
     use shared::control::pid::Pid;
     use shared::device::KNOWN_GOOD;
 

@@ -5,13 +5,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use plant::bench::BenchConfig;
 use plant::link::PlantError;
 use progress::Progress;
-use shared::control::Controller;
+use shared::control::{ControlLaw, Controller};
 use ventilator::Reseed;
 
 use super::{Evaluated, Plan, evaluate_law, evaluate_source};
 
-/// A plant to evaluate controllers on.
-pub trait Ground: Sync {
+/// A plant to evaluate control laws of the type `C` on.
+pub trait Ground<C = Controller>: Sync {
     /// Name of the plant.
     fn name(&self) -> String;
 
@@ -19,39 +19,39 @@ pub trait Ground: Sync {
     ///
     /// # Errors
     /// The error of the first waveform that could not be run; [`ventilator::SourceError::Stopped`] if stopped.
-    fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated;
+    fn evaluate(&self, controller: &C, plan: &Plan, progress: &Progress<'_>) -> Evaluated;
 }
 
-impl Ground for BenchConfig {
+impl<C: ControlLaw + Clone + Sync> Ground<C> for BenchConfig {
     fn name(&self) -> String {
         self.name.clone()
     }
 
-    fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
+    fn evaluate(&self, controller: &C, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
         evaluate_law(self, controller, plan, progress)
     }
 }
 
 /// A ventilator to evaluate on; evaluations run one after the other, each from rest.
-pub struct SourceGround(Mutex<Box<dyn Reseed + Send>>);
+pub struct SourceGround<C = Controller>(Mutex<Box<dyn Reseed<C> + Send>>);
 
-impl SourceGround {
+impl<C> SourceGround<C> {
     /// All evaluations run at the source's control period.
-    pub fn new(source: impl Reseed + Send + 'static) -> Self {
+    pub fn new(source: impl Reseed<C> + Send + 'static) -> Self {
         Self(Mutex::new(Box::new(source)))
     }
 
-    fn source(&self) -> MutexGuard<'_, Box<dyn Reseed + Send>> {
+    fn source(&self) -> MutexGuard<'_, Box<dyn Reseed<C> + Send>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Ground for SourceGround {
+impl<C: Clone> Ground<C> for SourceGround<C> {
     fn name(&self) -> String {
         self.source().plant()
     }
 
-    fn evaluate(&self, controller: &Controller, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
+    fn evaluate(&self, controller: &C, plan: &Plan, progress: &Progress<'_>) -> Evaluated {
         let mut source = self.source();
         let own = source.period_us();
         if own != plan.period_us {

@@ -164,9 +164,9 @@ pub(crate) fn side_by_side<T: Sync, R: Send>(
 ///
 /// # Errors
 /// The error of the first waveform that could not be run.
-pub fn evaluate_source(
-    source: &mut dyn Reseed,
-    controller: &Controller,
+pub fn evaluate_source<C: Clone>(
+    source: &mut dyn Reseed<C>,
+    controller: &C,
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Evaluated {

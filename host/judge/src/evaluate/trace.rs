@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
-use shared::control::Controller;
+use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
 
 use plant::bench::BenchConfig;
@@ -60,10 +60,10 @@ pub fn trace(
 ///
 /// # Errors
 /// See [`trace`].
-pub fn trace_after(
+pub fn trace_after<C: ControlLaw + Clone>(
     warm_up: usize,
     bench: &BenchConfig,
-    controller: &Controller,
+    controller: &C,
     settings: &Settings,
     period_us: u32,
     seed: u64,
@@ -85,8 +85,8 @@ pub fn trace_source(
     record(source, settings, WARM_UP, breaths)
 }
 
-fn record(
-    source: &mut dyn Source,
+fn record<C>(
+    source: &mut dyn Source<C>,
     settings: &Settings,
     warm_up: usize,
     breaths: usize,

@@ -21,6 +21,7 @@ mod tests;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::breath::{PAPER_PIPS, period_s};
+use shared::control::residual::Residual;
 use shared::control::{ControlLaw, Controller};
 
 use operating_point::{HELD_AT_S, OperatingPoint};
@@ -90,30 +91,38 @@ pub struct Question {
     pub seed: u64,
 }
 
-/// Measures a controller on plants, at the operating points of the paper's six waveforms, on all threads. Plants that are not done when
-/// it is stopped are left out.
+/// Measures a law on plants, at the operating points of the paper's six waveforms, on all threads; with the residual of a learned
+/// controller, the PID underneath it too. Plants that are not done when it is stopped are left out.
 ///
 /// # Errors
 /// A bench that cannot be built, or a control period that it cannot run.
-pub fn measure(
+pub fn measure<C: ControlLaw + Sync>(
     plants: &[BenchConfig],
-    controller: &Controller,
+    law: &C,
+    residual: Option<&Residual>,
     question: &Question,
     progress: &Progress<'_>,
-) -> Result<Vec<PlantMargins>, BenchError> {
+) -> Result<Vec<PlantMargins>, BenchError>
+where
+    C::State: Clone,
+{
     let task = progress.task(Stage::Margins, plants.len() * PAPER_PIPS.len());
     let plants: Result<Vec<_>, BenchError> =
-        plants.par_iter().map(|plant| measure_plant(plant, controller, question, &task)).collect();
+        plants.par_iter().map(|plant| measure_plant(plant, law, residual, question, &task)).collect();
     Ok(plants?.into_iter().flatten().collect())
 }
 
-/// Measures a controller on one plant; none if it was stopped.
-fn measure_plant(
+/// Measures a law on one plant; none if it was stopped.
+fn measure_plant<C: ControlLaw + Sync>(
     plant: &BenchConfig,
-    controller: &Controller,
+    law: &C,
+    residual: Option<&Residual>,
     question: &Question,
     task: &Task<'_>,
-) -> Result<Option<PlantMargins>, BenchError> {
+) -> Result<Option<PlantMargins>, BenchError>
+where
+    C::State: Clone,
+{
     let points = OperatingPoint::of_paper(plant)?;
     let measured: Result<Vec<_>, BenchError> = points
         .par_iter()
@@ -121,21 +130,19 @@ fn measure_plant(
             if task.stopped() {
                 return Ok(None);
             }
-            let own = measure_point(plant, *point, controller, question)?;
-            let pid = match controller {
-                Controller::Residual(residual) => {
-                    Some(measure_point(plant, *point, &Controller::Pid(*residual.pid()), question)?)
-                }
-                Controller::Pid(_) => None,
+            let own = measure_point(plant, *point, law, question)?;
+            let underneath = |residual: &Residual| {
+                measure_point(plant, *point, &Controller::Pid(*residual.pid()), question)
             };
+            let pid = residual.map(underneath).transpose()?;
             task.advance(1);
             Ok(Some((own, pid)))
         })
         .collect();
     let Some(measured) = measured?.into_iter().collect::<Option<Vec<_>>>() else { return Ok(None) };
     let (points, pids): (Vec<_>, Vec<_>) = measured.into_iter().unzip();
-    let pid = match (controller, pids.into_iter().collect::<Option<Vec<_>>>()) {
-        (Controller::Residual(residual), Some(pids)) => Some(PidMargins {
+    let pid = match (residual, pids.into_iter().collect::<Option<Vec<_>>>()) {
+        (Some(residual), Some(pids)) => Some(PidMargins {
             worst: worst(&pids),
             residual: ResidualGain::of(residual, plant, &pids, question.seed)?,
             points: pids,

@@ -239,7 +239,12 @@ fn a_loop_that_oscillates_by_itself_has_no_margins() {
 fn quick(controller: &Controller, seed: u64) -> Vec<PlantMargins> {
     let sweep = Sweep { frequencies: 4, window_s: 0.5, ..Sweep::default() };
     let plants = [BenchConfig::paper(20.0, 20.0), BenchConfig::paper(5.0, 50.0)];
-    measure(&plants, controller, &Question { sweep, seed, ..question() }, &Progress::silent()).unwrap()
+    let residual = match controller {
+        Controller::Residual(residual) => Some(residual),
+        Controller::Pid(_) => None,
+    };
+    measure(&plants, controller, residual, &Question { sweep, seed, ..question() }, &Progress::silent())
+        .unwrap()
 }
 
 #[test]
@@ -279,6 +284,6 @@ fn the_residual_of_a_learned_controller_is_measured_beside_its_pid() {
 fn a_stopped_measurement_gives_the_plants_that_are_done() {
     let stop = std::sync::atomic::AtomicBool::new(true);
     let law = Controller::Pid(pid(3.0, 30.0, 0.0));
-    let none = measure(&[BenchConfig::default()], &law, &question(), &Progress::quiet(&stop)).unwrap();
+    let none = measure(&[BenchConfig::default()], &law, None, &question(), &Progress::quiet(&stop)).unwrap();
     assert!(none.is_empty());
 }

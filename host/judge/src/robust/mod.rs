@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::control::Controller;
+use shared::control::ControlLaw;
 use shared::control::pid::PidGains;
 use thiserror::Error;
 
@@ -113,11 +113,11 @@ impl Robustness {
     ///
     /// # Errors
     /// A plant that cannot be run, a failed search, or a file that cannot be written.
-    pub fn advance(
+    pub fn advance<C: ControlLaw + Clone + Sync>(
         &mut self,
         plants: u32,
         family: &Family,
-        controller: &Controller,
+        controller: &C,
         keep: Option<&Path>,
         progress: &Progress<'_>,
     ) -> Result<(), RobustError> {
@@ -151,11 +151,11 @@ impl Robustness {
     }
 
     /// Runs a plant under both controllers, and searches its rivals if it is one of the subset.
-    fn plant(
+    fn plant<C: ControlLaw + Clone>(
         &self,
         number: u32,
         family: &Family,
-        controller: &Controller,
+        controller: &C,
     ) -> Result<PlantResult, RobustError> {
         let question = &self.question;
         let run = PlantRun::new(family, question.seed, number, question.breaths);

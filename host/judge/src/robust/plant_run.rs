@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::control::Controller;
+use shared::control::ControlLaw;
 use shared::settings::Settings;
 
 use crate::evaluate::{InspirationRecord, ValveEffort, plateau_tolerance};
@@ -76,7 +76,7 @@ impl PlantBreaths {
 ///
 /// # Errors
 /// A bench or settings that are refused.
-pub fn breaths(run: &PlantRun, controller: &Controller) -> Result<PlantBreaths, SourceError> {
+pub fn breaths<C: ControlLaw + Clone>(run: &PlantRun, controller: &C) -> Result<PlantBreaths, SourceError> {
     let PlantRun { bench, settings, noise, breaths } = run;
     let mut source = BenchSource::new(bench, controller.clone(), settings, DEFAULT_PERIOD_US, *noise)?;
     let mut found = PlantBreaths::default();

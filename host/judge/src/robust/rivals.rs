@@ -16,7 +16,7 @@ use progress::Progress;
 /// Plants on which the best single PID of a family is searched.
 const TUNED_ON: u32 = 36;
 /// Seed of these plants: apart from those that users choose, so that no PID is judged on the plants that it was tuned on.
-const TUNING_SEED: u64 = u64::MAX;
+pub(crate) const TUNING_SEED: u64 = u64::MAX;
 
 /// A PID with these gains.
 ///

@@ -1,0 +1,143 @@
+//! The nominal machine as a model-based law knows it: the inspiratory valve forwards, from commands to flow, and inverted, from flow to
+//! the travel of its stem.
+//!
+//! A law gets the values of the machine's type, as its maker states them. The unit that it controls differs from them.
+
+use plant::bench::{BenchConfig, ValveConfig};
+use shared::breath::period_s;
+use shared::control::COMMAND_MAX;
+use shared::math;
+
+/// Nominal values of a machine, in the units of the control law.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Machine {
+    /// Time in which a command has no effect, s.
+    pub dead_time_s: f32,
+    /// Time constant of the valve's actuator, s.
+    pub lag_s: f32,
+    /// Backlash between actuator and stem, percent.
+    pub play: f32,
+    dead_zone: f32,
+    exponent: f32,
+    full_flow: f32,
+    supply: f32,
+    /// Compliance of the circuit, mL/cmH2O.
+    pub circuit: f32,
+}
+
+impl Machine {
+    /// The nominal machine of a bench: nothing of its lung and nothing of its unit's deviation.
+    pub fn of(bench: &BenchConfig) -> Self {
+        let ValveConfig {
+            dead_time_ms,
+            lag_ms,
+            backlash_percent,
+            dead_zone_percent,
+            curve_exponent,
+            max_flow_l_per_s,
+            supply_pressure_cmh2o,
+        } = bench.valve;
+        Self {
+            dead_time_s: (1e-3 * dead_time_ms) as f32,
+            lag_s: (1e-3 * lag_ms) as f32,
+            play: backlash_percent as f32,
+            dead_zone: dead_zone_percent as f32,
+            exponent: curve_exponent as f32,
+            full_flow: max_flow_l_per_s as f32,
+            supply: supply_pressure_cmh2o as f32,
+            circuit: bench.circuit.compliance_ml_per_cmh2o as f32,
+        }
+    }
+
+    /// Flow of the fully open valve against a pressure in cmH2O, L/s.
+    fn full_flow(&self, pressure: f32) -> f32 {
+        self.full_flow * ((self.supply - pressure) / self.supply).max(0.01).sqrt()
+    }
+
+    /// Flow through the valve at a travel of its stem in percent, against a pressure in cmH2O, L/s.
+    pub fn flow(&self, stem: f32, pressure: f32) -> f32 {
+        let open = (stem - self.dead_zone) / (COMMAND_MAX - self.dead_zone);
+        self.full_flow(pressure) * math::limit(open, 0.0, 1.0).powf(self.exponent)
+    }
+
+    /// Position of the stem after the actuator has moved, percent: closing, it lags by the play, near the seat by less.
+    pub fn follow(&self, stem: f32, actuator: f32) -> f32 {
+        math::limit(stem, actuator, actuator + self.play.min(actuator))
+    }
+
+    /// Travel of the stem in percent that gives a flow in L/s against a pressure in cmH2O: the end of the dead zone for no flow, full
+    /// travel for a flow that the valve does not reach.
+    pub fn stem(&self, flow: f32, pressure: f32) -> f32 {
+        let share = math::limit(flow / self.full_flow(pressure), 0.0, 1.0);
+        self.dead_zone + (COMMAND_MAX - self.dead_zone) * share.powf(1.0 / self.exponent)
+    }
+}
+
+/// A valve that follows commands in the model, to estimate the flow that they caused.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ModelValve {
+    /// Commands that have not taken effect, the oldest at `oldest`.
+    delayed: Vec<f32>,
+    oldest: usize,
+    actuator: f32,
+    stem: f32,
+}
+
+impl ModelValve {
+    /// A closed valve.
+    pub fn closed(machine: &Machine, period_us: u32) -> Self {
+        let ticks = (machine.dead_time_s / period_s(period_us)).round() as usize;
+        Self { delayed: vec![0.0; ticks], ..Self::default() }
+    }
+
+    /// Takes the command of a tick in percent; returns the mean flow over the tick against a pressure in cmH2O, L/s.
+    pub fn advance(&mut self, machine: &Machine, period_us: u32, command: f32, pressure: f32) -> f32 {
+        let due = match self.delayed.get_mut(self.oldest) {
+            Some(place) => std::mem::replace(place, command),
+            None => command,
+        };
+        self.oldest = if self.oldest + 1 < self.delayed.len() { self.oldest + 1 } else { 0 };
+        self.actuator += math::lag_factor(machine.lag_s, period_s(period_us)) * (due - self.actuator);
+        self.stem = machine.follow(self.stem, self.actuator);
+        machine.flow(self.stem, pressure)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plant::bench::Bench;
+    use shared::breath::DEFAULT_PERIOD_US;
+
+    fn machine() -> Machine {
+        Machine::of(&BenchConfig::default())
+    }
+
+    #[test]
+    fn the_inverse_of_the_valve_gives_back_the_flow() {
+        let machine = machine();
+        for flow in [0.0, 0.01, 0.3, 1.2] {
+            assert!((machine.flow(machine.stem(flow, 20.0), 20.0) - flow).abs() < 1e-4, "{flow}");
+        }
+        assert!((machine.stem(99.0, 20.0) - 100.0).abs() < 1e-4);
+        assert!(
+            (machine.stem(-1.0, 20.0) - 4.0).abs() < 1e-4,
+            "no flow keeps the stem at the dead zone's end"
+        );
+    }
+
+    #[test]
+    fn the_model_follows_the_valve_of_the_nominal_bench() {
+        let mut bench = Bench::new(&BenchConfig::paper(20.0, 20.0), 5.0, 1).unwrap();
+        let machine = machine();
+        let mut model = ModelValve::closed(&machine, DEFAULT_PERIOD_US);
+        for tick in 0..600 {
+            let command = if tick < 100 { 60.0 } else { 25.0 - 0.02 * tick as f32 };
+            let pressure = bench.truth().airway_pressure as f32;
+            let flow = model.advance(&machine, DEFAULT_PERIOD_US, command, pressure);
+            bench.step(command, false);
+            let truth = bench.truth().flow_valve;
+            assert!((f64::from(flow) - truth).abs() < 0.03, "tick {tick}: {flow}, not {truth}");
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The registry, and what holds for every rival.
+
+use proptest::prelude::*;
+use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
+use shared::control::pid::PidGains;
+use shared::ventilator::Ventilator;
+
+use super::*;
+use crate::robust::plant_run::{PlantRun, breaths};
+use plant::bench::BenchConfig;
+
+fn machine() -> Machine {
+    Machine::of(&BenchConfig::default())
+}
+
+/// The rival with its tuned values.
+fn tuned(rival: Rival) -> AnyLaw {
+    rival.law(&rival.tuned(), machine(), DEFAULT_PERIOD_US).unwrap()
+}
+
+fn pid() -> Controller {
+    Controller::Pid(Pid::new(PidGains { p: 5.0, i: 200.0, d: 0.1 }, DEFAULT_PERIOD_US).unwrap())
+}
+
+fn run() -> PlantRun {
+    PlantRun { bench: BenchConfig::paper(20.0, 20.0), settings: paper_settings(20.0), noise: 1, breaths: 3 }
+}
+
+#[test]
+fn every_rival_is_found_by_its_name_and_no_other() {
+    for rival in Rival::ALL {
+        assert_eq!(Rival::find(rival.name()), Some(rival));
+    }
+    assert_eq!(Rival::find("adult"), None);
+}
+
+#[test]
+fn a_rival_needs_one_value_for_each_parameter_within_its_bounds() {
+    for rival in Rival::ALL {
+        let refusal = rival.law(&[1.0], machine(), DEFAULT_PERIOD_US).unwrap_err().to_string();
+        assert!(refusal.contains(rival.name()), "{refusal}");
+        for place in 0..rival.parameters().len() {
+            let mut values = rival.tuned();
+            values[place] = f32::NAN;
+            assert!(rival.law(&values, machine(), DEFAULT_PERIOD_US).is_err(), "{} {place}", rival.name());
+        }
+    }
+}
+
+#[test]
+fn a_controller_of_a_device_gives_the_same_breaths_as_without_the_enum() {
+    assert_eq!(breaths(&run(), &AnyLaw::Chip(pid())).unwrap(), breaths(&run(), &pid()).unwrap());
+}
+
+#[test]
+fn every_rival_ventilates_the_nominal_lung() {
+    for rival in Rival::ALL {
+        let found = breaths(&run(), &tuned(rival)).unwrap();
+        assert!(found.every.len() == 3 && !found.unstable, "{}", rival.name());
+        assert!(found.every.iter().all(|score| *score < 3.0), "{}: {:?}", rival.name(), found.every);
+    }
+}
+
+#[test]
+fn only_iterative_learning_has_a_learning_rule_and_only_a_controller_runs_on_a_device() {
+    for rival in Rival::ALL {
+        assert_eq!(tuned(rival).learning().is_some(), rival == Rival::Iterative);
+        assert_eq!(tuned(rival).chip(), None);
+    }
+    assert_eq!(AnyLaw::Chip(pid()).chip(), Some(&pid()));
+}
+
+#[test]
+fn a_change_of_the_law_within_a_breath_is_possible() {
+    let mut ventilator = Ventilator::new(DEFAULT_PERIOD_US, AnyLaw::Chip(pid()));
+    let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+    state.start();
+    for tick in 0..900 {
+        if tick % 100 == 0 {
+            ventilator.set_controller(tuned(Rival::ALL[tick / 100 % 3]));
+        }
+        let command = ventilator.step(&mut state, 15.0).command;
+        assert!((0.0..=100.0).contains(&command.u_in()));
+    }
+}
+
+proptest! {
+    /// Readings that are no number included.
+    #[test]
+    fn no_reading_brings_the_command_of_a_rival_out_of_the_valves_range(
+        readings in prop::collection::vec(prop_oneof![Just(f32::NAN), -20.0f32..90.0], 1..80),
+        rival in prop::sample::select(Rival::ALL.to_vec()),
+    ) {
+        let ventilator = Ventilator::new(DEFAULT_PERIOD_US, tuned(rival));
+        let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
+        state.start();
+        for reading in readings.iter().cycle().take(4000) {
+            let command = ventilator.step(&mut state, *reading).command.u_in();
+            prop_assert!((0.0..=100.0).contains(&command), "{command}");
+        }
+    }
+}

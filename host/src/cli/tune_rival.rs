@@ -1,0 +1,115 @@
+//! `trainer tune-rival`: searches the best parameters of a rival for a family or for lungs.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use serde::Serialize;
+
+use super::bars::with_bars;
+use super::common::benches;
+use super::controller_args::rival_names;
+use super::output::OutputArgs;
+use judge::rivals::Rival;
+use judge::rivals::tuning::{Tuned, TuningPlan, tune};
+use plant::bench::family::Family;
+use show::report::{Cell, Table};
+
+/// Search for the best parameters of a rival: variable-gain, iterative or feed-forward
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer tune-rival variable-gain
+  trainer tune-rival iterative --family my-machines.toml --json tuned.json
+  trainer tune-rival feed-forward --lung R5C50
+
+variable-gain is a PID with a higher gain on errors outside a dead zone (Hunnekens et al. 2020).
+iterative is iterative learning control over a soft PID: what it adds to the command is learned from
+the errors of earlier breaths. feed-forward inverts a model of the valve, the circuit and the lung,
+which it identifies from its own breaths, and corrects the rest with a PID.
+
+The score is the mean absolute error over the first breaths from rest: 3 for variable-gain, 6 for
+feed-forward and 20 for iterative, which learns longest. A coarse grid is screened on a few plants; from its best points the search steps to
+better neighbours on all of them, with ever smaller steps. The plants of a family are apart from those
+of `trainer robust`. The values for the family adult are the defaults of --controller NAME; the
+printed ones can be tried with --parameters. Ctrl-C ends the search with the best found so far.")]
+pub struct Args {
+    /// The rival: variable-gain, iterative or feed-forward
+    #[arg(value_name = "NAME", value_parser = rival)]
+    rival: Rival,
+    /// Family of plants: adult, neonate, or a TOML file
+    #[arg(long, value_name = "NAME|FILE", default_value = "adult", conflicts_with_all = ["lung", "bench"])]
+    family: String,
+    /// Lung such as R20C20, or `paper` for its nine lungs, in place of a family; repeatable
+    #[arg(long, value_name = "NAME")]
+    lung: Vec<String>,
+    /// Bench description in TOML, in place of a family; repeatable
+    #[arg(long, value_name = "FILE", conflicts_with = "lung")]
+    bench: Vec<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Summary<'a> {
+    rival: &'static str,
+    /// Names of the parameters, in the order of the values.
+    parameters: Vec<&'static str>,
+    runs: usize,
+    #[serde(flatten)]
+    tuned: &'a Tuned,
+}
+
+fn rival(name: &str) -> Result<Rival, String> {
+    Rival::find(name).ok_or_else(|| format!("there is no such rival: choose {}", rival_names()))
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let rival = args.rival;
+    let plan = if args.lung.is_empty() && args.bench.is_empty() {
+        TuningPlan::of_family(&Family::find(&args.family)?, rival)
+    } else {
+        TuningPlan::of_benches(&benches(&args.lung, &args.bench)?, rival)?
+    };
+    let tuned = with_bars(|progress| tune(rival, &plan, progress))?;
+    if tuned.values.is_empty() {
+        bail!("stopped before the first point was scored");
+    }
+    args.output.table(&table(rival, &tuned));
+    let values: Vec<String> = tuned.values.iter().map(ToString::to_string).collect();
+    args.output.line(&format!("--controller {} --parameters {}", rival.name(), values.join(",")));
+    args.output.line(&format!(
+        "mean error {:.3} cmH2O over {} plants and waveforms and {} breaths each{}",
+        tuned.score,
+        plan.runs(),
+        rival.breaths_tuned(),
+        first_and_last(&tuned.by_breath)
+    ));
+    if !tuned.complete {
+        args.output.line("stopped: the best parameters found so far");
+    }
+    let parameters = rival.parameters().iter().map(|parameter| parameter.name).collect();
+    args.output.finish(&Summary { rival: rival.name(), parameters, runs: plan.runs(), tuned: &tuned })
+}
+
+/// The errors of the first and the last breath, as the end of a sentence.
+fn first_and_last(by_breath: &[f64]) -> String {
+    match by_breath {
+        [first, .., last] => format!(": {first:.3} in the first, {last:.3} in the last"),
+        _ => String::new(),
+    }
+}
+
+fn table(rival: Rival, tuned: &Tuned) -> Table {
+    let title = format!("{}: best of {} points scored in full", rival.name(), tuned.scored);
+    let mut table = Table::new(title, &["parameter", "value", "unit", "meaning"]);
+    for (parameter, value) in rival.parameters().iter().zip(&tuned.values) {
+        table.row(vec![
+            Cell::text(parameter.name),
+            Cell::right(value.to_string()),
+            Cell::text(parameter.unit),
+            Cell::text(parameter.meaning),
+        ]);
+    }
+    table
+}
