@@ -180,7 +180,7 @@ impl<'a> Job<'a> {
             (None, None, plant) => plant.iter().map(ToString::to_string).collect(),
         };
         let folder = Folder::new(&args.result.out);
-        Ok(Self { args, run, folder, unit, residual, start, bench })
+        Ok(Self { args, run, folder, start, residual, unit, bench })
     }
 
     /// Announces a stage.

@@ -14,14 +14,15 @@ use plant::bench::family::Family;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  trainer train-family --out out/adult                       (the shipped controller, adult)
+  trainer train-family --out out/adult                                       (the shipped adult)
+  trainer train-family --family neonate --ripple 0.4 --out out/neonate       (the shipped neonate)
   trainer train-family --family my-machines.toml --units 32 --iterations 3000 --out out/mine
   trainer robust --controller out/adult/controller.safetensors
 
 The command records some units of the family with the known-good PID, fits a physical simulator to
 each, draws thousands of units around them, and trains on those over consecutive breaths: the
-controller sees the error and the command of earlier breaths. The defaults took about twelve minutes
-on two cores beside other work. Ctrl-C stops; the same command continues where it stopped.")]
+controller sees the error and the command of earlier breaths. The defaults take about a quarter of an
+hour on two idle cores. Ctrl-C stops; the same command continues where it stopped.")]
 pub struct Args {
     /// Family of plants: a shipped one, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
@@ -32,9 +33,9 @@ pub struct Args {
     /// Gains P,I,D of the PID that records
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&FamilyRun::default().collector))]
     collector: PidGains,
-    /// Gains P,I,D of the PID under the residual: soft, because it must suit every unit
-    #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&FamilyRun::default().gains))]
-    gains: PidGains,
+    /// Gains P,I,D of the PID under the residual: soft, because it must suit every unit [default: the family's soft PID or, if it has none, 3,25,0.08]
+    #[arg(long, value_name = "P,I,D", value_parser = gains)]
+    gains: Option<PidGains>,
     /// Gradient steps
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.iterations)]
     iterations: usize,
@@ -42,8 +43,11 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = FamilyRun::default().train.batch)]
     batch: usize,
     /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick
-    #[arg(long, value_name = "PRICE", value_parser = price, default_value_t = FamilyRun::default().train.effort_price)]
+    #[arg(long, value_name = "PRICE", value_parser = not_negative, default_value_t = FamilyRun::default().train.effort_price)]
     effort_price: f32,
+    /// Largest amplitude of a ripple in the measured pressure late in the inspiration, cmH2O: it trains for stability margins
+    #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
+    ripple: f32,
     #[command(flatten)]
     result: ResultArgs,
 }
@@ -57,8 +61,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.result.finish("validation units, geometric mean over the first breaths", &summary)
 }
 
-/// Parses a price.
-fn price(text: &str) -> Result<f32, String> {
+/// Parses a number of at least 0.
+fn not_negative(text: &str) -> Result<f32, String> {
     match text.parse() {
         Ok(price) if (0.0..f32::INFINITY).contains(&price) => Ok(price),
         _ => Err("write a number of at least 0, such as 0.02".to_owned()),
@@ -72,12 +76,13 @@ impl Args {
             units: self.units,
             held_out: self.units.div_ceil(4),
             collector: self.collector,
-            gains: self.gains,
             ..FamilyRun::of(family)
         };
+        config.gains = self.gains.unwrap_or(config.gains);
         config.train.iterations = self.iterations;
         config.train.batch = self.batch;
         config.train.effort_price = self.effort_price;
+        config.train.ripple = self.ripple;
         config
     }
 }

@@ -1,10 +1,13 @@
 //! The courses of a shard: consecutive breaths on one unit in each lane, and the memory of these breaths.
 
+use std::f32::consts::TAU;
+
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use super::family::FamilyConfig;
+use super::loss::late;
 use super::memory::LaneMemory;
 use super::rollout::ClosedLoopTape;
 use super::scenario::Scenario;
@@ -92,13 +95,19 @@ impl Courses {
             group: self.lung,
             ..BreathStart::default()
         };
+        let mut noise: Vec<Lane> = (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect();
+        let ripples: [Ripple; LANES] = std::array::from_fn(|_| Ripple::draw(config, rng));
+        let tick_s = config.inspiratory_time / ticks as f32;
+        for (n, noise) in noise.iter_mut().enumerate().skip(late(ticks)) {
+            noise.add_scaled(1.0, &Lane::from_fn(|l| ripples[l].at(n as f32 * tick_s)));
+        }
         Scenario {
             ticks,
             pip: self.pip,
             peep: config.peep,
             start,
             rest: Lane::from_fn(|l| if self.breath[l] == 0 { 0.0 } else { config.rest }),
-            noise: (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect(),
+            noise,
             pull: Vec::new(),
             weight: Lane::splat(1.0),
             overshoot_weight: config.overshoot_weight,
@@ -112,8 +121,8 @@ impl Courses {
     pub fn weights(&mut self, score: &Lane, config: &FamilyConfig) -> Lane {
         self.best = self.best.zip(score, f32::min);
         Lane::from_fn(|l| {
-            let first = if self.breath[l] == 0 { config.first_weight } else { 1.0 };
-            first / self.best[l].max(LEAST_SCORE)
+            let early = config.early_weights.get(self.breath[l] as usize).copied().unwrap_or(1.0);
+            early / self.best[l].max(LEAST_SCORE)
         })
     }
 
@@ -124,6 +133,33 @@ impl Courses {
         for breath in &mut self.breath {
             *breath += 1;
         }
+    }
+}
+
+/// A sine in the measured pressure.
+struct Ripple {
+    /// cmH2O.
+    amplitude: f32,
+    /// Radians per second.
+    speed: f32,
+    /// Radians at the start of the inspiration.
+    phase: f32,
+}
+
+impl Ripple {
+    fn draw(config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Self {
+        let [height, frequency, phase]: [f32; 3] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
+        let (low, high) = config.ripple_hz;
+        Self {
+            amplitude: config.ripple * height,
+            speed: TAU * low * (high / low).powf(frequency),
+            phase: TAU * phase,
+        }
+    }
+
+    /// Its value this long after the start of the inspiration, s.
+    fn at(&self, time: f32) -> f32 {
+        self.amplitude * (self.phase + self.speed * time).sin()
     }
 }
 
@@ -173,10 +209,10 @@ mod tests {
     }
 
     #[test]
-    fn a_first_breath_begins_with_a_closed_valve_and_weighs_more() {
-        let config = FamilyConfig { first_weight: 3.0, ..FamilyConfig::default() };
+    fn a_first_breath_begins_with_a_closed_valve_and_early_breaths_weigh_more() {
+        let config = FamilyConfig { early_weights: [3.0, 2.0], ..FamilyConfig::default() };
         let mut courses = courses(&config);
-        courses.breath[1] = 4;
+        (courses.breath[1], courses.breath[2]) = (4, 1);
         let scenario = courses.scenario(&config, 5, &mut ChaCha8Rng::seed_from_u64(5));
         assert_eq!(
             [scenario.rest[0], scenario.rest[1]].map(f32::to_bits),
@@ -184,10 +220,23 @@ mod tests {
         );
         let mut weights = |score: f32| {
             let weights = courses.weights(&Lane::splat(score), &config);
-            [weights[0], weights[1]].map(|weight| (10.0 * weight).round() as i32)
+            [weights[0], weights[1], weights[2]].map(|weight| (10.0 * weight).round() as i32)
         };
-        assert_eq!(weights(2.0), [15, 5]);
+        assert_eq!(weights(2.0), [15, 5, 10]);
         assert_eq!(weights(4.0)[1], 5, "the best breath counts");
         assert_eq!(weights(1e-3)[1], 100, "but not without limit");
+    }
+
+    #[test]
+    fn a_ripple_begins_late_in_the_inspiration_with_each_lane_s_own_frequency() {
+        let config = FamilyConfig { noise: (1e-6, 2e-6), ripple: 0.5, ..FamilyConfig::default() };
+        let noise = courses(&config).scenario(&config, 1000, &mut ChaCha8Rng::seed_from_u64(5)).noise;
+        let (before, after) = noise.split_at(late(1000));
+        let largest = |part: &[Lane], l: usize| part.iter().map(|noise| noise[l].abs()).fold(0.0, f32::max);
+        assert!((0..LANES).all(|l| largest(before, l) < 1e-4 && largest(after, l) <= 0.5 + 1e-4));
+        assert!((0..LANES).any(|l| largest(after, l) > 0.25));
+        let crossings = |l: usize| after.windows(2).filter(|pair| pair[0][l] * pair[1][l] < 0.0).count();
+        let counts: Vec<usize> = (0..LANES).map(crossings).collect();
+        assert_ne!(counts.iter().min(), counts.iter().max(), "{counts:?}");
     }
 }

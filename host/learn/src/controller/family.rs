@@ -41,14 +41,19 @@ pub struct FamilyConfig {
     pub inspiratory_time: f32,
     /// Range of the standard deviation of the sensor noise, cmH2O.
     pub noise: (f32, f32),
+    /// Largest amplitude of a sine in the measured pressure late in the inspiration, cmH2O. A controller that follows it is close to
+    /// oscillating, so training without such a ripple leaves it with small stability margins.
+    pub ripple: f32,
+    /// Range of the sine's frequency, Hz: around and above the crossover of the loop.
+    pub ripple_hz: (f32, f32),
     /// Standard deviation of the starting pressure, cmH2O.
     pub start_spread: f32,
     /// Probability that a course ends after a breath.
     pub restart_probability: f32,
     /// Probability that the lung changes after a breath.
     pub lung_change_probability: f32,
-    /// Factor on the errors of first breaths, on which nothing is remembered.
-    pub first_weight: f32,
+    /// Factors on the errors of the first breaths of a course, of which little is remembered; later breaths have the factor 1.
+    pub early_weights: [f32; 2],
     /// Factor on errors above the target.
     pub overshoot_weight: f32,
     /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick.
@@ -64,7 +69,7 @@ pub struct FamilyConfig {
 impl Default for FamilyConfig {
     fn default() -> Self {
         Self {
-            iterations: 8000,
+            iterations: 12_000,
             batch: 256,
             pips: PAPER_PIPS.to_vec(),
             pip_range: (8.0, 37.0),
@@ -72,10 +77,12 @@ impl Default for FamilyConfig {
             rest: 5.0,
             inspiratory_time: 1.0,
             noise: (0.05, 0.2),
+            ripple: 0.8,
+            ripple_hz: (1.5, 12.0),
             start_spread: 0.05,
             restart_probability: 0.12,
             lung_change_probability: 0.03,
-            first_weight: 3.0,
+            early_weights: [3.0, 2.0],
             overshoot_weight: 1.0,
             effort_price: 0.02,
             validate_every: 100,

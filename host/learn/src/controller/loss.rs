@@ -51,14 +51,19 @@ pub(super) fn slope(scenario: &Scenario, pressure: &Lane) -> Lane {
     })
 }
 
-/// Share of the inspiration after which moving the valve has its price.
+/// Share of the inspiration after which it is late: the pressure should have settled, and moving the valve has its price.
 const LATE: f32 = 0.4;
 /// Change of the command in a tick below which its price is smoothed, percent.
 const EFFORT_ROUNDING: f32 = 0.2;
 
+/// First late tick of an inspiration.
+pub(super) fn late(ticks: usize) -> usize {
+    (LATE * ticks as f32) as usize
+}
+
 /// Gradient of the price of moving the valve with respect to the command of one tick.
 pub(super) fn effort_slope(scenario: &Scenario, commands: &[Lane], tick: usize) -> Lane {
-    let first = (LATE * scenario.ticks as f32) as usize;
+    let first = late(scenario.ticks);
     let priced = scenario.effort_price > 0.0;
     if !priced || tick < first {
         return Lane::ZERO;

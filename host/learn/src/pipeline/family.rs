@@ -47,6 +47,8 @@ pub struct FamilyRun {
     pub nominal: u32,
     /// Share of the machines drawn for the training that are nominal ones.
     pub nominal_share: f32,
+    /// Share of the drawn lungs whose resistance and compliance are moved to the ends of the recorded ones.
+    pub extreme_share: f32,
     /// Number of units drawn around the recorded ones, to train and to validate on.
     pub drawn: (usize, usize),
     /// Gains of the PID that records.
@@ -70,9 +72,10 @@ impl Default for FamilyRun {
             held_out: 16,
             nominal: 16,
             nominal_share: 0.5,
+            extreme_share: 0.3,
             drawn: (4096, 512),
             collector: KNOWN_GOOD,
-            gains: PidGains { p: 2.5, i: 60.0, d: 0.08 },
+            gains: PidGains { p: 3.0, i: 25.0, d: 0.08 },
             collect: CollectConfig { breaths: 32, ..CollectConfig::default() },
             // All breaths in every gradient step: a unit has few numbers and many breaths.
             fit: FitConfig { epochs: 300, batch: 1024, adam, ..FitConfig::default() },
@@ -95,6 +98,7 @@ impl FamilyRun {
         let mut run = Self::default();
         run.train = run.train.in_breaths(&family.settings, &family.pips);
         (run.collect.settings, run.collect.pip_range) = (family.settings, run.train.pip_range);
+        run.gains = family.soft_pid.unwrap_or(run.gains);
         run.collect.pips.clone_from(&family.pips);
         run
     }
@@ -252,6 +256,8 @@ impl FamilyRun {
             let mut parameters = spread::draw(&recorded, count, &mut rng);
             let nominal_ones = (self.nominal_share * count as f32) as usize;
             spread::put_machine(&nominal.parameters, &mut parameters, nominal_ones, &mut rng);
+            let extreme_ones = (self.extreme_share * count as f32) as usize;
+            spread::put_extremes(&recorded, &mut parameters, extreme_ones, &mut rng);
             Model::new(Architecture::Unit(shape), &parameters)
         };
         FamilyModels { trained_on: drawn(trained_on, self.drawn.0), held_out: drawn(held_out, self.drawn.1) }

@@ -95,6 +95,23 @@ pub fn put_machine(learned: &[f32], units: &mut [f32], count: usize, rng: &mut C
     }
 }
 
+/// Moves resistance and compliance of the first units to the ends of those of the learned ones: each is the lowest, the highest, or
+/// stays, with the same probability. Independent draws hardly ever have both at an end, where a lung is hardest to control.
+pub fn put_extremes(learned: &[f32], units: &mut [f32], count: usize, rng: &mut ChaCha8Rng) {
+    for n in [VALVE + lung::RESISTANCE, VALVE + lung::COMPLIANCE] {
+        let numbers = learned.chunks_exact(PER_UNIT).map(|unit| unit[n]);
+        let (low, high) =
+            numbers.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        for unit in units.chunks_exact_mut(PER_UNIT).take(count) {
+            match rng.random_range(0..3) {
+                0 => unit[n] = low,
+                1 => unit[n] = high,
+                _ => {}
+            }
+        }
+    }
+}
+
 /// Standard deviation.
 fn deviation(values: impl Iterator<Item = f32> + Clone) -> f32 {
     let count = values.clone().count() as f32;
@@ -155,5 +172,20 @@ mod tests {
         assert!((change(flow) + 0.4).abs() < 1e-6 && (change(resistance) - 0.4).abs() < 1e-6);
         assert!((change(resistance) + change(compliance)).abs() < 1e-6, "time constants stay");
         assert!((0..5).all(|n| change(n).abs() < 1e-9), "and so does the valve");
+    }
+
+    #[test]
+    fn both_ends_of_resistance_and_compliance_meet_in_a_ninth_of_the_extreme_lungs() {
+        let mut learned = UnitConfig::for_period(1000, 40).initialise();
+        let (resistance, compliance) = (VALVE + lung::RESISTANCE, VALVE + lung::COMPLIANCE);
+        for (n, unit) in learned.chunks_exact_mut(PER_UNIT).enumerate() {
+            (unit[resistance], unit[compliance]) = (n as f32, (n * n % 40) as f32);
+        }
+        let before = draw(&learned, 2000, &mut ChaCha8Rng::seed_from_u64(1));
+        let mut drawn = before.clone();
+        put_extremes(&learned, &mut drawn, 1800, &mut ChaCha8Rng::seed_from_u64(2));
+        let corners = drawn.chunks_exact(PER_UNIT).filter(|u| u[resistance] == 0.0 && u[compliance] == 0.0);
+        assert!((150..250).contains(&corners.count()));
+        assert_eq!(drawn[1800 * PER_UNIT..], before[1800 * PER_UNIT..], "the others stay");
     }
 }

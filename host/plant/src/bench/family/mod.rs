@@ -21,6 +21,8 @@
 //! ```
 //!
 //! `bench = "neonate"`, or the name of another lung, gives the values that the file leaves out; without it they are the defaults.
+//! `[pid]` and `[soft_pid]` are gains `p`, `i` and `d`: of the best single PID of the family, and of one that is stable on every plant.
+//!
 //! `pips` and `[settings]` are the waveforms on which the family's plants are judged; without them they are the paper's.
 //!
 //! Each parameter is drawn by a generator of its own, from the seed, the plant's number and the parameter's name: a change of one
@@ -140,6 +142,8 @@ pub struct Family {
     pub name: String,
     /// Best single PID of the family, if known.
     pub pid: Option<PidGains>,
+    /// A PID that is stable on every plant of the family, if known: the one under a residual for the family.
+    pub soft_pid: Option<PidGains>,
     /// PIPs of the waveforms, cmH2O.
     pub pips: Vec<f32>,
     /// All other settings of the waveforms.
@@ -181,6 +185,7 @@ impl Family {
         let mut table: Table = toml::from_str(text)?;
         let Some(Value::Table(varies)) = table.remove("family") else { return Err(FamilyError::Empty) };
         let pid = table.remove("pid").map(Value::try_into).transpose()?;
+        let soft_pid = table.remove("soft_pid").map(Value::try_into).transpose()?;
         let pips = table.remove("pips").map(Value::try_into).transpose()?;
         let settings = table.remove("settings").map(Value::try_into).transpose()?.unwrap_or_default();
         let fixed = fixed(table)?;
@@ -191,7 +196,7 @@ impl Family {
             return Err(FamilyError::Empty);
         }
         let pips = pips.unwrap_or_else(|| PAPER_PIPS.to_vec());
-        let family = Self { name: fixed.name, pid, pips, settings, bench, ranges };
+        let family = Self { name: fixed.name, pid, soft_pid, pips, settings, bench, ranges };
         family.check()?;
         Ok(family)
     }

@@ -62,13 +62,14 @@ fn another_range_leaves_all_other_draws_as_they_were() {
 #[test]
 fn what_no_range_names_is_as_the_file_says() {
     let family = ranges(
-        "[circuit]\ncompliance_ml_per_cmh2o = 0.7\n[family.unit]\nnumber = { uniform = [1, 9] }\n[pid]\np = 1\ni = 2\nd = 0.5",
+        "[circuit]\ncompliance_ml_per_cmh2o = 0.7\n[family.unit]\nnumber = { uniform = [1, 9] }\n[pid]\np = 1\ni = 2\nd = 0.5\n[soft_pid]\np = 0.5\ni = 1\nd = 0",
     )
     .unwrap();
     let plant = family.draw(1, 0);
     assert!((plant.circuit.compliance_ml_per_cmh2o - 0.7).abs() < 1e-12);
     assert!((1..=9).contains(&plant.unit.number), "a whole number");
     assert_eq!(family.pid, Some(PidGains { p: 1.0, i: 2.0, d: 0.5 }));
+    assert_eq!(family.soft_pid, Some(PidGains { p: 0.5, i: 1.0, d: 0.0 }));
 }
 
 #[test]
