@@ -15,4 +15,5 @@ pub mod rivals;
 pub mod rl;
 pub mod robust;
 pub mod simulator;
+pub mod test_table;
 pub mod verdict;

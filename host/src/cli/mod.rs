@@ -36,6 +36,7 @@ mod reproduce;
 mod robust;
 mod self_test;
 mod settings_args;
+mod test_table;
 mod torture;
 mod train;
 mod train_family;
@@ -88,6 +89,7 @@ enum Command {
     Endure(endure::Args),
     Robust(robust::Args),
     Margins(margins::Args),
+    TestTable(test_table::Args),
     #[command(name = "selftest")]
     SelfTest(self_test::Args),
     Blackbox(blackbox::Args),
@@ -142,6 +144,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Endure(args) => endure::run(args),
         Command::Robust(args) => robust::run(args),
         Command::Margins(args) => margins::run(args),
+        Command::TestTable(args) => test_table::run(args),
         Command::SelfTest(args) => self_test::run(args),
         Command::Blackbox(args) => blackbox::run(args),
     }

@@ -16,3 +16,4 @@ mod recordings;
 mod rivals;
 mod robust;
 mod support;
+mod test_table;

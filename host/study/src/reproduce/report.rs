@@ -2,7 +2,7 @@
 
 use super::balloon::AUTHORS;
 use super::changes::Change;
-use super::iso::{IsoOutcome, IsoResult};
+use super::iso::IsoResult;
 use super::learning::{LearnerResult, Learning};
 use super::results::{BalloonFigures, LungMeans, Results};
 use super::study::Study;
@@ -11,6 +11,7 @@ use super::{Ablation, LungFigures, learning, lungs};
 use crate::error::Result;
 use data::provenance::Provenance;
 use judge::evaluate::BreathTrace;
+use judge::test_table::Outcome;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Length of the inspiration shown in the zoomed plots, s.
@@ -247,10 +248,10 @@ fn changes_section(changes: &[Change]) -> Section {
 }
 
 fn iso_section(rows: &[IsoResult]) -> Section {
-    let figure = |outcome: Option<IsoOutcome>, decimals: usize, of: fn(IsoOutcome) -> f64| {
+    let figure = |outcome: Option<Outcome>, decimals: usize, of: fn(Outcome) -> f64| {
         outcome.map_or_else(|| Cell::right("fault"), |outcome| Cell::number(of(outcome), decimals))
     };
-    let passes = |outcome: Option<IsoOutcome>| {
+    let passes = |outcome: Option<Outcome>| {
         Cell::text(if outcome.is_some_and(|outcome| outcome.pass) { "yes" } else { "no" })
     };
     let plateaus = Table::of(
