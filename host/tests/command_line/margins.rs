@@ -32,3 +32,10 @@ fn a_learned_controller_is_measured_beside_its_pid_with_the_gain_of_its_residual
     assert!(text.contains("to the pressure, %/cmH2O: 0.00"), "{text}");
     assert!(place.refused("margins --family aliens").contains("there is no family aliens"));
 }
+
+#[test]
+fn the_shipped_controller_for_adults_keeps_the_margins_on_lungs_of_medium_resistance() {
+    let lungs = "--lung R20C10 --lung R20C20 --lung R20C50";
+    let result = Place::new().json(&format!("margins {lungs} --controller adult"));
+    assert_eq!(result["share_robust"], 1.0, "{}", result["worst"]);
+}
