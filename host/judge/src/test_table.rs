@@ -22,13 +22,14 @@ pub struct Outcome {
     /// Volume that entered the lung, mL.
     pub tidal_volume: f64,
     /// Whether the plateau is within the tolerance.
-    pub pass: bool,
+    #[serde(alias = "pass")]
+    pub plateau_within: bool,
 }
 
 impl Outcome {
     /// Whether the overshoot is small as well.
     pub fn steady(&self) -> bool {
-        self.pass && self.score.overshoot <= MOST_OVERSHOOT
+        self.plateau_within && self.score.overshoot <= MOST_OVERSHOOT
     }
 }
 
@@ -69,8 +70,8 @@ fn run(
         }
     })?;
     let score = record.score(&settings, DEFAULT_PERIOD_US);
-    let pass = score.plateau_error <= plateau_tolerance(row.pip);
-    Ok(Outcome { score, tidal_volume: most - least, pass })
+    let plateau_within = score.plateau_error <= plateau_tolerance(row.pip);
+    Ok(Outcome { score, tidal_volume: most - least, plateau_within })
 }
 
 #[cfg(test)]
@@ -87,9 +88,9 @@ mod tests {
     #[test]
     fn a_row_passes_with_a_plateau_within_the_tolerance_and_its_volume() {
         let tuned = row_5(PidGains { p: 3.0, i: 30.0, d: 0.0 }).unwrap();
-        assert!(tuned.pass && (tuned.tidal_volume - 300.0).abs() < 30.0, "{tuned:?}");
+        assert!(tuned.plateau_within && (tuned.tidal_volume - 300.0).abs() < 30.0, "{tuned:?}");
         let weak = row_5(PidGains { p: 0.5, i: 0.0, d: 0.0 }).unwrap();
-        assert!(!weak.pass && !weak.steady(), "{weak:?}");
+        assert!(!weak.plateau_within && !weak.steady(), "{weak:?}");
     }
 
     #[test]

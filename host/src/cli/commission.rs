@@ -6,7 +6,7 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
-use shared::control::pid::{Pid, PidGains};
+use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
 
 use super::bars::with_bars;
@@ -224,7 +224,7 @@ impl<'a> Job<'a> {
     /// Scores on the bench, if the unit is one, under noise that was not used before.
     fn on_bench(&self, commissioned: &Commissioned) -> anyhow::Result<Vec<OnBench>> {
         let Some(bench) = &self.bench else { return Ok(Vec::new()) };
-        let pid = Controller::Pid(Pid::new(self.start.gains(), self.start.period_us)?);
+        let pid = Chosen::pid(self.start.gains(), self.start.period_us)?;
         let learned = Controller::Residual(commissioned.learned.controller.clone());
         let after = |breaths_of_learning| -> anyhow::Result<OnBench> {
             let plan = Plan {
@@ -238,7 +238,7 @@ impl<'a> Job<'a> {
             let score = |controller| -> anyhow::Result<f64> {
                 Ok(with_bars(|progress| evaluate_law(bench, controller, &plan, progress))?.mean.score)
             };
-            let (pid, start) = (score(&pid)?, score(self.start.chip()?)?);
+            let (pid, start) = (score(pid.chip()?)?, score(self.start.chip()?)?);
             Ok(OnBench { breaths_of_learning, scores: Scores { pid, start, commissioned: score(&learned)? } })
         };
         BREATHS_OF_LEARNING.into_iter().map(after).collect()
@@ -258,7 +258,8 @@ impl<'a> Job<'a> {
         let simulator = Scores { pid: learned.origin.base, start, commissioned: learned.origin.validation };
         let comparison = comparison_table(simulator, &bench);
         output.table(&comparison);
-        if bench.iter().any(|on| on.scores.commissioned > on.scores.start) {
+        let worse = bench.iter().any(|on| on.scores.commissioned > (1.0 + WORSE_BY) * on.scores.start);
+        if worse {
             output.line(WORSE);
         }
         self.stage(5, "pack");
@@ -274,7 +275,9 @@ impl<'a> Job<'a> {
         let (weights, weights_id) = self.args.result.packed(&learned)?;
         output.report(Some(&out.join(REPORT)), || Ok(report))?;
         let port = self.args.port.port.as_ref().map_or_else(|| "/dev/ttyACM0".into(), ToString::to_string);
-        output.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
+        if !worse {
+            output.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
+        }
         output.finish(&Summary {
             seed: self.run.seed,
             plant: recording.provenance.plant.clone(),
@@ -295,7 +298,9 @@ impl<'a> Job<'a> {
 /// Said of the estimates.
 const SCALE: &str = "Pressures alone do not tell the scale of the flow: full flow, R, C and leak are those of a circuit of 1.5 mL/cmH2O.\nAt a low R they can be wrong by a factor of two; the times and the controller do not depend on that scale.";
 /// Said if the bench disagrees with the simulator.
-const WORSE: &str = "On the bench the commissioned controller is worse than the starting one: keep the starting one, and record more breaths (--breaths) or with another --seed.";
+const WORSE: &str = "On the bench the commissioned controller is worse than the starting one: keep the starting one, or commission again with more breaths (--breaths) or another --seed, and another --out.";
+/// Share by which a score on the bench must rise to count as worse.
+const WORSE_BY: f64 = 0.01;
 
 fn verdict(winner: Winner) -> &'static str {
     match winner {

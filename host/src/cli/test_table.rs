@@ -6,10 +6,9 @@ use anyhow::bail;
 use serde::Serialize;
 use shared::breath::{DEFAULT_PERIOD_US, ISO_ROWS, IsoRow};
 use shared::control::Controller;
-use shared::weights::decode;
 
 use super::bars::with_bars;
-use super::controller_args::image_of;
+use super::controller_args::learned;
 use super::output::OutputArgs;
 use judge::evaluate::plateau_tolerance;
 use judge::test_table::{MOST_OVERSHOOT, Outcome, outcome};
@@ -88,15 +87,15 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// The learned controller with this name or in this file.
 fn controller(which: &Path) -> anyhow::Result<Controller> {
-    let residual = decode(&image_of(which)?)?.residual;
-    let period_us = residual.spec().period_us;
-    if period_us != DEFAULT_PERIOD_US {
+    let chosen = learned(which)?;
+    if chosen.period_us != DEFAULT_PERIOD_US {
         bail!(
-            "{} has a control period of {period_us} us: choose one for {DEFAULT_PERIOD_US} us",
-            which.display()
+            "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
+            chosen.name,
+            chosen.period_us
         );
     }
-    Ok(Controller::Residual(residual))
+    Ok(chosen.chip()?.clone())
 }
 
 fn row_result(row: &IsoRow, newborn: bool, outcome: Option<Outcome>) -> RowResult {

@@ -33,7 +33,7 @@ pub struct Args {
     /// Gains P,I,D of the PID that records
     #[arg(long, value_name = "P,I,D", value_parser = gains, default_value = format_gains(&FamilyRun::default().collector))]
     collector: PidGains,
-    /// Gains P,I,D of the PID under the residual: soft, because it must suit every unit [default: the family's soft PID or, if it has none, 3,25,0.08]
+    /// Gains P,I,D of the PID under the residual: soft, because it must suit every unit [default: the family's soft PID or, if it has none, that of adults]
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
     /// Gradient steps

@@ -17,7 +17,7 @@ use super::response::ResponsePoint;
 pub struct LearningFilter {
     /// Learning gain, percent per cmH2O.
     pub gain: f64,
-    /// Time by which the error is taken earlier, s.
+    /// Time by which the correction precedes the error, s.
     pub lead_s: f64,
     /// Half of the triangle's base, s; 0 for no smoothing.
     pub half_base_s: f64,

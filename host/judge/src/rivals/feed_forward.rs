@@ -3,7 +3,7 @@
 //! A model of valve, circuit and lung runs beside the plant. In it, the pressure is to approach the target with a chosen lag: the
 //! circuit takes the flow of its compliance, the lung that of a resistance and a compliance. The flow gives the stem's travel by the
 //! valve's curve, and that gives the command: the actuator's lag is shortened, its backlash taken up. A valve that is fully open
-//! gives no more, in the model too. The PID follows the model's pressure, delayed by the time that the plant needs, and so corrects
+//! gives no more, in the model too. The PID follows the model's pressure, delayed by a chosen time, and so corrects
 //! only what the model has wrong.
 //!
 //! The lung is identified after each undisturbed inspiration from its commands and pressures ([`super::lung_fit`]); before the first

@@ -1,9 +1,10 @@
-//! Iterative learning control over a soft PID.
+//! Iterative learning control over a PID.
 //!
 //! Breaths repeat, so the error of one breath tells what the next one needs: after each undisturbed breath the feed-forward becomes
-//! `f <- Q [f + g e(t + lead)]`. The error is taken `lead` earlier, because the valve acts late; Q is a zero-phase triangle, which
-//! keeps what the loop cannot follow out of the feed-forward. `trainer margins --learning` certifies the rule. It runs over a soft
-//! PID, because a stiff one and a high learning gain ring.
+//! `f <- Q [f + g e(t + lead)]`. The correction comes `lead` before the error that it answers, because the valve acts late; Q is a
+//! zero-phase triangle, which keeps what the loop cannot follow out of the feed-forward. `trainer margins --learning` certifies the
+//! rule. A soft PID allows a high learning gain; over a stiff one a high gain rings unless the smoothing is wide. The tuned values
+//! are of the second kind.
 
 use shared::breath::period_s;
 use shared::control::memory::Lesson;
@@ -31,7 +32,7 @@ pub(super) const PARAMETERS: [Parameter; 6] = [
     Parameter {
         name: "lead",
         unit: "ms",
-        meaning: "time by which the error is taken earlier",
+        meaning: "time by which the correction precedes the error",
         coarse: &[35.0, 50.0, 65.0],
         bounds: (0.0, 1000.0),
         tuned: 18.125,
@@ -227,6 +228,7 @@ mod tests {
             let wanted = (2.0 * f64::from(breath)).min(100.0);
             assert!((f64::from(feed(&law, &state, 500)) - wanted).abs() < 1e-3, "{breath}");
         }
+        assert!(state.feed.iter().all(|value| value.abs() <= COMMAND_MAX), "the memory itself is limited");
     }
 
     #[test]

@@ -96,7 +96,7 @@ mod tests {
     use plant::bench::{Bench, BenchConfig};
     use shared::breath::DEFAULT_PERIOD_US;
 
-    /// The lung fitted to an inspiration of half a second on a bench.
+    /// The lung fitted to 0.8 s on a bench: 0.5 s of filling, then a lower command.
     fn fitted(bench: &BenchConfig) -> Option<Lung> {
         let machine = Machine::of(bench);
         let mut running = Bench::new(bench, 5.0, 1).unwrap();

@@ -26,7 +26,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// The nominal machine of a bench: nothing of its lung and nothing of its unit's deviation.
+    /// The machine of a bench: its valve and circuit, nothing of its lung and nothing of `[unit]`.
     pub fn of(bench: &BenchConfig) -> Self {
         let ValveConfig {
             dead_time_ms,

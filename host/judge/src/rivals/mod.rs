@@ -1,7 +1,7 @@
 //! Rivals of the learned controllers: laws from the literature, each tuned in good faith.
 //!
-//! A learned controller that beats a PID has beaten the simplest law only. The rivals are a variable-gain law ([`variable_gain`]),
-//! iterative learning over a soft PID ([`iterative`]) and a PID with a feed-forward from an identified model ([`feed_forward`]). They
+//! A PID is only the simplest rival. The rivals are a variable-gain law ([`variable_gain`]),
+//! iterative learning over a PID ([`iterative`]) and a PID with a feed-forward from an identified model ([`feed_forward`]). They
 //! run in this process only, under the same supervisor and safety filter as the controllers of a device. [`tuning`] searches their
 //! parameters; [`Rival`] is the registry of their names, and [`AnyLaw`] runs any of them in the place of a [`Controller`].
 
@@ -32,9 +32,9 @@ use ventilator::SourceError;
 /// The rivals by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rival {
-    /// PI with a higher gain on large errors.
+    /// PID with a higher gain on large errors.
     VariableGain,
-    /// Iterative learning over a soft PID.
+    /// Iterative learning over a PID.
     Iterative,
     /// PID with a feed-forward from an identified model.
     FeedForward,

@@ -4,6 +4,7 @@
 //! beginning too. The plants of a family and their sensor noise have a seed of their own, apart from those that users choose.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -116,10 +117,10 @@ fn search(
     progress: &Progress<'_>,
 ) -> Result<Tuned, TuneRivalError> {
     let screened = SCREENED.min(plan.runs.len());
-    let planned = grid.len() * screened + SHORTLISTED * plan.runs.len();
-    let task = progress.task(Stage::TuneRival, planned);
-    let mut screen = Scores::new(rival, plan, screened, &task);
-    let mut full = Scores::new(rival, plan, plan.runs.len(), &task);
+    let planned = AtomicUsize::new(0);
+    let task = progress.task(Stage::TuneRival, grid.len() * screened);
+    let mut screen = Scores::new(rival, plan, screened, (&task, &planned));
+    let mut full = Scores::new(rival, plan, plan.runs.len(), (&task, &planned));
     // With the middle of the grid there is a result even if the search is stopped immediately.
     full.measure(&[grid[grid.len() / 2].clone()], false)?;
     screen.measure(grid, true)?;
@@ -193,13 +194,20 @@ struct Scores<'a> {
     machine: Machine,
     runs: &'a [PlantRun],
     task: &'a Task<'a>,
+    /// Breaths announced to the task: how many points the refinement needs is not known before.
+    planned: &'a AtomicUsize,
     /// By the bits of the values, which sort like the values: none is negative.
     known: BTreeMap<Vec<u32>, f64>,
 }
 
 impl<'a> Scores<'a> {
-    fn new(rival: Rival, plan: &'a TuningPlan, runs: usize, task: &'a Task<'a>) -> Self {
-        Self { rival, machine: plan.machine, runs: &plan.runs[..runs], task, known: BTreeMap::new() }
+    fn new(
+        rival: Rival,
+        plan: &'a TuningPlan,
+        runs: usize,
+        (task, planned): (&'a Task<'a>, &'a AtomicUsize),
+    ) -> Self {
+        Self { rival, machine: plan.machine, runs: &plan.runs[..runs], task, planned, known: BTreeMap::new() }
     }
 
     /// Scores all points that are not known; those that are not done when a stoppable measurement is stopped stay unknown.
@@ -208,6 +216,8 @@ impl<'a> Scores<'a> {
             points.iter().filter(|point| !self.known.contains_key(&key(point))).collect();
         unknown.sort_by_key(|point| key(point));
         unknown.dedup();
+        let more = unknown.len() * self.runs.len();
+        self.task.expect(self.planned.fetch_add(more, Ordering::Relaxed) + more);
         let scored: Result<Vec<Option<f64>>, TuneRivalError> = unknown
             .par_iter()
             .map(|point| {
@@ -307,7 +317,8 @@ mod tests {
         assert_eq!(found, with(2));
         let task = Progress::silent().task(Stage::TuneRival, 1);
         let plan = plan();
-        let mut scores = Scores::new(Rival::VariableGain, &plan, plan.runs(), &task);
+        let planned = AtomicUsize::new(0);
+        let mut scores = Scores::new(Rival::VariableGain, &plan, plan.runs(), (&task, &planned));
         scores.measure(&points(), false).unwrap();
         assert!(found.score < 0.95 * scores.leader().1, "{found:?}");
         assert!(found.complete);

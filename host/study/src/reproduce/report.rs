@@ -252,7 +252,7 @@ fn iso_section(rows: &[IsoResult]) -> Section {
         outcome.map_or_else(|| Cell::right("fault"), |outcome| Cell::number(of(outcome), decimals))
     };
     let passes = |outcome: Option<Outcome>| {
-        Cell::text(if outcome.is_some_and(|outcome| outcome.pass) { "yes" } else { "no" })
+        Cell::text(if outcome.is_some_and(|outcome| outcome.plateau_within) { "yes" } else { "no" })
     };
     let plateaus = Table::of(
         "Plateau error; R in cmH2O/(L/s), C in mL/cmH2O, pressures in cmH2O",

@@ -265,8 +265,8 @@ fn unseen_figures(plant: Unseen) -> UnseenFigures {
 fn iso_figures(row: &IsoResult) -> IsoFigures {
     IsoFigures {
         row: row.number,
-        single_pid: row.single_pid.is_some_and(|outcome| outcome.pass),
-        generalist: row.generalist.is_some_and(|outcome| outcome.pass),
+        single_pid: row.single_pid.is_some_and(|outcome| outcome.plateau_within),
+        generalist: row.generalist.is_some_and(|outcome| outcome.plateau_within),
         tidal_volume: row.generalist.map(|outcome| outcome.tidal_volume),
         expected_volume: row.expected_volume,
     }

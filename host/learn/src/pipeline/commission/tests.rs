@@ -23,7 +23,7 @@ fn small() -> CommissionRun {
     run
 }
 
-/// A machine of the adult family's slow and late end.
+/// A machine at the ends of the adult family's ranges: late, with a fast actuator and a strongly curved valve.
 fn unlike_the_nominal_one() -> BenchConfig {
     let mut bench = BenchConfig { name: "late".into(), ..BenchConfig::paper(20.0, 20.0) };
     (bench.valve.dead_time_ms, bench.valve.lag_ms, bench.valve.curve_exponent) = (20.0, 15.0, 1.7);
