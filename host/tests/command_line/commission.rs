@@ -56,7 +56,7 @@ fn a_recording_that_fails_a_check_is_refused_with_what_to_do() {
     let place = Place::new();
     let refused =
         place.refused(&format!("{TINY} --lung R50C10 --pips 35 --collector 60,900 --pressure-limit 42"));
-    assert!(refused.contains("the pressure limit ended 1 breath(s)"), "{refused}");
+    assert!(refused.contains("safe state ended 1 breath(s)"), "{refused}");
     assert!(!place.path("run/weights.bin").exists());
 }
 
