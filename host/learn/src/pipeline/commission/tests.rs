@@ -62,6 +62,17 @@ fn a_commissioned_controller_beats_the_familys_on_a_machine_unlike_the_nominal_o
 }
 
 #[test]
+fn a_breath_with_a_lost_row_is_left_out_and_does_not_count_as_ended() {
+    let run = small();
+    let whole = recording(&run);
+    let mut lost = whole.clone();
+    let first = lost.breaths()[0].clone();
+    lost.tick[first.start + 10..first.end].iter_mut().for_each(|tick| *tick += 1);
+    let breaths = |recording| run.check(recording, &Progress::silent()).unwrap().figures.breaths;
+    assert_eq!(breaths(&lost), breaths(&whole) - 1);
+}
+
+#[test]
 fn the_same_seed_gives_the_same_weights_on_any_number_of_threads() {
     let on = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
