@@ -8,17 +8,15 @@ use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, Range};
 
 use super::bars::with_bars;
-use super::common::{BenchArgs, stopped};
+use super::common::stopped;
 use super::controller_args::{Chosen, ControllerArgs};
 use super::output::OutputArgs;
-use super::plant_args::PlantArgs;
-use super::port_args::{self, PortArgs};
 use super::settings_args::SettingsArgs;
+use super::source_args::SourceArgs;
 use data::recording;
 use show::report::{Cell, Table};
 use ventilator::collect::{CollectConfig, CollectError, Collected, collect};
 use ventilator::seeds;
-use ventilator::{BenchSource, PlantSource, SharedLink, Source};
 
 /// Record breaths under a known-good PID with random perturbations, as in the paper
 #[derive(Debug, clap::Args)]
@@ -38,11 +36,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.parquet")]
     out: PathBuf,
     #[command(flatten)]
-    bench: BenchArgs,
-    #[command(flatten)]
-    port: PortArgs,
-    #[command(flatten)]
-    plant: PlantArgs,
+    source: SourceArgs,
     /// Number of breaths to record
     #[arg(long, value_name = "N", default_value_t = 200)]
     breaths: usize,
@@ -126,11 +120,11 @@ struct Summary {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let plant = args.plant.connect()?;
+    let plant = args.source.plant.connect()?;
     let chosen = args.controller.chosen(plant.as_ref())?;
     let controller = chosen.chip()?;
     let config = config(args)?;
-    let mut source = source(&args.bench, &args.port, plant, &chosen, &config)?;
+    let mut source = args.source.open(plant, &chosen, &config.settings, config.seed)?;
     let recorded = with_bars(|progress| collect(source.as_mut(), controller, &config, progress));
     let (mut collected, failure) = match recorded {
         Ok(collected) => (collected, None),
@@ -174,25 +168,6 @@ fn config(args: &Args) -> anyhow::Result<CollectConfig> {
         exploration: args.exploration.exploration(),
         aborts: args.aborts,
         seed: seeds::collection(args.seed, 0),
-    })
-}
-
-/// The source of breaths: a device, the user's own plant, or the bench.
-pub fn source(
-    bench: &BenchArgs,
-    port: &PortArgs,
-    plant: Option<SharedLink>,
-    chosen: &Chosen,
-    config: &CollectConfig,
-) -> anyhow::Result<Box<dyn Source>> {
-    let (controller, period_us) = (chosen.chip()?.clone(), chosen.period_us);
-    Ok(if let Some(address) = &port.port {
-        Box::new(port_args::source(address, chosen, config.seed)?)
-    } else if let Some(link) = plant {
-        Box::new(PlantSource::new(link, controller, period_us, config.seed))
-    } else {
-        let bench = bench.one()?;
-        Box::new(BenchSource::new(&bench, controller, &config.settings, period_us, config.seed)?)
     })
 }
 

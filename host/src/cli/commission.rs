@@ -10,12 +10,10 @@ use shared::control::pid::PidGains;
 use shared::control::residual::Residual;
 
 use super::bars::with_bars;
-use super::collect::source;
-use super::common::{BenchArgs, gains};
+use super::common::gains;
 use super::controller_args::{self, Chosen, format_gains};
-use super::plant_args::PlantArgs;
-use super::port_args::PortArgs;
 use super::settings_args::SettingsArgs;
+use super::source_args::SourceArgs;
 use super::train::{CONTROLLER, ResultArgs};
 use data::recording::Recording;
 use judge::evaluate::{Plan, evaluate_law};
@@ -52,11 +50,7 @@ stops; the same command continues from the recording in the folder. A recording 
 complete is repeated.")]
 pub struct Args {
     #[command(flatten)]
-    bench: BenchArgs,
-    #[command(flatten)]
-    port: PortArgs,
-    #[command(flatten)]
-    plant: PlantArgs,
+    source: SourceArgs,
     /// The learned controller to start from: a shipped one, or a file as written by `trainer train-family`
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
     controller: PathBuf,
@@ -172,8 +166,8 @@ impl<'a> Job<'a> {
         };
         run.collect.breaths = args.breaths as usize;
         run.train.iterations = args.iterations;
-        let (port, plant) = (&args.port.port, &args.plant.plant);
-        let bench = if port.is_none() && plant.is_none() { Some(args.bench.one()?) } else { None };
+        let (port, plant) = (&args.source.port.port, &args.source.plant.plant);
+        let bench = if port.is_none() && plant.is_none() { Some(args.source.bench.one()?) } else { None };
         let unit = match (&bench, port, plant) {
             (Some(bench), ..) => bench.to_toml(),
             (None, Some(port), _) => port.to_string(),
@@ -196,10 +190,11 @@ impl<'a> Job<'a> {
             self.stage(1, &format!("collect: {} is complete", folder.whole(RECORDING).display()));
             return Ok(CommissionRun::recorded(folder)?);
         }
-        let plant = args.plant.connect()?;
+        let plant = args.source.plant.connect()?;
         self.start.suits(plant.as_ref())?;
         let pid = Chosen::pid(run.collector, self.start.period_us)?;
-        let mut source = source(&args.bench, &args.port, plant, &pid, &run.collection())?;
+        let collection = run.collection();
+        let mut source = args.source.open(plant, &pid, &collection.settings, collection.seed)?;
         // Only now: a unit that cannot be reached leaves no trace in the folder.
         self.claim()?;
         let settings = &run.collect.settings;
@@ -274,7 +269,8 @@ impl<'a> Job<'a> {
         output.saved(&controller);
         let (weights, weights_id) = self.args.result.packed(&learned)?;
         output.report(Some(&out.join(REPORT)), || Ok(report))?;
-        let port = self.args.port.port.as_ref().map_or_else(|| "/dev/ttyACM0".into(), ToString::to_string);
+        let port =
+            self.args.source.port.port.as_ref().map_or_else(|| "/dev/ttyACM0".into(), ToString::to_string);
         if !worse {
             output.line(&format!("Flash it with: trainer flash {} --port {port}", weights.display()));
         }

@@ -5,18 +5,17 @@ use std::path::PathBuf;
 use anyhow::bail;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
-use shared::control::Controller;
-use shared::control::pid::{Pid, PidGains};
+use shared::control::pid::PidGains;
 
 use super::bars::with_bars;
 use super::breathing::{Summary as BreathingSummary, table as breathing_table};
-use super::common::{self, BenchArgs, stopped};
+use super::common::{self, stopped};
 use super::comparison::table;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::OutputArgs;
-use super::plant_args::PlantArgs;
-use super::port_args::{self, PortArgs};
+use super::port_args;
 use super::settings_args::SettingsArgs;
+use super::source_args::SourceArgs;
 use data::provenance::Provenance;
 use judge::breathing::breathing;
 use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_after};
@@ -54,11 +53,7 @@ pub struct Args {
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, conflicts_with = "gains")]
     against: Option<PidGains>,
     #[command(flatten)]
-    bench: BenchArgs,
-    #[command(flatten)]
-    port: PortArgs,
-    #[command(flatten)]
-    plant: PlantArgs,
+    source: SourceArgs,
     /// PIPs of the waveforms, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
@@ -134,23 +129,18 @@ impl Args {
     }
 }
 
-/// A PID with these gains.
-fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<AnyLaw> {
-    Ok(AnyLaw::Chip(Controller::Pid(Pid::new(gains, period_us)?)))
-}
-
 impl Setup {
     fn new(args: &Args) -> anyhow::Result<Self> {
-        let plant = args.plant.connect()?;
+        let plant = args.source.plant.connect()?;
         let (chosen, plan) = args.chosen_and_plan(plant.as_ref())?;
         let gains = args.against.unwrap_or(chosen.gains());
-        let pressure = match (&args.port.port, &plant) {
+        let pressure = match (&args.source.port.port, &plant) {
             (Some(_), _) => "measured airway pressure",
             (None, Some(_)) => "airway pressure, the true one if the plant reports it",
             (None, None) => "true airway pressure, known only to the bench",
         };
         let mut bench = None;
-        let ground: Box<dyn Ground<AnyLaw>> = match (&args.port.port, plant) {
+        let ground: Box<dyn Ground<AnyLaw>> = match (&args.source.port.port, plant) {
             (Some(address), _) => {
                 chosen.chip()?;
                 let source = port_args::source(address, &chosen, plan.seeds[0])?;
@@ -161,9 +151,9 @@ impl Setup {
                 let source = PlantSource::new(link, controller, chosen.period_us, plan.seeds[0]);
                 Box::new(SourceGround::new(source))
             }
-            (None, None) => Box::new(bench.insert(args.bench.one()?).clone()),
+            (None, None) => Box::new(bench.insert(args.source.bench.one()?).clone()),
         };
-        let pid = pid(gains, chosen.period_us)?;
+        let pid = Chosen::pid(gains, chosen.period_us)?.controller;
         Ok(Self { ground, bench, pressure, pid, chosen, plan })
     }
 
@@ -198,10 +188,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     args.output.report(args.report.as_ref(), || report(args, &setup, &comparison))?;
     args.output.finish(&Summary {
         seed: args.seed,
-        lung: setup.bench.filter(|_| args.bench.bench.is_none()).map(|bench| bench.name),
-        plant: args.plant.plant.as_ref().map(ToString::to_string),
-        port: args.port.port.as_ref().map(ToString::to_string),
-        bench: args.bench.bench.clone(),
+        lung: setup.bench.filter(|_| args.source.bench.bench.is_none()).map(|bench| bench.name),
+        plant: args.source.plant.plant.as_ref().map(ToString::to_string),
+        port: args.source.port.port.as_ref().map(ToString::to_string),
+        bench: args.source.bench.bench.clone(),
         controller: setup.chosen.name.clone(),
         weights_id: setup.chosen.weights_id.clone(),
         gains: setup.pid.pid().gains(),
@@ -215,11 +205,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 /// Triggered and timed breaths of breathing patients.
 fn run_breathing(args: &Args) -> anyhow::Result<()> {
     let (chosen, plan) = args.chosen_and_plan(None)?;
-    let pid = pid(args.against.unwrap_or(chosen.gains()), chosen.period_us)?;
+    let pid = Chosen::pid(args.against.unwrap_or(chosen.gains()), chosen.period_us)?.controller;
     let mut controllers = vec![("PID".to_owned(), &pid)];
     controllers.extend(chosen.beside_pid().map(|name| (name.to_owned(), &chosen.controller)));
     let (names, controllers): (Vec<_>, Vec<_>) = controllers.into_iter().unzip();
-    let benches = args.bench.benches()?;
+    let benches = args.source.bench.benches()?;
     let breathing = with_bars(|progress| breathing(&benches, &controllers, &plan, progress))?;
     if breathing.patients.is_empty() {
         bail!("stopped before the first lung was complete");

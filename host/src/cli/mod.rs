@@ -36,6 +36,7 @@ mod reproduce;
 mod robust;
 mod self_test;
 mod settings_args;
+mod source_args;
 mod test_table;
 mod torture;
 mod train;
