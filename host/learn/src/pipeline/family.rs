@@ -250,17 +250,21 @@ impl FamilyRun {
     fn models(&self, units: &[Simulator], nominal: &Simulator) -> FamilyModels {
         let (trained_on, held_out) = units.split_at(self.units as usize);
         let mut rng = ChaCha8Rng::seed_from_u64(seeds::training(self.seed, 1));
-        let mut drawn = |units: &[Simulator], count: usize| {
+        let mut model = |units: &[Simulator], count: usize| {
             let recorded: Vec<f32> = units.iter().flat_map(|unit| unit.parameters.clone()).collect();
-            let shape = self.shape(count);
-            let mut parameters = spread::draw(&recorded, count, &mut rng);
-            let nominal_ones = (self.nominal_share * count as f32) as usize;
-            spread::put_machine(&nominal.parameters, &mut parameters, nominal_ones, &mut rng);
-            let extreme_ones = (self.extreme_share * count as f32) as usize;
-            spread::put_extremes(&recorded, &mut parameters, extreme_ones, &mut rng);
-            Model::new(Architecture::Unit(shape), &parameters)
+            let parameters = self.draw(&recorded, &nominal.parameters, count, &mut rng);
+            Model::new(Architecture::Unit(self.shape(count)), &parameters)
         };
-        FamilyModels { trained_on: drawn(trained_on, self.drawn.0), held_out: drawn(held_out, self.drawn.1) }
+        FamilyModels { trained_on: model(trained_on, self.drawn.0), held_out: model(held_out, self.drawn.1) }
+    }
+
+    /// Parameters of this number of units, with the shares of nominal machines and extreme lungs.
+    fn draw(&self, recorded: &[f32], nominal: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        let share = |share: f32| (share * count as f32) as usize;
+        let mut parameters = spread::draw(recorded, count, rng);
+        spread::put_machine(nominal, &mut parameters, share(self.nominal_share), rng);
+        spread::put_extremes(recorded, &mut parameters, share(self.extreme_share), rng);
+        parameters
     }
 }
 
@@ -271,4 +275,49 @@ fn noise(units: &[Simulator]) -> (f32, f32) {
         .fold((f32::INFINITY, 0.0_f32), |(low, high), unit| (low.min(unit.noise), high.max(unit.noise)));
     // The range must not be empty.
     (ends.0, ends.1.max(ends.0 + f32::EPSILON))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulator::unit::PER_UNIT;
+
+    #[test]
+    fn the_familys_soft_pid_lies_under_the_residual() {
+        let text = "[family.valve]\nlag_ms = { uniform = [15, 45] }\n";
+        let gains = |text: &str| FamilyRun::of(&Family::from_toml(text).unwrap()).gains;
+        assert_eq!(gains(text), FamilyRun::default().gains);
+        let soft = gains(&format!("{text}[soft_pid]\np = 1\ni = 2\nd = 0"));
+        assert_eq!(soft, PidGains { p: 1.0, i: 2.0, d: 0.0 });
+    }
+
+    #[test]
+    fn drawn_units_have_the_configured_shares_of_nominal_machines_and_extreme_lungs() {
+        // Machines and lungs that differ from unit to unit, and a nominal machine far from all of them.
+        let mut recorded = UnitConfig::for_period(1000, 20).initialise();
+        for (n, parameter) in recorded.iter_mut().enumerate() {
+            *parameter += 0.1 * (n as f32).sin();
+        }
+        let mut nominal = UnitConfig::for_period(1000, 1).initialise();
+        nominal[0] += 5.0;
+        let drawn = |nominal_share, extreme_share| {
+            let run = FamilyRun { nominal_share, extreme_share, ..FamilyRun::default() };
+            run.draw(&recorded, &nominal, 900, &mut ChaCha8Rng::seed_from_u64(1))
+        };
+        let (usual, mixed) = (drawn(0.0, 0.0), drawn(0.5, 0.3));
+        let on_nominal = |units: &[f32]| {
+            units.chunks_exact(PER_UNIT).filter(|unit| (unit[0] - nominal[0]).abs() < 1.0).count()
+        };
+        assert_eq!((on_nominal(&usual), on_nominal(&mixed)), (0, 450));
+        // A blurred number is that of a recorded unit only if it was put there.
+        let extreme = |units: &[f32]| {
+            let is_recorded = |(place, number): (usize, &f32)| {
+                recorded.iter().skip(place).step_by(PER_UNIT).any(|known| known.to_bits() == number.to_bits())
+            };
+            units.chunks_exact(PER_UNIT).filter(|unit| unit.iter().enumerate().any(is_recorded)).count()
+        };
+        // Of the extreme lungs, a ninth keeps both numbers.
+        let found = extreme(&mixed) - extreme(&usual);
+        assert!((220..=265).contains(&found), "{found} of 270");
+    }
 }
