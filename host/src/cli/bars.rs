@@ -1,9 +1,10 @@
 //! Progress bars on standard error, one for each stage in progress; hidden if standard error is not a terminal.
 
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
 use super::common::stop;
 use progress::{Event, Progress, Stage};
@@ -17,35 +18,54 @@ pub fn with_bars<T>(work: impl FnOnce(&Progress<'_>) -> T) -> T {
     outcome
 }
 
-/// The bar of the current stage.
+/// The bars: one for each subject, because work on several subjects may run side by side.
 #[derive(Debug, Default)]
 struct Bars {
-    current: Mutex<Option<(String, ProgressBar)>>,
+    drawn: MultiProgress,
+    subjects: Mutex<BTreeMap<String, Shown>>,
+}
+
+/// The latest stage of a subject.
+#[derive(Debug)]
+struct Shown {
+    stage: String,
+    /// Its bar, until it is full: then it stays on the screen, and later bars go below it.
+    bar: Option<ProgressBar>,
 }
 
 impl Bars {
     fn show(&self, event: &Event<'_>) {
-        let name = name(event);
+        let stage = name(event);
         if event.done > 0 {
-            tracing::debug!(done = event.done, total = event.total, "{name}");
+            tracing::debug!(done = event.done, total = event.total, "{stage}");
         }
-        let mut current = self.current.lock().unwrap_or_else(PoisonError::into_inner);
-        if current.as_ref().is_none_or(|(shown, _)| *shown != name) {
-            if let Some((_, finished)) = current.take() {
-                finished.finish();
+        let mut subjects = self.subjects.lock().unwrap_or_else(PoisonError::into_inner);
+        match subjects.get(event.subject) {
+            Some(shown) if shown.stage == stage => {}
+            other => {
+                if let Some(bar) = other.and_then(|shown| shown.bar.as_ref()) {
+                    bar.finish();
+                }
+                let bar = Some(self.drawn.add(bar(&stage)));
+                subjects.insert(event.subject.to_owned(), Shown { stage, bar });
             }
-            *current = Some((name.clone(), bar(&name)));
         }
-        if let Some((_, bar)) = &*current {
+        let Some(shown) = subjects.get_mut(event.subject) else { return };
+        if let Some(bar) = &shown.bar {
             bar.set_length(event.total as u64);
             // Parts that run in parallel report out of order.
             bar.set_position(bar.position().max(event.done as u64));
+            if event.total > 0 && event.done >= event.total {
+                bar.finish();
+                shown.bar = None;
+            }
         }
     }
 
-    /// Leaves the last bar at its position: a stopped stage is not full.
+    /// Leaves bars that are not full at their position: their stages were stopped.
     fn finish(&self) {
-        if let Some((_, bar)) = self.current.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        let subjects = std::mem::take(&mut *self.subjects.lock().unwrap_or_else(PoisonError::into_inner));
+        for bar in subjects.into_values().filter_map(|shown| shown.bar) {
             bar.abandon();
         }
     }
@@ -98,18 +118,37 @@ mod tests {
         assert_eq!(name(&event), "lungs/R5C10-0: round 2: fit simulators");
     }
 
+    /// Position and length of a subject's bar; `None` once it is full.
+    fn position(bars: &Bars, subject: &str) -> Option<(u64, Option<u64>)> {
+        let subjects = bars.subjects.lock().unwrap();
+        subjects.get(subject)?.bar.as_ref().map(|bar| (bar.position(), bar.length()))
+    }
+
     #[test]
     fn a_bar_never_goes_back_and_a_stage_that_changes_gets_a_new_one() {
         let bars = Bars::default();
         let event = Event { subject: "", round: None, stage: Stage::Collect, done: 3, total: 9 };
-        let position =
-            || bars.current.lock().unwrap().as_ref().map(|(_, bar)| (bar.position(), bar.length()));
         bars.show(&event);
         bars.show(&Event { done: 2, ..event });
-        assert_eq!(position(), Some((3, Some(9))));
+        assert_eq!(position(&bars, ""), Some((3, Some(9))));
         bars.show(&Event { stage: Stage::Fit, done: 1, ..event });
-        assert_eq!(position(), Some((1, Some(9))));
+        assert_eq!(position(&bars, ""), Some((1, Some(9))));
         bars.finish();
-        assert_eq!(position(), None);
+        assert_eq!(position(&bars, ""), None);
+    }
+
+    #[test]
+    fn subjects_side_by_side_keep_their_bars_until_these_are_full() {
+        let bars = Bars::default();
+        let event = Event { subject: "R5C10", round: None, stage: Stage::Fit, done: 1, total: 4 };
+        bars.show(&event);
+        bars.show(&Event { subject: "R5C20", done: 2, ..event });
+        assert_eq!(position(&bars, "R5C10"), Some((1, Some(4))));
+        bars.show(&Event { done: 4, ..event });
+        assert_eq!(position(&bars, "R5C10"), None);
+        assert_eq!(position(&bars, "R5C20"), Some((2, Some(4))));
+        bars.show(&Event { done: 4, ..event });
+        assert_eq!(bars.subjects.lock().unwrap().len(), 2, "a full bar is not drawn again");
+        assert_eq!(position(&bars, "R5C10"), None);
     }
 }

@@ -7,7 +7,17 @@ use show::report::{Cell, Table};
 pub fn table(comparison: &Comparison, beside: &str, title: &str) -> Table {
     let mut table = Table::new(
         title,
-        &["waveform", "controller", "score", "rise, ms", "overshoot", "plateau error", "late error"],
+        &[
+            "waveform",
+            "controller",
+            "score",
+            "rise, ms",
+            "overshoot",
+            "plateau error",
+            "late error",
+            "valve, %/s",
+            "valve, %",
+        ],
     );
     for waveform in &comparison.waveforms {
         rows(&mut table, &format!("PIP {}", waveform.pip), beside, &waveform.pair);
@@ -29,6 +39,8 @@ fn rows(table: &mut Table, name: &str, beside: &str, pair: &Pair) {
             Cell::number(score.overshoot, 2),
             Cell::number(score.plateau_error, 3),
             Cell::number(score.late_error, 3),
+            Cell::number(score.effort.total_variation, 0),
+            Cell::number(score.effort.deviation, 1),
         ]);
     }
 }

@@ -40,8 +40,9 @@ Examples:
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
 from the true airway pressure; with --plant from the true pressure if the plant reports it; with
---port from the measured pressure. A learned controller or a rival is compared with the PID underneath
-it, or with --against. On a device (--port), weights that are not running yet are uploaded first.
+--port from the measured pressure. The last two columns are the valve effort over the plateau: total
+variation and standard deviation of the command. A learned controller or a rival is compared with the
+PID underneath it, or with --against. On a device (--port), weights that are not running yet are uploaded first.
 
 With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set rate,
 take the place of the bench's own. Scores are those of breaths without efforts (passive), of breaths
@@ -60,8 +61,8 @@ pub struct Args {
     /// Scored breaths per waveform and noise sequence
     #[arg(long, value_name = "N", default_value_t = Plan::default().breaths)]
     breaths: usize,
-    /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath; with 0 there is one
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=1_000_000), conflicts_with = "breathing")]
+    /// Breaths from rest before the scored ones, in which a controller may learn from breath to breath
+    #[arg(long, value_name = "N", default_value_t = Plan::default().warm_up as u32, value_parser = clap::value_parser!(u32).range(..=1_000_000), conflicts_with = "breathing")]
     breaths_of_learning: u32,
     #[command(flatten)]
     settings: SettingsArgs,
@@ -116,12 +117,11 @@ impl Args {
     /// The controller and the breaths of its evaluation.
     fn chosen_and_plan(&self, plant: Option<&SharedLink>) -> anyhow::Result<(Chosen, Plan)> {
         let chosen = self.controller.chosen(plant)?;
-        let least = Plan::default().warm_up;
         let plan = Plan {
             period_us: chosen.period_us,
             pips: self.pips.clone(),
             breaths: self.breaths,
-            warm_up: least.max(self.breaths_of_learning as usize),
+            warm_up: self.breaths_of_learning as usize,
             settings: self.settings.checked(&self.pips)?,
             ..Plan::evaluation(self.seed)
         };

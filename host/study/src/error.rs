@@ -5,15 +5,19 @@ use std::path::{Path, PathBuf};
 
 use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
+use shared::weights::WeightsError;
 use thiserror::Error;
 
 use data::recording::DatasetError;
 use data::tensors::TensorError;
 use judge::baselines::TuneError;
 use judge::bound::BoundError;
+use judge::rivals::parameter::RivalError;
+use judge::robust::RobustError;
 use learn::controller::learned::LearnedError;
 use learn::pipeline::PipelineError;
 use plant::bench::BenchError;
+use plant::bench::family::FamilyError;
 use show::report::ReportError;
 use ventilator::SourceError;
 
@@ -35,6 +39,18 @@ pub enum StudyError {
     /// The reference bound.
     #[error(transparent)]
     Bound(#[from] BoundError),
+    /// A family of plants is not valid.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
+    /// The best PID of a family is not known.
+    #[error(transparent)]
+    Robust(#[from] RobustError),
+    /// Parameters of a rival are not valid.
+    #[error(transparent)]
+    Rival(#[from] RivalError),
+    /// A shipped weights image is not valid.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
     /// PID gains are not valid.
     #[error(transparent)]
     Gain(#[from] GainError),

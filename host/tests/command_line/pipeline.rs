@@ -199,8 +199,10 @@ fn a_pid_learns_nothing_in_the_breaths_before_the_scored_ones() {
         let result = place.json(&format!("evaluate --gains 3,30 --pips 20 --breaths 2 {line}"));
         (result["mean"]["pid"]["score"].as_f64().unwrap(), result["breaths_of_learning"].as_u64().unwrap())
     };
-    let (plain, none) = score("");
-    assert_eq!((none, score("--breaths-of-learning 0").0.to_bits()), (0, plain.to_bits()));
+    let (plain, one) = score("");
+    assert_eq!((one, score("--breaths-of-learning 1").0.to_bits()), (1, plain.to_bits()));
+    let (from_rest, none) = score("--breaths-of-learning 0");
+    assert!(none == 0 && from_rest.to_bits() != plain.to_bits(), "the breath from rest counts");
     let (late, breaths) = score("--breaths-of-learning 12 --report late.html");
     assert!(breaths == 12 && late.to_bits() != plain.to_bits(), "other breaths have other noise");
     assert!((late / plain - 1.0).abs() < 0.05, "{late}, {plain}");

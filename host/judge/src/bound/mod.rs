@@ -25,7 +25,7 @@ use shared::settings::{Settings, SettingsError};
 use thiserror::Error;
 
 use crate::breathing::RHYTHMS;
-use crate::evaluate::{Plan, Score};
+use crate::evaluate::{Plan, Score, valve_effort};
 use bench_breath::BenchBreath;
 use plant::bench::{BenchConfig, PatientConfig};
 use progress::{Progress, Stage};
@@ -192,8 +192,9 @@ fn repeats(bench: &BenchConfig) -> bool {
 
 fn waveform(breath: &BenchBreath, found: Found, trace: bool) -> WaveformBound {
     let pressure = breath.inspire(&breath.periodic(&found.commands), &found.commands);
-    let score = breath.score(&pressure);
     let period = f64::from(breath.breath.period_s());
+    let commands: Vec<f64> = found.commands.iter().copied().map(f64::from).collect();
+    let score = Score { effort: valve_effort(&commands, period), ..breath.score(&pressure) };
     let trace = trace.then(|| BoundTrace {
         time_s: (0..pressure.len()).map(|tick| tick as f64 * period).collect(),
         target: breath.target.clone(),

@@ -29,6 +29,9 @@ pub struct Score {
     pub plateau_error: f64,
     /// Mean absolute error after the first 150 ms, cmH2O.
     pub late_error: f64,
+    /// Movement of the inspiratory valve over the plateau.
+    #[serde(default)]
+    pub effort: ValveEffort,
 }
 
 /// Pressure, target and command of an inspiration, sampled at the start of every control tick.
@@ -52,13 +55,11 @@ impl InspirationRecord {
 
     /// Scores the breath with these settings.
     pub fn score(&self, breath: &Settings, period_us: u32) -> Score {
-        score_breath(breath, f64::from(period_s(period_us)), &self.pressure, &self.target)
-    }
-
-    /// Valve effort over the plateau.
-    pub fn effort(&self, period_us: u32) -> ValveEffort {
         let period_s = f64::from(period_s(period_us));
-        ValveEffort::of(plateau(&self.command, period_s), period_s)
+        Score {
+            effort: valve_effort(&self.command, period_s),
+            ..score_breath(breath, period_s, &self.pressure, &self.target)
+        }
     }
 
     /// Oscillation of the pressure over the plateau, cmH2O: its range beyond the difference between its ends, so that a pressure
@@ -83,12 +84,18 @@ fn plateau(samples: &[f64], period_s: f64) -> &[f64] {
     &samples[samples.len().saturating_sub(ticks(PLATEAU_S, period_s).max(1))..]
 }
 
+/// Valve effort over the plateau of an inspiration with these commands, percent.
+pub(crate) fn valve_effort(commands: &[f64], period_s: f64) -> ValveEffort {
+    ValveEffort::of(plateau(commands, period_s), period_s)
+}
+
 fn ticks(seconds: f64, period_s: f64) -> usize {
     (seconds / period_s).round() as usize
 }
 
 /// Scores an inspiration of true airway pressures, cmH2O, against the same number of targets, cmH2O. Samples are
-/// `period_s` seconds apart, the first at the start of the inspiration. No samples give the default score.
+/// `period_s` seconds apart, the first at the start of the inspiration. No samples give the default score. The valve effort, which
+/// the pressure does not show, is zero.
 ///
 /// Means over time use the trapezoidal rule: in a plain sum the first instant, when the error is largest, would weigh
 /// more at a longer control period.
@@ -104,6 +111,7 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
         overshoot: pressure.iter().fold(0.0, |most: f64, p| most.max(p - pip)),
         plateau_error: mean_over_time(plateau(&from_pip, period_s)),
         late_error: mean_over_time(&errors[late..]),
+        effort: ValveEffort::default(),
     }
 }
 
@@ -145,6 +153,10 @@ impl Score {
             overshoot: mean(|s| s.overshoot),
             plateau_error: mean(|s| s.plateau_error),
             late_error: mean(|s| s.late_error),
+            effort: ValveEffort {
+                total_variation: mean(|s| s.effort.total_variation),
+                deviation: mean(|s| s.effort.deviation),
+            },
         }
     }
 }
@@ -244,7 +256,7 @@ mod tests {
         #[test]
         fn every_figure_is_finite_and_not_negative(pressure in prop::collection::vec(-20.0f64..100.0, 0..400)) {
             let target = vec![25.0; pressure.len()];
-            let Score { score, rise_ms, overshoot, plateau_error, late_error } =
+            let Score { score, rise_ms, overshoot, plateau_error, late_error, .. } =
                 score_breath(&paper_settings(25.0), 0.005, &pressure, &target);
             for figure in [score, overshoot, plateau_error, late_error] {
                 prop_assert!(figure >= 0.0 && figure.is_finite());

@@ -1,7 +1,7 @@
 //! Evaluations and traces on virtual benches.
 
 use rayon::ThreadPoolBuilder;
-use shared::breath::paper_settings;
+use shared::breath::{paper_settings, period_s};
 use shared::control::pid::{Pid, PidGains};
 
 use super::*;
@@ -70,6 +70,18 @@ fn what_follows_the_last_inspiration_is_cut_without_a_trace() {
     let scored = evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap().mean;
     assert!((scored.score - expected.score).abs() < 1e-9);
     assert!((scored.plateau_error - expected.plateau_error).abs() < 1e-9);
+}
+
+#[test]
+fn a_score_has_the_valve_effort_of_the_plateau() {
+    let plan = Plan { pips: vec![20.0], breaths: 1, seeds: vec![3], ..Plan::default() };
+    let noisy = evaluate(&lung(), &pid(4.0, 30.0), &plan).unwrap().mean.effort;
+    let settings = plan.waveform(20.0);
+    let curves = trace(&lung(), &pid(4.0, 30.0), &settings, plan.period_us, 3, 1).unwrap();
+    let plateau: Vec<f64> = curves.u_in[700..1000].to_vec();
+    assert_eq!(noisy, ValveEffort::of(&plateau, f64::from(period_s(plan.period_us))));
+    let calm = evaluate(&lung(), &pid(1.0, 30.0), &plan).unwrap().mean.effort;
+    assert!(calm.total_variation < 0.5 * noisy.total_variation, "noise acts through the gain");
 }
 
 #[test]

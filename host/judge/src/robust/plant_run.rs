@@ -5,7 +5,7 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::ControlLaw;
 use shared::settings::Settings;
 
-use crate::evaluate::{InspirationRecord, ValveEffort, plateau_tolerance};
+use crate::evaluate::{InspirationRecord, Score, ValveEffort, plateau_tolerance};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use ventilator::{BenchSource, SourceError, seeds};
@@ -90,8 +90,8 @@ pub fn breaths<C: ControlLaw + Clone>(run: &PlantRun, controller: &C) -> Result<
         found.every.push(score.score);
         found.unstable |= record.oscillation(DEFAULT_PERIOD_US) > 2.0 * plateau_tolerance(settings.pip);
         if SCORED.contains(&number) {
-            let effort = record.effort(DEFAULT_PERIOD_US);
-            found.scored.push(BreathScore { score: score.score, overshoot: score.overshoot, effort });
+            let Score { score, overshoot, effort, .. } = score;
+            found.scored.push(BreathScore { score, overshoot, effort });
         }
     }
     Ok(found)

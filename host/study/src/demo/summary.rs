@@ -146,6 +146,7 @@ mod tests {
             overshoot: 2.0 * scale,
             plateau_error: 0.1 * scale,
             late_error: 0.2 * scale,
+            ..Score::default()
         }
     }
 

@@ -6,6 +6,7 @@ use shared::control::features::{CLOCK, FEATURES, FeatureSpec, LEAKY, PAST_COMMAN
 use shared::control::pid::{Pid, PidGains};
 use shared::explore::Exploration;
 
+use super::side_by_side::{Piece, piece};
 use super::study::Study;
 use super::{Reproduction, lungs};
 use crate::error::Result;
@@ -47,25 +48,32 @@ struct Variant {
     judge: BenchConfig,
 }
 
-/// Trains and scores every variant on the lung in the middle of the list.
-pub(super) fn ablations(study: &Study<'_>) -> Result<Vec<Ablation>> {
+/// Training and scoring of every variant on the lung in the middle of the list.
+pub(super) fn pieces<'a>(study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
     let gains = lungs::tuned(study)?.lungs[study.middle()].pid.gains;
-    let mut done: Vec<(Variant, Ablation)> = Vec::new();
+    let mut different: Vec<Variant> = Vec::new();
     for variant in variants(study, gains) {
-        let place = variant.place();
-        let ablation = study.keep(&place, || match done.iter().find(|(other, _)| other.is(&variant)) {
-            // Groups share the unchanged variant.
-            Some((_, found)) => Ok(variant.named(found)),
-            None => ablation(study, &variant, &place),
-        })?;
-        done.push((variant, ablation));
+        // Groups share the unchanged variant.
+        if !different.iter().any(|other| other.is(&variant)) {
+            different.push(variant);
+        }
     }
-    Ok(done.into_iter().map(|(_, ablation)| ablation).collect())
+    let of = |variant: Variant| {
+        let place = variant.place();
+        piece(move || study.keep(&place, || ablation(study, &variant, &place)))
+    };
+    Ok(different.into_iter().map(of).collect())
 }
 
 /// The kept results, if the folder contains every variant.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Ablation>>> {
-    variants(study, PidGains::default()).iter().map(|variant| study.kept(&variant.place())).collect()
+    let variants = variants(study, PidGains::default());
+    let of = |variant: &Variant| {
+        let same = variants.iter().find(|other| other.is(variant)).unwrap_or(variant);
+        let found: Option<Ablation> = study.kept(&same.place())?;
+        Ok(found.map(|found| variant.named(&found)))
+    };
+    variants.iter().map(of).collect()
 }
 
 impl Variant {

@@ -21,6 +21,8 @@ pub(super) const AUTHORS: [f64; 3] = [2.239, 2.013, 3.739];
 pub(super) struct OnBalloon {
     /// Full flow, then an exact hold.
     pub(super) floor: f64,
+    /// The lowest that any commands reach: the valve does not close fully.
+    pub(super) bound: f64,
     pub(super) grid_pi: f64,
     /// Our controllers, trained through simulators learned from recordings, by seed.
     pub(super) learned: Vec<f64>,
@@ -43,6 +45,11 @@ pub(super) fn balloon(study: &Study<'_>) -> Result<OnBalloon> {
             })?;
             learned.push(balloon::score(&Controller::Residual(outcome.learned.controller))?);
         }
-        Ok(OnBalloon { floor: baseline::floor(), grid_pi: baseline::best_pi().score, learned })
+        Ok(OnBalloon {
+            floor: baseline::floor(),
+            bound: baseline::bound(),
+            grid_pi: baseline::best_pi().score,
+            learned,
+        })
     })
 }

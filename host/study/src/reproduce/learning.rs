@@ -1,9 +1,12 @@
 //! Comparison with reinforcement learning: PPO and DQN on the same learned simulators with the same observations;
 //! scores against samples used, beside ours.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
+use super::side_by_side::{Piece, piece};
 use super::study::Study;
 use super::{Reproduction, lungs};
 use crate::error::{Result, StudyError};
@@ -50,30 +53,34 @@ pub(super) struct Learning {
     pub(super) ours: LearnerResult,
 }
 
-/// Trains all three on the simulators learned for the middle lung of the list.
-pub(super) fn learning(study: &Study<'_>) -> Result<Learning> {
+/// Places of the results.
+const PPO: &str = "rl/ppo";
+const DQN: &str = "rl/dqn";
+const OURS: &str = "rl/ours";
+
+/// Training by each of the three on the simulators learned for the middle lung of the list.
+pub(super) fn pieces<'a>(study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
     let Reproduction { seed, budget, .. } = study.reproduction;
     let index = study.middle();
     let bench = &study.lungs()[index];
     let gains = lungs::tuned(study)?.lungs[index].pid.gains;
-    lungs::lungs(study)?;
     let config = PipelineConfig { gains, seed: *seed, ..budget.lung.clone() };
     // Its folder already contains the whole run.
-    let simulators = || -> Result<Vec<Simulator>> {
-        let folder = format!("lungs/{}-0", bench.name);
-        let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
-        Ok(outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect())
+    let folder = lungs::first_folder(bench);
+    let outcome = lungs::train(study, std::slice::from_ref(bench), &config, &folder)?;
+    let simulators: Arc<[Simulator]> =
+        outcome.plants.into_iter().flat_map(|plant| plant.simulators).collect();
+    let by = |place: &'static str, algorithm| {
+        let simulators = Arc::clone(&simulators);
+        piece(move || study.keep(place, || rival(study, bench, algorithm, &simulators)))
     };
-    Ok(Learning {
-        ppo: study.keep("rl/ppo", || rival(study, bench, Algorithm::Ppo, &simulators()?))?,
-        dqn: study.keep("rl/dqn", || rival(study, bench, Algorithm::Dqn, &simulators()?))?,
-        ours: study.keep("rl/ours", || ours(study, bench, &config, &simulators()?))?,
-    })
+    let [ppo, dqn] = [by(PPO, Algorithm::Ppo), by(DQN, Algorithm::Dqn)];
+    Ok(vec![ppo, dqn, piece(move || study.keep(OURS, || ours(study, bench, &config, &simulators)))])
 }
 
 /// The kept results, if the folder contains all three.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Learning>> {
-    let [ppo, dqn, ours] = [study.kept("rl/ppo")?, study.kept("rl/dqn")?, study.kept("rl/ours")?];
+    let [ppo, dqn, ours] = [study.kept(PPO)?, study.kept(DQN)?, study.kept(OURS)?];
     Ok(match (ppo, dqn, ours) {
         (Some(ppo), Some(dqn), Some(ours)) => Some(Learning { ppo, dqn, ours }),
         _ => None,

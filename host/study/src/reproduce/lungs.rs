@@ -6,6 +6,7 @@ use shared::control::Controller;
 use shared::control::pid::PidGains;
 
 use super::Reproduction;
+use super::side_by_side::{Piece, piece};
 use super::study::Study;
 use crate::error::{Result, StudyError};
 use judge::baselines::{Best, tune_pid};
@@ -48,19 +49,33 @@ pub(super) fn tuned(study: &Study<'_>) -> Result<TunedPids> {
     })
 }
 
-/// Trains and scores a controller for each lung.
-pub(super) fn lungs(study: &Study<'_>) -> Result<Vec<LungScores>> {
+/// Training and scoring of controllers for each lung.
+pub(super) fn pieces<'a>(study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
     let tuned = tuned(study)?;
     let single = tuned.over_all.pid.gains;
-    let scores = |(bench, best): (&BenchConfig, &Best)| {
-        study.keep(&format!("lungs/{}", bench.name), || lung(study, bench, best.pid.gains, single))
+    let of = |(bench, best): (&'a BenchConfig, &Best)| {
+        let own = best.pid.gains;
+        piece(move || study.keep(&place(bench), || lung(study, bench, own, single)))
     };
-    study.lungs().iter().zip(&tuned.lungs).map(scores).collect()
+    Ok(study.lungs().iter().zip(&tuned.lungs).map(of).collect())
 }
 
 /// The kept results, if the folder contains every lung.
 pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<LungScores>>> {
-    study.lungs().iter().map(|bench| study.kept(&format!("lungs/{}", bench.name))).collect()
+    study.lungs().iter().map(|bench| study.kept(&place(bench))).collect()
+}
+
+fn place(bench: &BenchConfig) -> String {
+    format!("lungs/{}", bench.name)
+}
+
+/// The folder of the first controller trained for a lung.
+pub(super) fn first_folder(bench: &BenchConfig) -> String {
+    folder(bench, 0)
+}
+
+fn folder(bench: &BenchConfig, repeat: u64) -> String {
+    format!("{}-{repeat}", place(bench))
 }
 
 fn lung(study: &Study<'_>, bench: &BenchConfig, own: PidGains, single: PidGains) -> Result<LungScores> {
@@ -68,8 +83,7 @@ fn lung(study: &Study<'_>, bench: &BenchConfig, own: PidGains, single: PidGains)
     let (mut learned, mut open_loop, mut ticks) = (Vec::new(), Vec::new(), Vec::new());
     for repeat in 0..budget.repeats {
         let config = PipelineConfig { gains: own, seed: seed + repeat, ..budget.lung.clone() };
-        let folder = format!("lungs/{}-{repeat}", bench.name);
-        let outcome = train(study, std::slice::from_ref(bench), &config, &folder)?;
+        let outcome = train(study, std::slice::from_ref(bench), &config, &folder(bench, repeat))?;
         learned.push(study.evaluate(bench, &Controller::Residual(outcome.learned.controller.clone()))?);
         let last = outcome.rounds.last().and_then(|round| round.open_loop.first());
         open_loop.extend(last.map(|distance| distance.truth.unwrap_or(distance.measured)));

@@ -1,8 +1,8 @@
 //! The paper's experiments on the virtual bench, and further ones (Suo et al. 2021, section 6).
 //!
-//! [`run`] runs the experiments one after the other. Each keeps its result as JSON in the folder, so that a stopped run
-//! can continue and experiments can use earlier results. At the end, all results in the folder are combined into
-//! `results.json` and one report.
+//! [`run`] divides the experiments into pieces, which run side by side, in three groups: what the others need comes first. Each piece
+//! keeps its result as JSON in the folder, so that a stopped run can continue and pieces can use earlier results. At the end, all
+//! results in the folder are combined into `results.json` and one report.
 
 mod ablations;
 mod balloon;
@@ -14,6 +14,8 @@ mod limits;
 mod lungs;
 mod report;
 mod results;
+mod rivals;
+mod side_by_side;
 mod study;
 #[cfg(test)]
 mod tests;
@@ -32,12 +34,15 @@ use progress::Progress;
 pub use ablations::Ablation;
 pub use report::{headline, lungs_table};
 pub use results::{
-    BalloonFigures, IsoFigures, LungFigures, LungMeans, Results, RlFigure, RlFigures, UnseenFigures,
+    BalloonFigures, EffortFigures, IsoFigures, LungFigures, LungMeans, Results, RlFigure, RlFigures,
+    UnseenFigures,
 };
+pub use rivals::{Contender, Contest};
+use side_by_side::{Piece, piece, side_by_side};
 pub use study::Budget;
 use study::Study;
 
-/// An experiment; the order is the order of execution.
+/// An experiment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 pub enum Experiment {
     /// The best P, I and PID for each lung and for all lungs
@@ -52,6 +57,8 @@ pub enum Experiment {
     Tracking,
     /// Lungs and ventilators not used in training
     Unseen,
+    /// Controllers for a whole family of plants, and laws from the literature
+    Rivals,
     /// A lung that changes between two breaths
     Changes,
     /// The pressure-control rows of the test table
@@ -62,6 +69,49 @@ pub enum Experiment {
     Rl,
     /// The contribution of each part of the system, on one lung
     Ablations,
+}
+
+impl Experiment {
+    /// The experiments in groups: those of a group need only earlier groups. Within a group, long pieces come first.
+    const GROUPS: [&[Self]; 3] = [
+        &[Self::Tuning],
+        &[Self::Generalist, Self::Lungs, Self::Balloon, Self::Ablations, Self::Bound],
+        &[Self::Rl, Self::Unseen, Self::Rivals, Self::Tracking, Self::Iso, Self::Changes],
+    ];
+
+    /// The experiments that this one needs.
+    fn needs(self) -> &'static [Self] {
+        match self {
+            Self::Tuning | Self::Bound | Self::Balloon | Self::Rivals => &[],
+            Self::Lungs | Self::Generalist | Self::Ablations => &[Self::Tuning],
+            Self::Unseen | Self::Changes | Self::Iso => &[Self::Tuning, Self::Generalist],
+            Self::Rl => &[Self::Tuning, Self::Lungs],
+            Self::Tracking => &[Self::Tuning, Self::Lungs, Self::Generalist],
+        }
+    }
+
+    /// Whether a run of `only` includes this one.
+    fn runs_for(self, only: &[Self]) -> bool {
+        only.iter().any(|chosen| *chosen == self || chosen.needs().contains(&self))
+    }
+
+    /// Its pieces of work.
+    fn pieces<'a>(self, study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
+        Ok(match self {
+            Self::Tuning => vec![piece(|| lungs::tuned(study))],
+            Self::Lungs => lungs::pieces(study)?,
+            Self::Generalist => vec![piece(|| generalist::generalist(study))],
+            Self::Bound => vec![piece(|| limits::limits(study))],
+            Self::Tracking => vec![piece(|| tracking::tracking(study))],
+            Self::Unseen => unseen::pieces(study)?,
+            Self::Rivals => rivals::pieces(study)?,
+            Self::Changes => vec![piece(|| changes::changes(study))],
+            Self::Iso => vec![piece(|| iso::iso(study))],
+            Self::Balloon => vec![piece(|| balloon::balloon(study))],
+            Self::Rl => learning::pieces(study)?,
+            Self::Ablations => ablations::pieces(study)?,
+        })
+    }
 }
 
 /// Configuration of a reproduction.
@@ -85,20 +135,12 @@ pub struct Reproduction {
 /// The error of the first experiment that fails; results of earlier ones stay.
 pub fn run(reproduction: &Reproduction, progress: &Progress<'_>) -> Result<Results> {
     let study = Study::new(reproduction, progress)?;
-    for experiment in Experiment::value_variants().iter().filter(|e| reproduction.only.contains(e)) {
-        match experiment {
-            Experiment::Tuning => drop(lungs::tuned(&study)?),
-            Experiment::Lungs => drop(lungs::lungs(&study)?),
-            Experiment::Generalist => drop(generalist::generalist(&study)?),
-            Experiment::Bound => drop(limits::limits(&study)?),
-            Experiment::Balloon => drop(balloon::balloon(&study)?),
-            Experiment::Rl => drop(learning::learning(&study)?),
-            Experiment::Ablations => drop(ablations::ablations(&study)?),
-            Experiment::Tracking => drop(tracking::tracking(&study)?),
-            Experiment::Unseen => drop(unseen::unseen(&study)?),
-            Experiment::Changes => drop(changes::changes(&study)?),
-            Experiment::Iso => drop(iso::iso(&study)?),
+    for group in Experiment::GROUPS {
+        let mut pieces = Vec::new();
+        for experiment in group.iter().filter(|experiment| experiment.runs_for(&reproduction.only)) {
+            pieces.extend(experiment.pieces(&study)?);
         }
+        side_by_side(&pieces)?;
     }
     let results = Results::gather(&study)?;
     study.write("results.json", &results)?;

@@ -10,10 +10,11 @@ use super::learning::{LearnerResult, Learning};
 use super::lungs::LungScores;
 use super::study::Study;
 use super::unseen::Unseen;
-use super::{Ablation, ablations, learning, lungs};
+use super::{Ablation, Contest, ablations, learning, lungs, rivals, unseen};
 use crate::error::Result;
 use data::provenance::git_revision;
 use judge::bound::Bound;
+use judge::evaluate::{Evaluation, Score, ValveEffort};
 use plant::bench::BenchConfig;
 
 /// Mean scores on one lung, cmH2O.
@@ -80,11 +81,23 @@ impl LungMeans {
     }
 }
 
+/// Valve effort of a controller, mean over the lungs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EffortFigures {
+    /// Name of the controller.
+    pub controller: String,
+    /// The effort.
+    #[serde(flatten)]
+    pub effort: ValveEffort,
+}
+
 /// The authors' own plant: mean of |p - PIP| over the samples, cmH2O.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BalloonFigures {
-    /// Full flow, then an exact hold.
+    /// Full flow, then an exact hold, as an ideal valve would allow.
     pub floor: f64,
+    /// The lowest that any commands reach.
+    pub bound: f64,
     /// Best PI of the authors' grid.
     pub grid_pi: f64,
     /// Mean over the controllers trained through simulators learned from recordings, with different seeds.
@@ -159,6 +172,8 @@ pub struct Results {
     pub lungs: Vec<LungFigures>,
     /// Means over the lungs.
     pub mean: Option<LungMeans>,
+    /// Valve effort of the best PIDs and of the learned controllers.
+    pub effort: Vec<EffortFigures>,
     /// Highest ratio of the generalist's score to the single PID's over all pairs of lung and waveform.
     pub worst_cell_ratio: Option<f64>,
     /// Plants not used in training.
@@ -171,6 +186,8 @@ pub struct Results {
     pub balloon: Option<BalloonFigures>,
     /// Comparison with reinforcement learning.
     pub rl: Option<RlFigures>,
+    /// Controllers for a whole family of plants, on the lungs and then on the plants not used in training.
+    pub rivals: Vec<Contest>,
     /// Contribution of each part of the system.
     pub ablations: Vec<Ablation>,
 }
@@ -187,15 +204,17 @@ impl Results {
             pairs.map(|(learned, pid)| learned.score.score / pid.score.score).fold(0.0, f64::max)
         });
         let changes: Vec<Change> = study.kept("changes")?.unwrap_or_default();
-        let unseen: Vec<Unseen> = study.kept("unseen")?.unwrap_or_default();
+        let unseen: Vec<Unseen> = unseen::kept(study)?.unwrap_or_default();
         let iso: Vec<IsoResult> = study.kept("iso")?.unwrap_or_default();
         Ok(Self {
             seed: study.reproduction.seed,
             revision: git_revision(),
+            effort: efforts(&kept, generalist.as_ref()),
             worst_cell_ratio: cells.reduce(f64::max),
             unseen: unseen.into_iter().map(unseen_figures).collect(),
             iso_rows: iso.iter().map(iso_figures).collect(),
             rl: learning::kept(study)?.as_ref().map(rl_figures),
+            rivals: rivals::kept(study)?.unwrap_or_default(),
             ablations: ablations::kept(study)?.unwrap_or_default(),
             balloon: study.kept("balloon")?.map(balloon_figures),
             breaths_to_reconverge: changes.iter().map(|c| Change::breaths_to_reconverge(&c.generalist)).max(),
@@ -228,6 +247,24 @@ fn lung_figures(
         }
     };
     study.lungs().iter().zip(kept).enumerate().map(figures).collect()
+}
+
+/// Valve efforts, means over the lungs.
+fn efforts(lungs: &[LungScores], generalist: Option<&Generalist>) -> Vec<EffortFigures> {
+    let mean = |controller: &str, evaluations: Vec<&Evaluation>| {
+        let scores: Vec<Score> = evaluations.iter().map(|evaluation| evaluation.mean).collect();
+        let effort = Score::mean(&scores).effort;
+        (!scores.is_empty()).then(|| EffortFigures { controller: controller.to_owned(), effort })
+    };
+    [
+        mean("own best PID", lungs.iter().map(|lung| &lung.pid).collect()),
+        mean("single PID", lungs.iter().map(|lung| &lung.single_pid).collect()),
+        mean("learned", lungs.iter().flat_map(|lung| &lung.learned).collect()),
+        mean("learned for all", generalist.iter().flat_map(|generalist| &generalist.lungs).collect()),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 /// Means over the lungs, if there are any.
@@ -275,6 +312,7 @@ fn iso_figures(row: &IsoResult) -> IsoFigures {
 fn balloon_figures(found: OnBalloon) -> BalloonFigures {
     BalloonFigures {
         floor: found.floor,
+        bound: found.bound,
         grid_pi: found.grid_pi,
         learned: mean(found.learned.iter().copied()),
         learned_by_seed: found.learned,

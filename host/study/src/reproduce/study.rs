@@ -33,6 +33,8 @@ pub struct Budget {
     pub ablation: PipelineConfig,
     /// Configuration of PPO and DQN; the seed is replaced.
     pub learners: RlConfig,
+    /// Breaths from rest before the rivals are scored a second time: some of them learn from breath to breath.
+    pub breaths_of_learning: usize,
 }
 
 impl Budget {
@@ -44,7 +46,7 @@ impl Budget {
         generalist.train.iterations = 1200;
         let ablation = PipelineConfig { rounds: 1, ..lung.clone() };
         let (search, learners) = (Search::default(), RlConfig::default());
-        Self { repeats: 2, search, lung, generalist, ablation, learners }
+        Self { repeats: 2, search, lung, generalist, ablation, learners, breaths_of_learning: 20 }
     }
 
     /// A small budget: the same trends in a few minutes.
@@ -61,7 +63,7 @@ impl Budget {
         ablation.train.iterations = 120;
         let search = Search { grid: Grid::coarse(), refinements: 2, ..Search::default() };
         let learners = RlConfig { ppo_samples: 2_000_000, dqn_samples: 1_000_000, ..RlConfig::default() };
-        Self { repeats: 1, search, lung, generalist, ablation, learners }
+        Self { repeats: 1, search, lung, generalist, ablation, learners, breaths_of_learning: 6 }
     }
 }
 

@@ -28,6 +28,7 @@ fn small(out: &Path, only: &[Experiment]) -> Reproduction {
             generalist: lung.clone(),
             ablation: lung,
             learners: RlConfig::default(),
+            breaths_of_learning: 2,
         },
         lungs: vec![BenchConfig::paper(20.0, 20.0), BenchConfig::paper(50.0, 10.0)],
         out: out.to_owned(),
@@ -78,4 +79,37 @@ fn a_wish_to_stop_is_told_and_the_study_goes_on_later() {
     let error = stopped.unwrap_err().to_string();
     assert!(error.contains("the same command again"), "{error}");
     run_small(out.path(), &only);
+}
+
+#[test]
+fn every_experiment_is_in_one_group_and_needs_only_earlier_groups() {
+    let group = |experiment: &Experiment| {
+        let of = |group: &&[Experiment]| group.contains(experiment);
+        assert_eq!(Experiment::GROUPS.iter().filter(|group| of(group)).count(), 1, "{experiment:?}");
+        Experiment::GROUPS.iter().position(of).unwrap()
+    };
+    for experiment in Experiment::value_variants() {
+        for needed in experiment.needs() {
+            assert!(group(needed) < group(experiment), "{experiment:?} needs {needed:?}");
+            let further = needed.needs();
+            assert!(further.iter().all(|further| experiment.needs().contains(further)), "{experiment:?}");
+        }
+    }
+}
+
+#[test]
+fn rivals_meet_on_the_lungs_and_on_the_unseen_plants() {
+    let out = tempfile::tempdir().unwrap();
+    let results = run_small(out.path(), &[Experiment::Rivals]);
+    assert_eq!(results.rivals.len(), 2 + unseen::plants().len());
+    let names = |contest: &Contest| {
+        contest.contenders.iter().map(|contender| contender.controller.clone()).collect::<Vec<_>>()
+    };
+    let first = &results.rivals[0];
+    assert_eq!((first.plant.as_str(), names(first).first().unwrap().as_str()), ("R20C20", "family's PID"));
+    assert!(results.rivals.iter().all(|contest| names(contest) == names(first)));
+    let [pid, .., adult] = &first.contenders[..] else { panic!("{first:?}") };
+    assert!(adult.later.score < adult.first.score, "it learns from breath to breath: {adult:?}");
+    assert!(adult.later.score < pid.later.score && adult.later.effort.total_variation > 0.0, "{first:?}");
+    assert!(results.lungs.is_empty(), "it needs no other experiment");
 }

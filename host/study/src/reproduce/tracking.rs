@@ -27,12 +27,11 @@ pub(super) fn tracking(study: &Study<'_>) -> Result<Tracking> {
         let index = study.middle();
         let bench = &study.lungs()[index];
         let best = lungs::tuned(study)?.lungs[index];
-        lungs::lungs(study)?;
         let controllers = vec![
             ("P only", study.pid(best.p_only.gains)?),
             ("I only", study.pid(best.i_only.gains)?),
             ("PID", study.pid(best.pid.gains)?),
-            ("learned", study.learned(&format!("lungs/{}-0", bench.name))?),
+            ("learned", study.learned(&lungs::first_folder(bench))?),
             ("learned, all lungs", generalist::controller(study)?),
         ];
         let plan = study.plan();

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
+use super::side_by_side::{Piece, piece};
 use super::study::Study;
 use super::{Reproduction, generalist};
 use crate::error::{Result, StudyError};
@@ -23,12 +24,23 @@ pub(super) struct Unseen {
     pub(super) generalist: Evaluation,
 }
 
-/// Scores the generalist and the single PID on all plants.
-pub(super) fn unseen(study: &Study<'_>) -> Result<Vec<Unseen>> {
-    study.keep("unseen", || {
-        let (learned, single) = generalist::with_rival(study)?;
-        plants().iter().map(|(bench, inside)| plant(study, bench, *inside, &learned, &single)).collect()
-    })
+/// Scores of the generalist and of the single PID on each plant.
+pub(super) fn pieces<'a>(study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
+    let (learned, single) = generalist::with_rival(study)?;
+    let of = |(bench, inside): (BenchConfig, bool)| {
+        let (learned, single) = (learned.clone(), single.clone());
+        piece(move || study.keep(&place(&bench), || plant(study, &bench, inside, &learned, &single)))
+    };
+    Ok(plants().into_iter().map(of).collect())
+}
+
+/// The kept results, if the folder contains every plant.
+pub(super) fn kept(study: &Study<'_>) -> Result<Option<Vec<Unseen>>> {
+    plants().iter().map(|(bench, _)| study.kept(&place(bench))).collect()
+}
+
+fn place(bench: &BenchConfig) -> String {
+    format!("unseen/{}", bench.name)
 }
 
 fn plant(
@@ -39,7 +51,8 @@ fn plant(
     single: &Controller,
 ) -> Result<Unseen> {
     let Reproduction { seed, budget, .. } = study.reproduction;
-    let progress = study.progress.of(&bench.name);
+    let subject = place(bench);
+    let progress = study.progress.of(&subject);
     let own = tune_pid(std::slice::from_ref(bench), &budget.search, &Plan::tuning(*seed), &progress)?;
     if !own.complete {
         return Err(StudyError::Stopped);
@@ -54,7 +67,7 @@ fn plant(
 }
 
 /// The plants, and whether each is within the trained range.
-fn plants() -> Vec<(BenchConfig, bool)> {
+pub(super) fn plants() -> Vec<(BenchConfig, bool)> {
     let inside = [(10.0, 15.0), (35.0, 30.0), (30.0, 12.0), (12.0, 40.0)];
     let beyond = [(3.0, 20.0), (80.0, 20.0), (20.0, 80.0), (20.0, 6.0)];
     let changed = |name: &str, change: fn(&mut BenchConfig)| {

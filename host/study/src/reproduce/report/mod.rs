@@ -1,5 +1,7 @@
 //! The report of the experiments: tables, and figures like the paper's.
 
+mod rivals;
+
 use super::balloon::AUTHORS;
 use super::changes::Change;
 use super::iso::IsoResult;
@@ -12,6 +14,7 @@ use crate::error::Result;
 use data::provenance::Provenance;
 use judge::evaluate::BreathTrace;
 use judge::test_table::Outcome;
+use rivals::rivals_section;
 use show::report::{Block, Cell, Plot, Report, Section, Series, Style, Table};
 
 /// Length of the inspiration shown in the zoomed plots, s.
@@ -26,6 +29,9 @@ pub(super) fn report(study: &Study<'_>, results: &Results) -> Result<Report> {
     }
     if !results.unseen.is_empty() {
         sections.push(unseen_section(results));
+    }
+    if !results.rivals.is_empty() {
+        sections.push(rivals_section(study, results));
     }
     sections.extend(study.kept::<Vec<Change>>("changes")?.map(|changes| changes_section(&changes)));
     sections.extend(study.kept::<Vec<IsoResult>>("iso")?.map(|rows| iso_section(&rows)));
@@ -162,9 +168,23 @@ fn lungs_section(study: &Study<'_>, results: &Results) -> Result<Section> {
                 x_range: Some((0.5, results.lungs.len() as f64 + 0.5)),
                 ..Plot::new("Score by lung", "lung", "mean error, cmH2O", series)
             }),
+            Block::Table(efforts_table(results)),
             Block::Table(distances),
         ],
     ))
+}
+
+/// Valve effort of the controllers, means over the lungs.
+fn efforts_table(results: &Results) -> Table {
+    Table::of(
+        "Valve effort over the plateau: total variation and standard deviation of the command, means over the lungs",
+        &results.effort,
+        &[
+            ("controller", &|effort| Cell::text(&effort.controller)),
+            ("total variation, %/s", &|effort| Cell::number(effort.effort.total_variation, 0)),
+            ("standard deviation, %", &|effort| Cell::number(effort.effort.deviation, 1)),
+        ],
+    )
 }
 
 /// Upper end of an axis that fits all bars.
@@ -368,6 +388,7 @@ fn balloon_section(found: &BalloonFigures) -> Section {
     let [grid_pi, on_plant, through_simulator] = AUTHORS;
     let rows = [
         ("full flow, then an exact hold", Some(found.floor), None),
+        ("best commands of this valve", Some(found.bound), None),
         ("best PI of the authors' grid", Some(found.grid_pi), Some(grid_pi)),
         ("network trained on the plant itself", None, Some(on_plant)),
         ("network trained through a learned simulator", Some(found.learned), Some(through_simulator)),
@@ -382,6 +403,7 @@ fn balloon_section(found: &BalloonFigures) -> Section {
         ],
     );
     let text = "The balloon model of the paper's authors at a control period of 30 ms; every breath starts at 0 cmH2O. \
-                Our controller was trained only on recordings of it. The first row is an ideal reference.";
+                Our controller was trained only on recordings of it. The first row is that of an ideal valve. The \
+                balloon's valve does not close fully: no commands score lower than the second row.";
     Section::new("The authors' own plant", text, vec![Block::Table(table)])
 }
