@@ -6,9 +6,9 @@
 //! mean error is still the one that belongs to the mean command. The next breath looks ahead in the profile, because the valve acts
 //! late.
 //!
-//! A breath whose error surprises is either disturbed, by a cough for example, or the first one of a changed lung. The first such
-//! breath is left out. The next one that is adopted replaces all that was remembered, because by then the lung may have changed;
-//! after a single cough, this costs the mean over breaths.
+//! A breath whose error surprises is the first one of a changed lung, or disturbed in a way that nothing else has noticed. What was
+//! remembered may be that of another lung, so all of it is forgotten: the next breath runs like a first one, which the controller
+//! is trained for, and the breath after it already has a sound memory.
 
 use serde::{Deserialize, Serialize};
 
@@ -79,8 +79,6 @@ pub struct BreathMemory {
     finite: bool,
     /// Breaths adopted since all was forgotten, up to [`LEARNING`].
     adopted: u8,
-    /// Whether the last breath surprised.
-    surprised: bool,
 }
 
 impl Default for BreathMemory {
@@ -100,7 +98,6 @@ impl BreathMemory {
             difference: 0.0,
             finite: true,
             adopted: 0,
-            surprised: false,
         }
     }
 
@@ -114,18 +111,18 @@ impl BreathMemory {
         let sound = self.finite && filled >= LEAST_BINS;
         let surprises = self.adopted >= LEARNING && self.difference >= SURPRISE * filled as f32;
         let learned = match lesson {
-            Lesson::Adopt if !sound || (surprises && !self.surprised) => Lesson::Discard,
+            Lesson::Adopt if !sound => Lesson::Discard,
+            Lesson::Adopt if surprises => Lesson::Forget,
             lesson => lesson,
         };
         match learned {
             Lesson::Adopt => {
-                self.adopted = if surprises { 1 } else { (self.adopted + 1).min(LEARNING) };
+                self.adopted = (self.adopted + 1).min(LEARNING);
                 self.second = !self.second;
             }
             Lesson::Discard => {}
             Lesson::Forget => (self.adopted, self.profiles[usize::from(self.second)].filled) = (0, 0),
         }
-        self.surprised = lesson == Lesson::Adopt && learned == Lesson::Discard && surprises;
         self.profiles[usize::from(!self.second)].filled = 0;
         (self.sums, self.ticks, self.difference, self.finite) = ([0.0; 2], 0, 0.0, true);
         learned
@@ -155,8 +152,7 @@ impl BreathMemory {
         let old = known.copied().unwrap_or(new);
         self.finite &= new.iter().all(|value| value.is_finite());
         self.difference += (new[0] - old[0]).abs();
-        // After a surprise, the earlier breaths may belong to another lung.
-        if known.is_some() && !self.surprised {
+        if known.is_some() {
             *place = [0, 1].map(|n| old[n] + NEWEST * (new[n] - old[n]));
         }
     }
@@ -346,41 +342,26 @@ mod tests {
     }
 
     #[test]
-    fn a_single_breath_that_surprises_is_left_out() {
+    fn a_breath_that_surprises_makes_the_memory_forget() {
         let mut memory = after(usize::from(LEARNING), 0.1);
-        breathe(&mut memory, 1000, 0.1 + 1.01 * SURPRISE, 0.5);
-        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Discard);
-        near(at(&memory, 300)[0], 0.1);
-        breathe(&mut memory, 1000, 0.1, 0.5);
-        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
         breathe(&mut memory, 1000, 0.1 - 0.99 * SURPRISE, 0.5);
         assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt, "less than that does not surprise");
-    }
-
-    #[test]
-    fn the_second_breath_in_a_row_that_surprises_replaces_all_that_was_remembered() {
         let mut memory = after(usize::from(LEARNING), 0.1);
-        breathe(&mut memory, 1000, 0.4, 0.5);
-        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Discard);
-        breathe(&mut memory, 1000, 0.4, 0.8);
-        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
-        let [error, command] = at(&memory, 300);
-        near(error, 0.4);
-        near(command, 0.8);
-        // On the other lung the controller starts to learn again, so that nothing surprises for a while.
-        for error in [0.2, 0.1] {
+        breathe(&mut memory, 1000, 0.1 + 1.01 * SURPRISE, 0.5);
+        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Forget);
+        assert_eq!(bits(&memory, 300), [0; RECALLED]);
+        // The controller starts to learn again, so that nothing surprises for a while.
+        for error in [0.9, 0.4, 0.1] {
             breathe(&mut memory, 1000, error, 0.8);
             assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
         }
     }
 
     #[test]
-    fn a_disturbed_breath_between_two_that_surprise_separates_them() {
+    fn a_disturbed_breath_does_not_surprise() {
         let mut memory = after(usize::from(LEARNING), 0.1);
-        for lesson in [Lesson::Adopt, Lesson::Discard, Lesson::Adopt] {
-            breathe(&mut memory, 1000, 0.4, 0.5);
-            assert_eq!(memory.learn(lesson), Lesson::Discard);
-        }
+        breathe(&mut memory, 1000, 0.9, 0.5);
+        assert_eq!(memory.learn(Lesson::Discard), Lesson::Discard);
         near(at(&memory, 300)[0], 0.1);
     }
 
@@ -392,7 +373,7 @@ mod tests {
             assert_eq!(memory.learn(Lesson::Adopt), Lesson::Adopt);
         }
         breathe(&mut memory, 1000, 2.0, 0.5);
-        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Discard);
+        assert_eq!(memory.learn(Lesson::Adopt), Lesson::Forget);
     }
 
     #[test]
