@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
 
-use super::generalist;
 use super::study::Study;
+use super::{generalist, rivals};
 use crate::error::Result;
 use judge::evaluate::InspirationRecord;
 use plant::bench::{BenchConfig, PatientConfig};
@@ -29,6 +29,8 @@ pub(super) struct Change {
     pub(super) generalist: Vec<f64>,
     /// The same under the best single PID.
     pub(super) single_pid: Vec<f64>,
+    /// The same under the shipped controller `adult`, which remembers earlier breaths.
+    pub(super) adult: Vec<f64>,
 }
 
 impl Change {
@@ -45,6 +47,7 @@ impl Change {
 pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>> {
     study.keep("changes", || {
         let (learned, single) = generalist::with_rival(study)?;
+        let adult = rivals::shipped()?;
         let cases = [
             ("R 20 to 50", 2.5, 1.0),
             ("R 20 to 5", 0.25, 1.0),
@@ -61,6 +64,7 @@ pub(super) fn changes(study: &Study<'_>) -> Result<Vec<Change>> {
                     what: what.to_owned(),
                     generalist: scores(study, &bench, &learned)?,
                     single_pid: scores(study, &bench, &single)?,
+                    adult: scores(study, &bench, &adult)?,
                 })
             })
             .collect()

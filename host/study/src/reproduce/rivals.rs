@@ -73,9 +73,13 @@ fn laws(study: &Study<'_>) -> Result<Vec<(&'static str, AnyLaw)>> {
     for rival in Rival::ALL {
         laws.push((rival.name(), rival.law(&rival.tuned(), Machine::of(&family.nominal()), period_us)?));
     }
-    let image = shipped::image(FAMILY).map(decode).transpose()?;
-    laws.extend(image.map(|image| (FAMILY, AnyLaw::Chip(Controller::Residual(image.residual)))));
+    laws.push((FAMILY, AnyLaw::Chip(shipped()?)));
     Ok(laws)
+}
+
+/// The shipped learned controller of the family.
+pub(super) fn shipped() -> Result<Controller> {
+    Ok(Controller::Residual(decode(shipped::image(FAMILY).unwrap_or_default())?.residual))
 }
 
 fn contest(study: &Study<'_>, bench: &BenchConfig, laws: &[(&'static str, AnyLaw)]) -> Result<Contest> {

@@ -250,18 +250,25 @@ fn changes_section(changes: &[Change]) -> Section {
             ("change", &|change| Cell::text(&change.what)),
             ("learned for all", &|change| Cell::count(Change::breaths_to_reconverge(&change.generalist))),
             ("single PID", &|change| Cell::count(Change::breaths_to_reconverge(&change.single_pid))),
+            ("adult", &|change| Cell::count(Change::breaths_to_reconverge(&change.adult))),
         ],
     );
-    let series = changes.iter().map(|change| {
-        let points = (1..).zip(&change.generalist).map(|(breath, score)| (f64::from(breath), *score));
-        Series::new(&change.what, Style::Line, points.collect())
-    });
-    let title = "Score of each breath, learned for all";
+    let plot = |title: &str, scores: fn(&Change) -> &[f64]| {
+        let series = changes.iter().map(|change| {
+            let points = (1..).zip(scores(change)).map(|(breath, score)| (f64::from(breath), *score));
+            Series::new(&change.what, Style::Line, points.collect())
+        });
+        Plot::new(title, "breath", "mean error, cmH2O", series.collect())
+    };
     Section::new(
         "Changes of the lung",
-        "Resistance or compliance of R20C20 changes between the fourth and the fifth breath.",
+        "Resistance or compliance of R20C20 changes between the fourth and the fifth breath. `adult` is the shipped \
+         controller for a family of plants. It remembers earlier breaths, and forgets them when the lung changes.",
         vec![
-            Block::Plot(Plot::new(title, "breath", "mean error, cmH2O", series.collect())),
+            Block::PlotRow(vec![
+                plot("Score of each breath, learned for all", |change| &change.generalist),
+                plot("Score of each breath, adult", |change| &change.adult),
+            ]),
             Block::Table(table),
         ],
     )
