@@ -24,7 +24,7 @@ pub struct ControllerArgs {
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
     gains: Option<PidGains>,
     /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`; or a rival that runs on the host
-    /// only: variable-gain, iterative or feed-forward
+    /// only: variable-gain, iterative, feed-forward or gated
     #[arg(long, value_name = "NAME|FILE", group = "which")]
     controller: Option<PathBuf>,
     /// Values of a rival's parameters, in the order in which `trainer tune-rival` prints them [default: those tuned for adults]

@@ -13,7 +13,7 @@ use judge::rivals::tuning::{Tuned, TuningPlan, tune};
 use plant::bench::family::Family;
 use show::report::{Cell, Table};
 
-/// Search for the best parameters of a rival: variable-gain, iterative or feed-forward
+/// Search for the best parameters of a rival: variable-gain, iterative, feed-forward or gated
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -24,17 +24,20 @@ Examples:
 variable-gain is a PID with a higher gain on errors outside a dead zone (Hunnekens et al. 2020).
 iterative is iterative learning control over a PID: what it adds to the command is learned from the
 errors of earlier breaths. feed-forward inverts a model of the valve, the circuit and the lung,
-which it identifies from its own breaths, and corrects the rest with a PID.
+which it identifies from its own breaths, and corrects the rest with a PID. gated is the learned
+controller adult with iterative learning over it; a correction that did not make a breath better is
+dropped.
 
 The score is the mean absolute error over the first breaths from rest: 3 for variable-gain, 6 for
-feed-forward and 20 for iterative, which learns longest. A coarse grid is screened on a few plants;
-from its best points the search steps to better neighbours on all of them, with ever smaller steps.
-The plants of a family are apart from those of `trainer robust`. The values for the family adult are the defaults of --controller NAME; the
-printed ones can be tried with --parameters; there, feed-forward always has the nominal machine for
-adults, so its values for other machines do not carry over. Ctrl-C ends the search with the best
-found so far.")]
+feed-forward and 20 for iterative and gated, which learn longest. A coarse grid is screened on a few
+plants; from its best points the search steps to better neighbours on all of them, with ever smaller
+steps. The plants of a family are apart from those of `trainer robust`. The values for the family
+adult are the defaults of --controller NAME; the printed ones can be tried with --parameters. A
+search for a family gives feed-forward the nominal machine of that family, and so do robust and
+margins with --family; other commands give it the nominal machine for adults. Ctrl-C ends the search
+with the best found so far.")]
 pub struct Args {
-    /// The rival: variable-gain, iterative or feed-forward
+    /// The rival: variable-gain, iterative, feed-forward or gated
     #[arg(value_name = "NAME", value_parser = rival)]
     rival: Rival,
     /// Family of plants: adult, neonate, or a TOML file

@@ -2,7 +2,7 @@
 
 use super::support::Place;
 
-const NAMES: [&str; 3] = ["variable-gain", "iterative", "feed-forward"];
+const NAMES: [&str; 4] = ["variable-gain", "iterative", "feed-forward", "gated"];
 
 #[test]
 fn the_help_of_each_command_that_takes_a_controller_names_the_rivals() {
@@ -55,7 +55,7 @@ fn an_unknown_controller_is_answered_with_the_names() {
     assert!(refused.contains("adult") && NAMES.iter().all(|name| refused.contains(name)), "{refused}");
     let output = place.run("tune-rival iterativ");
     assert_eq!(output.status.code(), Some(2));
-    assert!(super::support::text(&output.stderr).contains("variable-gain, iterative, feed-forward"));
+    assert!(super::support::text(&output.stderr).contains(&NAMES.join(", ")));
 }
 
 #[test]

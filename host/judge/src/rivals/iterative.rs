@@ -1,17 +1,15 @@
 //! Iterative learning control over a PID.
 //!
-//! Breaths repeat, so the error of one breath tells what the next one needs: after each undisturbed breath the feed-forward becomes
-//! `f <- Q [f + g e(t + lead)]`. The correction comes `lead` before the error that it answers, because the valve acts late; Q is a
-//! zero-phase triangle, which keeps what the loop cannot follow out of the feed-forward. `trainer margins --learning` certifies the
-//! rule. A soft PID allows a high learning gain; over a stiff one a high gain rings unless the smoothing is wide. The tuned values
-//! are of the second kind.
+//! Breaths repeat, so the error of one breath tells what the next one needs: each undisturbed breath corrects the feed-forward by the
+//! rule of [`super::feed_learning`]. `trainer margins --learning` certifies the rule. A soft PID
+//! allows a high learning gain; over a stiff one a high gain rings unless the smoothing is wide. The tuned values are of the second
+//! kind.
 
-use shared::breath::period_s;
 use shared::control::memory::Lesson;
 use shared::control::pid::{Pid, PidGains, PidState};
 use shared::control::{COMMAND_MAX, ControlLaw, ControlOutput, Observation};
-use shared::math;
 
+use super::feed_learning::{self, FeedLearning};
 use super::parameter::{self, GAIN_D, GAIN_I, GAIN_P, Parameter, RivalError};
 use crate::margins::iteration::LearningFilter;
 
@@ -21,44 +19,16 @@ pub(super) const PARAMETERS: [Parameter; 6] = [
     Parameter { coarse: &[1.0, 2.5, 5.0], tuned: 4.375, ..GAIN_P },
     Parameter { coarse: &[30.0, 60.0, 150.0], tuned: 206.25, ..GAIN_I },
     Parameter { coarse: &[0.0, 0.08, 0.16], tuned: 0.2, ..GAIN_D },
-    Parameter {
-        name: "gain",
-        unit: "%/cmH2O",
-        meaning: "learning gain from breath to breath",
-        coarse: &[0.5, 1.0, 2.0],
-        bounds: (0.0, 100.0),
-        tuned: 2.75,
-    },
-    Parameter {
-        name: "lead",
-        unit: "ms",
-        meaning: "time by which the correction precedes the error",
-        coarse: &[35.0, 50.0, 65.0],
-        bounds: (0.0, 1000.0),
-        tuned: 18.125,
-    },
-    Parameter {
-        name: "half base",
-        unit: "ms",
-        meaning: "half of the smoothing triangle's base",
-        coarse: &[8.0, 15.0, 30.0],
-        bounds: (0.0, 1000.0),
-        tuned: 90.0,
-    },
+    Parameter { coarse: &[0.5, 1.0, 2.0], tuned: 2.75, ..feed_learning::GAIN },
+    Parameter { coarse: &[35.0, 50.0, 65.0], tuned: 18.125, ..feed_learning::LEAD },
+    Parameter { coarse: &[8.0, 15.0, 30.0], tuned: 90.0, ..feed_learning::HALF_BASE },
 ];
-
-/// Longest inspiration that is remembered, s; what follows runs under the PID alone.
-const LONGEST_S: f32 = 10.0;
 
 /// A PID with a feed-forward learned from breath to breath.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iterative {
     pid: Pid,
-    filter: LearningFilter,
-    gain: f32,
-    lead_ticks: usize,
-    half_ticks: usize,
-    longest_ticks: usize,
+    learning: FeedLearning,
 }
 
 /// Feed-forward and errors over the ticks of an inspiration.
@@ -78,20 +48,10 @@ impl Iterative {
     /// A value out of bounds.
     pub fn new(values: [f32; 6], period_us: u32) -> Result<Self, RivalError> {
         parameter::check(&PARAMETERS, &values)?;
-        let [p, i, d, gain, lead_ms, half_base_ms] = values;
-        let nearest = |ms: f32| (1e-3 * ms / period_s(period_us)).round() as usize;
-        let filter = LearningFilter {
-            gain: f64::from(gain),
-            lead_s: 1e-3 * f64::from(lead_ms),
-            half_base_s: 1e-3 * f64::from(half_base_ms),
-        };
+        let [p, i, d, learning @ ..] = values;
         Ok(Self {
             pid: Pid::new(PidGains { p, i, d }, period_us)?,
-            filter,
-            gain,
-            lead_ticks: nearest(lead_ms),
-            half_ticks: nearest(half_base_ms),
-            longest_ticks: math::ticks(LONGEST_S, period_us) as usize,
+            learning: FeedLearning::new(learning, period_us),
         })
     }
 
@@ -102,32 +62,7 @@ impl Iterative {
 
     /// The learning rule, for its certificate.
     pub fn filter(&self) -> LearningFilter {
-        self.filter
-    }
-
-    /// The feed-forward after a breath with these errors, which are not empty.
-    fn learned(&self, feed: &[f32], errors: &[f32]) -> Vec<f32> {
-        let last = errors.len() - 1;
-        let raised: Vec<f32> = (0..errors.len())
-            .map(|tick| {
-                feed.get(tick).copied().unwrap_or(0.0)
-                    + self.gain * errors[(tick + self.lead_ticks).min(last)]
-            })
-            .collect();
-        (0..=last).map(|tick| math::limit(self.smoothed(&raised, tick), -COMMAND_MAX, COMMAND_MAX)).collect()
-    }
-
-    /// Mean around a tick under the triangle, of the part that lies within the breath.
-    fn smoothed(&self, raised: &[f32], tick: usize) -> f32 {
-        let from = tick.saturating_sub(self.half_ticks);
-        let to = (tick + self.half_ticks).min(raised.len() - 1);
-        let (mut sum, mut total) = (0.0, 0.0);
-        for (at, value) in raised.iter().enumerate().take(to + 1).skip(from) {
-            let weight = (self.half_ticks + 1 - at.abs_diff(tick)) as f32;
-            sum += weight * value;
-            total += weight;
-        }
-        sum / total
+        self.learning.filter()
     }
 }
 
@@ -139,10 +74,12 @@ impl ControlLaw for Iterative {
     }
 
     fn learn(&self, state: &mut IterativeState, lesson: Lesson) -> Lesson {
-        let sound = !state.errors.is_empty() && state.errors.iter().all(|error| error.is_finite());
+        let sound = feed_learning::sound(&state.errors);
         let learned = if lesson == Lesson::Adopt && !sound { Lesson::Discard } else { lesson };
         match learned {
-            Lesson::Adopt => state.feed = self.learned(&state.feed, &state.errors),
+            Lesson::Adopt => {
+                state.feed = self.learning.learned(&state.feed, &state.errors, 1.0, COMMAND_MAX);
+            }
             Lesson::Discard => {}
             Lesson::Forget => state.feed.clear(),
         }
@@ -156,11 +93,8 @@ impl ControlLaw for Iterative {
     }
 
     fn step(&self, state: &mut IterativeState, seen: &Observation) -> ControlOutput {
-        if state.errors.len() < self.longest_ticks {
-            state.errors.push(seen.target - seen.pressure);
-        }
-        let feed = state.feed.get(seen.tick as usize).copied().unwrap_or(0.0);
-        self.pid.step(&mut state.pid, seen, feed)
+        self.learning.record(&mut state.errors, seen.tick, seen.target - seen.pressure);
+        self.pid.step(&mut state.pid, seen, feed_learning::at(&state.feed, seen.tick as usize))
     }
 
     fn applied(&self, _state: &mut IterativeState, _command: f32) {}

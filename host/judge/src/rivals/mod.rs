@@ -1,11 +1,13 @@
 //! Rivals of the learned controllers: laws from the literature, each tuned in good faith.
 //!
 //! A PID is only the simplest rival. The rivals are a variable-gain law ([`variable_gain`]),
-//! iterative learning over a PID ([`iterative`]) and a PID with a feed-forward from an identified model ([`feed_forward`]). They
-//! run in this process only, under the same supervisor and safety filter as the controllers of a device. [`tuning`] searches their
+//! iterative learning over a PID ([`iterative`]) and a PID with a feed-forward from an identified model ([`feed_forward`]). The
+//! learned controller with iterative learning ([`gated`]) is compared in the same way. They run in this process only, under the same supervisor and safety filter as the controllers of a device. [`tuning`] searches their
 //! parameters; [`Rival`] is the registry of their names, and [`AnyLaw`] runs any of them in the place of a [`Controller`].
 
 pub mod feed_forward;
+pub mod feed_learning;
+pub mod gated;
 pub mod iterative;
 pub mod lung_fit;
 pub mod machine;
@@ -22,6 +24,7 @@ use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Ob
 use crate::evaluate::{Evaluated, Ground, Plan, SourceGround};
 use crate::margins::iteration::LearningFilter;
 use feed_forward::{FeedForward, FeedForwardState};
+use gated::{Gated, GatedState};
 use iterative::{Iterative, IterativeState};
 use machine::Machine;
 use parameter::{Parameter, RivalError};
@@ -38,11 +41,13 @@ pub enum Rival {
     Iterative,
     /// PID with a feed-forward from an identified model.
     FeedForward,
+    /// The learned controller with gated iterative learning.
+    Gated,
 }
 
 impl Rival {
     /// All rivals.
-    pub const ALL: [Self; 3] = [Self::VariableGain, Self::Iterative, Self::FeedForward];
+    pub const ALL: [Self; 4] = [Self::VariableGain, Self::Iterative, Self::FeedForward, Self::Gated];
 
     /// Name on the command line.
     pub fn name(self) -> &'static str {
@@ -50,6 +55,7 @@ impl Rival {
             Self::VariableGain => "variable-gain",
             Self::Iterative => "iterative",
             Self::FeedForward => "feed-forward",
+            Self::Gated => "gated",
         }
     }
 
@@ -64,6 +70,7 @@ impl Rival {
             Self::VariableGain => &variable_gain::PARAMETERS,
             Self::Iterative => &iterative::PARAMETERS,
             Self::FeedForward => &feed_forward::PARAMETERS,
+            Self::Gated => &gated::PARAMETERS,
         }
     }
 
@@ -78,7 +85,7 @@ impl Rival {
         match self {
             Self::VariableGain => 3,
             Self::FeedForward => 6,
-            Self::Iterative => 20,
+            Self::Iterative | Self::Gated => 20,
         }
     }
 
@@ -99,13 +106,13 @@ impl Rival {
             Self::FeedForward => {
                 AnyLaw::FeedForward(FeedForward::new(values.try_into().map_err(count)?, machine, period_us)?)
             }
+            Self::Gated => AnyLaw::Gated(Gated::new(values.try_into().map_err(count)?, period_us)?),
         })
     }
 }
 
 /// A controller of a device, or one of the rivals.
 #[derive(Clone, Debug, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "few exist at a time")]
 pub enum AnyLaw {
     /// A controller that a device can run.
     Chip(Controller),
@@ -115,6 +122,8 @@ pub enum AnyLaw {
     Iterative(Iterative),
     /// See [`feed_forward`].
     FeedForward(FeedForward),
+    /// See [`gated`].
+    Gated(Gated),
 }
 
 /// States of all laws, of which a law uses its own: a change of the law within a breath is possible.
@@ -124,6 +133,7 @@ pub struct AnyState {
     variable_gain: PidState,
     iterative: IterativeState,
     feed_forward: FeedForwardState,
+    gated: GatedState,
 }
 
 impl AnyLaw {
@@ -134,6 +144,7 @@ impl AnyLaw {
             Self::VariableGain(law) => law.pid(),
             Self::Iterative(law) => law.pid(),
             Self::FeedForward(law) => law.pid(),
+            Self::Gated(law) => law.pid(),
         }
     }
 
@@ -141,6 +152,7 @@ impl AnyLaw {
     pub fn learning(&self) -> Option<LearningFilter> {
         match self {
             Self::Iterative(law) => Some(law.filter()),
+            Self::Gated(law) => Some(law.filter()),
             _ => None,
         }
     }
@@ -167,6 +179,7 @@ impl ControlLaw for AnyLaw {
             Self::VariableGain(law) => law.learn(&mut state.variable_gain, lesson),
             Self::Iterative(law) => law.learn(&mut state.iterative, lesson),
             Self::FeedForward(law) => law.learn(&mut state.feed_forward, lesson),
+            Self::Gated(law) => law.learn(&mut state.gated, lesson),
         }
     }
 
@@ -176,6 +189,7 @@ impl ControlLaw for AnyLaw {
             Self::VariableGain(law) => law.start_breath(&mut state.variable_gain, command),
             Self::Iterative(law) => law.start_breath(&mut state.iterative, command),
             Self::FeedForward(law) => law.start_breath(&mut state.feed_forward, command),
+            Self::Gated(law) => law.start_breath(&mut state.gated, command),
         }
     }
 
@@ -185,6 +199,7 @@ impl ControlLaw for AnyLaw {
             Self::VariableGain(law) => law.step(&mut state.variable_gain, seen),
             Self::Iterative(law) => law.step(&mut state.iterative, seen),
             Self::FeedForward(law) => law.step(&mut state.feed_forward, seen),
+            Self::Gated(law) => law.step(&mut state.gated, seen),
         }
     }
 
@@ -194,6 +209,7 @@ impl ControlLaw for AnyLaw {
             Self::VariableGain(law) => law.applied(&mut state.variable_gain, command),
             Self::Iterative(law) => law.applied(&mut state.iterative, command),
             Self::FeedForward(law) => law.applied(&mut state.feed_forward, command),
+            Self::Gated(law) => law.applied(&mut state.gated, command),
         }
     }
 }

@@ -61,6 +61,18 @@ pub enum RivalError {
         /// Number of values.
         given: usize,
     },
+    /// The learned controller in it was trained for another control period.
+    #[error(
+        "{learned} is trained for a control period of {trained_us} us, not {period_us}: omit --period-us"
+    )]
+    Period {
+        /// Name of the learned controller.
+        learned: &'static str,
+        /// Its control period, microseconds.
+        trained_us: u32,
+        /// Requested control period, microseconds.
+        period_us: u32,
+    },
     /// A parameter is out of bounds.
     #[error("{name} is {value}, allowed are {least} to {most}")]
     OutOfBounds {

@@ -62,9 +62,10 @@ fn every_rival_ventilates_the_nominal_lung() {
 }
 
 #[test]
-fn only_iterative_learning_has_a_learning_rule_and_only_a_controller_runs_on_a_device() {
+fn only_laws_that_learn_a_feed_forward_have_a_learning_rule_and_only_a_controller_runs_on_a_device() {
     for rival in Rival::ALL {
-        assert_eq!(tuned(rival).learning().is_some(), rival == Rival::Iterative);
+        let learns = [Rival::Iterative, Rival::Gated].contains(&rival);
+        assert_eq!(tuned(rival).learning().is_some(), learns);
         assert_eq!(tuned(rival).chip(), None);
     }
     assert_eq!(AnyLaw::Chip(pid()).chip(), Some(&pid()));
@@ -76,11 +77,13 @@ fn a_change_of_the_law_within_a_breath_is_possible() {
     let mut state = ventilator.standby(&paper_settings(20.0)).unwrap();
     state.start();
     for tick in 0..900 {
+        let rival = Rival::ALL[tick / 100 % Rival::ALL.len()];
         if tick % 100 == 0 {
-            ventilator.set_controller(tuned(Rival::ALL[tick / 100 % 3]));
+            ventilator.set_controller(tuned(rival));
         }
-        let stepped = ventilator.step(&mut state, 15.0);
-        assert!(stepped.command.u_in() > 0.0 || tick < 300, "{tick}: the error asks for flow");
+        let command = ventilator.step(&mut state, 15.0).command.u_in();
+        // A network that has not seen the beginning of the breath may close the valve.
+        assert!(command > 0.0 || tick < 300 || rival == Rival::Gated, "{tick}: the error asks for flow");
     }
 }
 
