@@ -15,6 +15,7 @@ use judge::rivals::{AnyLaw, Rival};
 use learn::controller::learned::Learned;
 use learn::controller::shipped;
 use plant::bench::BenchConfig;
+use plant::bench::family::Family;
 use ventilator::SharedLink;
 
 /// The choice of a controller.
@@ -102,17 +103,23 @@ impl Chosen {
 }
 
 impl ControllerArgs {
-    /// The chosen controller, built for `plant` if there is one.
+    /// The chosen controller, built for `plant` if there is one. A rival knows the nominal machine for adults.
     pub fn chosen(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
-        let chosen = self.built(plant)?;
+        let chosen = self.built(plant, &BenchConfig::default())?;
         chosen.suits(plant)?;
         Ok(chosen)
     }
 
-    fn built(&self, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
+    /// The chosen controller for the plants of a family. A rival knows the nominal machine of the family.
+    pub fn chosen_for(&self, family: &Family) -> anyhow::Result<Chosen> {
+        self.built(None, &family.nominal())
+    }
+
+    fn built(&self, plant: Option<&SharedLink>, nominal: &BenchConfig) -> anyhow::Result<Chosen> {
         let rival = self.controller.as_deref().and_then(Path::to_str).and_then(Rival::find);
         if let Some(rival) = rival {
-            return self.rival(rival, plant);
+            let period_us = plant_args::period_us(self.period_us, plant)?;
+            return self.rival(rival, Machine::of(nominal), period_us);
         }
         if self.parameters.is_some() {
             bail!("--parameters are those of a rival: name one with --controller, {}", rival_names());
@@ -135,11 +142,10 @@ impl ControllerArgs {
         Ok(learned)
     }
 
-    /// A rival on the nominal machine for adults.
-    fn rival(&self, rival: Rival, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
-        let period_us = plant_args::period_us(self.period_us, plant)?;
+    /// A rival that knows this machine.
+    fn rival(&self, rival: Rival, machine: Machine, period_us: u32) -> anyhow::Result<Chosen> {
         let values = self.parameters.clone().unwrap_or_else(|| rival.tuned());
-        let controller = rival.law(&values, Machine::of(&BenchConfig::default()), period_us)?;
+        let controller = rival.law(&values, machine, period_us)?;
         Ok(Chosen { controller, period_us, weights_id: None, image: None, name: rival.name().to_owned() })
     }
 }
@@ -205,11 +211,32 @@ pub fn format_gains(gains: &PidGains) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared::breath::DEFAULT_PERIOD_US;
 
     #[test]
     fn printed_gains_can_be_typed_again() {
         let gains = PidGains { p: 1.25, i: 0.1 + 0.2, d: 0.003 };
         assert_eq!(common::gains(&format_gains(&gains)), Ok(gains));
+    }
+
+    #[test]
+    fn on_a_family_a_rival_knows_the_machine_of_that_family() {
+        let named = Some(PathBuf::from(Rival::FeedForward.name()));
+        let args = ControllerArgs {
+            controller: named,
+            gains: None,
+            parameters: None,
+            weights: None,
+            period_us: None,
+        };
+        let with = |nominal: &BenchConfig| {
+            let rival = Rival::FeedForward;
+            rival.law(&rival.tuned(), Machine::of(nominal), DEFAULT_PERIOD_US).unwrap()
+        };
+        let neonate = Family::find("neonate").unwrap();
+        assert_eq!(args.chosen_for(&neonate).unwrap().controller, with(&neonate.nominal()));
+        assert_eq!(args.chosen(None).unwrap().controller, with(&BenchConfig::default()));
+        assert_ne!(with(&neonate.nominal()), with(&BenchConfig::default()));
     }
 
     #[test]

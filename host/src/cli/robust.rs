@@ -71,7 +71,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let family = Family::find(&args.family)?;
-    let chosen = args.controller.chosen(None)?;
+    let chosen = args.controller.chosen_for(&family)?;
     if chosen.period_us != DEFAULT_PERIOD_US {
         bail!(
             "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
