@@ -12,7 +12,7 @@ use super::common::{benches, stopped};
 use super::controller_args::{Chosen, ControllerArgs};
 use super::output::{self, OutputArgs};
 use judge::accuracy::{self, Accuracy, PhaseEnd, Setup};
-use judge::margins::iteration::{Contraction, LearningFilter};
+use judge::margins::iteration::{Certificate, Certified, LearningFilter, Spread};
 use judge::margins::residual_gain::ResidualGain;
 use judge::margins::response::Sweep;
 use judge::margins::stability::{Margins, Required};
@@ -24,6 +24,8 @@ use show::report::{Cell, Plot, Series, Style, Table};
 
 /// Curves that a figure shows at most: those of the plants with the worst margins.
 const CURVES: usize = 6;
+/// Colour of a curve that is one of many.
+const FAINT: (u8, u8, u8) = (200, 200, 200);
 /// Points of a circle in a figure.
 const CIRCLE: usize = 180;
 
@@ -55,9 +57,11 @@ The accuracy is the smallest +-(A + B % of the target) that holds for the true p
 each phase, on all plants on which the ventilator does not stop, at PEEP 5 and 10, without a leak and with one of 0.1 L/s at 30 cmH2O.
 
 With --learning, the controller is the one under iterative learning control; --controller iterative
-has a rule of its own, and its margins are those of its PID. The largest factor on
-an error from breath to breath is printed. It must be below one. It says nothing about what a learned
-controller does with remembered breaths; `trainer robust` counts plants on which a later breath is worse.")]
+and gated have rules of their own, and their margins are those of the PID or the learned controller
+underneath. The largest factor on an error from breath to breath is printed, and the number of
+plants on which it is below one at every frequency: there, what is wrong dies out. It says nothing
+about what a learned controller does with remembered breaths; `trainer robust` counts plants on
+which a later breath is worse.")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
@@ -77,7 +81,7 @@ pub struct Args {
     #[arg(long, value_name = "PERCENT", value_parser = amplitude, default_value_t = Sweep::default().amplitude)]
     amplitude: f64,
     /// Iterative learning to certify: gain in percent per cmH2O, lead and half base of the triangle in ms [default: that of
-    /// --controller iterative]
+    /// --controller iterative or gated]
     #[arg(long, value_name = "GAIN,MS,MS", value_parser = learning)]
     learning: Option<LearningFilter>,
     /// Seed of the plants of a family and of the sensor noise
@@ -86,7 +90,7 @@ pub struct Args {
     /// Write the Nyquist plot of the worst loops as SVG
     #[arg(long, value_name = "FILE.svg")]
     figure: Option<PathBuf>,
-    /// Write the factors of iterative learning over frequency as SVG
+    /// Write the factors of iterative learning over frequency as SVG, of several plants with their median and 95 %
     #[arg(long, value_name = "FILE.svg")]
     learning_figure: Option<PathBuf>,
     #[command(flatten)]
@@ -111,7 +115,7 @@ struct Summary {
     residual: Option<ResidualGain>,
     accuracy: Vec<Declared>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    learning: Option<Learning>,
+    learning: Option<Certificate>,
     plants: Vec<PlantMargins>,
 }
 
@@ -123,13 +127,6 @@ struct Declared {
     /// Number of plants measured; on the others the ventilator stopped.
     plants: usize,
     accuracy: Option<Accuracy>,
-}
-
-/// Certificate of iterative learning.
-#[derive(Debug, Serialize)]
-struct Learning {
-    filter: LearningFilter,
-    worst: Option<Contraction>,
 }
 
 fn amplitude(text: &str) -> Result<f64, String> {
@@ -150,10 +147,16 @@ fn learning(text: &str) -> Result<LearningFilter, String> {
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let plants = plants(args)?;
-    let chosen = args.controller.chosen(None)?;
+    let family = args.family.as_deref().map(Family::find).transpose()?;
+    let plants = plants(args, family.as_ref())?;
+    let chosen = match &family {
+        Some(family) => args.controller.chosen_for(family)?,
+        None => args.controller.chosen(None)?,
+    };
     if args.learning_figure.is_some() && learning_of(args, &chosen).is_none() {
-        bail!("--learning-figure needs a learning rule: give --learning, or choose --controller iterative");
+        bail!(
+            "--learning-figure needs a learning rule: give --learning, or choose --controller iterative or gated"
+        );
     }
     let sweep = Sweep::default().with_amplitude(args.amplitude);
     let question = Question { period_us: chosen.period_us, sweep, seed: args.seed };
@@ -171,7 +174,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         save(args, file, &nyquist(&summary.plants))?;
     }
     if let (Some(file), Some(learning)) = (&args.learning_figure, &summary.learning) {
-        save(args, file, &contraction(&summary.plants, learning.filter, chosen.period_us))?;
+        save(args, file, &contraction(learning))?;
     }
     args.output.finish(&summary)
 }
@@ -182,12 +185,9 @@ fn learning_of(args: &Args, chosen: &Chosen) -> Option<LearningFilter> {
 }
 
 /// The chosen plants.
-fn plants(args: &Args) -> anyhow::Result<Vec<BenchConfig>> {
-    match &args.family {
-        Some(name) => {
-            let family = Family::find(name)?;
-            Ok((0..args.plants).map(|number| family.draw(args.seed, number)).collect())
-        }
+fn plants(args: &Args, family: Option<&Family>) -> anyhow::Result<Vec<BenchConfig>> {
+    match family {
+        Some(family) => Ok((0..args.plants).map(|number| family.draw(args.seed, number)).collect()),
         None => benches(&args.lung, &args.bench),
     }
 }
@@ -233,10 +233,7 @@ fn summary(
         plants.iter().filter(|plant| plant.worst.is_some_and(|worst| worst.keeps(&required))).count();
     let worst: Option<Vec<Margins>> = plants.iter().map(|plant| plant.worst).collect();
     let gains = plants.iter().filter_map(|plant| plant.pid.as_ref().map(|pid| pid.residual));
-    let learning = learning_of(args, chosen).map(|filter| {
-        let responses = plants.iter().flat_map(|plant| plant.points.iter().map(|point| &point.response[..]));
-        Learning { filter, worst: filter.worst(responses, chosen.period_us) }
-    });
+    let learning = learning_of(args, chosen).map(|filter| Certificate::of(filter, &plants, chosen.period_us));
     Summary {
         controller: chosen.name.clone(),
         weights_id: chosen.weights_id.clone(),
@@ -287,6 +284,12 @@ fn print(args: &Args, summary: &Summary) {
         args.output.line(&format!(
             "iterative learning: an error changes from breath to breath by at most {:.3} times (at {:.1} Hz)",
             worst.factor, worst.hz
+        ));
+        let certified = learning.plants.len() as f64 * learning.share_certified;
+        args.output.line(&format!(
+            "{} of {} plants keep this factor below one at every frequency, and no loop oscillates by itself",
+            certified.round(),
+            learning.plants.len()
         ));
     }
     args.output.table(&accuracy_table(&summary.accuracy));
@@ -428,23 +431,26 @@ fn nyquist(plants: &[PlantMargins]) -> Plot {
     }
 }
 
-/// Factor of iterative learning over frequency, on the plants where it is the largest.
-fn contraction(plants: &[PlantMargins], filter: LearningFilter, period_us: u32) -> Plot {
-    let mut curves: Vec<(f64, Series)> = Vec::new();
-    for plant in plants {
-        for measured in &plant.points {
-            let factors = filter.contraction(&measured.response, period_us);
-            let highest = factors.iter().map(|at| at.factor).fold(0.0, f64::max);
-            let points = factors.iter().map(|at| (at.hz, at.factor)).collect();
-            let name = format!("{}, PIP {}", plant.plant, measured.point.pip);
-            curves.push((highest, Series::new(name, Style::Line, points)));
-        }
+/// Factor of iterative learning over frequency: that of every plant and, of several, how it spreads.
+fn contraction(certificate: &Certificate) -> Plot {
+    let several = certificate.plants.len() > 1;
+    let curve = |plant: &Certified| {
+        let points = plant.curve.iter().map(|at| (at.hz, at.factor)).collect();
+        let name = if several { "" } else { plant.plant.as_str() };
+        Series { color: several.then_some(FAINT), ..Series::new(name, Style::Line, points) }
+    };
+    let mut series: Vec<Series> = certificate.plants.iter().map(curve).collect();
+    if several {
+        let spread = certificate.spread();
+        let over = |name: &str, of: fn(&Spread) -> f64| {
+            Series::new(name, Style::Line, spread.iter().map(|at| (at.hz, of(at))).collect())
+        };
+        series.push(over("median of the plants", |at| at.median));
+        series.push(over("95 %", |at| at.most));
+        series.push(over("largest", |at| at.largest));
     }
-    curves.sort_by(|one, other| other.0.total_cmp(&one.0));
-    curves.truncate(CURVES);
     let (low, high) = Sweep::default().range_hz;
-    let mut series = vec![Series::new("limit", Style::Dashed, vec![(low, 1.0), (high, 1.0)])];
-    series.extend(curves.into_iter().map(|(_, curve)| curve));
+    series.push(Series::new("limit", Style::Dashed, vec![(low, 1.0), (high, 1.0)]));
     Plot::new("Factor on an error from breath to breath", "frequency, Hz", "abs(Q (1 - L P S))", series)
 }
 

@@ -34,6 +34,19 @@ fn a_learned_controller_is_measured_beside_its_pid_with_the_gain_of_its_residual
 }
 
 #[test]
+fn iterative_learning_is_certified_plant_by_plant_on_a_family() {
+    let line = "margins --family adult --plants 2 --seed 3 --controller iterative --learning-figure all.svg";
+    let place = Place::new();
+    let result = place.json(line);
+    assert_eq!(result["learning"]["share_certified"], 1.0);
+    let plants = result["learning"]["plants"].as_array().unwrap();
+    let largest = plants.iter().map(|plant| plant["worst"]["factor"].as_f64().unwrap()).fold(0.0, f64::max);
+    assert_eq!((plants.len(), result["learning"]["worst"]["factor"].as_f64()), (2, Some(largest)));
+    let figure = std::fs::read_to_string(place.path("all.svg")).unwrap();
+    assert!(["median of the plants", "95 %", "largest"].iter().all(|name| figure.contains(name)));
+}
+
+#[test]
 fn the_shipped_controller_for_adults_keeps_the_margins_on_lungs_of_medium_resistance() {
     let lungs = "--lung R20C10 --lung R20C20 --lung R20C50";
     let result = Place::new().json(&format!("margins {lungs} --controller adult"));
