@@ -15,7 +15,7 @@ pub(super) fn rivals_section(study: &Study<'_>, results: &Results) -> Section {
             "These controllers were tuned or trained for the family `adult` of machines and lungs; none has run on these plants \
              before. Three are laws from the literature: a PID with a higher gain on large errors, iterative learning over a PID, \
              and a PID with the inverse of a model that is partly identified from the breaths. `adult` is the shipped learned \
-             controller. Some learn from breath to breath, so the first breath from rest is scored and then those after \
+             controller, `gated` the same with iterative learning over it. Some learn from breath to breath, so the first breath from rest is scored and then those after \
              {learning} breaths of learning, under one sequence of noise. The valve effort is the total variation and the standard \
              deviation of the command over the plateau. The cough comes in the second breath, before the scored later ones."
         ),
