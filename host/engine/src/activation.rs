@@ -1,4 +1,4 @@
-//! Activations of hidden layers on lanes: softsign as on the chip, and the two of the authors' networks.
+//! Activations of hidden layers on lanes: softsign as on the chip, and those of the authors' networks.
 #![expect(
     clippy::inline_always,
     reason = "vector operations are compiled for the unit detected at run time only where they are inlined"
@@ -20,6 +20,8 @@ pub enum Activation {
     Tanh,
     /// Scaled exponential linear unit (the authors' default network).
     Selu,
+    /// Rectified linear unit, `max(x, 0)` (the authors' controller).
+    Relu,
 }
 
 /// Constants of the scaled exponential linear unit (Klambauer et al. 2017).
@@ -33,6 +35,7 @@ impl Activation {
             Self::Softsign => apply(values, math::softsign),
             Self::Tanh => apply(values, f32::tanh),
             Self::Selu => apply(values, |x| SELU_SCALE * if x > 0.0 { x } else { SELU_ALPHA * x.exp_m1() }),
+            Self::Relu => apply(values, |x| x.max(0.0)),
         }
     }
 
@@ -47,6 +50,7 @@ impl Activation {
             Self::Selu => {
                 scale(outputs, gradients, |y| if y > 0.0 { SELU_SCALE } else { y + SELU_SCALE * SELU_ALPHA });
             }
+            Self::Relu => scale(outputs, gradients, |y| if y > 0.0 { 1.0 } else { 0.0 }),
         }
     }
 }
@@ -98,7 +102,7 @@ mod tests {
 
     #[test]
     fn slopes_agree_with_finite_differences() {
-        for activation in [Activation::Softsign, Activation::Tanh, Activation::Selu] {
+        for activation in [Activation::Softsign, Activation::Tanh, Activation::Selu, Activation::Relu] {
             let at = |x: f32| {
                 let mut lane = [Lane::splat(x)];
                 activation.forward(&mut lane);

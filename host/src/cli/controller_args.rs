@@ -12,8 +12,9 @@ use shared::weights::decode;
 use super::{common, plant_args};
 use judge::rivals::machine::Machine;
 use judge::rivals::{AnyLaw, Rival};
-use learn::controller::learned::Learned;
-use learn::controller::shipped;
+use learn::controller::authors::AuthorsController;
+use learn::controller::learned::{self, Learned};
+use learn::controller::{Trainable, shipped};
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use ventilator::SharedLink;
@@ -24,8 +25,8 @@ pub struct ControllerArgs {
     /// Gains P,I,D of a PID: percent per cmH2O, percent per cmH2O and second, percent per cmH2O/s [default: 3,30,0]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, group = "which")]
     gains: Option<PidGains>,
-    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`; or a rival that runs on the host
-    /// only: variable-gain, iterative, feed-forward or gated
+    /// A learned controller: a shipped one, such as adult, or a file as written by `trainer train`, of any architecture; or a rival that
+    /// runs on the host only: variable-gain, iterative, feed-forward or gated
     #[arg(long, value_name = "NAME|FILE", group = "which")]
     controller: Option<PathBuf>,
     /// Values of a rival's parameters, in the order in which `trainer tune-rival` prints them [default: those tuned for adults]
@@ -97,6 +98,7 @@ impl Chosen {
         match &self.controller {
             AnyLaw::Chip(Controller::Pid(_)) => None,
             AnyLaw::Chip(Controller::Residual(_)) => Some("learned"),
+            AnyLaw::Authors(_) => Some("authors"),
             _ => Some(&self.name),
         }
     }
@@ -125,7 +127,10 @@ impl ControllerArgs {
             bail!("--parameters are those of a rival: name one with --controller, {}", rival_names());
         }
         let learned = match (&self.controller, &self.weights) {
-            (Some(file), _) => learned(file)?,
+            (Some(file), _) => match authors(file)? {
+                Some(chosen) => chosen,
+                None => learned(file)?,
+            },
             (None, Some(file)) => of_image(file, read(file)?)?,
             (None, None) => {
                 let gains = self.gains.unwrap_or(KNOWN_GOOD);
@@ -150,7 +155,22 @@ impl ControllerArgs {
     }
 }
 
-/// A learned controller: the shipped one with this name, or the one in this file.
+/// The learned controller of the authors' architecture in this file; none if the file contains anything else.
+fn authors(file: &Path) -> anyhow::Result<Option<Chosen>> {
+    if !learned::architecture(file).is_ok_and(|name| Some(name.as_str()) == AuthorsController::NAME) {
+        return Ok(None);
+    }
+    let controller = Learned::<AuthorsController>::read(file)?.controller;
+    Ok(Some(Chosen {
+        period_us: controller.spec().period_us,
+        controller: AnyLaw::Authors(controller),
+        weights_id: None,
+        image: None,
+        name: file.display().to_string(),
+    }))
+}
+
+/// A learned controller that a device can run: the shipped one with this name, or the one in this file.
 pub fn learned(controller: &Path) -> anyhow::Result<Chosen> {
     of_image(controller, image_of(controller)?)
 }

@@ -13,8 +13,10 @@ use super::common::warn_of_development_build;
 use super::controller_args::{image_id, read};
 use super::key_args::KeyArgs;
 use super::output::OutputArgs;
+use data::tensors;
 use device::Device;
 use device::port::Address;
+use learn::controller::learned::{KIND, Learned};
 
 /// The main board's chip, as probe-rs names it.
 const CHIP: &str = "STM32F405RG";
@@ -73,7 +75,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn flash_weights(args: &Args, file: &Path, port: &Address) -> anyhow::Result<()> {
     let image = read(file)?;
-    decode(&image).with_context(|| file.display().to_string())?;
+    if let Err(error) = decode(&image) {
+        // A controller's file has the better reason: its architecture, or that it is not packed yet.
+        if tensors::kind(file).is_ok_and(|kind| kind == KIND) {
+            Learned::load(file)?;
+            bail!("{} is no weights image yet: write one with `trainer pack`", file.display());
+        }
+        return Err(error).with_context(|| file.display().to_string());
+    }
     let image = args.key.signed(image)?;
     let mut device = Device::connect(port)?;
     warn_of_development_build(&device.identify()?);

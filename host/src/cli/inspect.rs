@@ -13,7 +13,9 @@ use super::controller_args::image_id;
 use super::output::OutputArgs;
 use data::recording::Recording;
 use data::tensors;
-use learn::controller::learned::Learned;
+use learn::controller::authors::{AuthorsController, AuthorsSpec};
+use learn::controller::learned::{Learned, Origin, architecture};
+use learn::controller::{ControllerArchitecture, Trainable};
 use learn::simulator::model::Simulator;
 use plant::bench::BenchConfig;
 use show::report::{Cell, Table};
@@ -65,7 +67,7 @@ fn facts(file: &Path) -> anyhow::Result<Facts> {
     }
     match tensors::kind(file)?.as_str() {
         learn::simulator::model::KIND => simulator(&Simulator::load(file)?),
-        learn::controller::learned::KIND => learned(&Learned::load(file)?),
+        learn::controller::learned::KIND => learned_of_any_architecture(file),
         other => bail!("{} contains {other}, unknown to this version: update the trainer", file.display()),
     }
 }
@@ -99,20 +101,46 @@ fn controller(spec: &ResidualSpec) -> anyhow::Result<Facts> {
     ])
 }
 
+fn learned_of_any_architecture(file: &Path) -> anyhow::Result<Facts> {
+    if architecture(file)? == ControllerArchitecture::Ours.name() {
+        learned(&Learned::load(file)?)
+    } else {
+        Ok(authors(&Learned::read(file)?))
+    }
+}
+
 fn learned(learned: &Learned) -> anyhow::Result<Facts> {
-    let origin = &learned.origin;
     let id = decode(&learned.image()?)?.id;
-    let mut facts = vec![
-        ("kind", json!("learned controller")),
-        ("id", json!(image_id(id))),
+    let mut facts = vec![("kind", json!("learned controller")), ("id", json!(image_id(id)))];
+    facts.extend(origin(&learned.origin));
+    facts.extend(controller(learned.controller.spec())?);
+    Ok(facts)
+}
+
+fn authors(learned: &Learned<AuthorsController>) -> Facts {
+    let AuthorsSpec { period_us, gains, lambda, authority, error_spacing_us } = learned.controller.spec();
+    let mut facts =
+        vec![("kind", json!("learned controller")), ("architecture", json!(AuthorsController::NAME))];
+    facts.extend(origin(&learned.origin));
+    facts.extend([
+        ("parameters", json!(AuthorsController::size())),
+        ("period, us", json!(period_us)),
+        ("gains P, I, D", json!([gains.p, gains.i, gains.d])),
+        ("lambda", json!(lambda)),
+        ("authority, percent", json!(authority)),
+        ("error spacing, us", json!(error_spacing_us)),
+    ]);
+    facts
+}
+
+fn origin(origin: &Origin) -> Facts {
+    vec![
         ("plant", json!(origin.plant)),
         ("seed", json!(origin.seed)),
         ("revision", json!(origin.git_revision)),
         ("score in training", json!(origin.validation)),
         ("score of its PID", json!(origin.base)),
-    ];
-    facts.extend(controller(learned.controller.spec())?);
-    Ok(facts)
+    ]
 }
 
 fn simulator(simulator: &Simulator) -> anyhow::Result<Facts> {

@@ -16,11 +16,12 @@ use super::key_args::KeyArgs;
 use super::output::{OutputArgs, write};
 use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
+use learn::controller::authors::{AuthorsController, ERROR_SPACING_MAX_US};
 use learn::controller::learned::Learned;
-use learn::controller::{CurvePoint, TrainConfig, Weighting};
+use learn::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable, Weighting};
 use learn::pipeline::{
-    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches, run_on_plant,
-    train_on_simulators,
+    Folder, PAPER_PERIOD_US, PipelineConfig, PipelineError, Round, TrainedOnce, run_on_benches_as,
+    run_on_plant, train_on_simulators,
 };
 use learn::simulator::model::Simulator;
 use show::report::{Cell, Table};
@@ -37,6 +38,7 @@ Examples:
   trainer train --preset paper-30ms --out out/paper
   trainer train --lung paper --gains 6.1,290,0.2 --out out/all     (one controller for nine lungs)
   trainer train --simulator a.safetensors b.safetensors --gains 6.5,265,0.13 --out out/from-files
+  trainer train --controller-architecture authors --gains 6.5,265,0.13 --out out/authors
 
 Without --simulator the command records on the bench, fits and trains, round after round. With it,
 the command trains once; the last of several simulators is held out and judges the controller.
@@ -48,7 +50,11 @@ inspirations. Most have begun shortly before the breath; the others begin at any
 
 --preset paper-30ms follows the paper's authors: a control period of 30 ms, PEEP 5, their
 exploration around their PID, and their simulator with their optimiser. Residual and training remain
-ours.")]
+ours.
+
+--controller-architecture authors trains their network in the place of ours: running averages of the
+last ten errors, a convolution, a rectifier and one output, which lambda scales. It sees nothing
+else. Such a controller runs on the host only: evaluate and robust accept its file, pack refuses it.")]
 pub struct Args {
     #[command(flatten)]
     bench: BenchArgs,
@@ -63,6 +69,13 @@ pub struct Args {
     /// Gains P,I,D of the PID that records first and lies under the residual [default: 3,30,0, or those of the preset]
     #[arg(long, value_name = "P,I,D", value_parser = gains)]
     gains: Option<PidGains>,
+    /// Network that computes the residual: `ours`, or `authors`, that of the paper's authors, which no device runs
+    #[arg(long, value_enum, value_name = "NAME", default_value = "ours", hide_possible_values = true)]
+    controller_architecture: ArchitectureName,
+    /// With --controller-architecture authors: time between two of the ten errors that the network sees, microseconds
+    /// [default: 10000, or the control period if it is longer]
+    #[arg(long, value_name = "US", value_parser = clap::value_parser!(u32).range(1..=i64::from(ERROR_SPACING_MAX_US)))]
+    error_spacing_us: Option<u32>,
     /// Scale of the residual, 0 to 1
     #[arg(long, value_name = "L", default_value_t = PipelineConfig::default().lambda)]
     lambda: f32,
@@ -115,6 +128,13 @@ pub struct Args {
     result: ResultArgs,
 }
 
+/// The architectures of a controller by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ArchitectureName {
+    Ours,
+    Authors,
+}
+
 /// The content of `--json`.
 #[derive(Debug, Serialize)]
 pub struct Summary {
@@ -144,13 +164,24 @@ pub struct ResultArgs {
 }
 
 impl ResultArgs {
-    /// Saves a controller and returns its scores.
+    /// Saves a controller, with its signed weights image if there is a key, and returns its scores.
     pub fn saved(&self, learned: &Learned, improved: bool, complete: bool) -> anyhow::Result<Summary> {
-        let controller = self.out.join(CONTROLLER);
-        learned.save(&controller)?;
+        let summary = self.kept(learned, improved, complete)?;
         if self.key.key.is_some() {
             self.packed(learned)?;
         }
+        Ok(summary)
+    }
+
+    /// Saves a controller of any architecture and returns its scores.
+    fn kept<C: Trainable>(
+        &self,
+        learned: &Learned<C>,
+        improved: bool,
+        complete: bool,
+    ) -> anyhow::Result<Summary> {
+        let controller = self.out.join(CONTROLLER);
+        learned.save(&controller)?;
         Ok(Summary {
             seed: self.seed,
             controller,
@@ -207,12 +238,23 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let simulators: Vec<Simulator> =
         args.simulator.iter().map(|path| Simulator::load(path)).collect::<Result<_, _>>()?;
     let config = args.config(args.period_us(plant.as_ref(), &simulators)?)?;
-    let summary = if simulators.is_empty() {
-        args.rounds(&config, plant.as_ref())?
-    } else {
-        args.once(&config, &simulators)?
+    let result = &args.result;
+    let summary = match config.controller {
+        ControllerArchitecture::Ours => {
+            let trained = args.trained(&config, plant.as_ref(), &simulators)?;
+            let scores = result.saved(&trained.learned, trained.improved, trained.complete)?;
+            trained.summary(scores)
+        }
+        ControllerArchitecture::Authors { .. } => {
+            if result.key.key.is_some() {
+                bail!("--key signs weights images, and no image holds the authors' network: omit --key");
+            }
+            let trained = args.trained::<AuthorsController>(&config, plant.as_ref(), &simulators)?;
+            let scores = result.kept(&trained.learned, trained.improved, trained.complete)?;
+            trained.summary(scores)
+        }
     };
-    args.result.finish("held-out simulator", &summary)
+    result.finish("held-out simulator", &summary)
 }
 
 fn temperature(text: &str) -> Result<f64, String> {
@@ -245,6 +287,7 @@ impl Args {
             seed: self.result.seed,
             rounds: self.rounds,
             gains: self.gains.unwrap_or(preset.gains),
+            controller: self.controller(period_us)?,
             lambda: self.lambda,
             authority: self.authority,
             ensemble: self.ensemble,
@@ -273,23 +316,57 @@ impl Args {
         Ok(config)
     }
 
-    fn rounds(&self, config: &PipelineConfig, plant: Option<&SharedLink>) -> anyhow::Result<Summary> {
+    /// The architecture of the controller.
+    fn controller(&self, period_us: u32) -> anyhow::Result<ControllerArchitecture> {
+        match (self.controller_architecture, self.error_spacing_us) {
+            (ArchitectureName::Ours, None) => Ok(ControllerArchitecture::Ours),
+            (ArchitectureName::Ours, Some(_)) => {
+                bail!("--error-spacing-us belongs to --controller-architecture authors")
+            }
+            (ArchitectureName::Authors, None) => Ok(ControllerArchitecture::authors(period_us)),
+            (ArchitectureName::Authors, Some(error_spacing_us)) => {
+                Ok(ControllerArchitecture::Authors { error_spacing_us })
+            }
+        }
+    }
+
+    /// Trains a controller of the architecture `C`, in rounds or on the simulators.
+    fn trained<C: Trainable>(
+        &self,
+        config: &PipelineConfig,
+        plant: Option<&SharedLink>,
+        simulators: &[Simulator],
+    ) -> anyhow::Result<Training<C>> {
+        if simulators.is_empty() { self.rounds(config, plant) } else { self.once(config, simulators) }
+    }
+
+    fn rounds<C: Trainable>(
+        &self,
+        config: &PipelineConfig,
+        plant: Option<&SharedLink>,
+    ) -> anyhow::Result<Training<C>> {
         let folder = Folder::new(&self.result.out);
         let outcome = if let Some(link) = plant {
             with_bars(|progress| run_on_plant(config, link, Some(&folder), progress))
         } else {
             let benches = self.bench.benches()?;
-            with_bars(|progress| run_on_benches(config, &benches, Some(&folder), progress))
+            with_bars(|progress| run_on_benches_as(config, &benches, Some(&folder), progress))
         }?;
         self.result.output.table(&rounds_table(&outcome.rounds));
-        let improved = outcome.rounds.last().is_some_and(|round| round.improved);
-        Ok(Summary {
+        Ok(Training {
+            improved: outcome.rounds.last().is_some_and(|round| round.improved),
+            learned: outcome.learned,
+            complete: outcome.complete,
             rounds: outcome.rounds,
-            ..self.result.saved(&outcome.learned, improved, outcome.complete)?
+            curve: Vec::new(),
         })
     }
 
-    fn once(&self, config: &PipelineConfig, simulators: &[Simulator]) -> anyhow::Result<Summary> {
+    fn once<C: Trainable>(
+        &self,
+        config: &PipelineConfig,
+        simulators: &[Simulator],
+    ) -> anyhow::Result<Training<C>> {
         let folder = Folder::new(&self.result.out);
         let trained = with_bars(|progress| train_on_simulators(config, simulators, &folder, progress))
             .map_err(|error| match error {
@@ -298,7 +375,24 @@ impl Args {
                 }
                 other => other.into(),
             })?;
-        self.result.once(trained)
+        let TrainedOnce { learned, improved, curve, complete } = trained;
+        Ok(Training { learned, improved, complete, rounds: Vec::new(), curve })
+    }
+}
+
+/// A finished or stopped training.
+struct Training<C> {
+    learned: Learned<C>,
+    improved: bool,
+    complete: bool,
+    rounds: Vec<Round>,
+    curve: Vec<CurvePoint>,
+}
+
+impl<C> Training<C> {
+    /// The summary, completed by the course of the training.
+    fn summary(self, scores: Summary) -> Summary {
+        Summary { rounds: self.rounds, train_curve: self.curve, ..scores }
     }
 }
 
@@ -355,6 +449,20 @@ mod tests {
         let typed = train(&["--breathing", "--iterations", "9", "--peep", "7"]);
         assert_eq!((typed.iterations, typed.peep.to_bits()), (9, 7.0_f32.to_bits()));
         assert_eq!(typed.efforts, TrainConfig::breathing().efforts);
+    }
+
+    #[test]
+    fn the_spacing_of_the_authors_errors_is_typed_or_follows_from_the_period() {
+        let spacing = |arguments: &[&str]| match config(arguments).unwrap().controller {
+            ControllerArchitecture::Authors { error_spacing_us } => error_spacing_us,
+            ControllerArchitecture::Ours => 0,
+        };
+        let authors = ["--controller-architecture", "authors"];
+        assert_eq!(spacing(&authors), 10_000);
+        assert_eq!(spacing(&[&authors[..], &["--preset", "paper-30ms"]].concat()), 30_000);
+        assert_eq!(spacing(&[&authors[..], &["--error-spacing-us", "7000"]].concat()), 7000);
+        assert_eq!(spacing(&[]), 0);
+        assert!(config(&["--error-spacing-us", "7000"]).is_err());
     }
 
     /// The numbers are those of section 4 of the paper and of the authors' code.

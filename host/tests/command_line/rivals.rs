@@ -67,3 +67,27 @@ fn a_device_and_a_weights_image_refuse_a_rival() {
     assert!(refused.contains("feed-forward runs on the host only"), "{refused}");
     assert!(!place.path("a.parquet").exists() && !place.path("a.bin").exists());
 }
+
+#[test]
+fn the_authors_controller_is_trained_scored_and_refused_by_devices() {
+    let place = Place::new();
+    place.ok("train --controller-architecture authors --rounds 1 --breaths 12 --epochs 20 --iterations 20 --batch 16 --out run");
+    let file = "run/controller.safetensors";
+    let result = place.json(&format!("evaluate --controller {file} --pips 15 --breaths 1"));
+    assert!(result["mean"]["learned"]["score"].is_number(), "{result}");
+    let result = place.json(&format!("robust --plants 2 --breaths 1 --subset 0 --controller {file}"));
+    assert_eq!(result["plants"], 2);
+    let facts = place.ok(&format!("inspect {file}"));
+    assert!(facts.contains("authors") && facts.contains("10000"), "{facts}");
+    for line in [
+        format!("pack {file} --out a.bin"),
+        format!("flash {file} --port tcp:localhost:1"),
+        format!("collect --controller {file} --out a.parquet"),
+    ] {
+        let refused = place.refused(&line);
+        assert!(refused.contains("runs on the host"), "{line}: {refused}");
+    }
+    assert!(!place.path("a.bin").exists());
+    let refused = place.refused("train --error-spacing-us 3000 --out other");
+    assert!(refused.contains("--controller-architecture authors"), "{refused}");
+}

@@ -2,8 +2,10 @@
 //!
 //! A PID is only the simplest rival. The rivals are a variable-gain law ([`variable_gain`]),
 //! iterative learning over a PID ([`iterative`]) and a PID with a feed-forward from an identified model ([`feed_forward`]). The
-//! learned controller with iterative learning ([`gated`]) is compared in the same way. They run in this process only, under the same supervisor and safety filter as the controllers of a device. [`tuning`] searches their
-//! parameters; [`Rival`] is the registry of their names, and [`AnyLaw`] runs any of them in the place of a [`Controller`].
+//! learned controller with iterative learning ([`gated`]) is compared in the same way. They run in this process only, under the same
+//! supervisor and safety filter as the controllers of a device. [`tuning`] searches their parameters; [`Rival`] is the registry of
+//! their names, and [`AnyLaw`] runs any of them in the place of a [`Controller`], as well as the controller of the paper's authors,
+//! which is trained ([`learn::controller::authors`]).
 
 pub mod feed_forward;
 pub mod feed_learning;
@@ -26,6 +28,7 @@ use crate::margins::iteration::LearningFilter;
 use feed_forward::{FeedForward, FeedForwardState};
 use gated::{Gated, GatedState};
 use iterative::{Iterative, IterativeState};
+use learn::controller::authors::{AuthorsController, AuthorsState};
 use machine::Machine;
 use parameter::{Parameter, RivalError};
 use progress::Progress;
@@ -111,7 +114,7 @@ impl Rival {
     }
 }
 
-/// A controller of a device, or one of the rivals.
+/// A controller of a device, one of the rivals, or the trained controller of the paper's authors.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AnyLaw {
     /// A controller that a device can run.
@@ -124,6 +127,8 @@ pub enum AnyLaw {
     FeedForward(FeedForward),
     /// See [`gated`].
     Gated(Gated),
+    /// See [`learn::controller::authors`].
+    Authors(AuthorsController),
 }
 
 /// States of all laws, of which a law uses its own: a change of the law within a breath is possible.
@@ -134,6 +139,7 @@ pub struct AnyState {
     iterative: IterativeState,
     feed_forward: FeedForwardState,
     gated: GatedState,
+    authors: AuthorsState,
 }
 
 impl AnyLaw {
@@ -145,6 +151,7 @@ impl AnyLaw {
             Self::Iterative(law) => law.pid(),
             Self::FeedForward(law) => law.pid(),
             Self::Gated(law) => law.pid(),
+            Self::Authors(law) => law.pid(),
         }
     }
 
@@ -180,6 +187,7 @@ impl ControlLaw for AnyLaw {
             Self::Iterative(law) => law.learn(&mut state.iterative, lesson),
             Self::FeedForward(law) => law.learn(&mut state.feed_forward, lesson),
             Self::Gated(law) => law.learn(&mut state.gated, lesson),
+            Self::Authors(law) => law.learn(&mut state.authors, lesson),
         }
     }
 
@@ -190,6 +198,7 @@ impl ControlLaw for AnyLaw {
             Self::Iterative(law) => law.start_breath(&mut state.iterative, command),
             Self::FeedForward(law) => law.start_breath(&mut state.feed_forward, command),
             Self::Gated(law) => law.start_breath(&mut state.gated, command),
+            Self::Authors(law) => law.start_breath(&mut state.authors, command),
         }
     }
 
@@ -200,6 +209,7 @@ impl ControlLaw for AnyLaw {
             Self::Iterative(law) => law.step(&mut state.iterative, seen),
             Self::FeedForward(law) => law.step(&mut state.feed_forward, seen),
             Self::Gated(law) => law.step(&mut state.gated, seen),
+            Self::Authors(law) => law.step(&mut state.authors, seen),
         }
     }
 
@@ -210,6 +220,7 @@ impl ControlLaw for AnyLaw {
             Self::Iterative(law) => law.applied(&mut state.iterative, command),
             Self::FeedForward(law) => law.applied(&mut state.feed_forward, command),
             Self::Gated(law) => law.applied(&mut state.gated, command),
+            Self::Authors(law) => law.applied(&mut state.authors, command),
         }
     }
 }

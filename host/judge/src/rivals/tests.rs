@@ -7,6 +7,8 @@ use shared::ventilator::Ventilator;
 
 use super::*;
 use crate::robust::plant_run::{PlantRun, breaths};
+use learn::controller::Trainable;
+use learn::controller::authors::AuthorsSpec;
 use plant::bench::BenchConfig;
 
 fn machine() -> Machine {
@@ -104,4 +106,24 @@ proptest! {
             law.applied(&mut state, command);
         }
     }
+}
+
+#[test]
+fn the_authors_controller_among_the_laws_runs_as_it_does_alone() {
+    let spec = AuthorsSpec {
+        period_us: DEFAULT_PERIOD_US,
+        gains: PidGains { p: 5.0, i: 200.0, d: 0.1 },
+        lambda: 1.0,
+        authority: 100.0,
+        error_spacing_us: 5000,
+    };
+    let mut parameters = vec![0.0; AuthorsController::size()];
+    let still = AuthorsController::new(spec, &parameters).unwrap();
+    assert_eq!(breaths(&run(), &AnyLaw::Authors(still)).unwrap(), breaths(&run(), &pid()).unwrap());
+    *parameters.last_mut().unwrap() = 0.1;
+    let law = AuthorsController::new(spec, &parameters).unwrap();
+    let alone = breaths(&run(), &law).unwrap();
+    assert_eq!(breaths(&run(), &AnyLaw::Authors(law.clone())).unwrap(), alone);
+    assert_ne!(alone, breaths(&run(), &pid()).unwrap());
+    assert_eq!(AnyLaw::Authors(law).chip(), None);
 }

@@ -198,6 +198,8 @@ impl FamilyTraining {
 }
 
 impl Stepwise for FamilyTraining {
+    type Controller = Residual;
+
     fn checkpoint(&self) -> &Checkpoint {
         &self.state
     }

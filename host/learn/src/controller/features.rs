@@ -16,7 +16,7 @@ const PEEP_AT: usize = PIP_AT + 1;
 
 /// Measured error (cmH2O) and applied command (percent) of every tick; in the backward pass, their gradients.
 #[derive(Debug)]
-pub(super) struct Signals {
+pub struct Signals {
     pub error: Vec<Lane>,
     pub command: Vec<Lane>,
 }

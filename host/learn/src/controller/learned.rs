@@ -1,21 +1,20 @@
-//! A learned controller as a file: safetensors for analysis and Python, the weights image for the chip.
+//! A learned controller as a file: safetensors for analysis and Python, and for our architecture the weights image for the chip.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::control::network::Network;
-use shared::control::residual::{Residual, ResidualError, ResidualSpec};
+use shared::control::residual::{Residual, ResidualError};
 use shared::weights::{IMAGE_BYTES, Identity, WeightsError, encode};
 use thiserror::Error;
 
-use super::network::chip_network;
+use super::architecture::Trainable;
 use data::tensors::{self, TensorError};
 
 /// A trained controller with its origin.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Learned {
+pub struct Learned<C = Residual> {
     /// The controller.
-    pub controller: Residual,
+    pub controller: C,
     /// Its origin.
     pub origin: Origin,
 }
@@ -47,44 +46,101 @@ pub enum LearnedError {
     /// The image is not valid.
     #[error(transparent)]
     Weights(#[from] WeightsError),
+    /// The controller in the file has another architecture than the one wanted.
+    #[error(
+        "{path} is a controller of the architecture {found}, not {wanted}: only ours runs on a device and fits a weights image; the \
+         authors' network runs on the host, in evaluate and robust"
+    )]
+    Architecture {
+        /// Path of the file.
+        path: String,
+        /// The architecture in the file.
+        found: String,
+        /// The architecture wanted.
+        wanted: &'static str,
+    },
 }
 
 #[derive(Serialize, Deserialize)]
-struct Description {
+struct Description<S> {
     #[serde(flatten)]
-    spec: ResidualSpec,
+    named: Named,
+    #[serde(flatten)]
+    spec: S,
     origin: Origin,
 }
+
+/// The part of the description that names the architecture.
+#[derive(Serialize, Deserialize)]
+struct Named {
+    /// None for ours.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    architecture: Option<String>,
+}
+
+impl Named {
+    fn name(self) -> String {
+        self.architecture.unwrap_or_else(|| OURS.to_owned())
+    }
+}
+
+/// Name of our architecture.
+const OURS: &str = "ours";
 
 /// The kind recorded in the file.
 pub const KIND: &str = "controller";
 /// Name of the parameter vector: layer by layer, weights row by row, then biases.
 const NETWORK: &str = "network";
 
-impl Learned {
+/// The name of the architecture of a file written by [`Learned::save`].
+///
+/// # Errors
+/// The file cannot be read, is damaged or contains something else.
+pub fn architecture(path: &Path) -> Result<String, LearnedError> {
+    let (named, _): (Named, _) = tensors::load(path, KIND, &[])?;
+    Ok(named.name())
+}
+
+impl<C: Trainable> Learned<C> {
     /// Writes a safetensors file.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), LearnedError> {
-        let description = Description { spec: *self.controller.spec(), origin: self.origin.clone() };
-        let network: Vec<f32> = self.controller.network().parameters().copied().collect();
-        Ok(tensors::save(path, KIND, &description, &[(NETWORK, &network)])?)
+        let description = Description {
+            named: Named { architecture: C::NAME.map(str::to_owned) },
+            spec: self.controller.specification(),
+            origin: self.origin.clone(),
+        };
+        Ok(tensors::save(path, KIND, &description, &[(NETWORK, &self.controller.parameters())])?)
     }
 
     /// Reads a file written by [`Self::save`].
     ///
     /// # Errors
-    /// The file cannot be read, is damaged or contains something else, or its controller is out of range.
-    pub fn load(path: &Path) -> Result<Self, LearnedError> {
-        let (description, vectors): (Description, _) = tensors::load(path, KIND, &[NETWORK])?;
+    /// The file cannot be read, is damaged or contains something else, has another architecture, or its controller is out of range.
+    pub fn read(path: &Path) -> Result<Self, LearnedError> {
+        let (found, wanted) = (architecture(path)?, C::NAME.unwrap_or(OURS));
+        if found != wanted {
+            return Err(LearnedError::Architecture { path: path.display().to_string(), found, wanted });
+        }
+        let (description, vectors): (Description<C::Spec>, _) = tensors::load(path, KIND, &[NETWORK])?;
         let network = &vectors[0];
-        if network.len() != Network::PARAMETERS {
-            let reason = format!("{} weights, expected {}", network.len(), Network::PARAMETERS);
+        if network.len() != C::size() {
+            let reason = format!("{} weights, expected {}", network.len(), C::size());
             return Err(TensorError::format(path, KIND, &reason).into());
         }
-        let controller = Residual::new(description.spec, chip_network(network))?;
-        Ok(Self { controller, origin: description.origin })
+        Ok(Self { controller: C::build(description.spec, network)?, origin: description.origin })
+    }
+}
+
+impl Learned {
+    /// Reads a controller of our architecture; see [`Self::read`].
+    ///
+    /// # Errors
+    /// See [`Self::read`].
+    pub fn load(path: &Path) -> Result<Self, LearnedError> {
+        Self::read(path)
     }
 
     /// The weights image for the chip.
@@ -115,11 +171,12 @@ fn label(text: &str) -> [u8; 16] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::controller::network::initial_parameters;
+    use crate::controller::network::{chip_network, initial_parameters};
     use rand_chacha::ChaCha8Rng;
     use rand_chacha::rand_core::SeedableRng;
     use shared::control::features::FeatureSpec;
     use shared::control::pid::PidGains;
+    use shared::control::residual::ResidualSpec;
     use shared::weights::decode;
 
     fn learned() -> Learned {

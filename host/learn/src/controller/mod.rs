@@ -3,8 +3,11 @@
 //! From the bottom up: the chip's arithmetic over lanes with gradients (`limit`, `pid`, `features`, [`network`]), the
 //! [`loss`], the closed loop of all of them with a simulator ([`rollout`]), the [`scenario`]s of its breaths and
 //! the `efforts` in them, the `training` on them, and the resulting file ([`learned`]). For a [`family`] of units, breaths follow
-//! each other: the `courses`, and what they remember ([`memory`]).
+//! each other: the `courses`, and what they remember ([`memory`]). The [`architecture`] of the learned part is ours (`ours`) or that
+//! of the paper's [`authors`].
 
+pub mod architecture;
+pub mod authors;
 pub mod config;
 mod courses;
 mod efforts;
@@ -15,12 +18,14 @@ mod limit;
 pub mod loss;
 pub mod memory;
 pub mod network;
+mod ours;
 mod pid;
 pub mod rollout;
 pub mod scenario;
 pub mod shipped;
 mod training;
 
+pub use architecture::{ControllerArchitecture, Trainable};
 pub use config::{TrainConfig, Weighting};
 pub use efforts::EffortConfig;
 pub use family::{FamilyConfig, FamilyModels, FamilyTraining};

@@ -1,31 +1,28 @@
 //! A whole inspiration in closed loop, forward and backward, for the rollouts of one shard: learned simulator, sensor
-//! noise, features, network, PID and valve limits.
+//! noise, the learned part, PID and valve limits.
 //!
-//! The forward pass computes the same as [`shared::control::residual`] on the chip, tick by tick. The backward pass
+//! The forward pass computes the same as the controller's law ([`shared::control::residual`] on the chip), tick by tick. The backward pass
 //! runs through the ticks in reverse and carries the gradients of all state: pressure, integral, derivative, leaky
 //! averages, taps, and the simulator's states.
 
 use engine::Lane;
 use shared::control::COMMAND_MAX;
-use shared::control::features::FEATURES;
-use shared::control::network::Network;
 use shared::control::residual::Residual;
 
-use super::features::{Averages, LaneFeatures, Signals};
+use super::architecture::{LanePart, Trainable};
+use super::features::Signals;
 use super::limit::{limit, limit_back};
 use super::loss::{self, Loss};
-use super::network::lane_network;
 use super::pid::{self, PidLanes, PidTape};
 use super::scenario::Scenario;
-use crate::layers::{Layers, LayersTape};
 use crate::simulator::model::Model;
 use crate::simulator::rollout::Rollout;
 
 /// Memory of a closed loop; one per shard, reused.
 #[derive(Debug)]
-pub struct ClosedLoopTape {
+pub struct ClosedLoopTape<C: Trainable = Residual> {
     simulator: Rollout,
-    network: LayersTape,
+    learned: <C::Lanes as LanePart>::Tape,
     pid: PidTape,
     signals: Signals,
     d_signals: Signals,
@@ -35,12 +32,12 @@ pub struct ClosedLoopTape {
     correction: Vec<Lane>,
 }
 
-impl ClosedLoopTape {
+impl<C: Trainable> ClosedLoopTape<C> {
     /// Memory for inspirations of `ticks` ticks on a model.
     pub fn new(model: &Model, ticks: usize) -> Self {
         Self {
             simulator: Rollout::new(model, ticks),
-            network: lane_network(&vec![0.0; Network::PARAMETERS]).tape(ticks),
+            learned: C::Lanes::tape(ticks),
             pid: PidTape::new(ticks),
             signals: Signals::new(ticks),
             d_signals: Signals::new(ticks),
@@ -50,7 +47,7 @@ impl ClosedLoopTape {
     }
 }
 
-impl ClosedLoopTape {
+impl<C: Trainable> ClosedLoopTape<C> {
     /// Errors and commands of the breath.
     pub(super) fn signals(&self) -> &Signals {
         &self.signals
@@ -64,40 +61,42 @@ impl ClosedLoopTape {
 
 /// The controller in training: fixed parts and the current network.
 #[derive(Clone, Debug)]
-pub struct LaneController<'a> {
-    controller: &'a Residual,
-    network: Layers,
+pub struct LaneController<'a, C: Trainable = Residual> {
+    /// PID, lambda and authority.
+    frame: &'a Residual,
+    learned: C::Lanes,
 }
 
 /// State carried from tick to tick; in the backward pass, the gradients with respect to it.
-struct Carried {
+struct Carried<L> {
     pid: PidLanes,
-    averages: Averages,
+    learned: L,
 }
 
-impl<'a> LaneController<'a> {
+/// What a learned part carries.
+type LearnedCarried<'a, C> = <<C as Trainable>::Lanes as LanePart>::Carried<'a>;
+
+impl<'a, C: Trainable> LaneController<'a, C> {
     /// Fixed parts of `controller` with the network of `parameters`.
-    pub fn new(controller: &'a Residual, parameters: &[f32]) -> Self {
-        Self { controller, network: lane_network(parameters) }
+    pub fn new(controller: &'a C, parameters: &[f32]) -> Self {
+        Self { frame: controller.frame(), learned: controller.lanes(parameters) }
     }
 
     /// Runs the inspiration; afterwards the tape contains everything that [`Self::backward`] needs.
-    pub fn forward(&self, model: &Model, scenario: &Scenario, tape: &mut ClosedLoopTape) -> Loss {
-        let features = LaneFeatures::new(self.controller.features(), scenario);
-        let mut carried = Carried { pid: PidLanes::default(), averages: features.start() };
+    pub fn forward(&self, model: &Model, scenario: &Scenario, tape: &mut ClosedLoopTape<C>) -> Loss {
+        let mut carried = Carried { pid: PidLanes::default(), learned: self.learned.start(scenario) };
         tape.simulator.begin(model, &scenario.start, &scenario.rest);
         for tick in 0..scenario.ticks {
-            self.tick(&features, scenario, tape, &mut carried, tick);
+            self.tick(scenario, tape, &mut carried, tick);
         }
         Loss::of(scenario, &tape.pressure)
     }
 
     fn tick(
         &self,
-        features: &LaneFeatures<'_>,
         scenario: &Scenario,
-        tape: &mut ClosedLoopTape,
-        carried: &mut Carried,
+        tape: &mut ClosedLoopTape<C>,
+        carried: &mut Carried<LearnedCarried<'_, C>>,
         tick: usize,
     ) {
         let mut pressure = tape.simulator.pressure();
@@ -107,60 +106,57 @@ impl<'a> LaneController<'a> {
         tape.pressure[tick] = pressure;
         let measured = pressure.zip(&scenario.noise[tick], |p, n| p + n);
         tape.signals.error[tick] = scenario.pip.zip(&measured, |target, p| target - p);
-        let Carried { pid, averages } = carried;
-        let seen = tape.network.inputs(tick);
-        features.forward(averages, &tape.signals, &pid.integral, tick, seen);
-        if let Some(memory) = &scenario.memory {
-            memory.recall(tick, &mut seen[FEATURES..]);
-        }
+        let Carried { pid, learned } = carried;
+        let seen = (&tape.signals, &pid.integral);
+        let output = self.learned.forward(scenario, &mut tape.learned, learned, seen, tick);
 
-        let scale = self.controller.spec().lambda * COMMAND_MAX;
-        let correction = self.network.forward(&mut tape.network, tick).map(|y| scale * y);
+        let scale = self.frame.spec().lambda * COMMAND_MAX;
+        let correction = output.map(|y| scale * y);
         tape.correction[tick] = correction;
-        let authority = self.controller.spec().authority;
+        let authority = self.frame.spec().authority;
         let residual = limit(&correction, -authority, authority);
         let errors = &tape.signals.error;
-        let command = pid::forward(self.controller.pid(), pid, &mut tape.pid, errors, &residual, tick);
+        let command = pid::forward(self.frame.pid(), pid, &mut tape.pid, errors, &residual, tick);
 
         tape.signals.command[tick] = command;
-        features.applied(averages, &command);
+        self.learned.applied(learned, &command);
         tape.simulator.advance(&command);
     }
 
     /// Adds the gradient of the weighted loss with respect to the network's parameters.
-    pub fn backward(&self, scenario: &Scenario, tape: &mut ClosedLoopTape, gradient: &mut [f32]) {
-        let features = LaneFeatures::new(self.controller.features(), scenario);
-        let mut back = Carried { pid: PidLanes::default(), averages: Averages::default() };
+    pub fn backward(&self, scenario: &Scenario, tape: &mut ClosedLoopTape<C>, gradient: &mut [f32]) {
+        let learned = self.learned.start_back(scenario, &mut tape.learned);
+        let mut back = Carried { pid: PidLanes::default(), learned };
         tape.d_signals.clear();
         tape.simulator.start_back();
         for tick in (0..scenario.ticks).rev() {
-            self.tick_back(&features, scenario, tape, &mut back, tick);
+            self.tick_back(scenario, tape, &mut back, tick);
         }
-        self.network.finish(&tape.network, gradient);
+        self.learned.finish(&tape.learned, gradient);
     }
 
     fn tick_back(
         &self,
-        features: &LaneFeatures<'_>,
         scenario: &Scenario,
-        tape: &mut ClosedLoopTape,
-        back: &mut Carried,
+        tape: &mut ClosedLoopTape<C>,
+        back: &mut Carried<LearnedCarried<'_, C>>,
         tick: usize,
     ) {
-        let Carried { pid, averages } = back;
+        let Carried { pid, learned } = back;
         let d_signals = &mut tape.d_signals;
         let mut d_command = d_signals.command[tick];
         d_command.add_scaled(1.0, &tape.simulator.command_gradient(tick));
         d_command.add_scaled(1.0, &loss::effort_slope(scenario, &tape.signals.command, tick));
-        features.applied_back(averages, &mut d_command);
+        self.learned.applied_back(learned, &mut d_command);
 
         let d_errors = &mut d_signals.error;
-        let d_residual = pid::backward(self.controller.pid(), pid, &tape.pid, d_errors, &d_command, tick);
-        let authority = self.controller.spec().authority;
+        let d_residual = pid::backward(self.frame.pid(), pid, &tape.pid, d_errors, &d_command, tick);
+        let authority = self.frame.spec().authority;
         let d_correction = limit_back(&d_residual, &tape.correction[tick], -authority, authority);
-        let scale = self.controller.spec().lambda * COMMAND_MAX;
-        let d_features = self.network.backward(&mut tape.network, tick, d_correction.map(|d| scale * d));
-        features.backward(averages, d_features, tick, d_signals, &mut pid.integral);
+        let scale = self.frame.spec().lambda * COMMAND_MAX;
+        let d_output = d_correction.map(|d| scale * d);
+        let d_seen = (&mut *d_signals, &mut pid.integral);
+        self.learned.backward(&mut tape.learned, learned, d_output, d_seen, tick);
 
         let d_pressure =
             loss::slope(scenario, &tape.pressure[tick]).zip(&d_signals.error[tick], |loss, d| loss - d);

@@ -1,4 +1,4 @@
-//! Training the residual controller: gradient steps, validation, checkpoints.
+//! Training a controller of any architecture: gradient steps, validation, checkpoints.
 //!
 //! One step draws a batch of inspirations (the paper's six waveforms and random PIPs, new sensor noise), runs them in
 //! closed loop on the simulators, and follows the gradient of the L1 error. At intervals the controller is validated on
@@ -9,11 +9,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::control::network::Network;
 use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 
+use super::architecture::Trainable;
 use super::config::TrainConfig;
-use super::network::{blind_to, chip_network, initial_parameters};
 use super::rollout::{ClosedLoopTape, LaneController};
 use super::scenario::Scenario;
 use crate::simulator::model::{Model, Simulator};
@@ -77,9 +76,9 @@ pub struct CurvePoint {
 
 /// Result of a training.
 #[derive(Clone, Debug)]
-pub struct Trained {
+pub struct Trained<C = Residual> {
     /// The best controller found; at worst, the initial one or the PID alone.
-    pub controller: Residual,
+    pub controller: C,
     /// Its score on the held-out simulator, cmH2O.
     pub validation: f64,
     /// Score of the PID alone on the held-out simulator, cmH2O.
@@ -88,31 +87,30 @@ pub struct Trained {
     pub improved: bool,
 }
 
-impl Trained {
+impl<C: Trainable> Trained<C> {
     /// The result of a training with this best score and these parameters; the PID of `base` alone if that scores better.
     ///
     /// # Errors
     /// Weights that exceed their bound.
     pub(super) fn of(
-        base: &Residual,
+        base: &C,
         base_score: f64,
         (validation, parameters): &(f64, Vec<f32>),
     ) -> Result<Self, ResidualError> {
         let improved = *validation < base_score;
-        let controller =
-            if improved { Residual::new(*base.spec(), chip_network(parameters))? } else { base.clone() };
+        let controller = if improved { C::build(base.specification(), parameters)? } else { base.clone() };
         Ok(Self { controller, validation: validation.min(base_score), base: base_score, improved })
     }
 }
 
 /// A training that can be advanced step by step, observed, stopped and resumed.
 #[derive(Debug)]
-pub struct Training {
+pub struct Training<C: Trainable = Residual> {
     config: TrainConfig,
-    base: Residual,
+    base: C,
     plants: Vec<Ensemble>,
     ticks: usize,
-    tapes: Vec<ClosedLoopTape>,
+    tapes: Vec<ClosedLoopTape<C>>,
     base_score: f64,
     /// Everything that changes from step to step.
     state: Checkpoint,
@@ -135,6 +133,9 @@ pub struct Checkpoint {
 
 /// A training that can be advanced, stopped and resumed.
 pub trait Stepwise {
+    /// The controller in training.
+    type Controller;
+
     /// The state to keep for resuming the training later.
     fn checkpoint(&self) -> &Checkpoint;
 
@@ -157,7 +158,7 @@ pub trait Stepwise {
     ///
     /// # Errors
     /// Weights that exceed their bound.
-    fn finish(&self) -> Result<Trained, ResidualError>;
+    fn finish(&self) -> Result<Trained<Self::Controller>, ResidualError>;
 
     /// Number of gradient steps done.
     fn iteration(&self) -> usize {
@@ -185,7 +186,22 @@ pub trait Stepwise {
 const VALIDATION_STREAM: u64 = u64::MAX;
 
 impl Training {
-    /// Prepares the training of the residual of `spec` on the simulators of one or several plants, from `warm`
+    /// Prepares the training of our residual of `spec`; see [`Self::of`].
+    ///
+    /// # Errors
+    /// A specification that cannot be built.
+    pub fn new(
+        spec: ResidualSpec,
+        plants: &[PlantModels<'_>],
+        config: TrainConfig,
+        warm: Option<&[f32]>,
+    ) -> Result<Self, ResidualError> {
+        Self::of(spec, plants, config, warm)
+    }
+}
+
+impl<C: Trainable> Training<C> {
+    /// Prepares the training of the controller of `spec` on the simulators of one or several plants, from `warm`
     /// parameters or from scratch.
     ///
     /// # Errors
@@ -193,8 +209,8 @@ impl Training {
     ///
     /// # Panics
     /// Without a plant, with a plant without simulators to train on, or with a hidden feature that does not exist.
-    pub fn new(
-        spec: ResidualSpec,
+    pub fn of(
+        spec: C::Spec,
         plants: &[PlantModels<'_>],
         config: TrainConfig,
         warm: Option<&[f32]>,
@@ -202,11 +218,11 @@ impl Training {
         assert!(!plants.is_empty(), "training needs at least one plant");
         assert!(plants.iter().all(|plant| !plant.trained_on.is_empty()), "each plant needs a simulator");
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        let fresh = initial_parameters(&mut rng);
-        let base = Residual::new(spec, Network::zero())?;
+        let fresh = C::initial_parameters(&mut rng);
+        let base = C::build(spec, &vec![0.0; C::size()])?;
         let mut parameters = warm.map_or(fresh, <[f32]>::to_vec);
-        blind_to(&config.blind_to, &mut parameters);
-        let ticks = shared::math::ticks(config.inspiratory_time, spec.period_us) as usize;
+        C::hide(&config.blind_to, &mut parameters);
+        let ticks = shared::math::ticks(config.inspiratory_time, base.frame().spec().period_us) as usize;
         let plants: Vec<Ensemble> = plants.iter().map(|plant| Ensemble::new(plant, &config)).collect();
         // All plants have the same number of shards.
         let shards = config.batch.div_ceil(LANES).max(1).next_multiple_of(plants.len());
@@ -221,7 +237,7 @@ impl Training {
             parameters,
         };
         let mut training = Self { config, base, plants, ticks, tapes, base_score: 0.0, state };
-        training.base_score = mean(&training.validate(&vec![0.0; Network::PARAMETERS]));
+        training.base_score = mean(&training.validate(&vec![0.0; C::size()]));
         training.keep_best();
         Ok(training)
     }
@@ -237,7 +253,7 @@ impl Training {
     /// Draws the next step's batch and passes each shard to `work`, in parallel; results keep the shards' order.
     fn on_shards<T: Send>(
         &mut self,
-        work: impl Fn(&LaneController<'_>, &Model, &Scenario, &mut ClosedLoopTape) -> T + Sync,
+        work: impl Fn(&LaneController<'_, C>, &Model, &Scenario, &mut ClosedLoopTape<C>) -> T + Sync,
     ) -> Vec<T> {
         let controller = LaneController::new(&self.base, &self.state.parameters);
         let (config, plants, factors, ticks, iteration) =
@@ -287,7 +303,9 @@ impl Training {
     }
 }
 
-impl Stepwise for Training {
+impl<C: Trainable> Stepwise for Training<C> {
+    type Controller = C;
+
     fn checkpoint(&self) -> &Checkpoint {
         &self.state
     }
@@ -316,7 +334,7 @@ impl Stepwise for Training {
                 *sum += part / (parts.len() * LANES) as f32;
             }
         }
-        blind_to(&self.config.blind_to, &mut gradient);
+        C::hide(&self.config.blind_to, &mut gradient);
         let progress = self.state.iteration as f32 / self.config.iterations as f32;
         self.state.adam.step(&mut self.state.parameters, &gradient, progress);
         self.state.iteration += 1;
@@ -333,7 +351,7 @@ impl Stepwise for Training {
         validation
     }
 
-    fn finish(&self) -> Result<Trained, ResidualError> {
+    fn finish(&self) -> Result<Trained<C>, ResidualError> {
         Trained::of(&self.base, self.base_score, &self.state.best)
     }
 }

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
 use shared::control::features::FeatureSpec;
 use shared::control::pid::{Pid, PidGains};
-use shared::control::residual::{ResidualError, ResidualSpec};
+use shared::control::residual::{Residual, ResidualError, ResidualSpec};
 use shared::control::{COMMAND_MAX, Controller};
 use shared::device::KNOWN_GOOD;
 use shared::explore::Exploration;
@@ -25,7 +25,7 @@ use shared::settings::Settings;
 use thiserror::Error;
 
 use crate::controller::learned::{Learned, LearnedError};
-use crate::controller::{CurvePoint, TrainConfig};
+use crate::controller::{ControllerArchitecture, CurvePoint, TrainConfig, Trainable};
 use crate::simulator::Timing;
 use crate::simulator::fit::FitConfig;
 use crate::simulator::model::{Architecture, Simulator};
@@ -70,6 +70,9 @@ pub struct PipelineConfig {
     /// The network's features, if not the defaults for the control period.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub features: Option<FeatureSpec>,
+    /// Architecture of the controller.
+    #[serde(skip_serializing_if = "ControllerArchitecture::is_ours")]
+    pub controller: ControllerArchitecture,
     /// Scale of the residual.
     pub lambda: f32,
     /// Largest residual, percent of the valve.
@@ -106,6 +109,7 @@ impl PipelineConfig {
             gains: KNOWN_GOOD,
             collector: None,
             features: None,
+            controller: ControllerArchitecture::Ours,
             lambda: 1.0,
             authority: COMMAND_MAX,
             ensemble: 2,
@@ -152,15 +156,22 @@ impl PipelineConfig {
         }
     }
 
+    /// The controller's fixed parts in the architecture `C`.
+    fn specification<C: Trainable>(&self) -> Result<C::Spec, PipelineError> {
+        C::specify(self.residual(), self.controller)
+            .ok_or_else(|| PipelineError::Architecture(self.controller.name()))
+    }
+
     /// The PID under the residual.
-    fn base(&self) -> Result<Controller, ResidualError> {
-        Ok(Controller::Pid(Pid::new(self.gains, self.period_us)?))
+    fn base<C: Trainable>(&self) -> Result<C::Law, ResidualError> {
+        C::pid_law(Pid::new(self.gains, self.period_us)?, self.period_us)
     }
 
     /// The PID that collects in the first round.
-    fn collector(&self) -> Result<Controller, PipelineError> {
+    fn collector<C: Trainable>(&self) -> Result<C::Law, PipelineError> {
         let gains = self.collector.unwrap_or(self.gains);
-        Ok(Controller::Pid(Pid::new(gains, self.period_us).map_err(ResidualError::from)?))
+        let pid = Pid::new(gains, self.period_us).map_err(ResidualError::from)?;
+        Ok(C::pid_law(pid, self.period_us)?)
     }
 
     fn timing(&self) -> &Timing {
@@ -197,6 +208,11 @@ pub enum PipelineError {
     /// A unit must not be commissioned.
     #[error(transparent)]
     Commission(#[from] commission::Problem),
+    /// The configuration is for another architecture of the controller than the one to train.
+    #[error(
+        "the configuration asks for a controller of the architecture {0}, but another one was to be trained"
+    )]
+    Architecture(&'static str),
     /// No simulator to train on was given.
     #[error("name at least one simulator to train on")]
     NoSimulator,
@@ -275,11 +291,11 @@ pub struct Studied {
 
 /// Results of a run.
 #[derive(Clone, Debug)]
-pub struct Outcome {
+pub struct Outcome<C = Residual> {
     /// The plants, in the order of the sources.
     pub plants: Vec<Studied>,
     /// The controller.
-    pub learned: Learned,
+    pub learned: Learned<C>,
     /// Results of each round.
     pub rounds: Vec<Round>,
     /// One in this number of breaths was held out of fitting.
@@ -289,23 +305,38 @@ pub struct Outcome {
 }
 
 /// Creates the source of a round from its seed.
-pub type MakeSource<'a> = &'a (dyn Fn(u64) -> Result<Box<dyn Source>, SourceError> + Sync);
+pub type MakeSource<'a, L = Controller> = &'a (dyn Fn(u64) -> Result<Box<dyn Source<L>>, SourceError> + Sync);
 
-/// Runs the rounds on one or several plants, in memory or with a folder to continue from. Each plant has its own
-/// recording and simulators; the controller is trained on all of them at once.
+/// Runs the rounds for our controller; see [`run_as`].
 ///
 /// # Errors
-/// The error of the first stage that fails; files of earlier stages stay.
+/// See [`run_as`].
 pub fn run(
     config: &PipelineConfig,
     sources: &[MakeSource<'_>],
     folder: Option<&Folder>,
     progress: &Progress<'_>,
 ) -> Result<Outcome, PipelineError> {
+    run_as(config, sources, folder, progress)
+}
+
+/// Runs the rounds for a controller of the architecture `C`, which the configuration must name, on one or several plants, in memory
+/// or with a folder to continue from. Each plant has its own recording and simulators; the controller is trained on all of them at
+/// once.
+///
+/// # Errors
+/// The error of the first stage that fails; files of earlier stages stay.
+pub fn run_as<C: Trainable>(
+    config: &PipelineConfig,
+    sources: &[MakeSource<'_, C::Law>],
+    folder: Option<&Folder>,
+    progress: &Progress<'_>,
+) -> Result<Outcome<C>, PipelineError> {
+    config.specification::<C>()?;
     if let Some(folder) = folder {
         folder.claim(config)?;
     }
-    let mut run = stages::Run::new(config, sources, folder, progress);
+    let mut run = stages::Run::<C>::new(config, sources, folder, progress);
     for round in 0..config.rounds.max(1) {
         if !run.round(round)? {
             break;
@@ -324,34 +355,48 @@ pub fn run_on_benches(
     folder: Option<&Folder>,
     progress: &Progress<'_>,
 ) -> Result<Outcome, PipelineError> {
-    let base = config.base()?;
+    run_on_benches_as(config, benches, folder, progress)
+}
+
+/// Like [`run_as`], on benches: a ventilator in this process on each.
+///
+/// # Errors
+/// See [`run`]; also a bench that is refused.
+pub fn run_on_benches_as<C: Trainable>(
+    config: &PipelineConfig,
+    benches: &[BenchConfig],
+    folder: Option<&Folder>,
+    progress: &Progress<'_>,
+) -> Result<Outcome<C>, PipelineError> {
+    let base = config.base::<C>()?;
     let (settings, period_us) = (&config.collect.settings, config.period_us);
     let make = |bench| {
         let base = base.clone();
-        move |seed| -> Result<Box<dyn Source>, SourceError> {
+        move |seed| -> Result<Box<dyn Source<C::Law>>, SourceError> {
             Ok(Box::new(BenchSource::new(bench, base.clone(), settings, period_us, seed)?))
         }
     };
     let sources: Vec<_> = benches.iter().map(make).collect();
-    let sources: Vec<MakeSource<'_>> = sources.iter().map(|source| source as MakeSource<'_>).collect();
-    run(config, &sources, folder, progress)
+    let sources: Vec<MakeSource<'_, C::Law>> =
+        sources.iter().map(|source| source as MakeSource<'_, C::Law>).collect();
+    run_as(config, &sources, folder, progress)
 }
 
-/// Like [`run`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
+/// Like [`run_as`], on a plant behind the plant link. All rounds share one link, so the plant need not accept several.
 ///
 /// # Errors
 /// See [`run`].
-pub fn run_on_plant(
+pub fn run_on_plant<C: Trainable>(
     config: &PipelineConfig,
     link: &SharedLink,
     folder: Option<&Folder>,
     progress: &Progress<'_>,
-) -> Result<Outcome, PipelineError> {
-    let base = config.base()?;
-    let source = |seed| -> Result<Box<dyn Source>, SourceError> {
+) -> Result<Outcome<C>, PipelineError> {
+    let base = config.base::<C>()?;
+    let source = |seed| -> Result<Box<dyn Source<C::Law>>, SourceError> {
         Ok(Box::new(PlantSource::new(link.clone(), base.clone(), config.period_us, seed)))
     };
-    run(config, &[&source], folder, progress)
+    run_as(config, &[&source], folder, progress)
 }
 
 #[cfg(test)]

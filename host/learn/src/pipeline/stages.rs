@@ -2,12 +2,11 @@
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::control::Controller;
 
 use super::training::learned;
 use super::{Folder, MakeSource, Outcome, PipelineConfig, PipelineError, Round, Studied};
 use crate::controller::learned::Learned;
-use crate::controller::{CurvePoint, PlantModels, TrainConfig, Trained, Training};
+use crate::controller::{CurvePoint, PlantModels, TrainConfig, Trainable, Trained, Training};
 use crate::simulator::episode::{Episode, episodes, split};
 use crate::simulator::fit::{Fit, FitConfig};
 use crate::simulator::model::Simulator;
@@ -21,15 +20,15 @@ use ventilator::seeds;
 const BREATHS_NEEDED: usize = 8;
 
 /// A run in progress.
-pub(super) struct Run<'a> {
+pub(super) struct Run<'a, C: Trainable> {
     config: &'a PipelineConfig,
-    sources: &'a [MakeSource<'a>],
+    sources: &'a [MakeSource<'a, C::Law>],
     folder: Option<&'a Folder>,
     progress: Progress<'a>,
     recordings: Vec<Recording>,
     /// Simulators of each plant, the held-out one last.
     simulators: Vec<Vec<Simulator>>,
-    learned: Option<Learned>,
+    learned: Option<Learned<C>>,
     rounds: Vec<Round>,
     complete: bool,
 }
@@ -41,10 +40,10 @@ struct Fitted {
     open_loop: Vec<OpenLoop>,
 }
 
-impl<'a> Run<'a> {
+impl<'a, C: Trainable> Run<'a, C> {
     pub(super) fn new(
         config: &'a PipelineConfig,
-        sources: &'a [MakeSource<'a>],
+        sources: &'a [MakeSource<'a, C::Law>],
         folder: Option<&'a Folder>,
         progress: &Progress<'a>,
     ) -> Self {
@@ -89,7 +88,7 @@ impl<'a> Run<'a> {
     }
 
     /// The results at the end of the run.
-    pub(super) fn outcome(self) -> Result<Outcome, PipelineError> {
+    pub(super) fn outcome(self) -> Result<Outcome<C>, PipelineError> {
         let learned = self.learned.ok_or(PipelineError::Stopped)?;
         let plants = self.recordings.into_iter().zip(self.simulators);
         Ok(Outcome {
@@ -147,8 +146,8 @@ impl<'a> Run<'a> {
         let seed = seeds::collection(self.config.seed, of_plant(round as u64, plant));
         let mut source = (self.sources[plant])(seed)?;
         let controller = match &self.learned {
-            Some(learned) => Controller::Residual(learned.controller.clone()),
-            None => self.config.collector()?,
+            Some(learned) => learned.controller.law(),
+            None => self.config.collector::<C>()?,
         };
         let config = CollectConfig { seed, ..self.config.collect.clone() };
         Ok(collect(source.as_mut(), &controller, &config, &task.part())?)
@@ -255,7 +254,7 @@ impl<'a> Run<'a> {
     }
 
     /// Trains the controller on all members except the last.
-    fn train(&mut self, round: usize) -> Result<(Trained, Vec<CurvePoint>), PipelineError> {
+    fn train(&mut self, round: usize) -> Result<(Trained<C>, Vec<CurvePoint>), PipelineError> {
         let training = self.training(round)?;
         let folder = self.folder.map(|folder| (folder, round));
         let progress = self.progress.round(round);
@@ -270,11 +269,11 @@ impl<'a> Run<'a> {
         Ok((trained, curve))
     }
 
-    fn training(&self, round: usize) -> Result<Training, PipelineError> {
+    fn training(&self, round: usize) -> Result<Training<C>, PipelineError> {
         let warm: Option<Vec<f32>> = self
             .learned
             .as_ref()
-            .map(|learned| learned.controller.network().parameters().copied().collect())
+            .map(|learned| learned.controller.parameters())
             .filter(|weights: &Vec<f32>| weights.iter().any(|w| w.abs() > 0.0));
         let mut config = TrainConfig {
             seed: seeds::training(self.config.seed, 1000 + round as u64),
@@ -292,7 +291,7 @@ impl<'a> Run<'a> {
             })
             .collect();
         let plants = plants.ok_or(PipelineError::Stopped)?;
-        Ok(Training::new(self.config.residual(), &plants, config, warm.as_deref())?)
+        Ok(Training::of(self.config.specification::<C>()?, &plants, config, warm.as_deref())?)
     }
 }
 

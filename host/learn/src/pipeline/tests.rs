@@ -26,7 +26,7 @@ fn small() -> PipelineConfig {
 
 fn source(config: &PipelineConfig) -> impl Fn(u64) -> Result<Box<dyn Source>, SourceError> + use<> {
     let (settings, period_us) = (config.collect.settings, config.period_us);
-    let base = config.collector().unwrap();
+    let base = config.collector::<Residual>().unwrap();
     move |seed| {
         let lung = BenchConfig::paper(20.0, 20.0);
         Ok(Box::new(BenchSource::new(&lung, base.clone(), &settings, period_us, seed)?))
@@ -68,7 +68,7 @@ fn the_learned_controller_beats_its_pid_on_the_true_bench() {
     assert_eq!((outcome.rounds.len(), outcome.complete), (2, true));
     let lung = BenchConfig::paper(20.0, 20.0);
     let (pid, learned) = (
-        score(&lung, &small().collector().unwrap()),
+        score(&lung, &small().collector::<Residual>().unwrap()),
         score(&lung, &Controller::Residual(outcome.learned.controller)),
     );
     assert!(learned < 0.7 * pid, "learned {learned:.3}, PID {pid:.3}");
@@ -119,7 +119,7 @@ fn one_controller_learns_from_several_plants() {
     let mut config = PipelineConfig { rounds: 1, ..small() };
     config.train.weighting = Weighting::Softmax(0.5);
     let lungs = [BenchConfig::paper(20.0, 20.0), BenchConfig::paper(50.0, 10.0)];
-    let base = config.collector().unwrap();
+    let base = config.collector::<Residual>().unwrap();
     let make = |lung: usize, seed| -> Result<Box<dyn Source>, SourceError> {
         let (settings, period_us) = (config.collect.settings, config.period_us);
         Ok(Box::new(BenchSource::new(&lungs[lung], base.clone(), &settings, period_us, seed)?))

@@ -2,11 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 use shared::checksum::crc32;
-use shared::control::residual::ResidualSpec;
+use shared::control::residual::{Residual, ResidualSpec};
 
 use super::{Folder, PipelineConfig, PipelineError};
 use crate::controller::learned::{Learned, Origin};
-use crate::controller::{Checkpoint, CurvePoint, PlantModels, Stepwise, TrainConfig, Trained, Training};
+use crate::controller::{
+    Checkpoint, ControllerArchitecture, CurvePoint, PlantModels, Stepwise, TrainConfig, Trainable, Trained,
+    Training,
+};
 use crate::simulator::model::{Architecture, Simulator};
 use data::provenance::git_revision;
 use progress::{Progress, Stage};
@@ -24,12 +27,12 @@ struct Pause {
 ///
 /// # Errors
 /// A checkpoint that cannot be read or written.
-pub fn train(
-    mut training: impl Stepwise,
+pub fn train<T: Stepwise>(
+    mut training: T,
     iterations: usize,
     round: Option<(&Folder, usize)>,
     progress: &Progress<'_>,
-) -> Result<(Trained, Vec<CurvePoint>), PipelineError> {
+) -> Result<(Trained<T::Controller>, Vec<CurvePoint>), PipelineError> {
     let name = "training.json";
     let mut curve = Vec::new();
     if let Some((folder, round)) = round
@@ -54,9 +57,9 @@ pub fn train(
 
 /// Results of a training on given simulators.
 #[derive(Clone, Debug)]
-pub struct TrainedOnce {
+pub struct TrainedOnce<C = Residual> {
     /// The controller.
-    pub learned: Learned,
+    pub learned: Learned<C>,
     /// Whether the residual beats its PID on the held-out simulator.
     pub improved: bool,
     /// Training curve.
@@ -70,22 +73,26 @@ pub struct TrainedOnce {
 struct Claim {
     seed: u64,
     residual: ResidualSpec,
+    #[serde(default, skip_serializing_if = "ControllerArchitecture::is_ours")]
+    controller: ControllerArchitecture,
     train: TrainConfig,
     /// Checksums of the simulators.
     simulators: Vec<u32>,
 }
 
-/// Trains on existing simulators; the last of several is held out and judges the controller.
+/// Trains a controller of the architecture `C` on existing simulators; the last of several is held out and judges the
+/// controller.
 ///
 /// # Errors
-/// No simulator, one that is unsuitable for this controller, or a folder with another seed, configuration or
-/// simulators.
-pub fn train_on_simulators(
+/// No simulator, one that is unsuitable for this controller, a configuration for another architecture, or a folder with another
+/// seed, configuration or simulators.
+pub fn train_on_simulators<C: Trainable>(
     config: &PipelineConfig,
     simulators: &[Simulator],
     folder: &Folder,
     progress: &Progress<'_>,
-) -> Result<TrainedOnce, PipelineError> {
+) -> Result<TrainedOnce<C>, PipelineError> {
+    let spec = config.specification::<C>()?;
     for (number, simulator) in simulators.iter().enumerate() {
         suits(simulator, config.period_us)
             .map_err(|reason| PipelineError::Simulator { number: number + 1, reason })?;
@@ -97,11 +104,12 @@ pub fn train_on_simulators(
     folder.claim(&Claim {
         seed: config.seed,
         residual: config.residual(),
+        controller: config.controller,
         train: train.clone(),
         simulators: simulators.iter().map(checksum).collect(),
     })?;
     let plant = PlantModels { trained_on, held_out };
-    let training = Training::new(config.residual(), &[plant], train, None)?;
+    let training = Training::<C>::of(spec, &[plant], train, None)?;
     let (trained, curve) = self::train(training, config.train.iterations, Some((folder, 0)), progress)?;
     let complete = curve.last().map_or(0, |point| point.iteration) >= config.train.iterations;
     let improved = trained.improved;
@@ -114,7 +122,7 @@ pub fn train_on_simulators(
 }
 
 /// A trained controller with its origin.
-pub(super) fn learned(trained: Trained, plant: String, seed: u64) -> Learned {
+pub(super) fn learned<C>(trained: Trained<C>, plant: String, seed: u64) -> Learned<C> {
     let Trained { controller, validation, base, .. } = trained;
     Learned { controller, origin: Origin { plant, seed, git_revision: git_revision(), validation, base } }
 }

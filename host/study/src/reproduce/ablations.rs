@@ -10,12 +10,15 @@ use super::side_by_side::{Piece, piece};
 use super::study::Study;
 use super::{Reproduction, lungs};
 use crate::error::Result;
-use judge::evaluate::{Plan, evaluate};
-use learn::pipeline::{PAPER_PERIOD_US, PipelineConfig};
+use judge::evaluate::{Plan, evaluate, evaluate_law};
+use learn::controller::authors::AuthorsController;
+use learn::controller::{ControllerArchitecture, Trainable};
+use learn::pipeline::{Outcome, PAPER_PERIOD_US, PipelineConfig, run_on_benches_as};
 use learn::simulator::fit::FitConfig;
 use learn::simulator::model::Architecture;
 use learn::simulator::stitched::StitchedConfig;
 use plant::bench::BenchConfig;
+use progress::Progress;
 
 /// The result of a variant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -94,16 +97,32 @@ impl Variant {
 }
 
 fn ablation(study: &Study<'_>, variant: &Variant, folder: &str) -> Result<Ablation> {
+    let Variant { config, benches, .. } = variant;
+    match config.controller {
+        ControllerArchitecture::Ours => {
+            scored(study, variant, &lungs::train(study, benches, config, folder)?)
+        }
+        ControllerArchitecture::Authors { .. } => {
+            let outcome = lungs::train_by(study, folder, |run, progress| {
+                run_on_benches_as::<AuthorsController>(config, benches, Some(run), progress)
+            })?;
+            scored(study, variant, &outcome)
+        }
+    }
+}
+
+/// The scores of a variant's controller and of the PID underneath it.
+fn scored<C: Trainable>(study: &Study<'_>, variant: &Variant, outcome: &Outcome<C>) -> Result<Ablation> {
     let config = &variant.config;
-    let outcome = lungs::train(study, &variant.benches, config, folder)?;
     let plan = Plan { period_us: config.period_us, ..study.plan() };
-    let score = |controller: &Controller| evaluate(&variant.judge, controller, &plan).map(|e| e.mean.score);
+    let pid = Controller::Pid(Pid::new(config.gains, config.period_us)?);
+    let law = outcome.learned.controller.law();
     let last = outcome.rounds.last().and_then(|round| round.open_loop.first());
     Ok(Ablation {
         group: variant.group.to_owned(),
         variant: variant.name.clone(),
-        score: score(&Controller::Residual(outcome.learned.controller))?,
-        pid: score(&Controller::Pid(Pid::new(config.gains, config.period_us)?))?,
+        score: evaluate_law(&variant.judge, &law, &plan, &Progress::silent())?.mean.score,
+        pid: evaluate(&variant.judge, &pid, &plan)?.mean.score,
         open_loop: last.map_or(f64::NAN, |distance| distance.truth.unwrap_or(distance.measured)),
         breaths: outcome.rounds.iter().map(|round| round.breaths).sum(),
     })
@@ -120,7 +139,7 @@ fn variants(study: &Study<'_>, gains: PidGains) -> Vec<Variant> {
         benches: vec![bench.clone()],
         judge: bench.clone(),
     };
-    let groups = [residuals, recordings, inputs, units, simulators];
+    let groups = [residuals, recordings, inputs, architectures, units, simulators];
     groups.iter().flat_map(|group| group(&base)).collect()
 }
 
@@ -197,6 +216,16 @@ fn inputs(base: &Variant) -> Vec<Variant> {
     all
 }
 
+/// Our controller and the authors', as a residual over the same PID.
+fn architectures(base: &Variant) -> Vec<Variant> {
+    vec![
+        base.but("architecture", "ours", |_| ()),
+        base.but("architecture", "authors", |config| {
+            config.controller = ControllerArchitecture::authors(config.period_us);
+        }),
+    ]
+}
+
 /// Training on one unit of the fleet or on several (domain randomisation), scored on a unit not used in training.
 fn units(base: &Variant) -> Vec<Variant> {
     let unit = |number: u32| {
@@ -248,7 +277,7 @@ mod tests {
 
     #[test]
     fn every_variant_has_a_place_of_its_own() {
-        let groups = [residuals, recordings, inputs, units, simulators];
+        let groups = [residuals, recordings, inputs, architectures, units, simulators];
         let all: Vec<Variant> = groups.iter().flat_map(|group| group(&base())).collect();
         let places: BTreeSet<String> = all.iter().map(Variant::place).collect();
         assert_eq!(places.len(), all.len());
@@ -264,6 +293,7 @@ mod tests {
         assert_eq!(like_base(residuals), ["1"]);
         assert_eq!(like_base(recordings), ["both", "1"]);
         assert_eq!(like_base(inputs), ["all"]);
+        assert_eq!(like_base(architectures), ["ours"]);
         assert!(like_base(units).is_empty() && like_base(simulators).is_empty());
     }
 }

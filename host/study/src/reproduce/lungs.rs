@@ -11,6 +11,7 @@ use super::study::Study;
 use crate::error::{Result, StudyError};
 use judge::baselines::{Best, tune_pid};
 use judge::evaluate::{Evaluation, Plan};
+use learn::controller::Trainable;
 use learn::pipeline::{self, Folder, Outcome, PipelineConfig, PipelineError};
 use plant::bench::BenchConfig;
 use progress::Progress;
@@ -110,11 +111,11 @@ pub(super) fn train(
 }
 
 /// Runs a pipeline to its end in a subfolder of the study and saves its controller there.
-pub(super) fn train_by(
+pub(super) fn train_by<C: Trainable>(
     study: &Study<'_>,
     folder: &str,
-    run: impl FnOnce(&Folder, &Progress<'_>) -> Result<Outcome, PipelineError>,
-) -> Result<Outcome> {
+    run: impl FnOnce(&Folder, &Progress<'_>) -> Result<Outcome<C>, PipelineError>,
+) -> Result<Outcome<C>> {
     let outcome = run(&Folder::new(study.path(folder)), &study.progress.of(folder))?;
     if !outcome.complete {
         return Err(StudyError::Stopped);

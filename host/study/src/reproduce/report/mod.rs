@@ -382,7 +382,8 @@ fn ablations_section(study: &Study<'_>, found: &[Ablation]) -> Section {
         "Ablations",
         format!(
             "One round of collect, fit and train on {} unless varied. \"network alone\" has a PID with zero gains; \
-             \"history\" is the age of the oldest error or command that the network sees. The variants of \"units\" \
+             \"history\" is the age of the oldest error or command that the network sees; \"architecture\" is our \
+             network or that of the authors, which sees past errors alone. The variants of \"units\" \
              are trained on one or four units and scored on another; those of \"simulator\" run at the authors' \
              control period of 30 ms. The open-loop distance measures the simulator, the score the controller.",
             study.lungs()[study.middle()].name
