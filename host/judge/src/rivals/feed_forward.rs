@@ -7,7 +7,7 @@
 //! only what the model has wrong.
 //!
 //! The lung is identified after each undisturbed inspiration from its commands and pressures ([`super::lung_fit`]); before the first
-//! one it is an average adult's. Nothing is taken from the plant itself.
+//! one it is the usual lung on such a machine. Nothing is taken from the plant itself.
 
 use std::collections::VecDeque;
 
@@ -53,8 +53,6 @@ pub(super) const PARAMETERS: [Parameter; 6] = [
     },
 ];
 
-/// The lung that is assumed before the first inspiration.
-const AVERAGE: Lung = Lung { resistance: 20.0, compliance: 20.0 };
 /// Weight of the newest inspiration in the estimate of the lung.
 const NEWEST: f32 = 0.5;
 
@@ -192,7 +190,7 @@ impl ControlLaw for FeedForward {
 
     fn step(&self, state: &mut FeedForwardState, seen: &Observation) -> ControlOutput {
         state.pressure = seen.pressure;
-        let lung = state.lung.unwrap_or(AVERAGE);
+        let lung = state.lung.unwrap_or(self.machine.usual);
         let model = state.model.get_or_insert_with(|| Model::at_rest(seen.peep));
         let fed = self.predicted(model, lung, seen.target);
         // The derivative part must not brake the predicted rise: the PID sees the distance to the model, not the pressure.
@@ -240,6 +238,19 @@ mod tests {
     }
 
     #[test]
+    fn before_the_first_breath_the_usual_lung_of_the_machine_counts() {
+        let first = |usual| {
+            let mut law = law();
+            law.machine.usual = usual;
+            let mut state = law.initial_state();
+            law.start_breath(&mut state, 0.0);
+            (0..100).map(|tick| law.step(&mut state, &seen(tick, 5.0, 15.0)).command).sum::<f32>()
+        };
+        let stiff = first(Lung { resistance: 100.0, compliance: 1.0 });
+        assert!(stiff < first(law().machine.usual), "a small lung needs less gas");
+    }
+
+    #[test]
     fn a_target_at_the_pressure_of_the_plant_asks_for_no_flow() {
         let law = law();
         let mut state = law.initial_state();
@@ -275,7 +286,7 @@ mod tests {
         for tick in 0..500 {
             delayed.airway = twin.airway;
             let pressure = delayed.delayed(law.delay_ticks - 1);
-            let fed = law.predicted(&mut twin, AVERAGE, 20.0);
+            let fed = law.predicted(&mut twin, law.machine.usual, 20.0);
             let command = law.step(&mut state, &seen(tick, pressure, 20.0)).command;
             assert!((command - fed).abs() < 2.0, "tick {tick}: {command}, not {fed}");
         }

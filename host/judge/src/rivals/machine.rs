@@ -1,12 +1,15 @@
 //! The nominal machine as a model-based law knows it: the inspiratory valve forwards, from commands to flow, and inverted, from flow to
 //! the travel of its stem.
 //!
-//! A law gets the values of the machine's type, as its maker states them. The unit that it controls differs from them.
+//! A law gets the values of the machine's type, as its maker states them, and the usual lung on that type. The unit and the lung that
+//! it controls differ from them.
 
 use plant::bench::{BenchConfig, ValveConfig};
 use shared::breath::period_s;
 use shared::control::COMMAND_MAX;
 use shared::math;
+
+use super::lung_fit::Lung;
 
 /// Nominal values of a machine, in the units of the control law.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,11 +26,14 @@ pub struct Machine {
     supply: f32,
     /// Compliance of the circuit, mL/cmH2O.
     pub circuit: f32,
+    /// The usual lung on such a machine.
+    pub usual: Lung,
 }
 
 impl Machine {
-    /// The machine of a bench: its valve and circuit, nothing of its lung and nothing of `[unit]`.
+    /// The machine of a nominal bench: its valve and circuit, and its lung as the usual one; nothing of `[unit]`.
     pub fn of(bench: &BenchConfig) -> Self {
+        let lung = &bench.lung.first;
         let ValveConfig {
             dead_time_ms,
             lag_ms,
@@ -46,6 +52,10 @@ impl Machine {
             full_flow: max_flow_l_per_s as f32,
             supply: supply_pressure_cmh2o as f32,
             circuit: bench.circuit.compliance_ml_per_cmh2o as f32,
+            usual: Lung {
+                resistance: lung.resistance_cmh2o_per_l_s as f32,
+                compliance: lung.compliance_ml_per_cmh2o as f32,
+            },
         }
     }
 

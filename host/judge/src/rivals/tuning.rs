@@ -61,7 +61,8 @@ impl TuningPlan {
         Self { runs: (0..PLANTS).map(run).collect(), machine: Machine::of(&family.nominal()) }
     }
 
-    /// Each of these benches with all waveforms of the paper, on the nominal machine of the first one.
+    /// Each of these benches with all waveforms of the paper, on the machine of the first one with the usual lung of an adult: what a
+    /// law knows beforehand is not the lung of the plant.
     ///
     /// # Errors
     /// No bench.
@@ -76,7 +77,9 @@ impl TuningPlan {
             noise: seeds::plant(TUNING_SEED, number as u64),
             breaths: rival.breaths_tuned(),
         };
-        Ok(Self { runs: pairs.enumerate().map(run).collect(), machine: Machine::of(first) })
+        let mut machine = Machine::of(first);
+        machine.usual = Machine::of(&BenchConfig::default()).usual;
+        Ok(Self { runs: pairs.enumerate().map(run).collect(), machine })
     }
 
     /// Number of plants with a waveform each.
