@@ -102,10 +102,16 @@ fn controller(spec: &ResidualSpec) -> anyhow::Result<Facts> {
 }
 
 fn learned_of_any_architecture(file: &Path) -> anyhow::Result<Facts> {
-    if architecture(file)? == ControllerArchitecture::Ours.name() {
+    let name = architecture(file)?;
+    if name == ControllerArchitecture::Ours.name() {
         learned(&Learned::load(file)?)
-    } else {
+    } else if Some(name.as_str()) == AuthorsController::NAME {
         Ok(authors(&Learned::read(file)?))
+    } else {
+        bail!(
+            "{} has the architecture {name}, which this version does not know: update the trainer",
+            file.display()
+        )
     }
 }
 

@@ -282,13 +282,12 @@ fn print(args: &Args, summary: &Summary) {
         && let Some(worst) = learning.worst
     {
         args.output.line(&format!(
-            "iterative learning: an error changes from breath to breath by at most {:.3} times (at {:.1} Hz)",
+            "iterative learning: largest factor on an error from breath to breath {:.3} (at {:.1} Hz)",
             worst.factor, worst.hz
         ));
-        let certified = learning.plants.len() as f64 * learning.share_certified;
+        let certified = learning.plants.iter().filter(|plant| plant.certified).count();
         args.output.line(&format!(
-            "{} of {} plants keep this factor below one at every frequency, and no loop oscillates by itself",
-            certified.round(),
+            "{certified} of {} plants are certified: factor below one at every frequency, no loop that oscillates by itself",
             learning.plants.len()
         ));
     }

@@ -54,7 +54,8 @@ ours.
 
 --controller-architecture authors trains their network in the place of ours: running averages of the
 last ten errors, a convolution, a rectifier and one output, which lambda scales. It sees nothing
-else. Such a controller runs on the host only: evaluate and robust accept its file, pack refuses it.")]
+else. Such a controller runs on the host only: evaluate, robust and margins
+accept its file, pack refuses it.")]
 pub struct Args {
     #[command(flatten)]
     bench: BenchArgs,

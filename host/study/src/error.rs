@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
-use shared::weights::WeightsError;
 use thiserror::Error;
 
 use data::recording::DatasetError;
@@ -48,9 +47,9 @@ pub enum StudyError {
     /// Parameters of a rival are not valid.
     #[error(transparent)]
     Rival(#[from] RivalError),
-    /// A shipped weights image is not valid.
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
+    /// The program has no controller with this name.
+    #[error("no controller {0} comes with this program")]
+    NotShipped(&'static str),
     /// PID gains are not valid.
     #[error(transparent)]
     Gain(#[from] GainError),

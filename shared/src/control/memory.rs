@@ -29,7 +29,8 @@ pub const RECALLED: usize = ERRORS_AHEAD.len() + COMMANDS_AHEAD.len() + 1;
 const LEAST_BINS: usize = 8;
 /// Weight of the newest breath in the mean over breaths.
 const NEWEST: f32 = 0.5;
-/// Mean difference to the remembered error from which a breath surprises: 0.5 cmH2O, in the scaled units of the features.
+/// Mean absolute difference to the remembered error, over the bins, from which a breath surprises: 0.5 cmH2O, in the scaled units
+/// of the features.
 const SURPRISE: f32 = 0.5 / ERROR_SCALE;
 /// Adopted breaths before which no breath counts as a surprise: a controller that is still learning changes its errors by itself.
 const LEARNING: u8 = 4;

@@ -1,8 +1,10 @@
 //! Certificate of iterative learning control.
 //!
 //! After each breath the feed-forward f becomes `Q [f + g e(t + lead)]`, where e is the breath's error, g the learning gain and Q a
-//! zero-phase triangle. At a frequency, each breath multiplies what is wrong with f by `Q (1 - L P S)` with `L = g exp(jw lead)`:
-//! below one it dies out from breath to breath, above one it grows until something limits it.
+//! zero-phase triangle. At a frequency, each breath multiplies what is wrong with f by `Q (1 - L P S)`: below one it dies out from
+//! breath to breath, above one it grows until something limits it. `L = g exp(jw lead)` is the learning, P the plant from command to
+//! pressure, S the sensitivity of the loop underneath, so that `P S` leads from the feed-forward to the pressure. The ends of a breath,
+//! where the triangle is cut, are not covered.
 
 use std::f64::consts::TAU;
 

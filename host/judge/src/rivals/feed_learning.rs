@@ -131,6 +131,19 @@ mod tests {
     }
 
     #[test]
+    fn within_a_breath_the_triangle_is_that_of_the_certificate() {
+        let rule = FeedLearning::new([1.0, 0.0, 15.0], DEFAULT_PERIOD_US);
+        for hz in [2.0, 20.0, 50.0] {
+            let sine = |tick: usize| (std::f64::consts::TAU * hz * 1e-3 * tick as f64).sin();
+            let errors: Vec<f32> = (0..1000).map(|tick| sine(tick) as f32).collect();
+            let learned = rule.learned(&[], &errors, 1.0, 100.0);
+            let factor = rule.filter().smoothing(hz, DEFAULT_PERIOD_US);
+            let near = |tick: &usize| (f64::from(learned[*tick]) - factor * sine(*tick)).abs() < 1e-4;
+            assert!((100..900).all(|tick| near(&tick)), "{hz} Hz");
+        }
+    }
+
+    #[test]
     fn errors_are_recorded_from_the_first_tick_of_a_breath_or_not_at_all() {
         let mut errors = Vec::new();
         rule().record(&mut errors, 300, 1.0);

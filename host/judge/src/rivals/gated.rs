@@ -5,15 +5,15 @@
 //! correction is therefore on trial for one breath: the gate keeps it if the mean error became smaller, and otherwise drops it,
 //! returns to the feed-forward before it and halves the learning gain. After a few drops nothing is tried any more.
 //!
-//! A disturbed breath decides nothing. Changed settings forget all. So does a breath that surprises the network or became clearly
-//! worse without a trial: lung or unit have changed, and what was learned for the earlier one is no help.
+//! A breath that is known to be disturbed decides nothing. After a disturbance that nothing reports, the error falls by itself, and a
+//! wrong correction on trial at that time is kept. Changed settings forget all. So does a breath that surprises the network or became
+//! clearly worse without a trial: lung or unit have changed, and what was learned for the earlier one is no help.
 
 use shared::control::memory::Lesson;
 use shared::control::pid::Pid;
 use shared::control::residual::Residual;
 use shared::control::{COMMAND_MAX, ControlLaw, ControlOutput, Controller, ControllerState, Observation};
 use shared::math;
-use shared::weights::decode;
 
 use super::feed_learning::{self, FeedLearning};
 use super::parameter::{self, Parameter, RivalError};
@@ -170,8 +170,7 @@ fn forget(state: &mut GatedState) {
 
 /// The shipped controller.
 fn learned() -> Residual {
-    let image = shipped::image(LEARNED).and_then(|image| decode(image).ok());
-    image.expect("a test builds every shipped controller").residual
+    shipped::residual(LEARNED).expect("a test names every shipped controller")
 }
 
 /// Mean absolute value, of at least one.
@@ -343,6 +342,15 @@ mod tests {
         assert_eq!(state.feed, before);
         let mut silent = law.initial_state();
         assert_eq!(law.learn(&mut silent, Lesson::Adopt), Lesson::Discard, "no breath at all");
+        // The network remembers a breath that it took over in the middle; there is no error of its beginning to learn from.
+        let mut late = law.initial_state();
+        law.start_breath(&mut late, 0.0);
+        for tick in 300..1000 {
+            let command = law.step(&mut late, &seen(tick, 1.0)).command;
+            law.applied(&mut late, command);
+        }
+        assert_eq!(law.learn(&mut late, Lesson::Adopt), Lesson::Discard);
+        assert_eq!(late.gate, Gate::default());
     }
 
     #[test]
@@ -364,6 +372,12 @@ mod tests {
         breathe(&law, &mut state, 1.25, Lesson::Adopt);
         assert_eq!(state.gate, Gate::default());
         near(feed(&state), 0.0);
+        // A large error has to grow by a share of it.
+        for (error, forgets) in [(3.5, false), (3.7, true)] {
+            let mut state = after(&law, &[3.3, 3.0, 3.1]);
+            breathe(&law, &mut state, error, Lesson::Adopt);
+            assert_eq!(state.gate == Gate::default(), forgets, "{error}");
+        }
     }
 
     #[test]

@@ -117,10 +117,18 @@ impl ModelValve {
 mod tests {
     use super::*;
     use plant::bench::Bench;
+    use plant::bench::family::Family;
     use shared::breath::DEFAULT_PERIOD_US;
 
     fn machine() -> Machine {
         Machine::of(&BenchConfig::default())
+    }
+
+    #[test]
+    fn the_usual_lung_is_that_of_the_nominal_bench() {
+        let usual = |name: &str| Machine::of(&Family::find(name).unwrap().nominal()).usual;
+        assert_eq!(usual("adult"), machine().usual);
+        assert!(usual("neonate").compliance < 0.5 * usual("adult").compliance);
     }
 
     #[test]

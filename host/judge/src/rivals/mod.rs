@@ -95,7 +95,8 @@ impl Rival {
     /// The law with these values, one for each parameter, on a machine with these nominal values.
     ///
     /// # Errors
-    /// A value out of bounds, or a number of values that differs from that of the parameters.
+    /// A value out of bounds, a number of values that differs from that of the parameters, or a period for which the learned
+    /// controller of [`Self::Gated`] was not trained.
     pub fn law(self, values: &[f32], machine: Machine, period_us: u32) -> Result<AnyLaw, RivalError> {
         let wanted = self.parameters().len();
         let count = |_| RivalError::Count { rival: self.name(), wanted, given: values.len() };

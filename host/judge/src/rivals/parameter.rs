@@ -62,9 +62,7 @@ pub enum RivalError {
         given: usize,
     },
     /// The learned controller in it was trained for another control period.
-    #[error(
-        "{learned} is trained for a control period of {trained_us} us, not {period_us}: omit --period-us"
-    )]
+    #[error("{learned} is trained for a control period of {trained_us} us, not {period_us}")]
     Period {
         /// Name of the learned controller.
         learned: &'static str,

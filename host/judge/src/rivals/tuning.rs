@@ -311,6 +311,12 @@ mod tests {
     }
 
     #[test]
+    fn on_benches_a_law_does_not_know_their_lung() {
+        let plan = TuningPlan::of_benches(&[BenchConfig::paper(50.0, 10.0)], Rival::FeedForward).unwrap();
+        assert_eq!(plan.machine.usual, Machine::of(&BenchConfig::default()).usual);
+    }
+
+    #[test]
     fn the_search_steps_from_the_best_point_to_a_better_one_whatever_the_number_of_threads() {
         let with = |threads| {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

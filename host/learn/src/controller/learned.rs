@@ -48,8 +48,8 @@ pub enum LearnedError {
     Weights(#[from] WeightsError),
     /// The controller in the file has another architecture than the one wanted.
     #[error(
-        "{path} is a controller of the architecture {found}, not {wanted}: only ours runs on a device and fits a weights image; the \
-         authors' network runs on the host, in evaluate and robust"
+        "{path} is a controller of the architecture {found}, not {wanted}: only ours runs on a device and fits a weights image; that \
+         of the paper's authors runs on the host, in evaluate, robust and margins"
     )]
     Architecture {
         /// Path of the file.
@@ -199,6 +199,17 @@ mod tests {
         let path = folder.path().join("controller.safetensors");
         learned().save(&path).unwrap();
         assert_eq!(Learned::load(&path).unwrap(), learned());
+    }
+
+    /// Older files do not name it either.
+    #[test]
+    fn a_file_of_our_architecture_does_not_name_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("controller.safetensors");
+        learned().save(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("architecture"));
+        assert_eq!(architecture(&path).unwrap(), OURS);
     }
 
     #[test]

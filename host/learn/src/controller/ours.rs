@@ -45,11 +45,11 @@ impl Trainable for Residual {
         initial_parameters(rng)
     }
 
-    fn hide(features: &[usize], parameters: &mut [f32]) {
+    fn blind_to(features: &[usize], parameters: &mut [f32]) {
         blind_to(features, parameters);
     }
 
-    fn frame(&self) -> &Residual {
+    fn fixed_parts(&self) -> &Residual {
         self
     }
 

@@ -63,7 +63,7 @@ impl<C: Trainable> ClosedLoopTape<C> {
 #[derive(Clone, Debug)]
 pub struct LaneController<'a, C: Trainable = Residual> {
     /// PID, lambda and authority.
-    frame: &'a Residual,
+    fixed: &'a Residual,
     learned: C::Lanes,
 }
 
@@ -79,7 +79,7 @@ type LearnedCarried<'a, C> = <<C as Trainable>::Lanes as LanePart>::Carried<'a>;
 impl<'a, C: Trainable> LaneController<'a, C> {
     /// Fixed parts of `controller` with the network of `parameters`.
     pub fn new(controller: &'a C, parameters: &[f32]) -> Self {
-        Self { frame: controller.frame(), learned: controller.lanes(parameters) }
+        Self { fixed: controller.fixed_parts(), learned: controller.lanes(parameters) }
     }
 
     /// Runs the inspiration; afterwards the tape contains everything that [`Self::backward`] needs.
@@ -110,13 +110,13 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         let seen = (&tape.signals, &pid.integral);
         let output = self.learned.forward(scenario, &mut tape.learned, learned, seen, tick);
 
-        let scale = self.frame.spec().lambda * COMMAND_MAX;
+        let scale = self.fixed.spec().lambda * COMMAND_MAX;
         let correction = output.map(|y| scale * y);
         tape.correction[tick] = correction;
-        let authority = self.frame.spec().authority;
+        let authority = self.fixed.spec().authority;
         let residual = limit(&correction, -authority, authority);
         let errors = &tape.signals.error;
-        let command = pid::forward(self.frame.pid(), pid, &mut tape.pid, errors, &residual, tick);
+        let command = pid::forward(self.fixed.pid(), pid, &mut tape.pid, errors, &residual, tick);
 
         tape.signals.command[tick] = command;
         self.learned.applied(learned, &command);
@@ -150,10 +150,10 @@ impl<'a, C: Trainable> LaneController<'a, C> {
         self.learned.applied_back(learned, &mut d_command);
 
         let d_errors = &mut d_signals.error;
-        let d_residual = pid::backward(self.frame.pid(), pid, &tape.pid, d_errors, &d_command, tick);
-        let authority = self.frame.spec().authority;
+        let d_residual = pid::backward(self.fixed.pid(), pid, &tape.pid, d_errors, &d_command, tick);
+        let authority = self.fixed.spec().authority;
         let d_correction = limit_back(&d_residual, &tape.correction[tick], -authority, authority);
-        let scale = self.frame.spec().lambda * COMMAND_MAX;
+        let scale = self.fixed.spec().lambda * COMMAND_MAX;
         let d_output = d_correction.map(|d| scale * d);
         let d_seen = (&mut *d_signals, &mut pid.integral);
         self.learned.backward(&mut tape.learned, learned, d_output, d_seen, tick);

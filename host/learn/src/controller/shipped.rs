@@ -11,6 +11,9 @@
 //!
 //! For newborns, twice that ripple would cost 2 % of error in later breaths.
 
+use shared::control::residual::Residual;
+use shared::weights::decode;
+
 /// Name and weights image of every shipped controller.
 const SHIPPED: [(&str, &[u8]); 2] = [
     ("adult", include_bytes!("../../controllers/adult.bin")),
@@ -22,6 +25,11 @@ pub fn image(name: &str) -> Option<&'static [u8]> {
     SHIPPED.iter().find(|(shipped, _)| *shipped == name).map(|(_, image)| *image)
 }
 
+/// The controller with this name.
+pub fn residual(name: &str) -> Option<Residual> {
+    image(name).map(|image| decode(image).expect("a test decodes every shipped image").residual)
+}
+
 /// The names, in a fixed order.
 pub fn names() -> impl Iterator<Item = &'static str> {
     SHIPPED.iter().map(|(name, _)| *name)
@@ -31,7 +39,6 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 mod tests {
     use super::*;
     use plant::bench::family::Family;
-    use shared::weights::decode;
 
     #[test]
     fn every_shipped_controller_runs_and_has_the_name_of_a_family() {

@@ -221,8 +221,9 @@ impl<C: Trainable> Training<C> {
         let fresh = C::initial_parameters(&mut rng);
         let base = C::build(spec, &vec![0.0; C::size()])?;
         let mut parameters = warm.map_or(fresh, <[f32]>::to_vec);
-        C::hide(&config.blind_to, &mut parameters);
-        let ticks = shared::math::ticks(config.inspiratory_time, base.frame().spec().period_us) as usize;
+        C::blind_to(&config.blind_to, &mut parameters);
+        let ticks =
+            shared::math::ticks(config.inspiratory_time, base.fixed_parts().spec().period_us) as usize;
         let plants: Vec<Ensemble> = plants.iter().map(|plant| Ensemble::new(plant, &config)).collect();
         // All plants have the same number of shards.
         let shards = config.batch.div_ceil(LANES).max(1).next_multiple_of(plants.len());
@@ -334,7 +335,7 @@ impl<C: Trainable> Stepwise for Training<C> {
                 *sum += part / (parts.len() * LANES) as f32;
             }
         }
-        C::hide(&self.config.blind_to, &mut gradient);
+        C::blind_to(&self.config.blind_to, &mut gradient);
         let progress = self.state.iteration as f32 / self.config.iterations as f32;
         self.state.adam.step(&mut self.state.parameters, &gradient, progress);
         self.state.iteration += 1;

@@ -1,10 +1,9 @@
 //! Controllers that were tuned or trained for a whole family of plants, on the paper's lungs and on the unseen plants: the family's
-//! best PID, three laws from the literature, and the shipped learned controller `adult`. Some of them learn from breath to breath, so
+//! best PID, the rivals, and the shipped learned controller `adult`. Some of them learn from breath to breath, so
 //! each is scored in its first breath from rest and again later.
 
 use serde::{Deserialize, Serialize};
 use shared::control::Controller;
-use shared::weights::decode;
 
 use super::side_by_side::{Piece, piece};
 use super::study::Study;
@@ -79,7 +78,8 @@ fn laws(study: &Study<'_>) -> Result<Vec<(&'static str, AnyLaw)>> {
 
 /// The shipped learned controller of the family.
 pub(super) fn shipped() -> Result<Controller> {
-    Ok(Controller::Residual(decode(shipped::image(FAMILY).unwrap_or_default())?.residual))
+    let residual = shipped::residual(FAMILY).ok_or(StudyError::NotShipped(FAMILY))?;
+    Ok(Controller::Residual(residual))
 }
 
 fn contest(study: &Study<'_>, bench: &BenchConfig, laws: &[(&'static str, AnyLaw)]) -> Result<Contest> {

@@ -102,7 +102,7 @@ impl Convolution {
     }
 
     /// The rectified channels at all positions, from the inputs of a tick.
-    fn hide(&self, inputs: &[Lane], hidden: &mut [Lane]) {
+    fn hidden_values(&self, inputs: &[Lane], hidden: &mut [Lane]) {
         for (window, channels) in inputs.windows(KERNEL).zip(hidden.chunks_exact_mut(CHANNELS)) {
             self.kernel.forward(window, channels);
         }
@@ -111,7 +111,7 @@ impl Convolution {
 
     /// The output of a tick from its inputs.
     pub(super) fn forward(&self, tape: &mut ConvolutionTape, tick: usize) -> Lane {
-        self.hide(piece(&tape.inputs, tick, ERRORS), &mut tape.hidden);
+        self.hidden_values(piece(&tape.inputs, tick, ERRORS), &mut tape.hidden);
         let mut output = [Lane::ZERO];
         self.output.forward(&tape.hidden, &mut output);
         output[0]
@@ -127,7 +127,7 @@ impl Convolution {
     ) -> &'a [Lane] {
         let ConvolutionTape { inputs, hidden, d_hidden, d_inputs, windows, gradient } = tape;
         let inputs = piece(inputs, tick, ERRORS);
-        self.hide(inputs, hidden);
+        self.hidden_values(inputs, hidden);
         self.output.backward(&[d_output], d_hidden);
         Activation::Relu.backward(hidden, d_hidden);
         d_inputs.fill(Lane::ZERO);

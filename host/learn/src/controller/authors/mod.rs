@@ -1,6 +1,6 @@
 //! The controller of the paper's authors, as a residual (Suo et al. 2021, section 5, and the constants of their code).
 //!
-//! It sees only the last ten errors: their running averages ([`averages`]) pass a convolution, a rectifier and a dense output
+//! It sees only the last ten errors: their running averages ([`mod@averages`]) pass a convolution, a rectifier and a dense output
 //! ([`convolution`]). As with our network, the output is scaled by lambda, limited to the authority and added to a PID, and the
 //! same supervisor and safety filter follow. The law runs on the host only: no weights image holds such a network.
 //!
@@ -49,7 +49,7 @@ pub struct AuthorsSpec {
 pub struct AuthorsController {
     spec: AuthorsSpec,
     /// PID, lambda and authority; its own network is zero.
-    frame: Residual,
+    fixed: Residual,
     /// Time between two errors, ticks.
     spacing: usize,
     parameters: Vec<f32>,
@@ -68,21 +68,21 @@ impl AuthorsController {
         let AuthorsSpec { period_us, gains, lambda, authority, error_spacing_us } = spec;
         if error_spacing_us > ERROR_SPACING_MAX_US {
             let (value, max) = (error_spacing_us as f32, ERROR_SPACING_MAX_US as f32);
-            return Err(ResidualError::OutOfBounds { name: "error spacing, us,", value, max });
+            return Err(ResidualError::OutOfBounds { name: "time between errors in us", value, max });
         }
         let features = FeatureSpec::for_period(period_us);
-        let frame =
+        let fixed =
             Residual::new(ResidualSpec { period_us, gains, lambda, authority, features }, Network::zero())?;
         if !parameters.iter().all(|weight| weight.abs() <= WEIGHT_MAX) {
             return Err(ResidualError::Weights);
         }
         let spacing = ((error_spacing_us + period_us / 2) / period_us).max(1) as usize;
-        Ok(Self { spec, frame, spacing, parameters: parameters.to_vec() })
+        Ok(Self { spec, fixed, spacing, parameters: parameters.to_vec() })
     }
 
     /// The PID underneath.
     pub fn pid(&self) -> &Pid {
-        self.frame.pid()
+        self.fixed.pid()
     }
 
     /// Specification from which the controller was built.
@@ -115,7 +115,7 @@ impl ControlLaw for AuthorsController {
         state.errors.push((seen.target - seen.pressure) / ERROR_SCALE);
         let past = |count: usize| state.errors.iter().rev().nth(count * self.spacing);
         let newest_first: [f32; ERRORS] = std::array::from_fn(|count| past(count).copied().unwrap_or(0.0));
-        let residual = self.frame.correction(output(&self.parameters, &averages(&newest_first)));
+        let residual = self.fixed.correction(output(&self.parameters, &averages(&newest_first)));
         self.pid().step(&mut state.pid, seen, residual)
     }
 
@@ -155,12 +155,12 @@ impl Trainable for AuthorsController {
         initial_parameters(rng)
     }
 
-    fn hide(features: &[usize], _parameters: &mut [f32]) {
+    fn blind_to(features: &[usize], _parameters: &mut [f32]) {
         assert!(features.is_empty(), "the authors' network has no such feature");
     }
 
-    fn frame(&self) -> &Residual {
-        &self.frame
+    fn fixed_parts(&self) -> &Residual {
+        &self.fixed
     }
 
     fn lanes(&self, parameters: &[f32]) -> AuthorsLanes {

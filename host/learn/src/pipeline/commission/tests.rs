@@ -4,7 +4,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::explore::Exploration;
-use shared::weights::decode;
 
 use super::*;
 use crate::controller::shipped;
@@ -31,7 +30,7 @@ fn unlike_the_nominal_one() -> BenchConfig {
 }
 
 fn adult() -> Residual {
-    decode(shipped::image("adult").unwrap()).unwrap().residual
+    shipped::residual("adult").unwrap()
 }
 
 fn source(run: &CommissionRun, bench: &BenchConfig) -> BenchSource {

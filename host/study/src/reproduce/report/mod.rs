@@ -263,7 +263,8 @@ fn changes_section(changes: &[Change]) -> Section {
     Section::new(
         "Changes of the lung",
         "Resistance or compliance of R20C20 changes between the fourth and the fifth breath. `adult` is the shipped \
-         controller for a family of plants. It remembers earlier breaths, and forgets them when the lung changes.",
+         controller for a family of plants. It remembers earlier breaths, forgets them after the first breath with the \
+         changed lung, and then learns again over a few breaths.",
         vec![
             Block::PlotRow(vec![
                 plot("Score of each breath, learned for all", |change| &change.generalist),
