@@ -42,7 +42,6 @@ pub(super) const HALF_BASE: Parameter = Parameter {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedLearning {
     filter: LearningFilter,
-    gain: f32,
     lead_ticks: usize,
     half_ticks: usize,
     longest_ticks: usize,
@@ -59,7 +58,6 @@ impl FeedLearning {
         };
         Self {
             filter,
-            gain,
             lead_ticks: nearest(lead_ms),
             half_ticks: nearest(half_base_ms),
             longest_ticks: math::ticks(LONGEST_S, period_us) as usize,
@@ -82,9 +80,9 @@ impl FeedLearning {
     /// The feed-forward in percent after a breath with this feed-forward and these errors, which are not empty; `share` of the
     /// learning gain is used. No value exceeds `bound` percent.
     pub fn learned(&self, feed: &[f32], errors: &[f32], share: f32, bound: f32) -> Vec<f32> {
-        let last = errors.len() - 1;
+        let (last, gain) = (errors.len() - 1, share * self.filter.gain as f32);
         let raised: Vec<f32> = (0..errors.len())
-            .map(|tick| at(feed, tick) + share * self.gain * errors[(tick + self.lead_ticks).min(last)])
+            .map(|tick| at(feed, tick) + gain * errors[(tick + self.lead_ticks).min(last)])
             .collect();
         (0..=last).map(|tick| math::limit(self.smoothed(&raised, tick), -bound, bound)).collect()
     }

@@ -50,7 +50,6 @@ const WORSE: (f32, f32) = (0.2, 0.3);
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gated {
     controller: Controller,
-    pid: Pid,
     learning: FeedLearning,
     bound: f32,
 }
@@ -123,7 +122,6 @@ impl Gated {
             return Err(RivalError::Period { learned: LEARNED, trained_us, period_us });
         }
         Ok(Self {
-            pid: *residual.pid(),
             controller: Controller::Residual(residual),
             learning: FeedLearning::new([gain, lead_ms, half_base_ms], period_us),
             bound,
@@ -132,7 +130,7 @@ impl Gated {
 
     /// The PID underneath the learned controller.
     pub fn pid(&self) -> &Pid {
-        &self.pid
+        self.controller.pid()
     }
 
     /// The learning rule, for its certificate.
