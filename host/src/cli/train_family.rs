@@ -45,9 +45,12 @@ pub struct Args {
     /// Price of moving the valve after the first 40 % of the inspiration, cmH2O per percent of change per tick
     #[arg(long, value_name = "PRICE", value_parser = not_negative, default_value_t = FamilyRun::default().train.effort_price)]
     effort_price: f32,
-    /// Largest amplitude of a ripple in the measured pressure late in the inspiration, cmH2O: it trains for stability margins
+    /// Largest amplitude of a ripple late in the inspiration, in the pressure or in its reading, cmH2O: it trains for stability margins
     #[arg(long, value_name = "CMH2O", value_parser = not_negative, default_value_t = FamilyRun::default().train.ripple)]
     ripple: f32,
+    /// Share of the breaths whose ripple is in the pressure itself, not in its reading
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = FamilyRun::default().train.pressure_ripple_share)]
+    pressure_ripple_share: f32,
     #[command(flatten)]
     result: ResultArgs,
 }
@@ -69,6 +72,14 @@ fn not_negative(text: &str) -> Result<f32, String> {
     }
 }
 
+/// Parses a share.
+fn share(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("write a number from 0 to 1, such as 0.5".to_owned()),
+    }
+}
+
 impl Args {
     fn config(&self, family: &Family) -> FamilyRun {
         let mut config = FamilyRun {
@@ -83,6 +94,7 @@ impl Args {
         config.train.batch = self.batch;
         config.train.effort_price = self.effort_price;
         config.train.ripple = self.ripple;
+        config.train.pressure_ripple_share = self.pressure_ripple_share;
         config
     }
 }

@@ -47,8 +47,8 @@ fn iterative_learning_is_certified_plant_by_plant_on_a_family() {
 }
 
 #[test]
-fn the_shipped_controller_for_adults_keeps_the_margins_on_lungs_of_medium_resistance() {
-    let lungs = "--lung R20C10 --lung R20C20 --lung R20C50";
+fn the_shipped_controller_for_adults_keeps_the_margins_on_lungs_of_medium_and_high_resistance() {
+    let lungs = "--lung R20C10 --lung R20C20 --lung R20C50 --lung R50C10 --lung R50C50 --lung R5C50";
     let result = Place::new().json(&format!("margins {lungs} --controller adult"));
     assert_eq!(result["share_robust"], 1.0, "{}", result["worst"]);
 }

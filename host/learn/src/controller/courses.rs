@@ -98,8 +98,12 @@ impl Courses {
         let mut noise: Vec<Lane> = (0..ticks).map(|_| self.noise.map(|sd| sd * normal())).collect();
         let ripples: [Ripple; LANES] = std::array::from_fn(|_| Ripple::draw(config, rng));
         let tick_s = config.inspiratory_time / ticks as f32;
-        for (n, noise) in noise.iter_mut().enumerate().skip(late(ticks)) {
-            noise.add_scaled(1.0, &Lane::from_fn(|l| ripples[l].at(n as f32 * tick_s)));
+        let mut pull = vec![Lane::ZERO; ticks];
+        for (n, (noise, pull)) in noise.iter_mut().zip(&mut pull).enumerate().skip(late(ticks)) {
+            for (l, ripple) in ripples.iter().enumerate() {
+                let disturbed = if ripple.in_pressure { &mut *pull } else { &mut *noise };
+                disturbed[l] += ripple.at(n as f32 * tick_s);
+            }
         }
         Scenario {
             ticks,
@@ -108,7 +112,7 @@ impl Courses {
             start,
             rest: Lane::from_fn(|l| if self.breath[l] == 0 { 0.0 } else { config.rest }),
             noise,
-            pull: Vec::new(),
+            pull,
             weight: Lane::splat(1.0),
             overshoot_weight: config.overshoot_weight,
             memory: Some(self.memory.clone()),
@@ -136,7 +140,7 @@ impl Courses {
     }
 }
 
-/// A sine in the measured pressure.
+/// A sine in the pressure or in its reading.
 struct Ripple {
     /// cmH2O.
     amplitude: f32,
@@ -144,16 +148,21 @@ struct Ripple {
     speed: f32,
     /// Radians at the start of the inspiration.
     phase: f32,
+    /// Whether it is in the pressure itself.
+    in_pressure: bool,
 }
 
 impl Ripple {
     fn draw(config: &FamilyConfig, rng: &mut ChaCha8Rng) -> Self {
         let [height, frequency, phase]: [f32; 3] = std::array::from_fn(|_| rng.random_range(0.0..1.0));
-        let (low, high) = config.ripple_hz;
+        let share = config.pressure_ripple_share;
+        let in_pressure = share > 0.0 && rng.random_range(0.0..1.0) < share;
+        let (low, high) = if in_pressure { config.pressure_ripple_hz } else { config.ripple_hz };
         Self {
             amplitude: config.ripple * height,
             speed: TAU * low * (high / low).powf(frequency),
             phase: TAU * phase,
+            in_pressure,
         }
     }
 
@@ -230,11 +239,18 @@ mod tests {
     #[test]
     fn a_ripple_begins_late_in_the_inspiration_with_each_lane_s_own_frequency() {
         let config = FamilyConfig { noise: (1e-6, 2e-6), ripple: 0.5, ..FamilyConfig::default() };
-        let noise = courses(&config).scenario(&config, 1000, &mut ChaCha8Rng::seed_from_u64(5)).noise;
-        let (before, after) = noise.split_at(late(1000));
+        let scenario = courses(&config).scenario(&config, 1000, &mut ChaCha8Rng::seed_from_u64(5));
         let largest = |part: &[Lane], l: usize| part.iter().map(|noise| noise[l].abs()).fold(0.0, f32::max);
-        assert!((0..LANES).all(|l| largest(before, l) < 1e-4 && largest(after, l) <= 0.5 + 1e-4));
-        assert!((0..LANES).any(|l| largest(after, l) > 0.25));
+        let rippled = [&scenario.noise, &scenario.pull].map(|disturbance| {
+            let (before, after) = disturbance.split_at(late(1000));
+            assert!((0..LANES).all(|l| largest(before, l) < 1e-4 && largest(after, l) <= 0.5 + 1e-4));
+            (0..LANES).filter(|l| largest(after, *l) > 1e-3).count()
+        });
+        assert!(
+            rippled.iter().all(|lanes| *lanes > 0) && rippled.iter().sum::<usize>() <= LANES,
+            "{rippled:?}"
+        );
+        let after = scenario.noise.split_at(late(1000)).1;
         let crossings = |l: usize| after.windows(2).filter(|pair| pair[0][l] * pair[1][l] < 0.0).count();
         let counts: Vec<usize> = (0..LANES).map(crossings).collect();
         assert_ne!(counts.iter().min(), counts.iter().max(), "{counts:?}");

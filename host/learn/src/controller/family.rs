@@ -41,11 +41,16 @@ pub struct FamilyConfig {
     pub inspiratory_time: f32,
     /// Range of the standard deviation of the sensor noise, cmH2O.
     pub noise: (f32, f32),
-    /// Largest amplitude of a sine in the measured pressure late in the inspiration, cmH2O. A controller that follows it is close to
-    /// oscillating, so training without such a ripple leaves it with small stability margins.
+    /// Largest amplitude of a sine late in the inspiration, cmH2O, in the reading of the pressure or in the pressure itself. A controller
+    /// that follows a sine in its reading is close to oscillating; one that amplifies a sine in the pressure has a large Ms. Training
+    /// without such a ripple leaves it with small stability margins.
     pub ripple: f32,
-    /// Range of the sine's frequency, Hz: around and above the crossover of the loop.
+    /// Range of the frequency of a sine in the reading, Hz: around and above the crossover of the loop.
     pub ripple_hz: (f32, f32),
+    /// Share of the breaths whose sine is in the pressure itself.
+    pub pressure_ripple_share: f32,
+    /// Range of its frequency, Hz: mostly above the crossover. A slower one a controller would learn to cancel, with a higher gain.
+    pub pressure_ripple_hz: (f32, f32),
     /// Standard deviation of the starting pressure, cmH2O.
     pub start_spread: f32,
     /// Probability that a course ends after a breath.
@@ -79,6 +84,8 @@ impl Default for FamilyConfig {
             noise: (0.05, 0.2),
             ripple: 0.8,
             ripple_hz: (1.5, 12.0),
+            pressure_ripple_share: 0.5,
+            pressure_ripple_hz: (3.0, 20.0),
             start_spread: 0.05,
             restart_probability: 0.12,
             lung_change_probability: 0.03,
