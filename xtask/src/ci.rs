@@ -26,7 +26,7 @@ struct Step {
 /// Checks of the host's code, then the tests in QEMU. Cheap checks come first, so that simple mistakes are reported early.
 const HOST: &[Step] = &[
     step("format", &["fmt --all --check"]),
-    step("clippy", &["clippy --all-targets --features tests/board", DENY_WARNINGS]),
+    step("clippy", &["clippy --all-targets --features tests/board,host/engines", DENY_WARNINGS]),
     // After clippy, since it needs the same dependencies.
     Step {
         environment: Some(("RUSTDOCFLAGS", "-D warnings")),
@@ -34,6 +34,7 @@ const HOST: &[Step] = &[
     },
     step("build", &["test --no-run --workspace --exclude firmware"]),
     step("test", &["test --workspace --exclude firmware"]),
+    step("engines", &["test -p host --features engines --test engines"]).after("setup"),
     step("qemu-test", &["xtask qemu-test"]).after("firmware"),
     step("cost", &["xtask cost"]),
 ];

@@ -1,4 +1,5 @@
-//! `cargo xtask setup`: prepares the toolchain to build for the chip, and installs QEMU for the virtual board.
+//! `cargo xtask setup`: prepares the toolchain to build for the chip, and installs QEMU for the virtual board and the engines for the
+//! tests of sharded commands.
 //!
 //! Scripts in `.ci/setup` do this, since they change the machine and not the project.
 
@@ -10,7 +11,7 @@ use crate::{CHIP_TARGET, mutants};
 /// Arguments of `cargo xtask setup`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Omit QEMU, which building the firmware does not need
+    /// Omit QEMU and the engines, which building the firmware does not need
     #[arg(long)]
     target_only: bool,
     /// Install cargo-mutants too, for `cargo xtask mutants`
@@ -23,6 +24,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     cmd!(shell, "bash .ci/setup/chip-target {CHIP_TARGET}").quiet().run()?;
     if !arguments.target_only {
         cmd!(shell, "bash .ci/setup/qemu").quiet().run()?;
+        cmd!(shell, "bash .ci/setup/engines").quiet().run()?;
     }
     if arguments.mutants {
         mutants::install(shell)?;

@@ -1,6 +1,7 @@
 //! Writes files so that a reader sees either the old content or the new, never a part.
 
 use std::fs::{self, File};
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -35,8 +36,10 @@ pub fn temporary(path: &Path) -> io::Result<PathBuf> {
     if let Some(folder) = folder {
         fs::create_dir_all(folder)?;
     }
-    // The process id prevents two processes that write the same file from sharing the temporary file.
-    Ok(path.with_file_name(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())))
+    // The number, random in every call, prevents two writers of the same file, even on different machines, from sharing the temporary
+    // file.
+    let number = RandomState::new().build_hasher().finish();
+    Ok(path.with_file_name(format!(".{}.{number:016x}.tmp", name.to_string_lossy())))
 }
 
 /// Writes a value atomically as one line of JSON.

@@ -3,6 +3,7 @@
 use std::process::Command;
 use std::sync::OnceLock;
 
+use crc::{CRC_64_XZ, Crc};
 use serde::{Deserialize, Serialize};
 
 use crate::identity::TestRun;
@@ -75,6 +76,20 @@ pub fn git_revision() -> String {
                 .unwrap_or_else(|| "unknown".to_owned())
         })
         .clone()
+}
+
+/// Id of the running program itself: a checksum of its file. Unlike the revision it does not change when the source tree does, and
+/// differs between two builds of one dirty revision. `unknown` if the file cannot be read.
+pub fn build_id() -> String {
+    static ID: OnceLock<String> = OnceLock::new();
+    const SUM: Crc<u64> = Crc::<u64>::new(&CRC_64_XZ);
+    ID.get_or_init(|| {
+        // Linux keeps the file under this name even if it has been replaced.
+        let program = std::fs::read("/proc/self/exe");
+        let program = program.or_else(|_| std::fs::read(std::env::current_exe()?));
+        program.map_or_else(|_| "unknown".to_owned(), |bytes| format!("{:016x}", SUM.checksum(&bytes)))
+    })
+    .clone()
 }
 
 /// Asks git about the source tree, not about the current folder, which may be another repository.

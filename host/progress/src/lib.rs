@@ -36,6 +36,12 @@ pub enum Stage {
     Endure,
     /// Plants of a family, of a robustness test.
     Robust,
+    /// A sweep over options: runs.
+    Sweep,
+    /// The paper's experiments, divided among tasks: pieces.
+    Pieces,
+    /// Tasks of an engine: shards.
+    Shards,
     /// Measuring stability margins: operating points.
     Margins,
     /// Measuring the accuracy of the pressure: plants.
@@ -164,6 +170,11 @@ impl Task<'_> {
     /// Progress for a part of this work: its steps count here, in the same units.
     pub fn part(&self) -> Progress<'_> {
         Progress { receiver: Receiver::Whole(self), ..self.progress }
+    }
+
+    /// Reports nothing, and stops when this work does.
+    pub fn quiet(&self) -> Progress<'_> {
+        Progress::quiet(self.progress.stop)
     }
 
     fn report(&self, done: usize) {

@@ -11,14 +11,14 @@ use shared::safety::alarms::Priority;
 use shared::weights::decode;
 
 use self::diary::{Diary, describe};
-use super::bars::with_bars;
 use super::common::stopped;
 use super::controller_args::{image_id, image_of};
 use super::output::OutputArgs;
+use super::shard_args::ShardFolderArgs;
 use judge::endure::course;
 use judge::endure::patient::Patient;
 use judge::endure::tally::{AlarmRow, PatientResult, Summary};
-use judge::endure::{Endurance, sound_controller};
+use judge::endure::{Endurance, Question, sound_controller};
 use show::report::{Cell, Table};
 
 /// Ventilate random patients for hours, and check that ventilation goes on and that every alarm is deserved
@@ -29,6 +29,8 @@ Examples:
   trainer endure --patients 1000 --hours 24 --seed 7 --keep endure.json --json result.json
   trainer endure --seed 7 --hours 24 --patient 123     # one patient, with each alarm
   trainer endure --controller out/once/controller.safetensors
+  trainer endure --patients 1000 --hours 24 --shard 3/40 --out out/endure   # each task of 40, then:
+  trainer endure --patients 1000 --hours 24 --merge --out out/endure
 
 Lung, breathing, coughs, leaks, machine and settings are drawn from the seed and the patient's
 number. The bench knows the truth: an alarm is deserved if its condition was true in the running
@@ -52,11 +54,13 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     controller: Option<PathBuf>,
     /// Run this patient only, and print its alarms with times and reasons
-    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["patients", "keep"])]
+    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["patients", "keep", "out"])]
     patient: Option<u64>,
     /// File that keeps the results; an existing file is continued
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
     keep: Option<PathBuf>,
+    #[command(flatten)]
+    shards: ShardFolderArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -75,9 +79,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         None => sound_controller()?,
     };
     let summary = match args.patient {
-        Some(number) => alone(args, number, &controller)?,
+        Some(number) => Some(alone(args, number, &controller)?),
         None => together(args, &controller, &name)?,
     };
+    let Some(summary) = summary else { return Ok(()) };
     args.output.finish(&summary)?;
     if !summary.passes() {
         let Summary { interruptions, high_alarms_undeserved, alarms_missed, .. } = summary;
@@ -102,14 +107,14 @@ fn learned(file: &Path) -> anyhow::Result<(Controller, String)> {
     Ok((Controller::Residual(image.residual), image_id(image.id)))
 }
 
-/// Runs all patients.
-fn together(args: &Args, controller: &Controller, name: &str) -> anyhow::Result<Summary> {
-    let mut test = Endurance::new(args.seed, args.hours, name);
-    if let Some(file) = &args.keep {
-        test = test.resumed(file)?;
-    }
-    with_bars(|progress| test.advance(args.patients, controller, args.keep.as_deref(), progress))?;
-    let summary = test.summary(args.patients);
+/// Runs all patients or a shard of them, or merges shards; none after a shard.
+fn together(args: &Args, controller: &Controller, name: &str) -> anyhow::Result<Option<Summary>> {
+    let question = Question { seed: args.seed, hours: args.hours, controller: name.to_owned() };
+    let test = Endurance { question, controller };
+    let Some(found) = args.shards.run(&test, args.patients, args.keep.as_deref(), &args.output)? else {
+        return Ok(None);
+    };
+    let summary = found.sums().summary(args.patients);
     args.output.table(&alarms(&summary));
     if !summary.worst.is_empty() {
         args.output.table(&worst(&summary.worst));
@@ -120,7 +125,7 @@ fn together(args: &Args, controller: &Controller, name: &str) -> anyhow::Result<
     if stopped() {
         args.output.line("stopped; if started with --keep, the same command continues from here");
     }
-    Ok(summary)
+    Ok(Some(summary))
 }
 
 /// Runs one patient and prints what happens.

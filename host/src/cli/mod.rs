@@ -36,7 +36,11 @@ mod reproduce;
 mod robust;
 mod self_test;
 mod settings_args;
+mod shard_args;
 mod source_args;
+#[cfg(unix)]
+mod submit;
+mod sweep;
 mod test_table;
 mod torture;
 mod train;
@@ -89,6 +93,9 @@ enum Command {
     Torture(torture::Args),
     Endure(endure::Args),
     Robust(robust::Args),
+    #[cfg(unix)]
+    Submit(submit::Args),
+    Sweep(sweep::Args),
     Margins(margins::Args),
     TestTable(test_table::Args),
     #[command(name = "selftest")]
@@ -144,6 +151,9 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Torture(args) => torture::run(args),
         Command::Endure(args) => endure::run(args),
         Command::Robust(args) => robust::run(args),
+        #[cfg(unix)]
+        Command::Submit(args) => submit::run(args),
+        Command::Sweep(args) => sweep::run(args),
         Command::Margins(args) => margins::run(args),
         Command::TestTable(args) => test_table::run(args),
         Command::SelfTest(args) => self_test::run(args),

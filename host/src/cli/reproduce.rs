@@ -6,7 +6,9 @@ use clap::ValueEnum;
 
 use super::bars::with_bars;
 use super::output::OutputArgs;
+use super::shard_args::ShardArgs;
 use plant::bench::BenchConfig;
+use study::reproduce::shards::Shards;
 use study::reproduce::{Budget, Experiment, Reproduction, headline, lungs_table, run as reproduce};
 
 /// Run the paper's experiments on nine lungs of the virtual bench and write a report
@@ -16,10 +18,15 @@ Examples:
   trainer reproduce --quick --out out/quick
   trainer reproduce --seed 1 --out out/paper
   trainer reproduce --only unseen --only iso --out out/paper
+  trainer reproduce --out out/paper --shard 3/20    # each task of 20, at the same time, then:
+  trainer reproduce --out out/paper --merge
 
 Each experiment keeps its result in the folder and reuses the results it finds there, so Ctrl-C
 loses nothing: the same command continues. results.json contains all figures; report.html and
-results.md show them.")]
+results.md show them.
+
+Most experiments need the results of others. A shard runs those that no other task has started, and
+waits for the rest. So start all shards at the same time.")]
 pub struct Args {
     /// Folder for all results
     #[arg(long, value_name = "DIR", default_value = "out/reproduce")]
@@ -34,6 +41,8 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     #[command(flatten)]
+    shards: ShardArgs,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -45,6 +54,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         out: args.out.clone(),
         only: if args.only.is_empty() { Experiment::value_variants().to_vec() } else { args.only.clone() },
     };
+    if args.shards.divides() {
+        let work = Shards(&reproduction);
+        if args.shards.divided(&work, work.pieces(), &args.out, &args.output)?.is_none() {
+            return Ok(());
+        }
+    }
     let results = with_bars(|progress| reproduce(&reproduction, progress))?;
     if !results.lungs.is_empty() {
         args.output.table(&lungs_table(&results));

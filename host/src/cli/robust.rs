@@ -2,15 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
+use campaign::Campaign;
 use shared::breath::DEFAULT_PERIOD_US;
 
 use super::bars::with_bars;
 use super::common::stopped;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::{self, OutputArgs};
+use super::shard_args::ShardFolderArgs;
 use judge::robust::rivals::family_pid;
-use judge::robust::{Question, Robustness, Summary};
+use judge::robust::{Question, Robustness, Summary, Tally};
 use plant::bench::family::Family;
 use show::report::{Cell, Plot, Series, Style, Table};
 
@@ -24,6 +26,8 @@ Examples:
   trainer robust --plants 1000 --controller out/once/controller.safetensors
   trainer robust --plants 100000 --breaths 6 --subset 0 --keep robust.json --json result.json
   trainer robust --family my-machines.toml --gains 3,30,0 --save-worst worst
+  trainer robust --plants 10000000 --subset 0 --shard 3/1000 --out out/robust   # each task, then:
+  trainer robust --plants 10000000 --subset 0 --merge --out out/robust
 
 A family is a bench description with ranges: each plant draws its valve, circuit, sensor and lung
 from them, by the seed and its number. Every plant gets one of the family's waveforms (the paper's,
@@ -56,8 +60,10 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// File that keeps the results; an existing file is continued
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
     keep: Option<PathBuf>,
+    #[command(flatten)]
+    shards: ShardFolderArgs,
     /// Write the ten worst plants into this folder, as bench descriptions
     #[arg(long, value_name = "DIR")]
     save_worst: Option<PathBuf>,
@@ -79,8 +85,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             chosen.period_us
         );
     }
-    let test = with_bars(|progress| test(args, &family, &chosen, progress))?;
-    let summary = test.summary();
+    let Some(test) = test(args, &family, &chosen)? else { return Ok(()) };
+    let summary = Summary::of(&test);
     args.output.table(&table(&summary));
     args.output.table(&failures(&summary));
     args.output.table(&worst(&summary));
@@ -92,36 +98,29 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     if let Some(folder) = &args.figures {
         create(folder)?;
-        output::write(&folder.join("ratios.svg"), ratios(&test).to_svg()?.as_bytes())?;
+        output::write(&folder.join("ratios.svg"), ratios(&summary, test.sums()).to_svg()?.as_bytes())?;
         output::write(&folder.join("breaths.svg"), by_breath(&summary).to_svg()?.as_bytes())?;
         args.output.saved(folder);
     }
     args.output.finish(&summary)
 }
 
-/// Runs the plants.
-fn test(
-    args: &Args,
-    family: &Family,
-    chosen: &Chosen,
-    progress: &progress::Progress<'_>,
-) -> anyhow::Result<Robustness> {
+/// Runs the plants or a shard of them, or merges shards; none after a shard.
+fn test(args: &Args, family: &Family, chosen: &Chosen) -> anyhow::Result<Option<Campaign<Question, Tally>>> {
     let question = Question {
         family: family.name.clone(),
         first_plant: family.draw(args.seed, 0),
         controller: chosen.weights_id.clone().unwrap_or_else(|| chosen.name.clone()),
-        family_pid: family_pid(family, progress)?,
+        family_pid: with_bars(|progress| family_pid(family, progress))?,
         seed: args.seed,
         breaths: args.breaths,
         subset: args.subset,
     };
     args.output.line(&format!("best single PID of the family: {}", format_gains(&question.family_pid)));
-    let mut test = Robustness::new(question);
-    if let Some(file) = &args.keep {
-        test = test.resumed(file)?;
-    }
-    test.advance(args.plants, family, &chosen.controller, args.keep.as_deref(), progress)?;
-    Ok(test)
+    // A search that was stopped gives gains of another question.
+    ensure!(!stopped(), "stopped before the family's PID was found; nothing was kept");
+    let work = Robustness { question, family, controller: &chosen.controller };
+    args.shards.run(&work, args.plants.into(), args.keep.as_deref(), &args.output)
 }
 
 /// The scored breaths.
@@ -211,8 +210,8 @@ fn create(folder: &Path) -> anyhow::Result<()> {
 }
 
 /// Share of the plants up to each ratio to the family's PID, by breath.
-fn ratios(test: &Robustness) -> Plot {
-    let breaths = test.summary().breaths.into_iter().zip(test.ratio_distributions());
+fn ratios(summary: &Summary, tally: &Tally) -> Plot {
+    let breaths = summary.breaths.iter().zip(tally.ratio_distributions());
     let curve =
         |points: Vec<(f64, f64)>| points.into_iter().map(|(ratio, share)| (ratio, 100.0 * share)).collect();
     let mut series = vec![Series::new("equal", Style::Dashed, vec![(1.0, 0.0), (1.0, 100.0)])];

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 
-use super::bars::with_bars;
 use super::common::stopped;
 use super::output::OutputArgs;
+use super::shard_args::ShardFolderArgs;
 use judge::faults::cases::LIMIT;
-use judge::faults::torture::Torture;
+use judge::faults::torture::{BREATHS_PER_RUN, Peaks, Summary, Torture};
 
 /// Run random breaths with hostile weights, random lungs and random faults, and check the highest true pressure
 #[derive(Debug, clap::Args)]
@@ -17,6 +17,8 @@ Examples:
   trainer torture --breaths 100000
   trainer torture --breaths 1000000 --seed 7 --keep torture.json --json result.json
   trainer torture --limit 60
+  trainer torture --breaths 1000000 --shard 3/40 --out out/torture   # each task of 40, then:
+  trainer torture --breaths 1000000 --merge --out out/torture
 
 The result does not depend on the number of threads. With --keep, Ctrl-C loses nothing: the same
 command continues. The command fails if the true airway pressure exceeds the limit by more than
@@ -32,24 +34,27 @@ pub struct Args {
     #[arg(long, value_name = "CMH2O", default_value_t = LIMIT, value_parser = super::faults::limit)]
     limit: f32,
     /// File that keeps the progress; an existing file is continued
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
     keep: Option<PathBuf>,
+    #[command(flatten)]
+    shards: ShardFolderArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let mut torture = match &args.keep {
-        Some(file) => Torture::resume(file, args.seed, args.limit)?,
-        None => Torture::new(args.seed, args.limit),
+    let torture = Torture { seed: args.seed, limit: args.limit };
+    let runs = args.breaths.div_ceil(BREATHS_PER_RUN);
+    let Some(found) = args.shards.run(&torture, runs, args.keep.as_deref(), &args.output)? else {
+        return Ok(());
     };
-    with_bars(|progress| torture.advance(args.breaths, args.keep.as_deref(), progress))?;
-    let Torture { breaths, peak_true, worst_run, above_limit, latched, .. } = torture;
+    let found = Summary::of(&found);
+    let Summary { breaths, peaks: Peaks { peak_true, worst_run, above_limit, latched }, .. } = found;
     args.output.line(&format!(
         "{breaths} breaths: highest true airway pressure {peak_true:.1} cmH2O (run {worst_run}); \
          {latched} runs ended in the safe state"
     ));
-    args.output.finish(&torture)?;
+    args.output.finish(&found)?;
     if stopped() {
         args.output.line("stopped; if started with --keep, the same command continues from here");
     }

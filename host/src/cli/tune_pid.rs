@@ -1,7 +1,8 @@
 //! `trainer tune-pid`: searches the best P, I, PI and PID controllers per lung, and over all lungs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::ensure;
 use serde::Serialize;
 use shared::breath::PAPER_PIPS;
 use shared::control::Controller;
@@ -13,9 +14,10 @@ use super::controller_args::format_gains;
 use super::output::OutputArgs;
 use super::plant_args::{self, PlantArgs};
 use super::settings_args::SettingsArgs;
+use super::shard_args::{ShardArgs, ShardFolderArgs};
 use data::provenance::Provenance;
 use judge::baselines::{
-    Best, Candidate, FAULT_SCORE, Grid, LungResult, PidKind, Search, TuneResult, tune_pid,
+    Best, Candidate, FAULT_SCORE, Grid, LungResult, PidKind, PidSearch, Search, TuneResult, tune_pid,
 };
 use judge::evaluate::{Ground, Plan, SourceGround};
 use plant::bench::BenchConfig;
@@ -30,9 +32,14 @@ Examples:
   trainer tune-pid --lung R5C50 --lung R50C10 --report tuned.html
   trainer tune-pid --lung paper --authors-grid --json tuned.json
   trainer tune-pid --plant tcp:localhost:7000 --coarse
+  trainer tune-pid --lung paper --shard 3/9 --out out/pids   # each task, then:
+  trainer tune-pid --lung paper --merge --out out/pids
 
 Gains are P in percent per cmH2O, I in percent per cmH2O and second, D in percent per cmH2O/s.
-Ctrl-C ends the search with the best gains found so far.")]
+Ctrl-C ends the search with the best gains found so far.
+
+A shard searches some of the lungs, and keeps those that are complete after Ctrl-C. The merge adds the
+search for the best PID over all lungs.")]
 pub struct Args {
     /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
     #[arg(long, value_name = "NAME", default_value = "R20C20")]
@@ -69,6 +76,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
+    shards: ShardFolderArgs,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -92,14 +101,22 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         ..Plan::tuning(args.seed)
     };
     if let Some(link) = plant {
+        ensure!(args.shards.folder().is_none(), "a plant behind a link serves one search: leave out --out");
         // Every evaluation sets its own gains.
         let idle = Controller::Pid(Pid::new(PidGains::default(), plan.period_us)?);
         let source = PlantSource::new(link, idle, plan.period_us, args.seed);
         return tune(args, &[SourceGround::new(source)], "", &search, &plan);
     }
     let benches = benches(&args.lung, &args.bench)?;
-    let parameters = benches.iter().map(BenchConfig::to_toml).collect::<Vec<_>>().join("\n");
-    tune(args, &benches, &parameters, &search, &plan)
+    if let Some((out, shards)) = args.shards.folder() {
+        return divided(args, shards, out, &PidSearch { lungs: benches, search, plan });
+    }
+    tune(args, &benches, &parameters(&benches), &search, &plan)
+}
+
+/// Parameters of all lungs, for the report.
+fn parameters(benches: &[BenchConfig]) -> String {
+    benches.iter().map(BenchConfig::to_toml).collect::<Vec<_>>().join("\n")
 }
 
 /// Searches on these lungs, then prints and writes the results.
@@ -111,12 +128,32 @@ fn tune<G: Ground>(
     plan: &Plan,
 ) -> anyhow::Result<()> {
     let result = with_bars(|progress| tune_pid(lungs, search, plan, progress))?;
-    args.output.table(&table(&result));
+    show(args, parameters, search, plan, &result)
+}
+
+/// Searches a shard of the lungs; or merges the shards, searches the best PID over all lungs, and prints and writes the results.
+fn divided(args: &Args, shards: &ShardArgs, out: &Path, work: &PidSearch) -> anyhow::Result<()> {
+    let Some(known) = shards.divided(work, work.lungs.len() as u64, out, &args.output)? else {
+        return Ok(());
+    };
+    let result = with_bars(|progress| work.finish(known.sums(), progress))?;
+    show(args, &parameters(&work.lungs), &work.search, &work.plan, &result)
+}
+
+/// Prints and writes the results.
+fn show(
+    args: &Args,
+    parameters: &str,
+    search: &Search,
+    plan: &Plan,
+    result: &TuneResult,
+) -> anyhow::Result<()> {
+    args.output.table(&table(result));
     if !result.complete {
         args.output.line("stopped: the best gains found so far");
     }
-    args.output.report(args.report.as_ref(), || Ok(report(args, plan, parameters, search, &result)))?;
-    args.output.finish(&Summary { seed: args.seed, plan, result: &result })
+    args.output.report(args.report.as_ref(), || Ok(report(args, plan, parameters, search, result)))?;
+    args.output.finish(&Summary { seed: args.seed, plan, result })
 }
 
 fn search(args: &Args) -> Search {

@@ -7,6 +7,7 @@ use shared::control::pid::GainError;
 use shared::control::residual::ResidualError;
 use thiserror::Error;
 
+use campaign::CampaignError;
 use data::recording::DatasetError;
 use data::tensors::TensorError;
 use judge::baselines::TuneError;
@@ -73,6 +74,9 @@ pub enum StudyError {
         "{0} contains a run with another seed, budget or choice of lungs: choose another folder or remove it"
     )]
     OtherRun(String),
+    /// The work cannot be divided, kept or merged.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
     /// Any other file could not be used.
     #[error("cannot use {path}: {source}")]
     #[expect(missing_docs, reason = "the message names every field")]

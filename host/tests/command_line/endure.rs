@@ -45,6 +45,6 @@ fn a_learned_controller_ventilates_too() {
     let learned = endured(&place, &format!("--patients 2 --controller {controller} --keep kept.json"));
     assert!(learned["breaths"].as_u64().unwrap() > 20);
     let refused = place.refused("endure --hours 0.02 --patients 2 --keep kept.json");
-    assert!(refused.contains("the controller"), "{refused}");
+    assert!(refused.contains("`controller` is"), "{refused}");
     assert!(place.refused("endure --controller absent.safetensors").contains("absent.safetensors"));
 }

@@ -32,6 +32,8 @@ fn every_command_explains_itself() {
         "torture",
         "endure",
         "robust",
+        "submit",
+        "sweep",
         "margins",
         "keys",
         "flash",

@@ -15,5 +15,6 @@ mod plant;
 mod recordings;
 mod rivals;
 mod robust;
+mod shards;
 mod support;
 mod test_table;

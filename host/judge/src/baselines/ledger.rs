@@ -92,6 +92,22 @@ impl<'a, G: Ground> Ledger<'a, G> {
         Ok(())
     }
 
+    /// All known scores on a lung.
+    pub fn on(&self, lung: usize) -> Vec<Candidate> {
+        let known = |(key, lungs): (&Key, &Vec<Option<f64>>)| {
+            Some(Candidate { gains: gains(*key), score: lungs[lung]? })
+        };
+        self.scores.iter().filter_map(known).collect()
+    }
+
+    /// Adds scores on a lung that an earlier search has measured.
+    pub fn learn(&mut self, lung: usize, known: &[Candidate]) {
+        for Candidate { gains, score } in known {
+            let lungs = self.scores.entry(key(gains));
+            lungs.or_insert_with(|| vec![None; self.grounds.len()])[lung] = Some(*score);
+        }
+    }
+
     /// Mean score over a group of lungs, cmH2O; `None` if one of them is unknown.
     pub fn score(&self, group: &[usize], gains: &PidGains) -> Option<f64> {
         mean(group, self.scores.get(&key(gains))?)

@@ -4,14 +4,19 @@
 //! points around the best of each [`PidKind`]. Unless the search is exhaustive, it first screens all points with one
 //! breath of a few waveforms and runs only the best twentieth of each kind in full.
 
+mod by_lung;
 mod grid;
 mod ledger;
 #[cfg(test)]
 mod tests;
 
+pub use by_lung::{LungScores, PidSearch};
 pub use grid::{Grid, PidKind};
 pub use ledger::FAULT_SCORE;
 
+use std::collections::BTreeMap;
+
+use campaign::CampaignError;
 use progress::{Progress, Stage};
 use serde::{Deserialize, Serialize};
 use shared::control::pid::{GainError, PidGains};
@@ -138,6 +143,9 @@ pub enum TuneError {
     /// A breath could not be run.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// The search cannot be divided, kept or merged.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
 }
 
 /// Searches the best P, I, PI and PID for each lung and for all of them together, on all threads. The result does not
@@ -154,11 +162,31 @@ pub fn tune_pid<G: Ground>(
     plan: &Plan,
     progress: &Progress<'_>,
 ) -> Result<TuneResult, TuneError> {
+    tune_knowing(lungs, &BTreeMap::new(), search, plan, progress)
+}
+
+/// The same with what earlier searches on some of the lungs, by their index, have found and measured.
+fn tune_knowing<G: Ground>(
+    lungs: &[G],
+    known: &BTreeMap<u64, LungScores>,
+    search: &Search,
+    plan: &Plan,
+    progress: &Progress<'_>,
+) -> Result<TuneResult, TuneError> {
     let grid = search.grid.completed();
     let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
-    let (mut tuning, all) = Tuning::begun(lungs, grid, search, plan, &work)?;
+    let mut tuning = Tuning::new(lungs, grid, search, plan, &work)?;
+    for (lung, scores) in known {
+        tuning.screen.learn(*lung as usize, &scores.screening);
+        tuning.full.learn(*lung as usize, &scores.full);
+    }
+    let all = tuning.begin(lungs.len())?;
     let mut results = Vec::with_capacity(lungs.len());
     for (index, lung) in lungs.iter().enumerate() {
+        if let Some(earlier) = known.get(&(index as u64)) {
+            results.push(earlier.result.clone());
+            continue;
+        }
         let best = tuning.best(&[index])?;
         results.push(LungResult {
             lung: lung.name(),
@@ -186,7 +214,8 @@ pub fn tune_single_pid<G: Ground>(
 ) -> Result<Best, TuneError> {
     let grid = search.grid.completed();
     let work = Work::new(progress.task(Stage::TunePid, planned(&grid, search, plan, lungs.len())));
-    let (mut tuning, all) = Tuning::begun(lungs, grid, search, plan, &work)?;
+    let mut tuning = Tuning::new(lungs, grid, search, plan, &work)?;
+    let all = tuning.begin(lungs.len())?;
     let best = tuning.best(&all)?;
     work.task.finish();
     Ok(best)
@@ -202,28 +231,28 @@ struct Tuning<'a, G> {
 }
 
 impl<'a, G: Ground> Tuning<'a, G> {
-    /// A search with its first result, and the indices of all lungs. Gains of zero belong to every kind: with them there is a result
-    /// even if the search is stopped immediately.
-    fn begun(
+    /// A search that knows nothing yet.
+    fn new(
         lungs: &'a [G],
         grid: Grid,
         search: &'a Search,
         plan: &Plan,
         work: &'a Work<'a>,
-    ) -> Result<(Self, Vec<usize>), TuneError> {
+    ) -> Result<Self, TuneError> {
         if lungs.is_empty() {
             return Err(TuneError::NoLung);
         }
-        let mut tuning = Self {
-            screen: Ledger::new(lungs, screening(plan), work),
-            full: Ledger::new(lungs, plan.clone(), work),
-            points: grid.points(),
-            grid,
-            search,
-        };
-        let all: Vec<usize> = (0..lungs.len()).collect();
-        tuning.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
-        Ok((tuning, all))
+        let (screen, full) =
+            (Ledger::new(lungs, screening(plan), work), Ledger::new(lungs, plan.clone(), work));
+        Ok(Self { screen, full, points: grid.points(), grid, search })
+    }
+
+    /// Finds a first result; returns the indices of all lungs. Gains of zero belong to every kind: with them there is a result even if
+    /// the search is stopped immediately.
+    fn begin(&mut self, lungs: usize) -> Result<Vec<usize>, TuneError> {
+        let all: Vec<usize> = (0..lungs).collect();
+        self.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
+        Ok(all)
     }
 
     /// The best of each kind for a group of lungs, by their mean score.

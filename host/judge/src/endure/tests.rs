@@ -1,7 +1,9 @@
 use super::course::{Event, Scene};
 use super::deserved::Verdict;
 use super::*;
+use campaign::Campaign;
 use plant::bench::Failure;
+use progress::Progress;
 use shared::safety::alarms::Fault;
 
 /// Two minutes.
@@ -11,10 +13,15 @@ fn controller() -> Controller {
     sound_controller().unwrap().0
 }
 
-fn endured(patients: u64) -> Endurance {
-    let mut test = Endurance::new(3, HOURS, "PID");
-    test.advance(patients, &controller(), None, &Progress::silent()).unwrap();
-    test
+fn test(controller: &Controller) -> Endurance<'_> {
+    Endurance { question: Question { seed: 3, hours: HOURS, controller: "PID".to_owned() }, controller }
+}
+
+fn endured(patients: u64) -> Summary {
+    let controller = controller();
+    let mut campaign = Campaign::new(&test(&controller));
+    campaign.advance(&test(&controller), patients, None, &Progress::silent()).unwrap();
+    campaign.sums().summary(patients)
 }
 
 /// A passive patient at a sound machine, of which a part may fail after some milliseconds.
@@ -93,41 +100,29 @@ fn alarms_about_volumes_are_deserved_if_the_lung_takes_that_much() {
 }
 
 #[test]
-fn the_result_does_not_depend_on_the_number_of_threads() {
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| endured(6))
+fn the_result_does_not_depend_on_the_order_of_the_patients() {
+    let found = |numbers: [u64; 3]| {
+        let mut stays = Stays::default();
+        for patient in numbers {
+            stays.add(patient, PatientResult { patient, ..PatientResult::default() });
+        }
+        stays
     };
-    assert_eq!(with(1), with(3));
-}
-
-#[test]
-fn a_test_in_two_parts_finds_what_one_in_a_single_part_finds() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("endure.json");
-    for patients in [3, 7] {
-        let mut part = Endurance::new(3, HOURS, "PID").resumed(&file).unwrap();
-        part.advance(patients, &controller(), Some(&file), &Progress::silent()).unwrap();
-    }
-    let kept = Endurance::new(3, HOURS, "PID").resumed(&file).unwrap();
-    let whole = endured(7);
-    assert_eq!(kept, whole);
-    assert_eq!(kept.summary(3), endured(3).summary(3), "fewer patients than the file has");
-    for other in
-        [Endurance::new(4, HOURS, "PID"), Endurance::new(3, 1.0, "PID"), Endurance::new(3, HOURS, "other")]
-    {
-        let refused = other.resumed(&file).unwrap_err().to_string();
-        assert!(refused.contains("belongs to seed 3"), "{refused}");
-    }
+    let mut parts = found([5, 3, 4]);
+    parts.absorb(found([2, 0, 1]));
+    assert_eq!(parts.0.iter().map(|result| result.patient).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+    assert_eq!((parts.summary(4).patients, found([0, 1, 2])), (4, found([2, 1, 0])));
 }
 
 #[test]
 fn a_stopped_test_keeps_whole_stays_only() {
     let stop = std::sync::atomic::AtomicBool::new(false);
     let asked = |_: &progress::Event<'_>| stop.store(true, std::sync::atomic::Ordering::Relaxed);
-    let mut test = Endurance::new(3, HOURS, "PID");
-    test.advance(3, &controller(), None, &Progress::new(&asked, &stop)).unwrap();
-    assert_eq!(test.results, []);
-    test.advance(3, &controller(), None, &Progress::silent()).unwrap();
-    assert_eq!(test, endured(3));
+    let controller = controller();
+    let test = test(&controller);
+    let mut campaign = Campaign::new(&test);
+    campaign.advance(&test, 3, None, &Progress::new(&asked, &stop)).unwrap();
+    assert_eq!(*campaign.sums(), Stays::default());
+    campaign.advance(&test, 3, None, &Progress::silent()).unwrap();
+    assert_eq!(campaign.sums().summary(3), endured(3));
 }

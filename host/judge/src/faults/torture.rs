@@ -4,14 +4,10 @@
 //! Runs of a few breaths each are drawn from one seed and are independent, so the result depends neither on the number
 //! of threads nor on where an earlier test was stopped.
 
-use std::io;
-use std::path::{Path, PathBuf};
-
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::StandardNormal;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use shared::breath::{DEFAULT_PERIOD_US, paper_settings};
 use shared::control::Controller;
@@ -24,9 +20,9 @@ use thiserror::Error;
 use super::hostile::full_authority;
 use super::injection::Injection;
 use super::trial::{Trial, run};
-use data::files::{read_json, write_json_indented};
+use campaign::{CampaignError, CampaignOf, Sums, Work};
 use plant::bench::{BenchConfig, Failure};
-use progress::{Progress, Stage};
+use progress::{Stage, Task};
 use ventilator::SourceError;
 
 /// Number of breaths per run.
@@ -37,38 +33,77 @@ pub const ABOVE_LIMIT: f64 = 15.0;
 const HIGHEST_PIP: f32 = 50.0;
 /// Earliest time of a fault, ms: the lung estimator needs two breaths first.
 const WARM_UP_MS: u32 = 6000;
-/// Number of runs between two checks for a stop request.
-const BATCH: u64 = 500;
 /// Ranges of resistance, cmH2O/(L/s), and compliance, mL/cmH2O.
 const LUNGS: [(f64, f64); 2] = [(5.0, 50.0), (10.0, 50.0)];
 
 /// Why a torture test cannot continue.
 #[derive(Debug, Error)]
-#[expect(missing_docs, reason = "the messages name every field")]
 pub enum TortureError {
     /// A run failed.
     #[error(transparent)]
     Source(#[from] SourceError),
-    /// The progress file could not be used.
-    #[error("cannot use {}: {source}", path.display())]
-    File { path: PathBuf, source: io::Error },
-    /// The file belongs to a test with another seed or limit.
-    #[error("{} belongs to seed {seed} and limit {limit}: choose another file or these", path.display())]
-    OtherTest { path: PathBuf, seed: u64, limit: f32 },
+    /// The test cannot be kept or continued.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
 }
 
-/// Progress and results of a torture test; when saved, the test can continue later.
+/// A torture test; its units are the runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Torture {
     /// Seed of all random numbers.
     pub seed: u64,
     /// Pressure limit, cmH2O.
     pub limit: f32,
-    /// Number of breaths done.
-    pub breaths: u64,
+}
+
+impl Torture {
+    /// Highest true airway pressure allowed, cmH2O.
+    pub fn bound(&self) -> f64 {
+        f64::from(self.limit) + ABOVE_LIMIT
+    }
+}
+
+impl Work for Torture {
+    type Question = Self;
+    type Sums = Peaks;
+    type Error = TortureError;
+
+    fn question(&self) -> Self {
+        self.clone()
+    }
+
+    fn nothing(&self) -> Peaks {
+        Peaks::default()
+    }
+
+    fn stage(&self) -> (Stage, f64) {
+        (Stage::Torture, BREATHS_PER_RUN as f64)
+    }
+
+    fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<RunResult>, TortureError> {
+        let (peak_true, latched) = torment(self.seed, self.limit, number)?;
+        task.advance(BREATHS_PER_RUN as usize);
+        Ok(Some(RunResult { peak_true, above_limit: peak_true > self.bound(), latched }))
+    }
+}
+
+/// Result of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunResult {
     /// Highest true airway pressure, cmH2O.
     pub peak_true: f64,
-    /// Number of the run with the highest pressure.
+    /// Whether that is above the bound.
+    pub above_limit: bool,
+    /// Whether the run ended in the latched safe state.
+    pub latched: bool,
+}
+
+/// Results of all runs so far.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Peaks {
+    /// Highest true airway pressure, cmH2O.
+    pub peak_true: f64,
+    /// Number of the first run with this pressure.
     pub worst_run: u64,
     /// Number of runs with a pressure above the bound.
     pub above_limit: u64,
@@ -76,67 +111,44 @@ pub struct Torture {
     pub latched: u64,
 }
 
-impl Torture {
-    /// A test at its beginning.
-    pub fn new(seed: u64, limit: f32) -> Self {
-        Self { seed, limit, breaths: 0, peak_true: 0.0, worst_run: 0, above_limit: 0, latched: 0 }
+impl Sums for Peaks {
+    type Unit = RunResult;
+
+    fn add(&mut self, number: u64, result: RunResult) {
+        let RunResult { peak_true, above_limit, latched } = result;
+        let (above_limit, latched) = (u64::from(above_limit), u64::from(latched));
+        self.absorb(Self { peak_true, worst_run: number, above_limit, latched });
     }
 
-    /// Highest true airway pressure allowed, cmH2O.
-    pub fn bound(&self) -> f64 {
-        f64::from(self.limit) + ABOVE_LIMIT
-    }
-
-    /// The progress that an earlier test with this seed and limit saved in a file, or a new test.
-    ///
-    /// # Errors
-    /// A file that cannot be read, or that has another seed or limit.
-    pub fn resume(file: &Path, seed: u64, limit: f32) -> Result<Self, TortureError> {
-        let kept: Self = read_json(file).map_err(failure(file))?.unwrap_or_else(|| Self::new(seed, limit));
-        if (kept.seed, kept.limit.to_bits()) == (seed, limit.to_bits()) {
-            Ok(kept)
-        } else {
-            Err(TortureError::OtherTest { path: file.to_owned(), seed: kept.seed, limit: kept.limit })
+    fn absorb(&mut self, other: Self) {
+        let order = other.peak_true.total_cmp(&self.peak_true);
+        if order.then(self.worst_run.cmp(&other.worst_run)).is_gt() {
+            (self.peak_true, self.worst_run) = (other.peak_true, other.worst_run);
         }
-    }
-
-    /// Continues until this number of breaths is done or it is stopped, and saves the progress if a file is given.
-    ///
-    /// # Errors
-    /// A run that fails, or a file that cannot be written.
-    pub fn advance(
-        &mut self,
-        breaths: u64,
-        keep: Option<&Path>,
-        progress: &Progress<'_>,
-    ) -> Result<(), TortureError> {
-        let task = progress.task(Stage::Torture, breaths as usize);
-        task.reach(self.breaths as usize);
-        while self.breaths < breaths && !task.stopped() {
-            let first = self.breaths / BREATHS_PER_RUN;
-            let last = (first + BATCH).min(breaths.div_ceil(BREATHS_PER_RUN));
-            let found: Result<Vec<_>, SourceError> =
-                (first..last).into_par_iter().map(|number| torment(self.seed, self.limit, number)).collect();
-            for (number, (peak, latched)) in (first..).zip(found?) {
-                if peak > self.peak_true {
-                    (self.peak_true, self.worst_run) = (peak, number);
-                }
-                self.above_limit += u64::from(peak > self.bound());
-                self.latched += u64::from(latched);
-            }
-            self.breaths = last * BREATHS_PER_RUN;
-            task.reach(self.breaths as usize);
-            if let Some(file) = keep {
-                write_json_indented(file, self).map_err(failure(file))?;
-            }
-        }
-        Ok(())
+        self.above_limit += other.above_limit;
+        self.latched += other.latched;
     }
 }
 
-fn failure(file: &Path) -> impl FnOnce(io::Error) -> TortureError {
-    let path = file.to_owned();
-    move |source| TortureError::File { path, source }
+/// What a torture test has found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The test.
+    #[serde(flatten)]
+    pub torture: Torture,
+    /// Number of breaths done.
+    pub breaths: u64,
+    /// What they have shown.
+    #[serde(flatten)]
+    pub peaks: Peaks,
+}
+
+impl Summary {
+    /// The results of a test so far.
+    pub fn of(campaign: &CampaignOf<Torture>) -> Self {
+        let breaths = campaign.units() * BREATHS_PER_RUN;
+        Self { torture: campaign.question().clone(), breaths, peaks: campaign.sums().clone() }
+    }
 }
 
 /// Performs one run; returns its highest true pressure and whether it ended in the safe state.
@@ -206,32 +218,35 @@ fn fault(rng: &mut ChaCha8Rng) -> Injection {
 mod tests {
     use super::*;
     use crate::faults::cases::LIMIT;
+    use campaign::Campaign;
+    use progress::Progress;
 
-    fn tortured(breaths: u64) -> Torture {
-        let mut torture = Torture::new(3, LIMIT);
-        torture.advance(breaths, None, &Progress::silent()).unwrap();
-        torture
+    fn tortured(runs: u64) -> Summary {
+        let torture = Torture { seed: 3, limit: LIMIT };
+        let mut campaign = Campaign::new(&torture);
+        campaign.advance(&torture, runs, None, &Progress::silent()).unwrap();
+        Summary::of(&campaign)
     }
 
     #[test]
     fn no_random_controller_and_no_random_fault_exceeds_the_bound() {
-        let torture = tortured(3000);
-        assert_eq!((torture.breaths, torture.above_limit), (3000, 0), "{torture:?}");
-        assert!(torture.peak_true > 35.0, "a torture that hurts nobody is none: {torture:?}");
+        let found = tortured(300);
+        assert_eq!((found.breaths, found.peaks.above_limit), (3000, 0), "{found:?}");
+        assert!(found.peaks.peak_true > 35.0, "a torture that hurts nobody is none: {found:?}");
     }
 
     #[test]
-    fn a_torture_in_two_parts_finds_what_one_in_a_single_part_finds() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("torture.json");
-        for breaths in [200, 500] {
-            let mut part = Torture::resume(&file, 3, LIMIT).unwrap();
-            part.advance(breaths, Some(&file), &Progress::silent()).unwrap();
-        }
-        assert_eq!(Torture::resume(&file, 3, LIMIT).unwrap(), tortured(500));
-        for (seed, limit) in [(4, LIMIT), (3, 60.0)] {
-            let refused = Torture::resume(&file, seed, limit).unwrap_err().to_string();
-            assert!(refused.contains("belongs to seed 3 and limit 40"), "{refused}");
-        }
+    fn the_worst_run_is_the_first_with_the_highest_pressure_in_any_order() {
+        let run = |peak_true, above_limit, latched| RunResult { peak_true, above_limit, latched };
+        let runs = [(4, run(41.0, false, true)), (1, run(56.0, true, true)), (9, run(56.0, true, false))];
+        let found = |order: [usize; 3]| {
+            let mut peaks = Peaks::default();
+            for place in order {
+                peaks.add(runs[place].0, runs[place].1);
+            }
+            peaks
+        };
+        let wanted = Peaks { peak_true: 56.0, worst_run: 1, above_limit: 2, latched: 2 };
+        assert!([[0, 1, 2], [2, 1, 0], [1, 2, 0]].into_iter().all(|order| found(order) == wanted));
     }
 }

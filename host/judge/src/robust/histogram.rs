@@ -40,6 +40,13 @@ impl Histogram {
         *self.0.entry(((value / WIDTH) as u32).min(BINS - 1)).or_default() += 1;
     }
 
+    /// Adds the counts of another histogram.
+    pub fn absorb(&mut self, other: Self) {
+        for (bin, count) in other.0 {
+            *self.0.entry(bin).or_default() += count;
+        }
+    }
+
     /// The value below which this share lies, to the upper end of its bin; 0 without values.
     pub fn quantile(&self, share: f64) -> f64 {
         let reached = self.cumulative().into_iter().find(|(_, below)| *below >= share);

@@ -1,10 +1,12 @@
 //! Summary of a robustness test: means, shares and quantiles.
 
+use campaign::{Campaign, ExactSum};
 use serde::{Deserialize, Serialize};
 
+use super::Question;
 use super::histogram::Quantiles;
 use super::plant_run::SCORED;
-use super::tally::{BreathSum, BreathTally, Failures, Tally, WorstPlant};
+use super::tally::{BreathSum, BreathTally, EffortSum, Failures, Tally, WorstPlant};
 use crate::evaluate::ValveEffort;
 
 /// Results of a robustness test; each list has a value for every scored breath, unless it says otherwise.
@@ -68,12 +70,17 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// The summary of a test so far.
+    pub fn of(test: &Campaign<Question, Tally>) -> Self {
+        Self::of_plants(test.units() as u32, test.sums())
+    }
+
     /// The summary of these sums over a number of plants.
-    pub fn of(plants: u32, tally: &Tally) -> Self {
+    pub(super) fn of_plants(plants: u32, tally: &Tally) -> Self {
         let Tally { every, scored, controller, family, worst } = tally;
         let all = f64::from(plants.max(1));
-        let by_breath = |figure: fn(&BreathSum) -> f64| {
-            every.iter().map(|sum| figure(sum) / sum.plants.max(1) as f64).collect::<Vec<_>>()
+        let by_breath = |figure: fn(&BreathSum) -> ExactSum| {
+            every.iter().map(|sum| figure(sum).value() / sum.plants.max(1) as f64).collect::<Vec<_>>()
         };
         let worsened = |failures: &Failures| failures.worsened as f64 / all;
         Self {
@@ -84,10 +91,12 @@ impl Summary {
             share_not_worse: each(scored, |tally| tally.not_worse as f64 / all),
             subset: scored.iter().map(|tally| tally.subset).max().unwrap_or(0),
             own_not_worse: each(scored, |tally| share(tally.own_not_worse as f64, tally.subset)),
-            bound_ratio: each(scored, |tally| (tally.bounded > 0).then(|| tally.bounded_score / tally.bound)),
-            bound_ratio_each: each(scored, |tally| share(tally.bound_ratio, tally.bounded)),
-            own_pid: each(scored, |tally| share(tally.own, tally.bounded)),
-            bound: each(scored, |tally| share(tally.bound, tally.bounded)),
+            bound_ratio: each(scored, |tally| {
+                (tally.bounded > 0).then(|| tally.bounded_score.value() / tally.bound.value())
+            }),
+            bound_ratio_each: each(scored, |tally| share(tally.bound_ratio.value(), tally.bounded)),
+            own_pid: each(scored, |tally| share(tally.own.value(), tally.bounded)),
+            bound: each(scored, |tally| share(tally.bound.value(), tally.bounded)),
             overshoot_median: each(scored, |tally| tally.overshoot.quantile(0.5)),
             overshoot_p99: each(scored, |tally| tally.overshoot.quantile(0.99)),
             effort: each(scored, |tally| mean_effort(tally.effort, tally)),
@@ -114,11 +123,11 @@ fn each<T>(scored: &[BreathTally], figure: impl Fn(&BreathTally) -> T) -> Vec<T>
 }
 
 /// Mean over the plants with the breath under both controllers; 0 without plants.
-fn mean(sum: f64, tally: &BreathTally) -> f64 {
-    sum / tally.plants.max(1) as f64
+fn mean(sum: ExactSum, tally: &BreathTally) -> f64 {
+    sum.value() / tally.plants.max(1) as f64
 }
 
-fn mean_effort(sum: ValveEffort, tally: &BreathTally) -> ValveEffort {
+fn mean_effort(sum: EffortSum, tally: &BreathTally) -> ValveEffort {
     ValveEffort { total_variation: mean(sum.total_variation, tally), deviation: mean(sum.deviation, tally) }
 }
 

@@ -1,5 +1,6 @@
 //! Sums and histograms over the plants of a family.
 
+use campaign::{ExactSum, Sums};
 use serde::{Deserialize, Serialize};
 
 use super::histogram::Histogram;
@@ -53,15 +54,34 @@ pub struct WorstPlant {
     pub ratio: f64,
 }
 
+/// Sums of valve efforts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EffortSum {
+    pub total_variation: ExactSum,
+    pub deviation: ExactSum,
+}
+
+impl EffortSum {
+    fn add(&mut self, effort: ValveEffort) {
+        self.total_variation.add(effort.total_variation);
+        self.deviation.add(effort.deviation);
+    }
+
+    fn absorb(&mut self, other: Self) {
+        self.total_variation.absorb(other.total_variation);
+        self.deviation.absorb(other.deviation);
+    }
+}
+
 /// Sums over the plants for one scored breath.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BreathTally {
     /// Plants with this breath under both controllers, and the sums over them.
     pub plants: u64,
-    pub score: f64,
-    pub family: f64,
-    pub effort: ValveEffort,
-    pub family_effort: ValveEffort,
+    pub score: ExactSum,
+    pub family: ExactSum,
+    pub effort: EffortSum,
+    pub family_effort: EffortSum,
     /// Plants on which the controller is not worse than the family's PID.
     pub not_worse: u64,
     /// Values of the controller, and its ratios to the family's PID.
@@ -75,10 +95,10 @@ pub struct BreathTally {
     pub own_ratios: Histogram,
     /// Plants of the subset with this breath under both the controller and the plant's own PID, and the sums over them.
     pub bounded: u64,
-    pub bound_ratio: f64,
-    pub bounded_score: f64,
-    pub own: f64,
-    pub bound: f64,
+    pub bound_ratio: ExactSum,
+    pub bounded_score: ExactSum,
+    pub own: ExactSum,
+    pub bound: ExactSum,
 }
 
 impl BreathTally {
@@ -93,10 +113,10 @@ impl BreathTally {
         self.not_worse += u64::from(not_worse(family));
         if let Some(family) = family {
             self.plants += 1;
-            self.score += breath.score;
-            self.family += family.score;
-            self.effort = sum(self.effort, breath.effort);
-            self.family_effort = sum(self.family_effort, family.effort);
+            self.score.add(breath.score);
+            self.family.add(family.score);
+            self.effort.add(breath.effort);
+            self.family_effort.add(family.effort);
             self.ratios.add(breath.score / family.score);
         }
         if let Some(rivals) = &result.rivals {
@@ -105,19 +125,33 @@ impl BreathTally {
             if let Some(own) = own {
                 self.own_ratios.add(breath.score / own.score);
                 self.bounded += 1;
-                self.bound_ratio += breath.score / rivals.bound;
-                self.bounded_score += breath.score;
-                self.own += own.score;
-                self.bound += rivals.bound;
+                self.bound_ratio.add(breath.score / rivals.bound);
+                self.bounded_score.add(breath.score);
+                self.own.add(own.score);
+                self.bound.add(rivals.bound);
             }
         }
     }
-}
 
-fn sum(one: ValveEffort, other: ValveEffort) -> ValveEffort {
-    ValveEffort {
-        total_variation: one.total_variation + other.total_variation,
-        deviation: one.deviation + other.deviation,
+    /// Adds the sums over other plants.
+    fn absorb(&mut self, other: Self) {
+        self.plants += other.plants;
+        self.score.absorb(other.score);
+        self.family.absorb(other.family);
+        self.effort.absorb(other.effort);
+        self.family_effort.absorb(other.family_effort);
+        self.not_worse += other.not_worse;
+        self.scores.absorb(other.scores);
+        self.overshoot.absorb(other.overshoot);
+        self.ratios.absorb(other.ratios);
+        self.subset += other.subset;
+        self.own_not_worse += other.own_not_worse;
+        self.own_ratios.absorb(other.own_ratios);
+        self.bounded += other.bounded;
+        self.bound_ratio.absorb(other.bound_ratio);
+        self.bounded_score.absorb(other.bounded_score);
+        self.own.absorb(other.own);
+        self.bound.absorb(other.bound);
     }
 }
 
@@ -138,14 +172,28 @@ impl Failures {
         self.unstable += u64::from(breaths.unstable);
         self.worsened += u64::from(breaths.worsened());
     }
+
+    fn absorb(&mut self, other: Self) {
+        self.stopped += other.stopped;
+        self.unstable += other.unstable;
+        self.worsened += other.worsened;
+    }
 }
 
 /// Sums for one breath of all, over the plants that have it under both controllers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BreathSum {
     pub plants: u64,
-    pub controller: f64,
-    pub family: f64,
+    pub controller: ExactSum,
+    pub family: ExactSum,
+}
+
+impl BreathSum {
+    fn absorb(&mut self, other: Self) {
+        self.plants += other.plants;
+        self.controller.absorb(other.controller);
+        self.family.absorb(other.family);
+    }
 }
 
 /// All sums of a robustness test.
@@ -155,7 +203,9 @@ pub struct Tally {
     pub every: Vec<BreathSum>,
     /// Sums for the scored breaths.
     pub scored: Vec<BreathTally>,
+    /// Failures of the controller.
     pub controller: Failures,
+    /// Failures of the family's best single PID.
     pub family: Failures,
     /// The plants on which the controller is worst in its last scored breath, relative to the family's PID.
     pub worst: Vec<WorstPlant>,
@@ -168,23 +218,45 @@ impl Tally {
         Self { every, scored, ..Self::default() }
     }
 
-    /// Adds a plant.
-    pub fn add(&mut self, result: &PlantResult) {
+    /// Share of the plants whose ratio to the family's best single PID is at most a value: pairs of value and share for every
+    /// scored breath.
+    pub fn ratio_distributions(&self) -> Vec<Vec<(f64, f64)>> {
+        self.scored.iter().map(|breath| breath.ratios.cumulative()).collect()
+    }
+
+    /// Puts plants among the worst.
+    fn rank(&mut self, plants: impl IntoIterator<Item = WorstPlant>) {
+        self.worst.extend(plants);
+        self.worst
+            .sort_by(|one, other| other.ratio.total_cmp(&one.ratio).then(one.number.cmp(&other.number)));
+        self.worst.truncate(WORST);
+    }
+}
+
+impl Sums for Tally {
+    type Unit = PlantResult;
+
+    fn add(&mut self, _: u64, result: PlantResult) {
         self.controller.add(&result.controller, self.every.len());
         self.family.add(&result.family, self.every.len());
         let both = result.controller.every.iter().zip(&result.family.every);
         for (sum, (controller, family)) in self.every.iter_mut().zip(both) {
             sum.plants += 1;
-            sum.controller += controller;
-            sum.family += family;
+            sum.controller.add(*controller);
+            sum.family.add(*family);
         }
         for (place, tally) in self.scored.iter_mut().enumerate() {
-            tally.add(result, place);
+            tally.add(&result, place);
         }
-        if let Some(worst) = result.worst(self.scored.len()) {
-            self.worst.push(worst);
-            self.worst.sort_by(|one, other| other.ratio.total_cmp(&one.ratio));
-            self.worst.truncate(WORST);
-        }
+        self.rank(result.worst(self.scored.len()));
+    }
+
+    fn absorb(&mut self, other: Self) {
+        let Self { every, scored, controller, family, worst } = other;
+        self.every.iter_mut().zip(every).for_each(|(sum, other)| sum.absorb(other));
+        self.scored.iter_mut().zip(scored).for_each(|(tally, other)| tally.absorb(other));
+        self.controller.absorb(controller);
+        self.family.absorb(family);
+        self.rank(worst);
     }
 }

@@ -54,18 +54,27 @@ struct Variant {
 /// Training and scoring of every variant on the lung in the middle of the list.
 pub(super) fn pieces<'a>(study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {
     let gains = lungs::tuned(study)?.lungs[study.middle()].pid.gains;
-    let mut different: Vec<Variant> = Vec::new();
-    for variant in variants(study, gains) {
-        // Groups share the unchanged variant.
-        if !different.iter().any(|other| other.is(&variant)) {
-            different.push(variant);
-        }
-    }
     let of = |variant: Variant| {
         let place = variant.place();
         piece(move || study.keep(&place, || ablation(study, &variant, &place)))
     };
-    Ok(different.into_iter().map(of).collect())
+    Ok(different(study, gains).into_iter().map(of).collect())
+}
+
+/// The variants over a PID with these gains, without repetition: groups share the unchanged variant.
+fn different(study: &Study<'_>, gains: PidGains) -> Vec<Variant> {
+    let mut different: Vec<Variant> = Vec::new();
+    for variant in variants(study, gains) {
+        if !different.iter().any(|other| other.is(&variant)) {
+            different.push(variant);
+        }
+    }
+    different
+}
+
+/// Number of different variants, whatever the gains.
+pub(super) fn count(study: &Study<'_>) -> usize {
+    different(study, PidGains::default()).len()
 }
 
 /// The kept results, if the folder contains every variant.

@@ -57,6 +57,8 @@ pub(super) struct Learning {
 const PPO: &str = "rl/ppo";
 const DQN: &str = "rl/dqn";
 const OURS: &str = "rl/ours";
+/// Number of pieces: the two algorithms of reinforcement learning, and ours.
+pub(super) const PIECES: usize = 3;
 
 /// Training by each of the three on the simulators learned for the middle lung of the list.
 pub(super) fn pieces<'a>(study: &'a Study<'_>) -> Result<Vec<Piece<'a>>> {

@@ -15,6 +15,7 @@ mod lungs;
 mod report;
 mod results;
 mod rivals;
+pub mod shards;
 mod side_by_side;
 mod study;
 #[cfg(test)]
@@ -93,6 +94,24 @@ impl Experiment {
     /// Whether a run of `only` includes this one.
     fn runs_for(self, only: &[Self]) -> bool {
         only.iter().any(|chosen| *chosen == self || chosen.needs().contains(&self))
+    }
+
+    /// Number of its pieces, which is known before earlier groups are done.
+    fn count(self, study: &Study<'_>) -> usize {
+        match self {
+            Self::Tuning
+            | Self::Generalist
+            | Self::Bound
+            | Self::Tracking
+            | Self::Changes
+            | Self::Iso
+            | Self::Balloon => 1,
+            Self::Lungs => study.lungs().len(),
+            Self::Unseen => unseen::plants().len(),
+            Self::Rivals => study.lungs().len() + unseen::plants().len(),
+            Self::Rl => learning::PIECES,
+            Self::Ablations => ablations::count(study),
+        }
     }
 
     /// Its pieces of work.

@@ -87,10 +87,15 @@ impl<'a> Study<'a> {
         let Reproduction { seed, budget, lungs, out, .. } = reproduction;
         let own = Claim { seed: *seed, budget: budget.clone(), lungs: lungs.clone() };
         if claim(out, &own).map_err(StudyError::file(out))? {
-            Ok(Self { reproduction, progress: *progress })
+            Ok(Self::unclaimed(reproduction, progress))
         } else {
             Err(StudyError::OtherRun(out.display().to_string()))
         }
+    }
+
+    /// The study in a folder that may belong to any; nothing is read or written.
+    pub(super) fn unclaimed(reproduction: &'a Reproduction, progress: &Progress<'a>) -> Self {
+        Self { reproduction, progress: *progress }
     }
 
     /// The lungs to train on.

@@ -4,8 +4,11 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use super::shards::Shards;
 use super::*;
 use crate::StudyError;
+use campaign::Share;
+use campaign::shards::RunFolder;
 use judge::baselines::{Grid, Search};
 use judge::rl::compare::RlConfig;
 use learn::pipeline::PipelineConfig;
@@ -112,4 +115,38 @@ fn rivals_meet_on_the_lungs_and_on_the_unseen_plants() {
     assert!(adult.later.score < adult.first.score, "it learns from breath to breath: {adult:?}");
     assert!(adult.later.score < pid.later.score && adult.later.effort.total_variation > 0.0, "{first:?}");
     assert!(results.lungs.is_empty(), "it needs no other experiment");
+}
+
+#[test]
+fn two_tasks_that_share_a_folder_find_what_one_task_finds() {
+    let [out, alone] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let only = [Experiment::Tracking, Experiment::Lungs, Experiment::Changes];
+    let reproduction = small(out.path(), &only);
+    let (work, folder) = (Shards(&reproduction), RunFolder::new(out.path()));
+    let pieces = work.pieces();
+    assert_eq!(pieces, 6, "tuning, two lungs, the generalist, tracking and changes");
+    std::thread::scope(|scope| {
+        for index in 0..2 {
+            let (work, folder) = (&work, &folder);
+            let share = Share::new(index, 2).unwrap();
+            scope.spawn(move || assert!(folder.run(work, pieces, share, &Progress::silent()).unwrap()));
+        }
+    });
+    assert_eq!(folder.merged(&work, pieces).unwrap().units(), pieces);
+    let results = |out: &Path| {
+        run_small(out, &only);
+        fs::read(out.join("results.json")).unwrap()
+    };
+    assert!(results(out.path()) == results(alone.path()), "the results differ");
+}
+
+#[test]
+fn the_number_of_an_experiment_s_pieces_is_known_before_it_can_run() {
+    let out = tempfile::tempdir().unwrap();
+    run_small(out.path(), &[Experiment::Generalist, Experiment::Lungs]);
+    let reproduction = small(out.path(), &[]);
+    let study = Study::new(&reproduction, &Progress::silent()).unwrap();
+    for experiment in Experiment::value_variants() {
+        assert_eq!(experiment.count(&study), experiment.pieces(&study).unwrap().len(), "{experiment:?}");
+    }
 }

@@ -1,0 +1,298 @@
+//! The folder of a run that is divided into shards, which any machines with access to the folder run.
+//!
+//! What they share is files alone, each written whole and renamed, so a task that is killed leaves nothing half written, and two tasks
+//! with the same shard do no harm: they write the same.
+//!
+//! | file | content |
+//! |---|---|
+//! | `shards/run.json` | what the run computes: build of the program, question, number of units and of shards |
+//! | `shards/3-of-40.part.json` | the campaign of shard 3 so far, saved every few seconds |
+//! | `shards/3-of-40.json` | the same when it is complete |
+//! | `shards/3-of-40.task.json` | the last task with that shard: host, engine, times and how it ended ([`TaskRecord`]) |
+
+use std::path::{Path, PathBuf};
+
+use progress::{Progress, Stage, Task};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::difference;
+use crate::done::Done;
+use crate::{Campaign, CampaignError, CampaignOf, Share, Sums, UnitOf, Work};
+use data::files::{read_json, write_json_indented};
+use data::provenance::build_id;
+
+mod record;
+mod state;
+
+pub use record::{Ending, TaskRecord};
+pub use state::ShardState;
+
+/// Most problems that an error names.
+const NAMED: usize = 10;
+
+/// Why the shards of a folder cannot be merged.
+#[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the messages name every field")]
+pub enum MergeError {
+    /// The folder cannot be used.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// No shard has begun there.
+    #[error("{} contains no sharded run: run its shards first, with --shard i/n", .0.display())]
+    NoRun(PathBuf),
+    /// Some shards cannot be merged; nothing was written.
+    #[error("cannot merge {}: {}", path.display(), listed(problems))]
+    Problems { path: PathBuf, problems: Vec<String> },
+}
+
+fn listed(problems: &[String]) -> String {
+    let (named, more) = problems.split_at(problems.len().min(NAMED));
+    let text = named.join("; ");
+    if more.is_empty() { text } else { format!("{text}; and {} more", more.len()) }
+}
+
+/// What a run computes, with all that its shards must have in common.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Run<Q> {
+    /// The program, see [`build_id`].
+    pub build: String,
+    /// Number of units.
+    pub units: u64,
+    /// Number of shards.
+    pub shards: u64,
+    /// What the units are about.
+    pub question: Q,
+}
+
+/// Work as part of a run.
+struct PartOf<'a, W: Work> {
+    work: &'a W,
+    run: Run<W::Question>,
+}
+
+impl<'a, W: Work> PartOf<'a, W> {
+    fn new(work: &'a W, units: u64, shards: u64) -> Self {
+        Self { work, run: Run { build: build_id(), units, shards, question: work.question() } }
+    }
+}
+
+impl<W: Work> Work for PartOf<'_, W>
+where
+    W::Question: Sync,
+{
+    type Question = Run<W::Question>;
+    type Sums = W::Sums;
+    type Error = W::Error;
+
+    fn question(&self) -> Self::Question {
+        self.run.clone()
+    }
+
+    fn nothing(&self) -> Self::Sums {
+        self.work.nothing()
+    }
+
+    fn stage(&self) -> (Stage, f64) {
+        self.work.stage()
+    }
+
+    fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<UnitOf<Self>>, Self::Error> {
+        self.work.unit(number, task)
+    }
+}
+
+/// The files of a run.
+#[derive(Clone, Debug)]
+pub struct RunFolder(PathBuf);
+
+impl RunFolder {
+    /// The run in this folder.
+    pub fn new(path: &Path) -> Self {
+        Self(path.to_owned())
+    }
+
+    fn run_file(&self) -> PathBuf {
+        self.0.join("shards").join("run.json")
+    }
+
+    fn record_file(&self, share: Share) -> PathBuf {
+        self.0.join("shards").join(format!("{}-of-{}.task.json", share.index(), share.of()))
+    }
+
+    /// The campaign of a shard that is not complete. It has a file of its own, so that a task cannot replace the complete campaign of
+    /// another one with the same shard.
+    fn part_file(&self, share: Share) -> PathBuf {
+        self.0.join("shards").join(format!("{}-of-{}.part.json", share.index(), share.of()))
+    }
+
+    /// The complete campaign of a shard.
+    pub fn shard_file(&self, share: Share) -> PathBuf {
+        self.0.join("shards").join(format!("{}-of-{}.json", share.index(), share.of()))
+    }
+
+    /// Runs a shard of the first `units` units of some work, or continues it, and saves it in the folder. True if it is complete,
+    /// false if it was stopped.
+    ///
+    /// # Errors
+    /// A folder that belongs to a different run or cannot be written, or a unit that fails, which the task's record names.
+    pub fn run<W: Work>(
+        &self,
+        work: &W,
+        units: u64,
+        share: Share,
+        progress: &Progress<'_>,
+    ) -> Result<bool, W::Error>
+    where
+        W::Question: Sync,
+        W::Error: std::fmt::Display,
+    {
+        if progress.stopped() {
+            return Ok(false);
+        }
+        let part = PartOf::new(work, units, share.of());
+        self.claim(&part.run)?;
+        let record = TaskRecord::begin(&self.record_file(share))?;
+        let outcome = self.advance(&part, share, progress);
+        record.end(match &outcome {
+            Ok(true) => Ending::Complete,
+            Ok(false) => Ending::Stopped,
+            Err(error) => Ending::Failed(error.to_string()),
+        });
+        outcome
+    }
+
+    fn advance<W: Work>(
+        &self,
+        part: &PartOf<'_, W>,
+        share: Share,
+        progress: &Progress<'_>,
+    ) -> Result<bool, W::Error>
+    where
+        W::Question: Sync,
+    {
+        let (file, kept) = (self.shard_file(share), self.part_file(share));
+        let units = part.run.units;
+        let complete = |campaign: &CampaignOf<PartOf<'_, W>>| campaign.units() == share.count(units);
+        let new = || Campaign { share, ..Campaign::new(part) };
+        if file.exists() {
+            // It is only written when it is complete; it may belong to a different run.
+            new().resumed(&file)?;
+            return Ok(true);
+        }
+        let mut campaign = new().resumed(&kept)?;
+        campaign.advance(part, units, Some(&kept), progress)?;
+        if !complete(&campaign) {
+            return Ok(false);
+        }
+        campaign.save(Some(&file))?;
+        // Nothing reads it any more.
+        let _ = std::fs::remove_file(kept);
+        Ok(true)
+    }
+
+    /// Marks the folder as that of a run.
+    fn claim<Q: Serialize + DeserializeOwned>(&self, run: &Run<Q>) -> Result<(), CampaignError> {
+        let path = self.run_file();
+        match read_json::<serde_json::Value>(&path).map_err(CampaignError::file(&path))? {
+            None => write_json_indented(&path, run).map_err(CampaignError::file(&path)),
+            Some(there) => same(&path, &there, run),
+        }
+    }
+
+    /// The whole campaign, from all shards.
+    ///
+    /// # Errors
+    /// A shard that is missing, not complete, a copy of another one, or of a different run or build.
+    pub fn merged<W: Work>(&self, work: &W, units: u64) -> Result<CampaignOf<W>, MergeError>
+    where
+        W::Question: Sync,
+    {
+        let Some(shards) = self.shards()? else { return Err(MergeError::NoRun(self.0.clone())) };
+        let part = PartOf::new(work, units, shards);
+        self.claim(&part.run)?;
+        let mut sums = work.nothing();
+        let mut problems = Problems::default();
+        for share in Share::all(shards) {
+            match self.shard(&part, share) {
+                Ok(Shard::Complete(found)) => sums.absorb(found),
+                Ok(Shard::Missing) => problems.missing.push(share.index()),
+                Ok(Shard::Other(problem)) => problems.others.push(problem),
+                Err(error) => problems.others.push(error.to_string()),
+            }
+        }
+        let problems = problems.in_words(shards);
+        if !problems.is_empty() {
+            return Err(MergeError::Problems { path: self.0.clone(), problems });
+        }
+        Ok(Campaign { question: part.run.question, share: Share::WHOLE, done: Done::below(units), sums })
+    }
+
+    /// What is there of a shard.
+    fn shard<W: Work>(&self, part: &PartOf<'_, W>, share: Share) -> Result<Shard<W::Sums>, CampaignError>
+    where
+        W::Question: Sync,
+    {
+        type Found<W> = Campaign<Run<<W as Work>::Question>, <W as Work>::Sums>;
+        let file = self.shard_file(share);
+        let Some(found) = read_json::<Found<W>>(&file).map_err(CampaignError::file(&file))? else {
+            return Ok(Shard::Missing);
+        };
+        Ok(if found.share != share {
+            Shard::Other(format!("{} is a copy of shard {}", file.display(), found.share))
+        } else if let Some(difference) = difference::between(&found.question, &part.run) {
+            Shard::Other(format!("shard {share} belongs to another run: {difference}"))
+        } else if found.units() != share.count(part.run.units) {
+            Shard::Missing
+        } else {
+            Shard::Complete(found.sums)
+        })
+    }
+
+    /// Number of shards of the run in the folder; none without a run.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn shards(&self) -> Result<Option<u64>, CampaignError> {
+        let path = self.run_file();
+        let run = read_json::<Run<serde_json::Value>>(&path).map_err(CampaignError::file(&path))?;
+        Ok(run.map(|run| run.shards))
+    }
+}
+
+/// What is in the folder in place of a shard.
+enum Shard<S> {
+    Complete(S),
+    Missing,
+    /// Something that cannot be merged.
+    Other(String),
+}
+
+/// Why shards cannot be merged.
+#[derive(Default)]
+struct Problems {
+    missing: Vec<u64>,
+    others: Vec<String>,
+}
+
+impl Problems {
+    fn in_words(self, shards: u64) -> Vec<String> {
+        let missing = self.missing.iter().take(NAMED).map(u64::to_string).collect::<Vec<_>>().join(", ");
+        let missing = match self.missing.len() {
+            0 => None,
+            1 => Some(format!("shard {missing} of {shards} is not complete")),
+            n if n > NAMED => Some(format!("{n} of {shards} shards are not complete, such as {missing}")),
+            _ => Some(format!("shards {missing} of {shards} are not complete")),
+        };
+        missing.into_iter().chain(self.others).collect()
+    }
+}
+
+/// Refuses a folder whose run differs.
+fn same<Q: Serialize>(path: &Path, there: &serde_json::Value, here: &Run<Q>) -> Result<(), CampaignError> {
+    match difference::between(there, here) {
+        None => Ok(()),
+        Some(difference) => Err(CampaignError::OtherRun { path: path.to_owned(), difference }),
+    }
+}

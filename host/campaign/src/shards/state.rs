@@ -1,0 +1,70 @@
+//! How far each shard of a run is.
+
+use serde::Deserialize;
+
+use super::{RunFolder, TaskRecord};
+use crate::done::Done;
+use crate::{CampaignError, Share};
+use data::files::read_json;
+
+/// How far a shard is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardState {
+    /// The shard.
+    pub share: Share,
+    /// Units that are done and saved.
+    pub done: u64,
+    /// Its units.
+    pub units: u64,
+    /// Its last task; none before the first.
+    pub record: Option<TaskRecord>,
+}
+
+impl ShardState {
+    /// Whether all its units are done.
+    pub fn complete(&self) -> bool {
+        self.done == self.units
+    }
+}
+
+/// What is read of a shard's campaign and of the run.
+#[derive(Deserialize)]
+struct Campaign {
+    done: Done,
+}
+
+#[derive(Deserialize)]
+struct Run {
+    units: u64,
+    shards: u64,
+}
+
+impl RunFolder {
+    /// Number of complete shards, which takes no reading.
+    pub fn complete(&self, shards: u64) -> u64 {
+        Share::all(shards).filter(|share| self.shard_file(*share).exists()).count() as u64
+    }
+
+    /// How far each shard is; empty before the first has begun.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn states(&self) -> Result<Vec<ShardState>, CampaignError> {
+        let path = self.run_file();
+        let Some(run) = read_json::<Run>(&path).map_err(CampaignError::file(&path))? else {
+            return Ok(Vec::new());
+        };
+        let state = |share: Share| {
+            let (file, record) = (self.shard_file(share), self.record_file(share));
+            let file = if file.exists() { file } else { self.part_file(share) };
+            let campaign = read_json::<Campaign>(&file).map_err(CampaignError::file(&file))?;
+            Ok(ShardState {
+                share,
+                done: campaign.map_or(0, |campaign| campaign.done.count()),
+                units: share.count(run.units),
+                record: read_json(&record).map_err(CampaignError::file(&record))?,
+            })
+        };
+        Share::all(run.shards).map(state).collect()
+    }
+}
