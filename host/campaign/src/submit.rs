@@ -120,7 +120,7 @@ impl Job {
         if states.is_empty() {
             return Ok((0..self.shards).collect());
         }
-        Ok(states.iter().filter(|state| !state.complete()).map(|state| state.share.index()).collect())
+        Ok(states.iter().filter(|state| !state.complete).map(|state| state.share.index()).collect())
     }
 
     /// Reports progress until `ended` says that the engine has nothing left to run, or it is stopped.
@@ -155,7 +155,7 @@ impl Job {
         let failures: Vec<_> = if states.is_empty() {
             vec![format!("none has begun; see {}", self.log().display())]
         } else {
-            states.iter().filter(|state| !state.complete()).map(|state| self.failure(state)).collect()
+            states.iter().filter(|state| !state.complete).map(|state| self.failure(state)).collect()
         };
         if failures.is_empty() { Ok(()) } else { Err(SubmitError::Incomplete { of: self.shards, failures }) }
     }

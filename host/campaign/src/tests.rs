@@ -236,7 +236,7 @@ fn a_folder_tells_how_far_each_shard_is_and_what_ended_it() {
     run.run(&broken, 10, Share::new(1, 3).unwrap(), &Progress::silent()).unwrap_err();
     let states = run.states().unwrap();
     let ending = |index: usize| states[index].record.as_ref().map(|record| record.ending.clone());
-    assert!(states[0].complete() && states[0].units == 4 && ending(0) == Some(Ending::Complete));
+    assert!(states[0].complete && states[0].units == 4 && ending(0) == Some(Ending::Complete));
     assert_eq!(ending(1), Some(Ending::Failed("unit 1 broke".to_owned())));
     assert_eq!((states[1].units, states[2].done, ending(2)), (3, 0, None));
     assert!(shard(&run, "1/3", 10).unwrap());

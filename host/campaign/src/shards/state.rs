@@ -16,15 +16,10 @@ pub struct ShardState {
     pub done: u64,
     /// Its units.
     pub units: u64,
+    /// Whether all its units are done and can be merged; a shard without units needs a task too.
+    pub complete: bool,
     /// Its last task; none before the first.
     pub record: Option<TaskRecord>,
-}
-
-impl ShardState {
-    /// Whether all its units are done.
-    pub fn complete(&self) -> bool {
-        self.done == self.units
-    }
 }
 
 /// What is read of a shard's campaign and of the run.
@@ -56,12 +51,14 @@ impl RunFolder {
         };
         let state = |share: Share| {
             let (file, record) = (self.shard_file(share), self.record_file(share));
-            let file = if file.exists() { file } else { self.part_file(share) };
+            let complete = file.exists();
+            let file = if complete { file } else { self.part_file(share) };
             let campaign = read_json::<Campaign>(&file).map_err(CampaignError::file(&file))?;
             Ok(ShardState {
                 share,
                 done: campaign.map_or(0, |campaign| campaign.done.count()),
                 units: share.count(run.units),
+                complete,
                 record: read_json(&record).map_err(CampaignError::file(&record))?,
             })
         };
