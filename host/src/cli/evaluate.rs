@@ -40,13 +40,15 @@ Examples:
 
 The score is the mean absolute error over the inspiration, in cmH2O. On the bench it is computed
 from the true airway pressure; with --plant from the true pressure if the plant reports it; with
---port from the measured pressure. The last two columns are the valve effort over the plateau: total
-variation and standard deviation of the command. A learned controller or a rival is compared with the
-PID underneath it, or with --against. On a device (--port), weights that are not running yet are uploaded first.
+--port from the measured pressure. The last two columns are the valve effort over the plateau:
+total variation and standard deviation of the command. A learned controller or a rival is compared
+with the PID underneath it, or with --against. On a device (--port), weights that are not running
+yet are uploaded first.
 
-With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set rate,
-take the place of the bench's own. Scores are those of breaths without efforts (passive), of breaths
-of these patients that the clock starts (timed) and of those that an effort starts (triggered).")]
+With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set
+rate, take the place of the bench's own. Scores are those of breaths without efforts (passive), of
+breaths of these patients that the clock starts (timed) and of those that an effort starts
+(triggered).")]
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,

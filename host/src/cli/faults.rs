@@ -26,12 +26,12 @@ Examples:
   trainer faults --mutate                                   # the same for each monitor and response
   trainer faults --nominal 10000                            # false alarms with effort and coughs
 
-A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a sound
-machine, no gap longer than two breaths) unless no command can move the gas, the venting command
-follows within 200 ms of a reading above the limit, and the true airway pressure stays below its
-bound: 20 cmH2O above the limit, but never more than the 75 cmH2O that the relief valve allows.
-Patients who breathe and changes of the settings must raise no high-priority alarm. The command
-fails if a row fails.")]
+A row passes if its monitors fire under every seed, ventilation goes on (80 % of the volume of a
+sound machine, no gap longer than two breaths) unless no command can move the gas, the venting
+command follows within 200 ms of a reading above the limit, and the true airway pressure stays
+below its bound: 20 cmH2O above the limit, but never more than the 75 cmH2O that the relief valve
+allows. Patients who breathe and changes of the settings must raise no high-priority alarm. The
+command fails if a row fails.")]
 pub struct Args {
     /// Lung such as R20C20, or `paper` for its nine lungs; repeatable
     #[arg(long, value_name = "NAME", default_value = "paper")]

@@ -53,8 +53,9 @@ largest response of the residual to the measured pressure in recorded breaths, b
 its network, and its product with the PID's loop. Below one, the residual cannot destabilise that
 loop; above one, it might.
 
-The accuracy is the smallest +-(A + B % of the target) that holds for the true pressure at the end of
-each phase, on all plants on which the ventilator does not stop, at PEEP 5 and 10, without a leak and with one of 0.1 L/s at 30 cmH2O.
+The accuracy is the smallest +-(A + B % of the target) that holds for the true pressure at the end
+of each phase, on all plants on which the ventilator does not stop, at PEEP 5 and 10, without a
+leak and with one of 0.1 L/s at 30 cmH2O.
 
 With --learning, the controller is the one under iterative learning control; --controller iterative
 and gated have rules of their own, and their margins are those of the PID or the learned controller

@@ -37,7 +37,8 @@ and its reference bound are searched as well, which takes several seconds each.
 
 A plant counts as worsened if a breath is worse than the first by more than 5 % and by more than
 0.3 cmH2O; as unstable if the pressure oscillates on a plateau, from peak to trough, by more than
-twice the plateau tolerance (2 cmH2O + 4 % of PIP); as stopped if the ventilator entered its safe state.
+twice the plateau tolerance (2 cmH2O + 4 % of PIP); as stopped if the ventilator entered its safe
+state.
 
 The result does not depend on the number of threads. With --keep, the plants that are done at Ctrl-C
 are kept, and the same command continues with the others.")]

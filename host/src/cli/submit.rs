@@ -21,13 +21,14 @@ Examples:
   trainer submit parallel --jobs 8 -- endure --patients 1000 --hours 24
 
 The commands are robust, endure, torture, tune-pid, reproduce and sweep, with their usual options.
-Their folder (--out; without it out/NAME) must be one that all machines see: it is all that the tasks
-share.
+Their folder (--out; without it out/NAME) must be one that all machines see: it is all that the
+tasks share.
 
-Slurm gets an array job, and a job that merges after it. What tasks and merge print is in the folder
-`log`. Shards that fail or are killed are submitted again, complete ones never. The same command,
-given once more, watches jobs that are still in the queue, or does what is left. Ctrl-C leaves Slurm's
-jobs running, and ends those of GNU parallel once they have saved what they have done.")]
+Slurm gets an array job, and a job that merges after it. What tasks and merge print is in the
+folder `log`. Shards that fail or are killed are submitted again, complete ones never. The same
+command, given once more, watches jobs that are still in the queue, or does what is left. Ctrl-C
+leaves Slurm's jobs running, and ends those of GNU parallel once they have saved what they have
+done.")]
 pub struct Args {
     #[command(subcommand)]
     engine: Engine,

@@ -29,8 +29,9 @@ sweep.toml, here twelve runs of the demo:
 
 The command can be any with --json, such as demo, train, train-family, robust or evaluate; figures
 are numbers in its JSON. {out} stands for a folder of the run's own. Option names are those of the
-command line, without the dashes; true and false set or omit an option without a value. There are as
-many runs at a time as cores, with one core each. Ctrl-C loses no complete run: the same command continues.")]
+command line, without the dashes; true and false set or omit an option without a value. There are
+as many runs at a time as cores, with one core each. Ctrl-C loses no complete run: the same command
+continues.")]
 pub struct Args {
     /// Description in TOML
     #[arg(value_name = "FILE.toml")]

@@ -21,8 +21,8 @@ Examples:
 
 The command records some units of the family with the known-good PID, fits a physical simulator to
 each, draws thousands of units around them, and trains on those over consecutive breaths: the
-controller sees the error and the command of earlier breaths. The defaults take about a quarter of an
-hour on two idle cores. Ctrl-C stops; the same command continues where it stopped.")]
+controller sees the error and the command of earlier breaths. The defaults take about a quarter of
+an hour on two idle cores. Ctrl-C stops; the same command continues where it stopped.")]
 pub struct Args {
     /// Family of plants: a shipped one, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]

@@ -38,8 +38,8 @@ Examples:
 Gains are P in percent per cmH2O, I in percent per cmH2O and second, D in percent per cmH2O/s.
 Ctrl-C ends the search with the best gains found so far.
 
-A shard searches some of the lungs, and keeps those that are complete after Ctrl-C. The merge adds the
-search for the best PID over all lungs.")]
+A shard searches some of the lungs, and keeps those that are complete after Ctrl-C. The merge adds
+the search for the best PID over all lungs.")]
 pub struct Args {
     /// Lung such as R20C20, `paper` for its nine lungs, `iso` for the 21 rows of the test table; repeatable
     #[arg(long, value_name = "NAME", default_value = "R20C20")]
