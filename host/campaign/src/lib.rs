@@ -132,7 +132,7 @@ where
     /// given, it saves the campaign there every few seconds and at the end.
     ///
     /// # Errors
-    /// That of the unit that failed first, or a file that cannot be written. Units under way are completed and saved.
+    /// That of the first unit that failed, or a file that cannot be written. Units under way are completed and saved.
     pub fn advance<W: Work<Question = Q, Sums = S>>(
         &mut self,
         work: &W,
@@ -169,7 +169,7 @@ where
                     && let Err(error) = unit(place)
                 {
                     failed.store(true, Ordering::Relaxed);
-                    running.lock().unwrap_or_else(PoisonError::into_inner).failure.get_or_insert(error);
+                    running.lock().unwrap_or_else(PoisonError::into_inner).fail(place, error);
                 }
             }
         };
@@ -181,7 +181,7 @@ where
         });
         let Running { campaign, failure, .. } = running.into_inner().unwrap_or_else(PoisonError::into_inner);
         let saved = campaign.save(keep);
-        failure.map_or(Ok(()), Err)?;
+        failure.map_or(Ok(()), |(_, error)| Err(error))?;
         Ok(saved?)
     }
 
@@ -210,6 +210,15 @@ where
 struct Running<'a, Q, S, E> {
     campaign: &'a mut Campaign<Q, S>,
     saved: Instant,
-    /// The first failure.
-    failure: Option<E>,
+    /// The failure of the first place, and this place.
+    failure: Option<(u64, E)>,
+}
+
+impl<Q, S, E> Running<'_, Q, S, E> {
+    /// Keeps the failure of the first place. Units begin in order, so it is the same on any number of threads.
+    fn fail(&mut self, place: u64, error: E) {
+        if self.failure.as_ref().is_none_or(|(first, _)| place < *first) {
+            self.failure = Some((place, error));
+        }
+    }
 }

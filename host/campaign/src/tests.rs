@@ -35,7 +35,7 @@ impl Sums for Sines {
 #[derive(Default)]
 struct Waves {
     seed: u64,
-    /// Unit that fails.
+    /// First unit that fails, as do all later ones.
     fails: Option<u64>,
     /// Units computed.
     computed: AtomicU64,
@@ -67,7 +67,7 @@ impl Work for Waves {
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<f64>, WavesError> {
-        if self.fails == Some(number) {
+        if self.fails.is_some_and(|first| number >= first) {
             return Err(WavesError::Broken(number));
         }
         self.computed.fetch_add(1, Ordering::Relaxed);
