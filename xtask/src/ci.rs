@@ -34,7 +34,7 @@ const HOST: &[Step] = &[
     },
     step("build", &["test --no-run --workspace --exclude firmware"]),
     step("test", &["test --workspace --exclude firmware"]),
-    step("engines", &["test -p host --features engines --test engines"]).after("setup"),
+    step("engines", &["test -p host --features engines --test command_line engines"]).after("setup"),
     step("qemu-test", &["xtask qemu-test"]).after("firmware"),
     step("cost", &["xtask cost"]),
 ];

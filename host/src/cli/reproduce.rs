@@ -25,8 +25,8 @@ Each experiment keeps its result in the folder and reuses the results it finds t
 loses nothing: the same command continues. results.json contains all figures; report.html and
 results.md show them.
 
-Most experiments need the results of others. A shard runs those that no other task has started, and
-waits for the rest. So start all shards at the same time.")]
+Most experiments need the results of earlier experiments. A shard runs the earlier ones that no
+other task has started, and waits for the rest. So start all shards at the same time.")]
 pub struct Args {
     /// Folder for all results
     #[arg(long, value_name = "DIR", default_value = "out/reproduce")]

@@ -5,6 +5,8 @@ mod bad_input;
 mod blackbox;
 mod commission;
 mod endure;
+#[cfg(feature = "engines")]
+mod engines;
 mod help;
 mod interrupted;
 mod judge;

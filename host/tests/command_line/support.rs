@@ -13,22 +13,36 @@ use tempfile::TempDir;
 /// A folder to run the program in.
 pub struct Place {
     folder: TempDir,
+    /// A variable that all programs see, with the path of a file.
+    variable: Option<(&'static str, PathBuf)>,
 }
 
 impl Place {
     pub fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
+        Self { folder: tempfile::tempdir().unwrap(), variable: None }
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
+    /// The same folder, in which programs see a variable with the path of a file.
+    #[cfg(feature = "engines")]
+    pub fn with(self, name: &'static str, file: &str) -> Self {
+        Self { variable: Some((name, self.path(file))), ..self }
+    }
+
+    /// Any program.
+    pub fn program(&self, program: &str) -> Command {
+        let mut command = Command::new(program);
+        command.current_dir(self.folder.path()).envs(self.variable.clone());
+        command
+    }
+
     /// The program with arguments separated by blanks.
     pub fn command(&self, line: &str) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_trainer"));
-        command.args(line.split_whitespace()).current_dir(self.folder.path());
-        command.env_remove("EUPNEA_LOG").env("COLUMNS", "100");
+        let mut command = self.program(env!("CARGO_BIN_EXE_trainer"));
+        command.args(line.split_whitespace()).env_remove("EUPNEA_LOG").env("COLUMNS", "100");
         command
     }
 

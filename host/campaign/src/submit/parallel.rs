@@ -81,6 +81,10 @@ impl Parallel {
         let mut parallel = Command::new("parallel");
         // In a group of its own, so that Ctrl-C reaches only this program.
         parallel.args(self.arguments(job)).stdin(input).process_group(0);
+        if self.jobs.is_none() {
+            // A task for each core.
+            parallel.env("RAYON_NUM_THREADS", "1");
+        }
         let mut tasks = printing(&mut parallel, &job.log().join("tasks.txt"))?.spawn().map_err(failed)?;
         let watched = job.watch(progress, || Ok(tasks.try_wait().map_err(failed)?.is_some()));
         if progress.stopped() {

@@ -81,14 +81,17 @@ impl Work for PidSearch {
     }
 
     fn unit(&self, number: u64, task: &Task<'_>) -> Result<Option<LungScores>, TuneError> {
-        let (lung, part) = (&self.lungs[number as usize..=number as usize], task.part());
+        let (lungs, part) = (&self.lungs[number as usize..=number as usize], task.part());
         let running = Running::new(part.task(Stage::TunePid, 0));
-        let mut tuning = Tuning::new(lung, self.search.grid.completed(), &self.search, &self.plan, &running)?;
-        let one = tuning.begin(lung.len())?;
-        let best = tuning.best(&one)?;
-        let (lung, map) = (lung[0].name.clone(), tuning.map(&one));
-        let result = LungResult { lung, best, map, complete: true };
-        let scores = LungScores { result, screening: tuning.screen.on(0), full: tuning.full.on(0) };
-        Ok((!task.stopped()).then_some(scores))
+        let grid = self.search.grid.completed();
+        let mut tuning = Tuning::new(lungs, grid, &self.search, &self.plan, &running)?;
+        tuning.begin(lungs.len())?;
+        let result = tuning.on_lung(0, lungs[0].name.clone(), &part)?;
+        // A search that was stopped is no result of the lung.
+        Ok(result.complete.then(|| LungScores {
+            result,
+            screening: tuning.screen.on(0),
+            full: tuning.full.on(0),
+        }))
     }
 }

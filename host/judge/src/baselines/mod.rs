@@ -187,13 +187,7 @@ fn tune_knowing<G: Ground>(
             results.push(earlier.result.clone());
             continue;
         }
-        let best = tuning.best(&[index])?;
-        results.push(LungResult {
-            lung: lung.name(),
-            best,
-            map: tuning.map(&[index]),
-            complete: !progress.stopped(),
-        });
+        results.push(tuning.on_lung(index, lung.name(), progress)?);
     }
     let over_all = tuning.best(&all)?;
     work.task.finish();
@@ -253,6 +247,17 @@ impl<'a, G: Ground> Tuning<'a, G> {
         let all: Vec<usize> = (0..lungs).collect();
         self.full.measure(&all, &[PidGains::default()], Patience::Needed)?;
         Ok(all)
+    }
+
+    /// The result for one lung.
+    fn on_lung(
+        &mut self,
+        index: usize,
+        lung: String,
+        progress: &Progress<'_>,
+    ) -> Result<LungResult, TuneError> {
+        let best = self.best(&[index])?;
+        Ok(LungResult { lung, best, map: self.map(&[index]), complete: !progress.stopped() })
     }
 
     /// The best of each kind for a group of lungs, by their mean score.

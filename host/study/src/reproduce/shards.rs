@@ -180,7 +180,7 @@ struct Claims {
     /// Distinguishes this task from all others.
     owner: u64,
     held: Mutex<BTreeMap<PathBuf, u64>>,
-    /// Claims of others as they were first seen.
+    /// Content of each claim that another task holds, and when it was first seen.
     seen: Mutex<BTreeMap<PathBuf, (String, Instant)>>,
     /// Age at which the task of a claim is taken for dead.
     dead_after: Duration,

@@ -4,15 +4,16 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use super::run::{COMMAND, Place, text};
+use super::{COMMAND, merged, submitted, whole};
+use crate::support::{Place, text};
 
 #[test]
 fn tasks_of_gnu_parallel_and_their_merge_equal_the_whole_run() {
     let place = Place::new();
-    let submitted = place.submitted();
+    let submitted = submitted(&place);
     let shown = place.ok(&format!("submit parallel --shards 7 --jobs 2 {submitted}"));
     assert!(shown.contains("highest true airway pressure"), "{shown}");
-    assert_eq!(fs::read_to_string(place.merged()).unwrap(), place.whole());
+    assert_eq!(fs::read_to_string(merged(&place)).unwrap(), whole(&place));
     let record = fs::read_to_string(place.path("run/shards/3-of-7.task.json")).unwrap();
     assert!(record.contains("\"engine\": \"GNU parallel\""), "{record}");
     // Only what is missing is run again.
@@ -29,12 +30,12 @@ fn tasks_of_gnu_parallel_and_their_merge_equal_the_whole_run() {
 fn a_shard_that_cannot_succeed_is_named() {
     let place = Place::new();
     place.ok("torture --breaths 60 --seed 6 --shard 0/2 --out run");
-    let output = place.run(&format!("submit parallel --shards 2 --retries 0 {}", place.submitted()));
+    let output = place.run(&format!("submit parallel --shards 2 --retries 0 {}", submitted(&place)));
     let refused = text(&output.stderr);
     assert!(!output.status.success() && refused.contains("shard 1 has not begun"), "{refused}");
     let log = fs::read_to_string(place.path("run/log/tasks.txt")).unwrap();
     assert!(log.contains("there and"), "{log}");
-    assert!(!place.merged().exists());
+    assert!(!merged(&place).exists());
 }
 
 #[test]
@@ -43,7 +44,7 @@ fn ctrl_c_ends_the_tasks_once_they_have_saved_and_the_same_command_continues() {
     let long = COMMAND.replace("1200", "12000");
     let line = format!(
         "submit parallel --shards 2 --jobs 2 -- {long} --out run --json {}",
-        place.merged().display()
+        merged(&place).display()
     );
     let submitted = place.command(&line).stdout(Stdio::piped()).spawn().unwrap();
     let part = place.path("run/shards/0-of-2.part.json");
@@ -58,5 +59,5 @@ fn ctrl_c_ends_the_tasks_once_they_have_saved_and_the_same_command_continues() {
     let record = fs::read_to_string(place.path("run/shards/0-of-2.task.json")).unwrap();
     assert!(record.contains("\"ending\": \"stopped\""), "the task ended by itself: {record}");
     place.ok(&line);
-    assert_eq!(fs::read_to_string(place.merged()).unwrap(), place.ok(&format!("{long} --json -")));
+    assert_eq!(fs::read_to_string(merged(&place)).unwrap(), place.ok(&format!("{long} --json -")));
 }

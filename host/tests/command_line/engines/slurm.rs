@@ -7,7 +7,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use super::run::{COMMAND, Place, text};
+use super::{COMMAND, merged, submitted, whole};
+use crate::support::{Place, text};
 
 /// How long the cluster may take for anything.
 const PATIENCE: Duration = Duration::from_mins(2);
@@ -111,10 +112,10 @@ fn configuration(place: &Place) -> String {
 fn an_array_job_and_its_merge_equal_the_whole_run() {
     let cluster = Cluster::start();
     let place = &cluster.place;
-    let submitted = place.submitted();
+    let submitted = submitted(place);
     let shown = place.ok(&format!("submit slurm --shards 7 {submitted}"));
     assert!(shown.contains("array job ") && shown.contains("highest true airway pressure"), "{shown}");
-    assert_eq!(fs::read_to_string(place.merged()).unwrap(), place.whole());
+    assert_eq!(fs::read_to_string(merged(place)).unwrap(), whole(place));
     let again = place.ok(&format!("submit slurm --shards 7 {submitted}"));
     assert!(again.contains("all shards are complete"), "{again}");
 }
@@ -124,7 +125,7 @@ fn tasks_that_slurm_requeues_or_someone_kills_are_run_again_and_change_nothing()
     let cluster = Cluster::start();
     let place = &cluster.place;
     let long = COMMAND.replace("1200", "12000");
-    let line = format!("submit slurm --shards 3 -- {long} --out run --json {}", place.merged().display());
+    let line = format!("submit slurm --shards 3 -- {long} --out run --json {}", merged(place).display());
     let submitted = place.command(&line).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     cluster.wait_for_attempt(1);
     let jobs = cluster.ask(&["squeue", "--noheader", "--states=R", "--format=%A %F_%K"]);
@@ -138,7 +139,7 @@ fn tasks_that_slurm_requeues_or_someone_kills_are_run_again_and_change_nothing()
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert_eq!(text(&output.stdout).matches("array job ").count(), 2, "the killed task was submitted again");
     let whole = place.ok(&format!("{long} --json -"));
-    assert_eq!(fs::read_to_string(place.merged()).unwrap(), whole);
+    assert_eq!(fs::read_to_string(merged(place)).unwrap(), whole);
 }
 
 #[test]
@@ -146,7 +147,7 @@ fn a_shard_that_cannot_succeed_is_named_and_nothing_is_merged() {
     let cluster = Cluster::start();
     let place = &cluster.place;
     place.ok("torture --breaths 60 --seed 6 --shard 0/2 --out run");
-    let output = place.run(&format!("submit slurm --shards 2 --retries 1 {}", place.submitted()));
+    let output = place.run(&format!("submit slurm --shards 2 --retries 1 {}", submitted(place)));
     let refused = text(&output.stderr);
     assert!(
         !output.status.success() && refused.contains("1 of 2 shards are not complete: shard 1"),
@@ -155,8 +156,8 @@ fn a_shard_that_cannot_succeed_is_named_and_nothing_is_merged() {
     assert_eq!(text(&output.stdout).matches("array job ").count(), 2, "it was tried again");
     let log = fs::read_to_string(place.path("run/log/1.txt")).unwrap();
     assert!(log.contains("there and"), "{log}");
-    assert!(!place.merged().exists() && cluster.ask(&["squeue", "--noheader"]).is_empty());
-    let other = place.run(&format!("submit slurm --shards 3 {}", place.submitted()));
+    assert!(!merged(place).exists() && cluster.ask(&["squeue", "--noheader"]).is_empty());
+    let other = place.run(&format!("submit slurm --shards 3 {}", submitted(place)));
     assert!(text(&other.stderr).contains("is divided into 2 shards, not 3"), "{}", text(&other.stderr));
 }
 
@@ -164,9 +165,9 @@ fn a_shard_that_cannot_succeed_is_named_and_nothing_is_merged() {
 fn the_same_command_watches_jobs_that_are_still_in_the_queue() {
     let cluster = Cluster::start();
     let place = &cluster.place;
-    let line = format!("submit slurm --shards 2 --detach {}", place.submitted());
+    let line = format!("submit slurm --shards 2 --detach {}", submitted(place));
     let [first, second] = [place.ok(&line), place.ok(&line)];
     assert_eq!(first, second);
     place.ok(&line.replace("--detach ", ""));
-    assert_eq!(fs::read_to_string(place.merged()).unwrap(), place.whole());
+    assert_eq!(fs::read_to_string(merged(place)).unwrap(), whole(place));
 }

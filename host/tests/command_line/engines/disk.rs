@@ -1,6 +1,7 @@
 //! A full disk: a file system of a few kilobytes, in a mount namespace of its own.
 
-use super::run::{COMMAND, Place, text};
+use super::COMMAND;
+use crate::support::{Place, text};
 
 #[test]
 fn a_full_disk_is_an_error_of_the_shard_and_leaves_nothing_half_written() {
