@@ -165,6 +165,10 @@ impl<'a> Rig<'a> {
             step = match step {
                 NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
                 NextStep::Store => self.server.stored(Ok(Slot::A), [SlotState::Torn; 2]),
+                NextStep::StoreCalibration(calibration) => {
+                    self.server.calibration_stored(&calibration, Ok(1))
+                }
+                NextStep::ReadCalibration { .. } => self.server.calibration_read(0, None),
                 NextStep::Send(answer) | NextStep::Restart(answer) => {
                     let answered =
                         matches!(answer, ToHost::Response { sequence, .. } if sequence == request.sequence);

@@ -15,6 +15,7 @@
 extern crate std;
 
 pub mod breath;
+pub mod calibration;
 pub mod checksum;
 pub mod control;
 pub mod device;

@@ -20,6 +20,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use shared::calibration::Calibration;
 use shared::device::annunciator::AudioStatus;
 use shared::device::self_test::{Check, Outcome, Report};
 use shared::explore::Exploration;
@@ -365,6 +366,24 @@ impl Device {
     pub fn timing(&mut self, clear: bool) -> Result<TickTimes, DeviceError> {
         match self.request(&Request::GetTiming { clear })? {
             Response::Timing(times) => Ok(times),
+            _ => Err(DeviceError::Unexpected),
+        }
+    }
+
+    /// Number of stored calibrations, and one of them: 0 for the newest, 1 for the one before, and so on.
+    pub fn calibration(&mut self, back: u16) -> Result<(u16, Option<Calibration>), DeviceError> {
+        self.expect_calibration(&Request::GetCalibration { back })
+    }
+
+    /// Stores a calibration, which corrects the readings from the next start of ventilation on; returns the number of stored
+    /// calibrations. Only in standby.
+    pub fn calibrate(&mut self, calibration: &Calibration) -> Result<u16, DeviceError> {
+        self.expect_calibration(&Request::StoreCalibration(*calibration)).map(|(stored, _)| stored)
+    }
+
+    fn expect_calibration(&mut self, request: &Request) -> Result<(u16, Option<Calibration>), DeviceError> {
+        match self.request(request)? {
+            Response::Calibration { stored, calibration } => Ok((stored, calibration)),
             _ => Err(DeviceError::Unexpected),
         }
     }

@@ -1,6 +1,8 @@
 //! A device without a chip: both halves of [`shared::device`] on the virtual bench, at the end of any line. It replaces
 //! the firmware where there is no emulator, and lets tests examine the line's effect on a device.
 
+mod flash;
+
 use std::io::{ErrorKind, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,6 +11,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use shared::breath::DEFAULT_PERIOD_US;
+use shared::calibration::SensorCorrection;
+use shared::calibration::stored::StoredCalibrations;
 use shared::device::control::Control;
 use shared::device::self_test::BootFindings;
 use shared::device::server::{DeviceFacts, NextStep, Server};
@@ -24,6 +28,7 @@ use shared::weights::slots::{Slot, SlotState};
 use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
+use flash::{Flash, SECTOR_BYTES};
 use plant::Plant;
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 
@@ -84,8 +89,11 @@ struct Chip<'a> {
     ticks: u32,
     reading: f32,
     command: ValveCommand,
+    /// The sector of the calibrations.
+    flash: Flash,
+    calibrations: StoredCalibrations,
     /// The weight slots.
-    flash: [Option<[u8; IMAGE_BYTES]>; 2],
+    slots: [Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
     out: Vec<u8>,
 }
@@ -93,6 +101,8 @@ struct Chip<'a> {
 impl<'a> Chip<'a> {
     fn new(bench: BenchPlant, memory: &'a RecorderMemory) -> Self {
         let (control, server, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
+        let mut flash = Flash::new();
+        let calibrations = StoredCalibrations::open(&mut flash, 0, SECTOR_BYTES);
         let peep = shared::settings::Settings::default().peep;
         Self {
             memory,
@@ -105,7 +115,9 @@ impl<'a> Chip<'a> {
             ticks: 0,
             reading: peep,
             command: ValveCommand::SAFE,
-            flash: [None; 2],
+            flash,
+            calibrations,
+            slots: [None; 2],
             newest: None,
             out: Vec::new(),
         }
@@ -190,13 +202,24 @@ impl<'a> Chip<'a> {
                 NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
                 NextStep::Store => {
                     let slot = self.store();
-                    self.server.stored(Ok(slot), states(&self.flash))
+                    self.server.stored(Ok(slot), states(&self.slots))
+                }
+                NextStep::StoreCalibration(calibration) => {
+                    let stored = self.calibrations.store(&mut self.flash, &calibration);
+                    let stored =
+                        stored.map(|()| self.calibrations.count()).map_err(|_| Refusal::CalibrationStorage);
+                    self.server.calibration_stored(&calibration, stored)
+                }
+                NextStep::ReadCalibration { back } => {
+                    let calibration = self.calibrations.get(&mut self.flash, back);
+                    self.server.calibration_read(self.calibrations.count(), calibration)
                 }
                 NextStep::Restart(answer) => {
                     self.say(&answer);
                     let cause = ResetCause::Software;
                     (self.control, self.server, self.recorder) =
-                        boot(self.memory, cause, &self.flash, self.newest);
+                        boot(self.memory, cause, &self.slots, self.newest);
+                    self.recall();
                     self.command = ValveCommand::SAFE;
                     return;
                 }
@@ -204,9 +227,18 @@ impl<'a> Chip<'a> {
         }
     }
 
+    /// Puts the newest calibration in force, as the firmware does at its start.
+    fn recall(&mut self) {
+        self.calibrations = StoredCalibrations::open(&mut self.flash, 0, SECTOR_BYTES);
+        let newest = self.calibrations.get(&mut self.flash, 0);
+        if let Some(correction) = newest.and_then(|newest| SensorCorrection::new(&newest).ok()) {
+            self.control.calibrate(correction);
+        }
+    }
+
     fn store(&mut self) -> Slot {
         let slot = if self.newest == Some(Slot::A) { Slot::B } else { Slot::A };
-        self.flash[slot as usize] = Some(*self.server.image());
+        self.slots[slot as usize] = Some(*self.server.image());
         self.newest = Some(slot);
         slot
     }
@@ -238,8 +270,8 @@ fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<V
 }
 
 /// The states of the slots.
-fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
-    flash.map(|bytes| match bytes.and_then(|bytes| decode(&bytes).ok()) {
+fn states(slots: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
+    slots.map(|bytes| match bytes.and_then(|bytes| decode(&bytes).ok()) {
         Some(image) => SlotState::Valid { generation: 0, id: image.id },
         None => SlotState::Empty,
     })
@@ -249,13 +281,13 @@ fn states(flash: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
 fn boot<'a>(
     memory: &'a RecorderMemory,
     reset: ResetCause,
-    flash: &[Option<[u8; IMAGE_BYTES]>; 2],
+    images: &[Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
 ) -> (Control, Server<'a>, Recorder<'a>) {
-    let slots = states(flash);
+    let slots = states(images);
     let weights = newest.and_then(|slot| slots[slot as usize].id());
     let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights, restored: false });
-    let image = newest.and_then(|slot| flash[slot as usize]).and_then(|bytes| decode(&bytes).ok());
+    let image = newest.and_then(|slot| images[slot as usize]).and_then(|bytes| decode(&bytes).ok());
     let learned = image.map(|image| image.residual);
     let running = newest.filter(|_| learned.is_some());
     let device = DeviceKind::Simulated;

@@ -12,6 +12,7 @@ use super::annunciator::{Annunciator, Signals};
 use super::self_test::{BootFindings, Check, SelfTest};
 use super::{ControlReply, ControlReport, ControlRequest, KNOWN_GOOD, Status};
 use crate::breath::{Breath, Phase};
+use crate::calibration::SensorCorrection;
 use crate::control::Controller;
 use crate::control::pid::Pid;
 use crate::control::residual::Residual;
@@ -74,6 +75,10 @@ pub struct Control {
     annunciator: Annunciator,
     alarm_events: AlarmEvents,
     self_test: SelfTest,
+    /// Correction of the airway sensor, if the unit is calibrated.
+    correction: Option<SensorCorrection>,
+    /// Correction from the next start of ventilation on.
+    next_correction: Option<SensorCorrection>,
     /// Whether a host has sent settings in this standby.
     confirmed: bool,
     seed: Option<u64>,
@@ -108,6 +113,8 @@ impl Control {
             annunciator: Annunciator::new(period_us),
             alarm_events: AlarmEvents::new(period_us),
             self_test: SelfTest::none(period_us),
+            correction: None,
+            next_correction: None,
             confirmed: false,
             seed: None,
             peep: None,
@@ -145,6 +152,11 @@ impl Control {
     /// Lets ventilation start only after the self-test, which begins with what the start of the chip has found.
     pub fn require_self_test(&mut self, boot: &BootFindings) {
         self.self_test = SelfTest::after_boot(self.ventilator.period_us(), boot);
+    }
+
+    /// Corrects the airway sensor's readings from the first tick on. Call it before that.
+    pub fn calibrate(&mut self, correction: SensorCorrection) {
+        self.correction = Some(correction);
     }
 
     fn raise(&mut self, fault: Fault) {
@@ -221,7 +233,7 @@ impl Control {
         if self.host.is_gone(self.state.mode() == Mode::Ventilating) {
             self.go_on_alone();
         }
-        let readings = self.self_test.zeroed(readings.into());
+        let readings = self.corrected(readings.into());
         let mut output = self.ventilator.step(&mut self.state, readings);
         if output.mode != Mode::Ventilating {
             let alarm = output.alarm.is_some() || output.mode != Mode::Standby;
@@ -230,6 +242,13 @@ impl Control {
         }
         self.annunciator.step(self.state.indications());
         output
+    }
+
+    /// The readings as the ventilator sees them. Without a calibration nothing but the zeros changes a bit.
+    #[inline]
+    fn corrected(&self, readings: Readings) -> Readings {
+        let airway = self.correction.map_or(readings.airway, |sensor| sensor.corrected(readings.airway));
+        self.self_test.zeroed(Readings { airway, ..readings })
     }
 
     /// Levels of the sounder and the lamps after the last step.
@@ -331,7 +350,7 @@ impl Control {
     #[inline]
     pub fn moment<'a>(&'a self, reading: f32, output: &'a Output, missed: u32) -> Moment<'a> {
         let learned = self.status.controller == ControllerChoice::Learned;
-        let reading = reading - self.self_test.airway_zero();
+        let reading = self.corrected(reading.into()).airway;
         Moment {
             reading,
             output,
@@ -355,8 +374,11 @@ impl Control {
         self.host.heard();
         let response = match *request {
             ControlRequest::Status => {
-                let (mode, moves_valves) = (self.state.mode(), self.self_test.moves_valves());
-                return ControlReply::Status(Status { mode, moves_valves, ..self.status });
+                return ControlReply::Status(self.status());
+            }
+            ControlRequest::Calibrate(correction) => {
+                self.next_correction = Some(correction);
+                return ControlReply::Status(self.status());
             }
             ControlRequest::Settings => Ok(self.settings()),
             ControlRequest::Apply(settings) => self.apply(&settings),
@@ -374,6 +396,11 @@ impl Control {
             ControlRequest::Audio => Ok(Response::Audio(self.annunciator.status())),
         };
         ControlReply::Response(response.unwrap_or_else(Response::Refused))
+    }
+
+    fn status(&self) -> Status {
+        let (mode, moves_valves) = (self.state.mode(), self.self_test.moves_valves());
+        Status { mode, moves_valves, ..self.status }
     }
 
     fn settings(&self) -> Response {
@@ -417,9 +444,18 @@ impl Control {
             }
             self.meter = BreathMeter::default();
             self.change_controller();
+            self.change_correction();
             self.state.start();
         }
         Ok(Response::Mode(self.state.mode()))
+    }
+
+    /// Puts a new calibration in force. It measures the sensor's zero too, so it replaces that of an earlier check.
+    fn change_correction(&mut self) {
+        if let Some(correction) = self.next_correction.take() {
+            self.correction = Some(correction);
+            self.self_test.forget_airway_zero();
+        }
     }
 
     fn stop(&mut self) -> Response {

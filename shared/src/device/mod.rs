@@ -28,6 +28,7 @@ mod upload;
 #[cfg(test)]
 mod tests;
 
+use crate::calibration::SensorCorrection;
 pub use crate::control::pid::KNOWN_GOOD;
 use crate::explore::Exploration;
 use crate::link::messages::{ControllerChoice, Response};
@@ -73,6 +74,8 @@ pub enum ControlRequest {
     Audio,
     /// Begin a check of the self-test, if one is named, and report its results.
     SelfTest(Option<Check>),
+    /// Correct the airway sensor's readings from the next start of ventilation on. Answered by [`ControlReply::Status`].
+    Calibrate(SensorCorrection),
 }
 
 /// The control half's answer to a request.

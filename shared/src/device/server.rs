@@ -12,6 +12,7 @@ use super::lease::Lease;
 use super::upload::Upload;
 use super::{ControlReply, ControlReport, ControlRequest, Status};
 use crate::breath::DEFAULT_PERIOD_US;
+use crate::calibration::{Calibration, SensorCorrection};
 use crate::link::PROTOCOL;
 use crate::link::messages::{
     DeviceIdentity, DeviceKind, Event, FAILURE_BYTES, Request, Response, ToDevice, ToHost,
@@ -71,6 +72,13 @@ pub enum NextStep {
     Control(ControlRequest),
     /// Store [`Server::image`] in the flash, then call [`Server::stored`].
     Store,
+    /// Store this calibration in the flash, then call [`Server::calibration_stored`].
+    StoreCalibration(Calibration),
+    /// Read a calibration, 0 for the newest, then call [`Server::calibration_read`].
+    ReadCalibration {
+        /// 0 for the newest, 1 for the one before, and so on.
+        back: u16,
+    },
     /// Send this message completely, then restart.
     Restart(ToHost),
 }
@@ -86,6 +94,10 @@ enum Continuation {
     Begin { length: u32, id: u32 },
     /// Validate and store the upload, unless the device ventilates.
     Commit,
+    /// Store a calibration in standby.
+    StoreCalibration(Calibration),
+    /// Report the calibration that the control half has taken over.
+    Calibrated { stored: u16, calibration: Calibration },
     /// Restart, unless the device ventilates.
     Restart,
 }
@@ -172,6 +184,10 @@ impl<'a> Server<'a> {
                 (Continuation::Begin { length: *length, id: *id }, ControlRequest::Status)
             }
             Request::CommitWeights => (Continuation::Commit, ControlRequest::Status),
+            Request::StoreCalibration(calibration) => {
+                (Continuation::StoreCalibration(*calibration), ControlRequest::Status)
+            }
+            Request::GetCalibration { back } => return NextStep::ReadCalibration { back: *back },
             Request::Reset => (Continuation::Restart, ControlRequest::Status),
             Request::GetRecorder => return self.send(Ok(Response::Recorder(self.recorder.status()))),
             Request::ReadRecorder { part, from } => {
@@ -239,6 +255,13 @@ impl<'a> Server<'a> {
                 }
                 Err(refusal) => self.send(Err(refusal)),
             },
+            Continuation::StoreCalibration(calibration) => match may_calibrate(&status, &calibration) {
+                Ok(()) => NextStep::StoreCalibration(calibration),
+                Err(refusal) => self.send(Err(refusal)),
+            },
+            Continuation::Calibrated { stored, calibration } => {
+                self.send(Ok(Response::Calibration { stored, calibration: Some(calibration) }))
+            }
             Continuation::Restart if idle.is_ok() => NextStep::Restart(self.answer(Response::Done)),
             Continuation::Restart => self.send(Err(Refusal::Ventilating)),
         }
@@ -253,6 +276,27 @@ impl<'a> Server<'a> {
             StoreError::Flash(_) => Refusal::Storage,
         };
         self.send(slot.map(|slot| Response::Weights { id, slot }).map_err(refusal))
+    }
+
+    /// Continues after [`NextStep::StoreCalibration`] with the number of calibrations that are stored now.
+    pub fn calibration_stored(
+        &mut self,
+        calibration: &Calibration,
+        stored: Result<u16, Refusal>,
+    ) -> NextStep {
+        let correction = SensorCorrection::new(calibration).map_err(Refusal::from);
+        match stored.and_then(|stored| Ok((stored, correction?))) {
+            Ok((stored, correction)) => {
+                self.continuation = Continuation::Calibrated { stored, calibration: *calibration };
+                NextStep::Control(ControlRequest::Calibrate(correction))
+            }
+            Err(refusal) => self.send(Err(refusal)),
+        }
+    }
+
+    /// Continues after [`NextStep::ReadCalibration`] with the number of stored calibrations and the one that was read.
+    pub fn calibration_read(&mut self, stored: u16, calibration: Option<Calibration>) -> NextStep {
+        self.send(Ok(Response::Calibration { stored, calibration }))
     }
 
     fn send(&mut self, result: Result<Response, Refusal>) -> NextStep {
@@ -308,5 +352,16 @@ impl<'a> Server<'a> {
         };
         events.extend(batch.map(Event::Telemetry).into_iter().chain(event).map(ToHost::Event));
         events
+    }
+}
+
+/// Whether a calibration may be stored. A store may erase a sector, which stalls the chip: so neither while the valves move nor
+/// in the safe state, which an operator wants to leave without delay.
+fn may_calibrate(status: &Status, calibration: &Calibration) -> Result<(), Refusal> {
+    match status.mode {
+        Mode::Ventilating => Err(Refusal::Ventilating),
+        Mode::Fault(_) => Err(Refusal::FaultLatched),
+        Mode::Standby if status.moves_valves => Err(Refusal::SelfTestRuns),
+        Mode::Standby => Ok(calibration.validate()?),
     }
 }

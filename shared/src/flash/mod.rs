@@ -8,8 +8,10 @@
 //! |---|---|
 //! | [`crate::weights::slots`] | weights images, stored at once on request |
 //! | [`archive`] | copies of memory that changes, written piece by piece |
+//! | [`journal`] | small records, appended one after another |
 
 pub mod archive;
+pub mod journal;
 #[cfg(test)]
 pub(crate) mod nor;
 

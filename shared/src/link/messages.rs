@@ -16,6 +16,7 @@ use super::host_name::HostName;
 use super::refusal::Refusal;
 use super::self_test::{Check, Report};
 use super::telemetry::{BreathSummary, TelemetryBatch};
+use crate::calibration::Calibration;
 use crate::control::pid::PidGains;
 use crate::explore::Exploration;
 use crate::recorder::{Page, RecorderPart, RecorderStatus};
@@ -140,6 +141,14 @@ pub enum Request {
     ReleaseLease,
     /// Reports who steers; answered by [`Response::Lease`].
     GetLease,
+    /// Stores a calibration, which corrects the readings from the next start of ventilation on; answered by
+    /// [`Response::Calibration`]. Only in standby.
+    StoreCalibration(Calibration),
+    /// Reports a stored calibration; answered by [`Response::Calibration`].
+    GetCalibration {
+        /// 0 for the newest, 1 for the one before, and so on.
+        back: u16,
+    },
 }
 
 impl Request {
@@ -159,6 +168,7 @@ impl Request {
                 | Self::AcquireLease { .. }
                 | Self::ReleaseLease
                 | Self::GetLease
+                | Self::GetCalibration { .. }
         )
     }
 }
@@ -245,6 +255,13 @@ pub enum Response {
     SelfTest(Report),
     /// Who steers.
     Lease(LeaseStatus),
+    /// A stored calibration.
+    Calibration {
+        /// Number of stored calibrations.
+        stored: u16,
+        /// The calibration; none if there are fewer.
+        calibration: Option<Calibration>,
+    },
 }
 
 /// Who steers a device.

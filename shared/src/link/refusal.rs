@@ -6,6 +6,7 @@ use thiserror::Error;
 use super::host_name::HostName;
 use super::messages::AUDIO_PAUSE_MAX;
 use super::self_test::{Finding, Step};
+use crate::calibration::CalibrationError;
 use crate::settings::SettingsError;
 use crate::timing::LEASE_S;
 use crate::weights::{IMAGE_BYTES, ImageProblem};
@@ -129,6 +130,17 @@ pub enum Refusal {
         "these weights are signed for another plant than the one that this device's firmware was built for: `trainer inspect` names theirs; train on recordings of this plant"
     )]
     OtherPlant,
+    /// A value of the calibration is out of bounds.
+    #[error("calibration refused: {0}")]
+    Calibration(#[from] CalibrationError),
+    /// The calibration could not be written to the flash.
+    #[error(
+        "the calibration could not be stored; send it again, and if that fails too, replace the board: its flash is worn out"
+    )]
+    CalibrationStorage,
+    /// The board's flash has no room for calibrations.
+    #[error("this board has no room for calibrations; use the main board (docs/HARDWARE.md)")]
+    NoCalibrations,
 }
 
 #[cfg(test)]

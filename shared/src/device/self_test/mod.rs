@@ -171,6 +171,11 @@ impl SelfTest {
         Readings { airway: readings.airway - airway, outlet: readings.outlet - outlet, ..readings }
     }
 
+    /// Forgets the airway sensor's zero, when a calibration replaces it.
+    pub fn forget_airway_zero(&mut self) {
+        self.zero[0] = 0.0;
+    }
+
     /// What the airway sensor reads at the pressure of the air, cmH2O.
     pub fn airway_zero(&self) -> f32 {
         self.zero[0]

@@ -6,6 +6,8 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::breath::Phase;
+use crate::calibration::tests::SOUND;
+use crate::calibration::{CalibrationError, Quantity};
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
 use crate::link::self_test::{Finding, Outcome, REPORT_STEPS, Step, StepResult};
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
@@ -86,7 +88,23 @@ fn request() -> impl Strategy<Value = Request> {
             .prop_map(|(name, take_over)| Request::AcquireLease { name: HostName::new(&name), take_over }),
         Just(Request::ReleaseLease),
         Just(Request::GetLease),
+        calibration().prop_map(Request::StoreCalibration),
+        any::<u16>().prop_map(|back| Request::GetCalibration { back }),
     ]
+}
+
+fn calibration() -> impl Strategy<Value = Calibration> {
+    let values = prop::array::uniform8(-1.0e3f32..1.0e3);
+    (values, any::<u32>()).prop_map(
+        |([sensor_zero, sensor_gain, dead_time_ms, lag_ms, a, b, c, d], measured_at)| Calibration {
+            sensor_zero,
+            sensor_gain,
+            dead_time_ms,
+            lag_ms,
+            valve_flow: [a, b, c, d],
+            measured_at,
+        },
+    )
 }
 
 fn refusal() -> impl Strategy<Value = Refusal> {
@@ -171,6 +189,8 @@ fn response() -> impl Strategy<Value = Response> {
             let holder = name.map(|name| HostName::new(&name));
             Response::Lease(LeaseStatus { holder, yours })
         }),
+        (any::<u16>(), prop::option::of(calibration()))
+            .prop_map(|(stored, calibration)| Response::Calibration { stored, calibration }),
     ]
 }
 
@@ -318,6 +338,11 @@ fn the_bytes_of_every_request_are_pinned() {
         ),
         (Request::ReleaseLease, "ac0219"),
         (Request::GetLease, "ac021a"),
+        (
+            Request::StoreCalibration(SOUND),
+            "ac021b0000003f6666863f000040410000c8410000803e0000403f0000a03f0000e03f80a4a7da06",
+        ),
+        (Request::GetCalibration { back: 300 }, "ac021cac02"),
     ];
     for (request, expected) in requests {
         let message = ToDevice { sequence: 300, request, host: None };
@@ -387,6 +412,11 @@ fn the_bytes_of_every_response_are_pinned() {
         ),
         (Response::Lease(LeaseStatus { holder: Some(HostName::new("a")), yours: true }), "00051101016101"),
         (Response::Lease(LeaseStatus::default()), "0005110000"),
+        (
+            Response::Calibration { stored: 300, calibration: Some(SOUND) },
+            "000512ac02010000003f6666863f000040410000c8410000803e0000403f0000a03f0000e03f80a4a7da06",
+        ),
+        (Response::Calibration { stored: 0, calibration: None }, "0005120000"),
     ];
     for (response, expected) in responses {
         let message = ToHost::Response { sequence: 5, response };
@@ -454,6 +484,13 @@ fn the_bytes_of_every_refusal_are_pinned() {
         (Refusal::WrongSignature, "0919"),
         (Refusal::OldWeights { version: 1, stored: 128 }, "091a018001"),
         (Refusal::OtherPlant, "091b"),
+        (
+            Refusal::Calibration(CalibrationError::OutOfBounds { quantity: Quantity::ValveFlow, value: 1.0 }),
+            "091c00040000803f",
+        ),
+        (Refusal::Calibration(CalibrationError::FlowFalls { from: 2.0, to: 1.0 }), "091c01000000400000803f"),
+        (Refusal::CalibrationStorage, "091d"),
+        (Refusal::NoCalibrations, "091e"),
     ];
     for (refusal, expected) in refusals {
         let response = Response::Refused(refusal);
