@@ -24,6 +24,8 @@ const SPAN: f32 = 2.0;
 const PLAUSIBLE: (f32, f32) = (0.25, 4.75);
 /// End of the pressure sensors' range, cmH2O (7 kPa).
 pub const PRESSURE_SPAN: f32 = 71.4;
+/// Highest pressure that a working sensor can show, beyond the end of its range, cmH2O.
+pub const HIGHEST_PRESSURE: f32 = (PLAUSIBLE.1 - ZERO) / SPAN * PRESSURE_SPAN;
 /// End of the flow meter's range, cmH2O (2 kPa).
 pub const ORIFICE_SPAN: f32 = 20.4;
 /// Flow through the orifice at 1 cmH2O, L/s.

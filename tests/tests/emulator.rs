@@ -20,8 +20,8 @@ const IMAGES: &str = "EUPNEA_IMAGES";
 const SLOT_A: u32 = 0x000C_0000;
 const SLOT_B: u32 = 0x000E_0000;
 const SECTOR: u32 = 0x0002_0000;
-/// Start of the flash that the file holds: the copies of the flight recorder come before the weights slots.
-const FILE: u32 = SLOT_A - 2 * SECTOR;
+/// Start of the flash that the file holds: calibrations and copies of the flight recorder come before the weights slots.
+const FILE: u32 = SLOT_A - 3 * SECTOR;
 /// A branch to itself.
 const BRANCH_TO_SELF: [u8; 2] = [0xFE, 0xE7];
 /// Longest wait for an answer.

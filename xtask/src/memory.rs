@@ -93,8 +93,8 @@ mod tests {
             let end = flash.origin + bytes;
             assert_eq!((a.origin, a.length), (end - 2 * SECTOR, SECTOR));
             assert_eq!((b.origin, b.length), (end - SECTOR, SECTOR));
-            let copies = regions.iter().find(|region| region.name == "COPY_A");
-            let after = copies.unwrap_or(a).origin;
+            let calibrations = regions.iter().find(|region| region.name == "CALIBRATIONS");
+            let after = calibrations.unwrap_or(a).origin;
             assert_eq!(flash.origin + flash.length, after, "the program ends where its data begins");
         }
     }
@@ -108,6 +108,13 @@ mod tests {
             assert_eq!(copy.length, 128 * 1024);
             assert!(copy.length >= u64::from(shared::recorder::keeper::Keeper::BYTES));
         }
+    }
+
+    #[test]
+    fn the_calibrations_have_the_sector_before_the_copies_on_the_main_board() {
+        let regions = regions(CHIPS[0].0).unwrap();
+        let [calibrations, copies] = ["CALIBRATIONS", "COPY_A"].map(|name| find(&regions, name).unwrap());
+        assert_eq!((calibrations.length, copies.origin - calibrations.origin), (128 * 1024, 128 * 1024));
     }
 
     #[test]
@@ -142,7 +149,7 @@ mod tests {
 
     #[test]
     fn no_two_regions_overlap() {
-        for ((map, _), count) in CHIPS.iter().zip([9, 7]) {
+        for ((map, _), count) in CHIPS.iter().zip([10, 7]) {
             let mut regions = regions(map).unwrap();
             assert_eq!(regions.len(), count);
             regions.sort_by_key(|region| region.origin);

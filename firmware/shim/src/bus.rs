@@ -31,20 +31,34 @@ pub struct Region {
     pub address: u32,
     /// Length in bytes, a power of two.
     pub bytes: u32,
+    /// Number of eighths at its start where they do not.
+    pub open_eighths: u32,
     /// Whether loads are allowed without a fault.
     pub readable: bool,
 }
 
+impl Region {
+    /// First address where accesses fault.
+    pub const fn first(&self) -> u32 {
+        self.address + self.open_eighths * (self.bytes / 8)
+    }
+
+    /// Last address where accesses fault.
+    pub const fn last(&self) -> u32 {
+        self.address + (self.bytes - 1)
+    }
+}
+
 /// All regions; the memory protection unit supports eight.
 pub const REGIONS: [Region; 8] = [
-    Region { address: RCC, bytes: 2 * PART_BYTES, readable: false },
-    Region { address: GPIOA, bytes: 2 * PART_BYTES, readable: false },
-    Region { address: PWR, bytes: PART_BYTES, readable: false },
-    Region { address: IWDG, bytes: PART_BYTES, readable: false },
-    Region { address: USART2, bytes: PART_BYTES, readable: false },
-    Region { address: RTC, bytes: PART_BYTES, readable: false },
-    Region { address: BACKUP, bytes: backup::MEMORY_BYTES, readable: false },
-    Region { address: flash::SLOTS, bytes: flash::SLOTS_BYTES, readable: true },
+    Region { address: RCC, bytes: 2 * PART_BYTES, open_eighths: 0, readable: false },
+    Region { address: GPIOA, bytes: 2 * PART_BYTES, open_eighths: 0, readable: false },
+    Region { address: PWR, bytes: PART_BYTES, open_eighths: 0, readable: false },
+    Region { address: IWDG, bytes: PART_BYTES, open_eighths: 0, readable: false },
+    Region { address: USART2, bytes: PART_BYTES, open_eighths: 0, readable: false },
+    Region { address: RTC, bytes: PART_BYTES, open_eighths: 0, readable: false },
+    Region { address: BACKUP, bytes: backup::MEMORY_BYTES, open_eighths: 0, readable: false },
+    Region { address: flash::START, bytes: flash::BYTES, open_eighths: 3, readable: true },
 ];
 
 /// Whether an access to an address faults.
@@ -319,9 +333,10 @@ mod tests {
                 "{region:x?}"
             );
             for other in &REGIONS[..n] {
-                let apart = region.address + region.bytes <= other.address
-                    || other.address + other.bytes <= region.address;
-                assert!(apart, "{region:x?} {other:x?}");
+                assert!(
+                    region.last() < other.first() || other.last() < region.first(),
+                    "{region:x?} {other:x?}"
+                );
             }
         }
     }
@@ -329,13 +344,13 @@ mod tests {
     #[test]
     fn what_is_refused_is_what_the_regions_cover() {
         for region in REGIONS {
-            for address in [region.address, region.address + region.bytes - 1] {
+            for address in [region.first(), region.last()] {
                 assert!(is_refused(address, Direction::Store), "{address:#x}");
                 assert_eq!(is_refused(address, Direction::Load), !region.readable, "{address:#x}");
             }
-            for address in [region.address - 1, region.address + region.bytes] {
+            for address in [region.first() - 1, region.last() + 1] {
                 let elsewhere =
-                    REGIONS.iter().all(|other| address.wrapping_sub(other.address) >= other.bytes);
+                    REGIONS.iter().all(|other| !(other.first()..=other.last()).contains(&address));
                 assert_ne!(is_refused(address, Direction::Store), elsewhere, "{address:#x}");
             }
         }

@@ -1,22 +1,28 @@
 //! Flash controller (RM0090, section 3): lock and keys, sector erase, programming of 8, 16 or 32 bits, error flags.
 //!
-//! Sectors 8 to 11, which contain copies of the flight recorder and the weights, can be changed; the program's own sectors are
+//! Sectors 7 to 11, which contain calibrations, copies of the flight recorder and the weights, can be changed; the program's own sectors are
 //! write-protected. An operation takes no time, so the busy flag is never set.
 
 use crate::store::{Store, Width};
 
-/// First address of sector 8.
-pub const SLOTS: u32 = 0x0808_0000;
-/// Length of sectors 8 to 11 together, bytes.
-pub const SLOTS_BYTES: u32 = 4 * SECTOR_BYTES;
+/// First address of the flash.
+pub const START: u32 = 0x0800_0000;
+/// Length of the flash, bytes.
+pub const BYTES: u32 = 8 * SECTOR_BYTES;
+/// First address of sector 7.
+pub const SLOTS: u32 = 0x0806_0000;
+/// Length of sectors 7 to 11 together, bytes.
+pub const SLOTS_BYTES: u32 = 5 * SECTOR_BYTES;
+/// Offset of the copies of the flight recorder, sectors 8 and 9, from [`SLOTS`].
+pub const COPIES: u32 = SECTOR_BYTES;
 /// Offset of the weights slots, sectors 10 and 11, from [`SLOTS`].
-pub const WEIGHTS: u32 = 2 * SECTOR_BYTES;
+pub const WEIGHTS: u32 = 3 * SECTOR_BYTES;
 /// Length of a large sector, bytes.
 pub const SECTOR_BYTES: u32 = 128 * 1024;
 /// Value of an erased byte.
 pub const ERASED: u8 = 0xFF;
 
-const FIRST_SECTOR: u32 = 8;
+const FIRST_SECTOR: u32 = 7;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
 const OPTION_KEYS: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
@@ -270,7 +276,9 @@ mod tests {
 
     #[test]
     fn each_slot_is_erased_by_its_sector() {
-        for (sector, address) in [(8, 0x0808_0000), (9, 0x080A_0000), (10, 0x080C_0000), (11, 0x080E_0000)] {
+        for (sector, address) in
+            [(7, 0x0806_0000), (8, 0x0808_0000), (9, 0x080A_0000), (10, 0x080C_0000), (11, 0x080E_0000)]
+        {
             let operation = unlocked().write(0x10, Store::word(erase(sector)));
             assert_eq!(operation, Some(Operation::Erase { address, bytes: SECTOR_BYTES }));
         }
@@ -279,7 +287,7 @@ mod tests {
     #[test]
     fn the_programs_sectors_are_protected() {
         let mut flash = unlocked();
-        assert_eq!(flash.write(0x10, Store::word(erase(7))), None);
+        assert_eq!(flash.write(0x10, Store::word(erase(6))), None);
         assert_eq!(flash.read(0x0C), status::PROTECTED);
         let mut flash = unlocked();
         assert_eq!(flash.write(0x10, Store::word(control::ERASE_ALL | control::START)), None);

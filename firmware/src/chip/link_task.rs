@@ -1,6 +1,7 @@
 //! The link task: it passes bytes, requests and reports between the line, the server and the control task, and owns the flash.
 
 use embassy_futures::select::{Either, select};
+use shared::calibration::stored::StoredCalibrations;
 use shared::device::ControlReport;
 use shared::device::server::{DeviceFacts, NextStep, Server};
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
@@ -13,7 +14,7 @@ use static_cell::StaticCell;
 use super::control_task::{self, REPLY, REPORTS, REQUEST};
 use super::drivers::flash::BoardFlash;
 use super::drivers::{clock, link_uart, supply, watchdog};
-use super::{prescription, recorder};
+use super::{calibration, prescription, recorder};
 
 /// Version of the firmware: major, minor, patch.
 pub const VERSION: [u16; 3] = [
@@ -45,6 +46,7 @@ pub fn prepare(facts: DeviceFacts) -> &'static mut Server<'static> {
 pub async fn run(
     server: &'static mut Server<'static>,
     mut slots: Slots<BoardFlash>,
+    mut calibrations: Option<StoredCalibrations>,
     mut keeper: Option<Keeper>,
 ) {
     let mut decoder = FrameDecoder::<DECODER_BYTES>::new();
@@ -55,7 +57,7 @@ pub async fn run(
                 for byte in &chunk[..count] {
                     if let Poll::Frame(content) = decoder.push(*byte) {
                         match read_request(content) {
-                            Ok(request) => serve(server, &mut slots, &request).await,
+                            Ok(request) => serve(server, &mut slots, &mut calibrations, &request).await,
                             Err(unreadable) => {
                                 if let Some(refusal) = unreadable.refusal() {
                                     send(&refusal).await;
@@ -83,7 +85,12 @@ pub async fn run(
 }
 
 /// Handles a request up to its answer.
-async fn serve(server: &mut Server<'_>, slots: &mut Slots<BoardFlash>, request: &ToDevice) {
+async fn serve(
+    server: &mut Server<'_>,
+    slots: &mut Slots<BoardFlash>,
+    calibrations: &mut Option<StoredCalibrations>,
+    request: &ToDevice,
+) {
     let mut step = server.receive(request, clock::number());
     loop {
         step = match step {
@@ -96,6 +103,14 @@ async fn serve(server: &mut Server<'_>, slots: &mut Slots<BoardFlash>, request: 
                 // The core stalls while a sector is erased.
                 let stored = watchdog::with_long_timeout(|| slots.store(server.image()));
                 server.stored(stored.map(|(slot, _)| slot), slots.states())
+            }
+            NextStep::StoreCalibration(measured) => {
+                let stored = calibration::store(calibrations, slots.flash(), &measured);
+                server.calibration_stored(&measured, stored)
+            }
+            NextStep::ReadCalibration { back } => {
+                let (stored, found) = calibration::read(calibrations, slots.flash(), back);
+                server.calibration_read(stored, found)
             }
             NextStep::Restart(answer) => {
                 send(&answer).await;

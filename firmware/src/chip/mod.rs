@@ -6,10 +6,11 @@
 //! | `SysTick` | 0 | signals a tick |
 //! | USART1 | 2 | receives and sends the link's bytes |
 //! | control task, in the interrupt of an unused CAN port | 4 | reads, steps the ventilator, drives the valves, feeds the watchdog |
-//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights, copies the flight recorder, notes when the device ventilates |
+//! | link task, in another such interrupt | 14 | answers the host, sends telemetry, stores weights and calibrations, copies the flight recorder, notes when the device ventilates |
 //! | idle loop | thread | sleeps until the next interrupt |
 
 mod board;
+mod calibration;
 mod control_task;
 mod drivers;
 mod failure;
@@ -61,6 +62,7 @@ fn start() {
     let control = control_task::prepare(kind);
     let running = load(&mut storage, control);
     let slots = storage.states();
+    let calibrations = calibration::attach(storage.flash(), control);
     info!("started after {}, weights {}", Debug2Format(&reset), Debug2Format(&slots));
     let (recorder, keeper) = recorder::attach(reset, failure.is_some(), &slots, running, storage.flash());
     if !board.crystal {
@@ -93,7 +95,7 @@ fn start() {
     ));
     interrupt::CAN2_RX0.set_priority(Priority::P14);
     LINK.start(interrupt::CAN2_RX0)
-        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage, keeper).ok()));
+        .spawn(taken_once(link_task::run(link_task::prepare(facts), storage, calibrations, keeper).ok()));
     clock::start(&mut board.core);
 }
 

@@ -6,7 +6,8 @@ use std::process::ExitStatus;
 
 use thiserror::Error;
 
-/// Number of bytes of the changeable sectors of the flash: both copies of the flight recorder, then both weights slots.
+/// Number of bytes of the changeable sectors of the flash: the calibrations, both copies of the
+/// flight recorder, then both weights slots.
 pub const FLASH_BYTES: usize = shim::flash::SLOTS_BYTES as usize;
 /// Name of the program.
 pub(crate) const PROGRAM: &str = "qemu-system-arm";

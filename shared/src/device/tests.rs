@@ -1,4 +1,5 @@
 mod alarms;
+mod calibration;
 mod lease;
 mod self_test;
 mod store;
@@ -13,11 +14,13 @@ use super::control::{Control, QUEUE_LENGTH};
 use super::server::{DeviceFacts, NextStep, Server};
 use super::*;
 use crate::breath::{DEFAULT_PERIOD_US, paper_settings};
+use crate::calibration::stored::StoredCalibrations;
 use crate::control::features::FeatureSpec;
 use crate::control::network::Network;
 use crate::control::pid::PidGains;
 use crate::control::residual::{Residual, ResidualSpec};
 use crate::flash::FlashError;
+use crate::flash::nor::Nor;
 use crate::link::host_name::HostName;
 use crate::link::messages::{AlarmStatus, CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
@@ -32,6 +35,8 @@ use crate::weights::trust::Trust;
 use crate::weights::{IMAGE_BYTES, Identity, ImageProblem, decode, encode};
 
 const CORE_HZ: u32 = 168_000_000;
+/// Length of a sector of the flash, bytes.
+const SECTOR: usize = 4096;
 const TICKS_OF_A_BREATH: usize = 3000;
 /// Token of the host that steers.
 const HOST: Option<u32> = Some(7);
@@ -45,6 +50,8 @@ struct Rig {
     sequence: u16,
     ticks: u32,
     stored: Vec<[u8; IMAGE_BYTES]>,
+    flash: Nor<4, SECTOR>,
+    calibrations: StoredCalibrations,
     flash_fails: bool,
     restarts: usize,
     recorder: Recorder<'static>,
@@ -69,6 +76,7 @@ impl Rig {
         let facts = DeviceFacts { firmware: [1, 2, 3], trust, ..blank };
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let boot = Boot { cause: facts.reset, failed: false, weights: None, restored: false };
+        let mut flash = Nor::new();
         Self {
             recorder: Recorder::attach(memory, boot),
             control: control(facts.device, learned).with_monitors(Monitors::ANY_PLANT),
@@ -78,6 +86,8 @@ impl Rig {
             sequence: 0,
             ticks: 0,
             stored: Vec::new(),
+            calibrations: StoredCalibrations::open(&mut flash, 0, SECTOR as u32),
+            flash,
             flash_fails: false,
             restarts: 0,
         }
@@ -149,6 +159,17 @@ impl Rig {
                         self.server
                             .stored(Ok(Slot::B), [SlotState::Empty, SlotState::Valid { generation: 4, id }])
                     }
+                }
+                NextStep::StoreCalibration(calibration) => {
+                    self.flash.supply = if self.flash_fails { 0 } else { usize::MAX };
+                    let stored = self.calibrations.store(&mut self.flash, &calibration);
+                    let stored = stored.map(|()| self.calibrations.count());
+                    self.server
+                        .calibration_stored(&calibration, stored.map_err(|_| Refusal::CalibrationStorage))
+                }
+                NextStep::ReadCalibration { back } => {
+                    let calibration = self.calibrations.get(&mut self.flash, back);
+                    self.server.calibration_read(self.calibrations.count(), calibration)
                 }
                 other => panic!("no answer: {other:?}"),
             };

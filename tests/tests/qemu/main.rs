@@ -4,6 +4,7 @@
 //! the board is virtual and stops while the plant computes.
 
 mod alarms;
+mod calibration;
 mod control;
 mod failures;
 mod link;
@@ -48,7 +49,7 @@ use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use shared::weights::slots::{Slot, SlotState, UNIT};
 use shared::weights::{IMAGE_BYTES, Identity, decode, encode};
-use shim::flash::{NEW_OPTIONS, SECTOR_BYTES, WEIGHTS};
+use shim::flash::{COPIES, NEW_OPTIONS, SECTOR_BYTES, WEIGHTS};
 use shim::record;
 use tests::debugger::{Debugger, symbol};
 use tests::exact_lung::ExactLung;

@@ -116,7 +116,7 @@ fn flash_operations(board: &Emulator) -> u32 {
 fn copied(board: &Emulator, sector: usize) {
     let unit = |sector: usize, last: usize| {
         let flash = board.flash().unwrap();
-        let end = sector * SECTOR_BYTES as usize + Keeper::BYTES as usize;
+        let end = COPIES as usize + sector * SECTOR_BYTES as usize + Keeper::BYTES as usize;
         flash[end - last * UNIT..][..4] != [0xFF; 4]
     };
     let deadline = Instant::now() + DEADLINE;

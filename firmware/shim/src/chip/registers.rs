@@ -42,7 +42,8 @@ pub fn protect(number: u32, region: &Region) {
     let access = if region.readable { READ_ONLY | NORMAL } else { EXECUTE_NEVER };
     write(REGION_NUMBER, number);
     write(REGION_ADDRESS, region.address);
-    write(REGION_ATTRIBUTES, access | (region.bytes.ilog2() - 1) << 1 | ENABLE);
+    let open = (1 << region.open_eighths) - 1;
+    write(REGION_ATTRIBUTES, access | open << 8 | (region.bytes.ilog2() - 1) << 1 | ENABLE);
 }
 
 /// Enables the protection of the regions only; the hard fault handler is exempt.

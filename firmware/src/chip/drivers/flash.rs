@@ -1,4 +1,5 @@
-//! The flash: its accelerator, and the parts that contain the weights slots and the copies of the flight recorder. Only memory.x defines their addresses.
+//! The flash: its accelerator, and the parts that contain the weights slots, the copies of the flight recorder and the
+//! calibrations. Only memory.x defines their addresses.
 
 use core::ptr::addr_of;
 
@@ -79,6 +80,8 @@ unsafe extern "C" {
     static __recorder_copy_a_start: u8;
     static __recorder_copy_b_start: u8;
     static __recorder_copy_b_end: u8;
+    static __calibrations_start: u8;
+    static __calibrations_end: u8;
 }
 
 /// Offset of an address from the start of the flash.
@@ -101,4 +104,10 @@ pub fn copies() -> Option<[u32; 2]> {
     .map(offset);
     let room = b.saturating_sub(a).min(end.saturating_sub(b));
     (room >= Keeper::BYTES).then_some([a, b])
+}
+
+/// Start address and length of the sector of the calibrations, bytes; none on a board whose flash has no room for it.
+pub fn calibrations() -> Option<(u32, u32)> {
+    let [start, end] = [addr_of!(__calibrations_start), addr_of!(__calibrations_end)].map(offset);
+    (end > start).then(|| (start, end - start))
 }
