@@ -19,8 +19,8 @@ Examples:
   trainer identify --data air.parquet --report lungs.html
   trainer identify --data air.parquet --group CT_AIR:5 --write-plant lung.toml
 
-With --port: prints the device's identity, its firmware and the weights it contains. Nothing on the
-device changes; ventilation continues.
+With --port: prints the device's identity, its firmware, the weights it contains, and its newest
+calibration with its age. Nothing on the device changes; ventilation continues.
 
 With --data: estimates compliance C, resistance R and turbulent resistance R2 of every lung in a
 recording with flows, by least squares of P = P0 + V/C + R q + R2 q |q| over whole breaths. The 95 %
