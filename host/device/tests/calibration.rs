@@ -37,7 +37,7 @@ fn a_calibration_outlasts_a_restart_and_corrects_the_readings() {
         valve_flow: [0.25, 0.75, 1.25, 1.75],
         measured_at: 1_800_000_000,
     };
-    let second = Calibration { sensor_zero: 1.5, ..first };
+    let second = Calibration { sensor_zero: 0.25, ..first };
     let uncorrected = pressure_at_rest(&mut device);
     assert_eq!(device.calibration(0).unwrap(), (0, None));
     assert_eq!((device.calibrate(&first).unwrap(), device.calibrate(&second).unwrap()), (1, 2));
