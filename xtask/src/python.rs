@@ -11,7 +11,7 @@ use crate::trainer::Trainer;
 /// Folder of the examples.
 const EXAMPLES: &str = "examples/python";
 /// Imports of the examples, to check that their packages are installed.
-const PACKAGES: &str = "import control, numpy, pandas, pyarrow, safetensors";
+const PACKAGES: &str = "import control, mlflow, numpy, pandas, pyarrow, safetensors, tensorboard";
 
 /// Placeholder in command lines, and the plant that replaces it: the Python plant on a pipe.
 const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
@@ -24,7 +24,8 @@ pub fn run(shell: &Shell) -> Result<()> {
     let trainer = Trainer::build(shell)?;
     pipeline_on_a_plant(&trainer)?;
     open_files(shell, &trainer, &python)?;
-    repeat_margins(shell, &trainer, &python)
+    repeat_margins(shell, &trainer, &python)?;
+    open_exports(shell, &trainer, &python)
 }
 
 /// Python with the packages: the machine's own, or a virtual environment that is created here.
@@ -97,5 +98,25 @@ fn repeat_margins(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result
     let file = "target/python/margins.json";
     trainer.run(&format!("margins --lung R20C20 --gains 3,30 --json {file}"), &[])?;
     cmd!(shell, "{python} {EXAMPLES}/margins.py {file}").quiet().run()?;
+    Ok(())
+}
+
+/// Opens the exported runs of the pipeline with MLflow and TensorBoard.
+fn open_exports(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
+    let folder = "target/python/exports";
+    // Runs of an earlier call would be there too.
+    shell.remove_path(folder)?;
+    trainer.run(&format!("torture --breaths 60 --json {folder}/runs/torture.json"), &[])?;
+    trainer.run(
+        &format!(
+            "train --rounds 1 --breaths 12 --epochs 5 --iterations 10 --batch 16 --out {folder}/runs/train"
+        ),
+        &[],
+    )?;
+    let (store, events) = (format!("{folder}/mlruns"), format!("{folder}/events"));
+    let listed = format!("{folder}/runs.json");
+    trainer
+        .run(&format!("runs {folder}/runs --mlflow {store} --tensorboard {events} --json {listed}"), &[])?;
+    cmd!(shell, "{python} {EXAMPLES}/runs.py {listed} {store} {events}").quiet().run()?;
     Ok(())
 }

@@ -45,6 +45,11 @@ impl Engine {
     pub fn current() -> Option<&'static Self> {
         ENGINES.iter().find(|engine| variable(engine.index).is_some())
     }
+
+    /// Number of the task that runs this process.
+    pub fn task(&self) -> Option<u64> {
+        variable(self.index)
+    }
 }
 
 /// Variables that number a task. A task that starts commands with work of their own removes them.

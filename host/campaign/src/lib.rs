@@ -9,6 +9,7 @@ mod difference;
 mod done;
 pub mod engine;
 mod exact;
+pub mod record;
 pub mod shards;
 mod share;
 #[cfg(unix)]

@@ -8,7 +8,7 @@
 //! | `shards/run.json` | what the run computes: build of the program, question, number of units and of shards |
 //! | `shards/3-of-40.part.json` | the campaign of shard 3 so far, saved every few seconds |
 //! | `shards/3-of-40.json` | the same when it is complete |
-//! | `shards/3-of-40.task.json` | the last task with that shard: host, engine, times and how it ended ([`TaskRecord`]) |
+//! | `shards/3-of-40.task.json` | the last task with that shard: host, engine, times and how it ended ([`Record`]) |
 
 use std::path::{Path, PathBuf};
 
@@ -17,16 +17,15 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::difference;
+use crate::record::{Ending, Record, Results};
 use crate::{Campaign, CampaignError, CampaignOf, Share, UnitOf, Work};
 use data::files::{read_json, write_json_indented};
 use data::provenance::build_id;
 
 mod merge;
-mod record;
 mod state;
 
 pub use merge::MergeError;
-pub use record::{Ending, TaskRecord};
 pub use state::ShardState;
 
 /// What a run computes, with all that its shards must have in common.
@@ -129,13 +128,19 @@ impl RunFolder {
         }
         let part = PartOf::new(work, units, share.of());
         self.claim(&part.run)?;
-        let record = TaskRecord::begin(&self.record_file(share))?;
+        let file = self.record_file(share);
+        // A record that cannot be read is replaced: nothing depends on it.
+        let earlier = Record::load(&file).ok().flatten();
+        let record = earlier.iter().fold(Record::begin(), Record::continuing).running(&file);
+        record.write().map_err(CampaignError::file(&file))?;
         let outcome = self.advance(&part, share, progress);
-        record.end(match &outcome {
+        let ending = match &outcome {
             Ok(true) => Ending::Complete,
             Ok(false) => Ending::Stopped,
             Err(error) => Ending::Failed(error.to_string()),
-        });
+        };
+        // The command itself reports its error; a folder that cannot be written must not hide it.
+        let _ = record.end(ending, Results::default());
         outcome
     }
 

@@ -15,7 +15,8 @@ use progress::{Progress, Stage};
 use thiserror::Error;
 
 use crate::CampaignError;
-use crate::shards::{Ending, RunFolder, ShardState};
+use crate::record::Ending;
+use crate::shards::{RunFolder, ShardState};
 use data::files::write_atomically;
 
 /// Time between the first two looks at the engine and the run's folder, and the longest one.

@@ -3,7 +3,8 @@
 use std::fs;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use super::shards::{Ending, RunFolder};
+use super::record::Ending;
+use super::shards::RunFolder;
 use super::*;
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -24,6 +24,7 @@ mod inspect;
 mod judge;
 mod key_args;
 mod keys;
+mod made_by;
 mod margins;
 mod monitor;
 mod output;
@@ -34,6 +35,7 @@ mod port_args;
 mod qemu;
 mod reproduce;
 mod robust;
+mod runs;
 mod self_test;
 mod settings_args;
 mod shard_args;
@@ -50,7 +52,7 @@ mod tune_rival;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
@@ -96,6 +98,7 @@ enum Command {
     #[cfg(unix)]
     Submit(submit::Args),
     Sweep(sweep::Args),
+    Runs(runs::Args),
     Margins(margins::Args),
     TestTable(test_table::Args),
     #[command(name = "selftest")]
@@ -114,7 +117,10 @@ const VIOLATED: u8 = 3;
 pub fn run() -> ExitCode {
     log_to_standard_error();
     common::watch_for_ctrl_c();
-    match dispatch(&Cli::parse().command) {
+    let matches = Cli::command().get_matches();
+    let cli =
+        Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut Cli::command()).exit());
+    match made_by::recorded(&Cli::command(), &matches, || dispatch(&cli.command)) {
         Ok(()) if common::stopped() => ExitCode::from(INTERRUPTED),
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -154,6 +160,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         #[cfg(unix)]
         Command::Submit(args) => submit::run(args),
         Command::Sweep(args) => sweep::run(args),
+        Command::Runs(args) => runs::run(args),
         Command::Margins(args) => margins::run(args),
         Command::TestTable(args) => test_table::run(args),
         Command::SelfTest(args) => self_test::run(args),
@@ -184,7 +191,6 @@ fn message(error: &anyhow::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_arguments_of_all_commands_are_consistent() {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde::Serialize;
 
+use super::made_by;
 use data::files::write_atomically;
 use show::report::{Report, Table};
 
@@ -48,8 +49,9 @@ impl OutputArgs {
         Ok(())
     }
 
-    /// Writes the JSON, if requested.
+    /// Writes the JSON, if requested, and keeps its numbers for the record of the run.
     pub fn finish(&self, results: &impl Serialize) -> anyhow::Result<()> {
+        made_by::keep(results)?;
         match &self.json {
             Some(path) => write_json(path, results),
             None => Ok(()),

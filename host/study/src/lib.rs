@@ -1,9 +1,11 @@
-//! Whole studies: [`demo`] on one lung, [`reproduce`] for the paper's experiments, [`sweep`] over options of a command.
+//! Whole studies: [`demo`] on one lung, [`reproduce`] for the paper's experiments, [`sweep`] over options of a command; and the [`runs`]
+//! that studies leave.
 #![forbid(unsafe_code)]
 
 pub mod demo;
 mod error;
 pub mod reproduce;
+pub mod runs;
 pub mod sweep;
 
 pub use error::StudyError;

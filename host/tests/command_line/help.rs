@@ -34,6 +34,7 @@ fn every_command_explains_itself() {
         "robust",
         "submit",
         "sweep",
+        "runs",
         "margins",
         "keys",
         "flash",

@@ -17,6 +17,7 @@ mod plant;
 mod recordings;
 mod rivals;
 mod robust;
+mod runs;
 mod shards;
 mod support;
 mod test_table;

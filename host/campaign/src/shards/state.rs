@@ -2,8 +2,9 @@
 
 use serde::Deserialize;
 
-use super::{RunFolder, TaskRecord};
+use super::RunFolder;
 use crate::done::Done;
+use crate::record::Record;
 use crate::{CampaignError, Share};
 use data::files::read_json;
 
@@ -19,7 +20,7 @@ pub struct ShardState {
     /// Whether all its units are done and can be merged; a shard without units needs a task too.
     pub complete: bool,
     /// Its last task; none before the first.
-    pub record: Option<TaskRecord>,
+    pub record: Option<Record>,
 }
 
 /// What is read of a shard's campaign and of the run.

@@ -1,0 +1,272 @@
+//! `trainer runs`: lists, compares, plots and exports the runs that left a record in a folder.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use campaign::record::{Ending, Record, State};
+use serde::Serialize;
+
+use super::output::{OutputArgs, write};
+use show::report::{Block, Cell, Plot, Report, Section, Table};
+use study::runs::{
+    Comparison, OptionDifference, Run, check_figure, figure_names, find, listed, mlflow, named, plots, sort,
+    tensorboard,
+};
+
+/// List, compare, plot and export runs, from the records that commands leave in their folders
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer runs out
+  trainer runs out --figure mean.learned --sort mean.learned --filter lung=R20C20
+  trainer runs out --compare seed-1 seed-2
+  trainer runs out/sweep --figure mean.learned --plot learned.svg --x seed
+  trainer runs out --plot curves.svg --report runs.html
+  trainer runs out --mlflow mlruns
+  trainer runs out --tensorboard events        # then: tensorboard --logdir events
+
+A record is the file made-by.json in the folder of a command with --out, or, for a command that
+writes only --json FILE.json, FILE.made-by.json: program, command with all options, machine, engine,
+times, how the run ended, and the numbers of its JSON. A run is named by its folder, or by any end
+of this path that no other run has. Figures are paths into the JSON, such as mean.learned; of a
+curve the list shows the last value.
+
+Killed: the process has disappeared. Unfinished: the run began on a different machine and has not
+ended; it may still be running. MLflow reads the exported store if MLFLOW_ALLOW_FILE_STORE is true;
+a second export replaces the same runs.")]
+pub struct Args {
+    /// Folder to search, with all folders below
+    #[arg(value_name = "DIR")]
+    dir: PathBuf,
+    /// Figure to show, or to plot; repeatable
+    #[arg(long, value_name = "NAME")]
+    figure: Vec<String>,
+    /// Only runs with this value of an option, as in seed=3, or with this text in name, command, revision or machine; repeatable
+    #[arg(long, value_name = "TEXT")]
+    filter: Vec<String>,
+    /// Sort by a figure or an option [default: by time]
+    #[arg(long, value_name = "NAME")]
+    sort: Option<String>,
+    /// Only these runs, and only what differs between them; percentages are relative to the first
+    #[arg(long, value_name = "RUN", num_args = 2..)]
+    compare: Vec<String>,
+    /// Plot the figures by run, and curves over each other [default: training curves]
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Plot the figures against this option or figure
+    #[arg(long, value_name = "NAME", requires = "figure")]
+    x: Option<String>,
+    /// Write list, comparison and plots to an HTML report
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    /// Export the runs to a file store of MLflow
+    #[arg(long, value_name = "DIR")]
+    mlflow: Option<PathBuf>,
+    /// Export the runs to event files of TensorBoard
+    #[arg(long, value_name = "DIR")]
+    tensorboard: Option<PathBuf>,
+    /// Also list the tasks with shards
+    #[arg(long)]
+    tasks: bool,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The content of `--json`.
+#[derive(Serialize)]
+struct Summary<'a> {
+    runs: Vec<Listed<'a>>,
+    comparison: Option<Comparison>,
+}
+
+/// A run in `--json`.
+#[derive(Serialize)]
+struct Listed<'a> {
+    name: &'a str,
+    state: State,
+    #[serde(flatten)]
+    record: &'a Record,
+}
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let runs = args.chosen()?;
+    let comparison = (!args.compare.is_empty()).then(|| Comparison::of(&runs));
+    let tables = match &comparison {
+        Some(comparison) => comparison_tables(comparison),
+        None => vec![list(&runs, &args.figure)],
+    };
+    for table in &tables {
+        args.output.table(table);
+    }
+    for run in &runs {
+        if let Ending::Failed(error) = &run.record.ending {
+            args.output.line(&format!("{} failed: {error}", run.name));
+        }
+    }
+    if comparison.is_none() && args.figure.is_empty() {
+        let names = figure_names(&runs);
+        args.output.line(&format!("figures to show with --figure: {}", listed(names.into_iter())));
+    }
+    if let Some(file) = &args.plot {
+        write(file, Plot::stacked(&args.plots(&runs)?)?.as_bytes())?;
+        args.output.saved(file);
+    }
+    args.output.report(args.report.as_ref(), || args.report(&runs, tables))?;
+    for (folder, export) in [(&args.mlflow, mlflow as fn(&[_], &_) -> _), (&args.tensorboard, tensorboard)] {
+        if let Some(folder) = folder {
+            export(&runs, folder)?;
+            args.output.line(&format!("exported {} run(s) to {}", runs.len(), folder.display()));
+        }
+    }
+    args.output.finish(&Summary { runs: runs.iter().map(Listed::of).collect(), comparison })
+}
+
+impl<'a> Listed<'a> {
+    fn of(run: &'a Run) -> Self {
+        Self { name: &run.name, state: run.record.state(), record: &run.record }
+    }
+}
+
+impl Args {
+    /// The runs that are asked for, in order.
+    fn chosen(&self) -> anyhow::Result<Vec<Run>> {
+        let found = find(&self.dir, self.tasks)?;
+        for damaged in found.damaged {
+            eprintln!("warning: {damaged}");
+        }
+        let mut runs = found.runs;
+        runs.retain(|run| self.filter.iter().all(|text| run.matches(text)));
+        ensure!(!runs.is_empty(), "no run in {} has {}", self.dir.display(), self.filter.join(" and "));
+        if !self.compare.is_empty() {
+            let named = self.compare.iter().map(|name| named(&runs, &self.dir, name).cloned());
+            runs = named.collect::<Result<_, _>>()?;
+        }
+        for name in &self.figure {
+            check_figure(&runs, name)?;
+        }
+        if let Some(by) = &self.sort {
+            if !runs.iter().any(|run| run.option(by).is_some()) {
+                check_figure(&runs, by).context("--sort takes a figure or an option")?;
+            }
+            sort(&mut runs, by);
+        }
+        Ok(runs)
+    }
+
+    fn plots(&self, runs: &[Run]) -> anyhow::Result<Vec<Plot>> {
+        Ok(plots(runs, &self.figure, self.x.as_deref())?)
+    }
+
+    fn report(&self, runs: &[Run], tables: Vec<Table>) -> anyhow::Result<Report> {
+        let mut sections = vec![Section::new("Runs", "", tables.into_iter().map(Block::Table).collect())];
+        // Without a figure, there may be nothing to plot.
+        if let Ok(plots) = self.plots(runs) {
+            sections.push(Section::new("Figures", "", plots.into_iter().map(Block::Plot).collect()));
+        }
+        let subtitle = format!("{} in {}", runs.len(), self.dir.display());
+        Ok(Report { title: "Runs".into(), subtitle, sections, provenance: None })
+    }
+}
+
+/// Whether a figure has a number in any run.
+fn has_figure(runs: &[Run], name: &str) -> bool {
+    runs.iter().any(|run| run.figure(name).is_some())
+}
+
+/// A row for every run. No best value is marked, because a figure may be an error or a share.
+fn list(runs: &[Run], figures: &[String]) -> Table {
+    let header = ["", "run", "command", "seed", "revision", "machine", "state", "time"];
+    // The name of a list of curves has no number to show.
+    let figures: Vec<&str> =
+        figures.iter().map(String::as_str).filter(|name| has_figure(runs, name)).collect();
+    let header: Vec<&str> = header.into_iter().chain(figures.iter().copied()).collect();
+    let mut table = Table::new("Runs", &header);
+    for (n, run) in runs.iter().enumerate() {
+        let mut row = vec![
+            Cell::count(n + 1),
+            Cell::text(&run.name),
+            Cell::text(run.command()),
+            Cell::right(run.option("seed").unwrap_or("-")),
+            Cell::text(&run.record.revision),
+            Cell::text(run.place()),
+            Cell::text(state(run.record.state())),
+            Cell::right(duration(run.record.spent_s)),
+        ];
+        row.extend(figures.iter().map(|figure| number(run.figure(figure))));
+        table.row(row);
+    }
+    table
+}
+
+fn comparison_tables(comparison: &Comparison) -> Vec<Table> {
+    let runs: Vec<&str> = comparison.runs.iter().map(String::as_str).collect();
+    let differences = |title: &str, of: &str, found: &[OptionDifference]| {
+        let header: Vec<&str> = [of].into_iter().chain(runs.iter().copied()).collect();
+        let mut table = Table::new(title, &header);
+        for OptionDifference { name, values } in found {
+            let values = values.iter().map(|value| Cell::right(value.as_deref().unwrap_or("-")));
+            table.row([Cell::text(name)].into_iter().chain(values).collect());
+        }
+        table
+    };
+    let percent = runs.iter().skip(1).map(|run| format!("{run}, %"));
+    let header: Vec<String> =
+        ["figure"].into_iter().chain(runs.iter().copied()).map(str::to_owned).chain(percent).collect();
+    let mut figures = Table { header, ..Table::new("Different figures", &[]) };
+    for figure in &comparison.figures {
+        let values = figure.values.iter().map(|value| number(*value));
+        let percent = figure.percent.iter();
+        let percent =
+            percent.map(|value| Cell::right(value.map_or("-".into(), |value| format!("{value:+.1}"))));
+        figures.row([Cell::text(&figure.name)].into_iter().chain(values).chain(percent).collect());
+    }
+    let tables = vec![
+        differences("Different origin", "fact", &comparison.origin),
+        differences("Different options", "option", &comparison.options),
+        figures,
+    ];
+    let differing: Vec<Table> = tables.into_iter().filter(|table| !table.rows.is_empty()).collect();
+    if differing.is_empty() { vec![Table::new("The runs do not differ", &["figure"])] } else { differing }
+}
+
+/// The state in a word.
+fn state(state: State) -> &'static str {
+    match state {
+        State::Running => "running",
+        State::Killed => "killed",
+        State::Unfinished => "unfinished",
+        State::Complete => "complete",
+        State::Stopped => "stopped",
+        State::Failed => "failed",
+    }
+}
+
+/// A figure with as many decimals as it needs.
+fn number(value: Option<f64>) -> Cell {
+    match value {
+        None => Cell::right("-"),
+        Some(value) if value.fract() == 0.0 && value.abs() < 1e15 => Cell::number(value, 0),
+        Some(value) if value.abs() < 1e-3 => Cell::right(format!("{value:.3e}")),
+        Some(value) => Cell::number(value, 4),
+    }
+}
+
+/// A time in the largest units, as in 1 h 05 min.
+fn duration(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    match (whole / 3600, whole / 60 % 60) {
+        (0, 0) => format!("{seconds:.1} s"),
+        (0, minutes) => format!("{minutes} min {:02} s", whole % 60),
+        (hours, minutes) => format!("{hours} h {minutes:02} min"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_shown_in_two_units() {
+        assert_eq!([2.34, 65.0, 3_900.0].map(duration), ["2.3 s", "1 min 05 s", "1 h 05 min"]);
+    }
+}
