@@ -101,7 +101,7 @@ fn repeat_margins(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result
     Ok(())
 }
 
-/// Opens the exported runs of the pipeline with MLflow and TensorBoard.
+/// Opens the exported runs of the pipeline with `MLflow` and `TensorBoard`.
 fn open_exports(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
     let folder = "target/python/exports";
     // Runs of an earlier call would be there too.

@@ -103,7 +103,7 @@ impl Place {
 
     /// Whether the command has made anything.
     fn is_made(&self) -> bool {
-        let files = fs::read_dir(&self.made).map(|entries| entries.count());
+        let files = fs::read_dir(&self.made).map(Iterator::count);
         files.map_or_else(|_| self.made.exists(), |files| files > usize::from(self.record.exists()))
     }
 }

@@ -9,8 +9,8 @@ use serde::Serialize;
 use super::output::{OutputArgs, write};
 use show::report::{Block, Cell, Plot, Report, Section, Table};
 use study::runs::{
-    Comparison, OptionDifference, Run, check_figure, figure_names, find, listed, mlflow, named, plots, sort,
-    tensorboard,
+    Comparison, OptionDifference, Run, RunsError, check_figure, figure_names, find, listed, mlflow, named,
+    plots, sort, tensorboard,
 };
 
 /// List, compare, plot and export runs, from the records that commands leave in their folders
@@ -59,11 +59,9 @@ pub struct Args {
     /// Write list, comparison and plots to an HTML report
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
-    /// Export the runs to a file store of MLflow
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = "Export the runs to a file store of MLflow")]
     mlflow: Option<PathBuf>,
-    /// Export the runs to event files of TensorBoard
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = "Export the runs to event files of TensorBoard")]
     tensorboard: Option<PathBuf>,
     /// Also list the tasks with shards
     #[arg(long)]
@@ -108,7 +106,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line(&format!("figures to show with --figure: {}", listed(names.into_iter())));
     }
     if let Some(file) = &args.plot {
-        write(file, Plot::stacked(&args.plots(&runs)?)?.as_bytes())?;
+        write(file, Plot::stacked(&plots(&runs, &args.figure, args.x.as_deref())?)?.as_bytes())?;
         args.output.saved(file);
     }
     args.output.report(args.report.as_ref(), || args.report(&runs, tables))?;
@@ -153,14 +151,14 @@ impl Args {
         Ok(runs)
     }
 
-    fn plots(&self, runs: &[Run]) -> anyhow::Result<Vec<Plot>> {
-        Ok(plots(runs, &self.figure, self.x.as_deref())?)
-    }
-
     fn report(&self, runs: &[Run], tables: Vec<Table>) -> anyhow::Result<Report> {
         let mut sections = vec![Section::new("Runs", "", tables.into_iter().map(Block::Table).collect())];
-        // Without a figure, there may be nothing to plot.
-        if let Ok(plots) = self.plots(runs) {
+        let plots = match plots(runs, &self.figure, self.x.as_deref()) {
+            // The list alone is a report too.
+            Err(RunsError::NothingToPlot { .. }) => Vec::new(),
+            plots => plots?,
+        };
+        if !plots.is_empty() {
             sections.push(Section::new("Figures", "", plots.into_iter().map(Block::Plot).collect()));
         }
         let subtitle = format!("{} in {}", runs.len(), self.dir.display());

@@ -68,9 +68,12 @@ impl Comparison {
     }
 }
 
+/// A fact about the origin of a run.
+type Fact = fn(&Run) -> String;
+
 /// The facts about the origin that differ.
 fn origin(runs: &[Run]) -> Vec<OptionDifference> {
-    let facts: [(&str, fn(&Run) -> String); 5] = [
+    let facts: [(&str, Fact); 5] = [
         ("command", |run| run.command().to_owned()),
         ("revision", |run| run.record.revision.clone()),
         ("build", |run| run.record.build.clone()),

@@ -161,7 +161,7 @@ fn status(state: State) -> u8 {
 
 /// A mapping as YAML.
 fn yaml(fields: &[(&str, String)]) -> String {
-    fields.iter().map(|(name, value)| format!("{name}: {value}\n")).collect()
+    fields.iter().flat_map(|(name, value)| [name, ": ", value, "\n"]).collect()
 }
 
 /// Text as a YAML scalar: that of JSON is one.
