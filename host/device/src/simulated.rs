@@ -2,11 +2,12 @@
 //! the firmware where there is no emulator, and lets tests examine the line's effect on a device.
 
 mod flash;
+mod served;
 
 use std::io::{ErrorKind, Read, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -29,15 +30,17 @@ use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
 use flash::{Flash, SECTOR_BYTES};
-use plant::Plant;
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
+use plant::{Plant, TickTruth, locked};
+pub use served::{ServeError, Served};
 
 /// Number of control ticks between two checks of the line.
 const TICKS_AT_ONCE: usize = 16;
 /// Pause between checks in standby.
 const STANDBY_PAUSE: Duration = Duration::from_millis(1);
-/// Minimum time between checks while it ventilates.
-const TICKS_TIME: Duration = Duration::from_micros(10 * TICKS_AT_ONCE as u64);
+/// Largest factor by which a simulated device is faster than a chip: its flight recorder must not overwrite entries faster than a
+/// host can read them.
+pub const MOST_PACE: u32 = 100;
 /// Clock rate that a simulated device reports, Hz; its ticks take no time.
 const CORE_HZ: u32 = 1_000_000;
 
@@ -48,8 +51,7 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Runs a device on a bench at the end of a line, at most a hundred times as fast as a chip, so that the flight
-    /// recorder does not overwrite entries faster than a host can read them.
+    /// Runs a device on a bench at the end of a line, at most [`MOST_PACE`] times as fast as a chip.
     ///
     /// # Errors
     /// A bench that cannot be built.
@@ -61,11 +63,14 @@ impl Simulated {
         let thread = thread::spawn(move || {
             // It survives the device's resets, like the chip's memory.
             let memory = Box::new(RecorderMemory::new());
-            Chip::new(bench, &memory).run(port, &stopped);
+            Chip::new(bench, &memory, MOST_PACE).run(port, &stopped);
         });
         Ok(Self { stop, thread: Some(thread) })
     }
 }
+
+/// The true states of a plant since it last restarted: entry `n` belongs to its `n`-th reading.
+type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
 
 impl Drop for Simulated {
     fn drop(&mut self) {
@@ -96,10 +101,14 @@ struct Chip<'a> {
     slots: [Option<[u8; IMAGE_BYTES]>; 2],
     newest: Option<Slot>,
     out: Vec<u8>,
+    /// Shortest time of [`TICKS_AT_ONCE`] ticks while it ventilates.
+    ticks_time: Duration,
+    truths: TruthLog,
 }
 
 impl<'a> Chip<'a> {
-    fn new(bench: BenchPlant, memory: &'a RecorderMemory) -> Self {
+    /// A chip on a bench that runs at most `pace` times as fast as a real one.
+    fn new(bench: BenchPlant, memory: &'a RecorderMemory, pace: u32) -> Self {
         let (control, server, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
         let mut flash = Flash::new();
         let calibrations = StoredCalibrations::open(&mut flash, 0, SECTOR_BYTES);
@@ -120,6 +129,8 @@ impl<'a> Chip<'a> {
             slots: [None; 2],
             newest: None,
             out: Vec::new(),
+            ticks_time: Duration::from_micros(u64::from(DEFAULT_PERIOD_US)) * TICKS_AT_ONCE as u32 / pace,
+            truths: TruthLog::default(),
         }
     }
 
@@ -127,16 +138,7 @@ impl<'a> Chip<'a> {
     fn run(&mut self, port: Port, stop: &Arc<AtomicBool>) {
         let (mut writer, heard) = (port.writer, listen(port.reader, Arc::clone(stop)));
         while !stop.load(Ordering::Relaxed) {
-            let begun = Instant::now();
-            for _ in 0..TICKS_AT_ONCE {
-                self.tick();
-            }
-            // Nothing is measured in standby, so there is no hurry.
-            let patience = match self.control.mode() {
-                Mode::Ventilating => TICKS_TIME.saturating_sub(begun.elapsed()),
-                _ => STANDBY_PAUSE,
-            };
-            match heard.recv_timeout(patience) {
+            match heard.recv_timeout(self.ticks()) {
                 Ok(bytes) => bytes.iter().for_each(|byte| self.hear(*byte)),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,
@@ -148,6 +150,19 @@ impl<'a> Chip<'a> {
         }
     }
 
+    /// Runs a few ticks; returns the time until the next ones are due.
+    fn ticks(&mut self) -> Duration {
+        let begun = Instant::now();
+        for _ in 0..TICKS_AT_ONCE {
+            self.tick();
+        }
+        // Nothing is measured in standby, so there is no hurry.
+        match self.control.mode() {
+            Mode::Ventilating => self.ticks_time.saturating_sub(begun.elapsed()),
+            _ => STANDBY_PAUSE,
+        }
+    }
+
     /// One control tick, as the firmware's control task runs it.
     fn tick(&mut self) {
         let change = self.control.plant_change();
@@ -156,6 +171,14 @@ impl<'a> Chip<'a> {
             Some(seed) => self.bench.reset(DEFAULT_PERIOD_US, seed, self.peep),
             None => self.bench.step(self.command.u_in(), self.command.u_out()),
         };
+        if let Ok(reading) = &reading {
+            let mut truths = locked(&self.truths);
+            if change.reset.is_some() {
+                truths.clear();
+            }
+            // Nobody asks for the truth of a standby.
+            truths.extend(reading.truth.filter(|_| self.control.mode() == Mode::Ventilating));
+        }
         // A bench of this configuration was built before, so this never fails.
         self.reading = reading.map_or(f32::NAN, |reading| reading.pressure);
         if let Some(peep) = change.peep {

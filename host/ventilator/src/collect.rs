@@ -7,12 +7,13 @@ use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 use shared::breath::{PAPER_PIPS, Phase};
 use shared::explore::{Exploration, ExplorationError};
+use shared::safety::alarms::Fault;
 use shared::settings::{LIMIT_MARGIN, Settings};
 use thiserror::Error;
 
 use crate::{Source, SourceError, Tick};
 use data::provenance::Provenance;
-use data::recording::{EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
+use data::recording::{DatasetError, EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
 use progress::{Progress, Stage};
 
 /// Columns that only a bench fills; unused ones are removed at the end.
@@ -72,6 +73,9 @@ pub enum CollectError {
     /// The source failed before anything was recorded.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// A breath cannot be saved.
+    #[error("cannot save a breath: {0}")]
+    Keep(#[from] DatasetError),
     /// The source failed during the recording.
     #[error("{reason}")]
     Interrupted {
@@ -107,53 +111,119 @@ pub fn collect<C: Clone>(
     config: &CollectConfig,
     progress: &Progress<'_>,
 ) -> Result<Collected, CollectError> {
-    check(config)?;
     let recording = Recording::with_extras(provenance(source, config)?, &TRUTH);
     let mut collected = Collected { recording, breaths: 0, aborts: 0 };
-    let outcome = record(source, controller, config, progress, &mut collected);
+    let keep = &mut |breath: &RecordedBreath| {
+        collected.add(breath);
+        Ok(())
+    };
+    let outcome = collect_from(source, controller, config, Position::default(), progress, keep);
     collected.recording.leave_out_unknown();
     match outcome {
-        Ok(()) => Ok(collected),
-        Err(reason) if collected.recording.is_empty() => Err(reason.into()),
-        Err(reason) => {
+        Err(CollectError::Source(reason)) if !collected.recording.is_empty() => {
             let number = collected.breaths + collected.aborts;
             let notes = &mut collected.recording.provenance.notes;
             notes.push(format!("the recording ended in breath {number}: {reason}"));
             Err(CollectError::Interrupted { reason, collected: Box::new(collected) })
         }
+        outcome => outcome.map(|()| collected),
     }
 }
 
-/// Records breaths until the collection is complete or the source fails.
-fn record<C: Clone>(
+impl Collected {
+    fn add(&mut self, breath: &RecordedBreath) {
+        breath.rows.iter().for_each(|row| self.recording.push(*row));
+        match breath.ending {
+            BreathEnding::Complete => self.breaths += 1,
+            BreathEnding::Fault(fault) => {
+                self.aborts += 1;
+                let number = breath.number;
+                self.recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
+            }
+            BreathEnding::Source => {}
+        }
+    }
+}
+
+/// How far a collection has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Position {
+    /// Number of complete breaths.
+    pub breaths: usize,
+    /// Number of breaths ended by the pressure limit.
+    pub aborts: usize,
+    /// Number of sessions before this one, which ended before the collection was complete.
+    pub sessions: u32,
+}
+
+/// A recorded breath, or the part of one that was recorded.
+#[derive(Clone, Debug)]
+pub struct RecordedBreath {
+    /// Its number, breaths that ended early included.
+    pub number: u32,
+    /// Its ticks.
+    pub rows: Vec<Row>,
+    /// How it ended.
+    pub ending: BreathEnding,
+}
+
+/// How a recorded breath ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BreathEnding {
+    /// With its last tick.
+    Complete,
+    /// With this fault; the breath is repeated.
+    Fault(Fault),
+    /// The source failed.
+    Source,
+}
+
+/// Records the breaths of a collection from a position on and passes each to `keep`, so that a collection survives a source that
+/// fails. Every session has perturbations of its own; PIPs are those of the whole collection.
+///
+/// # Errors
+/// An invalid configuration, a source that fails for a reason other than a ventilator fault, or an error of `keep`.
+pub fn collect_from<C: Clone>(
     source: &mut dyn Source<C>,
     controller: &C,
     config: &CollectConfig,
+    from: Position,
     progress: &Progress<'_>,
-    collected: &mut Collected,
-) -> Result<(), SourceError> {
-    let Collected { recording, breaths, aborts } = collected;
+    keep: &mut dyn FnMut(&RecordedBreath) -> Result<(), DatasetError>,
+) -> Result<(), CollectError> {
+    check(config)?;
     let plan = plan(config);
-    source.configure(controller.clone(), exploration(config, 0))?;
-    source.upcoming(&plan)?;
+    let Position { mut breaths, mut aborts, sessions } = from;
+    let exploration = |aborts: usize| exploration(config, u64::from(sessions) << 16 | aborts as u64);
     let task = progress.task(Stage::Collect, config.breaths);
-    while *breaths < config.breaths && *aborts <= config.aborts && !task.stopped() {
-        let number = (*breaths + *aborts) as u32;
-        let settings = plan[*breaths];
-        let result = source.breath(&settings, &mut |tick| recording.push(row(tick, number, &settings)));
-        match result {
-            Ok(()) => {
-                *breaths += 1;
+    task.reach(breaths);
+    if breaths >= config.breaths {
+        return Ok(());
+    }
+    source.configure(controller.clone(), exploration(aborts))?;
+    source.upcoming(&plan[breaths..])?;
+    while breaths < config.breaths && aborts <= config.aborts && !task.stopped() {
+        let (number, settings) = ((breaths + aborts) as u32, plan[breaths]);
+        let mut rows = Vec::new();
+        let result = source.breath(&settings, &mut |tick| rows.push(row(tick, number, &settings)));
+        let ending = match &result {
+            Ok(()) => BreathEnding::Complete,
+            Err(SourceError::Fault { fault, .. }) => BreathEnding::Fault(*fault),
+            Err(_) => BreathEnding::Source,
+        };
+        keep(&RecordedBreath { number, rows, ending })?;
+        match ending {
+            BreathEnding::Complete => {
+                breaths += 1;
                 task.advance(1);
             }
-            Err(SourceError::Fault { fault, .. }) => {
-                *aborts += 1;
-                recording.provenance.notes.push(format!("breath {number} ended early: {fault:?}"));
+            BreathEnding::Fault(_) => {
+                aborts += 1;
                 source.acknowledge()?;
-                source.configure(controller.clone(), exploration(config, *aborts as u64))?;
-                source.upcoming(&plan[*breaths..])?;
+                source.configure(controller.clone(), exploration(aborts))?;
+                source.upcoming(&plan[breaths..])?;
             }
-            Err(error) => return Err(error),
+            BreathEnding::Source => result?,
         }
     }
     Ok(())

@@ -9,6 +9,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use shared::breath::Breath;
+use shared::calibration::Calibration;
 use shared::control::Controller;
 use shared::explore::Exploration;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, DeviceKind, Event};
@@ -30,7 +31,7 @@ const HEARD_EVERY: usize = 2000;
 const SILENCE: Duration = Duration::from_secs(20);
 
 /// The true state at a tick, numbered from the start of ventilation, known only to the plant behind a device.
-pub(super) type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
+type Truth = Box<dyn FnMut(usize) -> Option<TickTruth> + Send>;
 
 /// A ventilating device as a source.
 pub struct PortSource {
@@ -99,23 +100,37 @@ impl PortSource {
         })
     }
 
-    /// Keeps the virtual board that is the device, and sets the description of its plant.
+    /// Keeps the virtual board that is the device.
     #[cfg(unix)]
-    pub(super) fn with_board(
+    pub(super) fn with_board(mut self, board: emulator::Emulator) -> Self {
+        self.board = Some(board);
+        self
+    }
+
+    /// Sets the name and the description of the plant, which the host knows, and the source of its true states.
+    #[must_use]
+    pub fn with_plant(
         mut self,
-        board: emulator::Emulator,
         plant: String,
         parameters: String,
-        truth: Truth,
+        truth: impl FnMut(usize) -> Option<TickTruth> + Send + 'static,
     ) -> Self {
         (self.plant, self.plant_parameters) = (plant, parameters);
-        (self.board, self.truth) = (Some(board), Some(truth));
+        self.truth = Some(Box::new(truth));
         self
     }
 
     /// Registers an image to upload unchanged when its controller is selected, so that its id stays the same.
     pub fn know(&mut self, image: Vec<u8>) {
         self.images.push(image);
+    }
+
+    /// The newest calibration that is stored on the device, if there is one.
+    ///
+    /// # Errors
+    /// A device that cannot be reached.
+    pub fn calibration(&mut self) -> Result<Option<Calibration>, SourceError> {
+        Ok(self.device.calibration(0)?.1)
     }
 
     /// The device's identity.

@@ -25,9 +25,9 @@ impl PortSource {
         let plant = Logged { plant: BenchPlant::new(bench)?, truths: Arc::clone(&truths) };
         let emulator = Emulator::start(config, LockstepPlant::new(plant))?;
         let device = Device::connect(&Address::Tcp(emulator.address().to_string()))?;
-        let truth = Box::new(move |tick| locked(&truths).get(tick).copied());
+        let truth = move |tick| locked(&truths).get(tick).copied();
         let name = format!("{} on the virtual board", bench.name);
-        Ok(Self::new(device, seed)?.with_board(emulator, name, bench.to_toml(), truth))
+        Ok(Self::new(device, seed)?.with_plant(name, bench.to_toml(), truth).with_board(emulator))
     }
 }
 

@@ -223,6 +223,31 @@ impl Recording {
         mine.notes.extend_from_slice(&other.notes);
     }
 
+    /// A row; none beyond the last one.
+    pub fn row(&self, row: usize) -> Option<Row> {
+        let extra = |column: &Option<Vec<f32>>| column.as_ref().and_then(|values| values.get(row).copied());
+        Some(Row {
+            breath: *self.breath.get(row)?,
+            tick: *self.tick.get(row)?,
+            phase: *self.phase.get(row)?,
+            target: *self.target.get(row)?,
+            pressure: *self.pressure.get(row)?,
+            u_in: *self.u_in.get(row)?,
+            u_out: *self.u_out.get(row)?,
+            explore: *self.explore.get(row)?,
+            pip: *self.pip.get(row)?,
+            peep: *self.peep.get(row)?,
+            pressure_true: extra(&self.pressure_true),
+            pressure_sensor_true: extra(&self.pressure_sensor_true),
+            flow_in: extra(&self.flow_in),
+            flow_out: extra(&self.flow_out),
+            resistance: extra(&self.resistance),
+            compliance: extra(&self.compliance),
+            u_psol: extra(&self.u_psol),
+            group: self.group.as_ref().and_then(|group| group.get(row).copied()),
+        })
+    }
+
     /// The test run of a row.
     pub fn test_run(&self, row: usize) -> Option<&TestRun> {
         let index = self.group.as_ref()?.get(row)?;

@@ -27,7 +27,7 @@ use shared::weights::{IMAGE_BYTES, Identity, encode};
 use crate::collect::{CollectConfig, collect};
 use crate::{BenchSource, PortSource, Source, SourceError};
 use device::port::{Address, BAUD, Port};
-use device::simulated::Simulated;
+use device::simulated::{MOST_PACE, Served, Simulated};
 use device::upload::UploadError;
 use device::{Device, DeviceError};
 use plant::bench::BenchConfig;
@@ -330,4 +330,27 @@ fn another_protocol_is_told_with_both_versions() {
     port.writer.write_all(frame).unwrap();
     let error = device.identify().unwrap_err();
     assert!(matches!(error, DeviceError::Protocol(77)), "{error}");
+}
+
+#[test]
+fn a_served_device_gives_the_samples_and_the_truth_of_the_bench_also_after_a_host_has_vanished() {
+    let (bench, seed) = (BenchConfig::paper(20.0, 20.0), 3);
+    let served = Served::start(&bench, MOST_PACE).unwrap();
+    let settings = paper_settings(20.0);
+    let pid = Controller::Pid(Pid::new(KNOWN_GOOD, 1000).unwrap());
+    let breath = |source: &mut dyn Source| {
+        let mut ticks = Vec::new();
+        source.configure(pid.clone(), None).unwrap();
+        source.breath(&settings, &mut |tick| ticks.push(*tick)).unwrap();
+        ticks
+    };
+    let expected = breath(&mut BenchSource::new(&bench, pid.clone(), &settings, 1000, seed).unwrap());
+    let connected = || {
+        let source = PortSource::new(Device::connect(served.address()).unwrap(), seed).unwrap();
+        source.with_plant("served".into(), bench.to_toml(), served.truth())
+    };
+    let mut first = connected();
+    assert_eq!(breath(&mut first), expected);
+    drop(first);
+    assert_eq!(breath(&mut connected()), expected);
 }
