@@ -142,8 +142,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("{problem}");
     }
     job.stage(3, &format!("fine-tune: trains {} further on units around this simulator", job.start.name));
-    let commissioned =
-        with_bars(|progress| job.run.tune(&job.residual, &checked.simulator, Some(&job.folder), progress))?;
+    let commissioned = with_bars(|progress| {
+        job.run.tune(&job.residual, &[&checked.simulator], Some(&job.folder), progress)
+    })?;
     if !commissioned.complete {
         args.result.output.line("Stopped. Run the same command again to continue.");
         return Ok(());

@@ -10,6 +10,8 @@
 //!
 //! With a folder, the recording and the training's checkpoints are saved there, and a stopped run continues.
 
+mod joint;
+
 use std::ops::Range;
 
 use rand_chacha::ChaCha8Rng;
@@ -256,18 +258,8 @@ impl CommissionRun {
     /// # Errors
     /// A breath that the safe state ended, too few complete breaths, or a stopped fit.
     pub fn check(&self, recording: &Recording, progress: &Progress<'_>) -> Result<Checked, PipelineError> {
+        let breaths = self.complete_breaths(recording)?;
         let shape = self.shape(recording.provenance.period_us, 1);
-        let breaths = episodes(recording, &shape.timing);
-        // A breath that ended early has no later phase. One with a lost row is left out, but was not ended.
-        let ended_early =
-            |rows: &Range<usize>| recording.phase[rows.clone()].iter().all(|phase| *phase == INSPIRATION);
-        let aborts = recording.breaths().iter().filter(|rows| ended_early(rows)).count();
-        if aborts > 0 {
-            return Err(Problem::Aborted(aborts).into());
-        }
-        if breaths.len() < BREATHS_NEEDED {
-            return Err(PipelineError::TooFewBreaths { found: breaths.len(), needed: BREATHS_NEEDED });
-        }
         let name = &recording.provenance.plant;
         let task = progress.task(Stage::Fit, self.fit.epochs * (self.parts + 1));
         let fits: Vec<Option<(Simulator, f64)>> = (0..=self.parts)
@@ -296,6 +288,25 @@ impl CommissionRun {
         Ok(Checked { simulator, figures })
     }
 
+    /// The complete breaths of a recording.
+    ///
+    /// # Errors
+    /// A breath that the safe state ended, or too few complete breaths.
+    fn complete_breaths(&self, recording: &Recording) -> Result<Vec<Episode>, PipelineError> {
+        let breaths = episodes(recording, &self.shape(recording.provenance.period_us, 1).timing);
+        // A breath that ended early has no later phase. One with a lost row is left out, but was not ended.
+        let ended_early =
+            |rows: &Range<usize>| recording.phase[rows.clone()].iter().all(|phase| *phase == INSPIRATION);
+        let aborts = recording.breaths().iter().filter(|rows| ended_early(rows)).count();
+        if aborts > 0 {
+            return Err(Problem::Aborted(aborts).into());
+        }
+        if breaths.len() < BREATHS_NEEDED {
+            return Err(PipelineError::TooFewBreaths { found: breaths.len(), needed: BREATHS_NEEDED });
+        }
+        Ok(breaths)
+    }
+
     /// Fits a simulator; none if stopped.
     fn fitted(
         &self,
@@ -316,22 +327,26 @@ impl CommissionRun {
         Some(simulator)
     }
 
-    /// Trains a controller further on units around the fitted one.
+    /// Trains a controller further on units around the fitted ones: one unit, or several with which one controller is to work.
     ///
     /// # Errors
-    /// A controller or a checkpoint that is not valid.
+    /// No unit, or a controller or a checkpoint that is not valid.
     pub fn tune(
         &self,
         start: &Residual,
-        unit: &Simulator,
+        units: &[&Simulator],
         folder: Option<&Folder>,
         progress: &Progress<'_>,
     ) -> Result<Commissioned, PipelineError> {
-        let noise = (self.noise.0 * unit.noise, self.noise.1 * unit.noise + f32::EPSILON);
+        let noises = units.iter().map(|unit| unit.noise);
+        let (Some(least), Some(most)) = (noises.clone().reduce(f32::min), noises.reduce(f32::max)) else {
+            return Err(PipelineError::NoSimulator);
+        };
+        let noise = (self.noise.0 * least, self.noise.1 * most + f32::EPSILON);
         let config = FamilyConfig { noise, seed: seeds::training(self.seed, 0), ..self.train.clone() };
         let iterations = config.iterations;
         let weights: Vec<f32> = start.network().parameters().copied().collect();
-        let models = self.models(unit, start.spec().period_us);
+        let models = self.models(units, start.spec().period_us);
         let training = FamilyTraining::new(*start.spec(), models, config, Some(&weights))?;
         let (before, _) = training.checkpoint().best;
         let (trained, curve) =
@@ -342,16 +357,19 @@ impl CommissionRun {
             (true, true) => Winner::FineTuned,
         };
         let complete = curve.last().map_or(0, |point| point.iteration) >= iterations;
-        let learned = learned(trained, unit.plant.clone(), self.seed);
+        let plants: Vec<&str> = units.iter().map(|unit| unit.plant.as_str()).collect();
+        let learned = learned(trained, plants.join(", "), self.seed);
         Ok(Commissioned { learned, winner, start: before, curve, complete })
     }
 
-    /// Units drawn around the fitted one.
-    fn models(&self, unit: &Simulator, period_us: u32) -> FamilyModels {
+    /// Units drawn around the fitted ones, about as many around each.
+    fn models(&self, units: &[&Simulator], period_us: u32) -> FamilyModels {
         let mut rng = ChaCha8Rng::seed_from_u64(seeds::training(self.seed, 1));
         let mut drawn = |count: usize| {
-            let parameters = spread::around(&unit.parameters, count, &self.around, &mut rng);
-            Model::new(Architecture::Unit(self.shape(period_us, count)), &parameters)
+            let each = count.div_ceil(units.len());
+            let around = |unit: &&Simulator| spread::around(&unit.parameters, each, &self.around, &mut rng);
+            let parameters: Vec<f32> = units.iter().flat_map(around).collect();
+            Model::new(Architecture::Unit(self.shape(period_us, each * units.len())), &parameters)
         };
         FamilyModels { trained_on: drawn(self.drawn.0), held_out: drawn(self.drawn.1) }
     }

@@ -46,7 +46,7 @@ fn recording(run: &CommissionRun) -> Recording {
 fn commissioned(run: &CommissionRun) -> Commissioned {
     let checked = run.check(&recording(run), &Progress::silent()).unwrap();
     assert_eq!(checked.figures.problem(), None, "{:?}", checked.figures);
-    run.tune(&adult(), &checked.simulator, None, &Progress::silent()).unwrap()
+    run.tune(&adult(), &[&checked.simulator], None, &Progress::silent()).unwrap()
 }
 
 #[test]
@@ -161,9 +161,9 @@ fn a_stopped_recording_is_repeated_and_a_stopped_training_goes_on() {
     let unit = run.check(&recording, &Progress::silent()).unwrap().simulator;
     assert!(matches!(run.check(&recording, &stopping), Err(PipelineError::Stopped)));
     stop.store(false, Ordering::Relaxed);
-    let half = run.tune(&adult(), &unit, Some(&folder), &stopping).unwrap();
+    let half = run.tune(&adult(), &[&unit], Some(&folder), &stopping).unwrap();
     assert_eq!((half.complete, half.curve.len()), (false, 1));
-    let resumed = run.tune(&adult(), &unit, Some(&folder), &Progress::silent()).unwrap();
+    let resumed = run.tune(&adult(), &[&unit], Some(&folder), &Progress::silent()).unwrap();
     assert_eq!(resumed.learned, commissioned(&run).learned);
 }
 

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use shared::settings::Settings;
 
 use self::lung::{LungLanes, LungTape};
-pub use self::numbers::UnitNumbers;
+pub use self::numbers::{UnitNumbers, valve_flows};
 use self::valve::{ValveLanes, ValveTape};
 use super::{BreathStart, CommandLog, Dynamics, Members, Timing};
 use engine::{LANES, Lane};

@@ -41,6 +41,16 @@ impl UnitNumbers {
     }
 }
 
+/// Flow of the valve of the first unit of a simulator's parameters at a quarter, half, three quarters and all of its command, L/s, at the
+/// scale of [`UnitNumbers`].
+///
+/// # Panics
+/// With fewer parameters than one unit has.
+pub fn valve_flows(parameters: &[f32]) -> [f32; 4] {
+    let full = parameters[..PER_UNIT][valve::FULL_FLOW].exp();
+    [25.0, 50.0, 75.0, 100.0].map(|command| full * valve::opening(parameters, command))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -59,6 +69,15 @@ mod tests {
         ];
         for (found, expected) in found.iter().zip([12.0, 25.0, 1.6, 20.0, 20.0, 0.02]) {
             assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
+        }
+    }
+    #[test]
+    fn the_flow_of_the_valve_rises_to_the_full_flow() {
+        let flows = valve_flows(&UnitConfig::for_period(1000, 1).initialise());
+        assert!(flows.windows(2).all(|pair| pair[0] < pair[1]), "{flows:?}");
+        // The usual valve: 4 % dead zone, exponent 1.3, 1.6 L/s.
+        for (flow, expected) in flows.iter().zip([21.0_f32, 46.0, 71.0, 96.0]) {
+            assert!((flow - 1.6 * (expected / 96.0).powf(1.3)).abs() < 1e-4, "{flows:?}");
         }
     }
 }

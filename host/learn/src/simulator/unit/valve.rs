@@ -22,6 +22,12 @@ const FULL: f32 = 100.0;
 /// Travel beyond the dead zone, as a share, below which nothing flows.
 const LEAST: f32 = 1e-4;
 
+/// Share of the full flow of a unit with these parameters that a held command gives, percent.
+pub(super) fn opening(parameters: &[f32], command: f32) -> f32 {
+    let (zone, exponent) = (parameters[ZONE].exp(), parameters[EXPONENT].exp());
+    ((command - zone) / (FULL - zone)).max(0.0).powf(exponent)
+}
+
 /// The valves of a shard.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ValveLanes {
