@@ -15,6 +15,7 @@ mod controller_args;
 mod demo;
 mod endure;
 mod evaluate;
+mod farm;
 mod faults;
 mod fit;
 mod flash;
@@ -79,6 +80,7 @@ enum Command {
     Train(train::Args),
     TrainFamily(train_family::Args),
     Commission(commission::Args),
+    Farm(farm::Args),
     Evaluate(evaluate::Args),
     Reproduce(reproduce::Args),
     Pack(pack::Args),
@@ -141,6 +143,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Train(args) => train::run(args),
         Command::TrainFamily(args) => train_family::run(args),
         Command::Commission(args) => commission::run(args),
+        Command::Farm(args) => farm::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Reproduce(args) => reproduce::run(args),
         Command::Pack(args) => pack::run(args),

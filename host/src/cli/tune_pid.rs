@@ -247,6 +247,7 @@ fn map_section(lung: &LungResult) -> Section {
             x: map.i.iter().map(|i| f64::from(*i)).collect(),
             y: map.p.iter().map(|p| f64::from(*p)).collect(),
             values: map.score.iter().map(|row| row.iter().map(finite).collect()).collect(),
+            ..HeatMap::default()
         })],
     }
 }

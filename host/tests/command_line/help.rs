@@ -10,6 +10,7 @@ fn every_command_explains_itself() {
         "train",
         "train-family",
         "commission",
+        "farm",
         "collect",
         "tune-pid",
         "tune-rival",

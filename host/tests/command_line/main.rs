@@ -7,6 +7,7 @@ mod commission;
 mod endure;
 #[cfg(feature = "engines")]
 mod engines;
+mod farm;
 mod help;
 mod interrupted;
 mod judge;

@@ -20,6 +20,10 @@ pub struct HeatMap {
     pub x: Vec<f64>,
     /// Values from bottom to top.
     pub y: Vec<f64>,
+    /// Names in place of the values from left to right; empty for numbers.
+    pub x_names: Vec<String>,
+    /// Names in place of the values from bottom to top; empty for numbers.
+    pub y_names: Vec<String>,
     /// A row for each `y`, a column for each `x`; `None` leaves a cell blank. Lower is better.
     pub values: Vec<Vec<Option<f64>>>,
 }
@@ -33,6 +37,8 @@ const COLORS: [[f64; 3]; 5] =
 const WIDTH: f64 = 800.0;
 const CELL_HEIGHT: f64 = 16.0;
 const LEFT: f64 = 80.0;
+/// The same beside rows with names.
+const LEFT_OF_NAMES: f64 = 130.0;
 const RIGHT: f64 = 110.0;
 const TOP: f64 = 36.0;
 const BOTTOM: f64 = 56.0;
@@ -54,10 +60,11 @@ impl HeatMap {
     pub(super) fn drawing(&self) -> Result<Svg, ReportError> {
         let lowest = self.lowest()?;
         let (columns, rows) = (self.x.len(), self.y.len());
-        let cell = ((WIDTH - LEFT - RIGHT) / columns as f64, CELL_HEIGHT);
+        let cell = ((WIDTH - self.left() - RIGHT) / columns as f64, CELL_HEIGHT);
         let height = TOP + BOTTOM + CELL_HEIGHT * rows as f64;
         let mut elements = format!(
-            "<text x=\"{LEFT}\" y=\"20\" font-weight=\"bold\" {TEXT}>{}</text>\n",
+            "<text x=\"{}\" y=\"20\" font-weight=\"bold\" {TEXT}>{}</text>\n",
+            self.left(),
             escape(&self.title)
         );
         for (row, values) in self.values.iter().enumerate().take(rows) {
@@ -82,13 +89,13 @@ impl HeatMap {
 
     /// Upper left corner of a cell.
     fn corner(&self, (column, row): (usize, usize), (width, height): (f64, f64)) -> (f64, f64) {
-        (LEFT + column as f64 * width, TOP + (self.y.len() - 1 - row) as f64 * height)
+        (self.left() + column as f64 * width, TOP + (self.y.len() - 1 - row) as f64 * height)
     }
 
     fn cell(&self, place: (usize, usize), value: f64, lowest: f64, (width, height): (f64, f64)) -> String {
         let (x, y) = self.corner(place, (width, height));
         let frame = if value <= lowest { " stroke=\"#d55e00\" stroke-width=\"3\"" } else { "" };
-        let label = format!("{} / {}: {value:.3}", number(self.x[place.0]), number(self.y[place.1]));
+        let label = format!("{} / {}: {value:.3}", self.x_name(place.0), self.y_name(place.1));
         format!(
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{}\"{frame}>\
              <title>{label}</title></rect>\n",
@@ -96,18 +103,33 @@ impl HeatMap {
         )
     }
 
+    /// Left end of the cells.
+    fn left(&self) -> f64 {
+        if self.y_names.is_empty() { LEFT } else { LEFT_OF_NAMES }
+    }
+
+    fn x_name(&self, column: usize) -> String {
+        self.x_names.get(column).cloned().unwrap_or_else(|| number(self.x[column]))
+    }
+
+    fn y_name(&self, row: usize) -> String {
+        self.y_names.get(row).cloned().unwrap_or_else(|| number(self.y[row]))
+    }
+
     fn axes(&self, cell: (f64, f64), height: f64) -> String {
         let mut svg = String::new();
-        let step = |marks: usize| marks.div_ceil(MARKS).max(1);
-        for column in (0..self.x.len()).step_by(step(self.x.len())) {
+        let step = |names: &[String], marks: usize| {
+            if names.is_empty() { marks.div_ceil(MARKS).max(1) } else { 1 }
+        };
+        for column in (0..self.x.len()).step_by(step(&self.x_names, self.x.len())) {
             let x = self.corner((column, 0), cell).0 + 0.5 * cell.0;
-            svg += &text((x, height - BOTTOM + 16.0), "middle", &number(self.x[column]));
+            svg += &text((x, height - BOTTOM + 16.0), "middle", &self.x_name(column));
         }
-        for row in (0..self.y.len()).step_by(step(self.y.len())) {
+        for row in (0..self.y.len()).step_by(step(&self.y_names, self.y.len())) {
             let y = self.corner((0, row), cell).1 + 0.5 * cell.1 + 4.0;
-            svg += &text((LEFT - 6.0, y), "end", &number(self.y[row]));
+            svg += &text((self.left() - 6.0, y), "end", &self.y_name(row));
         }
-        let middle = 0.5 * (LEFT + WIDTH - RIGHT);
+        let middle = 0.5 * (self.left() + WIDTH - RIGHT);
         svg += &text((middle, height - 14.0), "middle", &self.x_label);
         let (x, y) = (18.0, 0.5 * (TOP + height - BOTTOM));
         let _ = writeln!(

@@ -1,0 +1,216 @@
+//! Every controller on every unit.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::Controller;
+use shared::control::pid::{Pid, PidGains};
+use shared::control::residual::{Residual, ResidualError};
+use shared::weights::decode;
+
+use super::controllers::Controllers;
+use super::folder::{load, save};
+use super::{FarmError, FarmRun, Rivals, UnitName, Worker};
+use judge::evaluate::{Plan, evaluate_source};
+use learn::controller::learned::{Learned, LearnedError, Origin};
+use learn::pipeline::PipelineError;
+use progress::Progress;
+
+/// File of a unit's scores.
+const SCORES: &str = "crosswise.json";
+
+/// Scores of controllers on units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Matrix {
+    /// The units, in the order of the farm.
+    pub units: Vec<UnitName>,
+    /// A row for each controller.
+    pub rows: Vec<MatrixRow>,
+}
+
+/// Scores of a controller on all units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MatrixRow {
+    /// Name of the controller.
+    pub controller: String,
+    /// The unit that it was commissioned for, if it was.
+    pub commissioned_for: Option<UnitName>,
+    /// Its weights; none if it is a PID.
+    pub weights_id: Option<String>,
+    /// Mean absolute error on each unit, cmH2O; none where it could not be run.
+    pub scores: Vec<Option<f64>>,
+}
+
+impl MatrixRow {
+    /// Mean over the units on which it was run, cmH2O.
+    pub fn mean(&self) -> f64 {
+        let (count, sum) =
+            self.scores.iter().flatten().fold((0, 0.0), |(count, sum), score| (count + 1, sum + score));
+        sum / f64::from(count.max(1))
+    }
+}
+
+impl Matrix {
+    /// The row of a controller.
+    pub fn row(&self, controller: &str) -> Option<&MatrixRow> {
+        self.rows.iter().find(|row| row.controller == controller)
+    }
+
+    /// The learned controller with the smallest error on a unit, by its place in the farm, and that error, cmH2O.
+    pub fn best(&self, place: usize) -> Option<(&MatrixRow, f64)> {
+        let scored = |row: &'_ &MatrixRow| row.weights_id.is_some();
+        let rows = self.rows.iter().filter(scored).filter_map(|row| Some((row, row.scores[place]?)));
+        rows.min_by(|(_, one), (_, two)| one.total_cmp(two))
+    }
+
+    /// Score of each unit's own controller, cmH2O.
+    pub fn own(&self) -> Vec<Option<f64>> {
+        let own = |(place, unit): (usize, &UnitName)| {
+            let row = self.rows.iter().find(|row| row.commissioned_for.as_ref() == Some(unit))?;
+            row.scores[place]
+        };
+        self.units.iter().enumerate().map(own).collect()
+    }
+}
+
+/// A controller of the matrix.
+struct Candidate {
+    name: String,
+    commissioned_for: Option<UnitName>,
+    controller: Controller,
+    /// Its weights image, not signed yet, and their id, if it is a learned one.
+    weights: Option<(Vec<u8>, String)>,
+    /// Name under which its scores are kept: that of its gains or weights.
+    key: String,
+}
+
+/// The matrix, and the image that each unit gets, not signed yet: of the learned controller with the smallest error on it.
+pub(super) struct Crosswise {
+    pub matrix: Matrix,
+    pub images: Vec<Option<Vec<u8>>>,
+}
+
+impl FarmRun<'_> {
+    /// Evaluates every controller on every unit.
+    pub(super) fn crosswise(
+        &self,
+        controllers: &Controllers,
+        rivals: Option<&Rivals>,
+        workers: &mut [Worker<'_>],
+        progress: &Progress<'_>,
+    ) -> Result<Crosswise, FarmError> {
+        let candidates = self.candidates(controllers, rivals)?;
+        self.on_all(workers, |worker| self.score_all(worker, &candidates, progress));
+        if progress.stopped() {
+            return Err(FarmError::Stopped);
+        }
+        let scores: Result<Vec<BTreeMap<String, f64>>, FarmError> =
+            workers.iter().map(|worker| Ok(load(&worker.folder.file(SCORES))?.unwrap_or_default())).collect();
+        let scores = scores?;
+        let row = |candidate: &Candidate| MatrixRow {
+            controller: candidate.name.clone(),
+            commissioned_for: candidate.commissioned_for.clone(),
+            weights_id: candidate.weights.as_ref().map(|(_, id)| id.clone()),
+            scores: scores.iter().map(|unit| unit.get(&candidate.key).copied()).collect(),
+        };
+        let units = self.farm.units.iter().map(|unit| unit.name.clone()).collect();
+        let matrix = Matrix { units, rows: candidates.iter().map(row).collect() };
+        let image = |place| {
+            let (best, _) = matrix.best(place)?;
+            let weights = candidates.iter().filter_map(|candidate| candidate.weights.as_ref());
+            weights
+                .filter(|(_, id)| Some(id) == best.weights_id.as_ref())
+                .map(|(image, _)| image.clone())
+                .next()
+        };
+        let images = (0..matrix.units.len()).map(image).collect();
+        Ok(Crosswise { matrix, images })
+    }
+
+    /// The PIDs, the controller that training started from, the farm's, and each unit's own.
+    fn candidates(
+        &self,
+        controllers: &Controllers,
+        rivals: Option<&Rivals>,
+    ) -> Result<Vec<Candidate>, FarmError> {
+        let mut candidates = vec![pid("known-good PID", self.config.run.collector)?];
+        if let Some(rivals) = rivals {
+            candidates.push(pid("best single PID", rivals.pid)?);
+        }
+        let start = Learned { controller: self.start.1.clone(), origin: Origin::default() };
+        candidates.push(learned(self.start.0, None, &start)?);
+        candidates.push(learned("farm", None, &controllers.farm)?);
+        for (unit, own) in &controllers.each {
+            candidates.push(learned(&format!("of unit {unit}"), Some(unit), own)?);
+        }
+        Ok(candidates)
+    }
+
+    /// Evaluates all controllers on a unit that have no score there yet.
+    fn score_all(
+        &self,
+        worker: &Worker<'_>,
+        candidates: &[Candidate],
+        progress: &Progress<'_>,
+    ) -> Result<(), FarmError> {
+        let file = worker.folder.file(SCORES);
+        let known = || load::<BTreeMap<String, f64>>(&file);
+        let count = || known().ok().flatten().map_or(0, |scores| scores.len());
+        let progress = progress.of(worker.unit.name.as_str());
+        let plan = self.plan();
+        self.persist(worker, &progress, &count, |source, _| {
+            for candidate in candidates {
+                let mut scores = known()?.unwrap_or_default();
+                if scores.contains_key(&candidate.key) {
+                    continue;
+                }
+                if let Some((image, _)) = &candidate.weights {
+                    source.know(self.signed(image)?);
+                }
+                let evaluation = evaluate_source(source, &candidate.controller, &plan, &progress);
+                scores.insert(candidate.key.clone(), evaluation?.mean.score);
+                save(&file, &scores)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The breaths of the evaluation.
+    fn plan(&self) -> Plan {
+        let run = &self.config.run;
+        let evaluation = Plan::evaluation(run.seed);
+        Plan {
+            period_us: DEFAULT_PERIOD_US,
+            pips: run.collect.pips.clone(),
+            warm_up: self.config.breaths_of_learning,
+            breaths: self.config.scored_breaths,
+            seeds: evaluation.seeds[..1].to_vec(),
+            settings: run.collect.settings,
+        }
+    }
+}
+
+fn learned(name: &str, unit: Option<&UnitName>, learned: &Learned<Residual>) -> Result<Candidate, FarmError> {
+    let image = learned.image()?;
+    let id = decode(&image).map_err(LearnedError::from)?.id;
+    Ok(Candidate {
+        name: name.to_owned(),
+        commissioned_for: unit.cloned(),
+        controller: Controller::Residual(learned.controller.clone()),
+        weights: Some((image, format!("{id:08x}"))),
+        key: format!("weights {id:08x}"),
+    })
+}
+
+fn pid(name: &str, gains: PidGains) -> Result<Candidate, FarmError> {
+    let pid = Pid::new(gains, DEFAULT_PERIOD_US).map_err(ResidualError::from).map_err(PipelineError::from)?;
+    let PidGains { p, i, d } = gains;
+    Ok(Candidate {
+        name: name.to_owned(),
+        commissioned_for: None,
+        controller: Controller::Pid(pid),
+        weights: None,
+        key: format!("PID {p},{i},{d}"),
+    })
+}

@@ -1,0 +1,184 @@
+//! The simulators of the units, their calibrations, and the units outside the farm's band.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde::{Deserialize, Serialize};
+
+use super::folder::{FarmFolder, save};
+use super::measure::measured_zero;
+use super::{FarmError, FarmRun, Outside, Simulators, Worker};
+use data::recording::Recording;
+use learn::pipeline::PipelineError;
+use learn::pipeline::commission::{Checked, Figures};
+use learn::simulator::unit::valve_flows;
+use progress::Progress;
+use shared::calibration::Calibration;
+
+/// Figures of a unit's recording and simulator.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct UnitFigures {
+    /// The figures.
+    #[serde(flatten)]
+    pub figures: Figures,
+    /// Flow of the inspiratory valve at a quarter, half, three quarters and all of its command, L/s.
+    pub valve_flow: [f32; 4],
+}
+
+impl FarmRun<'_> {
+    /// Fits the simulators that are missing, stores the calibrations on the devices, and returns what is outside the band.
+    pub(super) fn fit(
+        &self,
+        folder: &FarmFolder,
+        workers: &mut [Worker<'_>],
+        progress: &Progress<'_>,
+    ) -> Result<Vec<Outside>, FarmError> {
+        match self.config.simulators {
+            Simulators::Each => self.fit_each(workers, progress)?,
+            Simulators::One => self.fit_one(folder, workers, progress)?,
+        }
+        self.on_all(workers, calibrate);
+        let mut calibrated = Vec::new();
+        for worker in workers.iter() {
+            let last = worker.folder.state()?.calibrations.last().copied();
+            calibrated.extend(last.map(|calibration| (worker.unit.name.clone(), calibration)));
+        }
+        Ok(self.farm.band.outside(&calibrated))
+    }
+
+    /// Fits a simulator for each unit that has none.
+    fn fit_each(&self, workers: &mut [Worker<'_>], progress: &Progress<'_>) -> Result<(), FarmError> {
+        for worker in workers.iter_mut().filter(|worker| worker.problem.is_none()) {
+            if worker.folder.state()?.measured || progress.stopped() {
+                continue;
+            }
+            let progress = progress.of(worker.unit.name.as_str());
+            let checked =
+                corrected(worker).and_then(|recording| Ok(self.config.run.check(&recording, &progress)?));
+            self.fitted(worker, checked)?;
+        }
+        if progress.stopped() { Err(FarmError::Stopped) } else { Ok(()) }
+    }
+
+    /// Fits one simulator for all units, if any of them has none.
+    fn fit_one(
+        &self,
+        folder: &FarmFolder,
+        workers: &mut [Worker<'_>],
+        progress: &Progress<'_>,
+    ) -> Result<(), FarmError> {
+        let mut units: Vec<&mut Worker<'_>> =
+            workers.iter_mut().filter(|worker| worker.problem.is_none()).collect();
+        let states: Result<Vec<_>, _> = units.iter().map(|worker| worker.folder.state()).collect();
+        if states?.iter().all(|state| state.measured) {
+            return Ok(());
+        }
+        let recordings: Result<Vec<_>, _> = units.iter().map(|worker| corrected(worker)).collect();
+        let (whole, checked) = self.config.run.check_jointly(&recordings?, progress)?;
+        whole.save(&folder.simulator())?;
+        for (worker, checked) in units.iter_mut().zip(checked) {
+            self.fitted(worker, Ok(checked))?;
+        }
+        Ok(())
+    }
+
+    /// Saves the simulator of a unit; one that does not describe the unit puts it behind.
+    fn fitted(&self, worker: &mut Worker<'_>, checked: Result<Checked, FarmError>) -> Result<(), FarmError> {
+        let problem = match checked {
+            Ok(Checked { simulator, figures }) => {
+                simulator.save(&worker.folder.simulator())?;
+                let valve_flow = valve_flows(&simulator.parameters);
+                save(&worker.folder.file("figures.json"), &UnitFigures { figures, valve_flow })?;
+                figures.problem().map(|problem| problem.to_string())
+            }
+            Err(FarmError::Pipeline(PipelineError::Stopped)) => return Err(FarmError::Stopped),
+            Err(error) => Some(error.to_string()),
+        };
+        if let Some(problem) = problem {
+            (self.tell)(&worker.unit.name, &problem);
+            worker.problem = Some(problem);
+        }
+        Ok(())
+    }
+}
+
+/// The recording in force, with the readings that the unit's new calibration gives.
+fn corrected(worker: &Worker<'_>) -> Result<Recording, FarmError> {
+    let mut recording = Recording::load(worker.folder.recording()?)?;
+    let Some(sensor) = sensor(worker)? else { return Ok(recording) };
+    recording.pressure.iter_mut().for_each(|reading| *reading = sensor.corrected(*reading));
+    Ok(recording)
+}
+
+/// Stores the calibration of a unit on its device, and reads it back.
+fn calibrate(worker: &Worker<'_>) -> Result<(), FarmError> {
+    let (state, figures) = (worker.folder.state()?, worker.folder.figures()?);
+    let (false, Some(figures), Some(sensor)) = (state.measured, figures, sensor(worker)?) else {
+        return Ok(());
+    };
+    let calibration = Calibration {
+        sensor_zero: sensor.zero,
+        sensor_gain: sensor.gain,
+        dead_time_ms: figures.figures.unit.dead_time_ms,
+        lag_ms: figures.figures.unit.lag_ms,
+        valve_flow: figures.valve_flow,
+        measured_at: SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs() as u32),
+    };
+    calibration.validate().map_err(|error| FarmError::Calibration(error.to_string()))?;
+    // Remembered first: a farm that is killed before it reads back still knows its unit.
+    worker.folder.remember(|state| state.pending = Some(calibration))?;
+    let mut device = worker.contact.device()?;
+    device.stop()?;
+    device.calibrate(&calibration)?;
+    if device.calibration(0)?.1 != Some(calibration) {
+        return Err(FarmError::NotStored("calibration"));
+    }
+    worker.folder.remember(|state| {
+        state.calibrations.extend(state.pending.take());
+        state.measured = true;
+    })?;
+    Ok(())
+}
+
+/// The sensor of a unit as just measured; none before that.
+fn sensor(worker: &Worker<'_>) -> Result<Option<Sensor>, FarmError> {
+    let zero = measured_zero(worker)?;
+    Ok(zero.map(|zero| {
+        let before = zero.in_force.map_or((0.0, 1.0), |before| (before.sensor_zero, before.sensor_gain));
+        let gain = worker.unit.sensor_gain.unwrap_or(before.1);
+        Sensor { before, zero: zero.reading * before.1 + before.0, gain }
+    }))
+}
+
+/// A sensor as just measured.
+#[derive(Clone, Copy, Debug)]
+struct Sensor {
+    /// Zero and gain by which the device corrected its readings meanwhile.
+    before: (f32, f32),
+    /// Reading at no pressure, without any correction, cmH2O.
+    zero: f32,
+    /// Change of the reading per change of the pressure.
+    gain: f32,
+}
+
+impl Sensor {
+    /// A reading of the measurement, corrected again.
+    fn corrected(&self, reading: f32) -> f32 {
+        let raw = reading * self.before.1 + self.before.0;
+        (raw - self.zero) / self.gain
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reading_that_was_corrected_before_is_corrected_from_the_raw_one() {
+        // Raw readings are 0.5 + 1.02 p; the device took them for 0.2 + 1.0 p.
+        let sensor = Sensor { before: (0.2, 1.0), zero: 0.5, gain: 1.02 };
+        for pressure in [0.0, 5.0, 35.0_f32] {
+            let reported = 0.5 + 1.02 * pressure - 0.2;
+            assert!((sensor.corrected(reported) - pressure).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! What the benches of a virtual farm tell: the best single PID for all units, and the reference bound of each.
+
+use serde::{Deserialize, Serialize};
+use shared::control::pid::PidGains;
+
+use super::folder::{FarmFolder, load, save};
+use super::{FarmError, FarmRun, Worker};
+use judge::baselines::Grid;
+use judge::baselines::{Search, tune_single_pid};
+use judge::bound::{BoundConfig, bounds};
+use judge::evaluate::Plan;
+use plant::bench::{BenchConfig, UnitConfig};
+use progress::Progress;
+
+/// The best single PID of a virtual farm, and the bounds of its units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Rivals {
+    /// Gains of the best single PID: mean over all units and waveforms.
+    pub pid: PidGains,
+    /// Reference bound of each unit, in the order of the farm, cmH2O.
+    pub bounds: Vec<f64>,
+}
+
+impl FarmRun<'_> {
+    /// The rivals, searched once; none unless all units are virtual.
+    pub(super) fn rivals(
+        &self,
+        folder: &FarmFolder,
+        workers: &[Worker<'_>],
+        progress: &Progress<'_>,
+    ) -> Result<Option<Rivals>, FarmError> {
+        let benches: Option<Vec<BenchConfig>> =
+            workers.iter().map(|worker| worker.unit.bench().map(calibrated)).collect();
+        let Some(benches) = benches else { return Ok(None) };
+        if let Some(found) = load(&folder.rivals())? {
+            return Ok(Some(found));
+        }
+        let run = &self.config.run;
+        let waveforms =
+            Plan { pips: run.collect.pips.clone(), settings: run.collect.settings, ..Plan::tuning(run.seed) };
+        let search = Search { grid: Grid::coarse(), refinements: 4, exhaustive: false };
+        let pid = tune_single_pid(&benches, &search, &waveforms, &progress.of("best single PID"))?;
+        let bounds = bounds(&benches, &waveforms, &BoundConfig::default(), &progress.of("bounds"))?;
+        if progress.stopped() {
+            return Err(FarmError::Stopped);
+        }
+        let bounds = bounds.iter().map(|bound| bound.mean.score).collect();
+        let rivals = Rivals { pid: pid.pid.gains, bounds };
+        save(&folder.rivals(), &rivals)?;
+        Ok(Some(rivals))
+    }
+}
+
+/// The bench with the zero of its sensor corrected, as the device corrects it.
+fn calibrated(bench: &BenchConfig) -> BenchConfig {
+    let unit = UnitConfig { sensor_offset_sd_cmh2o: 0.0, ..bench.unit };
+    BenchConfig { unit, ..bench.clone() }
+}
