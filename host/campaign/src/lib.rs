@@ -5,6 +5,7 @@
 //! run byte for byte.
 #![forbid(unsafe_code)]
 
+pub mod claims;
 mod difference;
 mod done;
 pub mod engine;

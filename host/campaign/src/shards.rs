@@ -9,6 +9,7 @@
 //! | `shards/3-of-40.part.json` | the campaign of shard 3 so far, saved every few seconds |
 //! | `shards/3-of-40.json` | the same when it is complete |
 //! | `shards/3-of-40.task.json` | the last task with that shard: host, engine, times and how it ended ([`Record`]) |
+//! | `shards/NAME.json` | a value that every task needs, computed by the first ([`RunFolder::once`]) |
 
 use std::path::{Path, PathBuf};
 
@@ -19,10 +20,11 @@ use serde::{Deserialize, Serialize};
 use crate::difference;
 use crate::record::{Ending, Record, Results};
 use crate::{Campaign, CampaignError, CampaignOf, Share, UnitOf, Work};
-use data::files::{read_json, write_json_indented};
+use data::files::{create_json_indented, read_json};
 use data::provenance::build_id;
 
 mod merge;
+mod once;
 mod state;
 
 pub use merge::MergeError;
@@ -94,6 +96,11 @@ impl RunFolder {
 
     fn record_file(&self, share: Share) -> PathBuf {
         self.0.join("shards").join(format!("{}-of-{}.task.json", share.index(), share.of()))
+    }
+
+    /// Folder of the claims on work that tasks share.
+    pub fn claims_folder(&self) -> PathBuf {
+        self.0.join("shards").join("claims")
     }
 
     /// The campaign of a shard that is not complete. It has a file of its own, so that a task cannot replace the complete campaign of
@@ -173,12 +180,16 @@ impl RunFolder {
         Ok(true)
     }
 
-    /// Marks the folder as that of a run.
+    /// Marks the folder as that of a run. Of tasks with different runs that begin at the same moment, one succeeds.
     fn claim<Q: Serialize + DeserializeOwned>(&self, run: &Run<Q>) -> Result<(), CampaignError> {
         let path = self.run_file();
-        match read_json::<serde_json::Value>(&path).map_err(CampaignError::file(&path))? {
-            None => write_json_indented(&path, run).map_err(CampaignError::file(&path)),
-            Some(there) => same(&path, &there, run),
+        loop {
+            if let Some(there) = read_json::<serde_json::Value>(&path).map_err(CampaignError::file(&path))? {
+                return same(&path, &there, run);
+            }
+            if create_json_indented(&path, run).map_err(CampaignError::file(&path))? {
+                return Ok(());
+            }
         }
     }
 
@@ -193,8 +204,8 @@ impl RunFolder {
     }
 }
 
-/// Refuses a folder whose run differs.
-fn same<Q: Serialize>(path: &Path, there: &serde_json::Value, here: &Run<Q>) -> Result<(), CampaignError> {
+/// Refuses a file that belongs to something else.
+fn same(path: &Path, there: &serde_json::Value, here: &impl Serialize) -> Result<(), CampaignError> {
     match difference::between(there, here) {
         None => Ok(()),
         Some(difference) => Err(CampaignError::OtherRun { path: path.to_owned(), difference }),

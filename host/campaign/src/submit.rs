@@ -22,6 +22,8 @@ use data::files::write_atomically;
 /// Time between the first two looks at the engine and the run's folder, and the longest one.
 const LOOK_AFTER: Duration = Duration::from_millis(200);
 const LOOK_AFTER_AT_MOST: Duration = Duration::from_secs(15);
+/// Variable with the number of threads of a task, which a user may have set.
+const THREADS: &str = "RAYON_NUM_THREADS";
 /// Most failures that an error names.
 const NAMED: usize = 5;
 

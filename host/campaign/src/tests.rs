@@ -1,6 +1,7 @@
 //! Tests of campaigns as a whole, with the work of adding up sines.
 
 use std::fs;
+use std::sync::Barrier;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use super::record::Ending;
@@ -225,6 +226,48 @@ fn a_folder_belongs_to_one_run() {
     let other = run.run(&waves(2), 20, Share::new(1, 5).unwrap(), &Progress::silent());
     assert!(refused(other.unwrap_err()).contains("`question` is 1 there and 2 here"));
     assert!(run.merged(&waves(2), 20).unwrap_err().to_string().contains("`question`"));
+}
+
+#[test]
+fn of_tasks_with_different_questions_that_begin_together_one_gets_the_folder() {
+    for _ in 0..20 {
+        let folder = tempfile::tempdir().unwrap();
+        let (run, together) = (RunFolder::new(folder.path()), Barrier::new(4));
+        let task = |seed: u64| {
+            together.wait();
+            run.run(&waves(seed), 4, Share::new(seed, 4).unwrap(), &Progress::silent()).is_ok()
+        };
+        let successes = std::thread::scope(|scope| {
+            let tasks: Vec<_> = (0..4).map(|seed| scope.spawn(move || task(seed))).collect();
+            tasks.into_iter().map(|task| usize::from(task.join().unwrap())).sum::<usize>()
+        });
+        assert_eq!(successes, 1);
+    }
+}
+
+#[test]
+fn what_every_task_needs_is_computed_once_and_only_for_its_question() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, together, computed) = (RunFolder::new(folder.path()), Barrier::new(4), AtomicU64::new(0));
+    let once = |question: u64, progress: &Progress<'_>| {
+        run.once("value", &question, progress, || -> Result<u64, CampaignError> {
+            std::thread::sleep(Duration::from_millis(100));
+            Ok(computed.fetch_add(1, Ordering::Relaxed))
+        })
+    };
+    let stop = AtomicBool::new(true);
+    assert_eq!(once(1, &Progress::quiet(&stop)).unwrap(), None, "a task that was stopped keeps nothing");
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                together.wait();
+                assert_eq!(once(1, &Progress::silent()).unwrap(), Some(0));
+            });
+        }
+    });
+    assert_eq!(computed.load(Ordering::Relaxed), 1);
+    let refused = once(2, &Progress::silent()).unwrap_err().to_string();
+    assert!(refused.contains("`question` is 1 there and 2 here"), "{refused}");
 }
 
 #[test]

@@ -24,6 +24,22 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     written
 }
 
+/// Creates `path` with `bytes`, atomically as [`write_atomically`] does, unless it exists: of several writers, even on different
+/// machines, one succeeds. True if it was this one.
+///
+/// # Errors
+/// The file system's error, such as that of one without hard links; no temporary file is left.
+pub fn create_atomically(path: &Path, bytes: &[u8]) -> io::Result<bool> {
+    let temporary = temporary(path)?;
+    let created = write_synced(&temporary, bytes).and_then(|()| fs::hard_link(&temporary, path));
+    // Both names are of the same file; a leftover one is harmless.
+    let _ = fs::remove_file(&temporary);
+    match created {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        created => created.map(|()| true),
+    }
+}
+
 /// The path of a temporary file beside `path`, to be renamed once complete. Missing parent folders are created.
 ///
 /// # Errors
@@ -55,8 +71,19 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> io::Result<()> {
 /// # Errors
 /// See [`write_json`].
 pub fn write_json_indented(path: &Path, value: &impl Serialize) -> io::Result<()> {
-    let text = serde_json::to_string_pretty(value)? + "\n";
-    write_atomically(path, text.as_bytes())
+    write_atomically(path, indented(value)?.as_bytes())
+}
+
+/// Creates a file as [`write_json_indented`] writes it, unless it exists.
+///
+/// # Errors
+/// A value that JSON cannot represent; otherwise see [`create_atomically`].
+pub fn create_json_indented(path: &Path, value: &impl Serialize) -> io::Result<bool> {
+    create_atomically(path, indented(value)?.as_bytes())
+}
+
+fn indented(value: &impl Serialize) -> io::Result<String> {
+    Ok(serde_json::to_string_pretty(value)? + "\n")
 }
 
 /// Reads a file written by [`write_json`]; `None` if it does not exist.
@@ -82,13 +109,19 @@ pub fn claim<T: PartialEq + Serialize + DeserializeOwned>(
     configuration: &T,
 ) -> io::Result<bool> {
     let path = folder.join("run.json");
-    match fs::read_to_string(&path) {
-        // A configuration of another shape is a different configuration.
-        Ok(text) => Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            write_json_indented(&path, configuration).map(|()| true)
+    loop {
+        match fs::read_to_string(&path) {
+            // A configuration of another shape is a different configuration.
+            Ok(text) => {
+                return Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration));
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                if create_json_indented(&path, configuration)? {
+                    return Ok(true);
+                }
+            }
+            Err(error) => return Err(error),
         }
-        Err(error) => Err(error),
     }
 }
 
@@ -128,6 +161,23 @@ mod tests {
             assert_eq!(claim(folder.path(), &configuration).unwrap(), own);
         }
         assert!(!claim(folder.path(), &"of another shape".to_owned()).unwrap());
+    }
+
+    #[test]
+    fn of_several_that_create_a_file_at_once_one_succeeds_and_its_content_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, together) = (folder.path().join("a/file.txt"), std::sync::Barrier::new(8));
+        let create = |writer: u8| {
+            together.wait();
+            create_atomically(&path, &[writer; 100]).unwrap().then_some(writer)
+        };
+        let winners: Vec<u8> = std::thread::scope(|scope| {
+            let writers: Vec<_> = (0..8).map(|writer| scope.spawn(move || create(writer))).collect();
+            writers.into_iter().filter_map(|writer| writer.join().unwrap()).collect()
+        });
+        let [winner] = winners[..] else { panic!("{winners:?}") };
+        assert_eq!(fs::read(&path).unwrap(), [winner; 100]);
+        assert_eq!(entries(path.parent().unwrap()), ["file.txt"]);
     }
 
     #[test]

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use campaign::Campaign;
 use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::pid::PidGains;
 
-use super::bars::with_bars;
 use super::common::stopped;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::{self, OutputArgs};
@@ -108,20 +108,30 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 /// Runs the plants or a shard of them, or merges shards; none after a shard.
 fn test(args: &Args, family: &Family, chosen: &Chosen) -> anyhow::Result<Option<Campaign<Question, Tally>>> {
+    let Some(family_pid) = best_pid(args, family)? else {
+        bail!("stopped before the family's PID was found; nothing was kept");
+    };
     let question = Question {
         family: family.name.clone(),
         first_plant: family.draw(args.seed, 0),
         controller: chosen.weights_id.clone().unwrap_or_else(|| chosen.name.clone()),
-        family_pid: with_bars(|progress| family_pid(family, progress))?,
+        family_pid,
         seed: args.seed,
         breaths: args.breaths,
         subset: args.subset,
     };
     args.output.line(&format!("best single PID of the family: {}", format_gains(&question.family_pid)));
-    // A search that was stopped gives gains of another question.
-    ensure!(!stopped(), "stopped before the family's PID was found; nothing was kept");
     let work = Robustness { question, family, controller: &chosen.controller };
     args.shards.run(&work, args.plants.into(), args.keep.as_deref(), &args.output)
+}
+
+/// The family's PID; none if its search was stopped. Tasks that share a folder search it once.
+fn best_pid(args: &Args, family: &Family) -> anyhow::Result<Option<PidGains>> {
+    if family.pid.is_some() {
+        return Ok(family.pid);
+    }
+    let question = (&family.name, family.draw(args.seed, 0), &family.pips, &family.settings);
+    Ok(args.shards.once("family-pid", &question, |progress| family_pid(family, progress))?)
 }
 
 /// The scored breaths.

@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use campaign::shards::RunFolder;
-use campaign::{Campaign, CampaignOf, Share, Work, engine};
+use campaign::{Campaign, CampaignError, CampaignOf, Share, Work, engine};
+use progress::Progress;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::bars::with_bars;
 use super::output::OutputArgs;
@@ -78,6 +81,32 @@ impl ShardFolderArgs {
         }
         with_bars(|progress| campaign.advance(work, units, keep, progress))?;
         Ok(Some(campaign))
+    }
+
+    /// A value that every task needs before it begins: if the work is divided, the first task computes and keeps it in the folder. None
+    /// if it was stopped.
+    pub fn once<Q: Serialize, T: Serialize + DeserializeOwned, E>(
+        &self,
+        name: &str,
+        question: &Q,
+        compute: impl Fn(&Progress<'_>) -> Result<T, E>,
+    ) -> Result<Option<T>, E>
+    where
+        E: From<CampaignError>,
+    {
+        with_bars(|progress| {
+            if let Some(folder) = self.out.as_deref().map(RunFolder::new) {
+                if !self.shards.merge {
+                    return folder.once(name, question, progress, || compute(progress));
+                }
+                // A merge must not write into a folder without shards.
+                if let Some(found) = folder.found(name, question)? {
+                    return Ok(Some(found));
+                }
+            }
+            let value = compute(progress)?;
+            Ok((!progress.stopped()).then_some(value))
+        })
     }
 
     /// The folder of the shards and how to use it, if the work is divided.

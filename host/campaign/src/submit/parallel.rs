@@ -1,6 +1,7 @@
 //! GNU parallel: tasks on this machine.
 
 use std::fs::File;
+use std::num::NonZero;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::Command;
@@ -8,7 +9,7 @@ use std::time::Duration;
 
 use progress::Progress;
 
-use super::{Job, SubmitError};
+use super::{Job, SubmitError, THREADS};
 use crate::CampaignError;
 
 /// What to do without GNU parallel.
@@ -40,11 +41,20 @@ impl Parallel {
         options.into_iter().chain(jobs).chain([job.shard_line("{}")]).collect()
     }
 
+    /// Threads of each task: its share of this machine's cores, at least one.
+    fn threads(&self) -> usize {
+        let cores = std::thread::available_parallelism().map_or(1, NonZero::get);
+        let jobs = self.jobs.map_or(cores, |jobs| jobs as usize);
+        (cores / jobs.max(1)).max(1)
+    }
+
     /// The command lines: of all shards, then of the merge.
     pub fn script(&self, job: &Job) -> String {
+        let threads = format!("{THREADS}=\"${{{THREADS}:-{}}}\"", self.threads());
         let words: Vec<_> = self.arguments(job).iter().map(|word| super::quoted(word)).collect();
         let last = job.shards - 1;
-        format!("#!/bin/sh\nseq 0 {last} | parallel {}\n{}\n", words.join(" "), job.merge_line())
+        let (words, merge) = (words.join(" "), job.merge_line());
+        format!("#!/bin/sh\nseq 0 {last} | {threads} parallel {words}\n{merge}\n")
     }
 
     /// Runs the shards that are not complete, then merges all. False if it was stopped.
@@ -81,9 +91,8 @@ impl Parallel {
         let mut parallel = Command::new("parallel");
         // In a group of its own, so that Ctrl-C reaches only this program.
         parallel.args(self.arguments(job)).stdin(input).process_group(0);
-        if self.jobs.is_none() {
-            // A task for each core.
-            parallel.env("RAYON_NUM_THREADS", "1");
+        if std::env::var_os(THREADS).is_none() {
+            parallel.env(THREADS, self.threads().to_string());
         }
         let mut tasks = printing(&mut parallel, &job.log().join("tasks.txt"))?.spawn().map_err(failed)?;
         let watched = job.watch(progress, || Ok(tasks.try_wait().map_err(failed)?.is_some()));
@@ -104,4 +113,17 @@ fn printing<'a>(command: &'a mut Command, path: &Path) -> Result<&'a mut Command
     let output = File::create(path).map_err(CampaignError::file(path))?;
     let errors = output.try_clone().map_err(CampaignError::file(path))?;
     Ok(command.stdout(output).stderr(errors))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_task_gets_its_share_of_the_cores() {
+        let threads = |jobs| Parallel { jobs, retries: 0 }.threads();
+        let cores = std::thread::available_parallelism().unwrap().get();
+        assert_eq!((threads(None), threads(Some(1)), threads(Some(u32::MAX))), (1, cores, 1));
+        assert_eq!(threads(Some(2)), (cores / 2).max(1));
+    }
 }

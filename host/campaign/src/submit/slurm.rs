@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use progress::Progress;
 use serde::{Deserialize, Serialize};
 
-use super::{Job, SubmitError, answer, quoted, run, text};
+use super::{Job, SubmitError, THREADS, answer, quoted, run, text};
 use crate::CampaignError;
 use data::files::{read_json, write_json};
 
@@ -42,11 +42,12 @@ impl Slurm {
     pub fn array_script(&self, job: &Job, shards: &[u64]) -> String {
         format!(
             "#!/bin/sh\n#SBATCH --job-name=trainer-{}\n#SBATCH --array={}\n#SBATCH --output={}\n#SBATCH --requeue\n\
-             #SBATCH --open-mode=append\n{}exec {}\n",
+             #SBATCH --open-mode=append\n{}{}exec {}\n",
             job.arguments.first().map_or("", String::as_str),
             ranges(shards),
             quoted(&text(&job.log().join("%a.txt"))),
             self.options(),
+            threads(),
             job.shard_line("\"$SLURM_ARRAY_TASK_ID\""),
         )
     }
@@ -54,10 +55,11 @@ impl Slurm {
     /// Script of the job that merges.
     pub fn merge_script(&self, job: &Job) -> String {
         format!(
-            "#!/bin/sh\n#SBATCH --job-name=trainer-merge\n#SBATCH --output={}\n#SBATCH --requeue\n{}{}\nstatus=$?\n\
+            "#!/bin/sh\n#SBATCH --job-name=trainer-merge\n#SBATCH --output={}\n#SBATCH --requeue\n{}{}{}\nstatus=$?\n\
              echo $status >{}\nexit $status\n",
             quoted(&text(&job.merge_log())),
             self.options(),
+            threads(),
             job.merge_line(),
             quoted(&text(&job.merge_status())),
         )
@@ -127,6 +129,11 @@ impl Slurm {
             }
         }
     }
+}
+
+/// Line that gives a job as many threads as it has cores, where Slurm does not confine it to them, unless the user has set a number.
+fn threads() -> String {
+    format!("export {THREADS}=\"${{{THREADS}:-$SLURM_CPUS_ON_NODE}}\"\n")
 }
 
 /// Exit status of the merge; none if it has not come to its end.

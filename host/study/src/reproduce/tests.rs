@@ -118,7 +118,7 @@ fn rivals_meet_on_the_lungs_and_on_the_unseen_plants() {
 }
 
 #[test]
-fn two_tasks_that_share_a_folder_find_what_one_task_finds() {
+fn two_tasks_that_share_a_folder_run_each_piece_once_and_find_what_one_task_finds() {
     let [out, alone] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let only = [Experiment::Tracking, Experiment::Lungs, Experiment::Changes];
     let reproduction = small(out.path(), &only);
@@ -133,6 +133,11 @@ fn two_tasks_that_share_a_folder_find_what_one_task_finds() {
         }
     });
     assert_eq!(folder.merged(&work, pieces).unwrap().units(), pieces);
+    let marks: Vec<_> =
+        fs::read_dir(folder.claims_folder()).unwrap().map(|mark| mark.unwrap().path()).collect();
+    assert!(marks.iter().all(|mark| mark.extension().is_some_and(|end| end == "done")), "{marks:?}");
+    let runs = marks.iter().map(|mark| fs::read_to_string(mark).unwrap().lines().count());
+    assert_eq!(runs.collect::<Vec<_>>(), vec![1; pieces as usize], "each piece runs once");
     let results = |out: &Path| {
         run_small(out, &only);
         fs::read(out.join("results.json")).unwrap()

@@ -1,6 +1,8 @@
-//! The shards of a command on real engines: Slurm and GNU parallel, as Debian packages them (`.ci/setup/engines` installs them).
+//! The shards of a command on real engines, which `.ci/setup/engines` installs: Slurm and GNU parallel as Debian packages them, and
+//! HyperQueue.
 
 mod disk;
+mod hyperqueue;
 mod parallel;
 mod slurm;
 
@@ -21,6 +23,12 @@ fn whole(place: &Place) -> String {
 /// Where the merge of a submitted command writes its results: a task may run in any folder.
 fn merged(place: &Place) -> PathBuf {
     place.path("merged.json")
+}
+
+/// What the task with a shard of `run` has recorded, such as 3-of-7.
+fn record(place: &Place, shard: &str) -> serde_json::Value {
+    let path = place.path(&format!("run/shards/{shard}.task.json"));
+    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
 /// The command to submit, after `--`.

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use super::{COMMAND, merged, submitted, whole};
+use super::{COMMAND, merged, record, submitted, whole};
 use crate::support::{Place, text};
 
 /// How long the cluster may take for anything.
@@ -118,6 +118,7 @@ fn an_array_job_and_its_merge_equal_the_whole_run() {
     assert_eq!(fs::read_to_string(merged(place)).unwrap(), whole(place));
     let again = place.ok(&format!("submit slurm --shards 7 {submitted}"));
     assert!(again.contains("all shards are complete"), "{again}");
+    assert_eq!(record(place, "3-of-7")["threads"], 1, "a task has one of the node's two cores");
 }
 
 #[test]
