@@ -61,6 +61,24 @@ fn a_shard_that_is_killed_continues_and_ends_like_any_other() {
 }
 
 #[test]
+fn the_pid_of_a_family_without_one_is_searched_by_the_first_task_and_read_by_the_rest() {
+    let place = Place::new();
+    // Short breaths, for a short search.
+    let family = "name = \"soft\"\npips = [15]\n[settings]\nrate = 60\ninspiratory_time = 0.3\nfall_time = 0.1\n\
+                  [family.lung.first]\ncompliance_ml_per_cmh2o = { uniform = [40, 60] }\n";
+    fs::write(place.path("soft.toml"), family).unwrap();
+    let line = "robust --family soft.toml --plants 4 --breaths 1 --subset 0 --gains 5,200,0.1";
+    place.ok(&format!("{line} --shard 0/2 --out out"));
+    // A task that searched by itself would not notice other gains.
+    let kept = place.path("out/shards/family-pid.json");
+    let mut found: serde_json::Value = serde_json::from_str(&fs::read_to_string(&kept).unwrap()).unwrap();
+    found["value"]["p"] = 1.5.into();
+    fs::write(&kept, found.to_string()).unwrap();
+    let refused = place.refused(&format!("{line} --shard 0/2 --out out"));
+    assert!(refused.contains("and 1.5 here"), "{refused}");
+}
+
+#[test]
 fn an_engine_tells_its_tasks_which_shard_they_are() {
     let place = Place::new();
     let line = "torture --breaths 60 --seed 5";

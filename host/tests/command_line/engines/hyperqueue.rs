@@ -1,4 +1,4 @@
-//! HyperQueue on this machine: the server and the worker of its Python package, in one process, which ends with its tasks.
+//! `HyperQueue` on this machine: the server and the worker of its Python package, in one process, which ends with its tasks.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use super::{COMMAND, record, whole};
 use crate::support::{Place, text};
 
-/// Python with HyperQueue's package, as `.ci/setup/engines` installs it.
+/// Python with the package of `HyperQueue`, as `.ci/setup/engines` installs it.
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/engines/venv/bin/python");
 /// Script that starts server and worker, and runs the shards.
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/command_line/engines/cluster.py");

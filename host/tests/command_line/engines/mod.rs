@@ -1,5 +1,5 @@
 //! The shards of a command on real engines, which `.ci/setup/engines` installs: Slurm and GNU parallel as Debian packages them, and
-//! HyperQueue.
+//! `HyperQueue`.
 
 mod disk;
 mod hyperqueue;
