@@ -39,9 +39,9 @@ pub fn store(
 
 /// The number of stored calibrations, and one of them: 0 for the newest.
 pub fn read(
-    stored: &Option<StoredCalibrations>,
+    stored: Option<&StoredCalibrations>,
     flash: &mut BoardFlash,
     back: u16,
 ) -> (u16, Option<Calibration>) {
-    stored.as_ref().map_or((0, None), |stored| (stored.count(), stored.get(flash, back)))
+    stored.map_or((0, None), |stored| (stored.count(), stored.get(flash, back)))
 }

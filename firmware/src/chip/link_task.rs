@@ -109,7 +109,7 @@ async fn serve(
                 server.calibration_stored(&measured, stored)
             }
             NextStep::ReadCalibration { back } => {
-                let (stored, found) = calibration::read(calibrations, slots.flash(), back);
+                let (stored, found) = calibration::read(calibrations.as_ref(), slots.flash(), back);
                 server.calibration_read(stored, found)
             }
             NextStep::Restart(answer) => {

@@ -221,13 +221,8 @@ fn print(args: &Args, result: &FarmResult) -> anyhow::Result<()> {
     for table in [report::drift(result), matrix, report::floors(result)].iter().flatten() {
         output.table(table);
     }
-    for outside in &result.outside {
-        output.line(&format!("unit {}: {}", outside.unit, outside.message));
-    }
-    for unit in &result.units {
-        if let Some(problem) = &unit.problem {
-            output.line(&format!("unit {}: {problem}", unit.name));
-        }
+    for problem in report::problems(result) {
+        output.line(&problem);
     }
     let of_best_pid = report::of_best_pid(result);
     if let Some(share) = of_best_pid {

@@ -28,7 +28,12 @@ impl FarmRun<'_> {
         workers: &[Worker<'_>],
         progress: &Progress<'_>,
     ) -> Result<Controllers, FarmError> {
-        let units: Vec<&Worker<'_>> = workers.iter().filter(|worker| worker.problem.is_none()).collect();
+        let mut units = Vec::new();
+        for worker in workers.iter().filter(|worker| worker.problem.is_none()) {
+            if worker.folder.figures()?.is_some_and(|figures| figures.unfit.is_none()) {
+                units.push(worker);
+            }
+        }
         let simulators: Result<Vec<_>, _> =
             units.iter().map(|worker| Simulator::load(&worker.folder.simulator())).collect();
         let simulators = simulators?;

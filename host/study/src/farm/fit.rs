@@ -22,6 +22,8 @@ pub struct UnitFigures {
     pub figures: Figures,
     /// Flow of the inspiratory valve at a quarter, half, three quarters and all of its command, L/s.
     pub valve_flow: [f32; 4],
+    /// Why no controller is trained on the simulator; none if one may be.
+    pub unfit: Option<String>,
 }
 
 impl FarmRun<'_> {
@@ -81,21 +83,28 @@ impl FarmRun<'_> {
         Ok(())
     }
 
-    /// Saves the simulator of a unit; one that does not describe the unit puts it behind.
+    /// Saves the simulator of a unit. A recording that cannot be fitted puts the unit behind; a simulator that does not describe the
+    /// unit is only left out of the training.
     fn fitted(&self, worker: &mut Worker<'_>, checked: Result<Checked, FarmError>) -> Result<(), FarmError> {
         let problem = match checked {
             Ok(Checked { simulator, figures }) => {
                 simulator.save(&worker.folder.simulator())?;
                 let valve_flow = valve_flows(&simulator.parameters);
-                save(&worker.folder.file("figures.json"), &UnitFigures { figures, valve_flow })?;
-                figures.problem().map(|problem| problem.to_string())
+                let unfit = figures.problem().map(|problem| problem.to_string());
+                save(
+                    &worker.folder.file("figures.json"),
+                    &UnitFigures { figures, valve_flow, unfit: unfit.clone() },
+                )?;
+                unfit
             }
             Err(FarmError::Pipeline(PipelineError::Stopped)) => return Err(FarmError::Stopped),
-            Err(error) => Some(error.to_string()),
+            Err(error) => {
+                worker.problem = Some(error.to_string());
+                worker.problem.clone()
+            }
         };
         if let Some(problem) = problem {
             (self.tell)(&worker.unit.name, &problem);
-            worker.problem = Some(problem);
         }
         Ok(())
     }

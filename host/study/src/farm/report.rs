@@ -114,20 +114,19 @@ pub fn of_best_pid(result: &FarmResult) -> Option<f64> {
     Some(matrix.row("farm")?.mean() / matrix.row("best single PID")?.mean())
 }
 
+/// What is wrong with units, a line for each: deviations from the band, simulators that no controller is trained on, failures.
+pub fn problems(result: &FarmResult) -> Vec<String> {
+    let outside = result.outside.iter().map(|outside| (&outside.unit, &outside.message));
+    let unfit =
+        result.units.iter().filter_map(|unit| Some((&unit.name, unit.figures.as_ref()?.unfit.as_ref()?)));
+    let failed = result.units.iter().filter_map(|unit| Some((&unit.name, unit.problem.as_ref()?)));
+    outside.chain(unfit).chain(failed).map(|(unit, what)| format!("unit {unit}: {what}")).collect()
+}
+
 /// Everything in one file.
 pub fn report(result: &FarmResult) -> Report {
     let mut sections = vec![Section::new("Units", SCALE, vec![Block::Table(units(result))])];
-    let problems: Vec<String> = result
-        .outside
-        .iter()
-        .map(|outside| format!("Unit {}: {}.", outside.unit, outside.message))
-        .chain(
-            result
-                .units
-                .iter()
-                .filter_map(|unit| Some(format!("Unit {}: {}.", unit.name, unit.problem.as_ref()?))),
-        )
-        .collect();
+    let problems = problems(result);
     if !problems.is_empty() {
         sections.push(Section::new("Problems", problems.join("\n\n"), Vec::new()));
     }
