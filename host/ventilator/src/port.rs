@@ -125,6 +125,17 @@ impl PortSource {
         self.images.push(image);
     }
 
+    /// Restarts the device, which then runs the newest weights, corrects by the newest calibration, and has forgotten the zeros of a
+    /// self-test.
+    ///
+    /// # Errors
+    /// A device that cannot be reached.
+    pub fn restart(&mut self) -> Result<(), SourceError> {
+        self.halt()?;
+        self.identity = self.device.restart()?;
+        Ok(self.device.telemetry(true)?)
+    }
+
     /// The newest calibration that is stored on the device, if there is one.
     ///
     /// # Errors
@@ -242,8 +253,7 @@ impl PortSource {
         let id = decode(&image).map_err(UploadError::from)?.id;
         if self.identity.running_id() != Some(id) {
             self.device.upload(&image, &Progress::silent())?;
-            self.identity = self.device.restart()?;
-            self.device.telemetry(true)?;
+            self.restart()?;
         }
         Ok(ControllerChoice::Learned)
     }

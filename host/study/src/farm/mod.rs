@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Stages that move valves run on all units at once, each on a thread of its own: a unit that fails never stops the rest. Every stage
-//! saves its results in the folder ([`folder`]), and the same call continues a farm that was stopped, or killed.
+//! saves its results in the folder, and the same call continues a farm that was stopped, or killed.
 
 mod band;
 mod contact;

@@ -176,11 +176,6 @@ impl SelfTest {
         self.zero[0] = 0.0;
     }
 
-    /// What the airway sensor reads at the pressure of the air, cmH2O.
-    pub fn airway_zero(&self) -> f32 {
-        self.zero[0]
-    }
-
     /// Runs a tick in standby with readings without their zeros; returns a command if the test moves the valves. `alarm`: an alarm
     /// begins in this tick.
     #[inline]
