@@ -165,7 +165,10 @@ impl Claims {
             std::thread::sleep(Self::LOOK_EVERY);
             if renewed.elapsed() >= RENEW_EVERY {
                 renewed = Instant::now();
-                for (path, renewals) in locked(&self.held).iter_mut() {
+                let mut held = locked(&self.held);
+                // Another task may have taken a claim that was renewed too late.
+                held.retain(|path, _| self.is_mine(path));
+                for (path, renewals) in held.iter_mut() {
                     *renewals += 1;
                     // Without it the claim grows old and the piece is run twice, to the same result.
                     let _ = self.write(path, *renewals);

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io::{self, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -28,15 +28,28 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// machines, one succeeds. True if it was this one.
 ///
 /// # Errors
-/// The file system's error, such as that of one without hard links; no temporary file is left.
+/// The file system's error; no temporary file is left.
 pub fn create_atomically(path: &Path, bytes: &[u8]) -> io::Result<bool> {
     let temporary = temporary(path)?;
-    let created = write_synced(&temporary, bytes).and_then(|()| fs::hard_link(&temporary, path));
+    let created = write_synced(&temporary, bytes).and_then(|()| link(&temporary, path, bytes));
     // Both names are of the same file; a leftover one is harmless.
     let _ = fs::remove_file(&temporary);
     match created {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => Ok(false),
         created => created.map(|()| true),
+    }
+}
+
+/// Gives a file a second name that must not exist. A file system without hard links gets a second file, which a reader can see before it
+/// is whole.
+fn link(temporary: &Path, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    match fs::hard_link(temporary, path) {
+        Err(error) if matches!(error.kind(), ErrorKind::Unsupported | ErrorKind::PermissionDenied) => {
+            let mut file = File::create_new(path)?;
+            file.write_all(bytes)?;
+            file.sync_all()
+        }
+        linked => linked,
     }
 }
 
@@ -46,7 +59,7 @@ pub fn create_atomically(path: &Path, bytes: &[u8]) -> io::Result<bool> {
 /// `path` names no file, or its folder cannot be created.
 pub fn temporary(path: &Path) -> io::Result<PathBuf> {
     let name = path.file_name().ok_or_else(|| {
-        io::Error::new(io::ErrorKind::InvalidInput, "the path has no file name: name a file, not a folder")
+        io::Error::new(ErrorKind::InvalidInput, "the path has no file name: name a file, not a folder")
     })?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder {
@@ -93,9 +106,9 @@ fn indented(value: &impl Serialize) -> io::Result<String> {
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> io::Result<Option<T>> {
     match fs::read_to_string(path) {
         Ok(text) => serde_json::from_str(&text).map(Some).map_err(|error| {
-            io::Error::new(io::ErrorKind::InvalidData, format!("{error}; remove it if it is damaged"))
+            io::Error::new(ErrorKind::InvalidData, format!("{error}; remove it if it is damaged"))
         }),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error),
     }
 }
@@ -115,7 +128,7 @@ pub fn claim<T: PartialEq + Serialize + DeserializeOwned>(
             Ok(text) => {
                 return Ok(serde_json::from_str::<T>(&text).is_ok_and(|earlier| earlier == *configuration));
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            Err(error) if error.kind() == ErrorKind::NotFound => {
                 if create_json_indented(&path, configuration)? {
                     return Ok(true);
                 }

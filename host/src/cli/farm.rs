@@ -164,6 +164,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         (None, Some(count)) => Farm::virtual_units(count, args.seed),
         (None, None) => bail!("name a farm's FILE.toml, or give --virtual N"),
     };
+    if args.key.fixes_version() {
+        bail!(
+            "a farm uploads several images to each device, which stores only newer ones: leave out --image-version"
+        );
+    }
     let start = controller_args::learned(&args.controller)?;
     let Some(residual) = start.residual() else { bail!("{} is no learned controller", start.name) };
     let sign = |image| args.key.signed(image).map_err(|error| error.to_string());
@@ -186,7 +191,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         result.units.iter().filter(|unit| unit.problem.is_some()).map(|unit| unit.name.as_str()).collect();
     if !behind.is_empty() && !stopped() {
         bail!(
-            "not all units are done ({} left out): mend them, then run the same command again",
+            "not all units are done ({} left out): repair them, then run the same command again",
             behind.join(", ")
         );
     }

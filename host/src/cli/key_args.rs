@@ -19,6 +19,11 @@ pub struct KeyArgs {
 }
 
 impl KeyArgs {
+    /// Whether all images get one version, so that a device stores only the first of several.
+    pub fn fixes_version(&self) -> bool {
+        self.image_version.is_some()
+    }
+
     /// The image, signed if there is a key.
     pub fn signed(&self, mut image: Vec<u8>) -> anyhow::Result<Vec<u8>> {
         let Some(file) = &self.key else { return Ok(image) };

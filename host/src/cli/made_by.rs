@@ -194,7 +194,7 @@ mod tests {
             ("torture --out a", None),
             ("torture --shard 1/2 --out a", None),
             ("sweep a.toml --out a --shard 1/2", None),
-            ("reproduce --shard 1/2", None),
+            ("reproduce --shard 1/2 --out a", None),
             ("collect --out a.parquet --json b.json", None),
             ("inspect a.bin --json b.json", None),
         ] {

@@ -54,8 +54,10 @@ impl RunFolder {
         }
         let value = claims.renewed(|| self.kept_or(name, question, progress, compute));
         // Without a mark: the value itself shows that it is there.
-        claims.release(name, false)?;
-        value
+        let released = claims.release(name, false);
+        let value = value?;
+        released?;
+        Ok(value)
     }
 
     /// The value that the folder keeps under a name.

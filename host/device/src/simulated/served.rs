@@ -75,14 +75,21 @@ impl Chip<'_> {
     fn attend(&mut self, listener: &TcpListener, stop: &Arc<AtomicBool>) {
         while !stop.load(Ordering::Relaxed) {
             match listener.accept().and_then(|(stream, _)| port(stream)) {
-                Ok(port) => self.run(port, stop),
+                Ok(port) => {
+                    self.run(port, stop);
+                    // Nobody asks any more for the truth of that connection.
+                    locked(&self.truths).clear();
+                }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {
                     let pause = self.ticks();
                     // Nobody hears it.
                     self.out.clear();
                     thread::sleep(pause);
                 }
-                Err(error) => tracing::warn!(%error, "a host could not connect to the simulated device"),
+                Err(error) => {
+                    tracing::warn!(%error, "a host could not connect to the simulated device");
+                    thread::sleep(PATIENCE);
+                }
             }
         }
     }

@@ -288,6 +288,14 @@ impl CommissionRun {
         Ok(Checked { simulator, figures })
     }
 
+    /// Checks that a recording can be fitted.
+    ///
+    /// # Errors
+    /// A breath that the safe state ended, or too few complete breaths.
+    pub fn usable(&self, recording: &Recording) -> Result<(), PipelineError> {
+        self.complete_breaths(recording).map(drop)
+    }
+
     /// The complete breaths of a recording.
     ///
     /// # Errors

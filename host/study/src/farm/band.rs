@@ -34,7 +34,7 @@ pub struct Outside {
 }
 
 impl Band {
-    /// The numbers outside the band, unit by unit. Two units or fewer have no band: nobody knows which one deviates.
+    /// The numbers outside the band, unit by unit. Two units or fewer have no band: it is not clear which one deviates.
     pub fn outside(&self, units: &[(UnitName, Calibration)]) -> Vec<Outside> {
         let mut found = Vec::new();
         if units.len() < 3 {

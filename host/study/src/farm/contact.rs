@@ -68,7 +68,7 @@ impl Known {
 }
 
 impl FarmRun<'_> {
-    /// Talks to every unit before anything moves. A unit that does not answer falls behind; one that answers as another is an error.
+    /// Talks to every unit before anything moves. A unit that does not answer is left out; one that answers as another is an error.
     pub(super) fn contact(&self, workers: &mut [Worker<'_>]) -> Result<(), FarmError> {
         let known =
             |worker: &Worker<'_>| Ok(Known { name: worker.unit.name.clone(), state: worker.folder.state()? });
@@ -92,12 +92,8 @@ impl FarmRun<'_> {
         let unit = worker.unit;
         let mut device = worker.contact.device()?;
         let period_us = device.identify()?.period_us;
-        let refused = |what: String| {
-            let message = format!("unit {} at {} {what}", unit.name, unit.place);
-            FarmError::Description { line: unit.line.clone(), message }
-        };
         if period_us != DEFAULT_PERIOD_US {
-            return Err(refused(format!(
+            return Err(worker.refused(&format!(
                 "has a control period of {period_us} us, but the farm's controllers need {DEFAULT_PERIOD_US}"
             )));
         }
@@ -109,11 +105,35 @@ impl FarmRun<'_> {
             return Ok(());
         }
         match stranger(held.as_ref(), own, known) {
-            Some(why) if !self.adopt.contains(&unit.name) => {
-                Err(refused(format!("answers as another unit: {why}")))
-            }
-            _ => Ok(()),
+            None => Ok(()),
+            Some(_) if self.adopt.contains(&unit.name) => worker.folder.forget_device(),
+            Some(why) => Err(worker.refused(&format!("answers as another unit: {why}"))),
         }
+    }
+}
+
+impl Worker<'_> {
+    /// Connects to the device, which must still be the unit that it was: boards can change their ports while a farm runs.
+    pub(super) fn recognised(&self) -> Result<Device, FarmError> {
+        let mut device = self.contact.device()?;
+        let (_, held) = device.calibration(0)?;
+        self.recognise(held.as_ref())?;
+        Ok(device)
+    }
+
+    /// Checks that a device that holds this calibration is the unit.
+    pub(super) fn recognise(&self, held: Option<&Calibration>) -> Result<(), FarmError> {
+        let own = Known { name: self.unit.name.clone(), state: self.folder.state()? };
+        match stranger(held, &own, &[]) {
+            None => Ok(()),
+            Some(why) => Err(self.refused(&format!("answers as another unit: {why}"))),
+        }
+    }
+
+    /// A refusal of the unit, with its line.
+    fn refused(&self, what: &str) -> FarmError {
+        let Unit { name, place, line, .. } = self.unit;
+        FarmError::Description { line: line.clone(), message: format!("unit {name} at {place} {what}") }
     }
 }
 

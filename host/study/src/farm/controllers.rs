@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+use shared::checksum::crc32;
 use shared::control::residual::Residual;
 
-use super::folder::FarmFolder;
+use super::folder::{FarmFolder, load, remove, save};
 use super::{FarmError, FarmRun, UnitName, Worker};
 use learn::controller::learned::Learned;
 use learn::pipeline::Folder;
@@ -70,7 +72,16 @@ impl FarmRun<'_> {
     }
 }
 
-/// The controller in a file or, if there is none, one trained on these simulators.
+/// What a controller is trained from. With any other, it is trained again.
+#[derive(PartialEq, Serialize, Deserialize)]
+struct Origin {
+    /// Checksum of the controller that it starts from.
+    start: u32,
+    /// Checksums of the simulators.
+    simulators: Vec<u32>,
+}
+
+/// The controller in a file or, if there is none that was trained from the same, one trained on these simulators.
 fn trained(
     run: &CommissionRun,
     file: &Path,
@@ -79,6 +90,15 @@ fn trained(
     simulators: &[&Simulator],
     progress: &Progress<'_>,
 ) -> Result<Learned, FarmError> {
+    let weights: Vec<f32> = start.network().parameters().copied().collect();
+    let simulated = simulators.iter().map(|simulator| checksum(&simulator.parameters));
+    let origin = Origin { start: checksum(&weights), simulators: simulated.collect() };
+    let origin_file = file.with_extension("origin.json");
+    if load(&origin_file)?.as_ref() != Some(&origin) {
+        remove(file)?;
+        remove(&folder.whole(""))?;
+        save(&origin_file, &origin)?;
+    }
     if file.exists() {
         return Ok(Learned::load(file)?);
     }
@@ -88,4 +108,8 @@ fn trained(
     }
     tuned.learned.save(file)?;
     Ok(tuned.learned)
+}
+
+fn checksum(numbers: &[f32]) -> u32 {
+    crc32(&numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
 }

@@ -7,18 +7,15 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::{Residual, ResidualError};
-use shared::weights::decode;
 
 use super::controllers::Controllers;
+use super::flash::id_of;
 use super::folder::{load, save};
 use super::{FarmError, FarmRun, Rivals, UnitName, Worker};
 use judge::evaluate::{Plan, evaluate_source};
-use learn::controller::learned::{Learned, LearnedError, Origin};
+use learn::controller::learned::{Learned, Origin};
 use learn::pipeline::PipelineError;
 use progress::Progress;
-
-/// File of a unit's scores.
-const SCORES: &str = "crosswise.json";
 
 /// Scores of controllers on units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,19 +39,18 @@ pub struct MatrixRow {
     pub scores: Vec<Option<f64>>,
 }
 
-impl MatrixRow {
-    /// Mean over the units on which it was run, cmH2O.
-    pub fn mean(&self) -> f64 {
-        let (count, sum) =
-            self.scores.iter().flatten().fold((0, 0.0), |(count, sum), score| (count + 1, sum + score));
-        sum / f64::from(count.max(1))
-    }
-}
-
 impl Matrix {
     /// The row of a controller.
     pub fn row(&self, controller: &str) -> Option<&MatrixRow> {
         self.rows.iter().find(|row| row.controller == controller)
+    }
+
+    /// Mean error of a controller over the units on which every controller was run, cmH2O; none if there is no such unit.
+    pub fn mean(&self, row: &MatrixRow) -> Option<f64> {
+        let whole = |place: &usize| self.rows.iter().all(|row| row.scores[*place].is_some());
+        let scores: Vec<f64> =
+            (0..self.units.len()).filter(whole).filter_map(|place| row.scores[place]).collect();
+        (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)
     }
 
     /// The learned controller with the smallest error on a unit, by its place in the farm, and that error, cmH2O.
@@ -106,7 +102,7 @@ impl FarmRun<'_> {
             return Err(FarmError::Stopped);
         }
         let scores: Result<Vec<BTreeMap<String, f64>>, FarmError> =
-            workers.iter().map(|worker| Ok(load(&worker.folder.file(SCORES))?.unwrap_or_default())).collect();
+            workers.iter().map(|worker| Ok(load(&worker.folder.scores()?)?.unwrap_or_default())).collect();
         let scores = scores?;
         let row = |candidate: &Candidate| MatrixRow {
             controller: candidate.name.clone(),
@@ -154,7 +150,7 @@ impl FarmRun<'_> {
         candidates: &[Candidate],
         progress: &Progress<'_>,
     ) -> Result<(), FarmError> {
-        let file = worker.folder.file(SCORES);
+        let file = worker.folder.scores()?;
         let known = || load::<BTreeMap<String, f64>>(&file);
         let count = || known().ok().flatten().map_or(0, |scores| scores.len());
         let progress = progress.of(worker.unit.name.as_str());
@@ -193,13 +189,13 @@ impl FarmRun<'_> {
 
 fn learned(name: &str, unit: Option<&UnitName>, learned: &Learned<Residual>) -> Result<Candidate, FarmError> {
     let image = learned.image()?;
-    let id = decode(&image).map_err(LearnedError::from)?.id;
+    let id = id_of(&image)?;
     Ok(Candidate {
         name: name.to_owned(),
         commissioned_for: unit.cloned(),
         controller: Controller::Residual(learned.controller.clone()),
-        weights: Some((image, format!("{id:08x}"))),
-        key: format!("weights {id:08x}"),
+        weights: Some((image, id.clone())),
+        key: format!("weights {id}"),
     })
 }
 

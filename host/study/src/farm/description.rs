@@ -9,7 +9,7 @@ use toml::Spanned;
 use super::band::Band;
 use super::{FarmError, UnitName};
 use data::identity::LungParameters;
-use device::port::Address;
+use device::port::{Address, BAUD};
 use plant::bench::{BenchConfig, UnitConfig};
 use shared::calibration::Quantity;
 
@@ -112,7 +112,7 @@ impl Farm {
         let mut units: Vec<Unit> = Vec::new();
         for (number, entry) in file.unit.iter().enumerate() {
             let unit = reader.unit(number, entry)?;
-            if let Some(earlier) = units.iter().find(|earlier| earlier.name == unit.name) {
+            if let Some(earlier) = units.iter().find(|earlier| earlier.name.same_folder(&unit.name)) {
                 let message = format!("unit {} is already described at {}", unit.name, earlier.line);
                 return Err(reader.refused(entry.span().start, &message));
             }
@@ -173,10 +173,11 @@ fn lung_of(bench: &BenchConfig) -> LungParameters {
 /// An address that two names of one port have in common.
 fn canonical(address: &Address) -> Address {
     match address {
-        Address::Serial { name, baud } => {
+        Address::Serial { name, .. } => {
             let path = std::fs::canonicalize(name).ok();
             let name = path.map_or_else(|| name.clone(), |path| path.display().to_string());
-            Address::Serial { name, baud: *baud }
+            // The speed does not make another port of it.
+            Address::Serial { name, baud: BAUD }
         }
         Address::Tcp(address) => Address::Tcp(address.replace("localhost:", "127.0.0.1:")),
     }
@@ -286,6 +287,10 @@ mod tests {
             ("", "farm.toml:1: a farm needs at least one"),
             (
                 "[[unit]]\nport = \"COM3\"\n[[unit]]\nport = \"COM3\"\n",
+                "farm.toml:4: unit 2 has the port of unit 1",
+            ),
+            (
+                "[[unit]]\nport = \"COM3\"\n[[unit]]\nport = \"serial:COM3?baud=9600\"\n",
                 "farm.toml:4: unit 2 has the port of unit 1",
             ),
             (

@@ -33,7 +33,7 @@ pub enum FarmError {
     OtherFarm(PathBuf),
     /// The ventilator's safe state ended too many breaths.
     #[error(
-        "the ventilator's safe state ended {0} breath(s): check lung and sensor of this unit, then run the same command again"
+        "the ventilator's safe state ended {0} breath(s): check lung and sensor of this unit, or lower the highest of --pips, then run the same command again"
     )]
     Aborted(usize),
     /// The sensor cannot be corrected.

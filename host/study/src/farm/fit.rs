@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-use super::folder::{FarmFolder, save};
+use super::folder::{FIGURES, FarmFolder, save};
 use super::measure::measured_zero;
 use super::{FarmError, FarmRun, Outside, Simulators, Worker};
 use data::recording::Recording;
@@ -41,6 +41,10 @@ impl FarmRun<'_> {
         self.on_all(workers, calibrate);
         let mut calibrated = Vec::new();
         for worker in workers.iter() {
+            // The numbers of a simulator that does not describe its unit mean nothing.
+            if worker.folder.figures()?.is_none_or(|figures| figures.unfit.is_some()) {
+                continue;
+            }
             let last = worker.folder.state()?.calibrations.last().copied();
             calibrated.extend(last.map(|calibration| (worker.unit.name.clone(), calibration)));
         }
@@ -74,8 +78,20 @@ impl FarmRun<'_> {
         if states?.iter().all(|state| state.measured) {
             return Ok(());
         }
-        let recordings: Result<Vec<_>, _> = units.iter().map(|worker| corrected(worker)).collect();
-        let (whole, checked) = self.config.run.check_jointly(&recordings?, progress)?;
+        let mut recordings = Vec::new();
+        for worker in &mut units {
+            match corrected(worker)
+                .and_then(|recording| Ok(self.config.run.usable(&recording).map(|()| recording)?))
+            {
+                Ok(recording) => recordings.push(recording),
+                Err(error) => worker.problem = Some(error.to_string()),
+            }
+        }
+        units.retain(|worker| worker.problem.is_none());
+        if units.is_empty() {
+            return Ok(());
+        }
+        let (whole, checked) = self.config.run.check_jointly(&recordings, progress)?;
         whole.save(&folder.simulator())?;
         for (worker, checked) in units.iter_mut().zip(checked) {
             self.fitted(worker, Ok(checked))?;
@@ -92,7 +108,7 @@ impl FarmRun<'_> {
                 let valve_flow = valve_flows(&simulator.parameters);
                 let unfit = figures.problem().map(|problem| problem.to_string());
                 save(
-                    &worker.folder.file("figures.json"),
+                    &worker.folder.file(FIGURES),
                     &UnitFigures { figures, valve_flow, unfit: unfit.clone() },
                 )?;
                 unfit
@@ -134,15 +150,16 @@ fn calibrate(worker: &Worker<'_>) -> Result<(), FarmError> {
     };
     calibration.validate().map_err(|error| FarmError::Calibration(error.to_string()))?;
     // Remembered first: a farm that is killed before it reads back still knows its unit.
-    worker.folder.remember(|state| state.pending = Some(calibration))?;
-    let mut device = worker.contact.device()?;
+    worker.folder.remember(|state| state.pending.push(calibration))?;
+    let mut device = worker.recognised()?;
     device.stop()?;
     device.calibrate(&calibration)?;
     if device.calibration(0)?.1 != Some(calibration) {
         return Err(FarmError::NotStored("calibration"));
     }
     worker.folder.remember(|state| {
-        state.calibrations.extend(state.pending.take());
+        state.calibrations.push(calibration);
+        state.pending.clear();
         state.measured = true;
     })?;
     Ok(())

@@ -1,5 +1,6 @@
 //! Each unit gets a controller, which is read back.
 
+use super::folder::Flashed;
 use super::{FarmError, FarmRun, Worker};
 use learn::controller::learned::LearnedError;
 use progress::Progress;
@@ -15,17 +16,23 @@ impl FarmRun<'_> {
         progress: &Progress<'_>,
     ) -> Result<(), FarmError> {
         let Some(Some(image)) = images.get(self.number(worker) as usize) else { return Ok(()) };
-        let image = self.signed(image)?;
-        let id = decode(&image).map_err(LearnedError::from)?.id;
-        let mut device = worker.contact.device()?;
+        let trained = id_of(image)?;
+        let mut device = worker.recognised()?;
         device.stop()?;
-        if device.identify()?.running_id() != Some(id) {
+        let running = device.identify()?.running_id().map(text);
+        let known = worker.folder.state()?.weights;
+        if known.is_some_and(|known| known.trained == trained && Some(known.stored) == running) {
+            return Ok(());
+        }
+        let image = self.signed(image)?;
+        let stored = id_of(&image)?;
+        if running.as_ref() != Some(&stored) {
             device.upload(&image, &progress.of(worker.unit.name.as_str()))?;
-            if device.restart()?.running_id() != Some(id) {
+            if device.restart()?.running_id().map(text) != Some(stored.clone()) {
                 return Err(FarmError::NotStored("weights"));
             }
         }
-        worker.folder.remember(|state| state.weights_id = Some(format!("{id:08x}")))?;
+        worker.folder.remember(|state| state.weights = Some(Flashed { trained, stored }))?;
         Ok(())
     }
 
@@ -33,4 +40,13 @@ impl FarmRun<'_> {
     pub(super) fn signed(&self, image: &[u8]) -> Result<Vec<u8>, FarmError> {
         (self.sign)(image.to_vec()).map_err(FarmError::Sign)
     }
+}
+
+/// The id of an image, as text.
+pub(super) fn id_of(image: &[u8]) -> Result<String, FarmError> {
+    Ok(text(decode(image).map_err(LearnedError::from)?.id))
+}
+
+fn text(id: u32) -> String {
+    format!("{id:08x}")
 }

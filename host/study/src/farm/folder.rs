@@ -2,14 +2,16 @@
 //!
 //! ```text
 //! run.json                           units and configuration; another farm is refused
-//! controller.safetensors, training/  the controller for all units
+//! controller.safetensors, training/  the controller for all units, and simulator.safetensors if there is one for all
 //! rivals.json                        best single PID and reference bounds
 //! units/N/unit.json                  sessions, calibrations, the weights on the unit
 //! units/N/measurement-K/             zero.json; breaths/0000.parquet and so on, while they are recorded; recording.parquet
 //! units/N/simulator.safetensors, figures.json
-//! units/N/controller.safetensors, training/, crosswise.json
+//! units/N/controller.safetensors, training/, crosswise-K.json
 //! ```
 
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -21,6 +23,8 @@ use learn::pipeline::Folder;
 use plant::bench::BenchConfig;
 use shared::calibration::Calibration;
 
+/// File of a unit's figures.
+pub(super) const FIGURES: &str = "figures.json";
 /// File of a controller.
 const CONTROLLER: &str = "controller.safetensors";
 
@@ -42,18 +46,28 @@ pub(super) struct UnitState {
     pub measurement: u32,
     /// Whether that measurement is complete: recorded, fitted and stored on the device.
     pub measured: bool,
-    /// The calibration that is being stored on its device.
-    pub pending: Option<Calibration>,
+    /// Calibrations that were to be stored on its device and may be there.
+    pub pending: Vec<Calibration>,
     /// Calibrations stored on its device, oldest first.
     pub calibrations: Vec<Calibration>,
     /// Weights that run on it, verified.
-    pub weights_id: Option<String>,
+    pub weights: Option<Flashed>,
+}
+
+/// Weights on a device.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Flashed {
+    /// Their id as trained.
+    pub trained: String,
+    /// Their id on the device, which is that of the signed image if there is a key.
+    pub stored: String,
 }
 
 /// The settings that must match to continue.
 #[derive(PartialEq, Serialize, Deserialize)]
 struct Claim {
     units: Vec<(UnitName, String)>,
+    /// Name of the controller to start from.
     start: String,
     config: FarmConfig,
 }
@@ -126,6 +140,31 @@ impl UnitFolder {
         Ok(self.measurement()?.join("recording.parquet"))
     }
 
+    /// Scores of controllers on the unit as last measured.
+    pub fn scores(&self) -> Result<PathBuf, FarmError> {
+        Ok(self.0.join(format!("crosswise-{}.json", self.state()?.measurement)))
+    }
+
+    /// Begins a new measurement.
+    pub fn measure_again(&self) -> Result<(), FarmError> {
+        self.remember(|state| {
+            (state.measurement, state.measured, state.aborts) = (state.measurement + 1, false, 0);
+        })?;
+        Ok(())
+    }
+
+    /// Forgets the device of the unit, which was replaced. Its recordings stay.
+    pub fn forget_device(&self) -> Result<(), FarmError> {
+        let state = self.state()?;
+        let new = UnitState {
+            sessions: state.sessions,
+            measurement: state.measurement + 1,
+            ..UnitState::default()
+        };
+        self.remember(|state| *state = new)?;
+        [self.simulator(), self.file(FIGURES)].iter().try_for_each(|file| remove(file))
+    }
+
     /// Complete breaths of the recording in force.
     pub fn breaths(&self) -> Result<usize, FarmError> {
         let recording = self.recording()?;
@@ -140,7 +179,7 @@ impl UnitFolder {
     }
 
     pub fn figures(&self) -> Result<Option<UnitFigures>, FarmError> {
-        load(&self.file("figures.json"))
+        load(&self.file(FIGURES))
     }
 
     pub fn controller(&self) -> PathBuf {
@@ -164,6 +203,15 @@ pub(super) fn breath_files(measurement: &Path) -> Vec<PathBuf> {
 /// The file of a breath.
 pub(super) fn breath_file(measurement: &Path, number: usize) -> PathBuf {
     measurement.join("breaths").join(format!("{number:04}.parquet"))
+}
+
+/// Removes a file or a folder, if it exists.
+pub(super) fn remove(path: &Path) -> Result<(), FarmError> {
+    let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    match removed {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FarmError::file(path)(error)),
+        _ => Ok(()),
+    }
 }
 
 /// Reads a file of the folder; none if it does not exist.

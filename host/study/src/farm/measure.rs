@@ -55,10 +55,8 @@ fn to_the_room() -> Settings {
 impl FarmRun<'_> {
     /// Measures a unit, or continues a measurement that was stopped.
     pub(super) fn collect(&self, worker: &Worker<'_>, progress: &Progress<'_>) -> Result<(), FarmError> {
-        if self.recalibrate && worker.folder.state()?.measured {
-            worker.folder.remember(|state| {
-                (state.measurement, state.measured, state.aborts) = (state.measurement + 1, false, 0);
-            })?;
+        if self.recalibrate && worker.folder.recording()?.exists() {
+            worker.folder.measure_again()?;
         }
         let folder = worker.folder.measurement()?;
         let recording = worker.folder.recording()?;
@@ -77,7 +75,7 @@ impl FarmRun<'_> {
             return Err(FarmError::Stopped);
         }
         self.merged(worker, &folder)?.save(&recording)?;
-        // The breaths are in the recording now; what remains of them does no harm.
+        // The breaths are in the recording now; leftover files are harmless.
         let _ = fs::remove_dir_all(folder.join("breaths"));
         Ok(())
     }
@@ -137,7 +135,11 @@ impl FarmRun<'_> {
         collect_from(source, &pid, &config, from, progress, keep)?;
         match failed {
             Some(error) => Err(error),
-            None if aborts > config.aborts => Err(FarmError::Aborted(aborts)),
+            None if aborts > config.aborts => {
+                // The next run has as many again.
+                worker.folder.remember(|state| state.aborts = 0)?;
+                Err(FarmError::Aborted(aborts))
+            }
             None => Ok(()),
         }
     }

@@ -137,7 +137,7 @@ pub struct UnitResult {
     pub drift: Option<Drift>,
     /// Weights that run on it, verified.
     pub weights_id: Option<String>,
-    /// Why it fell behind.
+    /// Why it was left out.
     pub problem: Option<String>,
 }
 
@@ -159,7 +159,7 @@ struct Worker<'a> {
     unit: &'a Unit,
     contact: Contact,
     folder: UnitFolder,
-    /// Why it fell behind; later stages leave it out.
+    /// Why later stages leave it out.
     problem: Option<String>,
 }
 
@@ -234,7 +234,7 @@ impl Worker<'_> {
             figures: self.folder.figures()?,
             calibration: state.calibrations.last().copied(),
             drift: Drift::of(&state.calibrations),
-            weights_id: state.weights_id.clone(),
+            weights_id: state.weights.clone().map(|weights| weights.stored),
             problem: self.problem.clone(),
         })
     }

@@ -1,9 +1,9 @@
 //! The tables and figures of a farm.
 
-use super::{FarmResult, Matrix, MatrixRow, UnitResult};
+use super::{FarmResult, Matrix, UnitResult};
 use show::report::{Block, Cell, HeatMap, Report, Section, Table};
 
-/// What a farm's table says of a sensor zero and gain.
+/// Notes on the numbers of the units.
 const SCALE: &str = "Zero: reading of the sensor at no pressure. Flows are those of a circuit of 1.5 mL/cmH2O, because pressures alone do not tell their scale.";
 
 /// The units: recordings, figures, calibrations and problems.
@@ -61,13 +61,14 @@ pub fn matrix(matrix: &Matrix) -> Table {
     let mut table = Table::new("Mean absolute error of each controller on each unit, cmH2O", &header);
     let best =
         |column: usize| matrix.rows.iter().filter_map(|row| row.scores[column]).fold(f64::INFINITY, f64::min);
-    let best_mean = matrix.rows.iter().map(MatrixRow::mean).fold(f64::INFINITY, f64::min);
+    let best_mean = matrix.rows.iter().filter_map(|row| matrix.mean(row)).fold(f64::INFINITY, f64::min);
     for row in &matrix.rows {
         let mut cells = vec![Cell::text(&row.controller)];
         cells.extend(row.scores.iter().enumerate().map(|(column, score)| {
             Cell::known(*score, 3).best_if(score.is_some_and(|score| score <= best(column)))
         }));
-        cells.push(Cell::number(row.mean(), 3).best_if(row.mean() <= best_mean));
+        let mean = matrix.mean(row);
+        cells.push(Cell::known(mean, 3).best_if(mean.is_some_and(|mean| mean <= best_mean)));
         table.row(cells);
     }
     table
@@ -87,7 +88,7 @@ pub fn map(matrix: &Matrix) -> HeatMap {
     }
 }
 
-/// What the benches of a virtual farm add: the farm's controller beside the best single PID, and each unit beside its bound.
+/// The controllers of a virtual farm beside the reference bound of each unit.
 pub fn floors(result: &FarmResult) -> Option<Table> {
     let (matrix, rivals) = (result.matrix.as_ref()?, result.rivals.as_ref()?);
     let header = ["unit", "bound, cmH2O", "farm / bound", "own / bound", "best / bound", "best controller"];
@@ -108,13 +109,13 @@ pub fn floors(result: &FarmResult) -> Option<Table> {
     Some(table)
 }
 
-/// Share of the farm's controller in the best single PID's mean error; none unless all units are virtual.
+/// Mean error of the farm's controller divided by that of the best single PID; none unless all units are virtual.
 pub fn of_best_pid(result: &FarmResult) -> Option<f64> {
     let matrix = result.matrix.as_ref()?;
-    Some(matrix.row("farm")?.mean() / matrix.row("best single PID")?.mean())
+    Some(matrix.mean(matrix.row("farm")?)? / matrix.mean(matrix.row("best single PID")?)?)
 }
 
-/// What is wrong with units, a line for each: deviations from the band, simulators that no controller is trained on, failures.
+/// The problems of the units, a line for each: deviations from the band, simulators that no controller is trained on, failures.
 pub fn problems(result: &FarmResult) -> Vec<String> {
     let outside = result.outside.iter().map(|outside| (&outside.unit, &outside.message));
     let unfit =

@@ -1,4 +1,4 @@
-//! What the benches of a virtual farm tell: the best single PID for all units, and the reference bound of each.
+//! Baselines of a virtual farm, whose benches are known: the best single PID for all units, and the reference bound of each.
 
 use serde::{Deserialize, Serialize};
 use shared::control::pid::PidGains;

@@ -27,11 +27,10 @@ impl FarmRun<'_> {
             let session = worker.folder.remember(|state| state.sessions += 1)?.sessions;
             let seed =
                 seeds::collection(self.config.run.seed, self.number(worker) << 32 | u64::from(session));
-            let mut outcome = worker.contact.source(worker.unit, seed);
-            let done = match &mut outcome {
-                Ok(source) => work(source, session),
-                Err(_) => outcome.map(|_| unreachable!("the source failed")),
-            };
+            let done = worker.contact.source(worker.unit, seed).and_then(|mut source| {
+                worker.recognise(source.calibration()?.as_ref())?;
+                work(&mut source, session)
+            });
             let error = match done {
                 Err(error) if error.may_pass() => error,
                 done => return done,

@@ -154,6 +154,10 @@ fn a_farm_records_trains_flashes_and_compares_every_controller_on_every_unit() {
     let rows: Vec<&str> = matrix.rows.iter().map(|row| row.controller.as_str()).collect();
     assert_eq!(rows, ["known-good PID", "adult", "farm", "of unit 1", "of unit 2", "of unit 3"]);
     assert!(matrix.rows.iter().all(|row| row.scores.iter().all(|score| score.is_some_and(|s| s > 0.3))));
+    for (place, unit) in result.units.iter().enumerate() {
+        let (best, _) = matrix.best(place).unwrap();
+        assert_eq!(unit.weights_id, best.weights_id, "each unit runs the controller that is best on it");
+    }
     for (served, unit) in served.iter().zip(&result.units) {
         let mut device = Device::connect(served.address()).unwrap();
         let running = device.identify().unwrap().running_id().map(|id| format!("{id:08x}"));
@@ -238,11 +242,63 @@ fn a_unit_that_answers_as_another_is_refused_with_its_line_and_nothing_moves() {
         refused.contains("farm.toml:") && refused.contains("it holds the calibration of unit"),
         "{refused}"
     );
-    for served in &served {
+    let everything = Small { until: FarmStage::Flash, ..again(&[]) };
+    let ticks = |served: &Served| {
         let mut device = Device::connect(served.address()).unwrap();
         assert_eq!(device.identify().unwrap().mode, Mode::Standby);
+        device.settings().unwrap()
+    };
+    let before = served.each_ref().map(ticks);
+    everything.run().unwrap_err();
+    assert_eq!(served.each_ref().map(ticks), before, "no device was given settings or started");
+    // Both are taken for replaced devices: they are measured again, and known from then on.
+    let adopted = Small { until: FarmStage::Fit, recalibrate: false, ..again(&["1", "2"]) }.run().unwrap();
+    for (unit, served) in adopted.units.iter().zip(served.iter().rev()) {
+        assert_eq!(unit.problem, None);
+        let held = Device::connect(served.address()).unwrap().calibration(0).unwrap().1;
+        assert_eq!((held, unit.drift), (unit.calibration, None));
     }
-    again(&["1", "2"]).run().unwrap();
+    again(&[]).run().unwrap();
+}
+
+#[test]
+fn a_unit_that_comes_late_is_in_the_controller_of_the_farm() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = [0.1, 0.4].map(|offset| Served::start(&bench("R20C20", offset, 12.0), MOST_PACE).unwrap());
+    let late = Switch::start(served[1].address());
+    let farm = farm(vec![at("1", served[0].address()), at("2", late.address())]);
+    late.unplug();
+    let first = Small::new(&farm, folder.path(), FarmStage::Train).run().unwrap();
+    assert!(first.units[1].problem.is_some());
+    let controller = || std::fs::read(folder.path().join("controller.safetensors")).unwrap();
+    let alone = controller();
+    late.connect_to(served[1].address());
+    let second = Small::new(&farm, folder.path(), FarmStage::Train).run().unwrap();
+    assert_eq!((second.units[1].problem.as_ref(), second.units[1].breaths), (None, BREATHS));
+    assert_ne!(controller(), alone);
+}
+
+#[test]
+fn devices_that_change_their_ports_while_a_farm_runs_are_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = [0.1, 0.4].map(|offset| Served::start(&bench("R20C20", offset, 12.0), MOST_PACE).unwrap());
+    let one = Switch::start(served[0].address());
+    let farm = farm(vec![at("1", one.address()), at("2", served[1].address())]);
+    Small::new(&farm, folder.path(), FarmStage::Fit).run().unwrap();
+    let never = AtomicBool::new(false);
+    let observer = |event: &Event<'_>| {
+        if event.subject == "1" && event.stage == progress::Stage::Collect && event.done == 3 {
+            one.connect_to(served[1].address());
+        }
+    };
+    let again = Small { recalibrate: true, ..Small::new(&farm, folder.path(), FarmStage::Collect) };
+    let result = again.watched(&Progress::new(&observer, &never)).unwrap();
+    let problem = result.units[0].problem.as_ref().unwrap();
+    assert!(
+        problem.contains("answers as another unit") || problem.contains("the device refused"),
+        "{problem}"
+    );
+    assert!(result.units[0].breaths <= 4, "no breath of the wrong device: {}", result.units[0].breaths);
 }
 
 #[test]

@@ -15,6 +15,11 @@ impl UnitName {
         Self(number.to_string())
     }
 
+    /// Whether the folders of both names are one, as on file systems that ignore case.
+    pub(super) fn same_folder(&self, other: &Self) -> bool {
+        self.0.eq_ignore_ascii_case(&other.0)
+    }
+
     /// The name.
     pub fn as_str(&self) -> &str {
         &self.0

@@ -1,6 +1,7 @@
 //! The sensors at rest: valves safe, no patient, and after a while no flow.
 
 use super::{Finding, Outcome, StepResult};
+use crate::calibration::Quantity;
 use crate::math;
 use crate::safety::reading_monitor::{NOISE_MAX, SECOND_DIFFERENCE};
 use crate::sensor::Readings;
@@ -19,7 +20,7 @@ const DIFFERENCE: f32 = 2.0;
 /// Largest mean flow, L/s. A flow meter with an orifice shows this at an error of 0.2 cmH2O across it.
 const FLOW: f32 = 0.3;
 /// Largest zero of a pressure sensor, cmH2O.
-const ZERO: f32 = 2.0;
+const ZERO: f32 = Quantity::SensorZero.bounds().1;
 
 /// Mean of the readings of a sensor that are numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -48,6 +48,12 @@ impl Switch {
         }
     }
 
+    /// Pulls the plug and leaves it out.
+    pub fn unplug(&self) {
+        locked(&self.target).clear();
+        self.pull();
+    }
+
     /// Plugs the cable into another device.
     pub fn connect_to(&self, target: &Address) {
         *locked(&self.target) = tcp(target);
