@@ -75,9 +75,9 @@ pub struct Args {
     /// PIPs of every second breath, and of the evaluation, cmH2O
     #[arg(long, value_name = "CMH2O,..", value_delimiter = ',', default_values_t = PAPER_PIPS)]
     pips: Vec<f32>,
-    /// Fit a simulator for each unit, or one for all units with parameters of each
-    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Fit::Each)]
-    simulators: Fit,
+    /// Fit a simulator for each unit (each), or one for all units with parameters of each (one)
+    #[arg(long, value_name = "WHICH", value_enum, hide_possible_values = true, default_value_t = Simulators::Each)]
+    simulators: Simulators,
     /// Gradient steps of the controller for the farm
     #[arg(long, value_name = "N", default_value_t = CommissionRun::default().train.iterations)]
     farm_iterations: usize,
@@ -87,9 +87,9 @@ pub struct Args {
     /// Unscored breaths before the scored ones of the evaluation
     #[arg(long, value_name = "N", default_value_t = 10)]
     breaths_of_learning: usize,
-    /// The last stage to run
-    #[arg(long, value_name = "STAGE", value_enum, default_value_t = Until::Flash)]
-    until: Until,
+    /// The last stage to run: contact, collect, fit, train, crosswise or flash
+    #[arg(long, value_name = "STAGE", value_enum, hide_possible_values = true, default_value_t = FarmStage::Flash)]
+    until: FarmStage,
     /// Measure every unit again, store the calibrations, and show how they have changed
     #[arg(long)]
     recalibrate: bool,
@@ -111,36 +111,6 @@ pub struct Args {
     output: OutputArgs,
     #[command(flatten)]
     settings: SettingsArgs,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Fit {
-    Each,
-    One,
-}
-
-/// The stages by name.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Until {
-    Contact,
-    Collect,
-    Fit,
-    Train,
-    Crosswise,
-    Flash,
-}
-
-impl From<Until> for FarmStage {
-    fn from(until: Until) -> Self {
-        match until {
-            Until::Contact => Self::Contact,
-            Until::Collect => Self::Collect,
-            Until::Fit => Self::Fit,
-            Until::Train => Self::Train,
-            Until::Crosswise => Self::Crosswise,
-            Until::Flash => Self::Flash,
-        }
-    }
 }
 
 /// The content of `--json`.
@@ -179,7 +149,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         out: args.out.clone(),
         adopt: args.adopt.clone(),
         recalibrate: args.recalibrate,
-        until: args.until.into(),
+        until: args.until,
         patience: Duration::from_secs(args.patience),
         pace: args.pace,
         sign: &sign,
@@ -205,14 +175,10 @@ fn config(args: &Args) -> anyhow::Result<FarmConfig> {
     };
     run.collect.breaths = args.breaths as usize;
     run.train.iterations = args.iterations;
-    let simulators = match args.simulators {
-        Fit::Each => Simulators::Each,
-        Fit::One => Simulators::One,
-    };
     Ok(FarmConfig {
         run,
         farm_iterations: args.farm_iterations,
-        simulators,
+        simulators: args.simulators,
         breaths_of_learning: args.breaths_of_learning,
         scored_breaths: SCORED_BREATHS,
     })

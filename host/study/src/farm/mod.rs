@@ -33,6 +33,7 @@ mod unit_name;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use shared::calibration::Calibration;
 use shared::control::residual::Residual;
@@ -51,7 +52,7 @@ pub use rivals::Rivals;
 pub use unit_name::UnitName;
 
 /// How the simulators are fitted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Simulators {
     /// One for each unit.
@@ -61,7 +62,7 @@ pub enum Simulators {
 }
 
 /// The stages, in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
 pub enum FarmStage {
     /// Every unit answers.
     Contact,
