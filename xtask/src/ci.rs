@@ -34,7 +34,12 @@ const HOST: &[Step] = &[
     },
     step("build", &["test --no-run --workspace --exclude firmware"]),
     step("test", &["test --workspace --exclude firmware"]),
-    step("engines", &["test -p host --features engines --test command_line engines"]).after("setup"),
+    // With the whole workspace, whose dependencies the step `test` has built with the same features.
+    step(
+        "engines",
+        &["test --workspace --exclude firmware --features host/engines --test command_line engines"],
+    )
+    .after("setup"),
     step("qemu-test", &["xtask qemu-test"]).after("firmware"),
     step("cost", &["xtask cost"]),
 ];
