@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -17,6 +17,30 @@ use serde::de::DeserializeOwned;
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let temporary = temporary(path)?;
     let written = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
+    if written.is_err() {
+        // Report the first error; a leftover temporary file is harmless.
+        let _ = fs::remove_file(&temporary);
+    }
+    written
+}
+
+/// Like [`write_atomically`], for content that is written piece by piece. `failed` turns the file system's errors
+/// into the caller's.
+///
+/// # Errors
+/// The first error of `write` or of the file system; the old file is unchanged and no temporary file is left.
+pub fn write_streamed<E>(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> Result<(), E>,
+    failed: impl Fn(io::Error) -> E,
+) -> Result<(), E> {
+    let temporary = temporary(path).map_err(&failed)?;
+    let written = File::create(&temporary).map_err(&failed).and_then(|file| {
+        let mut file = BufWriter::new(file);
+        write(&mut file)?;
+        let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
+        file.sync_all().and_then(|()| fs::rename(&temporary, path)).map_err(&failed)
+    });
     if written.is_err() {
         // Report the first error; a leftover temporary file is harmless.
         let _ = fs::remove_file(&temporary);
@@ -200,6 +224,21 @@ mod tests {
         let keyed_by_lists = std::collections::BTreeMap::from([(vec![1], 2)]);
         assert!(write_json(&path, &keyed_by_lists).is_err());
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn content_that_fails_half_way_leaves_the_old_file_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file.txt");
+        write_streamed(&path, |file| file.write_all(b"whole"), |error| error).unwrap();
+        let broken = write_streamed(
+            &path,
+            |file| file.write_all(b"half").and_then(|()| Err(io::Error::other("no more"))),
+            |error| error,
+        );
+        assert!(broken.is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"whole");
+        assert_eq!(entries(folder.path()), ["file.txt"]);
     }
 
     #[test]

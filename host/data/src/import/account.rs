@@ -40,6 +40,10 @@ impl Extremes {
         self.low = self.low.min(value);
         self.high = self.high.max(value);
     }
+
+    fn text(&self, digits: usize) -> String {
+        format!("{:.digits$} to {:.digits$}", self.low, self.high)
+    }
 }
 
 /// Collects the summary while samples stream by.
@@ -62,8 +66,11 @@ impl Account {
         self.counts.rows += 1;
         let pressure = sample.get(Quantity::Pressure);
         self.counts.pressure.add(pressure);
-        self.counts.u_in.add(sample.get(Quantity::UIn));
-        for (valve, quantity) in self.valves.iter_mut().zip(VALVES) {
+        let known = sample.get(Quantity::UIn).is_finite();
+        if known {
+            self.counts.u_in.add(sample.get(Quantity::UIn));
+        }
+        for (valve, quantity) in self.valves.iter_mut().zip(VALVES).filter(|_| known) {
             valve.add(sample.get(quantity));
         }
         let pressure = pressure as f32;
@@ -90,15 +97,18 @@ impl Account {
         if let Some(lung) = rows[0].lung() {
             *self.counts.lungs.entry(lung.to_string()).or_default() += 1;
         }
-        for command in
-            samples.iter().take_while(|s| s.get(Quantity::UOut) < 50.0).map(|s| s.get(Quantity::UIn))
-        {
+        let inspiration = samples.iter().take_while(|s| s.get(Quantity::UOut) < 50.0);
+        for command in inspiration.map(|s| s.get(Quantity::UIn)).filter(|command| command.is_finite()) {
             self.saturated.0 += usize::from(command <= AT_END || command >= 100.0 - AT_END);
             self.saturated.1 += 1;
         }
     }
 
-    pub(super) fn end_of_table(&mut self) {
+    /// Ends a table of which so many events, by name, are in no row.
+    pub(super) fn end_of_table(&mut self, unused: BTreeMap<String, usize>) {
+        for (name, events) in unused {
+            *self.counts.unused.entry(name).or_default() += events;
+        }
         self.valves.iter_mut().for_each(Saturation::end_of_table);
     }
 
@@ -165,28 +175,51 @@ pub struct ImportSummary {
     pub saturated_psol: f64,
     /// Number of breaths by nominal `R:C`, if the table has them.
     pub lungs: BTreeMap<String, usize>,
+    /// Number of events that no row uses, by name; only of a format that consists of events.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub unused: BTreeMap<String, usize>,
 }
 
 impl ImportSummary {
     /// The summary in one line, stored in the recording.
     pub(super) fn note(&self) -> String {
-        format!(
-            "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid, {:.1} % of inspiratory rows with the \
-             valve at an end",
+        let rows = format!(
+            "{} rows read, {} dropped, {} gaps, {} breaths put on an even grid",
             self.rows,
             self.dropped_before_first_breath + self.dropped_after_gap,
             self.gaps,
             self.resampled_breaths,
-            100.0 * self.saturated
-        )
+        );
+        if self.has_commands() {
+            let saturated = 100.0 * self.saturated;
+            return format!("{rows}, {saturated:.1} % of inspiratory rows with the valve at an end");
+        }
+        rows
+    }
+
+    /// Whether the tables give the commands of the inspiratory valve.
+    fn has_commands(&self) -> bool {
+        self.u_in.low <= self.u_in.high
+    }
+
+    /// The lines about the valves.
+    fn valves(&self) -> Vec<(&'static str, String)> {
+        if !self.has_commands() {
+            return vec![("valves", "no commands".to_owned())];
+        }
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        vec![
+            ("inspiratory valve", format!("{} %", self.u_in.text(1))),
+            ("  closed or fully open", format!("{:.1} % of inspiratory rows", 100.0 * self.saturated)),
+            ("  at an end of its range", percent(self.saturated_inhale)),
+            ("expiratory valve at an end", percent(self.saturated_exhale)),
+            ("oxygen valve at an end", percent(self.saturated_psol)),
+        ]
     }
 }
 
 impl fmt::Display for ImportSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let range =
-            |range: &Extremes, digits: usize| format!("{:.digits$} to {:.digits$}", range.low, range.high);
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let mut lines = vec![
             ("rows read", self.rows.to_string()),
             ("rows written", self.kept.to_string()),
@@ -197,7 +230,7 @@ impl fmt::Display for ImportSummary {
             ("breaths", format!("{} ({} complete)", self.breaths, self.complete_breaths)),
             ("gaps in time", self.gaps.to_string()),
             ("sample period", format!("{} ms", f64::from(self.period_us) * 1e-3)),
-            ("time steps", format!("{} ms", range(&self.step_ms, 2))),
+            ("time steps", format!("{} ms", self.step_ms.text(2))),
             (
                 "resampled to even grid",
                 format!(
@@ -205,17 +238,15 @@ impl fmt::Display for ImportSummary {
                     self.resampled_breaths, self.furthest_from_grid_ms
                 ),
             ),
-            ("pressure", format!("{} cmH2O", range(&self.pressure, 2))),
+            ("pressure", format!("{} cmH2O", self.pressure.text(2))),
             ("pressure quantum", format!("{:.4} cmH2O", self.quantum)),
             ("pressure noise (sd)", format!("{:.3} cmH2O", self.noise)),
-            ("inspiratory valve", format!("{} %", range(&self.u_in, 1))),
-            ("  closed or fully open", format!("{:.1} % of inspiratory rows", 100.0 * self.saturated)),
-            ("  at an end of its range", percent(self.saturated_inhale)),
-            ("expiratory valve at an end", percent(self.saturated_exhale)),
-            ("oxygen valve at an end", percent(self.saturated_psol)),
         ];
+        lines.extend(self.valves());
         let lungs: Vec<_> = self.lungs.iter().map(|(lung, breaths)| format!("{lung} ({breaths})")).collect();
         lines.extend((!lungs.is_empty()).then(|| ("lungs R:C (breaths)", lungs.join(", "))));
+        let unused: Vec<_> = self.unused.iter().map(|(name, events)| format!("{name} ({events})")).collect();
+        lines.extend((!unused.is_empty()).then(|| ("events not used", unused.join(", "))));
         let lines: Vec<_> = lines.iter().map(|(name, value)| format!("{name:<27} {value}")).collect();
         write!(f, "{}", lines.join("\n"))
     }

@@ -147,7 +147,7 @@ impl<'a> Assembler<'a> {
                 phase,
                 target: optional(Quantity::Target).unwrap_or(if inspires { pip } else { peep }),
                 pressure: value(Quantity::Pressure),
-                u_in: value(Quantity::UIn),
+                u_in: optional(Quantity::UIn).unwrap_or(0.0),
                 u_out: optional(Quantity::UOut).unwrap_or(closed),
                 pip,
                 peep,

@@ -1,12 +1,14 @@
-//! Imports third-party tables in any layout: a stream of rows in, a recording in Parquet out, in bounded memory.
+//! Imports third-party tables in any layout and PIRDS events: a stream of rows in, a recording in Parquet
+//! out, in bounded memory.
 //!
-//! A [`map::ColumnMap`] gives the quantity and unit of each column. Time may be uneven: breaths are put on an even
-//! grid. Every dropped row is counted in the [`account::ImportSummary`].
+//! A [`map::ColumnMap`] gives the quantity and unit of each column of a table. Time may be uneven: breaths
+//! are put on an even grid. Every dropped row is counted in the [`account::ImportSummary`].
 
 pub mod account;
 mod breaths;
 pub mod map;
 mod measured;
+mod pirds;
 mod reader;
 mod rises;
 mod saturation;
@@ -23,7 +25,8 @@ use self::account::ImportSummary;
 use self::breaths::Assembler;
 use self::map::{Quantity, TableLayout};
 pub use self::measured::{measured, measured_recording};
-use self::reader::TableReader;
+pub use self::pirds::import_pirds;
+use self::reader::{RowSource, TableReader};
 use crate::provenance::Provenance;
 use crate::recording::{DatasetError, Extra, RecordingWriter};
 
@@ -49,8 +52,9 @@ const SAME_PERIOD: f64 = 0.05;
 /// Converts tables, in the given order, into one recording.
 ///
 /// # Errors
-/// A table that cannot be read, lacks a column or has a cell that is not a number (with line and column), no breath at
-/// all, a recording that cannot be written, or a request to stop. The recording is written atomically.
+/// A table that cannot be read, lacks a column or has a cell that is not a number (with line and column), no
+/// breath at all, a recording that cannot be written, or a request to stop. The recording is written
+/// atomically.
 pub fn import(
     paths: &[PathBuf],
     layout: &TableLayout,
@@ -61,6 +65,18 @@ pub fn import(
         Some(seconds) => (seconds * 1e6).round() as u32,
         None => common_period_us(paths, layout)?,
     };
+    import_rows(paths, layout, period_us, out, progress, |path| TableReader::open(path, layout))
+}
+
+/// Converts the rows of files that `open` opens in their order.
+fn import_rows<R: RowSource>(
+    paths: &[PathBuf],
+    layout: &TableLayout,
+    period_us: u32,
+    out: &Path,
+    progress: &Progress<'_>,
+    mut open: impl FnMut(&Path) -> Result<R, DatasetError>,
+) -> Result<ImportSummary, DatasetError> {
     let provenance = provenance(paths, layout, period_us);
     let writer = RecordingWriter::create(out, provenance, &extras(layout))?;
     let mut assembler = Assembler::new(layout, f64::from(period_us) * 1e-6, writer);
@@ -69,7 +85,7 @@ pub fn import(
     let length = |path: &PathBuf| fs::metadata(path).map_or(0, |metadata| metadata.len() as usize);
     let task = progress.task(Stage::Import, paths.iter().map(length).sum());
     for path in paths {
-        let mut reader = TableReader::open(path, layout)?;
+        let mut reader = open(path)?;
         while let Some(sample) = reader.next(&mut groups)? {
             assembler.push(sample)?;
             if assembler.account.counts.rows.is_multiple_of(PROGRESS_ROWS) {
@@ -78,7 +94,7 @@ pub fn import(
             }
         }
         assembler.end_of_stretch()?;
-        assembler.account.end_of_table();
+        assembler.account.end_of_table(reader.unused());
         bytes += reader.position();
         goes_on(&task)?;
     }
@@ -118,15 +134,19 @@ fn provenance(paths: &[PathBuf], layout: &TableLayout, period_us: u32) -> Proven
 
 /// The sample period of the first table, which the others must share.
 fn common_period_us(paths: &[PathBuf], layout: &TableLayout) -> Result<u32, DatasetError> {
-    let (first, others) = paths.split_first().ok_or(DatasetError::NoBreath(0))?;
-    let expected_us = period_us(first, layout)?;
-    for path in others {
-        let found_us = period_us(path, layout)?;
-        if f64::from(found_us.abs_diff(expected_us)) > SAME_PERIOD * f64::from(expected_us) {
-            return Err(DatasetError::Period { path: path.clone(), found_us, expected_us });
-        }
+    let periods = paths.iter().map(|path| period_us(path, layout)).collect::<Result<Vec<_>, _>>()?;
+    same_period(paths, &periods)
+}
+
+/// The first of the files' sample periods, which the others must share.
+fn same_period(paths: &[PathBuf], periods_us: &[u32]) -> Result<u32, DatasetError> {
+    let expected_us = *periods_us.first().ok_or(DatasetError::NoBreath(0))?;
+    let other =
+        |found_us: u32| f64::from(found_us.abs_diff(expected_us)) > SAME_PERIOD * f64::from(expected_us);
+    match paths.iter().zip(periods_us).find(|(_, found_us)| other(**found_us)) {
+        Some((path, &found_us)) => Err(DatasetError::Period { path: path.clone(), found_us, expected_us }),
+        None => Ok(expected_us),
     }
-    Ok(expected_us)
 }
 
 /// Median time step of the first rows of a table.

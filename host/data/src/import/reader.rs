@@ -1,5 +1,6 @@
 //! Reads rows of a third-party table as numbers in our units.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -21,7 +22,7 @@ const BUFFER: usize = 1 << 20;
 /// A row of a table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TableRow {
-    /// Values; 0 for quantities that the table does not have.
+    /// Values; 0 for quantities that the table does not have, NaN for a command that is not known.
     pub fields: Fields,
     /// Whether the breath column's value differs from the previous row's.
     pub next_breath: bool,
@@ -34,6 +35,32 @@ impl TableRow {
     pub fn get(&self, quantity: Quantity) -> f64 {
         self.fields[quantity as usize]
     }
+}
+
+/// A file of which rows are read in their order.
+pub(super) trait RowSource {
+    /// The next row; `None` at the end. New names are added to `groups`.
+    ///
+    /// # Errors
+    /// Content that cannot be used, with its line.
+    fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError>;
+
+    /// Number of bytes read so far.
+    fn position(&self) -> u64;
+
+    /// Number of events that no row uses, by name.
+    fn unused(&self) -> BTreeMap<String, usize> {
+        BTreeMap::new()
+    }
+}
+
+/// Index of a group, which is added if it is new.
+pub(super) fn index_of(groups: &mut Vec<TestRun>, run: TestRun) -> u32 {
+    let known = groups.iter().position(|group| *group == run);
+    known.unwrap_or_else(|| {
+        groups.push(run);
+        groups.len() - 1
+    }) as u32
 }
 
 /// An open table.
@@ -99,46 +126,6 @@ impl<'a> TableReader<'a> {
         })
     }
 
-    /// Number of bytes read so far.
-    pub fn position(&self) -> u64 {
-        self.line.position().map_or(0, csv::Position::byte)
-    }
-
-    /// The next row; `None` at the end. New names are added to `groups`.
-    ///
-    /// # Errors
-    /// A line that cannot be split into cells, or a cell that is not a finite number.
-    pub fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
-        let more = self
-            .table
-            .read_byte_record(&mut self.line)
-            .map_err(|source| DatasetError::TableLine { path: self.path.clone(), source })?;
-        if !more {
-            return Ok(None);
-        }
-        let mut fields = [0.0; QUANTITIES];
-        for (quantity, (field, origin)) in fields.iter_mut().zip(&self.layout.origins).enumerate() {
-            *field = match origin {
-                None => 0.0,
-                Some(ColumnSource::Value(value)) => *value,
-                Some(ColumnSource::Column { factor, offset, share, .. }) => {
-                    let value = factor * self.number(quantity)? + offset;
-                    if *share { self.percent(quantity, value)? } else { value }
-                }
-            };
-        }
-        let group = self.group(groups);
-        let next_breath = self.breath.is_some_and(|index| {
-            let cell = self.line.get(index).unwrap_or_default();
-            let other = self.last_breath.as_deref() != Some(cell);
-            if other {
-                self.last_breath = Some(cell.to_vec());
-            }
-            other
-        });
-        Ok(Some(TableRow { fields, next_breath, group }))
-    }
-
     /// Index of the row's group; a table without groups is one group, named after its file.
     fn group(&mut self, groups: &mut Vec<TestRun>) -> u32 {
         let cell = |index: Option<usize>| index.and_then(|index| self.line.get(index)).unwrap_or_default();
@@ -153,11 +140,7 @@ impl<'a> TableReader<'a> {
             (None, _) => self.path.file_stem().unwrap_or_default().to_string_lossy().as_ref().into(),
         };
         self.last_group = Some(cells.map(<[u8]>::to_vec));
-        let known = groups.iter().position(|group| *group == run);
-        self.current_group = known.unwrap_or_else(|| {
-            groups.push(run);
-            groups.len() - 1
-        }) as u32;
+        self.current_group = index_of(groups, run);
         self.current_group
     }
 
@@ -196,5 +179,42 @@ impl<'a> TableReader<'a> {
             value: String::from_utf8_lossy(self.cell(quantity)).into_owned(),
             reason,
         }
+    }
+}
+
+impl RowSource for TableReader<'_> {
+    fn position(&self) -> u64 {
+        self.line.position().map_or(0, csv::Position::byte)
+    }
+
+    fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
+        let more = self
+            .table
+            .read_byte_record(&mut self.line)
+            .map_err(|source| DatasetError::TableLine { path: self.path.clone(), source })?;
+        if !more {
+            return Ok(None);
+        }
+        let mut fields = [0.0; QUANTITIES];
+        for (quantity, (field, origin)) in fields.iter_mut().zip(&self.layout.origins).enumerate() {
+            *field = match origin {
+                None => 0.0,
+                Some(ColumnSource::Value(value)) => *value,
+                Some(ColumnSource::Column { factor, offset, share, .. }) => {
+                    let value = factor * self.number(quantity)? + offset;
+                    if *share { self.percent(quantity, value)? } else { value }
+                }
+            };
+        }
+        let group = self.group(groups);
+        let next_breath = self.breath.is_some_and(|index| {
+            let cell = self.line.get(index).unwrap_or_default();
+            let other = self.last_breath.as_deref() != Some(cell);
+            if other {
+                self.last_breath = Some(cell.to_vec());
+            }
+            other
+        });
+        Ok(Some(TableRow { fields, next_breath, group }))
     }
 }

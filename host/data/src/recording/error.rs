@@ -75,6 +75,12 @@ pub enum DatasetError {
         "{path}, line {line}, column `{column}`: `{value}` {reason}: correct the cell or remove the line"
     )]
     TableCell { path: PathBuf, line: u64, column: String, value: String, reason: &'static str },
+    /// A line of a PIRDS file is not an event.
+    #[error("{path}, line {line}: {reason}")]
+    EventLine { path: PathBuf, line: u64, reason: String },
+    /// The events of a PIRDS file do not make a recording.
+    #[error("{path}: {reason}")]
+    Events { path: PathBuf, reason: &'static str },
     /// The sample period cannot be determined.
     #[error("{0}: time does not increase from row to row: check column and unit of [time] in the column map")]
     NoPeriod(PathBuf),

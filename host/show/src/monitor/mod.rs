@@ -3,6 +3,7 @@
 //! A view neither talks to a device nor reads a clock: it takes [`News`] and returns requests. The same news always
 //! give the same picture, so pictures can be tested.
 
+pub mod capture;
 pub mod draw;
 pub mod plain;
 pub mod session;

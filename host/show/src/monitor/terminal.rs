@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
+use super::News;
 use super::draw::draw;
 use super::session::Session;
 use super::view::{Key, View};
@@ -52,13 +53,19 @@ pub fn meaning(event: &KeyEvent) -> Option<Pressed> {
     (event.kind == KeyEventKind::Press || repeats).then_some(Pressed::Key(key))
 }
 
-/// Shows a device until the operator quits; Ctrl-C sets `stop` and also ends it. Restores the terminal afterwards.
+/// Shows a device until the operator quits; Ctrl-C sets `stop` and also ends it. Passes on each piece of
+/// news. Restores the terminal afterwards.
 ///
 /// # Errors
 /// The terminal cannot be drawn on.
-pub fn run(session: &Session, view: &mut View, stop: &AtomicBool) -> io::Result<()> {
+pub fn run(
+    session: &Session,
+    view: &mut View,
+    pass_on: &mut dyn FnMut(&News),
+    stop: &AtomicBool,
+) -> io::Result<()> {
     let mut terminal = ratatui::try_init()?;
-    let result = show(&mut terminal, session, view, stop);
+    let result = show(&mut terminal, session, view, pass_on, stop);
     ratatui::try_restore()?;
     result
 }
@@ -67,10 +74,14 @@ fn show(
     terminal: &mut DefaultTerminal,
     session: &Session,
     view: &mut View,
+    pass_on: &mut dyn FnMut(&News),
     stop: &AtomicBool,
 ) -> io::Result<()> {
     while !stop.load(Ordering::Relaxed) {
-        session.news().for_each(|news| view.take(&news));
+        session.news().for_each(|news| {
+            pass_on(&news);
+            view.take(&news);
+        });
         terminal.draw(|frame| draw(frame, view))?;
         let picture = Instant::now() + PICTURE_EVERY;
         while event::poll(picture.saturating_duration_since(Instant::now()))? {

@@ -34,6 +34,7 @@ use super::window::TelemetryWindow;
 use super::words;
 use device::LineCounters;
 
+mod capture;
 mod connected;
 mod lines;
 

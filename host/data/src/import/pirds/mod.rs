@@ -1,0 +1,101 @@
+//! Imports PIRDS files ([`crate::pirds`]): a survey finds the sensors and the sample period, a second pass
+//! makes rows.
+
+mod rows;
+mod survey;
+#[cfg(test)]
+mod tests;
+
+use std::fs::File;
+use std::io::{BufReader, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use progress::Progress;
+
+use self::rows::EventRows;
+use self::survey::{Survey, survey};
+use super::account::ImportSummary;
+use super::map::{ColumnSource, EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
+use super::{import_rows, same_period};
+use crate::pirds::{EventReader, Fault};
+use crate::recording::DatasetError;
+
+/// Note of a recording from events, which give no valve commands.
+const NO_COMMANDS: &str = "no valve commands in PIRDS: u_in is 0, and u_out shows only the phases";
+/// Bytes that are read from the file at a time.
+const BUFFER: usize = 1 << 18;
+
+/// Converts PIRDS files, in the given order, into one recording; each is a group of its own.
+///
+/// # Errors
+/// A file that cannot be read, a line that is not an event (with its number), no usable pressure sensor, no
+/// breath, a recording that cannot be written, or a request to stop. The recording is written atomically.
+pub fn import_pirds(
+    paths: &[PathBuf],
+    out: &Path,
+    progress: &Progress<'_>,
+) -> Result<ImportSummary, DatasetError> {
+    let surveys = paths.iter().map(|path| survey(path)).collect::<Result<Vec<_>, _>>()?;
+    let periods: Vec<_> = surveys.iter().map(|survey| survey.period_us).collect();
+    let period_us = same_period(paths, &periods)?;
+    let layout = layout(&surveys);
+    let mut surveys = surveys.into_iter();
+    let open = |path: &Path| {
+        let survey = surveys.next().ok_or(DatasetError::NoBreath(0))?;
+        EventRows::open(path, survey)
+    };
+    import_rows(paths, &layout, period_us, out, progress, open).map_err(|error| match error {
+        DatasetError::NoBreath(_) => {
+            unusable(&paths[0], "no breath was found in its pressure or flow: export a longer part")
+        }
+        error => error,
+    })
+}
+
+/// What the rows of all files have.
+fn layout(surveys: &[Survey]) -> TableLayout {
+    let has = |quantity: Quantity| match quantity {
+        Quantity::Time | Quantity::Pressure | Quantity::UOut => true,
+        Quantity::Target => surveys.iter().all(|survey| survey.phases > 0),
+        Quantity::FlowIn | Quantity::FlowOut => surveys.iter().all(|survey| survey.flow.is_some()),
+        _ => false,
+    };
+    let mut origins: [Option<ColumnSource>; QUANTITIES] = Default::default();
+    for (origin, quantity) in origins.iter_mut().zip(Quantity::ALL) {
+        let name = quantity.name().to_owned();
+        *origin =
+            has(quantity).then_some(ColumnSource::Column { name, factor: 1.0, offset: 0.0, share: false });
+    }
+    TableLayout {
+        plant: "PIRDS".to_owned(),
+        note: Some(NO_COMMANDS.to_owned()),
+        period_s: None,
+        separator: b',',
+        breath: None,
+        group: None,
+        run: None,
+        origins,
+        start: StartBy::Number,
+        end: EndBy::Valve,
+    }
+}
+
+fn open(path: &Path) -> Result<EventReader<BufReader<File>>, DatasetError> {
+    let file = File::open(path).map_err(|source| match source.kind() {
+        ErrorKind::NotFound => DatasetError::Missing(path.to_owned()),
+        _ => DatasetError::Read { path: path.to_owned(), source },
+    })?;
+    Ok(EventReader::new(BufReader::with_capacity(BUFFER, file)))
+}
+
+fn faulty(path: &Path, fault: Fault) -> DatasetError {
+    let path = path.to_owned();
+    match fault {
+        Fault::Read(source) => DatasetError::Read { path, source },
+        Fault::Line { line, reason } => DatasetError::EventLine { path, line, reason },
+    }
+}
+
+fn unusable(path: &Path, reason: &'static str) -> DatasetError {
+    DatasetError::Events { path: path.to_owned(), reason }
+}

@@ -1,0 +1,207 @@
+//! Second pass through a PIRDS file: a row for each reading of the airway pressure.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use super::survey::{FlowSensors, Survey};
+use super::{faulty, open};
+use crate::identity::TestRun;
+use crate::import::map::{QUANTITIES, Quantity};
+use crate::import::reader::{Fields, RowSource, TableRow, index_of};
+use crate::pirds::{Event, EventReader, Measurement, PER_CMH2O, PER_LITRE_PER_SECOND, PhaseMark};
+use crate::recording::{DatasetError, INSPIRATION};
+
+/// Rise of the pressure above its low end from which the patient inhales, cmH2O, in a file without marks and
+/// flow.
+const RISE: f64 = 1.0;
+/// Share of the way back from the highest pressure at which that inspiration has ended.
+const FALLEN: f64 = 0.2;
+/// Share of the high flow from which a flow counts as in or out, in a file without marks.
+const FLOWS: f64 = 0.1;
+
+/// The rows of a file.
+#[derive(Debug)]
+pub(super) struct EventRows {
+    path: PathBuf,
+    reader: EventReader<BufReader<File>>,
+    survey: Survey,
+    /// Index of the file's group.
+    group: Option<u32>,
+    /// The running phase and its start, ms.
+    phase: Option<(u32, PhaseMark)>,
+    /// The latest ambient pressure, in units; 0 if the readings are relative.
+    ambient: i32,
+    flows: [LatestFlow; 2],
+    /// The reading of the pressure whose row is not complete: a flow of the same time may follow.
+    open: Option<(u32, TableRow)>,
+    last_breath: Option<u32>,
+    inspiration: Inspiration,
+}
+
+/// The latest reading of a flow, and one that belongs to the next row.
+#[derive(Debug, Clone, Copy, Default)]
+struct LatestFlow {
+    now: i32,
+    next: Option<i32>,
+}
+
+impl EventRows {
+    pub(super) fn open(path: &Path, survey: Survey) -> Result<Self, DatasetError> {
+        Ok(Self {
+            path: path.to_owned(),
+            reader: open(path)?,
+            group: None,
+            phase: None,
+            ambient: survey.ambient.map_or(0, |(_, median)| median),
+            flows: [LatestFlow::default(); 2],
+            open: None,
+            last_breath: None,
+            inspiration: Inspiration::default(),
+            survey,
+        })
+    }
+
+    /// Takes a reading; returns the row that it completes.
+    fn measured(&mut self, reading: &Measurement, group: u32) -> Option<TableRow> {
+        let Measurement { sensor, ms, value, .. } = *reading;
+        if self.survey.ambient.is_some_and(|(ambient, _)| ambient == sensor) {
+            self.ambient = value;
+        }
+        let flow = match self.survey.flow {
+            Some(FlowSensors::Net(net)) => (net == sensor).then_some(0),
+            Some(FlowSensors::Each { inward, outward }) => {
+                [inward, outward].iter().position(|one| *one == sensor)
+            }
+            None => None,
+        };
+        if let Some(flow) = flow {
+            let of_open_row = self.open.is_some_and(|(open, _)| ms <= open);
+            let latest = &mut self.flows[flow];
+            if of_open_row { latest.now = value } else { latest.next = Some(value) }
+        }
+        if sensor != self.survey.pressure {
+            return None;
+        }
+        let complete = self.complete();
+        self.flows.iter_mut().for_each(|flow| flow.now = flow.next.take().unwrap_or(flow.now));
+        self.open = Some((ms, self.row(ms, value, group)));
+        complete
+    }
+
+    /// A reading of the pressure without the ambient one, cmH2O.
+    fn relative(&self, value: i32) -> f64 {
+        (f64::from(value) - f64::from(self.ambient)) / PER_CMH2O
+    }
+
+    /// A row without its flows.
+    fn row(&mut self, ms: u32, value: i32, group: u32) -> TableRow {
+        let mut fields: Fields = [0.0; QUANTITIES];
+        let mut set = |quantity: Quantity, value: f64| fields[quantity as usize] = value;
+        set(Quantity::Time, f64::from(ms) * 1e-3);
+        set(Quantity::Pressure, self.relative(value));
+        set(Quantity::UIn, f64::NAN);
+        let mut next_breath = false;
+        if let Some((start, mark)) = self.phase {
+            set(Quantity::Target, mark.target(ms.saturating_sub(start)).into());
+            set(Quantity::UOut, if mark.phase == INSPIRATION { 0.0 } else { 100.0 });
+            next_breath = self.last_breath.replace(mark.breath) != Some(mark.breath);
+        }
+        TableRow { fields, next_breath, group }
+    }
+
+    /// The open row with its flows and, without marks, the phase that these show.
+    fn complete(&mut self) -> Option<TableRow> {
+        let (_, mut row) = self.open.take()?;
+        let [first, second] = self.flows.map(|flow| f64::from(flow.now) / PER_LITRE_PER_SECOND);
+        let [inward, outward] = match self.survey.flow {
+            Some(FlowSensors::Each { .. }) => [first, second],
+            _ => [first.max(0.0), (-first).max(0.0)],
+        };
+        row.fields[Quantity::FlowIn as usize] = inward;
+        row.fields[Quantity::FlowOut as usize] = outward;
+        if self.survey.phases == 0 {
+            row.next_breath = if self.survey.flow.is_some() {
+                let least = FLOWS * f64::from(self.survey.high_flow) / PER_LITRE_PER_SECOND;
+                self.inspiration.by_flow(inward - outward, least)
+            } else {
+                let low = self.relative(self.survey.low);
+                self.inspiration.by_pressure(row.get(Quantity::Pressure), low)
+            };
+            row.fields[Quantity::UOut as usize] = if self.inspiration.inhales { 0.0 } else { 100.0 };
+        }
+        Some(row)
+    }
+}
+
+impl RowSource for EventRows {
+    fn next(&mut self, groups: &mut Vec<TestRun>) -> Result<Option<TableRow>, DatasetError> {
+        let group = *self.group.get_or_insert_with(|| {
+            let name = self.path.file_stem().unwrap_or_default().to_string_lossy();
+            index_of(groups, name.as_ref().into())
+        });
+        while let Some(event) = self.reader.next_event().map_err(|fault| faulty(&self.path, fault))? {
+            let row = match event {
+                Event::Measurement(reading) => self.measured(&reading, group),
+                Event::Phase(ms, mark) => {
+                    self.phase = Some((ms, mark));
+                    None
+                }
+                Event::Other(_) => None,
+            };
+            if row.is_some() {
+                return Ok(row);
+            }
+        }
+        Ok(self.complete())
+    }
+
+    fn position(&self) -> u64 {
+        self.reader.position()
+    }
+
+    fn unused(&self) -> std::collections::BTreeMap<String, usize> {
+        self.survey.unused.clone()
+    }
+}
+
+/// Detects inspirations in a file without marks: by the flow or, without one, by the pressure.
+#[derive(Debug, Clone, Copy, Default)]
+struct Inspiration {
+    inhales: bool,
+    /// Whether an expiration has been seen, without which no breath is known to start.
+    exhaled: bool,
+    /// Highest pressure of the inspiration, cmH2O.
+    peak: f64,
+    /// Whether the pressure has come down again since the last inspiration.
+    rested: bool,
+}
+
+impl Inspiration {
+    /// Takes a row's net flow into the lung; `least` is a magnitude that counts as a flow, both in L/s. True
+    /// at the start of an inspiration.
+    fn by_flow(&mut self, flow: f64, least: f64) -> bool {
+        self.becomes(if flow.abs() > least { flow > 0.0 } else { self.inhales })
+    }
+
+    /// Takes a row's pressure; `low` is that between inspirations, both in cmH2O. True at the start of an
+    /// inspiration.
+    fn by_pressure(&mut self, pressure: f64, low: f64) -> bool {
+        if !self.inhales {
+            self.peak = pressure;
+            // Half as high, so that noise starts no breath on the way down.
+            self.rested |= pressure <= low + 0.5 * RISE;
+            return self.becomes(self.rested && pressure > low + RISE);
+        }
+        self.rested = false;
+        self.peak = self.peak.max(pressure);
+        self.becomes(pressure >= low + (1.0 - FALLEN) * (self.peak - low))
+    }
+
+    fn becomes(&mut self, inhales: bool) -> bool {
+        let starts = inhales && !self.inhales && self.exhaled;
+        self.inhales = inhales;
+        self.exhaled |= !inhales;
+        starts
+    }
+}

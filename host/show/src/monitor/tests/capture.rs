@@ -1,0 +1,140 @@
+//! The file of `--mcap`.
+
+use std::fs;
+use std::path::Path;
+
+use data::export::ExportError;
+use mcap::read::Options;
+use mcap::{MessageStream, Summary};
+use serde_json::Value;
+
+use super::*;
+use crate::monitor::capture::Capture;
+
+/// A time of the wall clock, ns since 1970.
+const NOON: u64 = 1_800_000_000_000_000_000;
+const MS: u64 = 1_000_000;
+
+fn started(folder: &Path) -> Capture {
+    Capture::create(&folder.join("a.mcap"), "COM3", &identity(Mode::Standby), NOON).unwrap()
+}
+
+/// Time, topic and content of each message of a file, which may lack its end.
+fn messages(bytes: &[u8]) -> Vec<(u64, String, Value)> {
+    let stream = MessageStream::new_with_options(bytes, Options::IgnoreEndMagic.into()).unwrap();
+    let message = |message: mcap::Message| {
+        let value = serde_json::from_slice(&message.data).unwrap();
+        (message.log_time, message.channel.topic.clone(), value)
+    };
+    stream.map_while(Result::ok).map(message).collect()
+}
+
+/// The messages after this news, each with the time in ms at which it came.
+fn captured(news: impl IntoIterator<Item = (u64, News)>) -> Vec<(u64, String, Value)> {
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = started(folder.path());
+    for (ms, news) in news {
+        assert!(!capture.take(&news, NOON + ms * MS));
+    }
+    let counts = capture.finish().unwrap();
+    let bytes = fs::read(folder.path().join("a.mcap")).unwrap();
+    let summary = Summary::read(&bytes).unwrap().expect("the file is finished");
+    assert_eq!(summary.stats.unwrap().message_count, counts.values().sum::<u64>());
+    assert_eq!(summary.metadata_indexes.len(), 1);
+    messages(&bytes)
+}
+
+fn of<'a>(topic: &str, messages: &'a [(u64, String, Value)]) -> Vec<(u64, &'a Value)> {
+    messages.iter().filter(|message| message.1 == topic).map(|(time, _, value)| (*time, value)).collect()
+}
+
+#[test]
+fn samples_have_the_times_of_their_ticks_whenever_they_arrive() {
+    let pressures = [5.1, 5.2, 5.3, f32::NAN];
+    // The second batch is late, and the third long before its time, as from an emulated device; then it restarts.
+    let found = captured([
+        (4, telemetry(1000, &pressures)),
+        (30, telemetry(1004, &pressures)),
+        (40, telemetry(9004, &pressures)),
+        (2040, telemetry(0, &pressures)),
+    ]);
+    let times: Vec<_> = of("/pressure", &found).into_iter().map(|(time, _)| (time - NOON) / MS).collect();
+    let after = |ms: u64| ms..ms + 4;
+    let expected = [after(0), after(4), after(8004), after(8008 + 2000 - 4)];
+    assert_eq!(times, expected.into_iter().flatten().collect::<Vec<_>>());
+    let (_, first) = of("/pressure", &found)[0];
+    assert_eq!((first["measured"].as_f64().unwrap() as f32, &first["target"]), (5.1, &20.0.into()));
+    assert!(of("/pressure", &found)[3].1.get("measured").is_none(), "no reading");
+    let (_, valves) = of("/valves", &found)[0];
+    assert_eq!((&valves["u_in"], &valves["u_out"]), (&0.0.into(), &100.0.into()));
+    let (_, place) = of("/breath", &found)[1];
+    assert_eq!(
+        (&place["tick"], &place["phase"], &place["phase_name"]),
+        (&1001.into(), &1.into(), &"fall".into())
+    );
+}
+
+#[test]
+fn an_alarm_is_written_once_at_the_time_of_its_tick() {
+    let repeated = News::Event(Event::Unacknowledged { fault: Fault::Leak, tick: 4321 });
+    let found = captured([(16, telemetry(4310, &[5.0; 16])), (20, alarm(Fault::Leak)), (900, repeated)]);
+    let [(time, alarm)] = of("/alarms", &found)[..] else { panic!("{found:?}") };
+    assert_eq!((time, &alarm["id"], &alarm["tick"]), (NOON + 11 * MS, &"leak".into(), &4321.into()));
+}
+
+#[test]
+fn the_state_of_the_device_is_written_with_each_poll_and_at_a_loss() {
+    let poll = |mode| {
+        let losses = LineCounters { corrupt: 2, ..LineCounters::default() };
+        let present = alarms(&[Fault::Leak], &[Fault::Restarted], Level::Pid);
+        [
+            greeting(mode),
+            in_force(Settings::default()),
+            present,
+            steered(Some("anna@icu"), false),
+            News::Traffic(losses),
+        ]
+    };
+    let news =
+        poll(Mode::Standby).into_iter().chain([News::Lost("cable".into())]).chain(poll(Mode::Ventilating));
+    let found = captured(news.map(|news| (0, news)));
+    let states: Vec<_> = of("/device", &found)
+        .into_iter()
+        .map(|(_, state)| (state["connected"].as_bool().unwrap(), state["mode"].as_str().unwrap().to_owned()))
+        .collect();
+    assert_eq!(states, [(true, "standby".into()), (false, "standby".into()), (true, "ventilating".into())]);
+    let (_, state) = of("/device", &found)[0];
+    assert_eq!((&state["indicated_alarms"], &state["damaged_frames"]), (&"restarted leak".into(), &2.into()));
+    assert_eq!((&state["pip"], &state["rate"]), (&20.0.into(), &20.0.into()));
+}
+
+#[test]
+fn a_capture_that_is_killed_keeps_all_but_the_last_second() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = started(folder.path());
+    for batch in 0..200 {
+        capture.take(&telemetry(16 * batch, &[5.0; 16]), NOON + 16 * (batch + 1) * MS);
+    }
+    // What the operating system has when the program is killed.
+    let killed = fs::read(folder.path().join("a.mcap")).unwrap();
+    let (last, ..) = *messages(&killed).last().unwrap();
+    assert!((2200 * MS..3200 * MS).contains(&(last - NOON)), "{} ms", (last - NOON) / MS);
+}
+
+#[test]
+fn a_loss_puts_everything_on_disk() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = started(folder.path());
+    capture.take(&telemetry(0, &[5.0; 16]), NOON);
+    capture.take(&News::Lost("cable".into()), NOON);
+    let killed = fs::read(folder.path().join("a.mcap")).unwrap();
+    assert_eq!(messages(&killed).len(), 3 * 16 + 1);
+}
+
+#[test]
+fn an_earlier_capture_is_never_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    started(folder.path()).finish().unwrap();
+    let again = Capture::create(&folder.path().join("a.mcap"), "COM3", &identity(Mode::Standby), NOON);
+    assert!(matches!(again, Err(ExportError::Exists(_))));
+}
