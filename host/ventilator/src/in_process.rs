@@ -23,6 +23,8 @@ use plant::{Plant, Reading};
 pub struct InProcess<P, C: ControlLaw = Controller> {
     plant: P,
     ventilator: Ventilator<C>,
+    /// Whether only a latched fault ends a breath with an error.
+    goes_on: bool,
     /// Seed of the plant's random numbers.
     seed: u64,
     /// `None` before the first breath, which brings the settings, and after a new seed.
@@ -60,7 +62,8 @@ impl<C: ControlLaw> InProcess<BenchPlant, C> {
         seed: u64,
     ) -> Result<Self, SourceError> {
         let ventilator = Ventilator::new(period_us, controller);
-        let mut source = Self { plant: BenchPlant::new(config)?, ventilator, seed, run: None };
+        let mut source =
+            Self { plant: BenchPlant::new(config)?, ventilator, goes_on: false, seed, run: None };
         source.run = Some(source.start(settings)?);
         Ok(source)
     }
@@ -84,7 +87,24 @@ impl<P, C: ControlLaw> InProcess<P, C> {
     /// With only the monitors that suit any plant's valve and sensor: those of excessive pressure.
     fn on_any_plant(plant: P, controller: C, period_us: u32, seed: u64) -> Self {
         let ventilator = Ventilator::new(period_us, controller).with_monitors(Monitors::ANY_PLANT);
-        Self { plant, ventilator, seed, run: None }
+        Self { plant, ventilator, goes_on: false, seed, run: None }
+    }
+
+    /// Goes on as a device does after a breath that is useless for a recording: one that the pressure limit or the loss of the
+    /// reading has ended. Only a latched fault is still an error.
+    #[must_use]
+    pub fn going_on(mut self) -> Self {
+        self.goes_on = true;
+        self
+    }
+}
+
+impl<P, C: ControlLaw> InProcess<P, C> {
+    /// Enables only these monitors.
+    #[must_use]
+    pub fn with_monitors(mut self, monitors: Monitors) -> Self {
+        self.ventilator = self.ventilator.with_monitors(monitors);
+        self
     }
 }
 
@@ -97,13 +117,32 @@ where
     /// # Errors
     /// Refused settings, a fault of the ventilator or of the plant.
     pub fn breathe(&mut self, settings: &Settings, sink: &mut dyn FnMut(&Tick)) -> Result<(), SourceError> {
-        let mut run = match self.run.take() {
-            Some(run) => run,
-            None => self.start(settings)?,
-        };
-        let outcome = self.run_breath(&mut run, settings, sink);
-        self.run = Some(run);
-        outcome
+        let mut breath = self.begin(settings)?;
+        loop {
+            if breath.tick(sink)? && breath.is_at_start() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Begins a breath with these settings, for a caller that runs it tick by tick. Only at the end of a breath.
+    ///
+    /// # Errors
+    /// Refused settings or a plant that cannot be reset.
+    pub fn begin(&mut self, settings: &Settings) -> Result<Breathing<'_, P, C>, SourceError> {
+        if self.run.is_none() {
+            self.run = Some(self.start(settings)?);
+        }
+        let mut breathing = self.breathing().expect("it runs");
+        breathing.begin(settings)?;
+        Ok(breathing)
+    }
+
+    /// The running breath; none before the first one.
+    #[inline]
+    pub fn breathing(&mut self) -> Option<Breathing<'_, P, C>> {
+        let Self { plant, ventilator, goes_on, run, .. } = self;
+        Some(Breathing { plant, ventilator, goes_on: *goes_on, run: run.as_mut()? })
     }
 
     /// Whether an effort of the patient starts the next breath.
@@ -117,35 +156,68 @@ where
         let reading = self.plant.reset(self.ventilator.period_us(), self.seed, settings.peep)?;
         Ok(Run { state, reading, peep: settings.peep })
     }
+}
 
-    /// Runs all ticks of a breath.
-    fn run_breath(
-        &mut self,
-        run: &mut Run<C::State>,
-        settings: &Settings,
-        sink: &mut dyn FnMut(&Tick),
-    ) -> Result<(), SourceError> {
+/// A breath that runs tick by tick.
+#[derive(Debug)]
+pub struct Breathing<'a, P, C: ControlLaw> {
+    plant: &'a mut P,
+    ventilator: &'a mut Ventilator<C>,
+    /// As in [`InProcess`].
+    goes_on: bool,
+    run: &'a mut Run<C::State>,
+}
+
+impl<P, C: ControlLaw> Breathing<'_, P, C> {
+    /// The plant's reading at the start of the next tick.
+    pub fn reading(&self) -> &Reading {
+        &self.run.reading
+    }
+
+    /// The ventilator's state before the next tick.
+    pub fn state(&self) -> &VentilatorState<C::State> {
+        &self.run.state
+    }
+
+    /// Replaces the controller from the next tick on.
+    pub fn set_controller(&mut self, controller: C) {
+        self.ventilator.set_controller(controller);
+    }
+
+    /// Whether the next tick starts a breath.
+    pub fn is_at_start(&self) -> bool {
+        self.run.state.tick() == 0
+    }
+}
+
+impl<P: Plant, C: ControlLaw> Breathing<'_, P, C>
+where
+    SourceError: From<P::Error>,
+{
+    /// Applies the settings of a breath and lets it start.
+    fn begin(&mut self, settings: &Settings) -> Result<(), SourceError> {
+        let run = &mut *self.run;
         self.ventilator.apply(&mut run.state, settings)?;
         run.state.start();
         if run.peep.to_bits() != settings.peep.to_bits() {
             self.plant.set_peep(settings.peep)?;
             run.peep = settings.peep;
         }
-        loop {
-            if self.tick(run, sink)? && run.state.tick() == 0 {
-                return Ok(());
-            }
-        }
+        Ok(())
     }
 
     /// One control tick: the ventilator reads and decides, then the plant runs one control period. The tick is recorded
     /// before the plant answers, in case it fails. Returns whether the breath advanced; without a valid reading it
     /// waits.
+    ///
+    /// # Errors
+    /// A fault that makes the breath useless for a recording, or one of the plant.
     #[inline]
-    fn tick(&mut self, run: &mut Run<C::State>, sink: &mut dyn FnMut(&Tick)) -> Result<bool, SourceError> {
+    pub fn tick(&mut self, sink: &mut (impl FnMut(&Tick) + ?Sized)) -> Result<bool, SourceError> {
+        let run = &mut *self.run;
         let Reading { pressure: airway, outlet, flow, truth } = run.reading;
         let output = self.ventilator.step(&mut run.state, Readings { airway, outlet, flow });
-        let fault = broken_off(&run.state, &output);
+        let fault = if self.goes_on { latched(&output) } else { broken_off(&run.state, &output) };
         if let (Some(sample), None) = (output.sample, fault) {
             sink(&Tick { sample, truth });
         }
@@ -159,10 +231,18 @@ where
     }
 }
 
-/// Why a tick makes its breath useless for a recording, if it does: a latched fault, the pressure limit, or a lost reading.
-fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<Fault> {
+/// The latched fault, if there is one.
+fn latched(output: &Output) -> Option<Fault> {
     match output.mode {
         Mode::Fault(fault) => Some(fault),
+        _ => None,
+    }
+}
+
+/// Why a tick makes its breath useless for a recording, if it does: a latched fault, the pressure limit, or a lost reading.
+fn broken_off<S>(state: &VentilatorState<S>, output: &Output) -> Option<Fault> {
+    match latched(output) {
+        Some(fault) => Some(fault),
         _ if state.cut() => Some(Fault::HighPressure),
         _ if state.level() == Level::Backup => state.indications().cause_of_backup(),
         _ => None,

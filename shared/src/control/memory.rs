@@ -16,7 +16,7 @@ use super::features::ERROR_SCALE;
 use crate::math;
 
 /// Number of bins of a profile; after the last one, a profile keeps its value.
-const BINS: usize = 128;
+pub const BINS: usize = 128;
 /// Duration of a bin, s: short beside the valve's lag.
 const BIN_S: f32 = 0.008;
 /// How far ahead, in bins, the next breath reads the remembered error: about the dead time and lag of a valve.
@@ -26,14 +26,14 @@ pub const COMMANDS_AHEAD: [usize; 2] = [0, 3];
 /// Number of values that a breath recalls: errors, commands, and whether there is anything to recall.
 pub const RECALLED: usize = ERRORS_AHEAD.len() + COMMANDS_AHEAD.len() + 1;
 /// Bins that an inspiration must fill to be remembered.
-const LEAST_BINS: usize = 8;
+pub const LEAST_BINS: usize = 8;
 /// Weight of the newest breath in the mean over breaths.
-const NEWEST: f32 = 0.5;
+pub const NEWEST: f32 = 0.5;
 /// Mean absolute difference to the remembered error, over the bins, from which a breath surprises: 0.5 cmH2O, in the scaled units
 /// of the features.
-const SURPRISE: f32 = 0.5 / ERROR_SCALE;
+pub const SURPRISE: f32 = 0.5 / ERROR_SCALE;
 /// Adopted breaths before which no breath counts as a surprise: a controller that is still learning changes its errors by itself.
-const LEARNING: u8 = 4;
+pub const LEARNING: u8 = 4;
 
 /// What to do with the breath that has just ended, or what was done with it. The order of the variants is part of the flight
 /// recorder's format: append only.

@@ -1,4 +1,7 @@
-//! The line to a plant: a TCP connection, or the standard input and output of a command started here.
+//! A line in lockstep to a program in any language: a TCP connection, or the standard input and output of a command started here.
+//! The plant link runs over it, and so does the link to a policy.
+
+mod address;
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -8,17 +11,59 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use shared::link::plant_link::FRAME_BYTES;
+use thiserror::Error;
 
-use super::{PlantAddress, PlantError};
+pub use address::{Address, AddressError, is_host_and_port};
 
-/// Longest time for a plant's command to end after its input is closed.
+/// Longest time for a command to end after its input is closed.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// Largest number of unread pieces of output; a plant in lockstep never has more than one.
+/// Largest number of unread pieces of output; a program in lockstep never has more than one.
 const PIECES: usize = 16;
+/// Largest length of a piece, bytes: more than a frame of any link.
+const PIECE_BYTES: usize = 64;
+
+/// Why a line cannot be opened, or why an answer is missing.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum LineError {
+    /// No program listens at the address.
+    #[error("cannot connect to {address}: {reason}; start the program that listens there first")]
+    Connect {
+        /// The address.
+        address: String,
+        /// The reason.
+        reason: String,
+    },
+    /// The command cannot be started.
+    #[error("cannot start `{command}`: {reason}; check the command")]
+    Start {
+        /// The command.
+        command: String,
+        /// The reason.
+        reason: String,
+    },
+    /// The answer did not arrive in time.
+    #[error("{bytes} of {wanted} bytes arrived in {seconds} s")]
+    Late {
+        /// Number of bytes received.
+        bytes: usize,
+        /// Length of an answer, bytes.
+        wanted: usize,
+        /// The time limit, s.
+        seconds: f64,
+    },
+    /// The line is closed.
+    #[error("the other end has closed the line{status}")]
+    Gone {
+        /// How the program ended, if known.
+        status: String,
+    },
+    /// The line failed in another way.
+    #[error("the line failed: {0}")]
+    Failed(String),
+}
 
 /// An open line.
-pub(super) struct Line {
+pub struct Line {
     ends: Ends,
     patience: Duration,
 }
@@ -29,35 +74,38 @@ enum Ends {
 }
 
 impl Line {
-    pub(super) fn open(address: &PlantAddress, patience: Duration) -> Result<Self, PlantError> {
+    /// Connects to a program, or starts it; every answer may take up to `patience`.
+    ///
+    /// # Errors
+    /// An address at which nothing listens, or a command that cannot be started.
+    pub fn open(address: &Address, patience: Duration) -> Result<Self, LineError> {
         let ends = match address {
-            PlantAddress::Tcp(name) => connect(name, patience).map(Ends::Tcp).map_err(|reason| {
-                PlantError::Connect { address: address.to_string(), reason: reason.to_string() }
+            Address::Tcp(name) => connect(name, patience).map(Ends::Tcp).map_err(|reason| {
+                LineError::Connect { address: address.to_string(), reason: reason.to_string() }
             }),
-            PlantAddress::Pipe(words) => Pipe::start(words)
+            Address::Pipe(words) => Pipe::start(words)
                 .map(|pipe| Ends::Pipe(Box::new(pipe)))
-                .map_err(|reason| PlantError::Start { command: words.join(" "), reason: reason.to_string() }),
+                .map_err(|reason| LineError::Start { command: words.join(" "), reason: reason.to_string() }),
         };
         Ok(Self { ends: ends?, patience })
     }
 
-    /// Sends a frame, named `question` in errors, and waits for an answer of the same length.
-    pub(super) fn exchange(
-        &mut self,
-        question: &'static str,
-        request: &[u8; FRAME_BYTES],
-    ) -> Result<[u8; FRAME_BYTES], PlantError> {
-        let mut answer = [0; FRAME_BYTES];
+    /// Sends a frame, and waits for an answer of the same length.
+    ///
+    /// # Errors
+    /// An answer that is late, or a line that is closed.
+    pub fn exchange<const N: usize>(&mut self, request: &[u8; N]) -> Result<[u8; N], LineError> {
+        let mut answer = [0; N];
         let mut bytes = 0;
         self.talk(request, &mut answer, &mut bytes).map_err(|error| match error.kind() {
             ErrorKind::TimedOut | ErrorKind::WouldBlock => {
-                PlantError::Late { question, bytes, seconds: self.patience.as_secs_f64() }
+                LineError::Late { bytes, wanted: N, seconds: self.patience.as_secs_f64() }
             }
             ErrorKind::UnexpectedEof
             | ErrorKind::BrokenPipe
             | ErrorKind::ConnectionReset
-            | ErrorKind::ConnectionAborted => PlantError::Gone { question, status: self.status() },
-            _ => PlantError::Line { question, reason: error.to_string() },
+            | ErrorKind::ConnectionAborted => LineError::Gone { status: self.status() },
+            _ => LineError::Failed(error.to_string()),
         })?;
         Ok(answer)
     }
@@ -76,7 +124,7 @@ impl Line {
         Ok(())
     }
 
-    /// How the plant ended, if known.
+    /// How the program ended, if known.
     fn status(&mut self) -> String {
         match &mut self.ends {
             Ends::Tcp(_) => String::new(),
@@ -138,10 +186,10 @@ fn connect(name: &str, patience: Duration) -> io::Result<TcpStream> {
     Err(failure)
 }
 
-/// A plant's process. Its standard error is passed through.
+/// The process of a command. Its standard error is passed through.
 struct Pipe {
     child: Child,
-    /// `None` once it is closed, which makes the plant end.
+    /// `None` once it is closed, which makes the program end.
     input: Option<ChildStdin>,
     output: Receiver<Vec<u8>>,
     /// Bytes received but not yet read.
@@ -153,7 +201,7 @@ impl Pipe {
         let (program, arguments) = words.split_first().ok_or(ErrorKind::InvalidInput)?;
         let mut command = Command::new(program);
         command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // A Ctrl-C is meant for the trainer, which ends the plant when it no longer needs it.
+        // A Ctrl-C is meant for the trainer, which ends the program when it no longer needs it.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn()?;
@@ -162,7 +210,7 @@ impl Pipe {
         let (pieces, output) = sync_channel(PIECES);
         // Reads from a pipe have no timeout; reads from a channel do.
         thread::spawn(move || {
-            let mut buffer = [0; 4 * FRAME_BYTES];
+            let mut buffer = [0; PIECE_BYTES];
             while let Ok(count @ 1..) = stdout.read(&mut buffer) {
                 if pieces.send(buffer[..count].to_vec()).is_err() {
                     break;

@@ -4,17 +4,16 @@
 //! All answers are checked: a late, missing, damaged or impossible answer ends the link with an error that describes
 //! the problem, and every later exchange returns the same error.
 
-mod address;
-mod line;
-
 use std::time::Duration;
 
 use shared::link::plant_link::{FRAME_BYTES, PlantFrame, PlantMessage, VERSION};
 use thiserror::Error;
 
+use crate::line::{Address, Line, LineError};
 use crate::{Plant, Reading, TickTruth};
-pub use address::{AddressError, PlantAddress, is_host_and_port};
-use line::Line;
+
+/// The address of a plant.
+pub type PlantAddress = Address;
 
 /// Default for the longest time that an answer may take.
 pub const PATIENCE: Duration = Duration::from_secs(10);
@@ -136,6 +135,17 @@ pub enum PlantError {
 }
 
 impl PlantError {
+    /// For a plant whose line cannot be opened or gives no answer to this request.
+    fn of_line(error: LineError, question: &'static str) -> Self {
+        match error {
+            LineError::Connect { address, reason } => Self::Connect { address, reason },
+            LineError::Start { command, reason } => Self::Start { command, reason },
+            LineError::Late { bytes, seconds, .. } => Self::Late { question, bytes, seconds },
+            LineError::Gone { status } => Self::Gone { question, status },
+            LineError::Failed(reason) => Self::Line { question, reason },
+        }
+    }
+
     /// For a plant with its own control period, both in microseconds.
     pub fn other_period(asked: u32, own: u32) -> Self {
         Self::Period { asked, own: format!(", but {own} us") }
@@ -169,7 +179,7 @@ impl PlantLink {
     /// # Errors
     /// A plant that cannot be reached, does not answer or uses another version.
     pub fn open(address: &PlantAddress, patience: Duration) -> Result<Self, PlantError> {
-        let line = Line::open(address, patience)?;
+        let line = Line::open(address, patience).map_err(|error| PlantError::of_line(error, ""))?;
         let greeting = Greeting { highest: HIGHEST_MAX, period_us: None };
         let mut link =
             Self { line, address: address.clone(), greeting, tick: 0, truthful: false, broken: None };
@@ -214,7 +224,8 @@ impl PlantLink {
         self.tick = self.tick.wrapping_add(1);
         let asked = PlantFrame { tick: self.tick, message };
         let question = name(message);
-        let bytes = self.line.exchange(question, &asked.encode())?;
+        let bytes =
+            self.line.exchange(&asked.encode()).map_err(|error| PlantError::of_line(error, question))?;
         let answer = PlantFrame::decode(&bytes).ok_or_else(|| PlantError::NoFrame {
             question,
             bytes: bytes.map(|byte| format!("{byte:02X}")).join(" "),

@@ -1,13 +1,13 @@
-//! The address of a plant.
+//! The address of a program at the other end of a line.
 
 use std::fmt;
 use std::str::FromStr;
 
 use thiserror::Error;
 
-/// A plant that listens, or a command that starts one.
+/// A program that listens, or a command that starts one.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum PlantAddress {
+pub enum Address {
     /// `host:port`.
     Tcp(String),
     /// A command, split into words, that communicates over its standard input and output.
@@ -16,7 +16,7 @@ pub enum PlantAddress {
 
 /// The address is not valid.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("'{0}' is not a plant: write tcp:HOST:PORT, or 'pipe:COMMAND', such as 'pipe:python3 plant.py'")]
+#[error("'{0}' is no address: write tcp:HOST:PORT, or 'pipe:COMMAND', such as 'pipe:python3 plant.py'")]
 pub struct AddressError(String);
 
 /// Whether an address is `host:port`.
@@ -24,7 +24,7 @@ pub fn is_host_and_port(address: &str) -> bool {
     address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
 }
 
-impl FromStr for PlantAddress {
+impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
@@ -37,7 +37,7 @@ impl FromStr for PlantAddress {
     }
 }
 
-impl fmt::Display for PlantAddress {
+impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Tcp(address) => write!(f, "tcp:{address}"),
@@ -85,20 +85,20 @@ mod tests {
             "pipe:'my plant' --say \"it's\" ''",
             "tcp:[::1]:7",
         ] {
-            assert_eq!(text.parse::<PlantAddress>().unwrap().to_string(), text);
+            assert_eq!(text.parse::<Address>().unwrap().to_string(), text);
         }
     }
 
     #[test]
     fn quotes_keep_blanks_together() {
-        let words: PlantAddress = "pipe:python3  'a b.py' x\"y z\"".parse().unwrap();
-        assert_eq!(words, PlantAddress::Pipe(["python3", "a b.py", "xy z"].map(str::to_owned).to_vec()));
+        let words: Address = "pipe:python3  'a b.py' x\"y z\"".parse().unwrap();
+        assert_eq!(words, Address::Pipe(["python3", "a b.py", "xy z"].map(str::to_owned).to_vec()));
     }
 
     #[test]
-    fn what_is_no_plant_is_refused_with_the_right_form() {
+    fn what_is_no_address_is_refused_with_the_right_form() {
         for wrong in ["", "plant", "tcp:", "tcp:host", "tcp:host:port", "tcp::7", "pipe:", "pipe:a 'b"] {
-            let refused = wrong.parse::<PlantAddress>().unwrap_err().to_string();
+            let refused = wrong.parse::<Address>().unwrap_err().to_string();
             assert!(refused.contains("tcp:HOST:PORT") && refused.contains("pipe:"), "{wrong}: {refused}");
         }
     }
