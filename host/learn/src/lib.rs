@@ -3,6 +3,7 @@
 
 pub mod controller;
 mod layers;
+pub mod onnx;
 pub mod pipeline;
 pub mod recipe;
 pub mod simulator;

@@ -116,6 +116,12 @@ pub enum RecipeError {
     /// The hybrid needs R and C, which the recording does not name.
     #[error("the hybrid needs R and C of every lung, not in this recording: use --architecture state-space")]
     UnknownLungs,
+    /// All commands of the inspiratory valve are 0.
+    #[error(
+        "the recording has no valve commands, from which a simulator predicts the pressure: give one that was made with \
+         its commands (events of PIRDS have none)"
+    )]
+    NoCommands,
     /// The control period differs from that of the paper's authors, microseconds.
     #[error(
         "the recording's control period is {0} us, but paper-30ms needs {PAPER_PERIOD_US}: collect one with --period-us \
@@ -179,6 +185,9 @@ impl Recipe {
     /// A kind that does not suit the recording.
     pub fn architecture(&self, recording: &Recording) -> Result<Architecture, RecipeError> {
         let period_us = recording.provenance.period_us;
+        if !recording.is_empty() && recording.u_in.iter().all(|command| *command == 0.0) {
+            return Err(RecipeError::NoCommands);
+        }
         match self.kind(recording) {
             Kind::Stitched if period_us < STITCHED_LEAST_US => Err(RecipeError::FastTicks(period_us)),
             Kind::Stitched => Ok(Architecture::Stitched(StitchedConfig::for_period(period_us))),

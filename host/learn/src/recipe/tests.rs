@@ -2,7 +2,7 @@
 
 use super::*;
 use data::provenance::Provenance;
-use data::recording::Extra;
+use data::recording::{Extra, Row};
 
 fn recording(period_us: u32) -> Recording {
     Recording::new(Provenance::new(period_us, "test"), false)
@@ -53,6 +53,16 @@ fn without_r_and_c_there_is_no_hybrid() {
     let extras = [Extra::Resistance, Extra::Compliance];
     let named = Recording::with_extras(Provenance::new(10_000, "test"), &extras);
     assert_eq!(Recipe::default().kind(&named), Kind::Hybrid);
+}
+
+#[test]
+fn a_recording_without_commands_makes_no_simulator() {
+    let mut silent = recording(10_000);
+    silent.push(Row::default());
+    let refused = Recipe::default().architecture(&silent).unwrap_err();
+    assert!(matches!(refused, RecipeError::NoCommands));
+    silent.push(Row { tick: 1, u_in: 1.0, ..Row::default() });
+    assert!(Recipe::default().architecture(&silent).is_ok());
 }
 
 #[test]

@@ -5,7 +5,7 @@ use data::identity::LungParameters;
 use engine::{LANES, Lane};
 
 /// Pressure before a breath that is scaled to zero, cmH2O.
-const USUAL_PEEP: f32 = 5.0;
+pub(crate) const USUAL_PEEP: f32 = 5.0;
 
 /// The lung assumed if nothing is known: the middle of the paper's.
 pub const USUAL_LUNG: LungParameters = LungParameters { resistance: 20.0, compliance: 20.0 };

@@ -111,7 +111,7 @@ impl LeakyStates {
 }
 
 /// The logistic function.
-pub(super) fn sigmoid(x: f32) -> f32 {
+pub(crate) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 

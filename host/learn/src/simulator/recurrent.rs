@@ -24,7 +24,7 @@ pub(super) const GAINS: [f32; 4] = [1.0, 1.0, 0.5, 0.3];
 
 /// Shape of the network.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RecurrentShape {
+pub(crate) struct RecurrentShape {
     /// Division of time into blocks.
     pub timing: Timing,
     /// Number of states.
@@ -52,7 +52,7 @@ impl RecurrentShape {
     }
 
     /// Layers (hidden, drive, readout, start), index of the decays, number of parameters.
-    fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
+    pub(crate) fn layout(&self) -> ([DenseLayer; 4], usize, usize) {
         let commands = self.commands();
         let (layers, decay) = DenseLayer::layout([
             (self.inputs(), self.hidden),

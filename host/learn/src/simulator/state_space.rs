@@ -49,7 +49,7 @@ impl StateSpaceConfig {
         }
     }
 
-    fn shape(&self) -> RecurrentShape {
+    pub(crate) fn shape(&self) -> RecurrentShape {
         let Self { timing, states, hidden, history, lungs } = *self;
         RecurrentShape {
             timing,

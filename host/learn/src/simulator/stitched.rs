@@ -16,13 +16,13 @@ use engine::activation::Activation;
 use engine::dense::DenseLayer;
 
 /// Number of commands that a step sees.
-const COMMANDS: usize = 5;
+pub(crate) const COMMANDS: usize = 5;
 /// Number of pressures that a boundary network sees.
-const PRESSURES: usize = 5;
+pub(crate) const PRESSURES: usize = 5;
 /// Number of pressures that the shared network sees.
-const PRESSURES_SHARED: usize = 3;
+pub(crate) const PRESSURES_SHARED: usize = 3;
 /// Number of steps with their own network.
-const BOUNDARIES: usize = 5;
+pub(crate) const BOUNDARIES: usize = 5;
 /// Number of inputs of every network.
 const INPUTS: usize = COMMANDS + PRESSURES;
 /// Number of units of every hidden layer.
@@ -46,7 +46,7 @@ impl StitchedConfig {
         Self { timing: Timing { period_us, block_ticks: 1, parts: 1, points: 1, channels: 1 } }
     }
 
-    fn layout() -> ([DenseLayer; LAYERS], usize) {
+    pub(crate) fn layout() -> ([DenseLayer; LAYERS], usize) {
         DenseLayer::layout(std::array::from_fn(|n| match n {
             n if n < 2 * BOUNDARIES && n % 2 == 0 => (INPUTS, HIDDEN),
             n if n < 2 * BOUNDARIES => (HIDDEN, 1),

@@ -10,7 +10,7 @@ use shared::control::features::ERROR_SCALE;
 pub const ERRORS: usize = 10;
 
 /// The averages of the scaled errors, newest first.
-pub(super) fn averages(newest_first: &[f32; ERRORS]) -> [f32; ERRORS] {
+pub fn averages(newest_first: &[f32; ERRORS]) -> [f32; ERRORS] {
     let (mut sum, mut out) = (0.0, [0.0; ERRORS]);
     for (count, error) in newest_first.iter().enumerate() {
         sum += error;

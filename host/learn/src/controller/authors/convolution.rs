@@ -15,15 +15,15 @@ use crate::layers::{piece, piece_mut};
 /// Channels of the convolution.
 const CHANNELS: usize = 100;
 /// Width of the kernel.
-const KERNEL: usize = 5;
+pub(crate) const KERNEL: usize = 5;
 /// Positions of the kernel along the inputs.
-const POSITIONS: usize = ERRORS - KERNEL + 1;
+pub(crate) const POSITIONS: usize = ERRORS - KERNEL + 1;
 /// Number of parameters.
 pub(super) const PARAMETERS: usize = (KERNEL + 1) * CHANNELS + POSITIONS * CHANNELS + 1;
 
 /// Kernel and output layer within a parameter vector: weights of the kernel channel by channel, biases of the channels, weights of
 /// the output position by position, its bias.
-fn layout() -> [DenseLayer; 2] {
+pub(crate) fn layout() -> [DenseLayer; 2] {
     DenseLayer::layout([(KERNEL, CHANNELS), (POSITIONS * CHANNELS, 1)]).0
 }
 

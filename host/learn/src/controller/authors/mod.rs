@@ -85,6 +85,11 @@ impl AuthorsController {
         self.fixed.pid()
     }
 
+    /// Time between two of the ten errors, ticks.
+    pub fn spacing(&self) -> usize {
+        self.spacing
+    }
+
     /// Specification from which the controller was built.
     pub fn spec(&self) -> &AuthorsSpec {
         &self.spec

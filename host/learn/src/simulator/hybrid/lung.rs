@@ -16,28 +16,28 @@ pub(super) const PHYSICS: usize = 6;
 /// Number of deviations of a test run, as logarithms: the factors on R and C.
 pub(super) const DEVIATIONS: usize = 2;
 /// Nominal R to which R1 and R2 refer, cmH2O/(L/s).
-const NOMINAL: f32 = 20.0;
+pub(crate) const NOMINAL: f32 = 20.0;
 /// Pressure drop below which the resistor's root is smoothed, cmH2O.
-const ROUNDING: f32 = 0.05;
-const ML_PER_L: f32 = 1000.0;
+pub(crate) const ROUNDING: f32 = 0.05;
+pub(crate) const ML_PER_L: f32 = 1000.0;
 
 /// Learned parameters of lungs and circuit.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Physics {
+pub(crate) struct Physics {
     /// Duration of one step, s.
-    step_s: f32,
+    pub step_s: f32,
     /// Logarithms of R1 (cmH2O/(L/s)) and R2 (cmH2O/(L/s)^2) at the nominal R of 20. Both are proportional to the
     /// nominal R; separate exponents, learned from a handful of lungs, did not generalise.
-    linear: f32,
-    square: f32,
+    pub linear: f32,
+    pub square: f32,
     /// Logarithm of the factor on the nominal C.
-    compliance: f32,
+    pub compliance: f32,
     /// Logarithm of the circuit's compliance, mL/cmH2O.
-    circuit: f32,
+    pub circuit: f32,
     /// Share of the last plateau's pressure that is still in the lung.
-    left: f32,
+    pub left: f32,
     /// Logarithm of the supply pressure, cmH2O.
-    supply: f32,
+    pub supply: f32,
 }
 
 /// The lungs of a shard.
@@ -105,7 +105,7 @@ impl Physics {
     }
 
     /// Memory for a rollout of `steps` steps.
-    pub fn tape(steps: usize) -> LungTape {
+    pub(super) fn tape(steps: usize) -> LungTape {
         LungTape {
             flow: vec![Flow::default(); steps],
             lungs: Lungs::default(),
@@ -119,7 +119,7 @@ impl Physics {
     }
 
     /// Starts a breath of a lung with deviations from its nominal R and C.
-    pub fn begin(&self, tape: &mut LungTape, start: &BreathStart, deviations: &[Lane; DEVIATIONS]) {
+    pub(super) fn begin(&self, tape: &mut LungTape, start: &BreathStart, deviations: &[Lane; DEVIATIONS]) {
         let step = ML_PER_L * self.step_s;
         let resistance = start.resistance.zip(&deviations[0], |r, own| r / NOMINAL * own.exp());
         let compliance = start.compliance.zip(&deviations[1], |c, own| c * own.exp());
@@ -138,7 +138,7 @@ impl Physics {
     }
 
     /// Adds the parameters' gradient, after the backward pass of all steps; returns that of the deviations.
-    pub fn finish(tape: &LungTape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
+    pub(super) fn finish(tape: &LungTape, gradient: &mut [f32]) -> [Lane; DEVIATIONS] {
         let d = &tape.d_lungs;
         let by_physics = [
             d.linear.sum(),

@@ -15,9 +15,9 @@
 //! p    = p' + m tanh(sum of e_k y_k / m)     modes y of the commands, mixed by the test run's e
 //! ```
 
-mod lung;
+pub(crate) mod lung;
 mod own;
-mod ventilator;
+pub(crate) mod ventilator;
 
 use std::ops::Range;
 
@@ -63,9 +63,9 @@ pub struct HybridConfig {
 }
 
 /// Positions of the parts in the parameter vector.
-struct HybridLayout {
-    ventilator: Range<usize>,
-    physics: Range<usize>,
+pub(crate) struct HybridLayout {
+    pub ventilator: Range<usize>,
+    pub physics: Range<usize>,
     deviations: Range<usize>,
     network: Range<usize>,
     mixing: Range<usize>,
@@ -97,7 +97,7 @@ impl HybridConfig {
         }
     }
 
-    fn layout(&self) -> HybridLayout {
+    pub(crate) fn layout(&self) -> HybridLayout {
         let mut end = 0;
         let mut next = |length: usize| {
             end += length;

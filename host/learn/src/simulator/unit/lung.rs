@@ -9,23 +9,23 @@ use super::LUNG;
 use crate::simulator::BreathStart;
 use engine::{LANES, Lane};
 
-pub(super) const RESISTANCE: usize = 0;
-pub(super) const TURBULENCE: usize = 1;
-pub(super) const COMPLIANCE: usize = 2;
-pub(super) const LEAK: usize = 3;
-pub(super) const CIRCUIT: usize = 4;
-const CLOSING: usize = 5;
-pub(super) const ORIFICE: usize = 6;
-const SENSOR: usize = 7;
-pub(super) const OUTWARD: usize = 8;
-const ML_PER_L: f32 = 1e3;
+pub(crate) const RESISTANCE: usize = 0;
+pub(crate) const TURBULENCE: usize = 1;
+pub(crate) const COMPLIANCE: usize = 2;
+pub(crate) const LEAK: usize = 3;
+pub(crate) const CIRCUIT: usize = 4;
+pub(crate) const CLOSING: usize = 5;
+pub(crate) const ORIFICE: usize = 6;
+pub(crate) const SENSOR: usize = 7;
+pub(crate) const OUTWARD: usize = 8;
+pub(crate) const ML_PER_L: f32 = 1e3;
 const MS_PER_S: f32 = 1e3;
 /// Linear and square part of a leak of one L/s at 30 cmH2O.
-const LEAK_PARTS: (f32, f32) = (0.6, 29.4);
+pub(crate) const LEAK_PARTS: (f32, f32) = (0.6, 29.4);
 /// Linear part of the expiratory valve, cmH2O/(L/s).
-const EXPIRATORY_LINEAR: f32 = 0.5;
+pub(crate) const EXPIRATORY_LINEAR: f32 = 0.5;
 /// Smallest drive of the supply, as a share of its pressure.
-const LEAST_DRIVE: f32 = 0.01;
+pub(crate) const LEAST_DRIVE: f32 = 0.01;
 
 /// The lungs of a shard.
 #[derive(Clone, Copy, Debug, Default)]
@@ -59,14 +59,28 @@ impl LungLanes {
     /// expiratory path's resistance: filled through R, emptied through both.
     fn left(&self, l: usize) -> [f32; 4] {
         let [inspiration, expiration] = self.times;
-        let [r, c, out] = [RESISTANCE, COMPLIANCE, OUTWARD].map(|n| self.numbers[n][l]);
-        let (filling, emptying) = (r * c / ML_PER_L, (r + out) * c / ML_PER_L);
-        let (x, y) = ((-inspiration / filling).exp(), (-expiration / emptying).exp());
+        let lung = [RESISTANCE, COMPLIANCE, OUTWARD].map(|n| self.numbers[n][l]);
+        let [r, _, out] = lung;
+        let ([filling, emptying], [x, y]) = unfilled_and_left(self.times, lung);
         let rest = 1.0 - x * y;
         let by_x = -y * (1.0 - y) / (rest * rest) * x * inspiration / filling;
         let by_y = (1.0 - x) / (rest * rest) * y * expiration / emptying;
-        [(1.0 - x) * y / rest, by_x + by_y * r / (r + out), by_x + by_y, by_y * out / (r + out)]
+        [left_in_lung(self.times, lung), by_x + by_y * r / (r + out), by_x + by_y, by_y * out / (r + out)]
     }
+}
+
+/// Time constants of inspiration and expiration, s, and the shares of their way that are missing at their ends, for R, C and the
+/// resistance of the expiratory path.
+fn unfilled_and_left([inspiration, expiration]: [f32; 2], [r, c, out]: [f32; 3]) -> ([f32; 2], [f32; 2]) {
+    let (filling, emptying) = (r * c / ML_PER_L, (r + out) * c / ML_PER_L);
+    ([filling, emptying], [(-inspiration / filling).exp(), (-expiration / emptying).exp()])
+}
+
+/// Share of the last plateau above PEEP that is still in the lung, for inspiratory and expiratory time, s, and a lung's R, C and
+/// resistance of the expiratory path.
+pub(crate) fn left_in_lung(times: [f32; 2], lung: [f32; 3]) -> f32 {
+    let (_, [x, y]) = unfilled_and_left(times, lung);
+    (1.0 - x) * y / (1.0 - x * y)
 }
 
 /// State and flows of one tick.

@@ -11,10 +11,10 @@
 //! w -> circuit, lung -> p -> sensor    supply, expiratory valve as it closes, leak, R, C      lung.rs
 //! ```
 
-mod lung;
+pub(crate) mod lung;
 mod numbers;
 pub mod spread;
-mod valve;
+pub(crate) mod valve;
 
 use serde::{Deserialize, Serialize};
 use shared::settings::Settings;
@@ -47,7 +47,7 @@ const USUAL: [f32; PER_UNIT] = [
 /// Number of parameters of a unit.
 pub const PER_UNIT: usize = 16;
 /// Number of parameters of the valve; those of the lung follow.
-const VALVE: usize = 7;
+pub(crate) const VALVE: usize = 7;
 /// Number of parameters of lung and circuit.
 const LUNG: usize = PER_UNIT - VALVE;
 
