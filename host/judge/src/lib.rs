@@ -11,6 +11,7 @@ pub mod evaluate;
 pub mod faults;
 pub mod identify;
 pub mod margins;
+pub mod policy;
 pub mod rivals;
 pub mod rl;
 pub mod robust;

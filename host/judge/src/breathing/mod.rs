@@ -11,6 +11,7 @@ mod tests;
 use rayon::prelude::*;
 use serde::Serialize;
 use shared::control::ControlLaw;
+use shared::settings::Settings;
 
 use crate::evaluate::{InspirationRecord, Plan};
 use plant::bench::{BenchConfig, PatientConfig};
@@ -181,24 +182,28 @@ fn waveforms<C: ControlLaw + Clone + Sync>(
     outcomes.into_iter().collect()
 }
 
+/// A patient with efforts of this mean peak, cmH2O, in one of the [`RHYTHMS`].
+pub fn patient(strength: f64, (share, duration_s): (f64, f64), settings: &Settings) -> PatientConfig {
+    PatientConfig {
+        effort_cmh2o: strength,
+        effort_rate_per_min: share * f64::from(settings.rate),
+        effort_duration_s: duration_s,
+        effort_variability_percent: VARIABILITY_PERCENT,
+        ..PatientConfig::default()
+    }
+}
+
 /// Runs and scores the breaths of one patient at one PIP.
 fn run<C: ControlLaw + Clone>(
     job: &Job<'_, C>,
-    (share, duration_s): (f64, f64),
+    rhythm: (f64, f64),
     plan: &Plan,
     pip: f32,
     seed: u64,
     sums: &mut Sums,
 ) -> Result<(), SourceError> {
     let settings = plan.waveform(pip);
-    let patient = PatientConfig {
-        effort_cmh2o: job.strength,
-        effort_rate_per_min: share * f64::from(settings.rate),
-        effort_duration_s: duration_s,
-        effort_variability_percent: VARIABILITY_PERCENT,
-        ..PatientConfig::default()
-    };
-    let bench = BenchConfig { patient, ..job.bench.clone() };
+    let bench = BenchConfig { patient: patient(job.strength, rhythm, &settings), ..job.bench.clone() };
     let mut source = BenchSource::new(&bench, job.controller.clone(), &settings, plan.period_us, seed)?;
     for number in 0..plan.warm_up + plan.breaths {
         let sum = &mut sums[usize::from(source.triggered())];

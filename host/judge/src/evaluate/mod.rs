@@ -17,11 +17,11 @@ pub use effort::ValveEffort;
 pub use ground::{Ground, SourceGround};
 pub use score::{InspirationRecord, Score, plateau_tolerance, score_breath};
 pub(crate) use score::{PLATEAU_S, RISE, mean_over_time, rise, valve_effort};
-pub use trace::{BreathTrace, trace, trace_after, trace_source};
+pub use trace::{BreathTrace, trace, trace_after, trace_source, trace_source_after};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use shared::breath::{DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS};
 use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
 
@@ -224,7 +224,8 @@ fn run(plan: &Plan, breaths: &[Settings], breathe: &mut Breathe<'_>) -> Result<S
     let mut scores = Vec::with_capacity(plan.breaths);
     for (number, breath) in breaths.iter().enumerate() {
         let mut record = InspirationRecord::default();
-        breathe(breath, &mut |tick| record.add(tick))?;
+        let planned = Breath::new(breath, plan.period_us)?;
+        breathe(breath, &mut |tick| record.add_planned(tick, &planned))?;
         if number >= plan.warm_up {
             scores.push(record.score(breath, plan.period_us));
         }

@@ -1,7 +1,7 @@
 //! The score of one breath, from samples of its inspiration.
 
 use serde::{Deserialize, Serialize};
-use shared::breath::{Phase, period_s};
+use shared::breath::{Breath, Phase, period_s};
 use shared::settings::Settings;
 
 use super::ValveEffort;
@@ -32,40 +32,86 @@ pub struct Score {
     /// Movement of the inspiratory valve over the plateau.
     #[serde(default)]
     pub effort: ValveEffort,
+    /// Whether the pressure limit ended the inspiration: 1 or 0. Only a ventilation that goes on after that has such inspirations.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub cut: f64,
+}
+
+/// Whether no inspiration was cut.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_none(cut: &f64) -> bool {
+    *cut <= 0.0
 }
 
 /// Pressure, target and command of an inspiration, sampled at the start of every control tick.
 #[derive(Clone, Debug, Default)]
 pub struct InspirationRecord {
-    pressure: Vec<f64>,
-    target: Vec<f64>,
-    command: Vec<f64>,
+    /// Tick by tick, in one row each, so that thousands of running records take little of the processor's cache.
+    ticks: Vec<RecordedTick>,
+    cut: bool,
+}
+
+/// Pressure and target, cmH2O, and command, percent.
+#[derive(Clone, Copy, Debug)]
+struct RecordedTick {
+    pressure: f32,
+    target: f32,
+    command: f32,
 }
 
 impl InspirationRecord {
     /// Adds a tick of the inspiration: the true pressure, or the measured one if the true one is unknown.
-    pub fn add(&mut self, Tick { sample, truth, .. }: &Tick) {
-        if sample.phase == Phase::Inspiration {
-            let believed = truth.map_or(sample.pressure, |truth| truth.airway_pressure);
-            self.pressure.push(f64::from(believed));
-            self.target.push(f64::from(sample.target));
-            self.command.push(f64::from(sample.u_in));
+    pub fn add(&mut self, tick: &Tick) {
+        if tick.sample.phase == Phase::Inspiration {
+            self.push(tick, tick.sample.target);
         }
+    }
+
+    /// Forgets all ticks.
+    pub fn clear(&mut self) {
+        self.ticks.clear();
+        self.cut = false;
+    }
+
+    /// Pressure and target, cmH2O, and command, percent, of every tick so far.
+    pub fn curves(&self) -> [Vec<f64>; 3] {
+        let curve =
+            |of: fn(&RecordedTick) -> f32| self.ticks.iter().map(|tick| f64::from(of(tick))).collect();
+        [curve(|tick| tick.pressure), curve(|tick| tick.target), curve(|tick| tick.command)]
+    }
+
+    /// Like [`Self::add`]; the rest of an inspiration that was ended at the pressure limit counts too, with the planned target. Without
+    /// it, such an inspiration would score by its beginning alone.
+    pub fn add_planned(&mut self, tick: &Tick, planned: &Breath) {
+        self.add(tick);
+        let sample = &tick.sample;
+        if sample.phase != Phase::Inspiration && planned.phase(sample.tick) == Phase::Inspiration {
+            self.cut = true;
+            self.push(tick, planned.target(sample.tick));
+        }
+    }
+
+    fn push(&mut self, Tick { sample, truth }: &Tick, target: f32) {
+        let pressure = truth.map_or(sample.pressure, |truth| truth.airway_pressure);
+        self.ticks.push(RecordedTick { pressure, target, command: sample.u_in });
     }
 
     /// Scores the breath with these settings.
     pub fn score(&self, breath: &Settings, period_us: u32) -> Score {
         let period_s = f64::from(period_s(period_us));
+        let [pressure, target, command] = self.curves();
         Score {
-            effort: valve_effort(&self.command, period_s),
-            ..score_breath(breath, period_s, &self.pressure, &self.target)
+            effort: valve_effort(&command, period_s),
+            cut: f64::from(u8::from(self.cut)),
+            ..score_breath(breath, period_s, &pressure, &target)
         }
     }
 
     /// Oscillation of the pressure over the plateau, cmH2O: its range beyond the difference between its ends, so that a pressure
     /// that is still rising does not count; 0 without samples.
     pub fn oscillation(&self, period_us: u32) -> f64 {
-        let plateau = plateau(&self.pressure, f64::from(period_s(period_us)));
+        let [pressure, ..] = self.curves();
+        let plateau = plateau(&pressure, f64::from(period_s(period_us)));
         let [first, .., last] = plateau else { return 0.0 };
         let highest = plateau.iter().copied().fold(*first, f64::max);
         let lowest = plateau.iter().copied().fold(*first, f64::min);
@@ -112,6 +158,7 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
         plateau_error: mean_over_time(plateau(&from_pip, period_s)),
         late_error: mean_over_time(&errors[late..]),
         effort: ValveEffort::default(),
+        cut: 0.0,
     }
 }
 
@@ -157,6 +204,7 @@ impl Score {
                 total_variation: mean(|s| s.effort.total_variation),
                 deviation: mean(|s| s.effort.deviation),
             },
+            cut: mean(|s| s.cut),
         }
     }
 }

@@ -70,7 +70,7 @@ pub fn trace_after<C: ControlLaw + Clone>(
     breaths: usize,
 ) -> Result<BreathTrace, SourceError> {
     let mut source = BenchSource::new(bench, controller.clone(), settings, period_us, seed)?;
-    record(&mut source, settings, warm_up, breaths)
+    trace_source_after(warm_up, &mut source, settings, breaths)
 }
 
 /// Like [`trace`], on any ventilator.
@@ -82,13 +82,17 @@ pub fn trace_source(
     settings: &Settings,
     breaths: usize,
 ) -> Result<BreathTrace, SourceError> {
-    record(source, settings, WARM_UP, breaths)
+    trace_source_after(WARM_UP, source, settings, breaths)
 }
 
-fn record<C>(
+/// Like [`trace_after`], on any ventilator.
+///
+/// # Errors
+/// See [`trace`].
+pub fn trace_source_after<C>(
+    warm_up: usize,
     source: &mut dyn Source<C>,
     settings: &Settings,
-    warm_up: usize,
     breaths: usize,
 ) -> Result<BreathTrace, SourceError> {
     let period = f64::from(period_s(source.period_us()));

@@ -6,7 +6,6 @@ use serde::Serialize;
 use shared::breath::{PAPER_PIPS, paper_settings};
 use shared::safety::alarms::{Action, Fault, Priority};
 use shared::safety::monitors::Monitors;
-use shared::safety::responses::Response;
 use shared::settings::Settings;
 
 use super::cases::{BREATH_MS, FaultCase, LIMIT, Required, cases};
@@ -107,58 +106,6 @@ fn lively(lung: &BenchConfig, seed: u64) -> BenchConfig {
     bench
 }
 
-/// What can be left out of the monitors and responses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    /// The monitor of a fault.
-    Monitor(Fault),
-    /// A response.
-    Response(Response),
-}
-
-impl Part {
-    /// All monitors and all responses.
-    pub fn all() -> impl Iterator<Item = Self> {
-        Fault::all().map(Self::Monitor).chain(Response::ALL.into_iter().map(Self::Response))
-    }
-
-    /// Its name in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Monitor(fault) => fault.alarm().id,
-            Self::Response(response) => response.name(),
-        }
-    }
-
-    /// All other monitors and responses.
-    pub fn others(self) -> Monitors {
-        match self {
-            Self::Monitor(fault) => Monitors::ALL.without(fault),
-            Self::Response(response) => Monitors::ALL.without_response(response),
-        }
-    }
-}
-
-/// Leaves out each monitor and each response in turn; returns the faults whose rows then fail. Without such a fault, the part
-/// is unproven.
-///
-/// # Errors
-/// See [`matrix`].
-pub fn without_each_part(
-    lungs: &[BenchConfig],
-    seeds: &[u64],
-    progress: &Progress<'_>,
-) -> Result<Vec<(Part, Vec<&'static str>)>, SourceError> {
-    let missed = |part: Part| {
-        let progress = progress.of(part.name());
-        let rows = matrix(lungs, seeds, LIMIT, part.others(), &progress)?;
-        let mut failed: Vec<_> = rows.iter().filter(|row| !row.pass).map(|row| row.fault).collect();
-        failed.dedup();
-        Ok((part, failed))
-    };
-    Part::all().map(missed).collect()
-}
-
 /// Runs every case on every lung under every seed, with a pressure limit in cmH2O.
 ///
 /// # Errors
@@ -170,18 +117,22 @@ pub fn matrix(
     monitors: Monitors,
     progress: &Progress<'_>,
 ) -> Result<Vec<FaultRow>, SourceError> {
-    let cells: Vec<_> = cases()
-        .flat_map(|case| lungs.iter().map(move |lung| (case, lung)))
-        .filter(|(case, lung)| case.is_possible(lung))
-        .collect();
+    let cells: Vec<_> = cells(lungs).collect();
     let task = progress.task(Stage::Faults, cells.len());
     let sound = SoundRuns::default();
     side_by_side(&cells, &task, |(case, lung)| cell(case, lung, seeds, (limit, monitors), &sound))
 }
 
+/// Every case with every lung in which its fault is possible, in the order of the matrix.
+pub(super) fn cells(lungs: &[BenchConfig]) -> impl Iterator<Item = (&'static FaultCase, &BenchConfig)> {
+    cases()
+        .flat_map(|case| lungs.iter().map(move |lung| (case, lung)))
+        .filter(|(case, lung)| case.is_possible(lung))
+}
+
 /// Runs without a fault, shared by all cases with the same settings and times.
 #[derive(Default)]
-struct SoundRuns(Mutex<Vec<(SoundKey, Ventilation)>>);
+pub(super) struct SoundRuns(Mutex<Vec<(SoundKey, Ventilation)>>);
 
 /// What such a run depends on: lung, settings, times of the fault, of the judgement and of the end, ms, seed.
 type SoundKey = (String, Settings, [u32; 3], u64);
@@ -208,7 +159,8 @@ impl SoundRuns {
     }
 }
 
-fn cell(
+/// Runs a case on a lung under every seed, with a pressure limit in cmH2O and some of the monitors.
+pub(super) fn cell(
     case: &FaultCase,
     lung: &BenchConfig,
     seeds: &[u64],

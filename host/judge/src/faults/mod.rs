@@ -7,6 +7,7 @@ mod frozen_tests;
 pub(crate) mod hostile;
 pub mod injection;
 pub mod matrix;
+pub mod parts;
 pub(crate) mod rig;
 pub mod torture;
 pub mod trial;

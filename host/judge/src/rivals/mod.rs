@@ -5,7 +5,7 @@
 //! learned controller with iterative learning ([`gated`]) is compared in the same way. They run in this process only, under the same
 //! supervisor and safety filter as the controllers of a device. [`tuning`] searches their parameters; [`Rival`] is the registry of
 //! their names, and [`AnyLaw`] runs any of them in the place of a [`Controller`], as well as the controller of the paper's authors,
-//! which is trained ([`learn::controller::authors`]).
+//! which is trained ([`learn::controller::authors`]), and a third party's policy ([`crate::policy`]).
 
 pub mod feed_forward;
 pub mod feed_learning;
@@ -25,6 +25,7 @@ use shared::control::{ControlLaw, ControlOutput, Controller, ControllerState, Ob
 
 use crate::evaluate::{Evaluated, Ground, Plan, SourceGround};
 use crate::margins::iteration::LearningFilter;
+use crate::policy::{PolicyLaw, PolicyState};
 use feed_forward::{FeedForward, FeedForwardState};
 use gated::{Gated, GatedState};
 use iterative::{Iterative, IterativeState};
@@ -115,7 +116,7 @@ impl Rival {
     }
 }
 
-/// A controller of a device, one of the rivals, or the trained controller of the paper's authors.
+/// A controller of a device, one of the rivals, the trained controller of the paper's authors, or a third party's policy.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AnyLaw {
     /// A controller that a device can run.
@@ -130,6 +131,8 @@ pub enum AnyLaw {
     Gated(Gated),
     /// See [`learn::controller::authors`].
     Authors(AuthorsController),
+    /// See [`crate::policy`].
+    Policy(PolicyLaw),
 }
 
 /// States of all laws, of which a law uses its own: a change of the law within a breath is possible.
@@ -141,6 +144,7 @@ pub struct AnyState {
     feed_forward: FeedForwardState,
     gated: GatedState,
     authors: AuthorsState,
+    policy: PolicyState,
 }
 
 impl AnyLaw {
@@ -153,6 +157,7 @@ impl AnyLaw {
             Self::FeedForward(law) => law.pid(),
             Self::Gated(law) => law.pid(),
             Self::Authors(law) => law.pid(),
+            Self::Policy(law) => law.pid(),
         }
     }
 
@@ -189,6 +194,7 @@ impl ControlLaw for AnyLaw {
             Self::FeedForward(law) => law.learn(&mut state.feed_forward, lesson),
             Self::Gated(law) => law.learn(&mut state.gated, lesson),
             Self::Authors(law) => law.learn(&mut state.authors, lesson),
+            Self::Policy(law) => law.learn(&mut state.policy, lesson),
         }
     }
 
@@ -200,6 +206,7 @@ impl ControlLaw for AnyLaw {
             Self::FeedForward(law) => law.start_breath(&mut state.feed_forward, command),
             Self::Gated(law) => law.start_breath(&mut state.gated, command),
             Self::Authors(law) => law.start_breath(&mut state.authors, command),
+            Self::Policy(law) => law.start_breath(&mut state.policy, command),
         }
     }
 
@@ -211,6 +218,7 @@ impl ControlLaw for AnyLaw {
             Self::FeedForward(law) => law.step(&mut state.feed_forward, seen),
             Self::Gated(law) => law.step(&mut state.gated, seen),
             Self::Authors(law) => law.step(&mut state.authors, seen),
+            Self::Policy(law) => law.step(&mut state.policy, seen),
         }
     }
 
@@ -222,6 +230,7 @@ impl ControlLaw for AnyLaw {
             Self::FeedForward(law) => law.applied(&mut state.feed_forward, command),
             Self::Gated(law) => law.applied(&mut state.gated, command),
             Self::Authors(law) => law.applied(&mut state.authors, command),
+            Self::Policy(law) => law.applied(&mut state.policy, command),
         }
     }
 }
