@@ -7,7 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
-use plant::link::is_host_and_port;
+use plant::line::is_host_and_port;
 use thiserror::Error;
 
 /// Speed of the device's link, baud.

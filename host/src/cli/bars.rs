@@ -7,10 +7,14 @@ use std::time::Duration;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
 use super::common::stop;
+use super::embedded;
 use progress::{Event, Progress, Stage};
 
-/// Runs work with progress bars and Ctrl-C handling.
+/// Runs work with progress bars and Ctrl-C handling. If another program has called the command, that one receives the progress.
 pub fn with_bars<T>(work: impl FnOnce(&Progress<'_>) -> T) -> T {
+    if let Some(observer) = embedded::observer() {
+        return work(&Progress::new(&*observer, stop()));
+    }
     let bars = Bars::default();
     let show = |event: &Event<'_>| bars.show(event);
     let outcome = work(&Progress::new(&show, stop()));
@@ -80,7 +84,7 @@ fn bar(name: &str) -> ProgressBar {
 }
 
 /// The label of a stage, with its subject and round.
-fn name(event: &Event<'_>) -> String {
+pub fn name(event: &Event<'_>) -> String {
     let stage = match event.stage {
         Stage::TunePid => "search PID, breaths",
         Stage::TuneRival => "search rival, plants",

@@ -10,6 +10,8 @@ use shared::device::KNOWN_GOOD;
 use shared::weights::decode;
 
 use super::{common, plant_args};
+use judge::policy::PolicyLaw;
+use judge::policy::link::PolicyLink;
 use judge::rivals::machine::Machine;
 use judge::rivals::{AnyLaw, Rival};
 use learn::controller::authors::AuthorsController;
@@ -99,6 +101,7 @@ impl Chosen {
             AnyLaw::Chip(Controller::Pid(_)) => None,
             AnyLaw::Chip(Controller::Residual(_)) => Some("learned"),
             AnyLaw::Authors(_) => Some("authors"),
+            AnyLaw::Policy(_) => Some("policy"),
             _ => Some(&self.name),
         }
     }
@@ -115,6 +118,27 @@ impl ControllerArgs {
     /// The chosen controller for the plants of a family. A rival knows the nominal machine of the family.
     pub fn chosen_for(&self, family: &Family) -> anyhow::Result<Chosen> {
         self.built(None, &family.nominal())
+    }
+
+    /// A policy over the PID with the given gains. It runs at its own control period, if it has one, which must be that of `plant`.
+    pub fn chosen_with(&self, policy: PolicyLink, plant: Option<&SharedLink>) -> anyhow::Result<Chosen> {
+        let (name, own) = (format!("policy at {}", policy.address()), policy.period_us());
+        if let (Some(asked), Some(own)) = (self.period_us, own)
+            && asked != own
+        {
+            bail!("the control period of the {name} is {own} us, not {asked}: omit --period-us");
+        }
+        if let (Some(plants), Some(own)) = (plant_args::own_period_us(plant), own)
+            && plants != own
+        {
+            bail!(
+                "the control period of the {name} is {own} us, but the plant's is {plants} us: use matching ones"
+            );
+        }
+        let period_us = plant_args::period_us(self.period_us.or(own), plant)?;
+        let pid = Pid::new(self.gains.unwrap_or(KNOWN_GOOD), period_us)?;
+        let controller = AnyLaw::Policy(PolicyLaw::new(policy, pid, period_us));
+        Ok(Chosen { controller, period_us, weights_id: None, image: None, name })
     }
 
     fn built(&self, plant: Option<&SharedLink>, nominal: &BenchConfig) -> anyhow::Result<Chosen> {

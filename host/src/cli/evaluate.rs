@@ -13,16 +13,18 @@ use super::common::{self, stopped};
 use super::comparison::table;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::OutputArgs;
+use super::policy_args::{self, PolicyArgs};
 use super::port_args;
 use super::settings_args::SettingsArgs;
 use super::source_args::SourceArgs;
 use data::provenance::Provenance;
 use judge::breathing::breathing;
-use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_after};
+use judge::evaluate::{BreathTrace, Comparison, Ground, Plan, SourceGround, compare, trace_source_after};
+use judge::policy::account::Account;
 use judge::rivals::{AnyLaw, DeviceGround};
 use plant::bench::BenchConfig;
 use show::report::{Block, Plot, Report, Section, Series, Style, Table};
-use ventilator::{PlantSource, SharedLink};
+use ventilator::{BenchSource, PlantSource, SharedLink};
 
 /// Compare controllers on any bench, device or plant, under the same sensor noise
 #[derive(Debug, clap::Args)]
@@ -33,6 +35,8 @@ Examples:
   trainer evaluate --controller controller.safetensors --lung paper --breathing
   trainer evaluate --weights weights.bin --port tcp:localhost:5555
   trainer evaluate --controller controller.safetensors --plant tcp:localhost:7000
+  trainer evaluate --policy tcp:localhost:7100 --gains 6,250,0.15 --lung R5C50
+  trainer evaluate --policy 'pipe:python3 examples/python/policy.py --onnx policy.onnx'
   trainer evaluate --controller controller.safetensors --lung R5C50 --breaths-of-learning 20
   trainer evaluate --controller iterative --against 6,250,0.15 --lung R5C50 --breaths-of-learning 20
   trainer evaluate --lung neonate-iso-14 --pips 35 --rate 30 --inspiratory-time 0.6
@@ -45,6 +49,11 @@ total variation and standard deviation of the command. A learned controller or a
 with the PID underneath it, or with --against. On a device (--port), weights that are not running
 yet are uploaded first.
 
+With --policy, a controller of your own, in any language, commands the valve over the policy link
+(docs/POLICY_LINK.md), behind the same safety envelope as a learned controller. If it fails, the PID
+goes on; the result names the failure and the share of the ticks that each commanded. The exit code
+is 1 if the policy commanded none.
+
 With --breathing, patients with efforts of 3, 6 and 10 cmH2O, at 0.7, 0.9 and 1.2 times the set
 rate, take the place of the bench's own. Scores are those of breaths without efforts (passive), of
 breaths of these patients that the clock starts (timed) and of those that an effort starts
@@ -52,6 +61,8 @@ breaths of these patients that the clock starts (timed) and of those that an eff
 pub struct Args {
     #[command(flatten)]
     controller: ControllerArgs,
+    #[command(flatten)]
+    policy: PolicyArgs,
     /// Gains P,I,D of the PID to compare a learned controller or a rival with [default: the PID underneath it]
     #[arg(long, value_name = "P,I,D", value_parser = common::gains, conflicts_with = "gains")]
     against: Option<PidGains>,
@@ -72,7 +83,7 @@ pub struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Score breaths that efforts trigger beside those that the clock starts, on breathing patients of the chosen lungs
-    #[arg(long, conflicts_with_all = ["port", "plant", "report"])]
+    #[arg(long, conflicts_with_all = ["port", "plant", "report", "policy"])]
     breathing: bool,
     /// Write figures and curves to an HTML report
     #[arg(long, value_name = "FILE.html")]
@@ -99,6 +110,8 @@ struct Summary {
     period_us: u32,
     breaths: usize,
     breaths_of_learning: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<Account>,
     #[serde(flatten)]
     comparison: Comparison,
 }
@@ -118,7 +131,10 @@ struct Setup {
 impl Args {
     /// The controller and the breaths of its evaluation.
     fn chosen_and_plan(&self, plant: Option<&SharedLink>) -> anyhow::Result<(Chosen, Plan)> {
-        let chosen = self.controller.chosen(plant)?;
+        let chosen = match self.policy.connect()? {
+            Some(policy) => self.controller.chosen_with(policy, plant)?,
+            None => self.controller.chosen(plant)?,
+        };
         let plan = Plan {
             period_us: chosen.period_us,
             pips: self.pips.clone(),
@@ -141,6 +157,7 @@ impl Setup {
             (None, Some(_)) => "airway pressure, the true one if the plant reports it",
             (None, None) => "true airway pressure, known only to the bench",
         };
+        let policy = args.policy.policy.is_some();
         let mut bench = None;
         let ground: Box<dyn Ground<AnyLaw>> = match (&args.source.port.port, plant) {
             (Some(address), _) => {
@@ -151,9 +168,12 @@ impl Setup {
             (None, Some(link)) => {
                 let controller = chosen.controller.clone();
                 let source = PlantSource::new(link, controller, chosen.period_us, plan.seeds[0]);
-                Box::new(SourceGround::new(source))
+                Box::new(SourceGround::new(if policy { source.going_on() } else { source }))
             }
-            (None, None) => Box::new(bench.insert(args.source.bench.one()?).clone()),
+            (None, None) => {
+                let bench = bench.insert(args.source.bench.one()?);
+                if policy { one_after_the_other(bench, &chosen, &plan)? } else { Box::new(bench.clone()) }
+            }
         };
         let pid = Chosen::pid(gains, chosen.period_us)?.controller;
         Ok(Self { ground, bench, pressure, pid, chosen, plan })
@@ -167,6 +187,31 @@ impl Setup {
     /// The table of a comparison.
     fn table(&self, comparison: &Comparison, title: &str) -> Table {
         table(comparison, self.chosen.beside_pid().unwrap_or_default(), title)
+    }
+}
+
+/// The bench for a policy, on which breaths run one after the other, and go on after the pressure limit has ended one.
+fn one_after_the_other(
+    bench: &BenchConfig,
+    chosen: &Chosen,
+    plan: &Plan,
+) -> anyhow::Result<Box<dyn Ground<AnyLaw>>> {
+    let settings = plan.pips.first().map_or(plan.settings, |pip| plan.waveform(*pip));
+    let source =
+        BenchSource::new(bench, chosen.controller.clone(), &settings, plan.period_us, plan.seeds[0])?;
+    Ok(Box::new(SourceGround::new(source.going_on())))
+}
+
+/// Prints how many scored inspirations the pressure limit has ended, if it has ended any.
+fn print_cuts(args: &Args, setup: &Setup, comparison: &Comparison) {
+    let pair = &comparison.mean;
+    let controllers =
+        [("PID", Some(pair.pid)), (setup.chosen.beside_pid().unwrap_or_default(), pair.learned)];
+    for (name, score) in controllers {
+        if let Some(score) = score.filter(|score| score.cut > 0.0) {
+            let share = 100.0 * score.cut;
+            args.output.line(&format!("{name}: the pressure limit ended {share:.0} % of the inspirations"));
+        }
     }
 }
 
@@ -187,6 +232,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if stopped() {
         args.output.line("stopped: only the completed waveforms are shown");
     }
+    let policy = policy_args::account(&setup.chosen.controller);
+    policy_args::print(&args.output, policy.as_ref());
+    print_cuts(args, &setup, &comparison);
     args.output.report(args.report.as_ref(), || report(args, &setup, &comparison))?;
     args.output.finish(&Summary {
         seed: args.seed,
@@ -200,8 +248,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         period_us: setup.plan.period_us,
         breaths: setup.plan.breaths,
         breaths_of_learning: args.breaths_of_learning,
+        policy: policy.clone(),
         comparison,
-    })
+    })?;
+    policy_args::check(policy.as_ref())
 }
 
 /// Triggered and timed breaths of breathing patients.
@@ -269,7 +319,12 @@ fn report(args: &Args, setup: &Setup, comparison: &Comparison) -> anyhow::Result
 fn curves(setup: &Setup, bench: &BenchConfig, pip: f32) -> anyhow::Result<Section> {
     let Plan { period_us, seeds, warm_up, .. } = &setup.plan;
     let settings = setup.plan.waveform(pip);
-    let run = |controller| trace_after(*warm_up, bench, controller, &settings, *period_us, seeds[0], 1);
+    let run = |law: &AnyLaw| {
+        let source = BenchSource::new(bench, law.clone(), &settings, *period_us, seeds[0])?;
+        let goes_on = matches!(setup.chosen.controller, AnyLaw::Policy(_));
+        let mut source = if goes_on { source.going_on() } else { source };
+        trace_source_after(*warm_up, &mut source, &settings, 1)
+    };
     let mut traces = vec![("PID", run(&setup.pid)?)];
     if let Some((name, law)) = setup.beside() {
         traces.push((name, run(law)?));

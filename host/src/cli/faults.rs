@@ -10,7 +10,8 @@ use super::common::benches;
 use super::output::OutputArgs;
 use data::provenance::Provenance;
 use judge::faults::cases::{LIMIT, LIMITS};
-use judge::faults::matrix::{FaultRow, Part, false_alarms, matrix, without_each_part};
+use judge::faults::matrix::{FaultRow, false_alarms, matrix};
+use judge::faults::parts::{Part, without_each_part};
 use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use show::report::{Block, Cell, Report, Section, Table};
@@ -102,12 +103,13 @@ fn faults(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
 fn mutate(args: &Args, lungs: &[BenchConfig]) -> anyhow::Result<()> {
     let found = with_bars(|progress| without_each_part(lungs, &args.seeds, progress))?;
     let mut table =
-        Table::new("Rows that fail without a monitor or a response", &["without", "rows that fail"]);
-    for (part, failed) in &found {
-        table.row(vec![Cell::text(part.name()), Cell::text(failed.join("; "))]);
+        Table::new("A row that fails without a monitor or a response", &["without", "fault", "lung"]);
+    for (part, row) in &found {
+        let [fault, lung] = row.as_ref().map_or(["none", "-"], |row| [row.fault, row.lung.as_str()]);
+        table.row(vec![Cell::text(part.name()), Cell::text(fault), Cell::text(lung)]);
     }
     let unnoticed: Vec<_> =
-        found.iter().filter(|(_, failed)| failed.is_empty()).map(|(part, _)| part.name()).collect();
+        found.iter().filter(|(_, row)| row.is_none()).map(|(part, _)| part.name()).collect();
     args.output.table(&table);
     if !unnoticed.is_empty() {
         bail!("no row fails without {}: add a fault that needs it", unnoticed.join(", "));

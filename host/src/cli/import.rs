@@ -1,12 +1,14 @@
 //! `trainer import`: converts third-party recordings.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Subcommand;
 
 use super::bars::with_bars;
 use super::output::OutputArgs;
+use data::import::account::ImportSummary;
+use data::import::import_pirds;
 use data::import::map::ColumnMap;
 
 /// Convert third-party recordings
@@ -16,6 +18,7 @@ Examples:
   trainer import respiraworks CT_AIR.csv --out ct-air.parquet
   trainer import kaggle train.csv --out kaggle.parquet
   trainer import csv measured.csv --map columns.toml --out measured.parquet
+  trainer import pirds ventmon.json --out ventmon.parquet
   trainer import respiraworks --help
 
 Units are converted. Gaps, and rows that belong to no breath, are counted. The summary reports
@@ -45,6 +48,33 @@ Columns: breath_id, R, C, time_step, u_in, u_out and pressure. Every breath's un
 put on an even grid of their median. The file is streamed: six million rows need less than 1 GiB.")]
     Kaggle(FileArgs),
     Csv(CsvArgs),
+    #[command(
+        about = "Convert events of the respiration data standard PIRDS, such as those of a VentMon",
+        after_help = "\
+Examples:
+  trainer import pirds breaths.json --out breaths.parquet
+  trainer import pirds breaths.jsonl --out breaths.parquet --json -
+  trainer judge breaths.parquet
+
+A JSON array or one JSON event in each line. The airway pressure (type D at location A, I or D; else
+P, less the ambient one) and the flow (F) become the recording. Breaths begin at the messages of
+`trainer export`; without any, the flow or else the pressure shows them. Events that are not used
+are counted by name."
+    )]
+    Pirds(EventArgs),
+}
+
+/// Input and output files of events.
+#[derive(Debug, clap::Args)]
+struct EventArgs {
+    /// Files to join, in this order
+    #[arg(value_name = "FILE.json", required = true)]
+    files: Vec<PathBuf>,
+    /// File to write the recording to
+    #[arg(long, value_name = "FILE.parquet")]
+    out: PathBuf,
+    #[command(flatten)]
+    output: OutputArgs,
 }
 
 /// Convert any table, with a column map that names the columns and their units
@@ -98,13 +128,21 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             let map = ColumnMap::load(&args.map).with_context(|| args.map.display().to_string())?;
             import(&args.files, &map)
         }
+        From::Pirds(args) => {
+            let summary = with_bars(|progress| import_pirds(&args.files, &args.out, progress))?;
+            report(&summary, &args.out, &args.output)
+        }
     }
 }
 
 fn import(args: &FileArgs, map: &ColumnMap) -> anyhow::Result<()> {
     let layout = map.layout()?;
     let summary = with_bars(|progress| data::import::import(&args.files, &layout, &args.out, progress))?;
-    args.output.line(&summary.to_string());
-    args.output.saved(&args.out);
-    args.output.finish(&summary)
+    report(&summary, &args.out, &args.output)
+}
+
+fn report(summary: &ImportSummary, out: &Path, output: &OutputArgs) -> anyhow::Result<()> {
+    output.line(&summary.to_string());
+    output.saved(out);
+    output.finish(summary)
 }

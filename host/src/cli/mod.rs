@@ -13,8 +13,10 @@ mod common;
 mod comparison;
 mod controller_args;
 mod demo;
+pub mod embedded;
 mod endure;
 mod evaluate;
+mod export;
 mod farm;
 mod faults;
 mod fit;
@@ -31,6 +33,7 @@ mod monitor;
 mod output;
 mod pack;
 mod plant_args;
+mod policy_args;
 mod port_args;
 #[cfg(unix)]
 mod qemu;
@@ -84,6 +87,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Reproduce(reproduce::Args),
     Pack(pack::Args),
+    Export(export::Args),
     Keys(keys::Args),
     Flash(flash::Args),
     #[cfg(unix)]
@@ -147,6 +151,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Reproduce(args) => reproduce::run(args),
         Command::Pack(args) => pack::run(args),
+        Command::Export(args) => export::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Flash(args) => flash::run(args),
         #[cfg(unix)]

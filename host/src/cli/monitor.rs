@@ -1,7 +1,8 @@
 //! `trainer monitor`: shows a device's state, and lets an operator start, stop and set it.
 
 use std::io::{IsTerminal, Write, stdout};
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::bail;
 use serde::Serialize;
@@ -17,8 +18,11 @@ use shared::timing::TickTimes;
 use super::common::{gains, stop, stopped, warn_of_development_build};
 use super::controller_args::format_gains;
 use super::output::OutputArgs;
+use data::export::mcap::Counts;
 use device::port::Address;
 use device::{Device, LineCounters};
+use show::monitor::News;
+use show::monitor::capture::Capture;
 use show::monitor::plain::Lines;
 use show::monitor::session::Session;
 use show::monitor::view::View;
@@ -32,6 +36,7 @@ Examples:
   trainer monitor --port /dev/ttyACM0
   trainer monitor --port tcp:localhost:5555 --plain | tee night.log
   trainer monitor --port COM3 --once --json -
+  trainer monitor --port /dev/ttyACM0 --mcap night.mcap
 
 Keys: space starts and stops, c confirms the settings shown (a device starts only with settings that
 were sent since it went to standby), a acknowledges all alarms, m pauses the sounder for 120 s or
@@ -41,7 +46,11 @@ Quitting leaves the device as it is; ventilation continues.
 
 One program at a time steers a device: the first key acquires its lease, quitting gives it back, and
 meanwhile every other program only reads. The key t takes the lease from another program, for an
-operator at the bedside who must stop ventilation or acknowledge an alarm.")]
+operator at the bedside who must stop ventilation or acknowledge an alarm.
+
+--mcap also writes every sample, alarm and the device's state to a new file that Foxglove and
+PlotJuggler open. Quitting and Ctrl-C finish the file, also while the connection is lost; a program
+that is killed loses the last second at most (docs/FILES.md).")]
 pub struct Args {
     /// The device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT
     #[arg(long, value_name = "PORT")]
@@ -57,47 +66,111 @@ pub struct Args {
     gains: PidGains,
     #[command(flatten)]
     output: OutputArgs,
+    #[arg(
+        long,
+        value_name = "FILE.mcap",
+        conflicts_with = "once",
+        help = "Also write samples, alarms and state to this new file, for Foxglove and PlotJuggler"
+    )]
+    mcap: Option<PathBuf>,
 }
 
 /// How long the line output waits for an event before it checks whether to stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    if args.output.json.is_some() && !args.once {
-        bail!("--json writes the state once: add --once, or omit --json");
+    if args.output.json.is_some() && !args.once && args.mcap.is_none() {
+        bail!(
+            "--json writes the state once, or what --mcap has written: add --once or --mcap, or omit --json"
+        );
     }
     let mut device = Device::connect(&args.port)?;
     if args.once {
         return once(args, &mut device);
     }
     // Report a device that does not answer immediately; later, wait for a lost device to return.
-    warn_of_development_build(&device.identify()?);
+    let identity = device.identify()?;
+    warn_of_development_build(&identity);
+    let mut tape = Tape::new(args, &identity)?;
     let session = Session::start(device);
-    if args.plain || !stdout().is_terminal() {
-        write_lines(&session);
-        session.leave();
+    let shown = watch(args, &session, &mut tape);
+    session.leave();
+    tape.finish(&args.output)?;
+    shown
+}
+
+/// Shows the device in charts or in lines until the operator quits.
+fn watch(args: &Args, session: &Session, tape: &mut Tape) -> anyhow::Result<()> {
+    let only_json = args.output.json.as_deref() == Some(Path::new("-"));
+    if args.plain || only_json || !stdout().is_terminal() {
+        write_lines(session, tape, only_json);
         return Ok(());
     }
     let mut view = View::new(args.port.to_string(), args.gains);
-    let shown = terminal::run(&session, &mut view, stop());
-    session.leave();
+    let shown = terminal::run(session, &mut view, &mut |news| _ = tape.take(news), stop());
     args.output.line(&view.farewell());
     Ok(shown?)
 }
 
-/// Writes lines until Ctrl-C, or until the reader closes the output.
-fn write_lines(session: &Session) {
+/// Writes lines until Ctrl-C, or until the reader closes the output; none if it is only for JSON.
+fn write_lines(session: &Session, tape: &mut Tape, only_json: bool) {
     let mut lines = Lines::default();
     while !stopped() {
-        for line in session.next(PATIENCE).iter().flat_map(|news| lines.take(news)) {
-            if writeln!(stdout(), "{line}").is_err() {
+        let Some(news) = session.next(PATIENCE) else { continue };
+        if tape.take(&news) {
+            eprintln!(
+                "warning: the file of --mcap ends here, because it cannot be written; watching goes on"
+            );
+        }
+        for line in lines.take(&news) {
+            if !only_json && writeln!(stdout(), "{line}").is_err() {
                 return;
             }
         }
     }
 }
 
-/// The content of `--json`.
+/// The file of `--mcap`, if it is requested.
+struct Tape(Option<(PathBuf, Capture)>);
+
+impl Tape {
+    fn new(args: &Args, identity: &DeviceIdentity) -> anyhow::Result<Self> {
+        let capture = |path: &PathBuf| {
+            Ok((path.clone(), Capture::create(path, &args.port.to_string(), identity, now_ns())?))
+        };
+        args.mcap.as_ref().map(capture).transpose().map(Self)
+    }
+
+    /// Writes a piece of news; true if that fails for the first time. A full disk does not end the monitor: an
+    /// operator may need it.
+    fn take(&mut self, news: &News) -> bool {
+        self.0.as_mut().is_some_and(|(_, capture)| capture.take(news, now_ns()))
+    }
+
+    /// Finishes the file and reports what it contains, or why it is not complete.
+    fn finish(self, output: &OutputArgs) -> anyhow::Result<()> {
+        let Some((path, capture)) = self.0 else { return Ok(()) };
+        let messages = capture.finish()?;
+        output.saved(&path);
+        output.finish(&Captured { file: path, messages })
+    }
+}
+
+/// Time, ns since 1970.
+fn now_ns() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    since.as_nanos().try_into().unwrap_or(u64::MAX)
+}
+
+/// The content of `--json` with `--mcap`.
+#[derive(Debug, Serialize)]
+struct Captured {
+    file: PathBuf,
+    /// Number of messages of each topic.
+    messages: Counts,
+}
+
+/// The content of `--json` with `--once`.
 #[derive(Debug, Serialize)]
 struct State {
     port: String,

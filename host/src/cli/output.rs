@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde::Serialize;
 
-use super::made_by;
+use super::{embedded, made_by};
 use data::files::write_atomically;
 use show::report::{Report, Table};
 
@@ -24,9 +24,9 @@ impl OutputArgs {
         self.line(&format!("{}\n", table.to_terminal()));
     }
 
-    /// Prints a line, unless JSON goes to standard output.
+    /// Prints a line, unless JSON goes to standard output or another program has called the command.
     pub fn line(&self, text: &str) {
-        if self.json.as_deref() != Some(Path::new("-")) {
+        if self.json.as_deref() != Some(Path::new("-")) && !embedded::is_called() {
             // A closed reader (`| head`) is no reason to stop: files are still to be written.
             let _ = writeln!(std::io::stdout(), "{text}");
         }
@@ -52,6 +52,7 @@ impl OutputArgs {
     /// Writes the JSON, if requested, and keeps its numbers for the record of the run.
     pub fn finish(&self, results: &impl Serialize) -> anyhow::Result<()> {
         made_by::keep(results)?;
+        embedded::keep(results)?;
         match &self.json {
             Some(path) => write_json(path, results),
             None => Ok(()),

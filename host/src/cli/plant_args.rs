@@ -52,7 +52,8 @@ pub fn period_us(asked: Option<u32>, link: Option<&SharedLink>) -> anyhow::Resul
     }
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+/// A time limit in seconds.
+pub fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds <= 86_400.0 => Ok(seconds),
         _ => Err("write a number of seconds above zero, such as 10".into()),

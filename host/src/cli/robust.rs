@@ -10,7 +10,10 @@ use shared::control::pid::PidGains;
 use super::common::stopped;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::{self, OutputArgs};
+use super::policy_args::{self, PolicyArgs};
 use super::shard_args::ShardFolderArgs;
+use judge::policy::in_turns;
+use judge::rivals::AnyLaw;
 use judge::robust::rivals::family_pid;
 use judge::robust::{Question, Robustness, Summary, Tally};
 use plant::bench::family::Family;
@@ -26,6 +29,7 @@ Examples:
   trainer robust --plants 1000 --controller out/once/controller.safetensors
   trainer robust --plants 100000 --breaths 6 --subset 0 --keep robust.json --json result.json
   trainer robust --family my-machines.toml --gains 3,30,0 --save-worst worst
+  trainer robust --plants 20 --subset 0 --policy 'pipe:python3 examples/python/policy.py'
   trainer robust --plants 10000000 --subset 0 --shard 3/1000 --out out/robust   # each task, then:
   trainer robust --plants 10000000 --subset 0 --merge --out out/robust
 
@@ -57,6 +61,8 @@ pub struct Args {
     breaths: u32,
     #[command(flatten)]
     controller: ControllerArgs,
+    #[command(flatten)]
+    policy: PolicyArgs,
     /// Seed of the plants and of their sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -78,7 +84,10 @@ pub struct Args {
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let family = Family::find(&args.family)?;
-    let chosen = args.controller.chosen_for(&family)?;
+    let chosen = match args.policy.connect()? {
+        Some(policy) => args.controller.chosen_with(policy, None)?,
+        None => args.controller.chosen_for(&family)?,
+    };
     if chosen.period_us != DEFAULT_PERIOD_US {
         bail!(
             "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
@@ -86,8 +95,21 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             chosen.period_us
         );
     }
-    let Some(test) = test(args, &family, &chosen)? else { return Ok(()) };
-    let summary = Summary::of(&test);
+    let test = match chosen.controller {
+        AnyLaw::Policy(_) => in_turns(|| test(args, &family, &chosen))??,
+        _ => test(args, &family, &chosen)?,
+    };
+    let policy = policy_args::account(&chosen.controller);
+    policy_args::print(&args.output, policy.as_ref());
+    if let Some(test) = test {
+        conclude(args, &family, &test)?;
+    }
+    policy_args::check(policy.as_ref())
+}
+
+/// Prints and saves the results of all plants.
+fn conclude(args: &Args, family: &Family, test: &Campaign<Question, Tally>) -> anyhow::Result<()> {
+    let summary = Summary::of(test);
     args.output.table(&table(&summary));
     args.output.table(&failures(&summary));
     args.output.table(&worst(&summary));
@@ -95,7 +117,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         args.output.line("stopped: the results are those of the plants so far");
     }
     if let Some(folder) = &args.save_worst {
-        save_worst(args, folder, &family, &summary)?;
+        save_worst(args, folder, family, &summary)?;
     }
     if let Some(folder) = &args.figures {
         create(folder)?;

@@ -1,7 +1,7 @@
 //! A farm from the user's side: killed at any moment, stopped, and described wrongly.
 
 use std::process::Stdio;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use data::recording::Recording;
 use rand::RngExt;
@@ -37,19 +37,24 @@ fn a_farm_that_is_killed_at_twenty_moments_loses_and_doubles_no_breath() {
     let place = Place::new();
     let line =
         |out: &str| format!("farm --virtual 2 --until collect --breaths {BREATHS} --pace 40 --out {out}");
+    let recorded =
+        |unit| place.path(&format!("killed/units/{unit}/measurement-0/breaths/0000.parquet")).exists();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    for _ in 0..KILLS {
+    for kill in 1..=KILLS {
         let mut child =
             place.command(&line("killed")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         // The measurement of the zero, 30 s of a device that is forty times as fast as a chip, is not saved in parts.
         std::thread::sleep(Duration::from_millis(rng.random_range(100..1_600)));
+        // The last kill interrupts recordings, however slow the machine is.
+        let begun = Instant::now();
+        while kill == KILLS && !(recorded(1) && recorded(2)) {
+            assert!(begun.elapsed() < Duration::from_mins(2), "no recording has begun");
+            std::thread::sleep(Duration::from_millis(20));
+        }
         // On Unix, this is SIGKILL.
         child.kill().unwrap();
         child.wait().unwrap();
     }
-    let recorded =
-        |unit| place.path(&format!("killed/units/{unit}/measurement-0/breaths/0000.parquet")).exists();
-    assert!(recorded(1) && recorded(2), "the last kill interrupted the recordings");
     place.ok(&line("killed"));
     place.ok(&line("straight"));
     for unit in [1, 2] {

@@ -7,7 +7,9 @@ mod commission;
 mod endure;
 #[cfg(feature = "engines")]
 mod engines;
+mod export;
 mod farm;
+mod formats;
 mod help;
 mod interrupted;
 mod judge;
@@ -15,6 +17,8 @@ mod keys;
 mod margins;
 mod pipeline;
 mod plant;
+mod policy;
+mod python;
 mod recordings;
 mod rivals;
 mod robust;

@@ -2,55 +2,17 @@
 //!
 //! These tests need `python3` and nothing else; without it they print so and end.
 
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::PathBuf;
 
 use data::recording::Recording;
 use learn::controller::learned::Learned;
 
-use super::support::{Place, text};
+use super::python::{Server, example, json, ok, python_is_there, refused};
+use super::support::Place;
 
 /// The Python example.
 fn script() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/python/plant.py")
-}
-
-fn python_is_there() -> bool {
-    let there = Command::new("python3").arg("--version").output().is_ok_and(|output| output.status.success());
-    if !there {
-        eprintln!("skipped: python3 is not installed");
-    }
-    there
-}
-
-/// The example as a server; ends when dropped.
-struct PlantServer {
-    process: Child,
-    port: u16,
-}
-
-impl PlantServer {
-    fn start() -> Self {
-        let mut command = Command::new("python3");
-        command.arg(script()).arg("0").stderr(Stdio::piped());
-        let mut process = command.spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stderr.take().unwrap()).read_line(&mut line).unwrap();
-        let port = line.trim().rsplit(' ').next().unwrap().parse().unwrap();
-        Self { process, port }
-    }
-
-    fn address(&self) -> String {
-        format!("tcp:localhost:{}", self.port)
-    }
-}
-
-impl Drop for PlantServer {
-    fn drop(&mut self) {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
-    }
+    example("plant.py")
 }
 
 /// A folder with the example in it, so that its name has no blanks, and the address that starts it.
@@ -58,30 +20,6 @@ fn place_with_script() -> (Place, &'static str) {
     let place = Place::new();
     std::fs::copy(script(), place.path("plant.py")).unwrap();
     (place, "pipe:python3\u{a0}plant.py")
-}
-
-/// Runs a line in which a non-breaking space represents a blank within an argument.
-fn run(place: &Place, line: &str) -> std::process::Output {
-    let mut command = place.command("");
-    command.args(line.split_ascii_whitespace().map(|word| word.replace('\u{a0}', " ")));
-    command.output().unwrap()
-}
-
-fn ok(place: &Place, line: &str) -> String {
-    let output = run(place, line);
-    assert!(output.status.success() && output.stderr.is_empty(), "{line}: {}", text(&output.stderr));
-    text(&output.stdout)
-}
-
-fn json(place: &Place, line: &str) -> serde_json::Value {
-    serde_json::from_str(&ok(place, &format!("{line} --json -"))).unwrap()
-}
-
-fn refused(place: &Place, line: &str) -> String {
-    let output = run(place, line);
-    let stderr = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{line}: {stderr}");
-    stderr
 }
 
 #[test]
@@ -98,7 +36,7 @@ fn a_plant_in_python_is_recorded_alike_over_tcp_and_over_a_pipe() {
         return;
     }
     let (place, pipe) = place_with_script();
-    let server = PlantServer::start();
+    let server = Server::start(&script(), &["0"]);
     let tcp = server.address();
     let summary = json(&place, &format!("collect --plant {tcp} --breaths 6 --seed 3 --out tcp.parquet"));
     assert_eq!((&summary["breaths"], &summary["period_us"]), (&6.into(), &30_000.into()));

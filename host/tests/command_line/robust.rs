@@ -5,7 +5,8 @@ use super::support::Place;
 #[test]
 fn the_json_has_the_fixed_fields_with_a_value_for_every_scored_breath() {
     let place = Place::new();
-    let line = "robust --family adult --plants 3 --breaths 6 --subset 1 --gains 5,200,0.1 --seed 4";
+    place.write_short_family();
+    let line = "robust --family short.toml --plants 3 --breaths 6 --subset 1 --gains 2,80,0.1 --seed 4";
     let result = place.json(&format!("{line} --figures figures --save-worst worst"));
     assert_eq!(result["plants"], 3);
     assert_eq!(result["breaths"], serde_json::json!([1, 6]));
@@ -31,7 +32,7 @@ fn the_json_has_the_fixed_fields_with_a_value_for_every_scored_breath() {
         assert!(std::fs::read_to_string(place.path("figures").join(figure)).unwrap().contains("<svg"));
     }
     let worst = result["worst"][0]["number"].as_u64().unwrap();
-    place.ok(&format!("evaluate --bench worst/adult-{worst}.toml --pips 15 --breaths 1"));
+    place.ok(&format!("evaluate --bench worst/short-{worst}.toml --pips 15 --breaths 1"));
     assert_eq!(result, place.json(&format!("{line} --keep kept.json")), "kept or not");
     assert_eq!(result, place.json(&format!("{line} --keep kept.json")), "nothing is left to do");
 }

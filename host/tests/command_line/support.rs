@@ -72,6 +72,15 @@ impl Place {
         stderr
     }
 
+    /// Writes `short.toml`: a family with short breaths, so that the searches for a plant of its subset are short, and with a
+    /// PID, so that none is searched.
+    pub fn write_short_family(&self) {
+        let family = "name = \"short\"\npips = [15]\npid = { p = 3, i = 100, d = 0.1 }\n\
+                      [settings]\nrate = 80\ninspiratory_time = 0.2\nfall_time = 0.1\n\
+                      [family.lung.first]\ncompliance_ml_per_cmh2o = { uniform = [10, 60] }\n";
+        std::fs::write(self.path("short.toml"), family).unwrap();
+    }
+
     /// A recording of a few breaths.
     pub fn collected(&self) -> &'static str {
         self.ok("collect --out first.parquet --breaths 12 --seed 3");

@@ -1,0 +1,63 @@
+//! Recordings as MCAP and PIRDS.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+
+use super::Args;
+use data::export::mcap::{self, Counts};
+use data::export::pirds::{self, Layout, Written};
+use data::recording::Recording;
+
+/// The content of `--json`.
+#[derive(Debug, Serialize)]
+struct Exported {
+    file: PathBuf,
+    rows: usize,
+    /// Number of messages of each topic of an MCAP file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    messages: Option<Counts>,
+    /// Number of PIRDS events.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    events: Option<Written>,
+}
+
+/// Writes the recording as MCAP.
+pub fn mcap(args: &Args) -> anyhow::Result<()> {
+    let recording = recording(&args.file)?;
+    let messages = Some(mcap::save(&recording, &args.out)?);
+    finish(args, &Exported { messages, events: None, ..exported(args, &recording) })
+}
+
+/// Writes the recording as PIRDS.
+pub fn pirds(args: &Args, layout: Layout) -> anyhow::Result<()> {
+    let recording = recording(&args.file)?;
+    let events = Some(pirds::save(&recording, layout, &args.out)?);
+    finish(args, &Exported { events, messages: None, ..exported(args, &recording) })
+}
+
+fn exported(args: &Args, recording: &Recording) -> Exported {
+    Exported { file: args.out.clone(), rows: recording.len(), messages: None, events: None }
+}
+
+fn finish(args: &Args, exported: &Exported) -> anyhow::Result<()> {
+    args.output.saved(&args.out);
+    args.output.finish(exported)
+}
+
+/// Reads a recording, whose first bytes or else its ending tell that it is one.
+fn recording(file: &Path) -> anyhow::Result<Recording> {
+    let unreadable = || format!("cannot read {}", file.display());
+    let mut start = Vec::new();
+    File::open(file).and_then(|file| file.take(4).read_to_end(&mut start)).with_context(unreadable)?;
+    if start == b"PAR1" || file.extension().is_some_and(|ending| ending == "parquet") {
+        return Ok(Recording::load(file)?);
+    }
+    bail!(
+        "{} is not a recording: give a .parquet file of the trainer, or write a controller or simulator as .onnx",
+        file.display()
+    )
+}

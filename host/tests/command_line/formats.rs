@@ -1,0 +1,182 @@
+//! Files of other programs: MCAP of recordings and of a watched device, PIRDS there and back.
+
+use std::fs;
+use std::path::Path;
+
+use mcap::{MessageStream, Summary};
+use serde_json::Value;
+
+use super::support::Place;
+
+/// Number of messages of a topic in a file, which may lack its end.
+fn count(file: &Path, topic: &str) -> usize {
+    let bytes = fs::read(file).unwrap_or_default();
+    let Ok(stream) = MessageStream::new_with_options(&bytes, mcap::read::Options::IgnoreEndMagic.into())
+    else {
+        return 0;
+    };
+    stream.map_while(Result::ok).filter(|message| message.channel.topic == topic).count()
+}
+
+#[test]
+fn a_recording_becomes_mcap() {
+    let place = Place::new();
+    let data = place.collected();
+    let rows = place.json(&format!("inspect {data}"))["ticks"].as_u64().unwrap();
+    let exported = place.json(&format!("export {data} --out a.mcap"));
+    assert_eq!((&exported["rows"], &exported["messages"]["/pressure"]), (&rows.into(), &rows.into()));
+    let bytes = fs::read(place.path("a.mcap")).unwrap();
+    let summary = Summary::read(&bytes).unwrap().unwrap();
+    assert!(summary.stats.unwrap().message_count >= 3 * rows);
+    let found = MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+    let last = found.filter(|message| message.channel.topic == "/pressure").last().unwrap();
+    let last: Value = serde_json::from_slice(&last.data).unwrap();
+    assert!(last["true"].is_number(), "the bench knows the true pressure: {last}");
+}
+
+#[test]
+fn pirds_of_a_recording_is_imported_and_judged() {
+    let place = Place::new();
+    let data = place.collected();
+    let errors = |line: &str| -> Vec<f64> {
+        let verdict = place.json(line);
+        let breaths = verdict["files"][0]["breaths"].as_array().unwrap();
+        breaths.iter().map(|breath| breath["error"].as_f64().unwrap()).collect()
+    };
+    let expected = errors(&format!("judge {data} --measured"));
+    for events in ["a.json", "a.jsonl"] {
+        place.ok(&format!("export {data} --out {events}"));
+        let summary = place.json(&format!("import pirds {events} --out back.parquet"));
+        assert_eq!((&summary["complete_breaths"], summary.get("unused")), (&12.into(), None));
+        let found = errors("judge back.parquet");
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(&expected) {
+            assert!((found - expected).abs() < 0.05, "{found} {expected}");
+        }
+    }
+    assert!(place.refused(&format!("import pirds {data} --out b.parquet")).contains("line 1"));
+    assert!(place.refused("fit --data back.parquet --out s.safetensors").contains("valve commands"));
+}
+
+#[test]
+fn an_export_that_cannot_be_made_says_what_to_do() {
+    let place = Place::new();
+    let data = place.collected();
+    assert!(place.refused(&format!("export {data} --out a.xyz")).contains(".mcap, .json, .jsonl"));
+    fs::write(place.path("a.txt"), "text").unwrap();
+    assert!(place.refused("export a.txt --out a.mcap").contains(".parquet"));
+}
+
+#[cfg(unix)]
+mod watched {
+    //! `trainer monitor --mcap` with a simulated device at a pseudo-terminal.
+
+    use std::process::{Child, Command, Stdio};
+    use std::time::{Duration, Instant};
+
+    use device::Device;
+    use device::port::{Address, BAUD, Port};
+    use device::simulated::Simulated;
+    use plant::bench::BenchConfig;
+    use serialport::{SerialPort, TTYPort};
+    use shared::settings::Settings;
+
+    use super::*;
+
+    /// Longest time that a step may take here.
+    const LONG: Duration = Duration::from_mins(1);
+
+    /// A device that ventilates at the far end of a pseudo-terminal.
+    struct Bedside {
+        _simulated: Simulated,
+        _cable: TTYPort,
+        name: String,
+    }
+
+    impl Bedside {
+        fn ventilating() -> Self {
+            let (mut master, cable) = TTYPort::pair().unwrap();
+            master.set_timeout(Duration::from_millis(2)).unwrap();
+            let name = cable.name().unwrap();
+            let reader = Box::new(master.try_clone_native().unwrap());
+            master.set_timeout(LONG).unwrap();
+            let port = Port { reader, writer: Box::new(master) };
+            let simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
+            let mut device = Device::connect(&Address::Serial { name: name.clone(), baud: BAUD }).unwrap();
+            device.apply(Settings::default()).unwrap();
+            device.start().unwrap();
+            Self { _simulated: simulated, _cable: cable, name }
+        }
+
+        /// Watches it with JSON at the end in place of lines.
+        fn watch(&self, place: &Place, file: &str) -> Child {
+            let mut command = place.command(&format!("monitor --port {} --mcap {file} --json -", self.name));
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+        }
+    }
+
+    /// Waits until a file has this many samples.
+    fn wait_for(file: &Path, samples: usize) {
+        let deadline = Instant::now() + LONG;
+        while count(file, "/pressure") < samples {
+            assert!(Instant::now() < deadline, "only {} samples", count(file, "/pressure"));
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    #[test]
+    fn ctrl_c_finishes_the_file() {
+        let (place, bedside) = (Place::new(), Bedside::ventilating());
+        let file = place.path("night.mcap");
+        let child = bedside.watch(&place, "night.mcap");
+        wait_for(&file, 500);
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(130));
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let summary = Summary::read(&fs::read(&file).unwrap()).unwrap().expect("the file is finished");
+        let samples = count(&file, "/pressure");
+        assert_eq!(report["messages"]["/pressure"], samples);
+        assert!(count(&file, "/device") > 0 && summary.stats.unwrap().message_count > 3 * samples as u64);
+        let again = place.refused(&format!("monitor --port {} --mcap night.mcap", bedside.name));
+        assert!(again.contains("night.mcap exists"), "{again}");
+    }
+
+    #[test]
+    fn a_lost_link_keeps_what_came_and_ctrl_c_finishes_the_file() {
+        let (place, bedside) = (Place::new(), Bedside::ventilating());
+        let file = place.path("night.mcap");
+        let child = bedside.watch(&place, "night.mcap");
+        wait_for(&file, 500);
+        drop(bedside);
+        let deadline = Instant::now() + LONG;
+        while last_state(&fs::read(&file).unwrap()) != Some(false) {
+            assert!(Instant::now() < deadline, "no loss is written");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        assert_eq!(child.wait_with_output().unwrap().status.code(), Some(130));
+        assert!(Summary::read(&fs::read(&file).unwrap()).unwrap().is_some());
+    }
+
+    /// Whether the device was connected at the last message about it.
+    fn last_state(bytes: &[u8]) -> Option<bool> {
+        let stream =
+            MessageStream::new_with_options(bytes, mcap::read::Options::IgnoreEndMagic.into()).ok()?;
+        let last =
+            stream.map_while(Result::ok).filter(|message| message.channel.topic == "/device").last()?;
+        serde_json::from_slice::<Value>(&last.data).ok()?["connected"].as_bool()
+    }
+
+    #[test]
+    fn a_killed_monitor_leaves_a_file_that_can_be_read_up_to_its_last_second() {
+        let (place, bedside) = (Place::new(), Bedside::ventilating());
+        let file = place.path("night.mcap");
+        let mut child = bedside.watch(&place, "night.mcap");
+        wait_for(&file, 500);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert!(Summary::read(&fs::read(&file).unwrap()).is_err(), "the file has no end");
+        assert!(count(&file, "/pressure") >= 500);
+    }
+}
