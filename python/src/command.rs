@@ -1,0 +1,113 @@
+//! Commands of the trainer, called from Python: the same arguments and the same results, bit for bit.
+
+use std::ffi::OsString;
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use host::cli::embedded::{self, CallError, Session};
+use progress::Event;
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::errors;
+
+/// Time between two checks for Ctrl-C and for progress.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Progress that has not been reported yet: stage, done, total.
+type News = Mutex<Vec<(String, usize, usize)>>;
+
+/// Runs a command and returns the content of its JSON as text. `progress(stage, done, total)` is called with the progress; Ctrl-C stops the
+/// command, which keeps its results so far, and raises `KeyboardInterrupt`.
+#[pyfunction]
+#[pyo3(signature = (arguments, progress=None))]
+pub fn call(py: Python<'_>, arguments: Vec<OsString>, progress: Option<Py<PyAny>>) -> PyResult<String> {
+    let session = Session::begin().map_err(|error| exception(&error))?;
+    let news = Arc::new(News::default());
+    let observer: embedded::Observer = {
+        let news = news.clone();
+        Arc::new(move |event: &Event<'_>| note(&news, event))
+    };
+    let (answer, answers) = channel();
+    let answers = Mutex::new(answers);
+    let worker = std::thread::Builder::new().spawn(move || {
+        let _ = answer.send(session.run(&arguments, observer));
+    });
+    worker.map_err(errors::runtime)?;
+    let mut interrupted = None;
+    let outcome = loop {
+        match py.detach(|| answers.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(POLL_INTERVAL))
+        {
+            Ok(outcome) => break outcome,
+            Err(RecvTimeoutError::Disconnected) => {
+                // The panic's message is on standard error.
+                return Err(PyRuntimeError::new_err("the command failed unexpectedly: please report this"));
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+        if let Err(error) = py.check_signals() {
+            embedded::request_stop();
+            // A second Ctrl-C does not wait for the command.
+            if let Some(first) = interrupted.replace(error) {
+                return Err(first);
+            }
+        }
+        if interrupted.is_none()
+            && let Err(error) = report(py, &news, progress.as_ref())
+        {
+            interrupted = Some(error);
+            embedded::request_stop();
+        }
+    };
+    if let Some(error) = interrupted {
+        return Err(error);
+    }
+    report(py, &news, progress.as_ref())?;
+    outcome.map_err(|error| exception(&error))
+}
+
+/// The help of a command, as the command line prints it.
+#[pyfunction]
+pub fn command_help(command: &str) -> PyResult<String> {
+    embedded::help(command).ok_or_else(|| unknown(command))
+}
+
+/// The options of a command without their dashes.
+#[pyfunction]
+pub fn command_options(command: &str) -> PyResult<Vec<String>> {
+    embedded::options(command).ok_or_else(|| unknown(command))
+}
+
+fn unknown(command: &str) -> PyErr {
+    PyValueError::new_err(format!("the trainer has no command {command}: see `trainer --help`"))
+}
+
+/// Notes the latest progress of a stage.
+fn note(news: &News, event: &Event<'_>) {
+    let stage = embedded::stage(event);
+    let mut news = news.lock().unwrap_or_else(PoisonError::into_inner);
+    match news.iter_mut().find(|(name, ..)| *name == stage) {
+        // Parts that run in parallel report out of order.
+        Some((_, done, total)) => (*done, *total) = ((*done).max(event.done), event.total),
+        None => news.push((stage, event.done, event.total)),
+    }
+}
+
+/// Reports what is new.
+fn report(py: Python<'_>, news: &News, progress: Option<&Py<PyAny>>) -> PyResult<()> {
+    let news = std::mem::take(&mut *news.lock().unwrap_or_else(PoisonError::into_inner));
+    let Some(progress) = progress else { return Ok(()) };
+    news.into_iter().try_for_each(|event| progress.call1(py, event).map(drop))
+}
+
+fn exception(error: &CallError) -> PyErr {
+    match error {
+        CallError::Usage(text) => PyValueError::new_err(text.clone()),
+        CallError::Stopped | CallError::Busy => errors::runtime(error),
+        CallError::Failed(cause) => {
+            let text = error.to_string();
+            errors::from_chain(cause.as_ref(), text.clone()).unwrap_or_else(|| PyRuntimeError::new_err(text))
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! A controller of a device, stepped from Python.
+
+use std::path::{Path, PathBuf};
+
+use learn::controller::learned::Learned;
+use learn::controller::shipped;
+use numpy::PyArray1;
+use pyo3::prelude::*;
+use shared::control::memory::Lesson;
+use shared::control::pid::Pid;
+use shared::control::{ControlLaw, ControllerState, Observation};
+use shared::weights::decode;
+
+use crate::{errors, values};
+
+/// A PID, or a PID with a learned residual: the code of the chip.
+#[pyclass(module = "eupnea", name = "Controller")]
+pub struct Controller {
+    pub law: shared::control::Controller,
+    pub period_us: u32,
+    name: String,
+    state: ControllerState,
+    tick: u32,
+}
+
+impl Controller {
+    fn of(law: shared::control::Controller, period_us: u32, name: String) -> Self {
+        Self { law, period_us, name, state: ControllerState::new(), tick: 0 }
+    }
+}
+
+/// The weights image of a shipped controller, of a file of weights, or of a trained controller.
+fn image(path: &Path) -> PyResult<Vec<u8>> {
+    if let Some(image) = path.to_str().and_then(shipped::image) {
+        return Ok(image.to_vec());
+    }
+    if path.extension().is_some_and(|extension| extension == "bin") {
+        return Ok(std::fs::read(path)?);
+    }
+    if path.extension().is_none() && !path.exists() {
+        let names: Vec<_> = shipped::names().collect();
+        let text =
+            format!("there is no controller {}: name a file, or one of {}", path.display(), names.join(", "));
+        return Err(errors::value(text));
+    }
+    Learned::load(path).and_then(|learned| learned.image()).map_err(|e| errors::of(&e))
+}
+
+#[pymethods]
+impl Controller {
+    /// A PID with these gains.
+    #[staticmethod]
+    #[pyo3(signature = (gains, *, period_us=values::PERIOD_US))]
+    fn pid(gains: Vec<f32>, period_us: u32) -> PyResult<Self> {
+        let gains = values::gains(&gains)?;
+        let pid = Pid::new(gains, period_us).map_err(|e| errors::of(&e))?;
+        let name = format!("PID {},{},{}", gains.p, gains.i, gains.d);
+        Ok(Self::of(shared::control::Controller::Pid(pid), period_us, name))
+    }
+
+    /// A learned controller: a shipped one by its name, a file of `trainer train`, or a weights image (`.bin`).
+    #[staticmethod]
+    fn load(path: PathBuf) -> PyResult<Self> {
+        let image = decode(&image(&path)?).map_err(|e| errors::of(&e))?;
+        let period_us = image.residual.spec().period_us;
+        let name = path.display().to_string();
+        Ok(Self::of(shared::control::Controller::Residual(image.residual), period_us, name))
+    }
+
+    #[getter]
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    #[getter]
+    fn period_us(&self) -> u32 {
+        self.period_us
+    }
+
+    /// Gains of the PID, or of the one underneath.
+    #[getter]
+    fn gains(&self) -> (f32, f32, f32) {
+        let gains = self.law.pid().gains();
+        (gains.p, gains.i, gains.d)
+    }
+
+    /// Forgets all breaths.
+    fn reset(&mut self) {
+        (self.state, self.tick) = (ControllerState::new(), 0);
+    }
+
+    /// Starts a breath, with the valve at `command` percent; `learn` keeps what the last breath taught.
+    #[pyo3(signature = (command=0.0, *, learn=true))]
+    fn start_breath(&mut self, command: f32, learn: bool) {
+        let lesson = if learn { Lesson::Adopt } else { Lesson::Discard };
+        if self.tick > 0 {
+            self.law.learn(&mut self.state, lesson);
+        }
+        self.law.start_breath(&mut self.state, command);
+        self.tick = 0;
+    }
+
+    /// One tick of an inspiration; returns the command in percent.
+    #[pyo3(signature = (pressure, target, *, pip=None, peep=None))]
+    fn step(&mut self, pressure: f32, target: f32, pip: Option<f32>, peep: Option<f32>) -> f32 {
+        let peep = peep.unwrap_or(shared::settings::Settings::default().peep);
+        let seen = Observation { pressure, target, pip: pip.unwrap_or(target), peep, tick: self.tick };
+        let command = self.law.step(&mut self.state, &seen).command;
+        self.law.applied(&mut self.state, command);
+        self.tick += 1;
+        command
+    }
+
+    /// A tick for each pressure and target; returns the commands in percent.
+    #[pyo3(signature = (pressures, targets, *, pip=None, peep=None))]
+    fn __call__<'py>(
+        &mut self,
+        py: Python<'py>,
+        pressures: Vec<f32>,
+        targets: Vec<f32>,
+        pip: Option<f32>,
+        peep: Option<f32>,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        if pressures.len() != targets.len() {
+            return Err(errors::value("pressures and targets need the same length"));
+        }
+        let ticks = pressures.into_iter().zip(targets);
+        let commands: Vec<f32> =
+            ticks.map(|(pressure, target)| self.step(pressure, target, pip, peep)).collect();
+        Ok(PyArray1::from_vec(py, commands))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Controller({:?})", self.name)
+    }
+}

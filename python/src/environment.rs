@@ -1,0 +1,298 @@
+//! The environment for reinforcement learning: one, or a batch that steps on several threads.
+
+use std::sync::Arc;
+
+use environment::{
+    ActionKind, Choice, EnvironmentError, ObservationKind, ObservationStream, Outcomes, Plants, Reward,
+    TaskConfig,
+};
+use numpy::{PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use shared::control::Observation;
+use shared::device::KNOWN_GOOD;
+use ventilator::seeds;
+
+use crate::bench::{Bench, Family};
+use crate::{errors, values};
+
+/// The exception for an error of an environment.
+fn exception(error: &EnvironmentError) -> PyErr {
+    match error {
+        EnvironmentError::Ended | EnvironmentError::Source(_) | EnvironmentError::Threads { .. } => {
+            PyRuntimeError::new_err(error.to_string())
+        }
+        _ => errors::value(error),
+    }
+}
+
+/// The seeds of the sensor noise that a command of the trainer uses: `collect`, `evaluate` or `tune-pid` with this seed.
+#[pyfunction]
+pub fn noise_seeds(command: &str, seed: u64) -> PyResult<Vec<u64>> {
+    match command {
+        "collect" => Ok(vec![seeds::collection(seed, 0)]),
+        "evaluate" => Ok(seeds::evaluation(seed)),
+        "tune-pid" => Ok(vec![seeds::tuning(seed)]),
+        _ => Err(errors::value(format!("{command} has no noise: choose collect, evaluate or tune-pid"))),
+    }
+}
+
+/// A validated task.
+#[pyclass(module = "eupnea._native", name = "Task", frozen)]
+pub struct Task {
+    task: Arc<environment::Task>,
+}
+
+#[pymethods]
+impl Task {
+    #[new]
+    #[pyo3(signature = (*, benches=None, family=None, pips=None, settings=None, breathing=false, period_us=values::PERIOD_US,
+        hold=10, breaths=1, observation="ours", residual=None, reward=(1.0, 0.0, 0.0), monitors=true))]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn new(
+        benches: Option<Vec<PyRef<'_, Bench>>>,
+        family: Option<PyRef<'_, Family>>,
+        pips: Option<Vec<f32>>,
+        settings: Option<&Bound<'_, PyDict>>,
+        breathing: bool,
+        period_us: u32,
+        hold: u32,
+        breaths: u32,
+        observation: &str,
+        residual: Option<(Option<Vec<f32>>, f32)>,
+        reward: (f64, f64, f64),
+        monitors: bool,
+    ) -> PyResult<Self> {
+        let own = family.as_ref().map(|family| family.family.settings);
+        let settings =
+            settings.map(|given| values::changed(own.unwrap_or_default(), Some(given))).transpose()?;
+        let plants = match (benches, family) {
+            (Some(_), Some(_)) => return Err(errors::value("lungs and a family: choose one of them")),
+            (_, Some(family)) => Plants::Family(Box::new(family.family.clone())),
+            (Some(benches), None) => {
+                Plants::Benches(benches.iter().map(|bench| bench.config.clone()).collect())
+            }
+            (None, None) => TaskConfig::default().plants,
+        };
+        let action = match residual {
+            Some((gains, authority)) => {
+                let gains = gains.map_or(Ok(KNOWN_GOOD), |gains| values::gains(&gains))?;
+                ActionKind::Residual { gains, authority }
+            }
+            None => ActionKind::Valve,
+        };
+        let observation = ObservationKind::from_name(observation).map_err(|e| exception(&e))?;
+        let reward = Reward { error: reward.0, effort: reward.1, overshoot: reward.2 };
+        let config = TaskConfig {
+            plants,
+            pips,
+            settings,
+            breathing,
+            period_us,
+            hold,
+            breaths,
+            observation,
+            action,
+            reward,
+            monitors,
+        };
+        let task = environment::Task::new(config).map_err(|e| exception(&e))?;
+        Ok(Self { task: Arc::new(task) })
+    }
+
+    /// Length of an observation.
+    #[getter]
+    fn observations(&self) -> usize {
+        self.task.observations()
+    }
+
+    /// Steps of an episode that is not broken off.
+    #[getter]
+    fn steps(&self) -> u32 {
+        self.task.steps()
+    }
+}
+
+/// What an agent that was trained in an environment observes elsewhere.
+#[pyclass(module = "eupnea._native", name = "Observer")]
+pub struct Observer {
+    stream: ObservationStream,
+}
+
+#[pymethods]
+impl Observer {
+    #[new]
+    #[pyo3(signature = (kind="ours", period_us=values::PERIOD_US))]
+    fn new(kind: &str, period_us: u32) -> PyResult<Self> {
+        let stream =
+            ObservationKind::from_name(kind).and_then(|kind| ObservationStream::new(kind, period_us));
+        Ok(Self { stream: stream.map_err(|e| exception(&e))? })
+    }
+
+    /// Starts a breath; the last command was `command` percent.
+    fn start_breath(&mut self, command: f32) {
+        self.stream.start_breath(command);
+    }
+
+    /// Observes a tick of an inspiration.
+    fn see<'py>(
+        &mut self,
+        py: Python<'py>,
+        pressure: f32,
+        target: f32,
+        pip: f32,
+        peep: f32,
+        tick: u32,
+    ) -> Bound<'py, PyArray1<f32>> {
+        PyArray1::from_slice(py, self.stream.see(&Observation { pressure, target, pip, peep, tick }))
+    }
+
+    /// Records the command applied in the tick, percent.
+    fn applied(&mut self, command: f32) {
+        self.stream.applied(command);
+    }
+}
+
+/// Scores of the last episode: the mean over its breaths.
+fn scores<'py>(py: Python<'py>, episode: &environment::Episode) -> PyResult<Bound<'py, PyDict>> {
+    // Of an episode that was broken off, the breaths that are complete say too little.
+    let unknown = episode.fault.is_some() || episode.scores.is_empty();
+    let mean = judge::evaluate::Score::mean(&episode.scores);
+    let dict = PyDict::new(py);
+    dict.set_item("number", episode.number)?;
+    dict.set_item("plant", &episode.plant)?;
+    dict.set_item("pip", episode.pip)?;
+    dict.set_item("breath_scores", episode.scores.iter().map(|score| score.score).collect::<Vec<_>>())?;
+    for (name, value) in [
+        ("score", mean.score),
+        ("rise_ms", mean.rise_ms),
+        ("overshoot", mean.overshoot),
+        ("plateau_error", mean.plateau_error),
+        ("late_error", mean.late_error),
+        ("effort", mean.effort.total_variation),
+    ] {
+        dict.set_item(name, if unknown { f64::NAN } else { value })?;
+    }
+    dict.set_item("fault", episode.fault.map(|fault| format!("{fault:?}")))?;
+    Ok(dict)
+}
+
+/// One environment.
+#[pyclass(module = "eupnea._native", name = "Environment")]
+pub struct Environment {
+    environment: environment::Environment,
+}
+
+impl Environment {
+    fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        let mut observation = [0.0; 32];
+        let values = &mut observation[..self.environment.task().observations()];
+        self.environment.observe(values);
+        PyArray1::from_slice(py, values)
+    }
+}
+
+#[pymethods]
+impl Environment {
+    #[new]
+    fn new(task: &Task, seed: u64) -> Self {
+        Self { environment: environment::Environment::new(task.task.clone(), seed) }
+    }
+
+    /// Starts an episode; returns its first observation.
+    #[pyo3(signature = (seed=None, number=None, pip=None, noise=None))]
+    fn reset<'py>(
+        &mut self,
+        py: Python<'py>,
+        seed: Option<u64>,
+        number: Option<u32>,
+        pip: Option<f32>,
+        noise: Option<u64>,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        if let Some(seed) = seed {
+            self.environment.seed(seed);
+        }
+        self.environment.reset_to(Choice { number, pip, noise }).map_err(|e| exception(&e))?;
+        Ok(self.observation(py))
+    }
+
+    /// Runs one action; returns observation, reward and whether the episode ended.
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        action: f32,
+    ) -> PyResult<(Bound<'py, PyArray1<f32>>, f64, bool)> {
+        let step = self.environment.step(action).map_err(|e| exception(&e))?;
+        Ok((self.observation(py), step.reward, step.ended))
+    }
+
+    /// The episode that runs or has just ended.
+    fn episode<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        scores(py, self.environment.episode())
+    }
+
+    /// True pressure and target, cmH2O, and command, percent, of the running inspiration, or of the last one.
+    fn inspiration<'py>(&self, py: Python<'py>) -> [Bound<'py, PyArray1<f64>>; 3] {
+        self.environment.inspiration().map(|curve| PyArray1::from_vec(py, curve))
+    }
+}
+
+/// Environments that step together.
+#[pyclass(module = "eupnea._native", name = "Batch")]
+pub struct Batch {
+    batch: environment::Batch,
+}
+
+/// A buffer as a slice.
+fn slice<'a, T: numpy::Element>(array: &'a mut PyReadwriteArray1<'_, T>) -> PyResult<&'a mut [T]> {
+    array.as_slice_mut().map_err(errors::value)
+}
+
+#[pymethods]
+impl Batch {
+    #[new]
+    fn new(task: &Task, seed: u64, count: usize, threads: usize) -> PyResult<Self> {
+        let batch = environment::Batch::new(&task.task, seed, count, threads).map_err(|e| exception(&e))?;
+        Ok(Self { batch })
+    }
+
+    /// Starts an episode in every environment.
+    fn reset<'py>(
+        &mut self,
+        py: Python<'py>,
+        seed: Option<u64>,
+        mut observations: PyReadwriteArray2<'py, f32>,
+        mut rewards: PyReadwriteArray1<'py, f64>,
+        mut ended: PyReadwriteArray1<'py, bool>,
+    ) -> PyResult<()> {
+        let observations = observations.as_slice_mut().map_err(errors::value)?;
+        let (rewards, ended) = (slice(&mut rewards)?, slice(&mut ended)?);
+        let mut outcomes = Outcomes { observations, rewards, ended };
+        py.detach(|| self.batch.reset(seed, &mut outcomes)).map_err(|e| exception(&e))
+    }
+
+    /// Runs one action in every environment, and starts those whose episodes ended with the step before.
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        actions: PyReadonlyArray1<'py, f32>,
+        mut observations: PyReadwriteArray2<'py, f32>,
+        mut rewards: PyReadwriteArray1<'py, f64>,
+        mut ended: PyReadwriteArray1<'py, bool>,
+    ) -> PyResult<()> {
+        let actions = actions.as_slice().map_err(errors::value)?;
+        let observations = observations.as_slice_mut().map_err(errors::value)?;
+        let (rewards, ended) = (slice(&mut rewards)?, slice(&mut ended)?);
+        let mut outcomes = Outcomes { observations, rewards, ended };
+        py.detach(|| self.batch.step(actions, &mut outcomes)).map_err(|e| exception(&e))
+    }
+
+    /// The episode of one environment that runs or has just ended.
+    fn episode<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+        match self.batch.environments().get(index) {
+            Some(environment) => scores(py, environment.episode()),
+            None => Err(errors::value(format!("there is no environment {index}"))),
+        }
+    }
+}
