@@ -55,6 +55,7 @@ const CHIP: &[Step] = &[
     // The test step runs these tests in debug; here the chip's optimisation must give the same bits.
     step("golden", &[OPTIMISED_TEST, "golden -- golden"]),
     step("frames", &[OPTIMISED_TEST, "fuzz -- no_damaged_frame"]),
+    step("package", &["xtask package"]),
     step("python", &["xtask python"]).after("build"),
     step("faults", &["xtask faults"]).after("build"),
     step("monitors", &["xtask mutate-monitors"]).after("build"),

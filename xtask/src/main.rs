@@ -8,6 +8,7 @@ mod faults;
 mod firmware;
 mod memory;
 mod mutants;
+mod package;
 mod python;
 mod qemu_test;
 mod setup;
@@ -54,6 +55,10 @@ enum Command {
     Mutants(mutants::Arguments),
     /// Run the Python examples, with a plant written in Python
     Python,
+    /// Install the Python package, then lint and test it and run its notebook
+    Package,
+    /// Build a wheel of the Python package that runs on any Linux with glibc 2.28 or newer
+    Wheel,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -82,6 +87,8 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::MutateMonitors => faults::mutate_monitors(&shell),
         Command::Mutants(arguments) => mutants::run(&shell, arguments),
         Command::Python => python::run(&shell),
+        Command::Package => package::run(&shell),
+        Command::Wheel => package::wheel(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

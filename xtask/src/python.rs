@@ -11,7 +11,8 @@ use crate::trainer::Trainer;
 /// Folder of the examples.
 const EXAMPLES: &str = "examples/python";
 /// Imports of the examples, to check that their packages are installed.
-const PACKAGES: &str = "import control, mlflow, numpy, pandas, pyarrow, safetensors, tensorboard";
+const PACKAGES: &str =
+    "import control, mlflow, numpy, onnx, onnxruntime, pandas, pyarrow, safetensors, tensorboard";
 
 /// Placeholder in command lines, and the plant that replaces it: the Python plant on a pipe.
 const PLANT: (&str, &str) = ("PLANT", "pipe:python3 examples/python/plant.py");
@@ -25,6 +26,7 @@ pub fn run(shell: &Shell) -> Result<()> {
     pipeline_on_a_plant(&trainer)?;
     open_files(shell, &trainer, &python)?;
     repeat_margins(shell, &trainer, &python)?;
+    run_networks(shell, &trainer, &python)?;
     open_exports(shell, &trainer, &python)
 }
 
@@ -34,7 +36,7 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
         let probe = cmd!(shell, "{python} -c {PACKAGES}").quiet().ignore_stdout().ignore_stderr();
         probe.run().is_ok()
     };
-    ensure_python(shell)?;
+    ensure(shell)?;
     let own = PathBuf::from("python3");
     if complete(&own) {
         return Ok(own);
@@ -56,7 +58,7 @@ fn with_packages(shell: &Shell) -> Result<PathBuf> {
 }
 
 /// Ensures that Python can create virtual environments.
-fn ensure_python(shell: &Shell) -> Result<()> {
+pub fn ensure(shell: &Shell) -> Result<()> {
     if cmd!(shell, "python3 -c 'import ensurepip, venv'").quiet().ignore_stderr().run().is_err() {
         cmd!(shell, "bash .ci/setup/python-venv").quiet().run()?;
     }
@@ -99,6 +101,35 @@ fn repeat_margins(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result
     trainer.run(&format!("margins --lung R20C20 --gains 3,30 --json {file}"), &[])?;
     cmd!(shell, "{python} {EXAMPLES}/margins.py {file}").quiet().run()?;
     Ok(())
+}
+
+/// Exports controllers and simulators, runs them in onnxruntime, and one controller as a policy.
+fn run_networks(shell: &Shell, trainer: &Trainer<'_>, python: &Path) -> Result<()> {
+    let folder = "target/python/onnx";
+    shell.remove_path(folder)?;
+    for line in [
+        format!("collect --breaths 24 --out {folder}/fast.parquet"),
+        format!("fit --data {folder}/fast.parquet --epochs 20 --out {folder}/state-space.safetensors"),
+        format!(
+            "fit --data target/python/plant.parquet --epochs 20 --architecture stitched --out {folder}/stitched.safetensors"
+        ),
+        format!("train-family --units 4 --iterations 2 --out {folder}/family"),
+    ] {
+        trainer.run(&line, &[])?;
+    }
+    let simulators = ["state-space", "stitched", "family/round-0/unit-0"];
+    let mut sources: Vec<String> =
+        simulators.iter().map(|name| format!("{folder}/{name}.safetensors")).collect();
+    sources.extend(["adult", "target/python/run/controller.safetensors"].map(str::to_owned));
+    let mut files = Vec::new();
+    for (number, source) in sources.iter().enumerate() {
+        let made = [format!("{folder}/{number}.onnx"), format!("{folder}/{number}.json")];
+        trainer.run(&format!("export {source} --out {} --check {}", made[0], made[1]), &[])?;
+        files.extend(made);
+    }
+    cmd!(shell, "{python} {EXAMPLES}/onnx_check.py {files...}").quiet().run()?;
+    let policy = format!("pipe:{} {EXAMPLES}/policy.py --onnx {folder}/3.onnx", python.display());
+    trainer.run("evaluate --policy POLICY --pips 20 --breaths 2", &[("POLICY", &policy)])
 }
 
 /// Opens the exported runs of the pipeline with `MLflow` and `TensorBoard`.
