@@ -254,7 +254,7 @@ fn offences(layers: &Layers, crates: &[Sources], place: &Place, at_root: bool, s
 fn crates() -> Vec<Sources> {
     let top = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut folders =
-        vec![("shared".to_owned(), top.join("shared/src")), ("host".to_owned(), top.join("host/src"))];
+        ["shared", "host", "python"].map(|krate| (krate.to_owned(), top.join(krate).join("src"))).to_vec();
     for entry in fs::read_dir(top.join("host")).expect("the host side can be read") {
         let path = entry.expect("an entry can be read").path();
         if path.join("Cargo.toml").exists() {
