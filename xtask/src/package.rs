@@ -35,9 +35,15 @@ pub fn run(shell: &Shell) -> Result<()> {
 pub fn wheel(shell: &Shell) -> Result<()> {
     let python = environment(shell, "wheel")?;
     cmd!(shell, "{python} -m pip install --quiet maturin ziglang").quiet().run()?;
-    let tools = python.with_file_name("maturin");
     let options = ["--zig", "--compatibility", PORTABLE, "--out", WHEELS];
-    cmd!(shell, "{tools} build --manifest-path {PACKAGE}/Cargo.toml {options...}").quiet().run()?;
+    // Maturin finds Zig as a package of the first Python in PATH.
+    let programs = python.with_file_name("");
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let paths = std::env::join_paths(std::iter::once(programs).chain(std::env::split_paths(&path)))?;
+    let _path = shell.push_env("PATH", paths);
+    cmd!(shell, "{python} -m maturin build --manifest-path {PACKAGE}/Cargo.toml {options...}")
+        .quiet()
+        .run()?;
     Ok(())
 }
 
