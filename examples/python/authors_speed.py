@@ -1,7 +1,7 @@
 r"""Times the environments of eupnea beside the learned lung of the paper's authors in JAX, the latter also with gradient.
 
 Their packages of 2021 need JAX 0.4.13, which has lost three names that they use; the script supplies these, and empty modules for
-packages that they import but do not need here. In an environment of its own (Python 3.9 to 3.11):
+packages that they import but do not need here. In an environment of its own (Python 3.10 or 3.11):
 
   pip install jax==0.4.13 jaxlib==0.4.13 flax==0.7.0 "numpy<2" "scipy<1.12" optax==0.1.7 "orbax-checkpoint<0.4" \
       dill tqdm pandas matplotlib scikit-learn ipython click

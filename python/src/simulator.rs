@@ -50,9 +50,9 @@ impl Simulator {
 
     fn checked<'a>(commands: &'a PyReadonlyArray2<'_, f32>) -> PyResult<Vec<&'a [f32]>> {
         let [_, ticks] = *commands.shape() else { return Err(errors::value("commands need two dimensions")) };
-        let flat = commands
-            .as_slice()
-            .map_err(|_| errors::value("commands must be contiguous: use ascontiguousarray"))?;
+        // A slice of an array in Fortran's order would have its rows and columns exchanged.
+        let flat = commands.as_slice().ok().filter(|_| commands.is_c_contiguous());
+        let flat = flat.ok_or_else(|| errors::value("commands must be contiguous: use ascontiguousarray"))?;
         if !(1..=TICKS_MAX).contains(&ticks) {
             return Err(errors::value(format!("{ticks} ticks: a roll-out has 1 to {TICKS_MAX}")));
         }
@@ -78,6 +78,12 @@ impl Simulator {
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
         let simulator = learn::simulator::model::Simulator::load(&path).map_err(|e| errors::of(&e))?;
+        let channels = simulator.architecture.timing().channels;
+        if channels != 1 {
+            return Err(errors::value(format!(
+                "a simulator of {channels} valves: one of the inspiratory valve alone is needed"
+            )));
+        }
         Ok(Self { model: simulator.model(), simulator })
     }
 

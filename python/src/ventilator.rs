@@ -56,7 +56,8 @@ impl Ventilator {
     /// Settings from the next breath on.
     #[pyo3(signature = (**settings))]
     fn apply(&mut self, settings: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
-        let settings = values::changed(*self.state.breath().settings(), settings)?;
+        let latest = self.state.pending().unwrap_or(self.state.breath().settings());
+        let settings = values::changed(*latest, settings)?;
         self.ventilator.apply(&mut self.state, &settings).map_err(|e| errors::of(&e))
     }
 

@@ -42,6 +42,17 @@ def test_the_ventilator_holds_the_pressure_of_a_bench(monitors):
     assert ventilator.mode == "standby" and ventilator.step(pressure)[0] == 0
 
 
+def test_settings_that_wait_for_their_breath_are_changed_one_after_the_other():
+    ventilator = eupnea.Ventilator(eupnea.Controller.pid((3, 30)), pip=20, peep=5)
+    for _ in range(10):
+        ventilator.step(5.0)
+    ventilator.apply(pip=25)
+    ventilator.apply(peep=8)
+    for _ in range(3000):
+        ventilator.step(8.0)
+    assert (ventilator.settings["pip"], ventilator.settings["peep"]) == (25, 8)
+
+
 def test_monitors_find_a_sensor_that_gives_no_number():
     ventilator = eupnea.Ventilator(eupnea.Controller.pid((3, 30)), pip=20)
     alarms = {ventilator.step(float("nan"))[-1] for _ in range(300)}
@@ -81,3 +92,9 @@ def test_a_simulator_predicts_each_breath_of_a_batch_alone(simulator):
     together = learned.roll_out(commands)
     for row in (0, 15, 16, 18):
         np.testing.assert_array_equal(learned.roll_out(commands[row : row + 1])[0], together[row])
+
+
+def test_commands_in_another_memory_order_are_refused_and_not_transposed(simulator):
+    learned = eupnea.Simulator.load(simulator)
+    with pytest.raises(ValueError, match="ascontiguousarray"):
+        learned.roll_out(np.asfortranarray(np.ones((3, 200), np.float32)))

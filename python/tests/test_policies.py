@@ -73,3 +73,9 @@ def test_a_known_controller_has_the_scores_of_evaluate():
     result = eupnea.evaluate(policy=known, gains=gains, **SHORT)
     alone = eupnea.evaluate(gains=gains, **SHORT)["mean"]["pid"]["score"]
     assert result["mean"]["learned"]["score"] == alone == result["mean"]["pid"]["score"]
+
+
+def test_an_agent_needs_a_control_period():
+    for observation in ("ours", "authors", "plain"):
+        with pytest.raises(ValueError, match="period_us is 0"):
+            Agent(lambda seen: 0.0, observation=observation, period_us=0)

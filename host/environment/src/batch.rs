@@ -85,13 +85,14 @@ impl Batch {
     /// # Errors
     /// A slice of the wrong length, or a bench that is refused.
     pub fn reset(&mut self, seed: Option<u64>, outcomes: &mut Outcomes<'_>) -> Result<(), EnvironmentError> {
-        self.started = true;
         self.each(outcomes, |index, environment, row| {
             if let Some(seed) = seed {
                 environment.reseed(seed, index as u32);
             }
             start(environment, row)
-        })
+        })?;
+        self.started = true;
+        Ok(())
     }
 
     /// Runs one action, from -1 to 1, in every environment. The result does not depend on the number of threads.

@@ -56,6 +56,10 @@ impl ObservationKind {
 
     /// What computes the observation at a control period in microseconds.
     pub(crate) fn observer(self, period_us: u32) -> Result<Observer, EnvironmentError> {
+        if period_us == 0 {
+            let (name, value, bounds) = ("period_us", 0.0, "at least 1");
+            return Err(EnvironmentError::OutOfBounds { name, value, bounds });
+        }
         Ok(match self {
             Self::Ours => Observer::Ours(Box::new(Perception::new(&Features::default(), period_us)?)),
             Self::Authors => {

@@ -42,6 +42,8 @@ pub fn recorded(
     matches: &ArgMatches,
     run: impl FnOnce() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
+    // In a process that runs several commands, numbers of an earlier one may be left.
+    *RESULTS.lock().unwrap_or_else(PoisonError::into_inner) = None;
     let Some((name, matches)) = matches.subcommand() else { return run() };
     let Some(command) = cli.find_subcommand(name) else { return run() };
     record::describe(options(command, matches));
