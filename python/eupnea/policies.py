@@ -15,7 +15,7 @@ import threading
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -181,17 +181,12 @@ def _serve(server: socket.socket, policy: Policy, failures: list[BaseException])
         except OSError:
             return
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        with line, line.makefile("rb") as frames:
-            try:
-                _answer(line, frames, policy)
-            except OSError:
-                continue
-            except Exception as error:
-                # The link ends, and the PID commands from there on.
-                failures.append(error)
+        # When the ventilator closes the line, it needs no answer any more.
+        with suppress(OSError), line, line.makefile("rb") as frames:
+            _answer(line, frames, policy, failures)
 
 
-def _answer(line: socket.socket, frames: Any, policy: Policy) -> None:
+def _answer(line: socket.socket, frames: Any, policy: Policy, failures: list[BaseException]) -> None:
     period_s = 1e-3
     while len(frame := frames.read(FRAME.size + 4)) == FRAME.size + 4:
         _, kind, number, *words = FRAME.unpack(frame[: FRAME.size])
@@ -200,12 +195,22 @@ def _answer(line: socket.socket, frames: Any, policy: Policy) -> None:
             answer, value = GREETING, VERSION
         elif kind == RESET:
             period_s = words[0] * 1e-6
-            reset(policy)
-        elif kind == OBSERVE:
-            seen = np.frombuffer(frame, "<f4", 5, 4)
-            observation = np.array([*seen, words[5] * period_s], np.float32)
-            with np.errstate(over="ignore"):
-                command = np.float32(policy(observation))
-            answer, value = COMMAND, int(command.view(np.uint32))
+        try:
+            if kind == RESET:
+                reset(policy)
+            elif kind == OBSERVE:
+                seen = np.frombuffer(frame, "<f4", 5, 4)
+                answer, value = COMMAND, _command(policy, np.array([*seen, words[5] * period_s], np.float32))
+        except Exception as error:
+            # The link ends, and the PID commands from there on.
+            failures.append(error)
+            return
         body = FRAME.pack(START_BYTE, answer, number, value, 0, 0, 0, 0, 0)
         line.sendall(body + struct.pack("<I", zlib.crc32(body)))
+
+
+def _command(policy: Policy, observation: NDArray[np.float32]) -> int:
+    """Return the bits of the policy's command."""
+    with np.errstate(over="ignore"):
+        command = np.asarray(policy(observation), np.float32).reshape(())
+    return int(command.view(np.uint32))

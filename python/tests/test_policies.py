@@ -36,13 +36,14 @@ def test_a_policy_that_fails_leaves_the_pid_and_is_named():
         eupnea.evaluate(policy=fails, **SHORT)
 
 
-def test_a_policy_that_fails_later_has_a_score_and_a_warning():
+@pytest.mark.parametrize("failure", [ZeroDivisionError, TimeoutError])
+def test_a_policy_that_fails_later_has_a_score_and_a_warning(failure):
     def fails(seen):
         if seen[5] > 0.5:
-            raise ZeroDivisionError
-        return proportional(seen)
+            raise failure
+        return np.array([proportional(seen)])
 
-    with pytest.warns(RuntimeWarning, match="ZeroDivisionError"):
+    with pytest.warns(RuntimeWarning, match=failure.__name__):
         result = eupnea.evaluate(policy=fails, **SHORT)
     assert result["mean"]["learned"]["score"] > 0
 
