@@ -78,11 +78,12 @@ impl Simulator {
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
         let simulator = learn::simulator::model::Simulator::load(&path).map_err(|e| errors::of(&e))?;
-        let channels = simulator.architecture.timing().channels;
-        if channels != 1 {
-            return Err(errors::value(format!(
-                "a simulator of {channels} valves: one of the inspiratory valve alone is needed"
-            )));
+        let timing = simulator.architecture.timing();
+        if timing.channels != 1 || timing.block_ticks == 0 {
+            let (channels, ticks) = (timing.channels, timing.block_ticks);
+            let text =
+                format!("{channels} valves and blocks of {ticks} ticks: one valve and a tick are needed");
+            return Err(errors::value(text));
         }
         Ok(Self { model: simulator.model(), simulator })
     }
