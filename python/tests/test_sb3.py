@@ -58,7 +58,7 @@ def single_episodes(count, action, seed, **options):
 
 
 def test_every_transition_is_one_of_an_episode_and_none_only_starts_one(adapter):
-    # Every fifth environment opens its valve: those episodes are broken off, so that ends differ between environments.
+    # Every fifth environment opens its valve: those episodes are aborted, so that ends differ between environments.
     def action(number):
         return 1.0 if number % NUM == 0 else -0.6
 

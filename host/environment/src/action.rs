@@ -29,8 +29,7 @@ impl ActionKind {
             Self::Valve => Kind::Valve,
             Self::Residual { gains, authority } => {
                 if !(0.0..=COMMAND_MAX).contains(&authority) {
-                    let (name, bounds) = ("authority", "0 to 100 percent");
-                    return Err(EnvironmentError::OutOfBounds { name, value: authority.into(), bounds });
+                    return Err(EnvironmentError::out_of_bounds("authority", authority, 0.0, COMMAND_MAX));
                 }
                 Kind::Residual { pid: Pid::new(gains, period_us)?, authority }
             }

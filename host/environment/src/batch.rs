@@ -1,4 +1,4 @@
-//! Many environments side by side, each on its own thread or in turns.
+//! Environments that step together, on one thread or several.
 
 use std::sync::Arc;
 
@@ -9,6 +9,8 @@ use crate::{Environment, EnvironmentError, Episode, Task};
 
 /// Most environments in a batch.
 const ENVIRONMENTS_MAX: usize = 1 << 20;
+/// Most threads.
+const THREADS_MAX: usize = 1024;
 
 /// Environments that step together. One whose episode has ended starts its next one at the next step, whose action it ignores.
 #[derive(Debug)]
@@ -37,10 +39,10 @@ impl Batch {
     /// # Errors
     /// No environment, too many of them, or threads that cannot be started.
     pub fn new(task: &Arc<Task>, seed: u64, count: usize, threads: usize) -> Result<Self, EnvironmentError> {
-        for (name, value, most) in [("num_envs", count, ENVIRONMENTS_MAX), ("threads", threads, 1024)] {
+        for (name, value, most) in [("num_envs", count, ENVIRONMENTS_MAX), ("threads", threads, THREADS_MAX)]
+        {
             if !(1..=most).contains(&value) {
-                let bounds = if most == ENVIRONMENTS_MAX { "1 to 1048576" } else { "1 to 1024" };
-                return Err(EnvironmentError::OutOfBounds { name, value: value as f64, bounds });
+                return Err(EnvironmentError::out_of_bounds(name, value as f64, 1.0, most as f64));
             }
         }
         let build = |threads| {
@@ -112,7 +114,7 @@ impl Batch {
                 return start(environment, row);
             }
             let step = environment.step(actions[index])?;
-            environment.observe(row.observation);
+            row.observation.copy_from_slice(environment.observation());
             (*row.reward, *row.ended) = (step.reward, step.ended);
             Ok(())
         })
@@ -125,7 +127,7 @@ impl Batch {
         work: impl Fn(usize, &mut Environment, &mut Row<'_>) -> Result<(), EnvironmentError> + Sync,
     ) -> Result<(), EnvironmentError> {
         let (count, width) = (self.len(), self.task().observations());
-        check("observed values", outcomes.observations.len(), count * width)?;
+        check("observations", outcomes.observations.len(), count * width)?;
         check("rewards", outcomes.rewards.len(), count)?;
         check("ends", outcomes.ended.len(), count)?;
         let Outcomes { observations, rewards, ended } = outcomes;
@@ -155,11 +157,11 @@ struct Row<'a> {
 /// Starts the next episode.
 fn start(environment: &mut Environment, row: &mut Row<'_>) -> Result<(), EnvironmentError> {
     environment.reset()?;
-    environment.observe(row.observation);
+    row.observation.copy_from_slice(environment.observation());
     (*row.reward, *row.ended) = (0.0, false);
     Ok(())
 }
 
-fn check(what: &'static str, given: usize, wanted: usize) -> Result<(), EnvironmentError> {
-    if given == wanted { Ok(()) } else { Err(EnvironmentError::Count { what, given, wanted }) }
+fn check(array: &'static str, given: usize, needed: usize) -> Result<(), EnvironmentError> {
+    if given == needed { Ok(()) } else { Err(EnvironmentError::Length { array, given, needed }) }
 }

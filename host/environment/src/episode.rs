@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use judge::evaluate::{InspirationRecord, Score};
-use shared::breath::{Breath, Phase};
+use shared::breath::Breath;
 use shared::control::Observation;
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
@@ -39,6 +39,8 @@ struct Running {
     breaths: u32,
     /// Steps that have begun.
     steps: u32,
+    /// Ticks of the running inspiration that are complete.
+    ticks: u32,
     /// Last command, percent.
     command: f32,
     record: InspirationRecord,
@@ -50,7 +52,7 @@ struct Running {
 pub struct Step {
     /// Reward.
     pub reward: f64,
-    /// Whether the episode has ended: after its last breath, or because the ventilator broke it off.
+    /// Whether the episode has ended: after its last breath, or because the ventilator aborted it.
     pub ended: bool,
 }
 
@@ -65,18 +67,8 @@ pub struct Episode {
     pub pip: f32,
     /// Scores of its complete breaths.
     pub scores: Vec<Score>,
-    /// The fault with which the ventilator broke it off.
+    /// The fault with which the ventilator aborted it.
     pub fault: Option<Fault>,
-}
-
-/// What a tick has led to.
-enum Next {
-    /// Another tick of the inspiration.
-    Tick,
-    /// The inspiration is complete.
-    Complete,
-    /// The ventilator broke the breath off.
-    Fault(Fault),
 }
 
 impl Environment {
@@ -139,7 +131,7 @@ impl Environment {
         let breath = Breath::new(&draw.settings, config.period_us)?;
         let scores = Vec::new();
         let mut running =
-            Running { source, draw, breath, breaths: 0, steps: 0, command: 0.0, record, scores };
+            Running { source, draw, breath, breaths: 0, steps: 0, ticks: 0, command: 0.0, record, scores };
         running.begin_breath(&self.task, &mut self.memory)?;
         self.running = Some(running);
         Ok(())
@@ -160,12 +152,9 @@ impl Environment {
         self.running.as_ref().map_or(&self.last, |running| &running.record).curves()
     }
 
-    /// Writes the observation, [`Task::observations`] values; after the end of an episode, its last one.
-    ///
-    /// # Panics
-    /// If `observation` has another length.
-    pub fn observe(&self, observation: &mut [f32]) {
-        observation.copy_from_slice(&self.memory.seen()[..self.task.observations()]);
+    /// The observation, [`Task::observations`] values; after the end of an episode, its last one.
+    pub fn observation(&self) -> &[f32] {
+        &self.memory.seen()[..self.task.observations()]
     }
 
     /// Runs one action, from -1 to 1: the ticks for which it is held, or those left of the inspiration. After the last tick of an
@@ -182,41 +171,44 @@ impl Environment {
             breathing.set_controller(self.task.law.with(action));
         }
         running.steps += 1;
-        let (mut reward, mut ticks) = (0.0, 0);
-        for _ in 0..self.task.config.hold {
-            let (of_tick, next) = running.tick(&self.task, &mut self.memory)?;
-            reward += of_tick;
-            ticks += 1;
-            match next {
-                Next::Tick => {}
-                Next::Complete if running.breaths < self.task.config.breaths => {
-                    match running.exhale() {
-                        Ok(()) => running.begin_breath(&self.task, &mut self.memory)?,
-                        Err(SourceError::Fault { fault, .. }) => {
-                            return Ok(self.broken_off(fault, reward, ticks));
-                        }
-                        Err(error) => return Err(error.into()),
-                    }
-                    break;
-                }
-                Next::Complete => {
-                    self.end(None);
-                    return Ok(Step { reward: reward / f64::from(ticks), ended: true });
-                }
-                Next::Fault(fault) => return Ok(self.broken_off(fault, reward, ticks)),
+        let planned = self.task.config.hold.min(running.ticks_left());
+        let mut reward = 0.0;
+        for complete in 0..planned {
+            match running.tick(&self.task, &mut self.memory) {
+                Ok(of_tick) => reward += of_tick,
+                Err(error) => return self.aborted(error, reward, [planned - complete, planned]),
             }
         }
-        Ok(Step { reward: reward / f64::from(ticks), ended: false })
+        if running.ticks_left() == 0 {
+            running.scores.push(running.record.score(&running.draw.settings, self.task.config.period_us));
+            if running.breaths == self.task.config.breaths {
+                self.end(None);
+                return Ok(Step { reward: reward / f64::from(planned), ended: true });
+            }
+            if let Err(error) = running.exhale() {
+                return self.aborted(error, reward, [0, planned]);
+            }
+            running.begin_breath(&self.task, &mut self.memory)?;
+        }
+        Ok(Step { reward: reward / f64::from(planned), ended: false })
     }
 
-    /// Ends an episode that the ventilator broke off. The steps that are left count as errors, so that breaking off never pays.
-    fn broken_off(&mut self, fault: Fault, reward: f64, ticks: u32) -> Step {
-        let missing = self.running.as_ref().map_or(0.0, |running| {
-            let left = self.task.steps().saturating_sub(running.steps);
-            f64::from(left) * self.task.config.reward.of_missing(&running.draw.settings)
-        });
-        self.end(Some(fault));
-        Step { reward: reward / f64::from(ticks) + missing, ended: true }
+    /// Ends an episode with the fault with which the ventilator aborted it; any other error goes on to the caller. The `missing` of
+    /// the `planned` ticks of the running step, and all steps that are left, count as the worst ticks, so that an abort never pays.
+    fn aborted(
+        &mut self,
+        error: SourceError,
+        reward: f64,
+        [missing, planned]: [u32; 2],
+    ) -> Result<Step, EnvironmentError> {
+        let (SourceError::Fault { fault, .. }, Some(running)) = (&error, &self.running) else {
+            return Err(error.into());
+        };
+        let worst = self.task.config.reward.worst(&running.draw.settings);
+        let of_step = (reward + f64::from(missing) * worst) / f64::from(planned);
+        let reward = of_step + f64::from(self.task.steps() - running.steps) * worst;
+        self.end(Some(*fault));
+        Ok(Step { reward, ended: true })
     }
 
     fn end(&mut self, fault: Option<Fault>) {
@@ -231,7 +223,7 @@ impl Running {
     /// Begins the next breath and observes its first tick.
     fn begin_breath(&mut self, task: &Task, memory: &mut Memory) -> Result<(), EnvironmentError> {
         self.source.begin(&self.draw.settings)?;
-        self.breaths += 1;
+        (self.breaths, self.ticks) = (self.breaths + 1, 0);
         self.record.clear();
         task.observer.start_breath(memory, self.command);
         self.observe(task, memory, 0);
@@ -247,31 +239,26 @@ impl Running {
         task.observer.see(memory, &seen);
     }
 
+    /// Ticks of the running inspiration that are left.
+    fn ticks_left(&self) -> u32 {
+        self.breath.inspiration_ticks() - self.ticks
+    }
+
     /// Runs one tick of the inspiration; returns its reward.
-    fn tick(&mut self, task: &Task, memory: &mut Memory) -> Result<(f64, Next), EnvironmentError> {
+    fn tick(&mut self, task: &Task, memory: &mut Memory) -> Result<f64, SourceError> {
         let Self { source, command, record, .. } = self;
-        let mut breathing = source.breathing().ok_or(EnvironmentError::Ended)?;
         let (mut reward, pip) = (0.0, self.draw.settings.pip);
-        let ran = breathing.tick(&mut |tick: &Tick| {
+        let Some(mut breathing) = source.breathing() else { return Ok(reward) };
+        breathing.tick(&mut |tick: &Tick| {
             reward = task.config.reward.of(tick, pip, *command);
             *command = tick.sample.u_in;
             record.add(tick);
-        });
-        match ran {
-            Ok(_) => {}
-            Err(SourceError::Fault { fault, .. }) => return Ok((reward, Next::Fault(fault))),
-            Err(error) => return Err(error.into()),
-        }
-        let tick = breathing.state().tick();
+        })?;
+        self.ticks += 1;
         task.observer.applied(memory, self.command);
-        if tick > 0 && self.breath.phase(tick) == Phase::Inspiration {
-            self.observe(task, memory, tick);
-            return Ok((reward, Next::Tick));
-        }
-        // The target of an inspiration ends with it; what is seen last still has one.
-        self.observe(task, memory, self.breath.inspiration_ticks() - 1);
-        self.scores.push(self.record.score(&self.draw.settings, task.config.period_us));
-        Ok((reward, Next::Complete))
+        // The target of an inspiration ends with it; the last observation still has one.
+        self.observe(task, memory, self.ticks.min(self.breath.inspiration_ticks() - 1));
+        Ok(reward)
     }
 
     /// Runs the expiration.

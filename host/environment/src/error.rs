@@ -18,28 +18,30 @@ pub enum EnvironmentError {
     /// No episode is running.
     #[error("no episode is running: call reset first")]
     Ended,
-    /// A number of actions, observations or seeds that differs from that of the environments.
-    #[error("{given} {what} for {wanted} environments: give one for each")]
-    Count {
-        /// What was given.
-        what: &'static str,
-        /// How many were given.
+    /// An array of another length than the environments need.
+    #[error("the array of {array} has {given} numbers: it needs {needed}")]
+    Length {
+        /// Content of the array.
+        array: &'static str,
+        /// Its length.
         given: usize,
-        /// How many are needed.
-        wanted: usize,
+        /// The length that is needed.
+        needed: usize,
     },
     /// There is nothing to run on.
     #[error("the task has no {0}: name at least one")]
     Empty(&'static str),
     /// A number that is out of bounds.
-    #[error("{name} is {value}: it must be {bounds}")]
+    #[error("{name} is {value}: it must be {least} to {most}")]
     OutOfBounds {
-        /// What it is.
+        /// Name of the option.
         name: &'static str,
         /// The value.
         value: f64,
-        /// The bounds in words.
-        bounds: &'static str,
+        /// Lowest accepted value.
+        least: f64,
+        /// Highest accepted value.
+        most: f64,
     },
     /// Threads that cannot be started.
     #[error("cannot start {threads} threads: {reason}; ask for fewer")]
@@ -61,4 +63,10 @@ pub enum EnvironmentError {
     /// The ventilator or the bench failed.
     #[error(transparent)]
     Source(#[from] SourceError),
+}
+
+impl EnvironmentError {
+    pub(crate) fn out_of_bounds<T: Into<f64>>(name: &'static str, value: T, least: T, most: T) -> Self {
+        Self::OutOfBounds { name, value: value.into(), least: least.into(), most: most.into() }
+    }
 }

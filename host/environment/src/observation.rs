@@ -4,7 +4,7 @@ use judge::rl::ventilation::{Perception, PolicyMemory, TaskConfig as Features};
 use learn::controller::ControllerArchitecture;
 use learn::controller::authors::averages::{ERRORS, averages};
 use serde::{Deserialize, Serialize};
-use shared::breath::period_s;
+use shared::breath::{PERIOD_BOUNDS_US, period_s};
 use shared::control::Observation;
 use shared::control::features::{ERROR_SCALE, FEATURES};
 
@@ -56,9 +56,9 @@ impl ObservationKind {
 
     /// What computes the observation at a control period in microseconds.
     pub(crate) fn observer(self, period_us: u32) -> Result<Observer, EnvironmentError> {
-        if period_us == 0 {
-            let (name, value, bounds) = ("period_us", 0.0, "at least 1");
-            return Err(EnvironmentError::OutOfBounds { name, value, bounds });
+        let (shortest, longest) = PERIOD_BOUNDS_US;
+        if !(shortest..=longest).contains(&period_us) {
+            return Err(EnvironmentError::out_of_bounds("period_us", period_us, shortest, longest));
         }
         Ok(match self {
             Self::Ours => Observer::Ours(Box::new(Perception::new(&Features::default(), period_us)?)),

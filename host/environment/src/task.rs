@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use shared::breath::{Breath, DEFAULT_PERIOD_US, PAPER_PIPS};
+use shared::control::COMMAND_MAX;
 use shared::safety::alarms::Fault;
 use shared::safety::monitors::Monitors;
 use shared::settings::Settings;
@@ -14,12 +15,12 @@ use crate::observation::Observer;
 use crate::plants::{Plants, Waveforms};
 use crate::{ActionKind, EnvironmentError, ObservationKind};
 
+/// Longest time for which an action is held, ticks.
+const HOLD_MAX: u32 = 1000;
 /// Largest number of breaths in an episode.
 const BREATHS_MAX: u32 = 100_000;
-
-/// Error of a step that is missing because the ventilator broke the episode off, as a multiple of PIP - PEEP: more than that of a
-/// valve that stays closed, so that an agent has nothing to gain from being broken off.
-const MISSING: f64 = 2.0;
+/// Largest weight of a part of the reward.
+const WEIGHT_MAX: f64 = 1e9;
 
 /// What an environment's episodes are like.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,9 +98,12 @@ impl Reward {
         -(self.error * error + self.effort * effort + self.overshoot * overshoot)
     }
 
-    /// The reward of a step that the ventilator did not run because it had broken the episode off.
-    pub(crate) fn of_missing(&self, settings: &Settings) -> f64 {
-        -self.error * MISSING * f64::from(settings.pip - settings.peep)
+    /// The reward of a tick that the ventilator did not run because it had aborted the episode: the pressure is at its limit while the
+    /// target is PEEP, and the command jumps over the whole range. Any policy does better in a tick that runs.
+    pub(crate) fn worst(&self, settings: &Settings) -> f64 {
+        let Settings { pip, peep, pressure_limit, .. } = *settings;
+        let (error, overshoot) = (f64::from(pressure_limit - peep), f64::from(pressure_limit - pip));
+        -(self.error * error + self.effort * f64::from(COMMAND_MAX) + self.overshoot * overshoot)
     }
 }
 
@@ -111,6 +115,7 @@ pub struct Task {
     pub(crate) law: Commanded,
     pub(crate) observer: Observer,
     pub(crate) monitors: Monitors,
+    steps: u32,
 }
 
 impl Task {
@@ -123,20 +128,24 @@ impl Task {
             return Err(EnvironmentError::Empty("plant"));
         }
         let waveforms = waveforms(&config)?;
-        steps_per_period(config.period_us).map_err(SourceError::from)?;
-        bounded("hold", config.hold, 1000)?;
+        bounded("hold", config.hold, HOLD_MAX)?;
         bounded("breaths", config.breaths, BREATHS_MAX)?;
         let Reward { error, effort, overshoot } = config.reward;
-        if let Some(value) =
-            [error, effort, overshoot].into_iter().find(|weight| !(0.0..1e9).contains(weight))
-        {
-            let (name, bounds) = ("a weight of the reward", "a finite number of at least 0");
-            return Err(EnvironmentError::OutOfBounds { name, value, bounds });
+        for weight in [error, effort, overshoot] {
+            if !(0.0..=WEIGHT_MAX).contains(&weight) {
+                return Err(EnvironmentError::out_of_bounds(
+                    "a weight of the reward",
+                    weight,
+                    0.0,
+                    WEIGHT_MAX,
+                ));
+            }
         }
         Ok(Self {
             law: config.action.law(config.period_us)?,
             observer: config.observation.observer(config.period_us)?,
             monitors: if config.monitors { Monitors::ALL } else { no_monitors() },
+            steps: config.breaths * inspiration_ticks(&waveforms, config.period_us)?.div_ceil(config.hold),
             waveforms,
             config,
         })
@@ -152,13 +161,17 @@ impl Task {
         self.config.observation.len()
     }
 
-    /// Steps of an episode that is not broken off.
+    /// Steps of an episode that is not aborted.
     pub fn steps(&self) -> u32 {
-        let settings = Settings { pip: self.waveforms.pips[0], ..self.waveforms.settings };
-        let ticks =
-            Breath::new(&settings, self.config.period_us).map_or(0, |breath| breath.inspiration_ticks());
-        self.config.breaths * ticks.div_ceil(self.config.hold)
+        self.steps
     }
+}
+
+/// Ticks of an inspiration; they do not depend on PIP.
+fn inspiration_ticks(waveforms: &Waveforms, period_us: u32) -> Result<u32, EnvironmentError> {
+    steps_per_period(period_us).map_err(SourceError::from)?;
+    let settings = Settings { pip: waveforms.pips[0], ..waveforms.settings };
+    Ok(Breath::new(&settings, period_us)?.inspiration_ticks())
 }
 
 fn waveforms(config: &TaskConfig) -> Result<Waveforms, EnvironmentError> {
@@ -176,11 +189,8 @@ fn waveforms(config: &TaskConfig) -> Result<Waveforms, EnvironmentError> {
 }
 
 fn bounded(name: &'static str, value: u32, most: u32) -> Result<(), EnvironmentError> {
-    if (1..=most).contains(&value) {
-        return Ok(());
-    }
-    let bounds = if most == BREATHS_MAX { "1 to 100000" } else { "1 to 1000 ticks" };
-    Err(EnvironmentError::OutOfBounds { name, value: value.into(), bounds })
+    let sound = (1..=most).contains(&value);
+    sound.then_some(()).ok_or_else(|| EnvironmentError::out_of_bounds(name, value, 1, most))
 }
 
 /// No monitor at all, for a bare plant.

@@ -84,18 +84,62 @@ fn an_action_is_held_and_the_last_one_for_what_is_left() {
     assert_eq!(held, means);
 }
 
+/// The sum of the rewards of an episode in which the valve is open and of the same episode in which it is closed.
+fn open_and_closed(config: TaskConfig, number: u32) -> [f64; 2] {
+    let mut environment = environment(config);
+    let choice = Choice { number: Some(number), ..Choice::default() };
+    [1.0, -1.0].map(|action| {
+        environment.reset_to(choice).unwrap();
+        let total = run(&mut environment, action).iter().sum();
+        assert_eq!(environment.episode().fault.is_some(), action > 0.0, "an open valve raises the pressure");
+        total
+    })
+}
+
 #[test]
-fn breaking_off_never_pays() {
-    let mut environment = environment(TaskConfig::default());
-    for _ in 0..6 {
-        environment.reset().unwrap();
-        let open: f64 = run(&mut environment, 1.0).iter().sum();
-        let fault = environment.episode().fault;
-        let number = environment.episode().number;
-        environment.reset_to(Choice { number: Some(number), ..Choice::default() }).unwrap();
-        let closed: f64 = run(&mut environment, -1.0).iter().sum();
-        assert!(fault.is_some() && open < closed, "{fault:?}: {open} {closed}");
+fn an_abort_never_pays() {
+    let rewards = [
+        Reward::default(),
+        Reward { error: 1.0, effort: 0.1, overshoot: 3.0 },
+        Reward { error: 0.0, effort: 0.0, overshoot: 1.0 },
+        Reward { error: 0.0, effort: 1.0, overshoot: 0.0 },
+    ];
+    // Held for the whole inspiration, the abort is in the only step.
+    for (hold, reward) in
+        [1, 10, 300, 1000].into_iter().zip(rewards.iter().cycle().skip(1)).chain([(1000, &rewards[0])])
+    {
+        for number in 0..6 {
+            let config = TaskConfig { hold, reward: *reward, ..TaskConfig::default() };
+            let [open, closed] = open_and_closed(config, number);
+            assert!(open < closed, "{hold} {reward:?}: {open} {closed}");
+        }
     }
+}
+
+#[test]
+fn an_aborted_episode_counts_every_tick_that_did_not_run_as_the_worst() {
+    let config = TaskConfig { hold: 1000, pips: Some(vec![20.0]), ..TaskConfig::default() };
+    let mut environment = environment(config);
+    environment.reset().unwrap();
+    let of_step = environment.step(1.0).unwrap();
+    let ran = environment.inspiration()[0].len() as f64;
+    assert!(of_step.ended && ran < 1000.0);
+    // At the limit of 60 cmH2O the error from a PEEP of 5 cmH2O is 55 cmH2O.
+    let of_missing = -55.0 * (1000.0 - ran + 1.0) / 1000.0;
+    assert!(
+        of_step.reward < of_missing && of_step.reward > of_missing - 40.0 * ran / 1000.0,
+        "{of_step:?} {ran}"
+    );
+}
+
+#[test]
+fn a_control_period_is_checked_before_the_first_episode() {
+    for period_us in [0, 500, 1500, 51_000] {
+        let config = TaskConfig { period_us, ..TaskConfig::default() };
+        assert!(Task::new(config).is_err(), "{period_us}");
+    }
+    let task = Task::new(TaskConfig { period_us: 4000, hold: 10, ..TaskConfig::default() }).unwrap();
+    assert_eq!(task.steps(), 25);
 }
 
 #[test]
@@ -142,8 +186,8 @@ fn slices_of_another_length_are_refused() {
     let mut batch = Batch::new(&task, 1, 2, 1).unwrap();
     let (mut observations, mut rewards, mut ended) = (vec![0.0; 47], vec![0.0; 2], vec![false; 2]);
     let mut outcomes = Outcomes { observations: &mut observations, rewards: &mut rewards, ended: &mut ended };
-    assert!(matches!(batch.reset(None, &mut outcomes), Err(EnvironmentError::Count { .. })));
-    assert!(matches!(batch.step(&[0.0], &mut outcomes), Err(EnvironmentError::Count { .. })));
+    assert!(matches!(batch.reset(None, &mut outcomes), Err(EnvironmentError::Length { .. })));
+    assert!(matches!(batch.step(&[0.0], &mut outcomes), Err(EnvironmentError::Length { .. })));
     assert!(Batch::new(&task, 1, 0, 1).is_err() && Batch::new(&task, 1, 1, 0).is_err());
 }
 
@@ -159,10 +203,10 @@ proptest! {
         let config = TaskConfig { plants: family(), breathing, hold: 50, observation: kind, ..TaskConfig::default() };
         let mut environment = environment(config);
         environment.reset_to(Choice { number: Some(number), ..Choice::default() }).unwrap();
-        let mut observation = vec![0.0; kind.len()];
         for (n, action) in actions.iter().enumerate() {
             let step = environment.step(*action).unwrap();
-            environment.observe(&mut observation);
+            let observation = environment.observation();
+            prop_assert_eq!(observation.len(), kind.len());
             prop_assert!(step.reward.is_finite() && step.reward <= 0.0);
             prop_assert!(observation.iter().all(|value| value.is_finite()));
             prop_assert_eq!(step.ended, !environment.is_running());
