@@ -2,13 +2,31 @@
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypedDict, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-PathLike = str | os.PathLike[str]
+_PathLike = str | os.PathLike[str]
 
+class Truth(TypedDict):
+    """True state of a bench: pressures in cmH2O, flows in L/s."""
+
+    airway_pressure: float
+    sensor_pressure: float
+    alveolar_pressure: float
+    muscle_pressure: float
+    flow_valve: float
+    flow_lung: float
+    flow_expiratory: float
+    flow_leak: float
+    flow_relief: float
+    lung_volume_ml: float
+    valve_position: float
+    expiratory_opening: float
+    efforts: float
+
+@final
 class Bench:
     """A simulated ventilator, circuit, lung and patient, in steps of 1 ms."""
 
@@ -65,9 +83,10 @@ class Bench:
     def flow_reading(self) -> float:
         """Read the flow sensor at the airway, L/s."""
 
-    def truth(self) -> dict[str, float]:
-        """Return the true pressures (cmH2O), flows (L/s), the volume (mL) and valve positions, which no ventilator can see."""
+    def truth(self) -> Truth:
+        """Return the true state, which no ventilator can see."""
 
+@final
 class Family:
     """Ranges for the parameters of a bench, from which a seed draws any number of plants."""
 
@@ -89,6 +108,7 @@ class Family:
     def draw(self, seed: int, number: int) -> Bench:
         """Draw the plant with this number, from 0, of those that a seed gives."""
 
+@final
 class Controller:
     """A PID, or a PID with a learned residual: the code of the chip, with its state."""
 
@@ -97,7 +117,7 @@ class Controller:
         """Build a PID: percent per cmH2O, percent per cmH2O and second, percent per cmH2O/s."""
 
     @staticmethod
-    def load(path: PathLike) -> Controller:
+    def load(path: _PathLike) -> Controller:
         """Load a learned controller: `"adult"`, `"neonate"`, a file of `train`, or a weights image (`.bin`)."""
 
     @property
@@ -146,6 +166,7 @@ class Controller:
     ) -> NDArray[np.float32]:
         """Run a tick for each pressure and target, shape (n,); returns the commands, shape (n,), percent."""
 
+@final
 class Ventilator:
     """The ventilator of the chip: breath timing, controller, monitors and safety filter."""
 
@@ -158,8 +179,7 @@ class Ventilator:
             settings: Settings by name, such as `pip=20`, `peep=5`, `rate=20`.
 
         Raises:
-            TypeError: There is no such setting.
-            ValueError: A setting is out of range.
+            ValueError: There is no such setting, or its value is out of range.
         """
 
     def step(
@@ -175,7 +195,8 @@ class Ventilator:
         Returns:
             Commands of the inspiratory valve (percent) and of the expiratory valve (whether it is open), number of the breath, tick
             within it, phase (`"inspiration"`, `"fall"`, `"expiration"`), target in cmH2O, level of the ladder of trust, and the alarm
-            that begins, if one does.
+            that begins, if one does. In standby the valves are safe (0, True), breath and tick are 0, the phase is None and the target
+            is NaN.
         """
 
     def apply(self, **settings: float) -> None:
@@ -209,11 +230,12 @@ class Ventilator:
     def settings(self) -> dict[str, float]:
         """The settings in force by name."""
 
+@final
 class Simulator:
     """A learned simulator of a plant, which anything differentiable can be trained through."""
 
     @staticmethod
-    def load(path: PathLike) -> Simulator:
+    def load(path: _PathLike) -> Simulator:
         """Load a file of `fit`."""
 
     @property
@@ -241,18 +263,35 @@ class Simulator:
         """Mean pressure before an inspiration in the recording, cmH2O."""
 
     def roll_out(
-        self, commands: NDArray[np.float32], *, start_pressure: float | None = None, pip: float = 20.0, rest: float = 5.0
+        self,
+        commands: NDArray[np.float32],
+        *,
+        start_pressure: float | None = None,
+        pip: float | None = None,
+        rest: float | None = None,
+        plateau_command: float | None = None,
+        peep: float | None = None,
+        resistance: float | None = None,
+        compliance: float | None = None,
     ) -> NDArray[np.float32]:
         """Predict the pressures of inspirations.
 
         Args:
             commands: Commands of the inspiratory valve, percent, shape (breaths, ticks).
             start_pressure: Pressure before the inspiration, cmH2O; default: that of the recording.
-            pip: Pressure at the end of the inspiration before, cmH2O.
-            rest: Command before the inspiration, percent.
+            pip: Pressure at the end of the last inspiration, cmH2O; default: 20.
+            rest: Command before the inspiration, percent; default: 5.
+            plateau_command: Command at the end of the last inspiration, percent; default: `rest`.
+            peep: PEEP, cmH2O, for a simulator of a family; default: 5.
+            resistance: Resistance of the lung, cmH2O/(L/s), for a hybrid simulator; default: 20.
+            compliance: Compliance of the lung, mL/cmH2O, for a hybrid simulator; default: 20.
 
         Returns:
             Pressures at the start of every tick, cmH2O, shape (breaths, ticks).
+
+        Raises:
+            TypeError: There is no such argument.
+            ValueError: A shape is wrong, or a number is not finite.
         """
 
     def gradient(
@@ -261,30 +300,47 @@ class Simulator:
         d_pressures: NDArray[np.float32],
         *,
         start_pressure: float | None = None,
-        pip: float = 20.0,
-        rest: float = 5.0,
+        pip: float | None = None,
+        rest: float | None = None,
+        plateau_command: float | None = None,
+        peep: float | None = None,
+        resistance: float | None = None,
+        compliance: float | None = None,
     ) -> NDArray[np.float32]:
         """Back-propagate through `roll_out`.
 
         Args:
             commands: As in `roll_out`.
             d_pressures: Gradient of a loss with respect to the pressures, shape (breaths, ticks).
-            start_pressure: As in `roll_out`.
-            pip: As in `roll_out`.
-            rest: As in `roll_out`.
+            start_pressure: As in `roll_out`, like all that follow.
+            pip: Pressure at the end of the last inspiration.
+            rest: Command before the inspiration.
+            plateau_command: Command at the end of the last inspiration.
+            peep: PEEP.
+            resistance: Resistance of the lung.
+            compliance: Compliance of the lung.
 
         Returns:
             Gradient of the loss with respect to the commands, shape (breaths, ticks).
         """
 
+@final
 class Observer:
-    """What an agent that was trained in an environment observes elsewhere."""
+    """The observations of an environment, for an agent that was trained there and runs elsewhere."""
 
-    def __init__(self, kind: str = "ours", period_us: int = 1000) -> None: ...
-    def start_breath(self, command: float) -> None: ...
-    def see(self, pressure: float, target: float, pip: float, peep: float, tick: int) -> NDArray[np.float32]: ...
-    def applied(self, command: float) -> None: ...
+    def __init__(self, kind: str = "ours", period_us: int = 1000) -> None:
+        """Observe as in an environment: `"ours"`, `"authors"` or `"plain"`."""
 
+    def start_breath(self, command: float) -> None:
+        """Start a breath; the last command was `command` percent."""
+
+    def see(self, pressure: float, target: float, pip: float, peep: float, tick: int) -> NDArray[np.float32]:
+        """Return the observation of a tick of an inspiration, shape (length,); pressures in cmH2O."""
+
+    def applied(self, command: float) -> None:
+        """Record the command applied in the tick, percent."""
+
+@final
 class Task:
     """A validated task of an environment."""
 
@@ -305,10 +361,14 @@ class Task:
         monitors: bool = True,
     ) -> None: ...
     @property
-    def observations(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
+    def observations(self) -> int:
+        """Length of an observation."""
 
+    @property
+    def steps(self) -> int:
+        """Steps of an episode that is not aborted."""
+
+@final
 class Environment:
     """One environment, before Gymnasium's interface."""
 
@@ -319,11 +379,19 @@ class Environment:
         number: int | None = None,
         pip: float | None = None,
         noise: int | None = None,
-    ) -> NDArray[np.float32]: ...
-    def step(self, action: float) -> tuple[NDArray[np.float32], float, bool]: ...
-    def episode(self) -> dict[str, Any]: ...
-    def inspiration(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+    ) -> NDArray[np.float32]:
+        """Start an episode; returns its first observation, shape (observations,)."""
 
+    def step(self, action: float) -> tuple[NDArray[np.float32], float, bool]:
+        """Run one action; returns the observation, the reward, and whether the episode ended."""
+
+    def episode(self) -> dict[str, Any]:
+        """Return number, plant, PIP and scores of the running or the last episode."""
+
+    def inspiration(self) -> list[NDArray[np.float64]]:
+        """Return true pressure and target (cmH2O) and command (percent) of the last inspiration, each of shape (ticks,)."""
+
+@final
 class Batch:
     """Environments that step together, before Gymnasium's interface."""
 
@@ -334,15 +402,34 @@ class Batch:
         observations: NDArray[np.float32],
         rewards: NDArray[np.float64],
         ended: NDArray[np.bool_],
-    ) -> None: ...
+    ) -> None:
+        """Start an episode in each of n environments.
+
+        Args:
+            seed: Starts again with the first episodes of this seed; None for the next ones.
+            observations: Receives the observations, shape (n, observations).
+            rewards: Receives zeros, shape (n,).
+            ended: Receives False, shape (n,).
+        """
+
     def step(
         self,
         actions: NDArray[np.float32],
         observations: NDArray[np.float32],
         rewards: NDArray[np.float64],
         ended: NDArray[np.bool_],
-    ) -> None: ...
-    def episode(self, index: int) -> dict[str, Any]: ...
+    ) -> None:
+        """Run one action in each of n environments.
+
+        Args:
+            actions: Actions from -1 to 1, shape (n,).
+            observations: Receives the observations, shape (n, observations).
+            rewards: Receives the rewards, shape (n,).
+            ended: Receives whether each episode ended, shape (n,).
+        """
+
+    def episode(self, index: int) -> dict[str, Any]:
+        """Return number, plant, PIP and scores of the running or the last episode of an environment."""
 
 def call(arguments: Sequence[str], progress: Callable[[str, int, int], None] | None = None) -> str:
     """Run a command of the trainer; returns the content of its JSON."""

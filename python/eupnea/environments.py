@@ -7,6 +7,7 @@ minus the score of the command line.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -29,6 +30,8 @@ Space = gymnasium.spaces.Space[Observation]
 Policy = Callable[[Observation], Any]
 """Computes the action for an observation."""
 
+FLOAT32 = np.dtype(np.float32)
+
 #: Keyword arguments of the registered environments.
 REGISTERED: dict[str, dict[str, Any]] = {
     "eupnea/PressureControl-v0": {},
@@ -44,6 +47,8 @@ EPISODES = 54
 EPISODES_BREATHING = 486
 #: Seed of the reference scores.
 SEED = 1000
+#: Correction at an action of 1 without another one, percent of the valve.
+AUTHORITY = 100.0
 
 
 def register() -> None:
@@ -69,6 +74,13 @@ def _benches(lungs: str | Bench | Sequence[str | Bench] | None) -> list[Bench] |
     return benches
 
 
+def _checked(options: dict[str, Any]) -> dict[str, Any]:
+    unknown = options.keys() - OPTIONS
+    if unknown:
+        raise TypeError(f"there is no option {sorted(unknown)[0]!r} of the environment: choose from {', '.join(OPTIONS)}")
+    return options
+
+
 def _task(
     *,
     lungs: str | Bench | Sequence[str | Bench] | None = None,
@@ -82,13 +94,17 @@ def _task(
     observation: str = "ours",
     action: str = "valve",
     gains: Sequence[float] | None = None,
-    authority: float = 100.0,
+    authority: float | None = None,
     effort: float = 0.0,
     overshoot: float = 0.0,
     monitors: bool = True,
 ) -> _native.Task:
     if action not in ("valve", "residual"):
         raise ValueError(f"there is no action {action!r}: choose valve or residual")
+    if action == "valve" and not (gains is None and authority is None):
+        raise ValueError('gains and authority belong to a residual: add action="residual", or leave them out')
+    if settings is not None and "pip" in settings:
+        raise ValueError("an environment has several PIPs: give pips=[...] in place of the setting pip")
     return _native.Task(
         benches=_benches(lungs),
         family=Family(family) if isinstance(family, str) else family,
@@ -99,11 +115,16 @@ def _task(
         hold=hold,
         breaths=breaths,
         observation=observation,
-        residual=(None if gains is None else list(gains), authority) if action == "residual" else None,
+        residual=(None if gains is None else list(gains), AUTHORITY if authority is None else authority)
+        if action == "residual"
+        else None,
         reward=(1.0, effort, overshoot),
         monitors=monitors,
     )
 
+
+#: Names of the options of an environment.
+OPTIONS = tuple(inspect.signature(_task).parameters)
 
 #: Values that no observation exceeds: of scaled ones, and of plain ones, whose sensor ends at 215 cmH2O.
 LIMITS = {"ours": 100.0, "authors": 100.0, "plain": 1000.0}
@@ -122,10 +143,11 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
     The action space is `Box(-1, 1, (1,))`: with `action="valve"`, -1 closes the inspiratory valve and 1 opens it fully; with
     `action="residual"`, the action times `authority` (percent) is added to the command of a PID with these `gains`.
 
-    An episode ends (`terminated`) after its last inspiration, or earlier if the ventilator breaks it off, for example at the
-    pressure limit. Every step that is left then counts as an error of twice PIP - PEEP. The `info` of the last step has the episode's
-    scores under the names of the command line: `score`, `rise_ms`, `overshoot`, `plateau_error`, `late_error` and `effort` (means over
-    its breaths; NaN if the episode was broken off), `breath_scores` (the score of each), and `fault` (the alarm, or None).
+    An episode ends (`terminated`) after its last inspiration, or earlier if the ventilator aborts it, for example at the pressure
+    limit. Every tick that did not run then counts as the worst one: the pressure is at its limit while the target is PEEP, and the
+    command jumps over the whole range. The `info` of the last step has the episode's scores under the names of the command line:
+    `score`, `rise_ms`, `overshoot`, `plateau_error`, `late_error` and `effort` (means over its breaths; NaN if the episode was
+    aborted), `breath_scores` (the score of each complete breath), and `fault` (the alarm, or None).
 
     Args:
         lungs: Names such as `"R20C20"`, `"paper"` or `"iso-07"`, or `Bench` objects, which take turns.
@@ -140,14 +162,15 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
             last command).
         action: `"valve"` or `"residual"`.
         gains: P, I and D of the PID under a residual; default: the one that the chip falls back to.
-        authority: Correction at an action of 1, percent of the valve.
+        authority: Correction at an action of 1, percent of the valve; default: 100.
         effort: Penalty for a command that changes by one percent within a tick.
         overshoot: Further penalty for a true pressure of one cmH2O above PIP.
         monitors: Whether the safety monitors are on.
         render_mode: `"rgb_array"` or None.
 
     Raises:
-        ValueError: An option is wrong; the text says which values are possible.
+        TypeError: There is no such option, or its value has another type.
+        ValueError: The value of an option is wrong; the text says which values are possible.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - Gymnasium declares it so
@@ -156,7 +179,7 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"there is no render_mode {render_mode!r}: choose rgb_array or None")
         self.render_mode = render_mode
-        self._task = _task(**options)
+        self._task = _task(**_checked(options))
         self.observation_space, self.action_space = _spaces(self._task, options.get("observation", "ours"))
         self._environment: _native.Environment | None = _native.Environment(self._task, 0)
         self._seeded = False
@@ -168,7 +191,7 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def steps(self) -> int:
-        """Steps of an episode that is not broken off."""
+        """Steps of an episode that is not aborted."""
         return self._task.steps
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
@@ -186,6 +209,8 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
             ValueError: An option is unknown or out of range.
         """
         environment = self._open()
+        if seed is not None and seed < 0:
+            raise ValueError(f"the seed is {seed}: give a whole number of at least 0")
         super().reset(seed=seed)
         chosen = dict(options or {})
         unknown = chosen.keys() - {"number", "pip", "noise"}
@@ -233,18 +258,25 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
 
 
 def _one(action: Any) -> float:
-    try:
-        if action.shape == (1,):
-            return float(action[0])
-    except AttributeError:
-        pass
-    try:
-        values = np.asarray(action, dtype=np.float32)
-    except (TypeError, ValueError):
-        raise ValueError(f"the action is {action!r}: give one number from -1 to 1") from None
+    # The action of most agents, without the checks of all others.
+    if isinstance(action, np.ndarray) and action.dtype is FLOAT32 and action.shape == (1,):
+        return float(action[0])
+    values = _numbers(action, "one number from -1 to 1")
     if values.size != 1:
         raise ValueError(f"the action has shape {values.shape}: give one number from -1 to 1")
     return float(values.reshape(-1)[0])
+
+
+def _numbers(actions: Any, wanted: str) -> NDArray[np.float32]:
+    """Return the numbers of actions. Text and complex numbers are none."""
+    try:
+        values = np.asarray(actions)
+    except ValueError:
+        raise ValueError(f"the actions are {actions!r}: give {wanted}") from None
+    if values.dtype.kind not in "fiub":
+        raise ValueError(f"the actions are {actions!r}: give {wanted}")
+    with np.errstate(over="ignore"):  # what is too large for a float32 is no finite number, and refused as that
+        return np.ascontiguousarray(values, dtype=np.float32)
 
 
 class VectorPressureControl(gymnasium.vector.VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
@@ -273,7 +305,10 @@ class VectorPressureControl(gymnasium.vector.VectorEnv[Observation, NDArray[np.f
     ) -> None:
         if render_mode is not None:
             raise ValueError("a vector environment has no render mode: render a single one")
-        self._task = _task(**options)
+        for name, number in (("num_envs", num_envs), ("seed", seed), ("threads", threads)):
+            if not isinstance(number, (int, np.integer)):
+                raise TypeError(f"{name} is {number!r}: give a whole number")
+        self._task = _task(**_checked(options))
         self.single_observation_space, self.single_action_space = _spaces(self._task, options.get("observation", "ours"))
         self._batch: _native.Batch | None = _native.Batch(self._task, seed, num_envs, threads)
         self.num_envs = num_envs
@@ -296,7 +331,7 @@ class VectorPressureControl(gymnasium.vector.VectorEnv[Observation, NDArray[np.f
 
     @property
     def steps(self) -> int:
-        """Steps of an episode that is not broken off."""
+        """Steps of an episode that is not aborted."""
         return self._task.steps
 
     def reset(
@@ -360,10 +395,7 @@ class VectorPressureControl(gymnasium.vector.VectorEnv[Observation, NDArray[np.f
 
 
 def _flat(actions: Any, count: int) -> NDArray[np.float32]:
-    try:
-        values = np.ascontiguousarray(actions, dtype=np.float32)
-    except (TypeError, ValueError):
-        raise ValueError(f"the actions are no numbers: give shape ({count}, 1)") from None
+    values = _numbers(actions, f"numbers of shape ({count}, 1)")
     if values.shape not in ((count, 1), (count,)):
         raise ValueError(f"the actions have shape {values.shape}: give ({count}, 1)")
     return values.reshape(count)
@@ -410,8 +442,9 @@ def score(
         options: Options of the environment in place of the registered ones.
 
     Returns:
-        Means over the episodes: `score`, `overshoot`, `rise_ms`, `plateau_error`, `late_error` and `effort`, and the share of
-        episodes that the ventilator broke off, `broken_off`. An episode that was broken off counts with minus its mean reward.
+        Means over the complete episodes: `overshoot`, `rise_ms`, `plateau_error`, `late_error` and `effort` (NaN if there is none);
+        the mean over all episodes: `score`, for which an aborted episode counts with minus its mean reward; and the share of
+        episodes that the ventilator aborted, `aborted`.
     """
     if id not in REGISTERED:
         raise ValueError(f"there is no environment {id!r}: choose from {', '.join(REGISTERED)}")
@@ -438,4 +471,4 @@ def score(
     complete = [end for end in ends if end["fault"] is None]
     means = {name: float(np.mean([end[name] for end in complete])) if complete else float("nan") for name in names}
     means["score"] = float(np.mean([end["score"] for end in ends]))
-    return {**means, "broken_off": float(np.mean([end["fault"] is not None for end in ends]))}
+    return {**means, "aborted": float(np.mean([end["fault"] is not None for end in ends]))}

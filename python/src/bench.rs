@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use shared::settings::Settings;
 
-use crate::errors;
+use crate::{errors, values};
 
 /// A simulated ventilator, circuit, lung and patient, in steps of 1 ms.
 #[pyclass(module = "eupnea", name = "Bench")]
@@ -27,7 +27,7 @@ impl Bench {
 impl Bench {
     #[new]
     #[pyo3(signature = (lung="R20C20", *, seed=0, peep=None))]
-    fn new(lung: &str, seed: u64, peep: Option<f32>) -> PyResult<Self> {
+    fn new(lung: &str, #[pyo3(from_py_with = values::whole)] seed: u64, peep: Option<f32>) -> PyResult<Self> {
         let config = BenchConfig::from_name(lung).map_err(|e| errors::of(&e))?;
         let mut bench = Self::of(config)?;
         bench.reset(seed, peep)?;
@@ -58,7 +58,7 @@ impl Bench {
 
     /// Back to rest.
     #[pyo3(signature = (seed=0, peep=None))]
-    fn reset(&mut self, seed: u64, peep: Option<f32>) -> PyResult<f32> {
+    fn reset(&mut self, #[pyo3(from_py_with = values::whole)] seed: u64, peep: Option<f32>) -> PyResult<f32> {
         let peep = peep.unwrap_or(Settings::default().peep);
         self.bench = plant::bench::Bench::new(&self.config, peep, seed).map_err(|e| errors::of(&e))?;
         Ok(peep)
@@ -169,7 +169,11 @@ impl Family {
     }
 
     /// The plant with this number, of those that a seed gives.
-    fn draw(&self, seed: u64, number: u32) -> PyResult<Bench> {
+    fn draw(
+        &self,
+        #[pyo3(from_py_with = values::whole)] seed: u64,
+        #[pyo3(from_py_with = values::whole)] number: u32,
+    ) -> PyResult<Bench> {
         Bench::of(self.family.draw(seed, number))
     }
 

@@ -7,12 +7,11 @@ use environment::{
     TaskConfig,
 };
 use numpy::{PyArray1, PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
-use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use shared::control::Observation;
 use shared::device::KNOWN_GOOD;
-use ventilator::seeds;
+use ventilator::{SourceError, seeds};
 
 use crate::bench::{Bench, Family};
 use crate::{errors, values};
@@ -20,8 +19,10 @@ use crate::{errors, values};
 /// The exception for an error of an environment.
 fn exception(error: &EnvironmentError) -> PyErr {
     match error {
+        // A bench is refused because of its description or of the control period.
+        EnvironmentError::Source(SourceError::Bench(_)) => errors::value(error),
         EnvironmentError::Ended | EnvironmentError::Source(_) | EnvironmentError::Threads { .. } => {
-            PyRuntimeError::new_err(error.to_string())
+            errors::runtime(error)
         }
         _ => errors::value(error),
     }
@@ -29,7 +30,7 @@ fn exception(error: &EnvironmentError) -> PyErr {
 
 /// The seeds of the sensor noise that a command of the trainer uses: `collect`, `evaluate` or `tune-pid` with this seed.
 #[pyfunction]
-pub fn noise_seeds(command: &str, seed: u64) -> PyResult<Vec<u64>> {
+pub fn noise_seeds(command: &str, #[pyo3(from_py_with = values::whole)] seed: u64) -> PyResult<Vec<u64>> {
     match command {
         "collect" => Ok(vec![seeds::collection(seed, 0)]),
         "evaluate" => Ok(seeds::evaluation(seed)),
@@ -56,9 +57,9 @@ impl Task {
         pips: Option<Vec<f32>>,
         settings: Option<&Bound<'_, PyDict>>,
         breathing: bool,
-        period_us: u32,
-        hold: u32,
-        breaths: u32,
+        #[pyo3(from_py_with = values::whole)] period_us: u32,
+        #[pyo3(from_py_with = values::whole)] hold: u32,
+        #[pyo3(from_py_with = values::whole)] breaths: u32,
         observation: &str,
         residual: Option<(Option<Vec<f32>>, f32)>,
         reward: (f64, f64, f64),
@@ -107,14 +108,14 @@ impl Task {
         self.task.observations()
     }
 
-    /// Steps of an episode that is not broken off.
+    /// Steps of an episode that is not aborted.
     #[getter]
     fn steps(&self) -> u32 {
         self.task.steps()
     }
 }
 
-/// What an agent that was trained in an environment observes elsewhere.
+/// The observations of an environment, for an agent that was trained there and runs elsewhere.
 #[pyclass(module = "eupnea._native", name = "Observer")]
 pub struct Observer {
     stream: ObservationStream,
@@ -124,7 +125,7 @@ pub struct Observer {
 impl Observer {
     #[new]
     #[pyo3(signature = (kind="ours", period_us=values::PERIOD_US))]
-    fn new(kind: &str, period_us: u32) -> PyResult<Self> {
+    fn new(kind: &str, #[pyo3(from_py_with = values::whole)] period_us: u32) -> PyResult<Self> {
         let stream =
             ObservationKind::from_name(kind).and_then(|kind| ObservationStream::new(kind, period_us));
         Ok(Self { stream: stream.map_err(|e| exception(&e))? })
@@ -143,7 +144,7 @@ impl Observer {
         target: f32,
         pip: f32,
         peep: f32,
-        tick: u32,
+        #[pyo3(from_py_with = values::whole)] tick: u32,
     ) -> Bound<'py, PyArray1<f32>> {
         PyArray1::from_slice(py, self.stream.see(&Observation { pressure, target, pip, peep, tick }))
     }
@@ -154,9 +155,9 @@ impl Observer {
     }
 }
 
-/// Scores of the last episode: the mean over its breaths.
+/// Scores of the last episode: the means over its breaths.
 fn scores<'py>(py: Python<'py>, episode: &environment::Episode) -> PyResult<Bound<'py, PyDict>> {
-    // Of an episode that was broken off, the breaths that are complete say too little.
+    // The complete breaths of an aborted episode say too little.
     let unknown = episode.fault.is_some() || episode.scores.is_empty();
     let mean = judge::evaluate::Score::mean(&episode.scores);
     let dict = PyDict::new(py);
@@ -186,17 +187,14 @@ pub struct Environment {
 
 impl Environment {
     fn observation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        let mut observation = [0.0; 32];
-        let values = &mut observation[..self.environment.task().observations()];
-        self.environment.observe(values);
-        PyArray1::from_slice(py, values)
+        PyArray1::from_slice(py, self.environment.observation())
     }
 }
 
 #[pymethods]
 impl Environment {
     #[new]
-    fn new(task: &Task, seed: u64) -> Self {
+    fn new(task: &Task, #[pyo3(from_py_with = values::whole)] seed: u64) -> Self {
         Self { environment: environment::Environment::new(task.task.clone(), seed) }
     }
 
@@ -205,10 +203,10 @@ impl Environment {
     fn reset<'py>(
         &mut self,
         py: Python<'py>,
-        seed: Option<u64>,
-        number: Option<u32>,
+        #[pyo3(from_py_with = values::whole_or_none)] seed: Option<u64>,
+        #[pyo3(from_py_with = values::whole_or_none)] number: Option<u32>,
         pip: Option<f32>,
-        noise: Option<u64>,
+        #[pyo3(from_py_with = values::whole_or_none)] noise: Option<u64>,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         if let Some(seed) = seed {
             self.environment.seed(seed);
@@ -252,7 +250,12 @@ fn slice<'a, T: numpy::Element>(array: &'a mut PyReadwriteArray1<'_, T>) -> PyRe
 #[pymethods]
 impl Batch {
     #[new]
-    fn new(task: &Task, seed: u64, count: usize, threads: usize) -> PyResult<Self> {
+    fn new(
+        task: &Task,
+        #[pyo3(from_py_with = values::whole)] seed: u64,
+        #[pyo3(from_py_with = values::whole)] count: usize,
+        #[pyo3(from_py_with = values::whole)] threads: usize,
+    ) -> PyResult<Self> {
         let batch = environment::Batch::new(&task.task, seed, count, threads).map_err(|e| exception(&e))?;
         Ok(Self { batch })
     }
@@ -261,7 +264,7 @@ impl Batch {
     fn reset<'py>(
         &mut self,
         py: Python<'py>,
-        seed: Option<u64>,
+        #[pyo3(from_py_with = values::whole_or_none)] seed: Option<u64>,
         mut observations: PyReadwriteArray2<'py, f32>,
         mut rewards: PyReadwriteArray1<'py, f64>,
         mut ended: PyReadwriteArray1<'py, bool>,
@@ -289,7 +292,11 @@ impl Batch {
     }
 
     /// The episode of one environment that runs or has just ended.
-    fn episode<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn episode<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = values::whole)] index: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         match self.batch.environments().get(index) {
             Some(environment) => scores(py, environment.episode()),
             None => Err(errors::value(format!("there is no environment {index}"))),

@@ -3,12 +3,14 @@
 use std::path::PathBuf;
 
 use engine::{LANES, Lane};
-use learn::simulator::BreathStart;
 use learn::simulator::model::Model;
 use learn::simulator::rollout::Rollout;
+use learn::simulator::{BreathStart, COMMAND_SCALE};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2, PyUntypedArrayMethods, ndarray::Array2};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use shared::settings::Settings;
 
 use crate::errors;
 
@@ -22,11 +24,66 @@ pub struct Simulator {
     model: Model,
 }
 
-/// What a roll-out starts from.
+/// State of the plant at the start of a roll-out; pressures in cmH2O, commands in percent.
 struct Start {
     pressure: f32,
-    pip: f32,
+    plateau: f32,
     rest: f32,
+    plateau_command: f32,
+    peep: f32,
+    resistance: f32,
+    compliance: f32,
+}
+
+impl Start {
+    /// The start from keyword arguments; those that are absent have the defaults of the stub.
+    fn new(
+        simulator: &learn::simulator::model::Simulator,
+        given: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let (usual, settings) = (BreathStart::default(), Settings::default());
+        let mut values = [
+            ("start_pressure", simulator.start_pressure),
+            ("pip", settings.pip),
+            ("rest", settings.expiratory_bias),
+            ("plateau_command", f32::NAN),
+            ("peep", usual.peep[0]),
+            ("resistance", usual.resistance[0]),
+            ("compliance", usual.compliance[0]),
+        ];
+        for (name, value) in given.into_iter().flatten().filter(|(_, value)| !value.is_none()) {
+            let name: String = name.extract()?;
+            let slot = values.iter_mut().find(|(known, _)| *known == name);
+            let (_, slot) = slot.ok_or_else(|| {
+                PyTypeError::new_err(format!(
+                    "a roll-out has no argument {name}: see help(eupnea.Simulator.roll_out)"
+                ))
+            })?;
+            *slot = value.extract()?;
+            if !slot.is_finite() {
+                return Err(errors::value(format!("{name} is {slot}: give a finite number")));
+            }
+        }
+        let [pressure, plateau, rest, plateau_command, peep, resistance, compliance] =
+            values.map(|(_, value)| value);
+        // Without an inspiration before, the valve was at rest.
+        let plateau_command = if plateau_command.is_nan() { rest } else { plateau_command };
+        Ok(Self { pressure, plateau, rest, plateau_command, peep, resistance, compliance })
+    }
+
+    /// The same start in every lane.
+    fn breath(&self) -> BreathStart {
+        BreathStart {
+            pressure: Lane::splat(self.pressure),
+            plateau: Lane::splat(self.plateau),
+            rest: Lane::splat(self.rest / COMMAND_SCALE),
+            plateau_command: Lane::splat(self.plateau_command / COMMAND_SCALE),
+            peep: Lane::splat(self.peep),
+            resistance: Lane::splat(self.resistance),
+            compliance: Lane::splat(self.compliance),
+            ..BreathStart::default()
+        }
+    }
 }
 
 impl Simulator {
@@ -34,12 +91,7 @@ impl Simulator {
     fn shard(&self, commands: &[&[f32]], start: &Start, mut each: impl FnMut(usize, Lane)) -> Rollout {
         let ticks = commands[0].len();
         let mut rollout = Rollout::new(&self.model, ticks);
-        let begin = BreathStart {
-            pressure: Lane::splat(start.pressure),
-            plateau: Lane::splat(start.pip),
-            ..BreathStart::default()
-        };
-        rollout.begin(&self.model, &begin, &Lane::splat(start.rest));
+        rollout.begin(&self.model, &start.breath(), &Lane::splat(start.rest));
         for tick in 0..ticks {
             each(tick, rollout.pressure());
             let of_lane = |lane: usize| commands[lane.min(commands.len() - 1)];
@@ -61,15 +113,6 @@ impl Simulator {
         }
         Ok(flat.chunks(ticks).collect())
     }
-
-    fn start(&self, start_pressure: Option<f32>, pip: f32, rest: f32) -> PyResult<Start> {
-        let pressure = start_pressure.unwrap_or(self.simulator.start_pressure);
-        if [pressure, pip, rest].iter().all(|value| value.is_finite()) {
-            Ok(Start { pressure, pip, rest })
-        } else {
-            Err(PyValueError::new_err("start_pressure, pip and rest must be finite numbers"))
-        }
-    }
 }
 
 #[pymethods]
@@ -78,11 +121,9 @@ impl Simulator {
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
         let simulator = learn::simulator::model::Simulator::load(&path).map_err(|e| errors::of(&e))?;
-        let timing = simulator.architecture.timing();
-        if timing.channels != 1 || timing.block_ticks == 0 {
-            let (channels, ticks) = (timing.channels, timing.block_ticks);
-            let text =
-                format!("{channels} valves and blocks of {ticks} ticks: one valve and a tick are needed");
+        let channels = simulator.architecture.timing().channels;
+        if channels != 1 {
+            let text = format!("the simulator has {channels} valves: a roll-out takes the commands of one");
             return Err(errors::value(text));
         }
         Ok(Self { model: simulator.model(), simulator })
@@ -121,16 +162,14 @@ impl Simulator {
     }
 
     /// Pressures at the start of each tick, cmH2O, for commands in percent; both have shape (breaths, ticks).
-    #[pyo3(signature = (commands, *, start_pressure=None, pip=20.0, rest=5.0))]
+    #[pyo3(signature = (commands, **start))]
     fn roll_out<'py>(
         &self,
         py: Python<'py>,
         commands: PyReadonlyArray2<'py, f32>,
-        start_pressure: Option<f32>,
-        pip: f32,
-        rest: f32,
+        start: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let start = self.start(start_pressure, pip, rest)?;
+        let start = Start::new(&self.simulator, start)?;
         let breaths = Self::checked(&commands)?;
         let ticks = breaths.first().map_or(0, |breath| breath.len());
         let mut pressures = Array2::zeros((breaths.len(), ticks));
@@ -146,17 +185,15 @@ impl Simulator {
 
     /// Gradient of a loss with respect to the commands, from its gradient with respect to the pressures; all have shape
     /// (breaths, ticks).
-    #[pyo3(signature = (commands, d_pressures, *, start_pressure=None, pip=20.0, rest=5.0))]
+    #[pyo3(signature = (commands, d_pressures, **start))]
     fn gradient<'py>(
         &self,
         py: Python<'py>,
         commands: PyReadonlyArray2<'py, f32>,
         d_pressures: PyReadonlyArray2<'py, f32>,
-        start_pressure: Option<f32>,
-        pip: f32,
-        rest: f32,
+        start: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let start = self.start(start_pressure, pip, rest)?;
+        let start = Start::new(&self.simulator, start)?;
         if commands.shape() != d_pressures.shape() {
             return Err(errors::value("commands and d_pressures need the same shape"));
         }

@@ -107,7 +107,7 @@ def test_a_batch_runs_the_episodes_of_single_environments_on_any_number_of_threa
     np.testing.assert_array_equal(observations[0], sixth)
 
 
-def test_an_open_valve_is_broken_off_and_costs_what_is_left():
+def test_an_open_valve_aborts_the_episode_and_costs_what_is_left():
     environment = eupnea.PressureControl(hold=10)
     _, rewards, info = roll_out(environment, 1.0, seed=1, options={"pip": 20.0})
     assert info["fault"] == "HighPressure" and len(rewards) < environment.steps
@@ -115,7 +115,7 @@ def test_an_open_valve_is_broken_off_and_costs_what_is_left():
     assert rewards[-1] <= -30.0 * missing
 
 
-def test_without_monitors_nothing_is_broken_off():
+def test_without_monitors_nothing_is_aborted():
     _, rewards, info = roll_out(eupnea.PressureControl(monitors=False), 1.0, seed=1)
     assert info["fault"] is None and rewards.min() < -30
 
@@ -199,4 +199,4 @@ def test_a_score_is_that_of_its_episodes():
     environment = eupnea.PressureControl(hold=20)
     infos = [roll_out(environment, -0.6, seed=1000, options={"number": n})[2] for n in range(3)]
     assert result["score"] == pytest.approx(np.mean([info["score"] for info in infos]))
-    assert result["broken_off"] == 0.0
+    assert result["aborted"] == 0.0

@@ -33,7 +33,7 @@ GARBAGE = [
 ]
 
 #: What garbage may cause. A panic is a BaseException of its own, and fails the test.
-EXPECTED = (TypeError, ValueError, OSError, RuntimeError, OverflowError, KeyError, ImportError, AttributeError)
+EXPECTED = (TypeError, ValueError, OSError, RuntimeError, ImportError)
 
 
 def subjects(simulator):
@@ -92,13 +92,74 @@ def test_garbage_never_panics(simulator):
     assert calls > 10_000
 
 
-@pytest.mark.parametrize("options", [{"pip": float("nan")}, {"pip": -5}, {"noise": -1}, {"number": 2**40}, {"number": "x"}])
-def test_garbage_in_a_reset_is_refused(options):
-    with pytest.raises(EXPECTED):
+@pytest.mark.parametrize("options", [{"pip": float("nan")}, {"pip": -5}, {"noise": -1}, {"number": 2**40}, {"other": 1}])
+def test_a_wrong_option_of_a_reset_is_a_value_error(options):
+    with pytest.raises(ValueError):
         eupnea.PressureControl().reset(seed=1, options=options)
 
 
-@pytest.mark.parametrize("settings", [{"peep": float("nan")}, {"rate": 0}, {"nothing": 1}, {"peep": 40}])
-def test_garbage_in_settings_is_refused(settings):
-    with pytest.raises((TypeError, ValueError)):
+@pytest.mark.parametrize("settings", [{"peep": float("nan")}, {"rate": 0}, {"nothing": 1}, {"peep": 40}, {"pip": 20}])
+def test_a_wrong_setting_is_a_value_error(settings):
+    with pytest.raises(ValueError):
         eupnea.PressureControl(settings=settings)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"hold": -1}, "-1 is out of range"),
+        ({"hold": 0}, "hold is 0"),
+        ({"breaths": 2**70}, "out of range"),
+        ({"period_us": 0}, "period"),
+        ({"period_us": 500}, "1000"),
+        ({"period_us": 1500}, "1000"),
+        ({"period_us": 51_000}, "50000"),
+        ({"effort": float("nan")}, "weight"),
+        ({"overshoot": -1.0}, "weight"),
+        ({"gains": (3, 30)}, 'action="residual"'),
+        ({"authority": 50.0}, 'action="residual"'),
+        ({"action": "residual", "authority": 101.0}, "authority is 101"),
+        ({"settings": {"pip": 20}}, "pips="),
+        ({"observation": "nothing"}, "ours, authors or plain"),
+        ({"lungs": "R20C20", "family": "adult"}, "choose one"),
+        ({"lungs": "nothing"}, "nothing"),
+    ],
+)
+@pytest.mark.parametrize("environment", [eupnea.PressureControl, eupnea.VectorPressureControl])
+def test_a_wrong_value_of_an_option_is_a_value_error_that_names_it(environment, options, text):
+    with pytest.raises(ValueError, match=text):
+        environment(**options)
+
+
+def test_an_unknown_option_is_named_beside_the_known_ones():
+    with pytest.raises(TypeError, match="'holding' of the environment: choose from lungs, family"):
+        eupnea.PressureControl(holding=3)
+    with pytest.raises(TypeError, match="holding"):
+        eupnea.vector("eupnea/OneLung-v0", 2, holding=3)
+
+
+@pytest.mark.parametrize("numbers", [{"num_envs": -2}, {"num_envs": 0}, {"seed": -1}, {"threads": 0}, {"threads": 2**64}])
+def test_a_number_out_of_range_is_a_value_error(numbers):
+    with pytest.raises(ValueError):
+        eupnea.VectorPressureControl(**{"num_envs": 2, **numbers})
+    with pytest.raises(ValueError):
+        eupnea.PressureControl().reset(seed=-1)
+    with pytest.raises(ValueError):
+        eupnea.Bench(seed=-1)
+    with pytest.raises(ValueError):
+        eupnea.Family("adult").draw(1, -1)
+    with pytest.raises(ValueError):
+        eupnea.Controller.pid((3, 30), period_us=0)
+
+
+@pytest.mark.parametrize("action", [None, "0.5", 1j, [0.1, 0.2], np.array([None]), np.array(["0.5"]), [[1], [2, 3]], float("nan")])
+def test_an_action_that_is_not_one_number_is_a_value_error_and_moves_nothing(action):
+    environment, same = eupnea.PressureControl(), eupnea.PressureControl()
+    environment.reset(seed=1), same.reset(seed=1)
+    with pytest.raises(ValueError, match="action"):
+        environment.step(action)
+    np.testing.assert_array_equal(environment.step(0.1)[0], same.step(0.1)[0])
+    batch = eupnea.vector("eupnea/OneLung-v0", 2)
+    batch.reset()
+    with pytest.raises(ValueError, match="action"):
+        batch.step([action, 0.1])

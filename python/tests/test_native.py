@@ -1,5 +1,8 @@
 """The bench, the ventilator, controllers and simulators from Python."""
 
+import json
+import struct
+
 import numpy as np
 import pytest
 
@@ -92,6 +95,69 @@ def test_a_simulator_predicts_each_breath_of_a_batch_alone(simulator):
     together = learned.roll_out(commands)
     for row in (0, 15, 16, 18):
         np.testing.assert_array_equal(learned.roll_out(commands[row : row + 1])[0], together[row])
+
+
+#: Number of parameters of the hybrid below.
+HYBRID_PARAMETERS = 2454
+
+
+@pytest.fixture(scope="session")
+def hybrid(folder):
+    """A simulator of a ventilator with any lung, with random parameters, and its exported network."""
+    path, network = folder / "hybrid.safetensors", folder / "hybrid.onnx"
+    timing = {"period_us": 1000, "block_ticks": 10, "parts": 2, "points": 2, "channels": 1}
+    shape = {"architecture": "hybrid", "timing": timing, "states": 4, "hidden": 6, "history": 4}
+    about = json.dumps({**shape, "noise": 0.1, "start_pressure": 5.0, "plant": "random"})
+    parameters = np.random.default_rng(1).normal(0.0, 0.1, HYBRID_PARAMETERS).astype("<f4").tobytes()
+    tensor = {"dtype": "F32", "shape": [HYBRID_PARAMETERS], "data_offsets": [0, len(parameters)]}
+    head = json.dumps({"__metadata__": {"eupnea-simulator": about}, "parameters": tensor}).encode()
+    path.write_bytes(struct.pack("<Q", len(head)) + head + parameters)
+    eupnea.export(path, out=network)
+    return path, network
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"rest": 12.0}, {"plateau_command": 60.0}, {"pip": 35.0}, {"start_pressure": 8.0}, {"resistance": 50.0}, {"compliance": 50.0}],
+)
+def test_the_state_before_a_breath_counts_as_in_the_exported_network(hybrid, changed):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    learned = eupnea.Simulator.load(hybrid[0])
+    state = {
+        "start_pressure": 5.5,
+        "pip": 20.0,
+        "rest": 5.0,
+        "plateau_command": 25.0,
+        "resistance": 20.0,
+        "compliance": 20.0,
+        **changed,
+    }
+    commands = (40.0 + 30.0 * np.sin(np.arange(300, dtype=np.float32) / 40.0))[None]
+    ours = learned.roll_out(commands, **state)[0]
+    session = onnxruntime.InferenceSession(str(hybrid[1]), providers=["CPUExecutionProvider"])
+    theirs = network_pressures(session, commands[0], [state["start_pressure"], 5.0, *list(state.values())[1:]])
+    assert np.abs(ours[1:] - theirs[:-1]).max() < 1e-3
+    # Each part of the state has an effect, so that none was left out on both sides.
+    usual = learned.roll_out(commands, **{**state, **dict.fromkeys(changed)})[0]
+    assert not changed or np.abs(ours - usual).max() > 1e-3
+
+
+def network_pressures(session, commands, start):
+    """Run an exported simulator block by block; returns the pressure after each tick."""
+    shapes = {one.name: [1, one.shape[1]] for one in session.get_inputs()}
+    state, ticks = np.zeros(shapes["state"], np.float32), shapes["commands"][1]
+    pressures = []
+    for number, block in enumerate(commands.reshape(-1, 1, ticks)):
+        given = {"commands": block, "block": np.float32([[number]]), "start": np.float32([start]), "state": state}
+        after, state = session.run(["pressures", "next_state"], given)
+        pressures.extend(after[0])
+    return np.array(pressures)
+
+
+@pytest.mark.parametrize("start", [{"rest": float("nan")}, {"pip": float("inf")}])
+def test_a_start_that_is_not_finite_is_refused(simulator, start):
+    with pytest.raises(ValueError, match="finite"):
+        eupnea.Simulator.load(simulator).roll_out(np.ones((1, 10), np.float32), **start)
 
 
 def test_commands_in_another_memory_order_are_refused_and_not_transposed(simulator):
