@@ -112,12 +112,7 @@ def fit(data: PathLike | Recording | Sequence[PathLike | Recording], **options: 
         Errors on held-out breaths, in cmH2O: `open_loop`, `one_step` and more.
     """
     several = [data] if isinstance(data, (str, os.PathLike, Recording)) else list(data)
-    with tempfile.TemporaryDirectory() as folder:
-        files = []
-        for number, one in enumerate(several):
-            if isinstance(one, Recording):
-                one = one.file(Path(folder) / f"{number}.parquet")
-            files.append(Path(one))
+    with _files(several) as files:
         return run("fit", data=files, **options)
 
 
@@ -139,19 +134,15 @@ def evaluate(controller: PathLike | None = None, *, policy: Policy | str | None 
 
     Args:
         controller: A shipped controller such as `"adult"`, a file of `train`, or a rival; default: the PID with `gains`.
-        policy: A controller of your own, which runs behind the safety envelope: a function of six numbers (`eupnea.policies`), or
-            the address of one behind the policy link (`tcp:HOST:PORT` or `pipe:COMMAND`).
+        policy: Your own controller, which runs behind the safety envelope: a function of six numbers (`eupnea.policies`), or the
+            address of a policy on the policy link (`tcp:HOST:PORT` or `pipe:COMMAND`).
         options: Those of `trainer evaluate`, such as `lung="R20C20"` (a name or a `Bench`), `gains=(3, 30)`, `seed=1`.
 
     Returns:
         Scores by waveform and their mean, in cmH2O.
     """
     with served(policy) as address:
-        return (
-            run("evaluate", controller=controller, policy=address, **options)
-            if address
-            else run("evaluate", controller=controller, **options)
-        )
+        return run("evaluate", controller=controller, policy=address, **options)
 
 
 def robust(controller: PathLike | None = None, *, policy: Policy | str | None = None, **options: Any) -> Result:
@@ -166,11 +157,7 @@ def robust(controller: PathLike | None = None, *, policy: Policy | str | None = 
         Distribution of the scores over the plants, in cmH2O.
     """
     with served(policy) as address:
-        return (
-            run("robust", controller=controller, policy=address, **options)
-            if address
-            else run("robust", controller=controller, **options)
-        )
+        return run("robust", controller=controller, policy=address, **options)
 
 
 def bound(**options: Any) -> Result:
@@ -195,10 +182,7 @@ def judge(*files: PathLike | Recording, **options: Any) -> Result:
     Returns:
         Figures of every breath, and whether all keep the limits (`pass`).
     """
-    with tempfile.TemporaryDirectory() as folder:
-        paths = []
-        for number, one in enumerate(files):
-            paths.append(one.file(Path(folder) / f"{number}.parquet") if isinstance(one, Recording) else one)
+    with _files(files) as paths:
         return run("judge", *paths, **options)
 
 
@@ -226,18 +210,29 @@ def test_table(**options: Any) -> Result:
     return run("test-table", **options)
 
 
-def export(file: PathLike, out: PathLike, **options: Any) -> Result:
+def export(file: PathLike | Recording, out: PathLike, **options: Any) -> Result:
     """Convert a recording, a controller or a simulator for other programs.
 
     Args:
-        file: The file.
+        file: A recording or its file, a shipped controller such as `"adult"`, or the file of a controller or simulator.
         out: File to write; its extension selects the format, such as `.mcap` or `.onnx`.
         options: Those of `trainer export`.
 
     Returns:
-        What was written.
+        A summary of the written file, such as its number of rows, or its kind and size.
     """
-    return run("export", file, out=out, **options)
+    with _files([file]) as paths:
+        return run("export", *paths, out=out, **options)
+
+
+@contextmanager
+def _files(several: Iterable[PathLike | Recording]) -> Iterator[list[Path]]:
+    """Give every recording a file for as long as the context lasts."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield [
+            one.file(Path(folder) / f"{number}.parquet") if isinstance(one, Recording) else Path(one)
+            for number, one in enumerate(several)
+        ]
 
 
 @contextmanager
@@ -251,7 +246,7 @@ def _place(out: PathLike | None, name: str) -> Iterator[Path]:
 
 def _document() -> None:
     """Append the help of the command line to the documentation."""
-    for function in (collect, fit, train, evaluate, robust, bound, judge, tune_pid, test_table):
+    for function in (collect, fit, train, evaluate, robust, bound, judge, tune_pid, test_table, export):
         command = function.__name__.replace("_", "-")
         function.__doc__ = f"{function.__doc__}\n\nHelp of `trainer {command}`:\n\n{_native.command_help(command)}"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 from pathlib import Path
@@ -14,6 +15,14 @@ if TYPE_CHECKING:
 
 #: Name of the metadata of a recording's file that has its provenance.
 PROVENANCE = b"eupnea"
+
+
+def _need(package: str) -> None:
+    """Check that a package of data frames is installed."""
+    try:
+        importlib.import_module(package)
+    except ImportError:
+        raise ImportError(f"this data frame needs {package}: pip install './python[frames]'") from None
 
 
 class Recording:
@@ -36,7 +45,7 @@ class Recording:
             import pyarrow
             from pyarrow import parquet
         except ImportError:
-            raise ImportError("recordings need pyarrow: pip install './python[frames]'") from None
+            raise ImportError("recordings need pyarrow, which pip install ./python installs") from None
         try:
             self.table: pyarrow.Table = parquet.read_table(self.path)
         except (pyarrow.ArrowException, OSError) as error:
@@ -46,10 +55,11 @@ class Recording:
 
         self._bytes = self.path.read_bytes()
 
-    def file(self, path: Path) -> Path:
+    def file(self, path: str | os.PathLike[str]) -> Path:
         """Write the recording, byte for byte as it was read, and return the path."""
-        path.write_bytes(self._bytes)
-        return path
+        written = Path(path)
+        written.write_bytes(self._bytes)
+        return written
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -72,12 +82,22 @@ class Recording:
         return self.table.column(column).to_numpy()
 
     def pandas(self) -> pandas.DataFrame:
-        """Return the recording as a data frame of pandas."""
+        """Return the recording as a data frame of pandas.
+
+        Raises:
+            ImportError: pandas is missing.
+        """
+        _need("pandas")
         frame: pandas.DataFrame = self.table.to_pandas()
         return frame
 
     def polars(self) -> polars.DataFrame:
-        """Return the recording as a data frame of polars, without a copy."""
+        """Return the recording as a data frame of polars, without a copy.
+
+        Raises:
+            ImportError: polars is missing.
+        """
+        _need("polars")
         import polars
 
         frame = polars.from_arrow(self.table)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 
@@ -22,10 +23,21 @@ def test_a_recording_is_a_frame_of_pandas_and_of_polars(recording):
         recording["nonsense"]
 
 
+@pytest.mark.parametrize("package", ["pandas", "polars"])
+def test_a_missing_package_of_frames_is_named_with_the_extra_that_installs_it(recording, package, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"{package}: pip install '\./python\[frames\]'"):
+        getattr(recording, package)()
+
+
 def test_the_same_seed_gives_the_same_files_and_a_recording_needs_no_file(recording, tmp_path):
     again = eupnea.collect(breaths=12, seed=3)
     assert not again.path.exists()
-    assert again.file(tmp_path / "again.parquet").read_bytes() == recording.path.read_bytes()
+    for path in (tmp_path / "again.parquet", str(tmp_path / "string.parquet")):
+        assert again.file(path).read_bytes() == recording.path.read_bytes()
+    assert eupnea.export(again, tmp_path / "again.jsonl")["rows"] == len(again)
+    assert eupnea.judge(again)["pass"]
+    assert eupnea.fit(again, epochs=1)["open_loop"] > 0
 
 
 def test_fit_train_and_evaluate_follow_one_another(recording, simulator, tmp_path):
@@ -133,3 +145,4 @@ def test_an_exception_of_the_progress_stops_the_command():
 
 def test_the_documentation_has_the_help_of_the_command_line():
     assert "--breaths-of-learning" in eupnea.evaluate.__doc__
+    assert "--check" in eupnea.export.__doc__
