@@ -42,9 +42,10 @@ class VecPressureControl(VecEnv):
     Args:
         id: Name of the environment, such as `"eupnea/OneLung-v0"`.
         num_envs: Number of environments.
-        seed: Seed of the episodes.
+        seed: Seed of the episodes: of their plants, their PIPs and the sensor noise. The actions do not depend on it. An algorithm that
+            is given a seed of its own, as in `PPO(..., seed=1)`, calls `seed` and so replaces this one.
         reward_scale: Factor of the rewards, as algorithms expect rewards near 1.
-        options: Options of the environment in place of the registered ones.
+        options: Options of the environment in place of the registered ones; `render_mode="rgb_array"` allows `get_images`.
 
     Raises:
         ValueError: There is no such environment, or an option is wrong.
@@ -73,7 +74,14 @@ class VecPressureControl(VecEnv):
         self.seed(seed)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Let the next `reset` start with the first episodes of a seed; without one, they go on."""
+        """Choose the seed of the episodes; the next `reset` starts with the first episodes of this seed.
+
+        Args:
+            seed: The seed; None changes nothing, so that the next `reset` starts the next episodes.
+
+        Returns:
+            The seed in force for each environment. They share it: environment `i` runs the episodes `i`, `i + n`, `i + 2 n`, ...
+        """
         if seed is not None:
             self._seed = int(seed)
             self._numbers = list(range(self.num_envs))
@@ -92,8 +100,24 @@ class VecPressureControl(VecEnv):
         return np.stack([self._start(index) for index in range(self.num_envs)])
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keep the actions, shape (num_envs, 1), for `step_wait`."""
-        self._actions = actions
+        """Keep the actions for `step_wait`.
+
+        Args:
+            actions: Numbers from -1 to 1 of shape (num_envs, 1).
+
+        Raises:
+            ValueError: The shape is wrong, or an action is not a finite number; then nothing moves.
+        """
+        shape = (self.num_envs, 1)
+        try:
+            kept = np.array(actions, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"the actions are not numbers: give an array of shape {shape}") from None
+        if kept.shape != shape:
+            raise ValueError(f"the actions have shape {kept.shape}: give {shape}, one for each environment")
+        if not np.isfinite(kept).all():
+            raise ValueError("an action is not finite: give numbers from -1 to 1")
+        self._actions = kept
 
     def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Step every environment; returns observations, scaled rewards, which episodes ended, and their scores."""
@@ -121,6 +145,14 @@ class VecPressureControl(VecEnv):
         """End the environments."""
         for environment in self.envs:
             environment.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Draw the running inspiration of each environment.
+
+        Returns:
+            RGB images of shape (240, 480, 3); None for each environment without `render_mode="rgb_array"`.
+        """
+        return [environment.render() for environment in self.envs]
 
     def _chosen(self, indices: Indices) -> list[PressureControl]:
         return [self.envs[index] for index in self._get_indices(indices)]

@@ -115,6 +115,39 @@ def test_attributes_and_methods_reach_each_environment(adapter):
     environments.close()
 
 
+@pytest.mark.parametrize(
+    ("actions", "reason"),
+    [
+        (np.zeros((NUM, 2)), "shape"),
+        (np.zeros((NUM + 1, 1)), "shape"),
+        (np.zeros(NUM), "shape"),
+        (0.0, "shape"),
+        (None, "shape"),
+        ("open", "not numbers"),
+        ([[0.0]] * (NUM - 1) + [[float("nan")]], "not finite"),
+    ],
+)
+def test_wrong_actions_are_refused_before_an_environment_moves(adapter, actions, reason):
+    environments, same = adapter(num_envs=NUM, hold=50), adapter(num_envs=NUM, hold=50)
+    environments.reset()
+    same.reset()
+    with pytest.raises(ValueError, match=reason):
+        environments.step(actions)
+    right = np.full((NUM, 1), -0.6, np.float32)
+    np.testing.assert_array_equal(environments.step(right)[0], same.step(right)[0])
+
+
+def test_images_are_those_of_each_environment(adapter):
+    environments = adapter(num_envs=2, hold=50, render_mode="rgb_array")
+    environments.reset()
+    environments.step(np.array([[-1.0], [0.2]], np.float32))
+    images = environments.get_images()
+    assert [(image.shape, image.dtype) for image in images] == [((240, 480, 3), np.uint8)] * 2
+    np.testing.assert_array_equal(images[1], environments.envs[1].render())
+    assert not np.array_equal(images[0], images[1])
+    assert adapter(num_envs=2).get_images() == [None, None]
+
+
 def test_wrong_names_and_numbers_are_refused(adapter):
     with pytest.raises(ValueError, match="choose from"):
         adapter("eupnea/Nothing-v0")
