@@ -140,10 +140,29 @@ class Controller:
 
         Args:
             command: Last command, percent.
-            learn: Whether to keep what the breath before has taught; leave out disturbed breaths.
+            learn: Whether to adopt the breath before; do not adopt disturbed breaths. After a call of `learn`, it has no effect.
         """
 
-    def step(self, pressure: float, target: float, *, pip: float | None = None, peep: float | None = None) -> float:
+    def learn(self, lesson: int, applied: float | None = None) -> None:
+        """End an inspiration with a lesson, as the ventilator does; `start_breath` then adopts nothing.
+
+        Args:
+            lesson: 0 adopts the breath, 1 discards it, 2 forgets all breaths (`eupnea.policies.Lesson`).
+            applied: Command that the valve had in the last tick, percent; default: the one that `step` returned.
+
+        Raises:
+            ValueError: There is no such lesson.
+        """
+
+    def step(
+        self,
+        pressure: float,
+        target: float,
+        *,
+        pip: float | None = None,
+        peep: float | None = None,
+        applied: float | None = None,
+    ) -> float:
         """Run one tick of an inspiration.
 
         Args:
@@ -151,6 +170,7 @@ class Controller:
             target: Target, cmH2O.
             pip: PIP, cmH2O; default: the target.
             peep: PEEP, cmH2O; default: that of the settings.
+            applied: Command that the valve had in the last tick, percent; default: the one that was returned there.
 
         Returns:
             The command of the inspiratory valve before the safety filter, percent.

@@ -13,6 +13,9 @@ use shared::weights::decode;
 
 use crate::{errors, values};
 
+/// The lessons in the order of their numbers on the policy link.
+const LESSONS: [Lesson; 3] = [Lesson::Adopt, Lesson::Discard, Lesson::Forget];
+
 /// A PID, or a PID with a learned residual: the code of the chip.
 #[pyclass(module = "eupnea", name = "Controller")]
 pub struct Controller {
@@ -21,11 +24,20 @@ pub struct Controller {
     name: String,
     state: ControllerState,
     tick: u32,
+    /// Command of the last tick, percent, until it is known which command the valve had.
+    pending: Option<f32>,
 }
 
 impl Controller {
     fn of(law: shared::control::Controller, period_us: u32, name: String) -> Self {
-        Self { law, period_us, name, state: ControllerState::new(), tick: 0 }
+        Self { law, period_us, name, state: ControllerState::new(), tick: 0, pending: None }
+    }
+
+    /// Ends the last tick with the command that the valve had, percent; default: the computed one.
+    fn end_tick(&mut self, applied: Option<f32>) {
+        if let Some(command) = self.pending.take() {
+            self.law.applied(&mut self.state, applied.unwrap_or(command));
+        }
     }
 }
 
@@ -90,13 +102,14 @@ impl Controller {
 
     /// Forgets all breaths.
     fn reset(&mut self) {
-        (self.state, self.tick) = (ControllerState::new(), 0);
+        (self.state, self.tick, self.pending) = (ControllerState::new(), 0, None);
     }
 
-    /// Starts a breath, with the valve at `command` percent; `learn` keeps what the last breath taught.
+    /// Starts a breath, with the valve at `command` percent; `learn` keeps what the last breath taught, unless a lesson was given.
     #[pyo3(signature = (command=0.0, *, learn=true))]
     fn start_breath(&mut self, command: f32, learn: bool) {
         let lesson = if learn { Lesson::Adopt } else { Lesson::Discard };
+        self.end_tick(None);
         if self.tick > 0 {
             self.law.learn(&mut self.state, lesson);
         }
@@ -104,14 +117,33 @@ impl Controller {
         self.tick = 0;
     }
 
-    /// One tick of an inspiration; returns the command in percent.
-    #[pyo3(signature = (pressure, target, *, pip=None, peep=None))]
-    fn step(&mut self, pressure: f32, target: f32, pip: Option<f32>, peep: Option<f32>) -> f32 {
+    /// Ends an inspiration with a lesson, by its number; `applied` is the command that the valve had in the last tick, percent.
+    #[pyo3(signature = (lesson, applied=None))]
+    fn learn(&mut self, lesson: usize, applied: Option<f32>) -> PyResult<()> {
+        let unknown =
+            || errors::value(format!("there is no lesson {lesson}: 0 adopts, 1 discards, 2 forgets"));
+        let lesson = *LESSONS.get(lesson).ok_or_else(unknown)?;
+        self.end_tick(applied);
+        self.law.learn(&mut self.state, lesson);
+        self.tick = 0;
+        Ok(())
+    }
+
+    /// One tick of an inspiration; `applied` is the command that the valve had in the tick before. Returns the command in percent.
+    #[pyo3(signature = (pressure, target, *, pip=None, peep=None, applied=None))]
+    fn step(
+        &mut self,
+        pressure: f32,
+        target: f32,
+        pip: Option<f32>,
+        peep: Option<f32>,
+        applied: Option<f32>,
+    ) -> f32 {
+        self.end_tick(applied);
         let peep = peep.unwrap_or(shared::settings::Settings::default().peep);
         let seen = Observation { pressure, target, pip: pip.unwrap_or(target), peep, tick: self.tick };
         let command = self.law.step(&mut self.state, &seen).command;
-        self.law.applied(&mut self.state, command);
-        self.tick += 1;
+        (self.pending, self.tick) = (Some(command), self.tick.saturating_add(1));
         command
     }
 
@@ -130,7 +162,7 @@ impl Controller {
         }
         let ticks = pressures.into_iter().zip(targets);
         let commands: Vec<f32> =
-            ticks.map(|(pressure, target)| self.step(pressure, target, pip, peep)).collect();
+            ticks.map(|(pressure, target)| self.step(pressure, target, pip, peep, None)).collect();
         Ok(PyArray1::from_vec(py, commands))
     }
 
