@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
+use shared::checksum::crc32;
 use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
 use shared::control::residual::Residual;
@@ -55,13 +56,22 @@ pub struct Chosen {
     pub image: Option<Vec<u8>>,
     /// The name for output: gains, file or rival.
     pub name: String,
+    /// Identifies the controller in kept results: gains, the id of the weights, or a rival with its parameters. For a policy it
+    /// contains the policy's address, which anything may answer: see [`Chosen::known_as`].
+    pub id: String,
 }
 
 impl Chosen {
     /// A PID.
     pub fn pid(gains: PidGains, period_us: u32) -> anyhow::Result<Self> {
         let controller = AnyLaw::Chip(Controller::Pid(Pid::new(gains, period_us)?));
-        Ok(Self { controller, period_us, weights_id: None, image: None, name: format_gains(&gains) })
+        let name = format_gains(&gains);
+        Ok(Self { controller, period_us, weights_id: None, image: None, id: name.clone(), name })
+    }
+
+    /// The same policy, which kept results know by this name and the PID underneath.
+    pub fn known_as(self, name: &str) -> Self {
+        Self { id: format!("policy {name} over {}", format_gains(&self.gains())), ..self }
     }
 
     /// Checks that the control period is that of `plant`, if there is one and it has its own.
@@ -137,8 +147,9 @@ impl ControllerArgs {
         }
         let period_us = plant_args::period_us(self.period_us.or(own), plant)?;
         let pid = Pid::new(self.gains.unwrap_or(KNOWN_GOOD), period_us)?;
+        let id = format!("{name} over {}", format_gains(&pid.gains()));
         let controller = AnyLaw::Policy(PolicyLaw::new(policy, pid, period_us));
-        Ok(Chosen { controller, period_us, weights_id: None, image: None, name })
+        Ok(Chosen { controller, period_us, weights_id: None, image: None, name, id })
     }
 
     fn built(&self, plant: Option<&SharedLink>, nominal: &BenchConfig) -> anyhow::Result<Chosen> {
@@ -175,7 +186,9 @@ impl ControllerArgs {
     fn rival(&self, rival: Rival, machine: Machine, period_us: u32) -> anyhow::Result<Chosen> {
         let values = self.parameters.clone().unwrap_or_else(|| rival.tuned());
         let controller = rival.law(&values, machine, period_us)?;
-        Ok(Chosen { controller, period_us, weights_id: None, image: None, name: rival.name().to_owned() })
+        let name = rival.name().to_owned();
+        let id = format!("{name} {}", values.iter().map(f32::to_string).collect::<Vec<_>>().join(","));
+        Ok(Chosen { controller, period_us, weights_id: None, image: None, name, id })
     }
 }
 
@@ -191,6 +204,7 @@ fn authors(file: &Path) -> anyhow::Result<Option<Chosen>> {
         weights_id: None,
         image: None,
         name: file.display().to_string(),
+        id: format!("authors {}", image_id(crc32(&read(file)?))),
     }))
 }
 
@@ -202,10 +216,12 @@ pub fn learned(controller: &Path) -> anyhow::Result<Chosen> {
 /// The controller of a weights image from a file.
 fn of_image(file: &Path, bytes: Vec<u8>) -> anyhow::Result<Chosen> {
     let image = decode(&bytes).with_context(|| file.display().to_string())?;
+    let id = image_id(image.id);
     Ok(Chosen {
         period_us: image.residual.spec().period_us,
         controller: AnyLaw::Chip(Controller::Residual(image.residual)),
-        weights_id: Some(image_id(image.id)),
+        weights_id: Some(id.clone()),
+        id,
         image: Some(bytes),
         name: file.display().to_string(),
     })
@@ -255,6 +271,7 @@ pub fn format_gains(gains: &PidGains) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use learn::controller::learned::Origin;
     use shared::breath::DEFAULT_PERIOD_US;
 
     #[test]
@@ -281,6 +298,33 @@ mod tests {
         assert_eq!(args.chosen_for(&neonate).unwrap().controller, with(&neonate.nominal()));
         assert_eq!(args.chosen(None).unwrap().controller, with(&BenchConfig::default()));
         assert_ne!(with(&neonate.nominal()), with(&BenchConfig::default()));
+    }
+
+    #[test]
+    fn kept_results_distinguish_a_rivals_parameters_and_the_content_of_an_authors_file() {
+        let chosen = |controller: PathBuf, parameters: Option<Vec<f32>>| {
+            let controller = Some(controller);
+            let args = ControllerArgs { controller, gains: None, parameters, weights: None, period_us: None };
+            args.chosen(None).unwrap().id
+        };
+        let rival = Rival::VariableGain;
+        let mut other = rival.tuned();
+        other[0] *= 1.01;
+        let with = |values: Option<Vec<f32>>| chosen(rival.name().into(), values);
+        assert_eq!(with(None), with(Some(rival.tuned())));
+        assert_ne!(with(None), with(Some(other)));
+
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("authors.safetensors");
+        let saved = |p: f32| {
+            let gains = PidGains { p, ..KNOWN_GOOD };
+            let controller = AuthorsController::pid_law(Pid::new(gains, 1000).unwrap(), 1000).unwrap();
+            Learned { controller, origin: Origin::default() }.save(&file).unwrap();
+            chosen(file.clone(), None)
+        };
+        let (first, second) = (saved(3.0), saved(4.0));
+        assert_ne!(first, second, "the same file with another controller");
+        assert_eq!(first, saved(3.0));
     }
 
     #[test]

@@ -45,7 +45,8 @@ twice the plateau tolerance (2 cmH2O + 4 % of PIP); as stopped if the ventilator
 state.
 
 The result does not depend on the number of threads. With --keep, the plants that are done at Ctrl-C
-are kept, and the same command continues with the others.")]
+are kept, and the same command continues with the others. To keep the results of a policy, or to
+divide its work, name the policy with --policy-id.")]
 pub struct Args {
     /// Family of plants: adult, neonate, or a TOML file
     #[arg(long, value_name = "NAME|FILE", default_value = "adult")]
@@ -63,6 +64,9 @@ pub struct Args {
     controller: ControllerArgs,
     #[command(flatten)]
     policy: PolicyArgs,
+    /// Name of the policy in kept results, which only the same name continues or merges: give every version its own
+    #[arg(long, value_name = "NAME", requires = "policy")]
+    policy_id: Option<String>,
     /// Seed of the plants and of their sensor noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -84,10 +88,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let family = Family::find(&args.family)?;
-    let chosen = match args.policy.connect()? {
-        Some(policy) => args.controller.chosen_with(policy, None)?,
-        None => args.controller.chosen_for(&family)?,
-    };
+    let chosen = chosen(args, &family)?;
     if chosen.period_us != DEFAULT_PERIOD_US {
         bail!(
             "{} has a control period of {} us: choose one for {DEFAULT_PERIOD_US} us",
@@ -105,6 +106,23 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         conclude(args, &family, &test)?;
     }
     policy_args::check(policy.as_ref())
+}
+
+/// The controller. The results of a policy are kept under a name only: at its address another policy may answer later.
+fn chosen(args: &Args, family: &Family) -> anyhow::Result<Chosen> {
+    let kept = args.keep.is_some() || args.shards.folder().is_some();
+    if args.policy.policy.is_some() && args.policy_id.is_none() && kept {
+        bail!(
+            "kept results need a name for the policy, because another one may answer at its address later: add --policy-id NAME, \
+             with a new name for every version of the policy"
+        );
+    }
+    let Some(policy) = args.policy.connect()? else { return args.controller.chosen_for(family) };
+    let chosen = args.controller.chosen_with(policy, None)?;
+    Ok(match &args.policy_id {
+        Some(name) => chosen.known_as(name),
+        None => chosen,
+    })
 }
 
 /// Prints and saves the results of all plants.
@@ -136,7 +154,7 @@ fn test(args: &Args, family: &Family, chosen: &Chosen) -> anyhow::Result<Option<
     let question = Question {
         family: family.name.clone(),
         first_plant: family.draw(args.seed, 0),
-        controller: chosen.weights_id.clone().unwrap_or_else(|| chosen.name.clone()),
+        controller: chosen.id.clone(),
         family_pid,
         seed: args.seed,
         breaths: args.breaths,

@@ -2,7 +2,7 @@
 //!
 //! These tests need `python3` and nothing else; without it they print so and end.
 
-use super::python::{Server, example, json, python_is_there, refused, run};
+use super::python::{Server, example, json, ok, python_is_there, refused, run};
 use super::support::{Place, text};
 
 /// The example's line that answers an observation.
@@ -143,6 +143,35 @@ fn a_policy_runs_on_many_plants_one_after_the_other() {
 }
 
 #[test]
+fn kept_results_of_a_policy_are_continued_only_under_its_name_and_with_the_same_pid() {
+    if !python_is_there() {
+        return;
+    }
+    let place = with_policy("", "");
+    place.write_short_family();
+    let policy = "--family short.toml --plants 2 --subset 0 --breaths 1 --policy pipe:python3\u{a0}policy.py";
+    let line = |kept: &str| format!("robust {policy} {kept}");
+    for kept in ["--keep kept.json", "--shard 0/2 --out out", "--merge --out out"] {
+        let told = refused(&place, &line(kept));
+        assert!(told.contains("add --policy-id NAME"), "{kept}: {told}");
+    }
+    let first = json(&place, &line("--keep kept.json --policy-id one"));
+    assert_eq!(json(&place, &line("--keep kept.json --policy-id one")), first);
+    for shard in ["0/2", "1/2"] {
+        ok(&place, &line(&format!("--shard {shard} --out out --policy-id one")));
+    }
+    assert_eq!(json(&place, &line("--merge --out out --policy-id one")), first);
+    for kept in ["--keep kept.json", "--shard 0/2 --out out", "--merge --out out"] {
+        for (other, here) in
+            [("two", "policy two over 3,30,0"), ("one --gains 2,80,0", "policy one over 2,80,0")]
+        {
+            let told = refused(&place, &line(&format!("{kept} --policy-id {other}")));
+            assert!(told.contains("policy one over 3,30,0") && told.contains(here), "{kept}: {told}");
+        }
+    }
+}
+
+#[test]
 fn another_period_than_the_policys_is_refused() {
     if !python_is_there() {
         return;
@@ -190,6 +219,7 @@ fn a_policy_takes_the_place_of_a_controller() {
         "evaluate --policy localhost:7100",
         "evaluate --policy tcp:localhost:7100 --policy-timeout 0",
         "robust --policy tcp:localhost:7100 --weights weights.bin",
+        "robust --policy-id one",
     ] {
         assert_eq!(place.run(line).status.code(), Some(2), "{line}");
     }

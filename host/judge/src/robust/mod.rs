@@ -56,7 +56,7 @@ pub struct Question {
     pub family: String,
     /// See `family`.
     pub first_plant: BenchConfig,
-    /// Name of the controller.
+    /// Identifies the controller with everything that changes its results, such as the id of its weights or the gains of its PID.
     pub controller: String,
     /// Gains of the best single PID of the family.
     pub family_pid: PidGains,
