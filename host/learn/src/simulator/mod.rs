@@ -20,6 +20,7 @@ pub mod model;
 pub mod open_loop;
 pub(crate) mod recurrent;
 pub mod rollout;
+pub mod shape;
 pub mod shard;
 pub mod state_space;
 pub mod stitched;

@@ -7,11 +7,15 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use super::hybrid::{Hybrid, HybridConfig};
+use super::shape::{ShapeError, members, widths, within};
 use super::state_space::{StateSpace, StateSpaceConfig};
 use super::stitched::{Stitched, StitchedConfig};
 use super::unit::{UnitConfig, Units};
 use super::{AnyDynamics, Timing};
 use data::tensors::{self, TensorError};
+
+/// Longest phase of a breath that a file may have, ms.
+const PHASE_MAX_MS: usize = 3_600_000;
 
 /// An architecture and its shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,6 +58,32 @@ impl Architecture {
             Self::Unit(config) => config.units,
             Self::Hybrid(config) => config.ventilators,
             Self::StateSpace(_) | Self::Stitched(_) => 1,
+        }
+    }
+
+    /// Checks that a simulator of this shape can be built: each of its numbers is within its bounds.
+    ///
+    /// # Errors
+    /// The first number that is not.
+    pub fn check(&self) -> Result<(), ShapeError> {
+        self.timing().check()?;
+        match *self {
+            Self::StateSpace(StateSpaceConfig { states, hidden, history, .. }) => {
+                widths(states, hidden, history)
+            }
+            // A hybrid without ventilators and test runs of its own is one of an unknown ventilator.
+            Self::Hybrid(HybridConfig { states, hidden, history, ventilators, groups, .. }) => {
+                widths(states, hidden, history)?;
+                members("ventilators", ventilators, 0)?;
+                members("groups", groups, 0)
+            }
+            Self::Stitched(StitchedConfig { timing }) => timing.check_single_ticks(),
+            Self::Unit(UnitConfig { timing, units, inspiration_ms, expiration_ms }) => {
+                timing.check_single_ticks()?;
+                members("units", units, 1)?;
+                within("inspiration_ms", inspiration_ms as usize, 1, PHASE_MAX_MS)?;
+                within("expiration_ms", expiration_ms as usize, 1, PHASE_MAX_MS)
+            }
         }
     }
 
@@ -135,14 +165,19 @@ impl Simulator {
     /// Reads a file written by [`Self::save`].
     ///
     /// # Errors
-    /// The file cannot be read, is damaged, or contains something else.
+    /// The file cannot be read, is damaged, contains something else, or describes a simulator that cannot be built
+    /// ([`Architecture::check`]).
     pub fn load(path: &Path) -> Result<Self, TensorError> {
         let (mut simulator, mut vectors): (Self, _) = tensors::load(path, KIND, &[PARAMETERS])?;
+        let refused = |reason: &dyn ToString| TensorError::format(path, KIND, &reason.to_string());
+        simulator.architecture.check().map_err(|error| refused(&error))?;
+        if !(0.0..=f32::MAX).contains(&simulator.noise) {
+            return Err(refused(&format!("noise is {}, but must be a number from 0 on", simulator.noise)));
+        }
         simulator.parameters = vectors.swap_remove(0);
         let (found, expected) = (simulator.parameters.len(), simulator.architecture.parameters());
         if found != expected {
-            let reason = format!("{found} parameters, expected {expected}");
-            return Err(TensorError::format(path, KIND, &reason));
+            return Err(refused(&format!("{found} parameters, expected {expected}")));
         }
         Ok(simulator)
     }
@@ -178,6 +213,63 @@ mod tests {
             std::fs::write(&path, &whole[..length]).unwrap();
             assert!(matches!(Simulator::load(&path), Err(TensorError::Format { .. })), "{length}");
         }
+    }
+
+    #[test]
+    fn metadata_that_no_simulator_can_have_is_refused_with_file_and_value() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("simulator.safetensors");
+        let shapes = [
+            Architecture::StateSpace(StateSpaceConfig::for_period(1000, 1)),
+            Architecture::Hybrid(HybridConfig {
+                ventilators: 2,
+                groups: 3,
+                ..HybridConfig::for_period(1000, 2)
+            }),
+            Architecture::Stitched(StitchedConfig::for_period(30_000)),
+            Architecture::Unit(UnitConfig::for_period(1000, 2)),
+        ];
+        let huge = u64::MAX;
+        for (name, values) in [
+            ("period_us", vec![0, 1_000_001]),
+            ("block_ticks", vec![0, huge]),
+            ("parts", vec![0, 11, huge]),
+            ("points", vec![0, 3, huge]),
+            ("channels", vec![0, 4, huge]),
+            ("states", vec![0, huge]),
+            ("hidden", vec![0, huge]),
+            ("history", vec![0, huge]),
+            ("units", vec![0, huge]),
+            ("ventilators", vec![huge]),
+            ("groups", vec![huge]),
+            ("inspiration_ms", vec![0]),
+            ("expiration_ms", vec![0]),
+        ] {
+            let mut damaged = 0;
+            for architecture in shapes {
+                let parameters = architecture.initialise(&mut ChaCha8Rng::seed_from_u64(0));
+                let whole = Simulator { architecture, parameters, ..simulator() };
+                whole.save(&path).unwrap();
+                assert_eq!(Simulator::load(&path).unwrap(), whole);
+                for value in &values {
+                    let mut description = serde_json::to_value(&whole).unwrap();
+                    let own = description.get(name).is_some();
+                    let place = if own { &mut description } else { &mut description["timing"] };
+                    if let Some(field) = place.get_mut(name) {
+                        *field = (*value).into();
+                        tensors::save(&path, KIND, &description, &[(PARAMETERS, &whole.parameters)]).unwrap();
+                        let told = Simulator::load(&path).unwrap_err().to_string();
+                        assert!(told.contains("simulator.safetensors"), "{told}");
+                        assert!(told.contains(&format!("{name} is {value}, ")), "{name}: {told}");
+                        damaged += 1;
+                    }
+                }
+            }
+            assert!(damaged >= values.len(), "{name} is in no file");
+        }
+        Simulator { noise: -1.0, ..simulator() }.save(&path).unwrap();
+        let told = Simulator::load(&path).unwrap_err().to_string();
+        assert!(told.contains("noise is -1, "), "{told}");
     }
 
     #[test]

@@ -3,6 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::shape::{ShapeError, within};
+
 /// How a simulator divides time, in control ticks of the recording that it was fitted to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -21,6 +23,12 @@ pub struct Timing {
 
 /// Longest block, seconds: the shortest dead time of the bench's valve.
 const BLOCK_TIME: f32 = 0.010;
+/// Largest number of control ticks per block that a file may have: a block at a period of 1 us.
+const BLOCK_TICKS_MAX: usize = 10_000;
+/// Largest number of command channels: both valves, and exploration.
+const CHANNELS_MAX: usize = 3;
+/// Longest control period that a file may have, microseconds.
+const PERIOD_MAX_US: usize = 1_000_000;
 
 impl Timing {
     /// The timing for a control period: blocks of 10 ms, or of one tick if that is longer.
@@ -28,6 +36,31 @@ impl Timing {
         let block_ticks = (shared::math::ticks(BLOCK_TIME, period_us) as usize).max(1);
         let (parts, points) = if block_ticks >= 2 { (2, 2) } else { (1, 1) };
         Self { period_us, block_ticks, parts, points, channels }
+    }
+
+    /// Checks the division of time of a simulator's file.
+    ///
+    /// # Errors
+    /// A value out of bounds.
+    pub(super) fn check(&self) -> Result<(), ShapeError> {
+        let Self { period_us, block_ticks, parts, points, channels } = *self;
+        within("period_us", period_us as usize, 1, PERIOD_MAX_US)?;
+        within("block_ticks", block_ticks, 1, BLOCK_TICKS_MAX)?;
+        // Each part has a tick.
+        within("parts", parts, 1, block_ticks)?;
+        within("points", points, 1, 2)?;
+        within("channels", channels, 1, CHANNELS_MAX)
+    }
+
+    /// Checks that each block is one control tick of one command, as in simulators that advance tick by tick.
+    ///
+    /// # Errors
+    /// A value that is not 1.
+    pub(super) fn check_single_ticks(&self) -> Result<(), ShapeError> {
+        let Self { block_ticks, parts, points, channels, .. } = *self;
+        let ones =
+            [("block_ticks", block_ticks), ("parts", parts), ("points", points), ("channels", channels)];
+        ones.into_iter().try_for_each(|(name, value)| within(name, value, 1, 1))
     }
 
     /// Duration of a block, s.
