@@ -29,6 +29,14 @@ use convolution::{Convolution, ConvolutionTape, PARAMETERS, initial_parameters, 
 /// Longest time between two errors, microseconds.
 pub const ERROR_SPACING_MAX_US: u32 = 100_000;
 
+/// Time between two of the ten errors in control ticks: the nearest whole number, at least one. Both times in microseconds.
+///
+/// # Panics
+/// If the control period is zero.
+pub fn spacing_ticks(error_spacing_us: u32, period_us: u32) -> usize {
+    (error_spacing_us.saturating_add(period_us / 2) / period_us).max(1) as usize
+}
+
 /// Specification of the authors' controller: everything except the network's parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AuthorsSpec {
@@ -76,7 +84,7 @@ impl AuthorsController {
         if !parameters.iter().all(|weight| weight.abs() <= WEIGHT_MAX) {
             return Err(ResidualError::Weights);
         }
-        let spacing = ((error_spacing_us + period_us / 2) / period_us).max(1) as usize;
+        let spacing = spacing_ticks(error_spacing_us, period_us);
         Ok(Self { spec, fixed, spacing, parameters: parameters.to_vec() })
     }
 

@@ -37,6 +37,16 @@ fn scenario(ticks: usize) -> Scenario {
 }
 
 #[test]
+fn errors_are_the_nearest_whole_number_of_ticks_apart() {
+    for (period_us, ticks) in [(1000, 10), (4000, 3), (6000, 2), (7000, 1), (30_000, 1)] {
+        assert_eq!(spacing_ticks(10_000, period_us), ticks, "{period_us} us");
+        let spec = AuthorsSpec { period_us, ..spec(10_000) };
+        assert_eq!(AuthorsController::new(spec, &parameters()).unwrap().spacing(), ticks, "{period_us} us");
+    }
+    assert_eq!((spacing_ticks(0, 1000), spacing_ticks(u32::MAX, 1000)), (1, 4_294_967));
+}
+
+#[test]
 fn lanes_and_law_give_the_same_commands() {
     let controller = AuthorsController::new(spec(7000), &parameters()).unwrap();
     let (model, scenario) = (model(), scenario(200));
