@@ -14,7 +14,7 @@ const NAME_CHARS: usize = 24;
 
 /// Why a file cannot be read on. The text says what to do.
 #[derive(Debug, Error)]
-pub enum Fault {
+pub enum EventFault {
     /// The operating system could not read the file.
     #[error(transparent)]
     Read(#[from] io::Error),
@@ -56,17 +56,17 @@ impl<R: BufRead> EventReader<R> {
     ///
     /// # Errors
     /// A file that cannot be read, or content that is not an event, with its line.
-    pub fn next_event(&mut self) -> Result<Option<Event>, Fault> {
+    pub fn next_event(&mut self) -> Result<Option<Event>, EventFault> {
         if !self.find()? {
             return Ok(None);
         }
         let line = self.line;
         self.collect()?;
-        event(&self.text).map(Some).map_err(|reason| Fault::Line { line, reason })
+        event(&self.text).map(Some).map_err(|reason| EventFault::Line { line, reason })
     }
 
     /// Goes to the start of the next event, which it takes; false at the end of the file.
-    fn find(&mut self) -> Result<bool, Fault> {
+    fn find(&mut self) -> Result<bool, EventFault> {
         while let Some(byte) = self.byte()? {
             match byte {
                 b'{' => return Ok(true),
@@ -92,18 +92,18 @@ impl<R: BufRead> EventReader<R> {
     }
 
     /// Takes the rest of an event.
-    fn collect(&mut self) -> Result<(), Fault> {
+    fn collect(&mut self) -> Result<(), EventFault> {
         self.text.clear();
         self.text.push(b'{');
         let (line, mut depth, mut quoted, mut escaped) = (self.line, 1, false, false);
         while depth > 0 {
             let Some(byte) = self.byte()? else {
                 let reason = "the file ends within this event: copy it again, or remove the event".to_owned();
-                return Err(Fault::Line { line, reason });
+                return Err(EventFault::Line { line, reason });
             };
             if self.text.len() == MOST_BYTES {
                 let reason = format!("the event has more than {MOST_BYTES} bytes: close its `}}`");
-                return Err(Fault::Line { line, reason });
+                return Err(EventFault::Line { line, reason });
             }
             self.text.push(byte);
             match byte {
@@ -134,8 +134,8 @@ impl<R: BufRead> EventReader<R> {
         Ok(byte)
     }
 
-    fn fault(&self, reason: String) -> Fault {
-        Fault::Line { line: self.line, reason }
+    fn fault(&self, reason: String) -> EventFault {
+        EventFault::Line { line: self.line, reason }
     }
 }
 
@@ -211,7 +211,7 @@ fn integer(fields: &Map<String, Value>, name: &str, low: i64, high: i64) -> Resu
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Vec<Event>, Fault> {
+    fn read(text: &str) -> Result<Vec<Event>, EventFault> {
         let mut reader = EventReader::new(text.as_bytes());
         std::iter::from_fn(|| reader.next_event().transpose()).collect()
     }
@@ -252,7 +252,7 @@ mod tests {
     #[test]
     fn an_event_that_never_ends_is_refused_before_it_fills_the_memory() {
         let endless = format!("{READING}\n{{\"event\":\"{}", "M".repeat(10 * MOST_BYTES));
-        let Err(Fault::Line { line, reason }) = read(&endless) else { panic!("it was read") };
+        let Err(EventFault::Line { line, reason }) = read(&endless) else { panic!("it was read") };
         assert!(line == 2 && reason.contains("more than"), "{line} {reason}");
     }
 }

@@ -17,7 +17,7 @@ use self::survey::{Survey, survey};
 use super::account::ImportSummary;
 use super::map::{ColumnSource, EndBy, QUANTITIES, Quantity, StartBy, TableLayout};
 use super::{import_rows, same_period};
-use crate::pirds::{EventReader, Fault};
+use crate::pirds::{EventFault, EventReader};
 use crate::recording::DatasetError;
 
 /// Note of a recording from events, which give no valve commands.
@@ -35,7 +35,7 @@ pub fn import_pirds(
     out: &Path,
     progress: &Progress<'_>,
 ) -> Result<ImportSummary, DatasetError> {
-    let surveys = paths.iter().map(|path| survey(path)).collect::<Result<Vec<_>, _>>()?;
+    let surveys = paths.iter().map(|path| survey(path, progress)).collect::<Result<Vec<_>, _>>()?;
     let periods: Vec<_> = surveys.iter().map(|survey| survey.period_us).collect();
     let period_us = same_period(paths, &periods)?;
     let layout = layout(&surveys);
@@ -88,11 +88,11 @@ fn open(path: &Path) -> Result<EventReader<BufReader<File>>, DatasetError> {
     Ok(EventReader::new(BufReader::with_capacity(BUFFER, file)))
 }
 
-fn faulty(path: &Path, fault: Fault) -> DatasetError {
+fn faulty(path: &Path, fault: EventFault) -> DatasetError {
     let path = path.to_owned();
     match fault {
-        Fault::Read(source) => DatasetError::Read { path, source },
-        Fault::Line { line, reason } => DatasetError::EventLine { path, line, reason },
+        EventFault::Read(source) => DatasetError::Read { path, source },
+        EventFault::Line { line, reason } => DatasetError::EventLine { path, line, reason },
     }
 }
 

@@ -3,7 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use progress::Progress;
+
 use super::{faulty, open, unusable};
+use crate::import::PROGRESS_ROWS;
 use crate::pirds::{
     ABSOLUTE, AIRWAY, AMBIENT, EXPIRATORY, Event, FLOW, GAUGE, INSPIRATORY, Measurement, PER_CMH2O, Sensor,
     UNSPECIFIED,
@@ -108,11 +111,16 @@ impl Readings {
 /// Reads a whole file.
 ///
 /// # Errors
-/// A file that cannot be read, a line that is not an event, or no usable pressure sensor.
-pub(super) fn survey(path: &Path) -> Result<Survey, DatasetError> {
+/// A file that cannot be read, a line that is not an event, no usable pressure sensor, or a request to stop.
+pub(super) fn survey(path: &Path, progress: &Progress<'_>) -> Result<Survey, DatasetError> {
     let mut reader = open(path)?;
+    let mut events = 0_usize;
     let (mut sensors, mut unused, mut phases) = (BTreeMap::<Sensor, Readings>::new(), Unused::new(), 0);
     while let Some(event) = reader.next_event().map_err(|fault| faulty(path, fault))? {
+        if events.is_multiple_of(PROGRESS_ROWS) && progress.stopped() {
+            return Err(DatasetError::Stopped);
+        }
+        events += 1;
         match event {
             Event::Phase(..) => phases += 1,
             Event::Measurement(Measurement { sensor, ms, value, beyond_range }) => {

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 use std::fs;
+use std::sync::atomic::AtomicBool;
 
 use proptest::prelude::*;
 
@@ -54,6 +55,18 @@ fn monitored(pressure: impl Fn(u32, f64) -> String, flows: bool) -> String {
 
 fn gauge(ms: u32, pressure: f64) -> String {
     event('D', 'A', ms, 10.0 * pressure)
+}
+
+#[test]
+fn a_survey_stops_when_asked_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let [events, out] = ["monitor.json", "a.parquet"].map(|name| folder.path().join(name));
+    // A survey that goes on finds the line that is not an event.
+    fs::write(&events, monitored(gauge, true) + "no event\n").unwrap();
+    let asked = AtomicBool::new(true);
+    let stopped = import_pirds(std::slice::from_ref(&events), &out, &Progress::quiet(&asked));
+    assert!(matches!(stopped, Err(DatasetError::Stopped)), "{stopped:?}");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
 #[test]
