@@ -16,14 +16,12 @@ use serde_json::{Value, json};
 use super::{ExportError, times_us};
 use crate::files::write_streamed;
 use crate::provenance::Provenance;
-use crate::recording::{Recording, Row};
+use crate::recording::{PHASE_NAMES, Recording, Row};
 
 /// Name of the metadata record with the origin.
 pub const ORIGIN: &str = "eupnea";
 /// Messages that are compressed and indexed together, bytes: a second or two of 1 kHz.
 pub(super) const CHUNK_BYTES: u64 = 1 << 19;
-/// Names of the phases, by the number that a recording gives them.
-const PHASES: [&str; 3] = ["inspiration", "fall", "expiration"];
 
 /// A field of a message: name, type as in JSON schema, description with the unit.
 pub type Field = (&'static str, &'static str, &'static str);
@@ -34,7 +32,8 @@ pub trait Message: Serialize {
     const TOPIC: &'static str;
     /// Name of the schema.
     const SCHEMA: &'static str;
-    /// The fields, as `Serialize` writes them. One that is not known is left out of a message.
+    /// The fields, as `Serialize` writes them. A field that is not known, or a number that is not finite, is left out of a message:
+    /// JSON has no NaN, and a null would not be of the type in the schema.
     const FIELDS: &'static [Field];
 }
 
@@ -45,9 +44,10 @@ pub struct Pressure {
     #[serde(skip_serializing_if = "is_unknown")]
     pub measured: f32,
     /// Target.
+    #[serde(skip_serializing_if = "is_unknown")]
     pub target: f32,
     /// True pressure, where the plant reports it.
-    #[serde(rename = "true", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "true", skip_serializing_if = "is_missing")]
     pub truth: Option<f32>,
 }
 
@@ -65,10 +65,13 @@ impl Message for Pressure {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Valves {
     /// Inspiratory valve.
+    #[serde(skip_serializing_if = "is_unknown")]
     pub u_in: f32,
     /// Expiratory valve, percent open.
+    #[serde(skip_serializing_if = "is_unknown")]
     pub u_out: f32,
     /// Part of `u_in` that exploration added.
+    #[serde(skip_serializing_if = "is_unknown")]
     pub explore: f32,
 }
 
@@ -86,10 +89,10 @@ impl Message for Valves {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Flow {
     /// Into the circuit.
-    #[serde(rename = "in", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "in", skip_serializing_if = "is_missing")]
     pub inward: Option<f32>,
     /// Out of the circuit.
-    #[serde(rename = "out", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "out", skip_serializing_if = "is_missing")]
     pub outward: Option<f32>,
 }
 
@@ -100,9 +103,9 @@ impl Message for Flow {
         &[("in", "number", "flow into the circuit, L/s"), ("out", "number", "flow out of the circuit, L/s")];
 }
 
-/// The place of a tick in the sequence of breaths.
+/// The position of a tick in the sequence of breaths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Place {
+pub struct BreathPosition {
     /// Number of the breath.
     pub number: u32,
     /// Phase: 0 inspiration, 1 fall, 2 expiration.
@@ -113,14 +116,14 @@ pub struct Place {
     pub tick: u32,
 }
 
-impl Place {
-    /// The place of a tick, with the phase numbered as in a recording.
+impl BreathPosition {
+    /// The position of a tick, with the phase numbered as in a recording.
     pub fn new(number: u32, phase: u8, tick: u32) -> Self {
-        Self { number, phase, phase_name: PHASES.get(usize::from(phase)).unwrap_or(&""), tick }
+        Self { number, phase, phase_name: PHASE_NAMES.get(usize::from(phase)).unwrap_or(&""), tick }
     }
 }
 
-impl Message for Place {
+impl Message for BreathPosition {
     const TOPIC: &'static str = "/breath";
     const SCHEMA: &'static str = "eupnea.Breath";
     const FIELDS: &'static [Field] = &[
@@ -131,9 +134,14 @@ impl Message for Place {
     ];
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_unknown(value: &f32) -> bool {
+/// Whether a number is left out of a message because it is not finite.
+pub fn is_unknown(value: &f32) -> bool {
     !value.is_finite()
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, clippy::ref_option, reason = "serde passes a reference")]
+fn is_missing(value: &Option<f32>) -> bool {
+    value.as_ref().is_none_or(is_unknown)
 }
 
 /// Number of the messages of each topic.
@@ -297,7 +305,7 @@ fn write_row<W: Write + Seek>(
     if row.flow_in.is_some() || row.flow_out.is_some() {
         writer.write(time_ns, &Flow { inward: row.flow_in, outward: row.flow_out })?;
     }
-    writer.write(time_ns, &Place::new(row.breath, row.phase, row.tick))
+    writer.write(time_ns, &BreathPosition::new(row.breath, row.phase, row.tick))
 }
 
 /// The origin of a recording; JSON cannot fail to hold it.

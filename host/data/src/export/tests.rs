@@ -10,7 +10,7 @@ use ::mcap::{MessageStream, Summary, parse_record};
 use proptest::prelude::*;
 use serde_json::Value;
 
-use super::mcap::{CHUNK_BYTES, Flow, McapWriter, Message, ORIGIN, Place, Pressure, Valves};
+use super::mcap::{BreathPosition, CHUNK_BYTES, Flow, McapWriter, Message, ORIGIN, Pressure, Valves};
 use super::pirds::Layout;
 use super::*;
 use crate::import::import_pirds;
@@ -186,7 +186,7 @@ fn each_schema_describes_the_fields_of_its_messages() {
     check(&Pressure { measured: 1.0, target: 2.0, truth: Some(3.0) });
     check(&Valves { u_in: 1.0, u_out: 2.0, explore: 3.0 });
     check(&Flow { inward: Some(1.0), outward: Some(2.0) });
-    check(&Place::new(0, 1, 2));
+    check(&BreathPosition::new(0, 1, 2));
 }
 
 #[test]
@@ -219,10 +219,10 @@ fn a_capture_keeps_what_was_flushed_before_the_program_was_killed_and_overwrites
     let path = folder.path().join("a.mcap");
     let mut writer = McapWriter::capture(&path).unwrap();
     for time in 0..3 {
-        writer.write(time, &Place::new(0, 0, time as u32)).unwrap();
+        writer.write(time, &BreathPosition::new(0, 0, time as u32)).unwrap();
     }
     writer.flush().unwrap();
-    writer.write(3, &Place::new(0, 0, 3)).unwrap();
+    writer.write(3, &BreathPosition::new(0, 0, 3)).unwrap();
     let killed = fs::read(&path).unwrap();
     drop(writer);
     let whole = messages(&fs::read(&path).unwrap()).unwrap();
@@ -260,7 +260,7 @@ fn a_full_disk_is_an_error_wherever_it_happens() {
     let write_all = |room: usize| {
         let mut writer = McapWriter::new("a.mcap".as_ref(), Disk(Cursor::new(Vec::new()), room))?;
         for tick in 0..500 {
-            writer.write(tick, &Place::new(0, 0, tick as u32))?;
+            writer.write(tick, &BreathPosition::new(0, 0, tick as u32))?;
             if tick % 50 == 0 {
                 writer.flush()?;
             }
@@ -281,7 +281,7 @@ fn a_killed_program_leaves_the_start_of_the_file_that_it_would_have_finished() {
     let mut killed = Vec::new();
     // More than a chunk, and then more than the operating system is given at a time.
     for tick in 0..12_000 {
-        writer.write(tick, &Place::new(0, 0, tick as u32)).unwrap();
+        writer.write(tick, &BreathPosition::new(0, 0, tick as u32)).unwrap();
         if tick % 1000 == 999 {
             killed.push(fs::read(&path).unwrap());
         }

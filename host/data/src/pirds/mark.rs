@@ -6,12 +6,10 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::recording::{EXPIRATION, FALL, INSPIRATION};
+use crate::recording::PHASE_NAMES;
 
 /// First word of the messages.
 const TAG: &str = "eupnea";
-/// Names of the phases.
-const PHASES: [(&str, u8); 3] = [("inspiration", INSPIRATION), ("fall", FALL), ("expiration", EXPIRATION)];
 
 /// The start of a phase: from now on the target goes in a straight line to a pressure, and stays there.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,7 +39,7 @@ impl PhaseMark {
 impl fmt::Display for PhaseMark {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { breath, phase, from, to, in_ms } = self;
-        let name = PHASES.iter().find(|(_, number)| number == phase).map_or("unknown", |(name, _)| name);
+        let name = PHASE_NAMES.get(usize::from(*phase)).unwrap_or(&"unknown");
         write!(f, "{TAG} breath {breath} {name} from {from} to {to} cmH2O in {in_ms} ms")
     }
 }
@@ -60,10 +58,10 @@ impl FromStr for PhaseMark {
             return Err(NoMark);
         };
         let pressure = |word: &str| word.parse().ok().filter(|value: &f32| value.is_finite()).ok_or(NoMark);
-        let (_, phase) = PHASES.iter().find(|(known, _)| *known == name).ok_or(NoMark)?;
+        let phase = PHASE_NAMES.iter().position(|known| *known == name).ok_or(NoMark)?;
         Ok(Self {
             breath: breath.parse().map_err(|_| NoMark)?,
-            phase: *phase,
+            phase: phase as u8,
             from: pressure(from)?,
             to: pressure(to)?,
             in_ms: in_ms.parse().map_err(|_| NoMark)?,
@@ -74,6 +72,7 @@ impl FromStr for PhaseMark {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recording::{EXPIRATION, FALL, INSPIRATION};
     use proptest::prelude::*;
 
     proptest! {
@@ -91,6 +90,14 @@ mod tests {
         #[test]
         fn no_text_makes_a_mark_panic(text: String) {
             let _ = text.parse::<PhaseMark>();
+        }
+    }
+
+    #[test]
+    fn marks_name_the_phases_as_other_programs_know_them() {
+        for (phase, name) in [(INSPIRATION, "inspiration"), (FALL, "fall"), (EXPIRATION, "expiration")] {
+            let mark = PhaseMark { breath: 7, phase, from: 5.0, to: 25.0, in_ms: 0 };
+            assert_eq!(mark.to_string(), format!("eupnea breath 7 {name} from 5 to 25 cmH2O in 0 ms"));
         }
     }
 

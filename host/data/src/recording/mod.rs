@@ -17,5 +17,5 @@ mod writer;
 pub use columns::Extra;
 pub use error::DatasetError;
 pub use parquet_file::PROVENANCE_KEY;
-pub use table::{EXPIRATION, FALL, INSPIRATION, Recording, Row, range};
+pub use table::{EXPIRATION, FALL, INSPIRATION, PHASE_NAMES, Recording, Row, range};
 pub use writer::RecordingWriter;

@@ -13,6 +13,8 @@ pub const INSPIRATION: u8 = 0;
 pub const FALL: u8 = 1;
 /// Phase of the rows at PEEP.
 pub const EXPIRATION: u8 = 2;
+/// Names of the phases, by their number.
+pub const PHASE_NAMES: [&str; 3] = ["inspiration", "fall", "expiration"];
 
 /// The lowest and the highest value of a column; `None` if it is empty.
 pub fn range(values: &[f32]) -> Option<(f32, f32)> {

@@ -1,5 +1,6 @@
 //! The recorded ticks as a CSV file.
 
+use data::recording::PHASE_NAMES;
 use shared::breath::Phase;
 use shared::recorder::{Activity, TickEntry};
 
@@ -30,10 +31,11 @@ fn fields(tick: &TickEntry) -> String {
         Some(value) if !value.is_nan() => format!("{value:.decimals$}"),
         _ => String::new(),
     };
+    let [inspiration, fall, expiration] = PHASE_NAMES;
     let phase = match tick.phase {
-        Some(Phase::Inspiration) => "inspiration",
-        Some(Phase::Fall) => "fall",
-        Some(Phase::Expiration) => "expiration",
+        Some(Phase::Inspiration) => inspiration,
+        Some(Phase::Fall) => fall,
+        Some(Phase::Expiration) => expiration,
         None => "",
     };
     let activity = match tick.activity {

@@ -9,7 +9,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use data::export::ExportError;
-use data::export::mcap::{Counts, Field, McapWriter, Message, Place, Pressure, Valves};
+use data::export::mcap::{BreathPosition, Counts, Field, McapWriter, Message, Pressure, Valves, is_unknown};
 use data::provenance::git_revision;
 use data::recording::{EXPIRATION, FALL, INSPIRATION};
 use serde::Serialize;
@@ -31,8 +31,11 @@ const FLUSH_EVERY_NS: u64 = 1_000_000_000;
 #[derive(Debug, Serialize)]
 struct Breath {
     number: u32,
+    #[serde(skip_serializing_if = "is_unknown")]
     mean_error: f32,
+    #[serde(skip_serializing_if = "is_unknown")]
     peak: f32,
+    #[serde(skip_serializing_if = "is_unknown")]
     end: f32,
 }
 
@@ -76,14 +79,18 @@ struct Status {
     in_command: &'static str,
     indicated_alarms: String,
     steered_by: String,
+    #[serde(skip_serializing_if = "is_unknown")]
     pip: f32,
+    #[serde(skip_serializing_if = "is_unknown")]
     peep: f32,
+    #[serde(skip_serializing_if = "is_unknown")]
     rate: f32,
     damaged_frames: u64,
     lost_batches: u64,
     dropped_samples: u32,
     missed_ticks: u32,
     worst_tick_us: u32,
+    #[serde(skip_serializing_if = "is_unknown")]
     mean_tick_us: f32,
 }
 
@@ -109,6 +116,15 @@ impl Message for Status {
     ];
 }
 
+/// An alarm that is in the file.
+#[derive(Clone, Copy, Debug)]
+struct Written {
+    /// Control tick at which it began.
+    tick: u64,
+    /// Number of batches that had come before it.
+    batches: u64,
+}
+
 /// A file that is being written.
 #[expect(missing_debug_implementations, reason = "the library's writer has none")]
 pub struct Capture {
@@ -118,8 +134,10 @@ pub struct Capture {
     clock: Clock,
     flushed_ns: u64,
     status: Status,
-    /// Tick of the last alarm of each kind.
-    alarms: BTreeMap<Fault, u64>,
+    /// The last alarm of each kind since the device started.
+    alarms: BTreeMap<Fault, Written>,
+    /// Number of batches so far.
+    batches: u64,
 }
 
 impl Capture {
@@ -151,6 +169,7 @@ impl Capture {
             flushed_ns: now_ns,
             status: Status::default(),
             alarms: BTreeMap::new(),
+            batches: 0,
         })
     }
 
@@ -192,9 +211,12 @@ impl Capture {
                 let (mean_error, peak, end) = (mean_absolute_error, peak_pressure, end_pressure);
                 self.writer.write(time_ns, &Breath { number, mean_error, peak, end })
             }
-            News::Event(Event::Alarm { fault, tick } | Event::Unacknowledged { fault, tick }) => {
-                self.alarm(*fault, *tick, time_ns)
-            }
+            News::Event(Event::Alarm { fault, tick }) => self.alarm(*fault, *tick, time_ns),
+            // The device repeats an alarm until it is acknowledged: it is written if its first report was missed.
+            News::Event(Event::Unacknowledged { fault, tick }) => match self.alarms.get(fault) {
+                Some(written) if written.tick == *tick => Ok(()),
+                _ => self.alarm(*fault, *tick, time_ns),
+            },
             News::Answer { result: Ok(response), .. } => {
                 self.learn(response);
                 Ok(())
@@ -215,7 +237,12 @@ impl Capture {
     }
 
     fn samples(&mut self, batch: &TelemetryBatch, now_ns: u64) -> Result<(), ExportError> {
-        self.clock.arrived(batch, now_ns);
+        if self.clock.arrived(batch, now_ns) {
+            // Ticks count from zero again, so an equal tick is another alarm. Alarms since the last batch can be those of the new start.
+            let ticks = batch.first_tick.saturating_add(batch.samples.len() as u64);
+            self.alarms.retain(|_, alarm| alarm.batches == self.batches && alarm.tick < ticks);
+        }
+        self.batches += 1;
         for (tick, packed) in (batch.first_tick..).zip(&batch.samples) {
             let (time, sample) = (self.clock.time(tick).unwrap_or(now_ns), packed.unpack());
             let (measured, target) = (sample.pressure, sample.target);
@@ -223,15 +250,14 @@ impl Capture {
             let u_out = if sample.u_out { 100.0 } else { 0.0 };
             let (u_in, explore) = (sample.u_in, sample.explore);
             self.writer.write(time, &Valves { u_in, u_out, explore })?;
-            self.writer.write(time, &Place::new(sample.breath, number(sample.phase), sample.tick))?;
+            self.writer
+                .write(time, &BreathPosition::new(sample.breath, number(sample.phase), sample.tick))?;
         }
         Ok(())
     }
 
     fn alarm(&mut self, fault: Fault, tick: u64, time_ns: u64) -> Result<(), ExportError> {
-        if self.alarms.insert(fault, tick) == Some(tick) {
-            return Ok(());
-        }
+        self.alarms.insert(fault, Written { tick, batches: self.batches });
         let (id, priority) = (fault.alarm().id, words::priority(fault.alarm().priority));
         let message = Alarm { id, priority, text: words::fault(fault), tick };
         self.writer.write(self.clock.time(tick).unwrap_or(time_ns), &message)
@@ -296,14 +322,16 @@ impl Clock {
         self.latest.map_or(now_ns, |(time, came)| time.saturating_add(now_ns.saturating_sub(came)))
     }
 
-    /// Takes the ticks of a batch. If they do not follow, the device has restarted: they are now.
-    fn arrived(&mut self, batch: &TelemetryBatch, now_ns: u64) {
+    /// Takes the ticks of a batch. If they do not follow, the device has restarted: they are now. Returns whether it has.
+    fn arrived(&mut self, batch: &TelemetryBatch, now_ns: u64) -> bool {
         let past = batch.first_tick.saturating_add(batch.samples.len() as u64);
-        if self.origin_ns.is_none() || batch.first_tick < self.next_tick {
+        let restarted = batch.first_tick < self.next_tick;
+        if self.origin_ns.is_none() || restarted {
             self.origin_ns = Some(self.now(now_ns).saturating_sub(past.saturating_mul(self.period_ns)));
         }
         self.next_tick = past;
         self.latest = self.time(past).map(|time| (time, now_ns));
+        restarted
     }
 
     /// Forgets the ticks: while the connection is lost, the device can restart.

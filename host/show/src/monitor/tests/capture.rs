@@ -83,6 +83,81 @@ fn an_alarm_is_written_once_at_the_time_of_its_tick() {
 }
 
 #[test]
+fn alarms_of_every_start_of_the_device_are_written_though_their_ticks_are_equal() {
+    let alarm = |tick| News::Event(Event::Alarm { fault: Fault::Restarted, tick });
+    let again = |tick| News::Event(Event::Unacknowledged { fault: Fault::Restarted, tick });
+    let ticks = |news: Vec<News>| {
+        let found = captured(news.into_iter().zip(1..).map(|(news, seconds)| (1000 * seconds, news)));
+        let alarms = of("/alarms", &found).into_iter();
+        alarms.map(|(_, alarm)| alarm["tick"].as_u64().unwrap()).collect::<Vec<_>>()
+    };
+    let night = |seconds: u64| telemetry(1000 * seconds, &[5.0; 16]);
+    let start = || telemetry(0, &[5.0; 16]);
+    let twice = vec![start(), alarm(3), again(3), night(1), start(), alarm(3), again(3), night(1), again(3)];
+    assert_eq!(ticks(twice), [3, 3], "reported, and repeated until it is acknowledged");
+    let missed = vec![start(), again(3), night(1), again(3), start(), again(3), night(1), again(3)];
+    assert_eq!(ticks(missed), [3, 3], "the first reports were lost");
+    let early = vec![start(), alarm(3), night(1), alarm(3), start(), again(3)];
+    assert_eq!(ticks(early), [3, 3], "an alarm overtakes the first batch");
+    let link = vec![start(), alarm(3), night(1), News::Lost("cable".into()), night(2), again(3)];
+    assert_eq!(ticks(link), [3], "only the connection was lost");
+}
+
+#[test]
+fn each_schema_describes_the_fields_that_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = started(folder.path());
+    let news = [greeting(Mode::Ventilating), telemetry(0, &[5.0]), alarm(Fault::Leak), breath(1)];
+    for news in news.into_iter().chain([News::Traffic(LineCounters::default())]) {
+        capture.take(&news, NOON);
+    }
+    capture.finish().unwrap();
+    let bytes = fs::read(folder.path().join("a.mcap")).unwrap();
+    let mut topics = Vec::new();
+    for message in MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        let topic = message.channel.topic.as_str();
+        let schema: Value = serde_json::from_slice(&message.channel.schema.as_ref().unwrap().data).unwrap();
+        let properties = schema["properties"].as_object().unwrap();
+        let content: Value = serde_json::from_slice(&message.data).unwrap();
+        let content = content.as_object().unwrap();
+        // The virtual bench alone knows the true pressure.
+        let written = |name: &str| (topic, name) != ("/pressure", "true");
+        let described: Vec<_> = properties.keys().filter(|name| written(name)).collect();
+        assert_eq!(content.keys().collect::<Vec<_>>(), described, "{topic}");
+        for (name, value) in content {
+            let right = match properties[name]["type"].as_str().unwrap() {
+                "integer" => value.is_u64(),
+                "number" => value.is_number(),
+                "boolean" => value.is_boolean(),
+                "string" => value.is_string(),
+                other => panic!("{other}"),
+            };
+            assert!(right, "{topic} {name}: {value}");
+        }
+        topics.push(topic.to_owned());
+    }
+    topics.sort_unstable();
+    assert_eq!(topics, ["/alarms", "/breath", "/breaths", "/device", "/pressure", "/valves"]);
+}
+
+#[test]
+fn figures_that_are_no_numbers_are_left_out() {
+    let figures = |mean_absolute_error, peak_pressure, end_pressure| {
+        let summary = BreathSummary { breath: 4, mean_absolute_error, peak_pressure, end_pressure };
+        News::Event(Event::Breath(summary))
+    };
+    let news = [figures(f32::NAN, f32::NEG_INFINITY, 5.5), figures(0.5, 20.0, f32::NAN)];
+    let found = captured(news.map(|news| (0, news)));
+    let breaths: Vec<_> = of("/breaths", &found).into_iter().map(|(_, breath)| breath.clone()).collect();
+    let expected = [
+        serde_json::json!({ "number": 4, "end": 5.5 }),
+        serde_json::json!({ "number": 4, "mean_error": 0.5, "peak": 20.0 }),
+    ];
+    assert_eq!(breaths, expected);
+}
+
+#[test]
 fn the_state_of_the_device_is_written_with_each_poll_and_at_a_loss() {
     let poll = |mode| {
         let losses = LineCounters { corrupt: 2, ..LineCounters::default() };
