@@ -21,4 +21,4 @@ mod unit;
 
 pub use authors::authors;
 pub use controller::residual;
-pub use simulator::{ExportError, simulator};
+pub use simulator::{OnnxError, simulator};

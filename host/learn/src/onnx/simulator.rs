@@ -27,7 +27,7 @@ const PRESSURES: &str = "pressures";
 
 /// Why a simulator cannot be exported.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum ExportError {
+pub enum OnnxError {
     /// It takes more than one command.
     #[error(
         "the simulator takes {0} commands in each tick, but only those with one can be exported: fit it to a recording of one valve"
@@ -153,14 +153,14 @@ pub(super) fn pressures(
 ///
 /// # Errors
 /// A simulator with several commands in each tick, or a unit that it does not have.
-pub fn simulator(simulator: &Simulator, unit: Option<u32>) -> Result<Vec<u8>, ExportError> {
+pub fn simulator(simulator: &Simulator, unit: Option<u32>) -> Result<Vec<u8>, OnnxError> {
     let timing = *simulator.architecture.timing();
     if timing.channels != 1 {
-        return Err(ExportError::Channels(timing.channels));
+        return Err(OnnxError::Channels(timing.channels));
     }
     let known = simulator.architecture.members();
     if let Some(asked) = unit.filter(|unit| *unit as usize >= known) {
-        return Err(ExportError::Unit { asked, known });
+        return Err(OnnxError::Unit { asked, known });
     }
     let mut graph = Builder::new("simulator");
     let block = Block::input(&mut graph, &timing);

@@ -16,7 +16,7 @@ use shared::control::{ControlLaw, Controller, Observation};
 use interpreter::{Interpreter, Matrix};
 
 use super::proto::{Model, OPSET, Size};
-use super::{ExportError, authors, check, residual, simulator};
+use super::{OnnxError, authors, check, residual, simulator};
 use crate::controller::architecture::Trainable;
 use crate::controller::authors::{AuthorsController, AuthorsSpec};
 use crate::controller::network::{chip_network, initial_parameters};
@@ -243,8 +243,8 @@ fn a_check_of_a_simulator_has_a_pressure_for_every_command() {
 #[test]
 fn a_unit_that_the_simulator_does_not_have_is_refused_and_so_are_two_commands() {
     let units = simulated(Architecture::Unit(UnitConfig::for_period(1000, 2)));
-    assert_eq!(simulator(&units, Some(2)), Err(ExportError::Unit { asked: 2, known: 2 }));
+    assert_eq!(simulator(&units, Some(2)), Err(OnnxError::Unit { asked: 2, known: 2 }));
     assert_ne!(simulator(&units, Some(1)).unwrap().len(), 0);
     let two = simulated(Architecture::StateSpace(StateSpaceConfig::for_period(1000, 2)));
-    assert_eq!(simulator(&two, None), Err(ExportError::Channels(2)));
+    assert_eq!(simulator(&two, None), Err(OnnxError::Channels(2)));
 }
