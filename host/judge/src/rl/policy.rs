@@ -6,7 +6,7 @@
 use shared::control::{ControlLaw, ControlOutput, Observation};
 
 use super::network::Single;
-use super::ventilation::{Perception, PolicyMemory, command};
+use super::ventilation::{Perception, PolicyMemory, valve_command};
 use super::{Greedy, best};
 use crate::evaluate::{Evaluated, Plan, evaluate_law};
 use engine::Lane;
@@ -57,7 +57,7 @@ impl ControlLaw for Policy {
         if seen.tick.is_multiple_of(self.perception.hold) {
             let actions = self.greedy.actions;
             let outputs = state.network.outputs(&features.map(Lane::splat));
-            state.held = command(actions, best(actions, outputs)[0]);
+            state.held = valve_command(actions, best(actions, outputs)[0]);
         }
         ControlOutput::plain(state.held)
     }

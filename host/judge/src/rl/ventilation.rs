@@ -120,8 +120,9 @@ impl Perception {
     }
 }
 
-/// The command of an action, percent of the valve's whole range; the action is -1 to 1, or the index of a level.
-pub fn command(actions: Actions, action: f32) -> f32 {
+/// The command of the inspiratory valve that an action asks for, percent: a continuous action from -1 (closed) to 1 (open), or the
+/// index of a level. An action beyond that range is limited to it, and NaN closes the valve.
+pub fn valve_command(actions: Actions, action: f32) -> f32 {
     let share = match actions {
         Actions::Continuous => 0.5 + 0.5 * action,
         Actions::Discrete(levels) => action / levels.saturating_sub(1).max(1) as f32,
@@ -261,7 +262,7 @@ impl TaskBatch for Inspirations {
     }
 
     fn step(&mut self, actions: &Lane) -> [Transition; LANES] {
-        let command = actions.map(|action| command(self.actions, action));
+        let command = actions.map(|action| valve_command(self.actions, action));
         let held = (self.perception.hold as usize).min(self.ticks - self.tick);
         let mut strayed = Lane::ZERO;
         for _ in 0..held {
@@ -299,11 +300,14 @@ mod tests {
     #[test]
     fn actions_cover_the_valves_range() {
         let continuous =
-            [-1.5, -1.0, 0.0, 1.0, 2.0].map(|action| command(Actions::Continuous, action) as i32);
+            [-1.5, -1.0, 0.0, 1.0, 2.0].map(|action| valve_command(Actions::Continuous, action) as i32);
         assert_eq!(continuous, [0, 0, 50, 100, 100]);
-        let levels = [0.0, 1.0, 10.0, 20.0].map(|action| command(Actions::Discrete(21), action) as i32);
+        let levels = [0.0, 1.0, 10.0, 20.0].map(|action| valve_command(Actions::Discrete(21), action) as i32);
         assert_eq!(levels, [0, 5, 50, 100]);
-        assert!(command(Actions::Continuous, f32::NAN).abs() < f32::EPSILON, "no number closes the valve");
+        assert!(
+            valve_command(Actions::Continuous, f32::NAN).abs() < f32::EPSILON,
+            "no number closes the valve"
+        );
     }
 
     #[test]
