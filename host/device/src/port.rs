@@ -7,7 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
-use plant::line::is_host_and_port;
+use plant::line::tcp_address;
 use thiserror::Error;
 
 /// Speed of the device's link, baud.
@@ -39,8 +39,8 @@ impl FromStr for Address {
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
         let wrong = || AddressError(text.to_owned());
-        if let Some(address) = text.strip_prefix("tcp:") {
-            return if is_host_and_port(address) { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
+        if let Some(address) = tcp_address(text) {
+            return address.map(Self::Tcp).map_err(|_| wrong());
         }
         let text = text.strip_prefix("serial:").unwrap_or(text);
         let (name, baud) = match text.split_once("?baud=") {

@@ -19,21 +19,26 @@ pub enum Address {
 #[error("'{0}' is no address: write tcp:HOST:PORT, or 'pipe:COMMAND', such as 'pipe:python3 plant.py'")]
 pub struct AddressError(String);
 
-/// Whether an address is `host:port`.
-pub fn is_host_and_port(address: &str) -> bool {
-    address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
+/// The `host:port` of an address that begins with `tcp:`; none for any other address.
+///
+/// # Errors
+/// `tcp:` without a host or a port.
+pub fn tcp_address(text: &str) -> Option<Result<String, AddressError>> {
+    let address = text.strip_prefix("tcp:")?;
+    let complete = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
+    let complete = address.rsplit_once(':').is_some_and(complete);
+    Some(if complete { Ok(address.to_owned()) } else { Err(AddressError(text.to_owned())) })
 }
 
 impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        let wrong = || AddressError(text.to_owned());
-        if let Some(address) = text.strip_prefix("tcp:") {
-            return if is_host_and_port(address) { Ok(Self::Tcp(address.to_owned())) } else { Err(wrong()) };
+        if let Some(address) = tcp_address(text) {
+            return address.map(Self::Tcp);
         }
         let words = text.strip_prefix("pipe:").and_then(words).filter(|words| !words.is_empty());
-        words.map(Self::Pipe).ok_or_else(wrong)
+        words.map(Self::Pipe).ok_or_else(|| AddressError(text.to_owned()))
     }
 }
 

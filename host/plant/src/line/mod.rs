@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-pub use address::{Address, AddressError, is_host_and_port};
+pub use address::{Address, AddressError, tcp_address};
 
 /// Longest time for a command to end after its input is closed.
 const FAREWELL: Duration = Duration::from_secs(1);
