@@ -1,38 +1,28 @@
 //! `trainer blackbox` with a simulated device at a pseudo-terminal.
 
 use std::fs;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use device::Device;
-use device::port::{Address, BAUD, Port};
-use device::simulated::Simulated;
 use plant::bench::BenchConfig;
-use serialport::{SerialPort, TTYPort};
 use shared::breath::paper_settings;
 use shared::link::messages::Event;
 use shared::recorder::{FAST_TAIL, RecorderStatus};
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
 
+use super::bedside::{Bedside, LONG};
 use super::support::Place;
 
-/// Longest time that a device may take to send here.
-const LONG: Duration = Duration::from_mins(1);
 /// Pressure to which hardly any gas leaves the lung, cmH2O.
 const PEEP: f32 = 5.0;
 
 #[test]
 fn a_fault_is_read_drawn_and_cleared() {
-    let (mut master, cable) = TTYPort::pair().unwrap();
-    master.set_timeout(Duration::from_millis(2)).unwrap();
-    let name = cable.name().unwrap();
-    let reader = Box::new(master.try_clone_native().unwrap());
-    master.set_timeout(LONG).unwrap();
-    let port = Port { reader, writer: Box::new(master) };
     let mut bench = BenchConfig::paper(20.0, 20.0);
     bench.expiratory.orifice_l_per_s_per_sqrt_cmh2o = 0.02;
-    let _simulated = Simulated::start(&bench, port).unwrap();
-    fail(&name);
+    let bedside = Bedside::at(&bench);
+    fail(&bedside);
+    let name = bedside.name();
 
     let place = Place::new();
     let json = place.json(&format!("blackbox --port {name} --out ticks.csv --html page.html"));
@@ -57,12 +47,11 @@ fn a_fault_is_read_drawn_and_cleared() {
         (&"Nothing".into(), &serde_json::json!([]))
     );
     assert!(after["log"].as_array().unwrap().iter().any(|event| event["happening"] == "Cleared"));
-    drop(cable);
 }
 
 /// Makes the device ventilate against its expiratory valve until it is in its safe state and the tail is recorded.
-fn fail(name: &str) {
-    let mut device = Device::connect(&Address::Serial { name: name.to_owned(), baud: BAUD }).unwrap();
+fn fail(bedside: &Bedside) {
+    let mut device = bedside.connected();
     device.apply(Settings { peep: PEEP, ..paper_settings(30.0) }).unwrap();
     device.start().unwrap();
     let deadline = Instant::now() + LONG;

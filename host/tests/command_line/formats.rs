@@ -74,45 +74,26 @@ mod watched {
     use std::process::{Child, Command, Stdio};
     use std::time::{Duration, Instant};
 
-    use device::Device;
-    use device::port::{Address, BAUD, Port};
-    use device::simulated::Simulated;
     use plant::bench::BenchConfig;
-    use serialport::{SerialPort, TTYPort};
     use shared::settings::Settings;
 
     use super::*;
+    use crate::bedside::{Bedside, LONG};
 
-    /// Longest time that a step may take here.
-    const LONG: Duration = Duration::from_mins(1);
-
-    /// A device that ventilates at the far end of a pseudo-terminal.
-    struct Bedside {
-        _simulated: Simulated,
-        _cable: TTYPort,
-        name: String,
+    /// Watches a device with JSON at the end in place of lines.
+    fn watch(bedside: &Bedside, place: &Place, file: &str) -> Child {
+        let line = format!("monitor --port {} --mcap {file} --json -", bedside.name());
+        let mut command = place.command(&line);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
     }
 
-    impl Bedside {
-        fn ventilating() -> Self {
-            let (mut master, cable) = TTYPort::pair().unwrap();
-            master.set_timeout(Duration::from_millis(2)).unwrap();
-            let name = cable.name().unwrap();
-            let reader = Box::new(master.try_clone_native().unwrap());
-            master.set_timeout(LONG).unwrap();
-            let port = Port { reader, writer: Box::new(master) };
-            let simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
-            let mut device = Device::connect(&Address::Serial { name: name.clone(), baud: BAUD }).unwrap();
-            device.apply(Settings::default()).unwrap();
-            device.start().unwrap();
-            Self { _simulated: simulated, _cable: cable, name }
-        }
-
-        /// Watches it with JSON at the end in place of lines.
-        fn watch(&self, place: &Place, file: &str) -> Child {
-            let mut command = place.command(&format!("monitor --port {} --mcap {file} --json -", self.name));
-            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
-        }
+    /// A device that ventilates.
+    fn ventilating() -> Bedside {
+        let bedside = Bedside::at(&BenchConfig::paper(20.0, 20.0));
+        let mut device = bedside.connected();
+        device.apply(Settings::default()).unwrap();
+        device.start().unwrap();
+        bedside
     }
 
     /// Waits until a file has this many samples.
@@ -126,9 +107,9 @@ mod watched {
 
     #[test]
     fn ctrl_c_finishes_the_file() {
-        let (place, bedside) = (Place::new(), Bedside::ventilating());
+        let (place, bedside) = (Place::new(), ventilating());
         let file = place.path("night.mcap");
-        let child = bedside.watch(&place, "night.mcap");
+        let child = watch(&bedside, &place, "night.mcap");
         wait_for(&file, 500);
         assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
         let output = child.wait_with_output().unwrap();
@@ -138,15 +119,15 @@ mod watched {
         let samples = count(&file, "/pressure");
         assert_eq!(report["messages"]["/pressure"], samples);
         assert!(count(&file, "/device") > 0 && summary.stats.unwrap().message_count > 3 * samples as u64);
-        let again = place.refused(&format!("monitor --port {} --mcap night.mcap", bedside.name));
+        let again = place.refused(&format!("monitor --port {} --mcap night.mcap", bedside.name()));
         assert!(again.contains("night.mcap exists"), "{again}");
     }
 
     #[test]
     fn a_lost_link_keeps_what_came_and_ctrl_c_finishes_the_file() {
-        let (place, bedside) = (Place::new(), Bedside::ventilating());
+        let (place, bedside) = (Place::new(), ventilating());
         let file = place.path("night.mcap");
-        let child = bedside.watch(&place, "night.mcap");
+        let child = watch(&bedside, &place, "night.mcap");
         wait_for(&file, 500);
         drop(bedside);
         let deadline = Instant::now() + LONG;
@@ -170,9 +151,9 @@ mod watched {
 
     #[test]
     fn a_killed_monitor_leaves_a_file_that_can_be_read_up_to_its_last_second() {
-        let (place, bedside) = (Place::new(), Bedside::ventilating());
+        let (place, bedside) = (Place::new(), ventilating());
         let file = place.path("night.mcap");
-        let mut child = bedside.watch(&place, "night.mcap");
+        let mut child = watch(&bedside, &place, "night.mcap");
         wait_for(&file, 500);
         child.kill().unwrap();
         child.wait().unwrap();

@@ -2,6 +2,8 @@
 
 mod bad_input;
 #[cfg(unix)]
+mod bedside;
+#[cfg(unix)]
 mod blackbox;
 mod commission;
 mod endure;
