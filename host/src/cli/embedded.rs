@@ -114,7 +114,7 @@ pub fn options(command: &str) -> Option<Vec<String>> {
     Some(arguments.filter_map(|argument| argument.get_long().map(str::to_owned)).collect())
 }
 
-/// What an event's work is, with its subject and round, in words.
+/// The stage of an event in words, with its subject and round.
 pub fn stage(event: &Event<'_>) -> String {
     bars::name(event)
 }

@@ -1,4 +1,4 @@
-//! A third party's policy in the place of a controller, and what became of it.
+//! A third-party policy in place of a controller: its options, and the report of its commands and failures.
 
 use std::time::Duration;
 
@@ -34,7 +34,7 @@ impl PolicyArgs {
     }
 }
 
-/// What is known of the policy, if the controller is one.
+/// The account of the policy, if the controller is one.
 pub fn account(controller: &AnyLaw) -> Option<Account> {
     match controller {
         AnyLaw::Policy(law) => Some(law.account()),
@@ -42,7 +42,7 @@ pub fn account(controller: &AnyLaw) -> Option<Account> {
     }
 }
 
-/// Prints what became of the policy.
+/// Prints the shares of the policy's commands, its answer times and its failure.
 pub fn print(output: &OutputArgs, account: Option<&Account>) {
     account.map_or_else(Vec::new, lines).iter().for_each(|line| output.line(line));
 }

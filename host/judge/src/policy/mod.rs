@@ -80,7 +80,8 @@ impl ControlLaw for PolicyLaw {
         PolicyState::default()
     }
 
-    /// A policy of which this ventilation has not asked anything knows nothing to forget or to learn.
+    /// Sends the lesson. A policy that was not asked for a command in this breath has nothing to learn from it, and before the first
+    /// breath of a ventilation it has nothing to forget.
     fn learn(&self, state: &mut PolicyState, lesson: Lesson) -> Lesson {
         if let Some(place) = state.place.filter(|_| state.started || lesson == Lesson::Forget) {
             self.link().learn(place, lesson, state.applied);
