@@ -254,8 +254,9 @@ def onnx(path: str | os.PathLike[str]) -> Policy:
         ImportError: onnxruntime is missing.
         ValueError: The file is not such a network.
     """
+    path = os.fspath(path)
     if not os.path.exists(path):
-        raise FileNotFoundError(f"there is no policy {os.fspath(path)}")
+        raise FileNotFoundError(f"there is no policy {path}")
     try:
         import onnxruntime
     except ImportError:
@@ -264,14 +265,14 @@ def onnx(path: str | os.PathLike[str]) -> Policy:
     # A small network is faster without a pool of threads.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     try:
-        session = onnxruntime.InferenceSession(os.fspath(path), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     except Exception as error:
-        raise ValueError(f"{os.fspath(path)} is not an ONNX file: {error}") from None
+        raise ValueError(f"{path} is not an ONNX file: {error}") from None
     try:
         return _Network(session)
     except Exception as error:
         # A wrong type of an input shows in the trial only, as an error of onnxruntime.
-        raise ValueError(f"{os.fspath(path)} is not a policy: {error}") from None
+        raise ValueError(f"{path} is not a policy: {error}") from None
 
 
 @contextmanager

@@ -63,10 +63,7 @@ impl Controller {
     /// A PID with these gains.
     #[staticmethod]
     #[pyo3(signature = (gains, *, period_us=values::PERIOD_US))]
-    fn pid(
-        gains: Vec<f32>,
-        #[pyo3(from_py_with = values::whole)] period_us: u32,
-    ) -> PyResult<Self> {
+    fn pid(gains: Vec<f32>, #[pyo3(from_py_with = values::whole)] period_us: u32) -> PyResult<Self> {
         let gains = values::gains(&gains)?;
         values::check_period(period_us)?;
         let pid = Pid::new(gains, period_us).map_err(|e| errors::of(&e))?;

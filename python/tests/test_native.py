@@ -97,6 +97,32 @@ def test_a_simulator_predicts_each_breath_of_a_batch_alone(simulator):
         np.testing.assert_array_equal(learned.roll_out(commands[row : row + 1])[0], together[row])
 
 
+TIMING = {"period_us": 1000, "block_ticks": 10, "parts": 2, "points": 2, "channels": 1}
+
+
+def write_simulator(path, shape, parameters):
+    """Write the file of a simulator with random parameters."""
+    about = json.dumps({**shape, "noise": 0.1, "start_pressure": 5.0, "plant": "random"})
+    content = np.random.default_rng(1).normal(0.0, 0.1, parameters).astype("<f4").tobytes()
+    tensor = {"dtype": "F32", "shape": [parameters], "data_offsets": [0, len(content)]}
+    head = json.dumps({"__metadata__": {"eupnea-simulator": about}, "parameters": tensor}).encode()
+    path.write_bytes(struct.pack("<Q", len(head)) + head + content)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"block_ticks": 0}, {"parts": 0}, {"parts": 11}, {"points": 3}, {"channels": 0}, {"channels": 2}, {"period_us": 0}],
+)
+def test_a_file_with_an_impossible_shape_is_a_value_error(folder, damage):
+    path = folder / "damaged.safetensors"
+    shape = {"architecture": "state_space", "timing": {**TIMING, **damage}, "states": 4, "hidden": 6, "history": 4}
+    write_simulator(path, shape, 1)
+    with pytest.raises(ValueError, match=next(iter(damage))):
+        eupnea.Simulator.load(path)
+    with pytest.raises((RuntimeError, ValueError)):
+        eupnea.export(path, out=folder / "damaged.onnx")
+
+
 #: Number of parameters of the hybrid below.
 HYBRID_PARAMETERS = 2454
 
@@ -105,13 +131,8 @@ HYBRID_PARAMETERS = 2454
 def hybrid(folder):
     """A simulator of a ventilator with any lung, with random parameters, and its exported network."""
     path, network = folder / "hybrid.safetensors", folder / "hybrid.onnx"
-    timing = {"period_us": 1000, "block_ticks": 10, "parts": 2, "points": 2, "channels": 1}
-    shape = {"architecture": "hybrid", "timing": timing, "states": 4, "hidden": 6, "history": 4}
-    about = json.dumps({**shape, "noise": 0.1, "start_pressure": 5.0, "plant": "random"})
-    parameters = np.random.default_rng(1).normal(0.0, 0.1, HYBRID_PARAMETERS).astype("<f4").tobytes()
-    tensor = {"dtype": "F32", "shape": [HYBRID_PARAMETERS], "data_offsets": [0, len(parameters)]}
-    head = json.dumps({"__metadata__": {"eupnea-simulator": about}, "parameters": tensor}).encode()
-    path.write_bytes(struct.pack("<Q", len(head)) + head + parameters)
+    shape = {"architecture": "hybrid", "timing": TIMING, "states": 4, "hidden": 6, "history": 4}
+    write_simulator(path, shape, HYBRID_PARAMETERS)
     eupnea.export(path, out=network)
     return path, network
 

@@ -1,5 +1,7 @@
 //! What an action commands: the whole valve, or a correction of a PID.
 
+use judge::rl::Actions;
+use judge::rl::ventilation::valve_command;
 use serde::{Deserialize, Serialize};
 use shared::control::pid::{Pid, PidGains, PidState};
 use shared::control::{COMMAND_MAX, ControlLaw, ControlOutput, Observation};
@@ -71,7 +73,7 @@ impl ControlLaw for Commanded {
 
     fn step(&self, state: &mut PidState, seen: &Observation) -> ControlOutput {
         match &self.kind {
-            Kind::Valve => ControlOutput::plain(COMMAND_MAX * (0.5 + 0.5 * self.action)),
+            Kind::Valve => ControlOutput::plain(valve_command(Actions::Continuous, self.action)),
             Kind::Residual { pid, authority } => pid.step(state, seen, authority * self.action),
         }
     }

@@ -3,6 +3,7 @@
 use judge::rl::ventilation::{Perception, PolicyMemory, TaskConfig as Features};
 use learn::controller::ControllerArchitecture;
 use learn::controller::authors::averages::{ERRORS, averages};
+use learn::controller::authors::spacing_ticks;
 use serde::{Deserialize, Serialize};
 use shared::breath::{PERIOD_BOUNDS_US, period_s};
 use shared::control::Observation;
@@ -67,14 +68,14 @@ impl ObservationKind {
                     ControllerArchitecture::Authors { error_spacing_us } => error_spacing_us,
                     ControllerArchitecture::Ours => period_us,
                 };
-                Observer::Authors { spacing: (spacing_us / period_us).max(1) as usize }
+                Observer::Authors { spacing: spacing_ticks(spacing_us, period_us) }
             }
             Self::Plain => Observer::Plain { period_s: period_s(period_us) },
         })
     }
 }
 
-/// What an agent that was trained in an environment observes elsewhere, tick by tick.
+/// The observations of an environment, tick by tick, for an agent that was trained there and runs elsewhere.
 #[derive(Clone, Debug)]
 pub struct ObservationStream {
     kind: ObservationKind,

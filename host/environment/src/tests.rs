@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use judge::robust::plant_run::{PlantRun, breaths};
+use learn::controller::authors::averages::averages;
 use plant::bench::BenchConfig;
 use plant::bench::family::Family;
 use proptest::prelude::*;
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::control::Controller;
 use shared::control::pid::{Pid, PidGains};
+use shared::control::{Controller, Observation};
 
 use super::*;
 
@@ -140,6 +141,21 @@ fn a_control_period_is_checked_before_the_first_episode() {
     }
     let task = Task::new(TaskConfig { period_us: 4000, hold: 10, ..TaskConfig::default() }).unwrap();
     assert_eq!(task.steps(), 25);
+}
+
+#[test]
+fn errors_of_the_authors_are_as_far_apart_as_in_their_controller() {
+    // 10 ms are 2.5 ticks of 4 ms: three, as in the controller.
+    let mut stream = ObservationStream::new(ObservationKind::Authors, 4000).unwrap();
+    stream.start_breath(0.0);
+    let see = |stream: &mut ObservationStream, tick: u32| {
+        let pressure = if tick == 0 { 10.0 } else { 20.0 };
+        stream.see(&Observation { pressure, target: 20.0, pip: 20.0, peep: 5.0, tick }).to_vec()
+    };
+    let seen: Vec<_> = (0..4).map(|tick| see(&mut stream, tick)).collect();
+    let mut errors = [0.0; 10];
+    errors[1] = 1.0;
+    assert_eq!(seen[3], averages(&errors));
 }
 
 #[test]

@@ -83,7 +83,7 @@ fn lines(account: &Account) -> Vec<String> {
 }
 
 /// An event with its place.
-fn at(event: &Event) -> String {
+pub fn at(event: &Event) -> String {
     let Event { run, breath, tick, what } = event;
     format!("in ventilation {run}, breath {breath}, tick {tick}: {what}")
 }

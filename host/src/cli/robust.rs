@@ -10,7 +10,7 @@ use shared::control::pid::PidGains;
 use super::common::stopped;
 use super::controller_args::{Chosen, ControllerArgs, format_gains};
 use super::output::{self, OutputArgs};
-use super::policy_args::{self, PolicyArgs};
+use super::policy_args::{self, PolicyArgs, at};
 use super::shard_args::ShardFolderArgs;
 use judge::policy::in_turns;
 use judge::rivals::AnyLaw;
@@ -108,10 +108,14 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     policy_args::check(policy.as_ref())
 }
 
+/// Whether results are kept, so that a later run continues with them.
+fn kept(args: &Args) -> bool {
+    args.keep.is_some() || args.shards.folder().is_some()
+}
+
 /// The controller. The results of a policy are kept under a name only: at its address another policy may answer later.
 fn chosen(args: &Args, family: &Family) -> anyhow::Result<Chosen> {
-    let kept = args.keep.is_some() || args.shards.folder().is_some();
-    if args.policy.policy.is_some() && args.policy_id.is_none() && kept {
+    if args.policy.policy.is_some() && args.policy_id.is_none() && kept(args) {
         bail!(
             "kept results need a name for the policy, because another one may answer at its address later: add --policy-id NAME, \
              with a new name for every version of the policy"
@@ -161,7 +165,14 @@ fn test(args: &Args, family: &Family, chosen: &Chosen) -> anyhow::Result<Option<
         subset: args.subset,
     };
     args.output.line(&format!("best single PID of the family: {}", format_gains(&question.family_pid)));
-    let work = Robustness { question, family, controller: &chosen.controller };
+    let failure = || {
+        let failure = policy_args::account(&chosen.controller)?.failure.filter(|_| kept(args))?;
+        Some(format!(
+            "the policy failed {}; start it again and repeat the command, which continues",
+            at(&failure)
+        ))
+    };
+    let work = Robustness { question, family, controller: &chosen.controller, failure: &failure };
     args.shards.run(&work, args.plants.into(), args.keep.as_deref(), &args.output)
 }
 

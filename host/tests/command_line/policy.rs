@@ -172,6 +172,30 @@ fn kept_results_of_a_policy_are_continued_only_under_its_name_and_with_the_same_
 }
 
 #[test]
+fn the_plants_after_a_policys_failure_are_not_kept() {
+    if !python_is_there() {
+        return;
+    }
+    // Hello, Reset, Start and the 200 observations of the first plant: the policy ends within the second one.
+    let fails = format!("        elif number > 300:\n            sys.exit(3)\n{OBSERVES}");
+    let place = with_policy(OBSERVES, &fails);
+    place.write_short_family();
+    let line = "robust --family short.toml --plants 3 --subset 0 --breaths 1 --keep kept.json --policy-id one \
+                --policy pipe:python3\u{a0}policy.py";
+    let told = refused(&place, line);
+    assert!(
+        told.contains("plant 1 does not count: the policy failed") && told.contains("repeat the command"),
+        "{told}"
+    );
+    std::fs::copy(example("policy.py"), place.path("policy.py")).unwrap();
+    let shown = text(&run(&place, line).stdout);
+    assert!(shown.contains("of 400 ticks"), "the first plant was kept: {shown}");
+    let continued = json(&place, line);
+    std::fs::remove_file(place.path("kept.json")).unwrap();
+    assert_eq!(json(&place, line)["mean"], continued["mean"]);
+}
+
+#[test]
 fn another_period_than_the_policys_is_refused() {
     if !python_is_there() {
         return;

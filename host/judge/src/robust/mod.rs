@@ -47,6 +47,14 @@ pub enum RobustError {
     /// The test cannot be kept or continued.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
+    /// The controller no longer answers for itself.
+    #[error("plant {plant} does not count: {reason}")]
+    Controller {
+        /// Number of the plant.
+        plant: u32,
+        /// What happened to the controller.
+        reason: String,
+    },
 }
 
 /// What a robustness test is about.
@@ -69,7 +77,8 @@ pub struct Question {
 }
 
 /// A robustness test; its units are the plants.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
+#[expect(missing_debug_implementations, reason = "a function has none")]
 pub struct Robustness<'a, C> {
     /// What it is about.
     pub question: Question,
@@ -77,6 +86,8 @@ pub struct Robustness<'a, C> {
     pub family: &'a Family,
     /// The controller.
     pub controller: &'a C,
+    /// The failure of a controller that runs elsewhere, from which on its results do not count.
+    pub failure: &'a (dyn Fn() -> Option<String> + Sync),
 }
 
 impl<C: ControlLaw + Clone + Sync> Work for Robustness<'_, C> {
@@ -109,6 +120,9 @@ impl<C: ControlLaw + Clone + Sync> Work for Robustness<'_, C> {
             None
         };
         let (controller, family) = (breaths(&run, self.controller)?, breaths(&run, &family_pid)?);
+        if let Some(reason) = (self.failure)() {
+            return Err(RobustError::Controller { plant: number, reason });
+        }
         task.advance(1);
         Ok(Some(PlantResult { number, controller, family, rivals }))
     }

@@ -30,7 +30,12 @@ type Test = Campaign<Question, Tally>;
 /// A test of some plants, or the continuation of an earlier one.
 fn tested(question: &Question, earlier: Option<Test>, plants: u64) -> Test {
     let (family, controller) = (family(), rivals::pid(SOUND).unwrap());
-    let work = Robustness { question: question.clone(), family: &family, controller: &controller };
+    let work = Robustness {
+        question: question.clone(),
+        family: &family,
+        controller: &controller,
+        failure: &|| None,
+    };
     let mut test = earlier.unwrap_or_else(|| Campaign::new(&work));
     test.advance(&work, plants, None, &Progress::silent()).unwrap();
     test
