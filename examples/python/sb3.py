@@ -93,7 +93,7 @@ class Course(BaseCallback):
 
     def _on_step(self) -> bool:
         ended = [info["episode"] for info in self.locals["infos"] if "episode" in info]
-        # The rewards also count what is left of an episode that was broken off; its score does not.
+        # The rewards also count the ticks that an aborted episode misses; its score does not.
         self._recent.extend(-episode["r"] / episode["l"] for episode in ended)
         for _ in ended:
             self._episodes += 1

@@ -120,7 +120,7 @@ def train(out: PathLike, **options: Any) -> Result:
     """Train a residual through learned simulators.
 
     Args:
-        out: Folder for the controller (`controller.safetensors`) and what is needed to continue after Ctrl-C.
+        out: Folder for the controller (`controller.safetensors`) and for the state from which training continues after Ctrl-C.
         options: Those of `trainer train`, such as `lung="R20C20"`, `gains=(6.5, 265, 0.13)`, `simulator=["a.safetensors"]`.
 
     Returns:

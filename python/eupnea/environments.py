@@ -227,7 +227,7 @@ class PressureControl(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Hold an action for `hold` ticks.
 
         Args:
-            action: One number from -1 to 1; what is beyond that is limited to it.
+            action: One number; it is limited to the range from -1 to 1.
 
         Returns:
             Observation, reward, whether the episode ended, False (nothing truncates it), and its scores once it has ended.
@@ -275,7 +275,7 @@ def _numbers(actions: Any, wanted: str) -> NDArray[np.float32]:
         raise ValueError(f"the actions are {actions!r}: give {wanted}") from None
     if values.dtype.kind not in "fiub":
         raise ValueError(f"the actions are {actions!r}: give {wanted}")
-    with np.errstate(over="ignore"):  # what is too large for a float32 is no finite number, and refused as that
+    with np.errstate(over="ignore"):  # a number too large for a float32 becomes infinite, and is refused
         return np.ascontiguousarray(values, dtype=np.float32)
 
 

@@ -94,7 +94,7 @@ fn note(news: &News, event: &Event<'_>) {
     }
 }
 
-/// Reports what is new.
+/// Reports the latest progress.
 fn report(py: Python<'_>, news: &News, progress: Option<&Py<PyAny>>) -> PyResult<()> {
     let news = std::mem::take(&mut *news.lock().unwrap_or_else(PoisonError::into_inner));
     let Some(progress) = progress else { return Ok(()) };

@@ -18,7 +18,7 @@ pub struct Ventilator {
     state: VentilatorState,
 }
 
-/// What a tick gives: commands of both valves, breath, tick, phase, target, level of the ladder, and the alarm that begins.
+/// Result of a tick: commands of both valves, breath, tick, phase, target, level of the ladder, and the alarm that begins.
 type Output = (f32, bool, u32, u32, Option<String>, f32, String, Option<String>);
 
 #[pymethods]
