@@ -116,7 +116,11 @@ impl Controller {
 
     /// Ends an inspiration with a lesson, by its number; `applied` is the command that the valve had in the last tick, percent.
     #[pyo3(signature = (lesson, applied=None))]
-    fn learn(&mut self, lesson: usize, applied: Option<f32>) -> PyResult<()> {
+    fn learn(
+        &mut self,
+        #[pyo3(from_py_with = values::whole)] lesson: usize,
+        applied: Option<f32>,
+    ) -> PyResult<()> {
         let unknown =
             || errors::value(format!("there is no lesson {lesson}: 0 adopts, 1 discards, 2 forgets"));
         let lesson = *LESSONS.get(lesson).ok_or_else(unknown)?;

@@ -59,6 +59,8 @@ def subjects(simulator):
     for one in [*living, *classes]:
         # A closed environment would only say that it is closed.
         names = [name for name in dir(one) if name != "close" and (not name.startswith("_") or name == "__call__")]
+        if isinstance(one, type):  # its other functions need an object
+            names = [name for name in names if isinstance(inspect.getattr_static(one, name), staticmethod)]
         calls += [getattr(one, name) for name in names if callable(getattr(one, name, None))]
     return [*classes, *calls]
 
@@ -79,8 +81,8 @@ def arguments(function):
 def test_garbage_never_panics(simulator):
     calls = 0
     for function in subjects(simulator):
-        if getattr(function, "__name__", "") in ("step_async", "step_wait", "has_wrapper_attr"):
-            continue
+        if (getattr(function, "__module__", None) or "").startswith("gymnasium"):
+            continue  # inherited, and not ours to mend
         for given in arguments(function):
             calls += 1
             try:
