@@ -1,7 +1,7 @@
 """Prints the reference scores of the environments (docs/ENVIRONMENTS.md): PID, learned controller and reference bound.
 
 pip install ./python
-python examples/python/reference_scores.py            # without the bounds, which take 20 minutes
+python examples/python/reference_scores.py            # without the bounds, which take half an hour
 python examples/python/reference_scores.py --bounds
 """
 
