@@ -1,0 +1,2 @@
+//! The bedside page: watches devices and shows them in browsers, live.
+#![forbid(unsafe_code)]

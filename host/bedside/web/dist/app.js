@@ -1,0 +1,1 @@
+// Replaced by the bundle that npm builds in host/bedside/web.
