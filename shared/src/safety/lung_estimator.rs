@@ -286,6 +286,11 @@ impl LungState {
         }
     }
 
+    /// The estimate from the newest inspiration that allowed one.
+    pub fn last_estimate(&self) -> Option<LungEstimate> {
+        self.lungs[0]
+    }
+
     /// Whether there are at least two estimates, and one of a timed breath.
     pub fn is_known(&self) -> bool {
         self.lungs.iter().flatten().count() > 2 && self.lungs[ESTIMATES].is_some()

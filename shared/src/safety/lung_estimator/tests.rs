@@ -60,6 +60,18 @@ fn lung(elastance: f32, resistance: f32) -> impl Fn(&LungState) -> f32 {
 }
 
 #[test]
+fn the_last_estimate_is_that_of_the_newest_inspiration() {
+    let (_, mut state) = estimator();
+    assert_eq!(state.last_estimate(), None);
+    for (elastance, resistance) in [(0.05, 20.0), (0.1, 5.0)] {
+        inspire(&mut state, 30.0, lung(elastance, resistance));
+        let found = state.last_estimate().unwrap();
+        assert!((found.elastance - elastance).abs() < 0.01 * elastance, "{found:?}");
+        assert!((found.resistance - resistance).abs() < 0.5, "{found:?}");
+    }
+}
+
+#[test]
 fn the_lung_is_found_from_one_inspiration() {
     for (compliance, resistance) in [(10.0, 5.0), (50.0, 50.0), (20.0, 20.0)] {
         let mut state = LungState::default();

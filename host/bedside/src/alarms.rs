@@ -1,0 +1,186 @@
+//! The alarms of a device with their times, from what it reports: present, or not yet acknowledged.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use shared::device::annunciator::AudioStatus;
+use shared::link::messages::AlarmStatus;
+use shared::safety::alarms::{Action, Fault, Priority};
+use show::monitor::words;
+
+use crate::stream::AlarmInfo;
+
+/// What is known about an alarm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Entry {
+    present: bool,
+    since_ms: u64,
+    acknowledged: bool,
+}
+
+/// Indicated alarms; empty before the first report.
+#[derive(Clone, Debug, Default)]
+pub struct AlarmList {
+    entries: BTreeMap<Fault, Entry>,
+}
+
+impl AlarmList {
+    /// An alarm has begun, at a time in ms since 1970; true if it is new.
+    pub fn began(&mut self, fault: Fault, now_ms: u64) -> bool {
+        let new = !self.entries.get(&fault).is_some_and(|entry| entry.present);
+        let since_ms =
+            self.entries.get(&fault).filter(|entry| entry.present).map_or(now_ms, |entry| entry.since_ms);
+        self.entries.insert(fault, Entry { present: true, since_ms, acknowledged: false });
+        new
+    }
+
+    /// Takes the device's report; alarms that it names no more have ended.
+    pub fn report(&mut self, status: &AlarmStatus, now_ms: u64) {
+        self.entries.retain(|fault, _| status.indicated.has(*fault) || status.present.has(*fault));
+        for fault in status.indicated.faults().chain(status.present.faults()) {
+            let present = status.present.has(fault);
+            let entry =
+                self.entries.entry(fault).or_insert(Entry { present, since_ms: now_ms, acknowledged: false });
+            if present && !entry.present {
+                // It comes back: that is a new alarm.
+                (entry.since_ms, entry.acknowledged) = (now_ms, false);
+            }
+            entry.present = present;
+        }
+    }
+
+    /// Takes the state of the sounder: whatever is more urgent than the alarm for which it sounds was acknowledged.
+    pub fn heard(&mut self, audio: &AudioStatus) {
+        for (fault, entry) in &mut self.entries {
+            if audio.priority.is_none_or(|priority| fault.alarm().priority > priority) {
+                entry.acknowledged = true;
+            }
+        }
+    }
+
+    /// An operator has acknowledged all alarms.
+    pub fn acknowledge(&mut self) {
+        self.entries.retain(|_, entry| entry.present);
+        self.entries.values_mut().for_each(|entry| entry.acknowledged = true);
+    }
+
+    /// The device has restarted: it reports its alarms again.
+    pub fn clear(&mut self) {
+        self.entries.clear();
+    }
+
+    /// The alarms, the most urgent first; of equal ones those that are present, then the newest.
+    pub fn list(&self) -> Vec<AlarmInfo> {
+        let mut entries: Vec<(&Fault, &Entry)> = self.entries.iter().collect();
+        entries
+            .sort_by_key(|(fault, entry)| Reverse((fault.alarm().priority, entry.present, entry.since_ms)));
+        let info = |(fault, entry): (&Fault, &Entry)| AlarmInfo {
+            id: fault.alarm().id,
+            text: words::fault(*fault),
+            priority: words::priority(fault.alarm().priority),
+            present: entry.present,
+            since_ms: entry.since_ms,
+            acknowledged: entry.acknowledged,
+        };
+        entries.into_iter().map(info).collect()
+    }
+
+    /// Number of alarms of a priority.
+    pub fn count(&self, priority: Priority) -> usize {
+        self.entries.keys().filter(|fault| fault.alarm().priority == priority).count()
+    }
+
+    /// Present alarms because of which the ventilator does not trust a controller or a reading.
+    pub fn distrust(&self) -> Vec<&'static str> {
+        let present = self.entries.iter().filter(|(_, entry)| entry.present);
+        let distrusts = present.filter(|(fault, _)| fault.alarm().action != Action::Tell);
+        distrusts.map(|(fault, _)| fault.alarm().id).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared::safety::indications::FaultSet;
+    use shared::safety::ladder::Level;
+
+    fn set(faults: &[Fault]) -> FaultSet {
+        FaultSet::from_bits(faults.iter().fold(0, |bits, fault| bits | 1 << *fault as u32))
+    }
+
+    fn status(present: &[Fault], indicated: &[Fault]) -> AlarmStatus {
+        AlarmStatus { present: set(present), indicated: set(indicated), level: Level::Learned }
+    }
+
+    fn ids(list: &AlarmList) -> Vec<&'static str> {
+        list.list().iter().map(|alarm| alarm.id).collect()
+    }
+
+    #[test]
+    fn an_alarm_stays_listed_with_its_time_until_the_device_ends_it() {
+        let mut list = AlarmList::default();
+        assert!(list.began(Fault::Disconnection, 1000));
+        assert!(!list.began(Fault::Disconnection, 1500), "repeated until it is acknowledged");
+        list.report(&status(&[Fault::Disconnection], &[Fault::Disconnection]), 2000);
+        list.report(&status(&[], &[Fault::Disconnection]), 3000);
+        let alarm = &list.list()[0];
+        assert_eq!((alarm.since_ms, alarm.present, alarm.acknowledged), (1000, false, false));
+        list.report(&status(&[], &[]), 4000);
+        assert_eq!(ids(&list), [""; 0]);
+    }
+
+    #[test]
+    fn the_most_urgent_alarm_is_first() {
+        let mut list = AlarmList::default();
+        let faults = [Fault::Leak, Fault::HighPressure, Fault::Disconnection, Fault::Restarted];
+        list.report(&status(&faults, &faults), 5);
+        let priorities: Vec<Priority> = list
+            .list()
+            .iter()
+            .map(|alarm| faults.iter().find(|fault| fault.alarm().id == alarm.id).unwrap().alarm().priority)
+            .collect();
+        assert!(priorities.is_sorted_by(|one, next| one >= next), "{priorities:?}");
+        let counted: usize = [Priority::Low, Priority::Medium, Priority::High]
+            .iter()
+            .map(|priority| list.count(*priority))
+            .sum();
+        assert_eq!(counted, 4);
+    }
+
+    #[test]
+    fn an_acknowledged_alarm_is_marked_until_it_comes_back() {
+        let mut list = AlarmList::default();
+        let leak = [Fault::Leak];
+        list.report(&status(&leak, &leak), 1);
+        list.acknowledge();
+        assert!(list.list()[0].acknowledged);
+        list.report(&status(&leak, &leak), 2);
+        assert!(list.list()[0].acknowledged && list.list()[0].since_ms == 1);
+        list.report(&status(&[], &leak), 3);
+        list.report(&status(&leak, &leak), 4);
+        assert!(!list.list()[0].acknowledged && list.list()[0].since_ms == 4);
+    }
+
+    #[test]
+    fn the_sounder_shows_what_somebody_else_has_acknowledged() {
+        let mut list = AlarmList::default();
+        let both = [Fault::HighPressure, Fault::Leak];
+        list.report(&status(&both, &both), 1);
+        list.heard(&AudioStatus { priority: Some(Fault::HighPressure.alarm().priority), pause_left: 0 });
+        assert!(list.list().iter().all(|alarm| !alarm.acknowledged));
+        list.heard(&AudioStatus { priority: None, pause_left: 0 });
+        assert!(list.list().iter().all(|alarm| alarm.acknowledged));
+    }
+
+    #[test]
+    fn distrusted_is_what_changes_the_controller_or_the_reading() {
+        let mut list = AlarmList::default();
+        let faults = [Fault::Leak, Fault::ReadingFrozen, Fault::LearnedDistrusted];
+        list.report(&status(&faults, &faults), 1);
+        let mut expected = [Fault::ReadingFrozen, Fault::LearnedDistrusted].map(|fault| fault.alarm().id);
+        let mut found = list.distrust();
+        expected.sort_unstable();
+        found.sort_unstable();
+        assert_eq!(found, expected);
+    }
+}
