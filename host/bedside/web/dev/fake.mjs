@@ -1,0 +1,221 @@
+// A fake server for work on the page: serves dist/ and speaks the stream with simulated breaths. Development and tests only.
+//
+//     npm run fake -- [--demo] [--steer] [--port 8080]
+
+import { createServer } from "node:http";
+import { readFile } from "node:fs/promises";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { WebSocketServer } from "ws";
+import { Lung } from "./lung.mjs";
+
+const DIST = join(dirname(fileURLToPath(import.meta.url)), "../dist");
+const CSP = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+const FILES = { "/": ["index.html", "text/html; charset=utf-8"], "/app.js": ["app.js", "text/javascript; charset=utf-8"], "/app.css": ["app.css", "text/css; charset=utf-8"] };
+
+const setting = (name, unit, min, max, value, description) => ({ name, unit, min, max, default: value, description });
+export const SETTINGS = [
+  setting("pip", "cmH2O", 5, 50, 20, "Peak inspiratory pressure"),
+  setting("peep", "cmH2O", 0, 20, 5, "Positive end-expiratory pressure"),
+  setting("rate", "1/min", 4, 80, 20, "Breaths per minute"),
+  setting("inspiratory_time", "s", 0.2, 5, 1, "Length of the inspiration"),
+  setting("rise_time", "s", 0, 1, 0, "Time of the rise from PEEP to PIP, 0 for the paper's square waveform"),
+  setting("fall_time", "s", 0, 2, 0.5, "Time of the fall from PIP to PEEP"),
+  setting("expiratory_bias", "%", 0, 20, 5, "Inspiratory valve while the expiratory valve is open"),
+  setting("pressure_limit", "cmH2O", 15, 70, 60, "Pressure above which a breath is ended"),
+  setting("trigger_pressure", "cmH2O", 0, 10, Math.fround(0.4), "Fall of the pressure by which an effort starts a breath, 0 for none"),
+  setting("trigger_flow", "L/min", 0, 20, Math.fround(0.6), "Change of the flow by which an effort starts a breath, 0 for none"),
+  setting("tidal_volume_low", "mL", 0, 3000, 0, "Expired volume below which an alarm is raised, 0 for none"),
+  setting("tidal_volume_high", "mL", 0, 3000, 0, "Expired volume above which an alarm is raised, 0 for none"),
+  setting("minute_volume_low", "L/min", 0, 60, 0, "Expired minute volume below which an alarm is raised, 0 for none"),
+  setting("minute_volume_high", "L/min", 0, 60, 0, "Expired minute volume above which an alarm is raised, 0 for none"),
+];
+
+class FakeDevice {
+  constructor(id, name, lung) {
+    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true });
+    this.settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
+    this.ventilating = true;
+    this.begin = Date.now() - Math.random() * 3000;
+  }
+
+  state() {
+    const open = this.alarms.filter((alarm) => !alarm.acknowledged);
+    const priority = ["high", "medium", "low"].find((one) => open.some((alarm) => alarm.priority === one)) ?? null;
+    const { learned } = this.lung;
+    return {
+      type: "state", device: this.id, connected: this.connected, lost: this.connected ? null : "the port is gone",
+      mode: this.ventilating ? "ventilating" : "standby", ventilating: this.ventilating, controller: learned ? "learned" : "PID 3,4,0",
+      level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.id), settings: this.settings, pending: null,
+      alarms: this.alarms, audio: { priority, pause_left: Math.max(0, Math.ceil((this.pauseEnd - Date.now()) / 1000)) },
+      steered_by: this.steerer ? "a browser tab" : null, ticks: { mean_us: 14.8, worst_us: 21, missed: 0 },
+      line: { corrupt: 0, lost_batches: 0, dropped: 0 }, adaptation: learned ? 0.62 : null, recording: this.recording,
+    };
+  }
+}
+
+function lungs(demo) {
+  if (!demo) return [new FakeDevice(0, "Bench", new Lung())];
+  const rows = [[5, 50], [20, 20], [50, 10]];
+  const pairs = rows.flatMap(([resistance, compliance]) => [false, true].map((learned) => ({ resistance, compliance, learned })));
+  const single = [[5, 20], [20, 50], [50, 20]].map(([resistance, compliance]) => ({ resistance, compliance, learned: true }));
+  return [...pairs.map((one) => [one, one.learned ? ", learned" : ", PID"]), ...single.map((one) => [one, ""])].map(([one, tail], id) =>
+    new FakeDevice(id, `R ${one.resistance} C ${one.compliance}${tail}`, new Lung(one)));
+}
+
+export class Fake {
+  constructor({ steer = false, demo = false } = {}) {
+    Object.assign(this, { steer, demo, stalled: false, received: [], drawn: [] });
+    this.devices = lungs(demo);
+  }
+
+  async start(port = 0) {
+    this.http = createServer((request, response) => this.serve(request, response));
+    this.sockets = new WebSocketServer({ server: this.http, path: "/api/stream" });
+    this.sockets.on("connection", (socket) => this.greet(socket));
+    await new Promise((resolve) => this.http.listen(port, "127.0.0.1", resolve));
+    this.port = this.http.address().port;
+    this.timers = [setInterval(() => this.run(), 20), setInterval(() => this.states(), 400)];
+    return `http://127.0.0.1:${this.port}/`;
+  }
+
+  /** Dies as a killed process does. */
+  async stop() {
+    for (const timer of this.timers) clearInterval(timer);
+    for (const socket of this.sockets.clients) socket.terminate();
+    this.http.closeAllConnections();
+    await new Promise((resolve) => this.http.close(resolve));
+  }
+
+  alarm(device, id, priority, text) {
+    this.devices[device].alarms.push({ id, text, priority, present: true, since_ms: Date.now(), acknowledged: false });
+    this.states();
+  }
+
+  clear(device) {
+    this.devices[device].alarms = [];
+    this.states();
+  }
+
+  async serve(request, response) {
+    const file = FILES[request.url];
+    const headers = { "Content-Security-Policy": CSP, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-store" };
+    if (!file) return response.writeHead(404, headers).end("not found");
+    response.writeHead(200, { ...headers, "Content-Type": file[1] }).end(await readFile(join(DIST, file[0])));
+  }
+
+  greet(socket) {
+    socket.watched = new Set();
+    const devices = this.devices.map(({ id, name }) => ({ id, name, kind: "simulated", period_us: 1000 }));
+    this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, devices });
+    for (const device of this.devices) this.send(socket, device.state());
+    socket.on("message", (text) => this.take(socket, JSON.parse(text)));
+    socket.on("close", () => { for (const device of this.devices) if (device.steerer === socket) this.steers(device, null); });
+  }
+
+  send(socket, message) {
+    if (!this.stalled) socket.send(JSON.stringify(message));
+  }
+
+  all(message) {
+    for (const socket of this.sockets.clients) this.send(socket, message);
+  }
+
+  steers(device, socket) {
+    device.steerer = socket;
+    for (const one of this.sockets.clients) this.send(one, { type: "steerer", device: device.id, who: socket ? "a browser tab" : null, yours: one === socket });
+    this.all(device.state());
+  }
+
+  states() {
+    for (const device of this.devices) this.all(device.state());
+  }
+
+  take(socket, message) {
+    if (message.type === "drawn") return void this.drawn.push(message);
+    this.received.push(message);
+    if (message.type === "watch") socket.watched = new Set(message.devices);
+    const device = this.devices[message.device];
+    if (device === undefined) return;
+    if (message.type === "take") return this.steers(device, socket);
+    if (message.type === "release") return this.steers(device, null);
+    if (message.id !== undefined) this.answer(socket, device, message);
+  }
+
+  answer(socket, device, message) {
+    const text = this.obey(device, message);
+    this.send(socket, { type: "answer", id: message.id, ok: true, text, settings: device.settings });
+    this.all(device.state());
+  }
+
+  obey(device, message) {
+    const event = (kind, text) => this.all({ type: "event", device: device.id, time_ms: Date.now(), kind, text });
+    switch (message.type) {
+      case "apply": device.settings = Object.fromEntries(Object.entries(message.settings).map(([name, value]) => [name, Math.fround(value)])); return "Applied from the next breath on.";
+      case "start": device.ventilating = true; return "Ventilation started.";
+      case "stop": device.ventilating = false; return "Ventilation stopped.";
+      case "acknowledge": for (const alarm of device.alarms) alarm.acknowledged = true; return "Acknowledged.";
+      case "pause_audio": device.pauseEnd = Date.now() + 1000 * Math.min(message.seconds, 120); return "Paused.";
+      case "mark": event("marker", message.text); return "Marker set.";
+      case "record": device.recording = message.on ? { file: "bench-1.parquet", samples: 0 } : null; return message.on ? "Recording." : "Recording ended.";
+      case "capture": event("capture", "armed"); return "Capture armed.";
+      case "fault": return this.fault(device, message.fault);
+      default: return "";
+    }
+  }
+
+  fault(device, fault) {
+    const { lung } = device;
+    lung.fault = fault;
+    if (fault === "cough") lung.coughLeft = 250;
+    device.alarms = [];
+    if (fault === "disconnect") this.alarm(device.id, "disconnection", "high", "Patient disconnected");
+    if (fault === "stick") this.alarm(device.id, "frozen_sensor", "medium", "Pressure sensor does not change");
+    return fault === "none" ? "Mended." : `Fault: ${fault}.`;
+  }
+
+  /** Catches up with the clock, one tick per millisecond, and sends what came. */
+  run() {
+    for (const device of this.devices) {
+      const due = Math.min(Math.floor(Date.now() - device.begin) - device.lung.tick, 4000);
+      const first = device.lung.tick;
+      const samples = [];
+      while (samples.length < due) {
+        const { sample, breath } = device.lung.step(device.settings);
+        samples.push(sample);
+        if (breath) this.all({ type: "breath", device: device.id, ...breath });
+      }
+      if (device.recording) device.recording.samples += samples.length;
+      if (samples.length > 0 && !this.stalled && device.connected) this.sendSamples(device, first, samples);
+    }
+  }
+
+  sendSamples(device, first, samples) {
+    const bytes = encode(device.id, first, samples);
+    for (const socket of this.sockets.clients) if (socket.watched.has(device.id)) socket.send(bytes);
+  }
+}
+
+/** A message with samples. */
+export function encode(device, tick, samples, dropped = 0) {
+  const count = samples.length;
+  const length = 24 + 28 * count + count;
+  const view = new DataView(new ArrayBuffer(Math.ceil(length / 4) * 4));
+  view.setUint8(0, 1);
+  view.setUint8(1, device);
+  view.setUint16(2, count, true);
+  view.setUint32(4, dropped, true);
+  view.setFloat64(8, tick, true);
+  view.setFloat64(16, Date.now(), true);
+  for (const [index, sample] of samples.entries()) {
+    for (let column = 0; column < 7; column++) view.setFloat32(24 + 4 * (column * count + index), sample[column], true);
+    view.setUint8(24 + 28 * count + index, sample[7]);
+  }
+  return new Uint8Array(view.buffer);
+}
+
+if (process.argv[1] === fileURLToPath(import.meta.url)) {
+  const flag = (name) => process.argv.includes(name);
+  const port = Number(process.argv[process.argv.indexOf("--port") + 1]) || 8080;
+  console.log(await new Fake({ steer: flag("--steer"), demo: flag("--demo") }).start(port));
+}

@@ -1,0 +1,189 @@
+// The page: connects the stream with the views, and keeps time.
+//
+// Curves are drawn at the display's rate; texts, alarms and sound are updated ten times a second by a timer, because a hidden
+// page draws no pictures but must still notice that nothing arrives.
+
+import "uplot/dist/uPlot.min.css";
+import "./app.css";
+import { Audio } from "./audio";
+import { Bedside } from "./bedside";
+import { Demo } from "./demo";
+import { Device } from "./device";
+import { button, h, show } from "./dom";
+import { Head } from "./head";
+import { listen } from "./keys";
+import { Requests } from "./requests";
+import { Socket } from "./socket";
+import { type Hello, type Message, type Samples, VERSION } from "./stream";
+import { token } from "./token";
+import { Wall } from "./wall";
+
+const UPDATE_EVERY = 100;
+/** Least interval between two reports of what has been drawn, ms. */
+const REPORT_EVERY = 110;
+
+class App {
+  readonly devices: Device[] = [];
+  private readonly token = token();
+  private readonly requests = new Requests((message) => this.send(message));
+  private readonly audio = new Audio(this.requests);
+  private readonly demo = new Demo(this.requests);
+  private readonly wall = new Wall((device) => this.open(device));
+  private readonly head: Head;
+  readonly bedside: Bedside;
+  readonly socket: Socket;
+  private hello: Hello | null = null;
+  /** The shown device; null shows the wall. */
+  private shown: Device | null = null;
+  private trouble = "";
+  private reported = 0;
+  /** Pictures drawn so far. */
+  pictures = 0;
+
+  constructor() {
+    const help = listen(this.shortcuts());
+    const extra = h("div", { class: "extra" }, this.demo.element, button("Keys", help, { class: "help" }));
+    this.bedside = new Bedside(this.requests, (message) => this.send(message), extra);
+    this.head = new Head({ wall: () => this.open(null), choose: (device) => this.open(device), acknowledge: () => this.acknowledge() }, this.audio.element);
+    const main = h("main", { id: "main", tabindex: "-1" }, this.wall.element, this.bedside.element);
+    document.body.append(h("a", { class: "skip", href: "#main" }, "Skip to the waveforms"), this.head.element, main);
+    show(this.demo.element, false);
+    this.socket = new Socket(address(), {
+      opened: () => this.opened(), closed: (reason) => this.closed(reason),
+      message: (message) => this.take(message), samples: (samples) => this.takeSamples(samples),
+    });
+    setInterval(() => this.update(), UPDATE_EVERY);
+    requestAnimationFrame((now) => this.draw(now));
+  }
+
+  private send(message: object): boolean {
+    return this.socket.send(message);
+  }
+
+  private opened(): void {
+    if (this.token !== null) this.send({ type: "token", token: this.token });
+  }
+
+  private closed(reason: string): void {
+    this.trouble = reason;
+    this.requests.abandon();
+    for (const device of this.devices) device.yours = false;
+  }
+
+  private take(message: Message): void {
+    const device = "device" in message ? this.devices.find(({ info }) => info.id === message.device) : undefined;
+    switch (message.type) {
+      case "hello": this.greet(message); break;
+      case "answer": this.requests.take(message); break;
+      case "state": device?.takeState(message, performance.now()); break;
+      case "breath": device?.takeBreath(message); break;
+      case "event": device?.takeEvent(message); break;
+      case "steerer": if (device) device.yours = message.yours;
+    }
+  }
+
+  private takeSamples(samples: Samples): void {
+    this.devices.find(({ info }) => info.id === samples.device)?.takeSamples(samples, performance.now());
+  }
+
+  private greet(hello: Hello): void {
+    this.trouble = hello.version === VERSION ? "" : `The server speaks version ${hello.version} of the stream. Reload this page.`;
+    const same = JSON.stringify(hello) === JSON.stringify(this.hello);
+    this.hello = hello;
+    // After a reconnection the devices keep their samples and trends.
+    if (!same) this.describe(hello);
+    this.watch();
+  }
+
+  private describe(hello: Hello): void {
+    const known = new Map(this.devices.map((device) => [JSON.stringify(device.info), device]));
+    this.devices.splice(0, this.devices.length, ...hello.devices.map((info) => known.get(JSON.stringify(info)) ?? new Device(info)));
+    this.head.describe(this.devices);
+    this.wall.describe(this.devices);
+    this.bedside.steer.describe(hello.settings);
+    show(this.demo.element, hello.demo);
+    const [only] = this.devices;
+    if (this.shown === null || !this.devices.includes(this.shown)) this.open(this.devices.length === 1 && only ? only : null);
+  }
+
+  /** Shows a device, or the wall. */
+  private open(device: Device | null): void {
+    this.shown = device;
+    show(this.wall.element, device === null);
+    show(this.bedside.element, device !== null);
+    if (device) {
+      this.bedside.setDevice(device);
+      this.demo.update(device);
+    }
+    this.watch();
+    this.update();
+  }
+
+  /** Asks for the samples of the devices that are shown. */
+  private watch(): void {
+    for (const device of this.devices) device.watch(this.shown === null || device === this.shown);
+    this.send({ type: "watch", devices: this.devices.filter(({ watched }) => watched).map(({ info }) => info.id) });
+  }
+
+  private async acknowledge(): Promise<void> {
+    if (this.shown) await this.requests.ask("acknowledge", this.shown.info.id);
+  }
+
+  private update(): void {
+    const now = performance.now();
+    const silence = now - this.socket.heard;
+    const silent = this.devices.filter((device) => device.silent(now, silence));
+    this.head.update(this.shown);
+    this.head.may(this.shown?.yours ?? false);
+    this.connection();
+    this.audio.update(now, this.devices, this.shown);
+    if (this.shown) this.bedside.update(this.hello?.steer ?? false, cover(this.shown, silent.includes(this.shown)));
+    else this.wall.update();
+  }
+
+  private connection(): void {
+    if (this.socket.connected) this.head.connect(this.trouble || "Connected", this.trouble === "");
+    else this.head.connect(`${this.trouble || "No connection"}, next attempt in ${this.socket.waits.toFixed(0)} s`, false);
+  }
+
+  private draw(now: number): void {
+    requestAnimationFrame((next) => this.draw(next));
+    this.pictures += 1;
+    if (this.shown) this.report(now, this.shown, this.bedside.draw(now));
+    else this.wall.draw();
+  }
+
+  /** Tells the server what has been drawn, so that it can measure the time from a tick to its picture. */
+  private report(now: number, device: Device, tick: number | null): void {
+    if (tick === null || now - this.reported < REPORT_EVERY || !this.socket.connected) return;
+    this.reported = now;
+    this.send({ type: "drawn", device: device.info.id, tick });
+  }
+
+  private shortcuts() {
+    return [
+      { key: "f", text: "Freeze the picture, or let it run", run: () => this.bedside.freeze() },
+      { key: "s", text: "Next length of the sweep", run: () => this.bedside.nextSweep() },
+      { key: "r", text: "Keep the last breath as the reference, or forget it", run: () => this.bedside.reference() },
+      { key: "w", text: "Show the wall of all devices", run: () => { if (this.devices.length > 1) this.open(null); } },
+      { key: "p", text: "Pause the alarm sound, or end the pause", run: () => { this.audio.pause(); } },
+      { key: "a", text: "Show the list of alarms", run: () => this.bedside.open("alarms") },
+      { key: "t", text: "Show the settings", run: () => this.bedside.open("settings") },
+      { key: "m", text: "Set a marker", run: () => { this.bedside.record.mark(); } },
+    ];
+  }
+}
+
+/** The text that covers the curves when nothing arrives. */
+function cover(device: Device, silent: boolean): string | null {
+  if (silent) return "No data";
+  if (device.state && !device.state.connected) return "Device not connected";
+  return null;
+}
+
+function address(): string {
+  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/stream`;
+}
+
+// Tests and the browser's console read the page's state here.
+Object.assign(window, { eupnea: new App() });

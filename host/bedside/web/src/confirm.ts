@@ -1,0 +1,34 @@
+// Which changes of the settings need a confirmation, and whether a typed value is within its bounds. Pure.
+
+import { plain, words } from "./format";
+import type { Setting, Values } from "./stream";
+
+/** A change of a pressure by more than this needs a confirmation, cmH2O. */
+export const LARGE_CHANGE = 5;
+
+/** A typed value: a number within the bounds, or the reason why not. */
+export type Typed = { value: number } | { reason: string };
+
+/** Reads what was typed for a setting. */
+export function typed(setting: Setting, text: string): Typed {
+  const trimmed = text.trim().replace(",", ".");
+  const value = trimmed === "" ? Number.NaN : Number(trimmed);
+  const bounds = `${plain(setting.min)} to ${plain(setting.max)} ${setting.unit}`;
+  if (!(value >= setting.min && value <= setting.max)) return { reason: `${words(setting.name)}: enter a number from ${bounds}` };
+  return { value };
+}
+
+/** The settings that differ from the applied ones. */
+export function changes(settings: readonly Setting[], applied: Values, asked: Values): Setting[] {
+  return settings.filter(({ name }) => {
+    const [from, to] = [applied[name], asked[name]];
+    return to !== undefined && (from === undefined || plain(from) !== plain(to));
+  });
+}
+
+/** The large changes of a pressure, one sentence each; none means that no confirmation is needed. */
+export function large(settings: readonly Setting[], applied: Values, asked: Values): string[] {
+  return changes(settings, applied, asked)
+    .filter(({ name, unit }) => unit === "cmH2O" && !(Math.abs((asked[name] ?? 0) - (applied[name] ?? Number.NaN)) <= LARGE_CHANGE))
+    .map(({ name, unit }) => `${words(name)} from ${plain(applied[name] ?? Number.NaN)} to ${plain(asked[name] ?? 0)} ${unit}`);
+}

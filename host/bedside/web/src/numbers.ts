@@ -1,0 +1,104 @@
+// The panel of numbers: the figures of the last breath, the state of the control, and the losses of the line.
+
+import type { Device } from "./device";
+import { h, setText } from "./dom";
+import { count, fixed, plain, ratio, UNKNOWN, words } from "./format";
+import type { Breath, Figure, State } from "./stream";
+
+interface Tile {
+  label: string;
+  unit: string;
+  /** The large text, and a small one below it. */
+  text(breath: Breath | null, state: State | null, device: Device): string;
+  below?(breath: Breath | null, state: State | null, device: Device): string;
+  large?: boolean;
+  estimated?: boolean;
+  /** Text instead of a number: smaller letters over the whole width. */
+  wide?: boolean;
+}
+
+const figure = (name: Figure, digits: number) => (breath: Breath | null) => fixed(breath?.[name] ?? null, digits);
+const set = (name: string) => (_: Breath | null, state: State | null) => {
+  const value = state?.settings[name];
+  return value === undefined ? "" : `set ${plain(value)}`;
+};
+
+const GROUPS: [string, string, Tile[]][] = [
+  ["Pressure", "pressure", [
+    { label: "PIP", unit: "cmH2O", text: figure("pip", 1), below: set("pip"), large: true },
+    { label: "Plateau", unit: "cmH2O", text: figure("plateau", 1) },
+    { label: "PEEP", unit: "cmH2O", text: figure("peep", 1), below: set("peep"), large: true },
+  ]],
+  ["Volume and rate", "volume", [
+    { label: "Tidal volume", unit: "mL", text: figure("tidal_volume", 0), large: true, estimated: true },
+    { label: "Minute volume", unit: "L/min", text: figure("minute_volume", 1), estimated: true },
+    { label: "Rate", unit: "1/min", text: figure("rate", 0), below: rate, large: true },
+    { label: "I:E", unit: "", text: (breath) => ratio(breath?.ie ?? null) },
+  ]],
+  ["Lung", "lung", [
+    { label: "Resistance", unit: "cmH2O/(L/s)", text: figure("resistance", 0), estimated: true },
+    { label: "Compliance", unit: "mL/cmH2O", text: figure("compliance", 0), estimated: true },
+    { label: "Leak", unit: "L/min", text: figure("leak", 1), estimated: true },
+  ]],
+  ["Control", "control", [
+    { label: "Error", unit: "cmH2O", text: figure("error", 2) },
+    { label: "Rise", unit: "ms", text: figure("rise_ms", 0) },
+    { label: "Overshoot", unit: "cmH2O", text: figure("overshoot", 1) },
+    { label: "Controller", unit: "", text: (_, state) => state?.controller || UNKNOWN, wide: true },
+    { label: "In command", unit: "", text: (_, state) => (state?.level ? words(state.level) : UNKNOWN), wide: true },
+    { label: "Adaptation", unit: "%", text: (_, state) => (state?.adaptation == null ? UNKNOWN : fixed(100 * state.adaptation, 0)), wide: true },
+    { label: "Distrusted", unit: "", text: (_, state) => distrust(state), wide: true },
+  ]],
+  ["Tick and line", "line", [
+    { label: "Tick, mean", unit: "us", text: (_, state) => fixed(state?.ticks.mean_us ?? null, 1) },
+    { label: "Tick, worst", unit: "us", text: (_, state) => fixed(state?.ticks.worst_us ?? null, 0) },
+    { label: "Missed", unit: "ticks", text: (_, state) => (state?.ticks.missed == null ? UNKNOWN : count(state.ticks.missed)) },
+    { label: "Damaged", unit: "frames", text: (_, state) => (state ? count(state.line.corrupt) : UNKNOWN) },
+    { label: "Lost", unit: "batches", text: (_, state) => (state ? count(state.line.lost_batches) : UNKNOWN) },
+    { label: "Dropped", unit: "samples", text: (_, state) => (state ? count(state.line.dropped) : UNKNOWN) },
+    { label: "Not sent to this page", unit: "samples", text: (_, __, device) => count(device.dropped), wide: true },
+  ]],
+];
+
+function rate(breath: Breath | null, state: State | null): string {
+  const asked = breath?.rate_set ?? state?.settings.rate;
+  const trigger = breath?.triggered ? ", patient" : "";
+  return asked == null ? "" : `set ${plain(asked)}${trigger}`;
+}
+
+function distrust(state: State | null): string {
+  if (state === null) return UNKNOWN;
+  return state.distrust.length === 0 ? "nothing" : state.distrust.map(words).join(", ");
+}
+
+export class Numbers {
+  readonly element = h("section", { class: "numbers", "aria-label": "Numbers" });
+  private readonly updates: ((device: Device) => void)[] = [];
+
+  constructor() {
+    for (const [name, hue, tiles] of GROUPS) {
+      const list = h("dl", { class: `tiles tiles-${hue}` });
+      for (const tile of tiles) list.append(this.tile(tile));
+      this.element.append(h("div", { class: "group" }, h("h2", {}, name), list));
+    }
+  }
+
+  update(device: Device): void {
+    for (const update of this.updates) update(device);
+  }
+
+  private tile(tile: Tile): HTMLElement {
+    const [value, below] = [h("span", { class: "value" }, UNKNOWN), h("span", { class: "below" })];
+    const label = h("dt", {}, tile.label);
+    if (tile.unit) label.append(" ", h("small", {}, tile.unit));
+    const mark = h("small", { class: "estimated" }, "est.");
+    if (tile.estimated) label.append(" ", mark);
+    this.updates.push((device) => {
+      setText(value, tile.text(device.breath, device.state, device));
+      setText(below, tile.below?.(device.breath, device.state, device) ?? "");
+      mark.hidden = device.breath !== null && !device.breath.estimated;
+    });
+    const kind = tile.wide ? "tile wide" : tile.large ? "tile large" : "tile";
+    return h("div", { class: kind }, label, h("dd", {}, value, below));
+  }
+}

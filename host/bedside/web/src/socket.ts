@@ -1,0 +1,94 @@
+// The connection to the server: opens it, and opens it again with growing pauses after it broke.
+
+import { decodeSamples, decodeText, type Message, type Samples } from "./stream";
+
+/** First and longest pause between two attempts, ms. */
+const FIRST_MS = 250;
+const LONGEST_MS = 5_000;
+/** Attempts that have not succeeded after this time are given up, ms. */
+const OPEN_MS = 4_000;
+
+/** Pause before attempt `number` (from 0), ms; `chance` from 0 to 1 spreads the attempts of many pages. */
+export function pause(number: number, chance: number): number {
+  return Math.min(FIRST_MS * 2 ** number, LONGEST_MS) * (0.8 + 0.4 * chance);
+}
+
+export interface Listener {
+  opened(): void;
+  closed(reason: string): void;
+  message(message: Message): void;
+  samples(samples: Samples): void;
+}
+
+export class Socket {
+  private socket: WebSocket | null = null;
+  private attempts = 0;
+  private nextAttempt = 0;
+  /** When anything arrived last, by performance.now(). */
+  heard = performance.now();
+  /** Messages that did not decode. */
+  malformed = 0;
+  /** How often the connection has been opened. */
+  opened = 0;
+
+  constructor(private readonly url: string, private readonly listener: Listener) {
+    this.open();
+  }
+
+  get connected(): boolean {
+    return this.socket?.readyState === WebSocket.OPEN;
+  }
+
+  /** Seconds until the next attempt. */
+  get waits(): number {
+    return Math.max(0, (this.nextAttempt - performance.now()) / 1000);
+  }
+
+  /** Sends an object; false if there is no connection, and then nothing is sent later either. */
+  send(message: object): boolean {
+    if (!this.connected || this.socket === null) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  private open(): void {
+    const socket = new WebSocket(this.url);
+    this.socket = socket;
+    socket.binaryType = "arraybuffer";
+    const giveUp = setTimeout(() => socket.close(), OPEN_MS);
+    socket.onopen = () => {
+      clearTimeout(giveUp);
+      this.heard = performance.now();
+      this.opened += 1;
+      this.listener.opened();
+    };
+    socket.onmessage = ({ data }) => this.receive(data);
+    socket.onclose = ({ reason }) => {
+      clearTimeout(giveUp);
+      if (this.socket === socket) this.retry(reason);
+    };
+  }
+
+  private receive(data: string | ArrayBuffer): void {
+    this.heard = performance.now();
+    this.attempts = 0;
+    if (typeof data === "string") {
+      const message = decodeText(data);
+      if (message) this.listener.message(message);
+      else this.malformed += 1;
+    } else {
+      const samples = decodeSamples(data);
+      if (samples) this.listener.samples(samples);
+      else this.malformed += 1;
+    }
+  }
+
+  private retry(reason: string): void {
+    this.socket = null;
+    const wait = pause(this.attempts, Math.random());
+    this.attempts = Math.min(this.attempts + 1, 10);
+    this.nextAttempt = performance.now() + wait;
+    this.listener.closed(reason);
+    setTimeout(() => this.open(), wait);
+  }
+}

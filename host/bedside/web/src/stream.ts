@@ -1,0 +1,249 @@
+// The stream's wire format, version 1: decodes the server's messages.
+//
+// Text messages are JSON objects with a `type`; binary messages are samples. A message that does not decode is reported to the
+// caller, which counts it; nothing here throws.
+
+/** The version of the format that this page speaks. */
+export const VERSION = 1;
+/** Bytes before the columns of a message with samples. */
+export const HEADER = 24;
+/** Columns of 32-bit floats of a message with samples, in order. */
+export const COLUMNS = ["pressure", "target", "u_in", "u_out", "learned", "flow", "volume"] as const;
+
+export type Priority = "high" | "medium" | "low";
+export type Column = (typeof COLUMNS)[number];
+export type Values = Record<string, number>;
+
+/** Description of one setting. */
+export interface Setting {
+  name: string;
+  description: string;
+  unit: string;
+  min: number;
+  max: number;
+  default: number;
+}
+
+export interface DeviceInfo {
+  id: number;
+  name: string;
+  kind: string;
+  period_us: number;
+}
+
+export interface Hello {
+  type: "hello";
+  version: number;
+  steer: boolean;
+  demo: boolean;
+  settings: Setting[];
+  devices: DeviceInfo[];
+}
+
+export interface Alarm {
+  id: string;
+  text: string;
+  priority: Priority;
+  present: boolean;
+  since_ms: number;
+  acknowledged: boolean;
+}
+
+export interface State {
+  type: "state";
+  device: number;
+  connected: boolean;
+  lost: string | null;
+  mode: string;
+  ventilating: boolean;
+  controller: string;
+  level: string;
+  distrust: string[];
+  settings: Values;
+  pending: Values | null;
+  alarms: Alarm[];
+  audio: { priority: Priority | null; pause_left: number };
+  steered_by: string | null;
+  ticks: { mean_us: number | null; worst_us: number | null; missed: number | null };
+  line: { corrupt: number; lost_batches: number; dropped: number };
+  adaptation: number | null;
+  recording: { file: string; samples: number } | null;
+}
+
+/** Names of a breath's figures. */
+export const FIGURES = [
+  "number", "pip", "plateau", "peep", "tidal_volume", "minute_volume", "rate", "rate_set", "ie",
+  "resistance", "compliance", "leak", "error", "rise_ms", "overshoot",
+] as const;
+export type Figure = (typeof FIGURES)[number];
+
+export type Breath = { type: "breath"; device: number; estimated: boolean; triggered: boolean } & Record<Figure, number | null>;
+
+export interface Steerer { type: "steerer"; device: number; who: string | null; yours: boolean }
+export interface Answer { type: "answer"; id: number; ok: boolean; text: string; settings: Values | null }
+export interface Event { type: "event"; device: number; time_ms: number; kind: string; text: string }
+export type Message = Hello | State | Breath | Steerer | Answer | Event;
+
+/** Samples of one device, columns of equal length. */
+export interface Samples {
+  device: number;
+  count: number;
+  /** Samples of this device that this viewer has lost so far because its queue was full. */
+  dropped: number;
+  /** Tick of the first sample. */
+  tick: number;
+  /** Time of the server when the last sample came, Unix ms. */
+  time_ms: number;
+  columns: Record<Column, Float32Array>;
+  /** 0 inspiration, 1 fall, 2 expiration. */
+  phase: Uint8Array;
+}
+
+/** Decodes a binary message; null if it is malformed. */
+export function decodeSamples(buffer: ArrayBuffer): Samples | null {
+  if (buffer.byteLength < HEADER) return null;
+  const view = new DataView(buffer);
+  const count = view.getUint16(2, true);
+  const floats = 4 * COLUMNS.length * count;
+  const length = HEADER + floats + count;
+  if (view.getUint8(0) !== 1 || buffer.byteLength < length || buffer.byteLength > length + 3) return null;
+  const column = (index: number) => floatsAt(view, HEADER + 4 * index * count, count);
+  return {
+    device: view.getUint8(1),
+    count,
+    dropped: view.getUint32(4, true),
+    tick: view.getFloat64(8, true),
+    time_ms: view.getFloat64(16, true),
+    columns: {
+      pressure: column(0), target: column(1), u_in: column(2), u_out: column(3),
+      learned: column(4), flow: column(5), volume: column(6),
+    },
+    phase: new Uint8Array(buffer, HEADER + floats, count),
+  };
+}
+
+const LITTLE = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
+
+function floatsAt(view: DataView, offset: number, count: number): Float32Array {
+  if (LITTLE) return new Float32Array(view.buffer, offset, count);
+  return Float32Array.from({ length: count }, (_, index) => view.getFloat32(offset + 4 * index, true));
+}
+
+/** Decodes a text message; null if it is malformed or of an unknown type. */
+export function decodeText(text: string): Message | null {
+  let value: unknown;
+  try {
+    value = JSON.parse(text);
+  } catch {
+    return null;
+  }
+  if (!isObject(value)) return null;
+  switch (value.type) {
+    case "hello": return hello(value);
+    case "state": return state(value);
+    case "breath": return breath(value);
+    case "steerer": return { type: "steerer", device: number(value.device) ?? 0, who: textOrNull(value.who), yours: value.yours === true };
+    case "answer": return {
+      type: "answer", id: number(value.id) ?? -1, ok: value.ok === true, text: string(value.text),
+      settings: isObject(value.settings) ? values(value.settings) : null,
+    };
+    case "event": return {
+      type: "event", device: number(value.device) ?? 0, time_ms: number(value.time_ms) ?? Date.now(),
+      kind: string(value.kind), text: string(value.text),
+    };
+    default: return null;
+  }
+}
+
+type Loose = Record<string, unknown>;
+
+function isObject(value: unknown): value is Loose {
+  return typeof value === "object" && value !== null && !Array.isArray(value);
+}
+
+function number(value: unknown): number | null {
+  return typeof value === "number" && Number.isFinite(value) ? value : null;
+}
+
+function string(value: unknown): string {
+  return typeof value === "string" ? value : "";
+}
+
+function textOrNull(value: unknown): string | null {
+  return typeof value === "string" && value !== "" ? value : null;
+}
+
+function list(value: unknown): Loose[] {
+  return Array.isArray(value) ? value.filter(isObject) : [];
+}
+
+function object(value: unknown): Loose {
+  return isObject(value) ? value : {};
+}
+
+function values(of: Loose): Values {
+  return Object.fromEntries(Object.entries(of).filter((entry): entry is [string, number] => number(entry[1]) !== null));
+}
+
+function priority(value: unknown): Priority | null {
+  return value === "high" || value === "medium" || value === "low" ? value : null;
+}
+
+function hello(value: Loose): Hello {
+  return {
+    type: "hello",
+    version: number(value.version) ?? 0,
+    steer: value.steer === true,
+    demo: value.demo === true,
+    settings: list(value.settings).map((one) => ({
+      name: string(one.name), description: string(one.description), unit: string(one.unit),
+      min: number(one.min) ?? 0, max: number(one.max) ?? 0, default: number(one.default) ?? 0,
+    })),
+    devices: list(value.devices).map((one) => ({
+      id: number(one.id) ?? 0, name: string(one.name), kind: string(one.kind), period_us: number(one.period_us) ?? 1000,
+    })),
+  };
+}
+
+function alarm(value: Loose): Alarm {
+  return {
+    id: string(value.id), text: string(value.text),
+    // An unknown priority is treated as the most urgent one.
+    priority: priority(value.priority) ?? "high",
+    present: value.present === true, since_ms: number(value.since_ms) ?? 0, acknowledged: value.acknowledged === true,
+  };
+}
+
+function state(value: Loose): State | null {
+  const device = number(value.device);
+  if (device === null) return null;
+  const [audio, ticks, line] = [object(value.audio), object(value.ticks), object(value.line)];
+  const recording = isObject(value.recording) ? value.recording : null;
+  return {
+    type: "state",
+    device,
+    connected: value.connected === true,
+    lost: textOrNull(value.lost),
+    mode: string(value.mode),
+    ventilating: value.ventilating === true,
+    controller: string(value.controller),
+    level: string(value.level),
+    distrust: Array.isArray(value.distrust) ? value.distrust.map(string) : [],
+    settings: values(object(value.settings)),
+    pending: isObject(value.pending) ? values(value.pending) : null,
+    alarms: list(value.alarms).map(alarm),
+    audio: { priority: priority(audio.priority), pause_left: number(audio.pause_left) ?? 0 },
+    steered_by: textOrNull(value.steered_by),
+    ticks: { mean_us: number(ticks.mean_us), worst_us: number(ticks.worst_us), missed: number(ticks.missed) },
+    line: { corrupt: number(line.corrupt) ?? 0, lost_batches: number(line.lost_batches) ?? 0, dropped: number(line.dropped) ?? 0 },
+    adaptation: number(value.adaptation),
+    recording: recording ? { file: string(recording.file), samples: number(recording.samples) ?? 0 } : null,
+  };
+}
+
+function breath(value: Loose): Breath | null {
+  const device = number(value.device);
+  if (device === null) return null;
+  const figures = Object.fromEntries(FIGURES.map((name) => [name, number(value[name])])) as Record<Figure, number | null>;
+  return { type: "breath", device, estimated: value.estimated !== false, triggered: value.triggered === true, ...figures };
+}

@@ -1,0 +1,92 @@
+// Charts of the trends by uPlot: mean lines with the range from lowest to highest behind them.
+
+import uPlot from "uplot";
+import type { Device } from "./device";
+import { colour, h } from "./dom";
+import { fixed } from "./format";
+import type { Trended } from "./trends";
+
+/** Spans, hours. */
+const SPANS = [1, 8, 24, 72] as const;
+/** Interval between two pictures, ms. */
+const EVERY = 2_000;
+const HEIGHT = 122;
+const FONT = "11px system-ui, 'DejaVu Sans', sans-serif";
+
+const CHARTS: [string, [Trended, string, string][]][] = [
+  ["cmH2O", [["pip", "PIP", "--pressure"], ["plateau", "Plateau", "--target"], ["peep", "PEEP", "--flow"]]],
+  ["mL", [["tidal_volume", "Tidal volume", "--volume"]]],
+  ["1/min, L/min", [["rate", "Rate", "--valve"], ["minute_volume", "Minute volume", "--volume"]]],
+  ["lung", [["resistance", "Resistance", "--valve"], ["compliance", "Compliance", "--flow"]]],
+  ["cmH2O", [["error", "Error", "--learned"], ["overshoot", "Overshoot", "--pressure"]]],
+];
+
+export class TrendCharts {
+  readonly element = h("div", { class: "trends" });
+  private readonly charts: { plot: uPlot; names: Trended[] }[] = [];
+  private readonly hosts = h("div", { class: "charts" });
+  private readonly span: HTMLSelectElement;
+  private drawn = 0;
+  private device: Device | null = null;
+
+  constructor() {
+    const options = SPANS.map((hours) => h("option", { value: String(hours) }, hours === 1 ? "1 hour" : `${hours} hours`));
+    this.span = h("select", { id: "trend-span", onchange: () => { this.drawn = 0; } }, ...options);
+    this.element.append(h("label", { class: "field" }, h("span", {}, "Span"), this.span), this.hosts);
+    for (const [unit, lines] of CHARTS) this.chart(unit, lines);
+    new ResizeObserver(() => this.fit()).observe(this.element);
+  }
+
+  draw(now: number, device: Device): void {
+    if (device !== this.device) this.drawn = 0;
+    this.device = device;
+    if (now - this.drawn < EVERY || this.element.offsetParent === null) return;
+    this.drawn = now;
+    for (const { plot, names } of this.charts) {
+      const series = names.map((name) => device.trends.series(name, Number(this.span.value)));
+      const time = series[0]?.time ?? [];
+      plot.setData([time, ...series.flatMap(({ mean, low, high }) => [mean, low, high])]);
+    }
+  }
+
+  private fit(): void {
+    const width = this.hosts.clientWidth;
+    if (width < 100) return;
+    for (const { plot } of this.charts) if (plot.width !== width) plot.setSize({ width, height: HEIGHT });
+  }
+
+  private chart(unit: string, lines: [Trended, string, string][]): void {
+    const host = h("div", { class: "chart", role: "img", "aria-label": `Trend of ${lines.map(([, name]) => name).join(", ")}` });
+    this.hosts.append(host);
+    const axis = { stroke: colour("--dim"), font: FONT, labelFont: FONT, grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false } };
+    const plot = new uPlot({
+      width: 320,
+      height: HEIGHT,
+      padding: [4, 8, 0, 0],
+      cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
+      legend: { live: true },
+      scales: { x: { time: true, range: () => this.range() }, y: { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max((high ?? 1) * 1.1, 1)] } },
+      series: [{ label: "Time" }, ...lines.flatMap(([, name, hue]) => series(name, colour(hue)))],
+      bands: lines.map(([, , hue], index) => ({ series: [3 * index + 3, 3 * index + 2] as [number, number], fill: `${colour(hue)}40` })),
+      axes: [{ ...axis, size: 24, space: 60 }, { ...axis, size: 40, gap: 4, label: unit, labelSize: 15, labelGap: 0, space: 24 }],
+    }, [[], ...lines.flatMap(() => [[], [], []])] as uPlot.AlignedData, host);
+    this.charts.push({ plot, names: lines.map(([name]) => name) });
+  }
+
+  /** The span up to now, s. */
+  private range(): [number, number] {
+    const end = (this.device?.time_ms || Date.now()) / 1000;
+    return [end - Number(this.span.value) * 3600, end];
+  }
+}
+
+/** Mean, lowest and highest of a figure. */
+function series(name: string, hue: string): uPlot.Series[] {
+  const value = (_: uPlot, one: number | null) => fixed(one, 1);
+  const hidden = { width: 0, points: { show: false }, value };
+  return [
+    { label: name, stroke: hue, width: 1.5, value, points: { size: 3 } },
+    { label: `${name}, lowest`, class: "hidden-series", ...hidden },
+    { label: `${name}, highest`, class: "hidden-series", ...hidden },
+  ];
+}
