@@ -14,8 +14,6 @@ pub const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'
 
 /// Port of HTTP that a browser leaves out.
 const DEFAULT_PORT: u16 = 80;
-/// Length of a token, bytes.
-const TOKEN_BYTES: usize = 16;
 
 /// Why a request is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -138,8 +136,7 @@ impl Guard {
 
 /// A random token, in hexadecimal digits.
 fn new_token() -> String {
-    let bytes: [u8; TOKEN_BYTES] = rand::rng().random();
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    format!("{:032x}", rand::rng().random::<u128>())
 }
 
 #[cfg(test)]

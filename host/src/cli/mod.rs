@@ -41,6 +41,7 @@ mod reproduce;
 mod robust;
 mod runs;
 mod self_test;
+mod serve;
 mod settings_args;
 mod shard_args;
 mod source_args;
@@ -97,6 +98,7 @@ enum Command {
     Judge(judge::Args),
     Identify(identify::Args),
     Monitor(monitor::Args),
+    Serve(serve::Args),
     Faults(faults::Args),
     Torture(torture::Args),
     Endure(endure::Args),
@@ -161,6 +163,7 @@ fn dispatch(command: &Command) -> anyhow::Result<()> {
         Command::Judge(args) => judge::run(args),
         Command::Identify(args) => identify::run(args),
         Command::Monitor(args) => monitor::run(args),
+        Command::Serve(args) => serve::run(args),
         Command::Faults(args) => faults::run(args),
         Command::Torture(args) => torture::run(args),
         Command::Endure(args) => endure::run(args),

@@ -418,6 +418,45 @@ pub enum FromPage {
 }
 
 impl FromPage {
+    /// Id for the answer; none for a message that gets none.
+    pub fn id(&self) -> Option<u32> {
+        match self {
+            Self::Apply { id, .. }
+            | Self::Start { id, .. }
+            | Self::Stop { id, .. }
+            | Self::Acknowledge { id, .. }
+            | Self::PauseAudio { id, .. }
+            | Self::Mark { id, .. }
+            | Self::Record { id, .. }
+            | Self::Capture { id, .. }
+            | Self::Fault { id, .. } => Some(*id),
+            Self::Token { .. }
+            | Self::Watch { .. }
+            | Self::Take { .. }
+            | Self::Release { .. }
+            | Self::Drawn { .. } => None,
+        }
+    }
+
+    /// The device that it is about.
+    pub fn device(&self) -> Option<u8> {
+        match self {
+            Self::Apply { device, .. }
+            | Self::Start { device, .. }
+            | Self::Stop { device, .. }
+            | Self::Acknowledge { device, .. }
+            | Self::PauseAudio { device, .. }
+            | Self::Mark { device, .. }
+            | Self::Record { device, .. }
+            | Self::Capture { device, .. }
+            | Self::Fault { device, .. }
+            | Self::Take { device }
+            | Self::Release { device }
+            | Self::Drawn { device, .. } => Some(*device),
+            Self::Token { .. } | Self::Watch { .. } => None,
+        }
+    }
+
     /// Reads a message.
     ///
     /// # Errors

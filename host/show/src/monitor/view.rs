@@ -105,7 +105,51 @@ pub struct View {
     under_way: usize,
 }
 
+/// What the device has reported, for other ways to show it; none of it before the first answers.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<'a> {
+    /// Why the connection is lost, if it is.
+    pub lost: Option<&'a str>,
+    /// The greeting.
+    pub identity: Option<&'a DeviceIdentity>,
+    /// The mode now.
+    pub mode: Option<Mode>,
+    /// The chosen controller.
+    pub controller: Option<ControllerChoice>,
+    /// Settings of the running breath.
+    pub in_force: Option<&'a Settings>,
+    /// Settings that wait for the next breath.
+    pub pending: Option<&'a Settings>,
+    /// Statistics of the control ticks.
+    pub times: Option<&'a TickTimes>,
+    /// Alarms, and the level of the ladder.
+    pub status: Option<&'a AlarmStatus>,
+    /// State of the sounder.
+    pub audio: Option<AudioStatus>,
+    /// Who steers the device.
+    pub lease: Option<&'a LeaseStatus>,
+    /// Counters of the line.
+    pub traffic: LineCounters,
+}
+
 impl View {
+    /// What the device has reported.
+    pub fn known(&self) -> Known<'_> {
+        Known {
+            lost: self.lost.as_deref(),
+            identity: self.identity.as_ref(),
+            mode: self.mode,
+            controller: self.controller,
+            in_force: self.in_force.as_ref(),
+            pending: self.pending.as_ref(),
+            times: self.times.as_ref(),
+            status: self.status.as_ref(),
+            audio: self.audio,
+            lease: self.lease.as_ref(),
+            traffic: self.traffic,
+        }
+    }
+
     /// An empty view of the device at `address`; `gains` are those of the PID that replaces a learned controller,
     /// unless the device reports others.
     pub fn new(address: impl Into<String>, gains: PidGains) -> Self {

@@ -1,0 +1,142 @@
+//! A running server: its hubs, its sockets and its end.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use thiserror::Error;
+use tokio::net::TcpListener;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::watch;
+
+use crate::guard::Guard;
+use crate::http::{Shared, router};
+use crate::hub::Hub;
+use crate::metrics::Metrics;
+use crate::source::Watch;
+use crate::stream::{DeviceInfo, Hello, SettingInfo, VERSION};
+use crate::viewers::Viewers;
+
+/// Most devices: their number has one byte, and each takes threads.
+pub const DEVICES_MAX: usize = 64;
+/// Longest time for the pages to take leave.
+const LEAVE_TIME: Duration = Duration::from_secs(1);
+
+/// Why a server does not start.
+#[derive(Debug, Error)]
+pub enum ServerError {
+    /// The address cannot be used.
+    #[error("cannot listen at {0}: {1}; choose another address with --listen")]
+    Listen(SocketAddr, io::Error),
+    /// There is nothing to show.
+    #[error("there is no device to show: name one with --port or --bench")]
+    Nothing,
+    /// There are too many devices.
+    #[error("{0} devices are too many for one page: at most {DEVICES_MAX}")]
+    TooMany(usize),
+}
+
+/// How a server serves.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Where to listen.
+    pub listen: SocketAddr,
+    /// Whether pages may steer.
+    pub steer: bool,
+    /// Whether this is the demonstration.
+    pub demo: bool,
+}
+
+/// A running server; ends when dropped.
+pub struct Server {
+    address: SocketAddr,
+    shared: Arc<Shared>,
+    stop: watch::Sender<bool>,
+    runtime: Option<Runtime>,
+}
+
+impl Server {
+    /// Shows these devices.
+    ///
+    /// # Errors
+    /// [`ServerError`].
+    pub fn start(watches: Vec<Watch>, options: Options) -> Result<Self, ServerError> {
+        match watches.len() {
+            0 => return Err(ServerError::Nothing),
+            many if many > DEVICES_MAX => return Err(ServerError::TooMany(many)),
+            _ => {}
+        }
+        let failed = |error| ServerError::Listen(options.listen, error);
+        let runtime =
+            Builder::new_multi_thread().worker_threads(1).thread_name("bedside").enable_all().build();
+        let runtime = runtime.map_err(failed)?;
+        let listener = runtime.block_on(TcpListener::bind(options.listen)).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let (stop, stopping) = watch::channel(false);
+        let shared = Arc::new(share(watches, options, address, stopping));
+        let service = router(Arc::clone(&shared)).into_make_service_with_connect_info::<SocketAddr>();
+        runtime.spawn(async move {
+            if let Err(error) = axum::serve(listener, service).await {
+                tracing::error!(%error, "the server has ended");
+            }
+        });
+        Ok(Self { address, shared, stop, runtime: Some(runtime) })
+    }
+
+    /// The address at which it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The address for a browser, with the token if there is one. A browser never sends the part after `#`.
+    pub fn url(&self) -> String {
+        let token = self.token().map_or_else(String::new, |token| format!("#token={token}"));
+        format!("http://{}/{token}", self.address)
+    }
+
+    /// The token, if there is one.
+    pub fn token(&self) -> Option<&str> {
+        self.shared.guard.token()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop.send_replace(true);
+        self.shared.hubs.iter().for_each(Hub::stop);
+        if let Some(runtime) = self.runtime.take() {
+            runtime.block_on(async {
+                let gone = async {
+                    while !self.shared.viewers.is_empty() {
+                        tokio::time::sleep(Duration::from_millis(10)).await;
+                    }
+                };
+                let _ = tokio::time::timeout(LEAVE_TIME, gone).await;
+            });
+            runtime.shutdown_timeout(LEAVE_TIME);
+        }
+    }
+}
+
+fn share(
+    watches: Vec<Watch>,
+    options: Options,
+    address: SocketAddr,
+    stopping: watch::Receiver<bool>,
+) -> Shared {
+    let info = |(id, watch): (u8, &Watch)| DeviceInfo {
+        id,
+        name: watch.name.clone(),
+        kind: watch.kind,
+        period_us: watch.period_us,
+    };
+    let devices: Vec<DeviceInfo> = (0..).zip(&watches).map(info).collect();
+    let metrics = Arc::new(Metrics::new(&devices));
+    let viewers = Arc::new(Viewers::new(Arc::clone(&metrics)));
+    let hub = |(id, watch)| Hub::start(id, watch, Arc::clone(&viewers), Arc::clone(&metrics));
+    let hubs = (0..).zip(watches).map(hub).collect();
+    let Options { steer, demo, .. } = options;
+    let hello = Hello { version: VERSION, steer, demo, settings: SettingInfo::all(), devices };
+    Shared { guard: Guard::new(address, steer), hello, hubs, viewers, metrics, stopping }
+}

@@ -1,0 +1,148 @@
+//! What is watched: a device at a port, or a simulated one in this process. Each gives news and takes requests.
+
+use std::time::Duration;
+
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::link::messages::{DeviceIdentity, DeviceKind, Request};
+use show::monitor::News;
+use show::monitor::session::Session;
+use thiserror::Error;
+
+use crate::stream::{DemoFault, Kind};
+use device::port::Address;
+use device::simulated::{ServeError, Served};
+use device::{Device, DeviceError};
+use plant::bench::BenchConfig;
+
+/// Why something cannot be watched.
+#[derive(Debug, Error)]
+pub enum SourceError {
+    /// The device does not answer.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// A simulated device cannot start.
+    #[error(transparent)]
+    Simulated(#[from] ServeError),
+}
+
+/// Why a request does not reach a source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum Unable {
+    /// A replay does what was recorded.
+    #[error("a replay cannot be steered")]
+    Replay,
+    /// Faults are for the demonstration.
+    #[error("faults can be injected only into the simulated devices of `trainer serve --demo`")]
+    NoFaults,
+}
+
+/// A source of news.
+pub trait Source: Send {
+    /// Waits for the next piece of news.
+    fn next(&mut self, patience: Duration) -> Option<News>;
+
+    /// Sends a request; the answer arrives as news.
+    ///
+    /// # Errors
+    /// [`Unable::Replay`].
+    fn ask(&mut self, request: Request) -> Result<(), Unable>;
+
+    /// Injects a fault.
+    ///
+    /// # Errors
+    /// [`Unable`].
+    fn fault(&mut self, _fault: DemoFault) -> Result<(), Unable> {
+        Err(Unable::NoFaults)
+    }
+
+    /// Ends; a device goes on as it is.
+    fn leave(self: Box<Self>);
+}
+
+/// A source with what pages are told about it.
+pub struct Watch {
+    /// Name to show.
+    pub name: String,
+    /// What it is.
+    pub kind: Kind,
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// The source.
+    pub source: Box<dyn Source>,
+}
+
+impl Watch {
+    /// Watches the device at a port, which must answer now; also returns its identity. If it is lost later, it is tried again.
+    ///
+    /// # Errors
+    /// [`SourceError::Device`].
+    pub fn port(address: &Address) -> Result<(Self, DeviceIdentity), SourceError> {
+        let mut device = Device::connect(address)?;
+        let identity = device.identify()?;
+        let watch = Self {
+            name: address.to_string(),
+            kind: kind(identity.device),
+            period_us: identity.period_us,
+            source: Box::new(Connected(Session::start(device))),
+        };
+        Ok((watch, identity))
+    }
+
+    /// Watches a simulated device on this bench, which runs as fast as a chip.
+    ///
+    /// # Errors
+    /// [`SourceError`].
+    pub fn bench(name: impl Into<String>, bench: &BenchConfig) -> Result<Self, SourceError> {
+        let served = Served::start(bench, 1)?;
+        let session = Session::start(Device::connect(served.address())?);
+        let source = Box::new(Simulated { session, _device: served });
+        Ok(Self { name: name.into(), kind: Kind::Simulated, period_us: DEFAULT_PERIOD_US, source })
+    }
+}
+
+fn kind(device: DeviceKind) -> Kind {
+    match device {
+        DeviceKind::Ventilator => Kind::Board,
+        DeviceKind::HardwareInTheLoop => Kind::Hil,
+        DeviceKind::Simulated => Kind::Simulated,
+    }
+}
+
+/// A device at a port.
+struct Connected(Session);
+
+impl Source for Connected {
+    fn next(&mut self, patience: Duration) -> Option<News> {
+        self.0.next(patience)
+    }
+
+    fn ask(&mut self, request: Request) -> Result<(), Unable> {
+        self.0.ask(request);
+        Ok(())
+    }
+
+    fn leave(self: Box<Self>) {
+        self.0.leave();
+    }
+}
+
+/// A simulated device of this process, behind the same link as a board.
+struct Simulated {
+    session: Session,
+    _device: Served,
+}
+
+impl Source for Simulated {
+    fn next(&mut self, patience: Duration) -> Option<News> {
+        self.session.next(patience)
+    }
+
+    fn ask(&mut self, request: Request) -> Result<(), Unable> {
+        self.session.ask(request);
+        Ok(())
+    }
+
+    fn leave(self: Box<Self>) {
+        self.session.leave();
+    }
+}

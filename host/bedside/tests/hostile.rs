@@ -1,0 +1,154 @@
+//! Hostile pages and hostile input: refused, counted, and nobody else notices.
+
+mod rig;
+
+use std::time::{Duration, Instant};
+
+use bedside::server::{Options, Server};
+use bedside::source::Watch;
+use plant::bench::BenchConfig;
+use rig::{LONG, Page, get};
+use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::Message;
+
+fn serve(listen: &str) -> Server {
+    let watch = Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap();
+    let listen = listen.parse().unwrap();
+    Server::start(vec![watch], Options { listen, steer: false, demo: false }).unwrap()
+}
+
+fn local() -> Server {
+    serve("127.0.0.1:0")
+}
+
+/// Waits until this many refusals for a reason are counted.
+fn refused(server: &Server, reason: &str, count: usize) {
+    let deadline = Instant::now() + LONG;
+    let line = format!("eupnea_refused_total{{reason=\"{reason}\"}} {count}\n");
+    while !get(server, "/metrics", &[]).2.contains(&line) {
+        assert!(Instant::now() < deadline, "{}", get(server, "/metrics", &[]).2);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn a_page_of_another_site_is_refused() {
+    let server = local();
+    for origin in ["http://evil.example", "null", "https://127.0.0.1"] {
+        assert_eq!(Page::with_headers(&server, &[("origin", origin)]).err(), Some(403), "{origin}");
+    }
+    let (status, headers, text) = get(&server, "/api/state", &[("origin", "http://evil.example")]);
+    assert_eq!((status, text.as_str()), (403, "refused: only a page of this server may use it"));
+    assert!(headers.contains("content-security-policy"), "also on a refusal");
+    refused(&server, "origin", 4);
+}
+
+#[test]
+fn a_name_that_was_pointed_at_this_computer_is_refused() {
+    let server = local();
+    let port = server.address().port();
+    let evil = format!("evil.example:{port}");
+    for path in ["/", "/api/state", "/metrics", "/api/stream"] {
+        let (status, _, text) = get(&server, path, &[("host", &evil)]);
+        assert_eq!(status, 403, "{path}");
+        assert!(text.contains("open this page by the address"), "{text}");
+    }
+    let origin = format!("http://{evil}");
+    assert_eq!(Page::with_headers(&server, &[("host", &evil), ("origin", &origin)]).err(), Some(403));
+    refused(&server, "host", 5);
+    let own = format!("localhost:{port}");
+    assert_eq!(get(&server, "/", &[("host", &own)]).0, 200);
+}
+
+#[test]
+fn a_flood_closes_its_page_and_no_other() {
+    let server = local();
+    let mut other = Page::open(&server);
+    let mut flood = Page::open(&server);
+    for _ in 0..500 {
+        if flood.send_raw(Message::text(r#"{"type":"watch","devices":[0]}"#)).is_err() {
+            break;
+        }
+    }
+    flood.closed();
+    refused(&server, "flood", 1);
+    other.state(0, |state| state["connected"] == true);
+}
+
+#[test]
+fn what_cannot_be_read_is_answered_and_in_the_end_closed() {
+    let server = local();
+    let mut page = Page::open(&server);
+    let malformed = |text: &str| Message::text(text.to_owned());
+    for message in [
+        malformed("{"),
+        malformed("[1,2]"),
+        malformed(r#"{"type":"start","device":999,"id":1}"#),
+        malformed(r#"{"type":"format_disk"}"#),
+        Message::binary(vec![1, 2, 3]),
+    ] {
+        page.send_raw(message).unwrap();
+        let answer = page.text(|message| message["type"] == "answer");
+        assert_eq!((&answer["id"], &answer["ok"]), (&Value::Null, &json!(false)));
+    }
+    refused(&server, "malformed", 5);
+    for _ in 0..5 {
+        page.send_raw(malformed("nonsense")).unwrap();
+    }
+    assert_eq!(page.closed(), Some(1008));
+}
+
+#[test]
+fn a_message_that_is_too_long_closes_its_page() {
+    let server = local();
+    let mut page = Page::open(&server);
+    let _ =
+        page.send_raw(Message::text(format!("{{\"type\":\"token\",\"token\":\"{}\"}}", "0".repeat(5000))));
+    page.closed();
+    refused(&server, "malformed", 1);
+}
+
+#[test]
+fn a_device_that_does_not_exist_is_refused() {
+    let server = local();
+    let mut page = Page::open(&server);
+    let answer = page.ask(json!({"type": "start", "device": 7}));
+    assert_eq!((&answer["ok"], &answer["text"]), (&json!(false), &json!("there is no such device")));
+}
+
+#[test]
+fn from_other_computers_even_reading_needs_the_token() {
+    let server = serve("0.0.0.0:0");
+    let address = format!("127.0.0.1:{}", server.address().port());
+    let host = [("host", address.as_str())];
+    assert_eq!((get(&server, "/", &host).0, get(&server, "/app.js", &host).0), (200, 200));
+    for path in ["/api/state", "/metrics"] {
+        assert_eq!(get(&server, path, &host).0, 403, "{path}");
+        let token = format!("Bearer {}", server.token().unwrap());
+        assert_eq!(get(&server, path, &[host[0], ("authorization", &token)]).0, 200, "{path}");
+    }
+    let mut wrong = Page::with_headers(&server, &host).unwrap();
+    wrong.send(&json!({"type": "token", "token": "guess"}));
+    assert_eq!(wrong.closed(), Some(1008));
+    let mut right = Page::with_headers(&server, &host).unwrap();
+    right.send(&json!({"type": "token", "token": server.token().unwrap()}));
+    assert_eq!(right.next_text()["type"], "hello");
+}
+
+#[test]
+fn there_are_not_more_pages_than_the_server_feeds() {
+    let server = local();
+    let pages: Vec<Page> = (0..bedside::viewers::VIEWERS_MAX)
+        .map(|_| {
+            let mut page = Page::open(&server);
+            page.state(0, |_| true);
+            page
+        })
+        .collect();
+    assert_eq!(Page::with_headers(&server, &[]).err(), Some(503));
+    drop(pages);
+    let deadline = Instant::now() + LONG;
+    while Page::with_headers(&server, &[]).is_err() {
+        assert!(Instant::now() < deadline, "closed pages make room");
+    }
+}

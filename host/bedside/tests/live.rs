@@ -1,0 +1,237 @@
+//! A real server on simulated devices, and pages that are real WebSocket clients.
+
+mod rig;
+
+use std::time::{Duration, Instant};
+
+use plant::bench::BenchConfig;
+use rig::{Cable, Page, get, samples};
+use serde_json::{Value, json};
+
+use bedside::server::{Options, Server};
+use bedside::source::Watch;
+
+/// Serves these devices at a free port.
+fn serve(watches: Vec<Watch>, steer: bool) -> Server {
+    let listen = "127.0.0.1:0".parse().unwrap();
+    Server::start(watches, Options { listen, steer, demo: false }).unwrap()
+}
+
+fn bench() -> Watch {
+    Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap()
+}
+
+/// A server with one simulated device that a page has started.
+fn ventilating() -> (Server, Page) {
+    let server = serve(vec![bench()], true);
+    let mut page = Page::steering(&server);
+    page.ventilate(0);
+    (server, page)
+}
+
+#[test]
+fn the_greeting_is_first_and_states_follow_at_least_once_a_second() {
+    let server = serve(vec![bench(), bench()], false);
+    let mut page = Page::open(&server);
+    let hello = page.next_text();
+    assert_eq!((&hello["type"], &hello["version"]), (&json!("hello"), &json!(1)));
+    assert_eq!((&hello["steer"], hello["devices"].as_array().unwrap().len()), (&json!(false), 2));
+    assert_eq!(
+        hello["devices"][1],
+        json!({"id": 1, "name": "R20C20", "kind": "simulated", "period_us": 1000})
+    );
+    page.state(1, |state| state["connected"] == true && state["settings"]["pip"] == 20.0);
+    for _ in 0..3 {
+        let before = Instant::now();
+        page.state(1, |_| true);
+        assert!(before.elapsed() < Duration::from_secs(1), "a page would show that it has no data");
+    }
+}
+
+#[test]
+fn every_sample_comes_in_order_with_its_estimates() {
+    let (_server, mut page) = ventilating();
+    let first = samples(&page.next_binary());
+    let (mut next, mut count) = (first.tick + first.columns[0].len() as u64, 0);
+    while count < 7000 {
+        let frame = samples(&page.next_binary());
+        assert_eq!((frame.tick, frame.dropped, frame.device), (next, 0, 0), "nothing is lost");
+        next += frame.columns[0].len() as u64;
+        count += frame.columns[0].len();
+        assert!(frame.columns[..4].iter().flatten().all(|value| value.is_finite()));
+        assert!(frame.phases.iter().all(|phase| *phase < 3));
+        // After the first breath the lung is known.
+        assert!(
+            count < 4000 || frame.columns[5].iter().chain(&frame.columns[6]).all(|value| value.is_finite())
+        );
+    }
+}
+
+#[test]
+fn a_breath_has_its_figures() {
+    let (_server, mut page) = ventilating();
+    let breath = page.text(|message| message["type"] == "breath" && message["number"] == 1);
+    let close = |name: &str, expected: f64, tolerance: f64| {
+        let found = breath[name].as_f64().unwrap_or(f64::NAN);
+        assert!((found - expected).abs() <= tolerance, "{name} is {found}: {breath}");
+    };
+    close("plateau", 20.0, 1.5);
+    close("peep", 5.0, 0.7);
+    close("rate", 20.0, 0.1);
+    close("ie", 2.0, 0.01);
+    close("compliance", 20.0, 4.0);
+    close("resistance", 20.0, 6.0);
+    close("tidal_volume", 300.0, 60.0);
+    assert_eq!((&breath["leak"], &breath["estimated"]), (&Value::Null, &json!(true)));
+}
+
+#[test]
+fn settings_are_shown_as_asked_and_as_applied() {
+    let (_server, mut page) = ventilating();
+    let answer = page.ask(json!({"type": "apply", "device": 0, "settings": {"pip": 26, "rate": 15}}));
+    assert_eq!((&answer["ok"], &answer["settings"]["pip"]), (&json!(true), &json!(26.0)));
+    page.state(0, |state| state["settings"]["pip"] == 26.0 && state["settings"]["rate"] == 15.0);
+    let refused = page.ask(json!({"type": "apply", "device": 0, "settings": {"pip": 95}}));
+    assert_eq!(refused["ok"], false);
+    assert!(refused["text"].as_str().unwrap().contains("allowed are 5 to 50"), "{refused}");
+    let state = page.state(0, |_| true);
+    assert_eq!(state["settings"]["pip"], 26.0, "a refused setting changes nothing");
+    let paused = page.ask(json!({"type": "pause_audio", "device": 0, "seconds": 121}));
+    assert_eq!(paused["ok"], false);
+    let stopped = page.ask(json!({"type": "stop", "device": 0}));
+    assert_eq!((&stopped["ok"], &stopped["text"]), (&json!(true), &json!("standby")));
+}
+
+#[test]
+fn one_page_steers_and_the_others_see_who() {
+    let (server, mut page) = ventilating();
+    let mut other = Page::steering(&server);
+    let steerer = other.text(|message| message["type"] == "steerer");
+    assert_eq!(steerer["yours"], false);
+    let refused = other.ask(json!({"type": "stop", "device": 0}));
+    assert_eq!(refused["ok"], false);
+    assert_eq!(refused["text"], format!("{} steers this device", steerer["who"].as_str().unwrap()));
+    page.send(&json!({"type": "release", "device": 0}));
+    other.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
+    assert_eq!(other.ask(json!({"type": "stop", "device": 0}))["text"], "take the device first");
+    other.send(&json!({"type": "take", "device": 0}));
+    other.text(|message| message["type"] == "steerer" && message["yours"] == true);
+    drop(other);
+    page.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
+}
+
+#[test]
+fn a_page_without_the_token_only_reads() {
+    let server = serve(vec![bench()], true);
+    let mut page = Page::open(&server);
+    for request in [
+        json!({"type": "start", "device": 0}),
+        json!({"type": "apply", "device": 0, "settings": {"pip": 26}}),
+        json!({"type": "mark", "device": 0, "text": "here"}),
+    ] {
+        let answer = page.ask(request);
+        assert_eq!(answer["ok"], false);
+        assert!(answer["text"].as_str().unwrap().starts_with("read only"), "{answer}");
+    }
+    page.send(&json!({"type": "token", "token": "0".repeat(32)}));
+    assert_eq!(page.closed(), Some(1008));
+    assert!(metrics(&server).contains("eupnea_refused_total{reason=\"token\"} 1\n"));
+}
+
+#[test]
+fn a_marker_reaches_every_page() {
+    let (server, mut page) = ventilating();
+    let mut other = Page::open(&server);
+    assert_eq!(page.ask(json!({"type": "mark", "device": 0, "text": "suction"}))["ok"], true);
+    let event = other.text(|message| message["type"] == "event" && message["kind"] == "marker");
+    assert_eq!(event["text"], "suction");
+}
+
+#[test]
+fn a_slow_page_loses_samples_and_slows_nobody() {
+    // A hundred times as fast as a chip, so that the buffers of the operating system fill soon.
+    let mut served = Vec::new();
+    let server = serve(vec![rig::fast(&mut served)], true);
+    let mut page = Page::steering(&server);
+    let mut slow = Page::sluggish(&server);
+    page.ventilate(0);
+    let deadline = Instant::now() + rig::LONG;
+    let (mut next, mut quick_dropped) = (None, 0);
+    while !metrics(&server).lines().any(|line| {
+        line.strip_prefix("eupnea_viewer_dropped_samples_total{").is_some_and(|rest| !rest.ends_with(" 0"))
+    }) {
+        assert!(Instant::now() < deadline, "no sample was dropped");
+        for _ in 0..50 {
+            let frame = samples(&page.next_binary());
+            quick_dropped = frame.dropped;
+            assert!(next.is_none_or(|next| next == frame.tick) || frame.dropped > 0);
+            next = Some(frame.tick + frame.columns[0].len() as u64);
+        }
+    }
+    assert_eq!(quick_dropped, 0, "the other page gets everything");
+    let deadline = Instant::now() + rig::LONG;
+    while samples(&slow.next_binary()).dropped == 0 {
+        assert!(Instant::now() < deadline, "the slow page is not told of its losses");
+    }
+}
+
+#[test]
+fn a_device_dies_and_returns() {
+    let (cable, watch) = Cable::with_watch();
+    let server = serve(vec![watch], false);
+    let mut page = Page::open(&server);
+    page.state(0, |state| state["connected"] == true);
+    let cable = cable.cut();
+    let lost = page.text(|message| message["type"] == "event" && message["kind"] == "lost");
+    assert_eq!(lost["device"], 0);
+    let state = page.state(0, |state| state["connected"] == false);
+    assert!(state["lost"].is_string());
+    let _cable = cable.plug_in();
+    page.state(0, |state| state["connected"] == true && state["lost"] == Value::Null);
+}
+
+#[test]
+fn the_state_is_also_a_file_and_every_response_has_the_policy() {
+    let server = serve(vec![bench()], false);
+    let mut page = Page::open(&server);
+    page.state(0, |state| state["connected"] == true);
+    let (status, headers, body) = get(&server, "/api/state", &[]);
+    let state: Value = serde_json::from_str(&body).unwrap();
+    assert_eq!((status, &state["states"][0]["device"]), (200, &json!(0)));
+    assert_eq!(state["hello"]["devices"][0]["name"], "R20C20");
+    assert!(headers.contains("content-security-policy: default-src 'none'; script-src 'self'"));
+    for path in ["/", "/app.js", "/app.css", "/metrics", "/nothing"] {
+        let (status, headers, _) = get(&server, path, &[]);
+        assert_eq!(status, if path == "/nothing" { 404 } else { 200 }, "{path}");
+        for header in ["content-security-policy: default-src 'none'", "x-content-type-options: nosniff"] {
+            assert!(headers.contains(header), "{path}: {headers}");
+        }
+    }
+}
+
+#[test]
+fn metrics_count_samples_and_latencies() {
+    let (server, mut page) = ventilating();
+    for _ in 0..20 {
+        let frame = samples(&page.next_binary());
+        page.send(&json!({"type": "drawn", "device": 0, "tick": frame.tick}));
+        std::thread::sleep(Duration::from_millis(30));
+    }
+    let deadline = Instant::now() + rig::LONG;
+    let counted = |name: &str| {
+        let text = metrics(&server);
+        let line = text.lines().find_map(|line| line.strip_prefix(name).map(str::to_owned));
+        line.map_or(0.0, |value| value.trim().parse::<f64>().unwrap())
+    };
+    while counted("eupnea_draw_latency_seconds_count") < 20.0
+        || counted("eupnea_samples_total{device=\"R20C20\"}") < 500.0
+    {
+        assert!(Instant::now() < deadline, "{}", metrics(&server));
+        page.next_binary();
+    }
+    assert!(counted("eupnea_viewers") >= 1.0);
+}
+
+fn metrics(server: &Server) -> String {
+    get(server, "/metrics", &[]).2
+}

@@ -1,0 +1,95 @@
+//! `trainer serve`: shows devices in a browser.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::thread::sleep;
+use std::time::Duration;
+
+use anyhow::Context;
+
+use super::common::{stopped, warn_of_development_build};
+use bedside::server::{Options, Server};
+use bedside::source::Watch;
+use device::port::Address;
+use plant::bench::BenchConfig;
+
+/// Show devices in a browser: live waveforms, figures, alarms; steer them with --steer
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  trainer serve --port /dev/ttyACM0
+  trainer serve --port tcp:localhost:5555 --port /dev/ttyACM1 --steer
+  trainer serve --bench R20C20 --steer
+
+Open the address that the command prints. The page shows every device at 1 kHz and never asks
+another server for anything. Ctrl-C ends the server; the devices go on as they are.
+
+Without --steer pages only read. With it, the printed address contains a token, without which
+nothing is changed; one page at a time steers a device. The server listens on this computer only,
+unless --listen names another address: then even reading needs the token.")]
+pub struct Args {
+    /// A device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT; repeat it for more devices
+    #[arg(long, value_name = "PORT")]
+    port: Vec<Address>,
+    /// A simulated device on this bench: a lung as in R20C20, or a description in TOML; repeat it for more devices
+    #[arg(long, value_name = "FILE|LUNG")]
+    bench: Vec<String>,
+    /// Address at which the server listens
+    #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+    /// Allow the page with the printed token to start, stop and set the devices
+    #[arg(long)]
+    steer: bool,
+}
+
+/// Interval between looks at Ctrl-C.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let options = Options { listen: args.listen, steer: args.steer, demo: false };
+    let server = Server::start(watches(args)?, options)?;
+    println!("{}", server.url());
+    if server.token().is_some() {
+        eprintln!("the part after # is the token: whoever has it may {}", allowed(args.steer));
+    }
+    eprintln!("open this address in a browser; Ctrl-C ends the server, the devices go on");
+    while !stopped() {
+        sleep(LOOK_EVERY);
+    }
+    Ok(())
+}
+
+/// What the token allows.
+fn allowed(steer: bool) -> &'static str {
+    if steer { "steer the devices" } else { "watch the devices" }
+}
+
+fn watches(args: &Args) -> anyhow::Result<Vec<Watch>> {
+    let mut watches = Vec::new();
+    for address in &args.port {
+        let (watch, identity) = Watch::port(address)?;
+        warn_of_development_build(&identity);
+        watches.push(watch);
+    }
+    for name in &args.bench {
+        for (title, bench) in benches(name)? {
+            watches.push(Watch::bench(title, &bench)?);
+        }
+    }
+    Ok(watches)
+}
+
+/// The benches of a file or of a lung's name, each with its title.
+fn benches(name: &str) -> anyhow::Result<Vec<(String, BenchConfig)>> {
+    let path = Path::new(name);
+    if path.is_file() {
+        let bench = BenchConfig::load(path)?;
+        let title = path.file_stem().map_or_else(|| name.to_owned(), |stem| stem.display().to_string());
+        return Ok(vec![(title, bench)]);
+    }
+    let benches = BenchConfig::preset(name)
+        .with_context(|| format!("{name} is neither a file nor a lung: write a lung as in R20C20"))?;
+    let several = benches.len() > 1;
+    let title = |number: usize| if several { format!("{name} {}", number + 1) } else { name.to_owned() };
+    Ok(benches.into_iter().enumerate().map(|(number, bench)| (title(number), bench)).collect())
+}
