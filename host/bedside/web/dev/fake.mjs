@@ -7,6 +7,7 @@ import { readFile } from "node:fs/promises";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { WebSocketServer } from "ws";
+import { encode } from "./encode.mjs";
 import { Lung } from "./lung.mjs";
 
 const DIST = join(dirname(fileURLToPath(import.meta.url)), "../dist");
@@ -194,24 +195,6 @@ export class Fake {
     const bytes = encode(device.id, first, samples);
     for (const socket of this.sockets.clients) if (socket.watched.has(device.id)) socket.send(bytes);
   }
-}
-
-/** A message with samples. */
-export function encode(device, tick, samples, dropped = 0) {
-  const count = samples.length;
-  const length = 24 + 28 * count + count;
-  const view = new DataView(new ArrayBuffer(Math.ceil(length / 4) * 4));
-  view.setUint8(0, 1);
-  view.setUint8(1, device);
-  view.setUint16(2, count, true);
-  view.setUint32(4, dropped, true);
-  view.setFloat64(8, tick, true);
-  view.setFloat64(16, Date.now(), true);
-  for (const [index, sample] of samples.entries()) {
-    for (let column = 0; column < 7; column++) view.setFloat32(24 + 4 * (column * count + index), sample[column], true);
-    view.setUint8(24 + 28 * count + index, sample[7]);
-  }
-  return new Uint8Array(view.buffer);
 }
 
 if (process.argv[1] === fileURLToPath(import.meta.url)) {

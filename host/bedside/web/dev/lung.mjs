@@ -12,6 +12,8 @@ export class Lung {
     this.fault = "none";
     this.number = 0;
     this.coughLeft = 0;
+    /** A single sample with this pressure comes next. */
+    this.spike = null;
     this.restart();
   }
 
@@ -31,14 +33,15 @@ export class Lung {
     const target = phase === "inspiration" ? pip : phase === "fall" ? pip - ((pip - peep) * (t - inspiration)) / fall : peep;
     this.move(phase, target, peep);
     const flow = phase === "inspiration" ? Math.max(0, this.inflow) : this.inflow;
-    const measured = this.fault === "stick" ? 5 : this.pressure + 0.15 * (Math.random() - 0.5);
+    const measured = this.spike ?? (this.fault === "stick" ? 5 : this.pressure + 0.15 * (Math.random() - 0.5));
+    this.spike = null;
     const u_in = phase === "inspiration" ? Math.min(100, 8 + 60 * Math.max(0, flow)) : 5;
     this.note(phase, target);
     const learned = this.learned ? (phase === "inspiration" ? 20 + 30 * Math.exp(-t / 0.15) : 5) : Number.NaN;
     const sample = [measured, target, u_in, phase === "inspiration" ? 0 : 100, learned, flow, this.volume - this.start, PHASES[phase]];
     this.tick += 1;
     this.age += 1;
-    const breath = this.age >= 60_000 / rate ? this.figures(pip, peep, rate, inspiration) : null;
+    const breath = this.age >= 60_000 / rate ? this.figures(pip, rate, inspiration) : null;
     if (breath) this.restart();
     return { sample, breath };
   }
@@ -65,7 +68,7 @@ export class Lung {
     this.plateau = this.pressure;
   }
 
-  figures(pip, peep, rate, inspiration) {
+  figures(pip, rate, inspiration) {
     this.number += 1;
     const expiration = 60 / rate - inspiration;
     return {

@@ -14,8 +14,8 @@ export class Audio {
   readonly element = h("div", { class: "audio", role: "group", "aria-label": "Alarm sound" });
   private readonly sound = new Sound();
   private readonly state = h("span", { class: "audio-state" });
-  private readonly pauseButton = button("Pause sound", () => this.pause(), { class: "pause" });
-  private readonly unlockButton = button("Turn sound on", () => this.sound.unlock(), { class: "unlock" });
+  private readonly pauseButton = button("Pause", () => this.pause(), { class: "pause" });
+  private readonly unlockButton = button("Sound on", () => this.sound.unlock(), { class: "unlock" });
   private device: Device | null = null;
   /** End of the page's own pause, by performance.now(), and the most urgent priority that was paused. */
   private pausedUntil = 0;
@@ -41,9 +41,9 @@ export class Audio {
   private describe(priority: Priority | null, left: number): void {
     show(this.unlockButton, this.sound.blocked);
     const blocked = this.sound.blocked ? "Sound is off" : "";
-    const text = left > 0 ? `Sound paused, ${Math.ceil(left)} s left` : blocked || (priority ? `Sounds: ${priority}` : "No sound");
+    const text = left > 0 ? `Paused, ${Math.ceil(left)} s left` : blocked || (priority ? `Sounds: ${priority}` : "No sound");
     setText(this.state, text);
-    setText(this.pauseButton, left > 0 ? "End pause" : `Pause sound ${AUDIO_PAUSE_MAX} s`);
+    setText(this.pauseButton, left > 0 ? "End pause" : `Pause ${AUDIO_PAUSE_MAX} s`);
     this.element.dataset.bursts = String(this.sound.bursts);
     this.element.dataset.paused = String(left > 0);
   }

@@ -14,12 +14,14 @@ export interface Mark {
 export interface FrameOptions {
   /** Text of the vertical axis. */
   label: string;
-  /** Text of the horizontal axis; none hides the axis. */
+  /** What follows the numbers of the horizontal axis; none hides the axis. */
   bottom?: string;
   /** Least distance of two lines of the grid, pixels. */
   space?: number;
 }
 
+/** Height of the horizontal axis, pixels. */
+export const BOTTOM = 20;
 const FONT = "11px system-ui, 'DejaVu Sans', sans-serif";
 
 export class Frame {
@@ -68,13 +70,13 @@ export class Frame {
     return {
       width: 300,
       height: 100,
-      padding: [6, 8, bottom === undefined ? 6 : 0, 0],
+      padding: [6, 12, bottom === undefined ? 6 : 0, 0],
       cursor: { show: false },
       legend: { show: false },
       scales: { x: { time: false, range: () => this.x }, y: { range: () => this.y } },
       series: [{}, {}],
       axes: [
-        { ...axis, show: true, size: bottom === undefined ? 0 : 30, gap: 2, ...(bottom === undefined ? { values: () => [] } : { label: bottom, labelSize: 14 }) },
+        { ...axis, size: bottom === undefined ? 0 : BOTTOM, gap: 3, values: (_, ticks) => ticks.map((tick) => (bottom === undefined ? "" : `${tick}${bottom}`)) },
         { ...axis, size: 40, gap: 4, label, labelSize: 15, labelGap: 0, space: space ?? 24 },
       ],
       hooks: { draw: [(plot) => this.drawMarks(plot)] },

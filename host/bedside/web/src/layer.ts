@@ -142,7 +142,8 @@ export class Layer {
     const height = this.size[1];
     this.context.fillStyle = colour;
     for (let index = 1; index < y.length; index++) {
-      const [left, right] = [x[index - 1] ?? 0, x[index] ?? 0];
+      // Whole pixels, so that neighbours neither overlap nor leave a seam.
+      const [left, right] = [Math.ceil(x[index - 1] ?? 0), Math.ceil(x[index] ?? 0)];
       const top = this.y(y[index - 1] ?? 0);
       if (right > left && top < height - 1) this.context.fillRect(left, top, right - left, height - top);
     }

@@ -24,15 +24,20 @@ class Loop {
   constructor(name: string, private readonly x: Axis, private readonly y: Axis, units: [string, string], private readonly hue: string) {
     this.canvas.className = "layer";
     this.host = h("div", { class: "loop", role: "img", "aria-label": `${name} loop` });
-    this.frame = new Frame(this.host, { label: units[1], bottom: units[0], space: 30 }, this.canvas);
-    this.host.prepend(h("div", { class: "loop-name", "aria-hidden": "true" }, name, h("span", { class: "estimated" }, "estimated")));
+    this.frame = new Frame(this.host, { label: units[1], bottom: "", space: 30 }, this.canvas);
+    this.host.prepend(h("div", { class: "loop-name", "aria-hidden": "true" }, name, h("span", { class: "unit" }, `${units[1]} over ${units[0]}`), h("span", { class: "estimated" }, "estimated")));
   }
 
   fit(width: number, height: number): void {
     if (width < 80 || height < 80) return;
     this.frame.resize(width, height);
+  }
+
+  /** Gives the canvas the size of the area between the axes, which uPlot sets only after the call that resizes it. */
+  private match(): void {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const [inner, tall] = this.frame.inner;
+    if (this.canvas.width === Math.round(inner * ratio) && this.canvas.height === Math.round(tall * ratio)) return;
     this.canvas.width = Math.round(inner * ratio);
     this.canvas.height = Math.round(tall * ratio);
     this.canvas.style.width = `${inner}px`;
@@ -43,6 +48,7 @@ class Loop {
   draw(breaths: { value: Value; length: number; colour: string; width: number }[], fresh: boolean): void {
     const context = this.canvas.getContext("2d");
     if (context === null) return;
+    this.match();
     this.rescale(breaths, fresh);
     const [width, height] = this.frame.inner;
     const [left, right, low, high] = this.ends;

@@ -35,10 +35,10 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Rate", unit: "1/min", text: figure("rate", 0), below: rate, large: true },
     { label: "I:E", unit: "", text: (breath) => ratio(breath?.ie ?? null) },
   ]],
-  ["Lung", "lung", [
-    { label: "Resistance", unit: "cmH2O/(L/s)", text: figure("resistance", 0), estimated: true },
-    { label: "Compliance", unit: "mL/cmH2O", text: figure("compliance", 0), estimated: true },
-    { label: "Leak", unit: "L/min", text: figure("leak", 1), estimated: true },
+  ["Lung, estimated", "lung", [
+    { label: "Resistance", unit: "cmH2O/(L/s)", text: figure("resistance", 0) },
+    { label: "Compliance", unit: "mL/cmH2O", text: figure("compliance", 0) },
+    { label: "Leak", unit: "L/min", text: figure("leak", 1) },
   ]],
   ["Control", "control", [
     { label: "Error", unit: "cmH2O", text: figure("error", 2) },
@@ -90,7 +90,7 @@ export class Numbers {
   private tile(tile: Tile): HTMLElement {
     const [value, below] = [h("span", { class: "value" }, UNKNOWN), h("span", { class: "below" })];
     const label = h("dt", {}, tile.label);
-    if (tile.unit) label.append(" ", h("small", {}, tile.unit));
+    const unit = h("small", { class: "unit" }, tile.unit);
     const mark = h("small", { class: "estimated" }, "est.");
     if (tile.estimated) label.append(" ", mark);
     this.updates.push((device) => {
@@ -99,6 +99,6 @@ export class Numbers {
       mark.hidden = device.breath !== null && !device.breath.estimated;
     });
     const kind = tile.wide ? "tile wide" : tile.large ? "tile large" : "tile";
-    return h("div", { class: kind }, label, h("dd", {}, value, below));
+    return h("div", { class: kind }, label, h("dd", {}, value, unit, below));
   }
 }

@@ -24,7 +24,8 @@ export class Steer {
   private device: Device | null = null;
   private readonly take = button("Take control", () => this.toggle());
   private readonly start = button("Start ventilation", () => this.startStop(), { class: "start" });
-  private readonly apply = button("Apply", () => this.applyAll(), { class: "apply" });
+  /** Submits the form, as Enter in a field does. */
+  private readonly apply = h("button", { type: "submit", class: "apply" }, "Apply");
   private readonly reset = button("Undo typing", () => this.copyApplied());
 
   constructor(private readonly requests: Requests, private readonly send: (message: object) => boolean) {

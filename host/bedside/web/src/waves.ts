@@ -3,15 +3,13 @@
 import { Cursors } from "./cursors";
 import type { Device } from "./device";
 import { h, setText, show } from "./dom";
-import { Frame } from "./frame";
+import { BOTTOM, Frame } from "./frame";
 import { Layer } from "./layer";
 import type { Ring } from "./ring";
 import { end, extremes } from "./scale";
 import { pressureMarks, type Strip, strips } from "./strips";
 import { firstShown, place, type Sweep } from "./sweep";
 
-/** Height of the lowest strip's time axis, pixels. */
-const BOTTOM = 30;
 /** Interval between two looks at the scales, ms. */
 const SCALE_EVERY = 500;
 
@@ -116,7 +114,7 @@ export class Waves {
     if (strip.estimated) legend.append(h("span", { class: "estimated" }, "estimated"));
     this.stack.append(host);
     const layer = new Layer(strip.traces);
-    const frame = new Frame(host, last ? { label: strip.label, bottom: "s" } : { label: strip.label }, layer.canvas);
+    const frame = new Frame(host, last ? { label: strip.label, bottom: " s" } : { label: strip.label }, layer.canvas);
     host.append(legend);
     return { strip, host, frame, layer, ends: [0, 0] };
   }
