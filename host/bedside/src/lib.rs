@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 pub mod alarms;
+pub mod demo;
 pub mod figures;
 pub mod guard;
 pub mod http;

@@ -10,9 +10,12 @@ use thiserror::Error;
 
 use crate::stream::{DemoFault, Kind};
 use device::port::Address;
-use device::simulated::{ServeError, Served};
+use device::simulated::{PlantFault, ServeError, Served, ServedConfig};
 use device::{Device, DeviceError};
-use plant::bench::BenchConfig;
+use plant::bench::{BenchConfig, Failure};
+
+/// Peak of a cough of the demonstration, cmH2O.
+const COUGH: f64 = 40.0;
 
 /// Why something cannot be watched.
 #[derive(Debug, Error)]
@@ -31,8 +34,8 @@ pub enum Unable {
     /// A replay does what was recorded.
     #[error("a replay cannot be steered")]
     Replay,
-    /// Faults are for the demonstration.
-    #[error("faults can be injected only into the simulated devices of `trainer serve --demo`")]
+    /// Faults are for simulated devices.
+    #[error("faults can be injected only into the simulated devices of `--demo` and `--bench`")]
     NoFaults,
 }
 
@@ -93,10 +96,16 @@ impl Watch {
     /// # Errors
     /// [`SourceError`].
     pub fn bench(name: impl Into<String>, bench: &BenchConfig) -> Result<Self, SourceError> {
-        let served = Served::start(bench, 1)?;
-        let session = Session::start(Device::connect(served.address())?);
-        let source = Box::new(Simulated { session, _device: served });
-        Ok(Self { name: name.into(), kind: Kind::Simulated, period_us: DEFAULT_PERIOD_US, source })
+        let config = ServedConfig { pace: 1, weights: None, keeps_truth: false };
+        let served = Served::with(bench, config)?;
+        let device = Device::connect(served.address())?;
+        Ok(Self::simulated(name, served, device))
+    }
+
+    /// Watches a simulated device that is connected.
+    pub(crate) fn simulated(name: impl Into<String>, served: Served, device: Device) -> Self {
+        let source = Box::new(Simulated { session: Session::start(device), served });
+        Self { name: name.into(), kind: Kind::Simulated, period_us: DEFAULT_PERIOD_US, source }
     }
 }
 
@@ -129,7 +138,7 @@ impl Source for Connected {
 /// A simulated device of this process, behind the same link as a board.
 struct Simulated {
     session: Session,
-    _device: Served,
+    served: Served,
 }
 
 impl Source for Simulated {
@@ -139,6 +148,16 @@ impl Source for Simulated {
 
     fn ask(&mut self, request: Request) -> Result<(), Unable> {
         self.session.ask(request);
+        Ok(())
+    }
+
+    fn fault(&mut self, fault: DemoFault) -> Result<(), Unable> {
+        self.served.inject(match fault {
+            DemoFault::Disconnect => PlantFault::Part(Failure::Disconnected),
+            DemoFault::Cough => PlantFault::Cough(COUGH),
+            DemoFault::Stick => PlantFault::ReadingSticks,
+            DemoFault::None => PlantFault::None,
+        });
         Ok(())
     }
 

@@ -235,3 +235,34 @@ fn metrics_count_samples_and_latencies() {
 fn metrics(server: &Server) -> String {
     get(server, "/metrics", &[]).2
 }
+
+#[test]
+fn the_demonstration_breathes_and_its_faults_raise_alarms() {
+    let watches = bedside::demo::start().unwrap();
+    let listen = "127.0.0.1:0".parse().unwrap();
+    let server = Server::start(watches, Options { listen, steer: true, demo: true }).unwrap();
+    let mut page = Page::steering(&server);
+    let hello = page.next_text();
+    assert_eq!((&hello["demo"], hello["devices"].as_array().unwrap().len()), (&json!(true), 18));
+    assert_eq!(hello["devices"][9]["name"], "R20C20 adult");
+    for device in 0..18 {
+        let level = if device % 2 == 0 { "pid" } else { "learned" };
+        page.state(device, |state| state["ventilating"] == true && state["level"] == level);
+    }
+    let share = |page: &mut Page, device: u8| loop {
+        page.send(&json!({"type": "watch", "devices": [device]}));
+        let frame = samples(&page.next_binary());
+        let known = frame.columns[4].iter().all(|share| share.is_finite()) && frame.phases.contains(&0);
+        if frame.device == device && known {
+            break frame.columns[4].iter().fold(0.0_f32, |most, share| most.max(share.abs()));
+        }
+        std::thread::sleep(Duration::from_millis(40));
+    };
+    assert!(share(&mut page, 8) < 0.5, "a PID has no learned share");
+    share(&mut page, 9);
+    page.send(&json!({"type": "take", "device": 9}));
+    assert_eq!(page.ask(json!({"type": "fault", "device": 9, "fault": "disconnect"}))["ok"], true);
+    let alarmed = page.state(9, |state| state["alarms"].as_array().is_some_and(|alarms| !alarms.is_empty()));
+    assert_eq!(alarmed["alarms"][0]["present"], true, "{alarmed}");
+    assert_eq!(page.ask(json!({"type": "fault", "device": 9, "fault": "none"}))["ok"], true);
+}

@@ -32,7 +32,7 @@ use crate::port::Port;
 use flash::{Flash, SECTOR_BYTES};
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 use plant::{Plant, TickTruth, locked};
-pub use served::{ServeError, Served};
+pub use served::{PlantFault, ServeError, Served, ServedConfig};
 
 /// Number of control ticks between two checks of the line.
 const TICKS_AT_ONCE: usize = 16;
@@ -103,7 +103,12 @@ struct Chip<'a> {
     out: Vec<u8>,
     /// Shortest time of [`TICKS_AT_ONCE`] ticks while it ventilates.
     ticks_time: Duration,
-    truths: TruthLog,
+    /// True states of the ticks, if they are kept.
+    truths: Option<TruthLog>,
+    /// Faults to inject, if the device is served.
+    injected: Option<Receiver<PlantFault>>,
+    /// The reading at which the sensor sticks.
+    stuck: Option<f32>,
 }
 
 impl<'a> Chip<'a> {
@@ -130,8 +135,17 @@ impl<'a> Chip<'a> {
             newest: None,
             out: Vec::new(),
             ticks_time: Duration::from_micros(u64::from(DEFAULT_PERIOD_US)) * TICKS_AT_ONCE as u32 / pace,
-            truths: TruthLog::default(),
+            truths: None,
+            injected: None,
+            stuck: None,
         }
+    }
+
+    /// Starts again with these weights in the first slot.
+    fn boot_with(&mut self, image: &[u8; IMAGE_BYTES]) {
+        (self.slots[Slot::A as usize], self.newest) = (Some(*image), Some(Slot::A));
+        (self.control, self.server, self.recorder) =
+            boot(self.memory, ResetCause::PowerOn, &self.slots, self.newest);
     }
 
     /// Runs ticks and handles the line until it ends.
@@ -153,6 +167,7 @@ impl<'a> Chip<'a> {
     /// Runs a few ticks; returns the time until the next ones are due.
     fn ticks(&mut self) -> Duration {
         let begun = Instant::now();
+        self.take_faults();
         for _ in 0..TICKS_AT_ONCE {
             self.tick();
         }
@@ -171,8 +186,8 @@ impl<'a> Chip<'a> {
             Some(seed) => self.bench.reset(DEFAULT_PERIOD_US, seed, self.peep),
             None => self.bench.step(self.command.u_in(), self.command.u_out()),
         };
-        if let Ok(reading) = &reading {
-            let mut truths = locked(&self.truths);
+        if let (Ok(reading), Some(truths)) = (&reading, &self.truths) {
+            let mut truths = locked(truths);
             if change.reset.is_some() {
                 truths.clear();
             }
@@ -180,7 +195,7 @@ impl<'a> Chip<'a> {
             truths.extend(reading.truth.filter(|_| self.control.mode() == Mode::Ventilating));
         }
         // A bench of this configuration was built before, so this never fails.
-        self.reading = reading.map_or(f32::NAN, |reading| reading.pressure);
+        self.reading = self.stuck.unwrap_or_else(|| reading.map_or(f32::NAN, |reading| reading.pressure));
         if let Some(peep) = change.peep {
             let _ = self.bench.set_peep(peep);
         }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::Context;
 
 use super::common::{stopped, warn_of_development_build};
+use bedside::demo;
 use bedside::server::{Options, Server};
 use bedside::source::Watch;
 use device::port::Address;
@@ -17,6 +18,7 @@ use plant::bench::BenchConfig;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  trainer serve --demo
   trainer serve --port /dev/ttyACM0
   trainer serve --port tcp:localhost:5555 --port /dev/ttyACM1 --steer
   trainer serve --bench R20C20 --steer
@@ -34,6 +36,9 @@ pub struct Args {
     /// A simulated device on this bench: a lung as in R20C20, or a description in TOML; repeat it for more devices
     #[arg(long, value_name = "FILE|LUNG")]
     bench: Vec<String>,
+    /// Show the nine lungs of the paper, each with a PID and beside it with the shipped learned controller, and faults at a button
+    #[arg(long, conflicts_with_all = ["port", "bench"])]
+    demo: bool,
     /// Address at which the server listens
     #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
@@ -46,11 +51,13 @@ pub struct Args {
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let options = Options { listen: args.listen, steer: args.steer, demo: false };
+    // Nobody can be harmed by steering a simulated device.
+    let steer = args.steer || args.demo;
+    let options = Options { listen: args.listen, steer, demo: args.demo };
     let server = Server::start(watches(args)?, options)?;
     println!("{}", server.url());
     if server.token().is_some() {
-        eprintln!("the part after # is the token: whoever has it may {}", allowed(args.steer));
+        eprintln!("the part after # is the token: whoever has it may {}", allowed(steer));
     }
     eprintln!("open this address in a browser; Ctrl-C ends the server, the devices go on");
     while !stopped() {
@@ -65,6 +72,9 @@ fn allowed(steer: bool) -> &'static str {
 }
 
 fn watches(args: &Args) -> anyhow::Result<Vec<Watch>> {
+    if args.demo {
+        return Ok(demo::start()?);
+    }
     let mut watches = Vec::new();
     for address in &args.port {
         let (watch, identity) = Watch::port(address)?;

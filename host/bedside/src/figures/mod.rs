@@ -4,6 +4,7 @@
 //! start was not seen, has no figures. A leak is never known: without a flow sensor it looks like a softer lung.
 
 pub mod flow;
+pub mod share;
 
 use std::collections::VecDeque;
 
@@ -15,6 +16,8 @@ use shared::ventilator::Sample;
 use crate::stream::BreathFigures;
 use crate::stream::frame::Point;
 use flow::FlowModel;
+use share::LearnedShare;
+use shared::control::pid::PidGains;
 
 /// Time at the end of a phase over which the pressure is averaged, s.
 const END_S: f32 = 0.05;
@@ -33,6 +36,7 @@ pub struct BreathMeter {
     period_us: u32,
     period_s: f32,
     flow: FlowModel,
+    share: LearnedShare,
     next_tick: u64,
     breath: Option<Running>,
     /// Whether an effort has ended the last breath, if its length is known.
@@ -70,12 +74,18 @@ impl BreathMeter {
             period_us,
             period_s: period_s(period_us),
             flow: FlowModel::new(period_us),
+            share: LearnedShare::new(period_us),
             next_tick: 0,
             breath: None,
             ended_early: false,
             peep: None,
             volumes: VecDeque::new(),
         }
+    }
+
+    /// Sets the gains of the PID in the device's controller, if they are known.
+    pub fn gains(&mut self, gains: Option<PidGains>) {
+        self.share.gains(gains);
     }
 
     /// Takes the sample of a control tick; returns it with flow and volume and, at the start of a breath, the figures of the one
@@ -102,7 +112,7 @@ impl BreathMeter {
             target: sample.target,
             u_in: sample.u_in,
             u_out: if sample.u_out { 100.0 } else { 0.0 },
-            learned: f32::NAN,
+            learned: self.share.take(sample, peep),
             flow,
             volume,
             phase: sample.phase,
@@ -115,6 +125,7 @@ impl BreathMeter {
         self.breath = None;
         self.ended_early = false;
         self.flow.interrupted();
+        self.share.interrupted();
         self.volumes.clear();
     }
 

@@ -3,12 +3,15 @@
 use std::collections::VecDeque;
 use std::ops::Range;
 
-use shared::link::messages::{ControllerChoice, Event, LeaseStatus, Request, Response};
+use learn::controller::shipped;
+use shared::control::pid::PidGains;
+use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response};
 use shared::link::telemetry::TelemetryBatch;
 use shared::safety::alarms::{Fault, Priority};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
+use shared::weights::decode;
 use show::monitor::view::View;
 use show::monitor::{News, words};
 
@@ -38,6 +41,9 @@ pub struct Watched {
     period_us: u32,
     view: View,
     meter: BreathMeter,
+    /// The controller and the id of the weights, and the gains of the PID in it, if they are known.
+    controller: (Option<ControllerChoice>, Option<u32>),
+    gains: Option<PidGains>,
     alarms: AlarmList,
     /// Samples that are not sent yet, and the tick of the first one.
     points: Vec<Point>,
@@ -60,6 +66,8 @@ impl Watched {
             period_us,
             view: View::new(name, shared::control::pid::KNOWN_GOOD),
             meter: BreathMeter::new(period_us),
+            controller: (None, None),
+            gains: None,
             alarms: AlarmList::default(),
             points: Vec::new(),
             first_tick: 0,
@@ -149,6 +157,7 @@ impl Watched {
 
     fn answered(&mut self, request: &Request, response: &Response, now_ms: u64, out: &mut Vec<Out>) {
         match response {
+            Response::Identity(_) | Response::Controller(_) => self.know_controller(),
             Response::Alarms(status) => self.alarms.report(status, now_ms),
             Response::Audio(audio) => self.alarms.heard(audio),
             Response::Timing(times) => {
@@ -166,10 +175,35 @@ impl Watched {
     fn restarted(&mut self, now_ms: u64, out: &mut Vec<Out>) {
         self.flush(out);
         self.meter = BreathMeter::new(self.period_us);
+        self.meter.gains(self.gains);
         self.arrivals.clear();
         let cause =
             self.view.known().identity.map_or("unknown cause", |identity| words::reset(identity.reset));
         out.push(self.event(now_ms, EventKind::Restarted, &format!("the device restarted: {cause}")));
+    }
+
+    /// Looks the controller's gains up, if it is another one: decoding an image takes time.
+    fn know_controller(&mut self) {
+        let known = self.view.known();
+        let controller = (known.controller, known.identity.and_then(DeviceIdentity::running_id));
+        if self.controller != controller {
+            self.controller = controller;
+            self.gains = self.find_gains();
+            self.meter.gains(self.gains);
+        }
+    }
+
+    /// Gains of the PID in the device's controller, as it has reported them or as its weights have them, if those are shipped ones.
+    fn find_gains(&self) -> Option<PidGains> {
+        let known = self.view.known();
+        match known.controller? {
+            ControllerChoice::Pid(gains) => Some(gains),
+            ControllerChoice::Learned => {
+                let running = known.identity?.running_id()?;
+                let images = shipped::names().filter_map(|name| decode(shipped::image(name)?).ok());
+                images.filter(|image| image.id == running).map(|image| image.residual.pid().gains()).next()
+            }
+        }
     }
 
     fn event(&self, time_ms: u64, kind: EventKind, text: &str) -> Out {

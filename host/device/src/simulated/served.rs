@@ -5,15 +5,17 @@ use std::io::{self, ErrorKind};
 use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::thread;
 use std::time::Duration;
 
 use shared::recorder::RecorderMemory;
+use shared::weights::IMAGE_BYTES;
 use thiserror::Error;
 
 use super::{Chip, Simulated, TruthLog};
 use crate::port::{Address, Port};
-use plant::bench::{BenchConfig, BenchError, BenchPlant};
+use plant::bench::{BenchConfig, BenchError, BenchPlant, Failure};
 use plant::{TickTruth, locked};
 
 /// Longest wait for bytes from the host.
@@ -30,10 +32,35 @@ pub enum ServeError {
     Port(#[from] io::Error),
 }
 
+/// How a device is served.
+#[derive(Clone, Debug)]
+pub struct ServedConfig {
+    /// It is at most this many times as fast as a chip.
+    pub pace: u32,
+    /// Weights in its first slot when it starts.
+    pub weights: Option<Box<[u8; IMAGE_BYTES]>>,
+    /// Whether it keeps the true state of each tick for [`Served::truth`], which takes memory for as long as it ventilates.
+    pub keeps_truth: bool,
+}
+
+/// A fault of a simulated device, in its plant or its sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PlantFault {
+    /// A part fails.
+    Part(Failure),
+    /// The patient coughs once, with this peak, cmH2O.
+    Cough(f64),
+    /// The reading of the pressure sensor stays at its last value.
+    ReadingSticks,
+    /// All faults end.
+    None,
+}
+
 /// A device that is served; ends when dropped.
 pub struct Served {
     address: Address,
     truths: TruthLog,
+    faults: Sender<PlantFault>,
     _device: Simulated,
 }
 
@@ -43,19 +70,38 @@ impl Served {
     /// # Errors
     /// [`ServeError`].
     pub fn start(bench: &BenchConfig, pace: u32) -> Result<Self, ServeError> {
+        Self::with(bench, ServedConfig { pace, weights: None, keeps_truth: true })
+    }
+
+    /// Serves a device on a bench at a free port.
+    ///
+    /// # Errors
+    /// [`ServeError`].
+    pub fn with(bench: &BenchConfig, config: ServedConfig) -> Result<Self, ServeError> {
         let bench = BenchPlant::new(bench)?;
         let listener = TcpListener::bind("127.0.0.1:0")?;
         listener.set_nonblocking(true)?;
         let address = Address::Tcp(listener.local_addr()?.to_string());
         let (stop, truths) = (Arc::new(AtomicBool::new(false)), TruthLog::default());
         let (stopped, log) = (Arc::clone(&stop), Arc::clone(&truths));
+        let (faults, injected) = channel();
         let thread = thread::spawn(move || {
             let memory = Box::new(RecorderMemory::new());
-            let mut chip = Chip::new(bench, &memory, pace);
-            chip.truths = log;
+            let mut chip = Chip::new(bench, &memory, config.pace);
+            chip.truths = config.keeps_truth.then_some(log);
+            chip.injected = Some(injected);
+            if let Some(weights) = config.weights {
+                chip.boot_with(&weights);
+            }
             chip.attend(&listener, &stopped);
         });
-        Ok(Self { address, truths, _device: Simulated { stop, thread: Some(thread) } })
+        Ok(Self { address, truths, faults, _device: Simulated { stop, thread: Some(thread) } })
+    }
+
+    /// Injects a fault into its plant or its sensor, within a few ticks.
+    pub fn inject(&self, fault: PlantFault) {
+        // The device lives as long as this; one that panicked has already reported it.
+        let _ = self.faults.send(fault);
     }
 
     /// Its address.
@@ -71,6 +117,22 @@ impl Served {
 }
 
 impl Chip<'_> {
+    /// Does what was injected since the last call.
+    pub(super) fn take_faults(&mut self) {
+        let Some(injected) = &self.injected else { return };
+        while let Ok(fault) = injected.try_recv() {
+            match fault {
+                PlantFault::Part(failure) => self.bench.fail(failure),
+                PlantFault::Cough(peak) => self.bench.cough(peak),
+                PlantFault::ReadingSticks => self.stuck = Some(self.reading),
+                PlantFault::None => {
+                    self.bench.restore();
+                    self.stuck = None;
+                }
+            }
+        }
+    }
+
     /// Runs ticks, and handles one host after the other.
     fn attend(&mut self, listener: &TcpListener, stop: &Arc<AtomicBool>) {
         while !stop.load(Ordering::Relaxed) {
@@ -78,7 +140,9 @@ impl Chip<'_> {
                 Ok(port) => {
                     self.run(port, stop);
                     // Nobody asks any more for the truth of that connection.
-                    locked(&self.truths).clear();
+                    if let Some(truths) = &self.truths {
+                        locked(truths).clear();
+                    }
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {
                     let pause = self.ticks();

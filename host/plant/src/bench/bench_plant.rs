@@ -2,7 +2,7 @@
 
 use shared::settings::Settings;
 
-use super::{Bench, BenchConfig, BenchError, end_stops, steps_per_period};
+use super::{Bench, BenchConfig, BenchError, Failure, end_stops, steps_per_period};
 use crate::{Plant, Reading};
 
 /// A bench behind a sensor and two valves. It steps in whole milliseconds; at other periods it reads NaN.
@@ -22,6 +22,21 @@ impl BenchPlant {
     pub fn new(config: &BenchConfig) -> Result<Self, BenchError> {
         let bench = Bench::new(config, Settings::default().peep, 0)?;
         Ok(Self { config: config.clone(), bench, steps: 1 })
+    }
+
+    /// Makes a part fail until [`Self::restore`] or the next reset.
+    pub fn fail(&mut self, failure: Failure) {
+        self.bench.fail(failure);
+    }
+
+    /// Ends every failure.
+    pub fn restore(&mut self) {
+        self.bench.restore();
+    }
+
+    /// Makes the patient cough now, with this peak pressure, cmH2O.
+    pub fn cough(&mut self, peak: f64) {
+        self.bench.cough(peak);
     }
 
     fn reading(&mut self, pressure: f32) -> Reading {
@@ -84,6 +99,24 @@ mod tests {
         let first = run(&mut plant);
         assert_eq!(run(&mut plant), first);
         assert!(first.1[49].pressure > first.0.pressure + 1.0);
+    }
+
+    #[test]
+    fn a_failure_lasts_until_it_is_restored_and_a_cough_is_one_pulse() {
+        let mut plant = plant();
+        let highest = |plant: &mut BenchPlant| {
+            (0..1000).map(|_| plant.step(15.0, false).unwrap().pressure).fold(0.0, f32::max)
+        };
+        let sound = highest(&mut plant);
+        plant.fail(Failure::Disconnected);
+        highest(&mut plant);
+        assert!(highest(&mut plant) < 2.0);
+        plant.restore();
+        (0..5).for_each(|_| _ = highest(&mut plant));
+        assert!(highest(&mut plant) >= sound - 1.0);
+        let mut coughing = BenchPlant::new(&BenchConfig::paper(20.0, 20.0)).unwrap();
+        coughing.cough(40.0);
+        assert!(highest(&mut coughing) > sound + 10.0);
     }
 
     #[test]
