@@ -3,6 +3,11 @@
 
 const PHASES = { inspiration: 0, fall: 1, expiration: 2 };
 
+function phaseAt(t, inspiration, fall) {
+  if (t < inspiration) return "inspiration";
+  return t < inspiration + fall ? "fall" : "expiration";
+}
+
 export class Lung {
   constructor({ resistance = 20, compliance = 20, learned = true } = {}) {
     Object.assign(this, { resistance, compliance, learned });
@@ -29,8 +34,8 @@ export class Lung {
   /** One millisecond: the sample, and the finished breath's figures or null. */
   step({ pip, peep, rate, inspiratory_time: inspiration, fall_time: fall }) {
     const t = this.age / 1000;
-    const phase = t < inspiration ? "inspiration" : t < inspiration + fall ? "fall" : "expiration";
-    const target = phase === "inspiration" ? pip : phase === "fall" ? pip - ((pip - peep) * (t - inspiration)) / fall : peep;
+    const phase = phaseAt(t, inspiration, fall);
+    const target = { inspiration: pip, fall: pip - ((pip - peep) * (t - inspiration)) / fall, expiration: peep }[phase];
     this.move(phase, target, peep);
     const flow = phase === "inspiration" ? Math.max(0, this.inflow) : this.inflow;
     const measured = this.spike ?? (this.fault === "stick" ? 5 : this.pressure + 0.15 * (Math.random() - 0.5));

@@ -15,7 +15,7 @@ export class Record {
   private readonly toggle = button("Start recording", () => this.record());
   private readonly text = h("input", { id: "marker-text", type: "text", maxlength: "200", placeholder: "for example: lung changed" });
   private readonly overshoot = h("input", { id: "capture-overshoot", type: "text", inputmode: "decimal", placeholder: "off" });
-  private readonly threshold = h("input", { id: "capture-threshold", type: "text", inputmode: "decimal", placeholder: "off" });
+  private readonly pressure = h("input", { id: "capture-pressure", type: "text", inputmode: "decimal", placeholder: "off" });
   private readonly alarm = h("input", { id: "capture-alarm", type: "checkbox", checked: true });
   private device: Device | null = null;
   private known = "";
@@ -25,13 +25,13 @@ export class Record {
     const marker = h("form", { class: "row", onsubmit: (event) => { event.preventDefault(); this.mark(); } },
       field("Text", this.text), h("button", { type: "submit" }, "Set marker"));
     const capture = h("form", { onsubmit: (event) => { event.preventDefault(); this.capture(); } },
-      field("On overshoot above", this.overshoot, "cmH2O"), field("On pressure above", this.threshold, "cmH2O"), field("On an alarm", this.alarm),
+      field("On overshoot above", this.overshoot, "cmH2O"), field("On pressure above", this.pressure, "cmH2O"), field("On an alarm", this.alarm),
       h("div", { class: "row" }, h("button", { type: "submit" }, "Arm capture")));
     this.element.append(
-      h("h3", {}, "Recording"), this.status, h("div", { class: "row" }, this.toggle), this.result,
-      h("h3", {}, "Marker"), marker,
-      h("h3", {}, "Capture, with the 10 s before"), capture,
-      h("h3", {}, "Events"), this.none, this.log,
+      h("h2", {}, "Recording"), this.status, h("div", { class: "row" }, this.toggle), this.result,
+      h("h2", {}, "Marker"), marker,
+      h("h2", {}, "Capture, with the 10 s before"), capture,
+      h("h2", {}, "Events"), this.none, this.log,
     );
   }
 
@@ -64,7 +64,7 @@ export class Record {
       const value = Number(input.value.replace(",", "."));
       return input.value.trim() === "" || !(value > 0) ? null : value;
     };
-    await this.ask("capture", { triggers: { overshoot: level(this.overshoot), threshold: level(this.threshold), alarm: this.alarm.checked } });
+    await this.ask("capture", { triggers: { overshoot: level(this.overshoot), pressure: level(this.pressure), alarm: this.alarm.checked } });
   }
 
   private async ask(type: string, content: object): Promise<boolean> {

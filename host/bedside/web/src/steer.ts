@@ -29,7 +29,7 @@ export class Steer {
   private readonly reset = button("Undo typing", () => this.copyApplied());
 
   constructor(private readonly requests: Requests, private readonly send: (message: object) => boolean) {
-    const heads = ["Setting", "Asked", "Applied", "Unit, bounds"].map((text) => h("th", { scope: "col" }, text));
+    const heads = ["Setting", "Asked", "Applied", "Bounds, unit"].map((text) => h("th", { scope: "col" }, text));
     const table = h("table", { class: "settings" }, h("thead", {}, h("tr", {}, ...heads)), this.body);
     const form = h("form", { onsubmit: (event) => { event.preventDefault(); this.applyAll(); }, novalidate: true }, table,
       h("div", { class: "row" }, this.apply, this.reset));
@@ -67,7 +67,7 @@ export class Steer {
     });
     const [applied, pending] = [h("span", { class: "applied" }), h("span", { class: "pending" })];
     const row: Row = { setting, input, applied, pending };
-    const bounds = h("td", { class: "bounds", id: `${id}-bounds` }, `${setting.unit}, ${plain(setting.min)} to ${plain(setting.max)}`);
+    const bounds = h("td", { class: "bounds", id: `${id}-bounds` }, `${plain(setting.min)} to ${plain(setting.max)} ${setting.unit}`);
     const label = h("label", { for: id, title: setting.description }, words(setting.name));
     this.body.append(h("tr", {}, h("th", { scope: "row" }, label), h("td", {}, input), h("td", {}, applied, pending), bounds));
     return row;

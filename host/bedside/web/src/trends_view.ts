@@ -1,16 +1,18 @@
 // Charts of the trends by uPlot: mean lines with the range from lowest to highest behind them.
 
 import uPlot from "uplot";
+import { clock } from "./alarms";
 import type { Device } from "./device";
 import { colour, h } from "./dom";
 import { fixed } from "./format";
 import type { Trended } from "./trends";
 
 /** Spans, hours. */
-const SPANS = [1, 8, 24, 72] as const;
+const SPANS = [0.25, 1, 8, 24, 72] as const;
 /** Interval between two pictures, ms. */
 const EVERY = 2_000;
 const HEIGHT = 122;
+const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
 const FONT = "11px system-ui, 'DejaVu Sans', sans-serif";
 
 const CHARTS: [string, [Trended, string, string][]][] = [
@@ -30,7 +32,7 @@ export class TrendCharts {
   private device: Device | null = null;
 
   constructor() {
-    const options = SPANS.map((hours) => h("option", { value: String(hours) }, hours === 1 ? "1 hour" : `${hours} hours`));
+    const options = SPANS.map((hours) => h("option", { value: String(hours) }, spanName(hours)));
     this.span = h("select", { id: "trend-span", onchange: () => { this.drawn = 0; } }, ...options);
     this.element.append(h("label", { class: "field" }, h("span", {}, "Span"), this.span), this.hosts);
     for (const [unit, lines] of CHARTS) this.chart(unit, lines);
@@ -66,11 +68,18 @@ export class TrendCharts {
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
       legend: { live: true },
       scales: { x: { time: true, range: () => this.range() }, y: { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max((high ?? 1) * 1.1, 1)] } },
-      series: [{ label: "Time" }, ...lines.flatMap(([, name, hue]) => series(name, colour(hue)))],
+      series: [{ label: "Time", value: (_, time) => (time === null ? "--" : this.timeOf(time)) }, ...lines.flatMap(([, name, hue]) => series(name, colour(hue)))],
       bands: lines.map(([, , hue], index) => ({ series: [3 * index + 3, 3 * index + 2] as [number, number], fill: `${colour(hue)}40` })),
-      axes: [{ ...axis, size: 24, space: 60 }, { ...axis, size: 40, gap: 4, label: unit, labelSize: 15, labelGap: 0, space: 24 }],
+      axes: [{ ...axis, size: 20, gap: 3, space: 75, values: (_, times) => times.map((time) => this.timeOf(time)) }, { ...axis, size: 40, gap: 4, label: unit, labelSize: 15, labelGap: 0, space: 24 }],
     }, [[], ...lines.flatMap(() => [[], [], []])] as uPlot.AlignedData, host);
     this.charts.push({ plot, names: lines.map(([name]) => name) });
+  }
+
+  /** Time of day; with the weekday in a long span. */
+  private timeOf(time: number): string {
+    const date = new Date(time * 1000);
+    const day = Number(this.span.value) >= 24 ? `${DAYS[date.getDay()]} ` : "";
+    return day + clock(time * 1000).slice(0, 5);
   }
 
   /** The span up to now, s. */
@@ -78,6 +87,11 @@ export class TrendCharts {
     const end = (this.device?.time_ms || Date.now()) / 1000;
     return [end - Number(this.span.value) * 3600, end];
   }
+}
+
+function spanName(hours: number): string {
+  if (hours < 1) return `${60 * hours} minutes`;
+  return hours === 1 ? "1 hour" : `${hours} hours`;
 }
 
 /** Mean, lowest and highest of a figure. */

@@ -44,37 +44,40 @@ for (const [screen, options] of Object.entries(SCREENS)) {
   test(`the views on ${screen}`, { skip: missing, timeout: 180_000 }, async () => {
     const fake = new Fake({ steer: true, demo: true });
     const page = await open(browser, await fake.start(), options);
-    await until(page, () => window.eupnea?.devices[0]?.breath !== null);
-    await sleep(3000);
-    fake.alarm(4, "leak", "low", "Leak");
-    fake.fault({ ...fake.devices[3], lung: fake.devices[3].lung, id: 3 }, "disconnect");
-    fake.alarm(1, "rate", "medium", "Rate above the set rate");
-    await sleep(300);
-    await check(page, `wall-${screen}`);
-    await page.getByRole("button", { name: "Open R 5 C 50, learned" }).click();
-    await until(page, () => window.eupnea.devices[1].ring.end > 20_000 || window.eupnea.devices[1].breath.number > 5, undefined, 60_000);
-    await check(page, `loops-${screen}`);
-    for (const tab of ["Trends", "Alarms", "Settings", "Record"]) {
-      await page.getByRole("tab", { name: tab }).click();
-      if (tab === "Settings") await page.getByRole("button", { name: "Take control" }).click();
-      await sleep(2200);
-      await check(page, `${tab.toLowerCase()}-${screen}`);
+    try {
+      await until(page, () => window.eupnea?.devices[0]?.breath !== null);
+      await sleep(3000);
+      fake.alarm(4, "leak", "low", "Leak");
+      fake.fault({ ...fake.devices[3], lung: fake.devices[3].lung, id: 3 }, "disconnect");
+      fake.alarm(1, "rate", "medium", "Rate above the set rate");
+      await sleep(300);
+      await check(page, `wall-${screen}`);
+      await page.getByRole("button", { name: "Open R 5 C 50, learned" }).click();
+      await until(page, () => window.eupnea.devices[1].ring.end > 20_000 || window.eupnea.devices[1].breath.number > 5, undefined, 60_000);
+      await check(page, `loops-${screen}`);
+      for (const tab of ["Trends", "Alarms", "Settings", "Record"]) {
+        await page.getByRole("tab", { name: tab }).click();
+        if (tab === "Settings") await page.getByRole("button", { name: "Take control" }).click();
+        await sleep(2200);
+        await check(page, `${tab.toLowerCase()}-${screen}`);
+      }
+      await page.getByRole("button", { name: "Freeze" }).click();
+      await page.getByRole("slider", { name: "Cursor A" }).focus();
+      await check(page, `frozen-${screen}`);
+      await page.getByRole("button", { name: "Run", exact: true }).click();
+      await page.getByRole("tab", { name: "Settings" }).click();
+      await page.locator("#setting-pip").fill("40");
+      await page.locator("#setting-pip").press("Enter");
+      await page.locator("dialog").waitFor();
+      await check(page, `confirm-${screen}`);
+      await page.keyboard.press("Escape");
+      fake.stalled = true;
+      await until(page, () => !document.querySelector(".shade").hidden);
+      await check(page, `no-data-${screen}`);
+      assert.deepEqual(page.errors, []);
+    } finally {
+      await page.context().close();
+      await fake.stop();
     }
-    await page.getByRole("button", { name: "Freeze" }).click();
-    await page.getByRole("slider", { name: "Cursor A" }).focus();
-    await check(page, `frozen-${screen}`);
-    await page.getByRole("button", { name: "Run", exact: true }).click();
-    await page.getByRole("tab", { name: "Settings" }).click();
-    await page.locator("#setting-pip").fill("40");
-    await page.locator("#setting-pip").press("Enter");
-    await page.locator("dialog").waitFor();
-    await check(page, `confirm-${screen}`);
-    await page.keyboard.press("Escape");
-    fake.stalled = true;
-    await until(page, () => !document.querySelector(".shade").hidden);
-    await check(page, `no-data-${screen}`);
-    assert.deepEqual(page.errors, []);
-    await page.context().close();
-    await fake.stop();
   });
 }

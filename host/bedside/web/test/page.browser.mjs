@@ -319,7 +319,7 @@ scene("markers, recording and a triggered capture are asked for and told", { ste
   await page.locator("#capture-overshoot").fill("2,5");
   await page.getByRole("button", { name: "Arm capture" }).click();
   await until(page, () => document.querySelectorAll(".log li").length === 2);
-  assert.deepEqual(fake.received.find(({ type }) => type === "capture").triggers, { overshoot: 2.5, threshold: null, alarm: true });
+  assert.deepEqual(fake.received.find(({ type }) => type === "capture").triggers, { overshoot: 2.5, pressure: null, alarm: true });
 });
 
 scene("the token of the address is sent first and leaves the address bar", {}, async (page, fake, url) => {
