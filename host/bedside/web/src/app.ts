@@ -12,6 +12,7 @@ import { Device } from "./device";
 import { button, h, show } from "./dom";
 import { Head } from "./head";
 import { listen } from "./keys";
+import { group } from "./pairs";
 import { Requests } from "./requests";
 import { Socket } from "./socket";
 import { type Hello, type Message, type Samples, VERSION } from "./stream";
@@ -98,6 +99,11 @@ class App {
   private describe(hello: Hello): void {
     const known = new Map(this.devices.map((device) => [JSON.stringify(device.info), device]));
     this.devices.splice(0, this.devices.length, ...hello.devices.map((info) => known.get(JSON.stringify(info)) ?? new Device(info)));
+    for (const pair of group(this.devices, ({ info }) => info.name)) {
+      const [first, second] = pair;
+      if (first) first.partner = second ?? null;
+      if (second && first) second.partner = first;
+    }
     this.head.describe(this.devices);
     this.wall.describe(this.devices);
     this.bedside.steer.describe(hello.settings);

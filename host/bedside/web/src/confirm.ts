@@ -13,8 +13,10 @@ export type Typed = { value: number } | { reason: string };
 export function typed(setting: Setting, text: string): Typed {
   const trimmed = text.trim().replace(",", ".");
   const value = trimmed === "" ? Number.NaN : Number(trimmed);
-  const bounds = `${plain(setting.min)} to ${plain(setting.max)} ${setting.unit}`;
-  if (!(value >= setting.min && value <= setting.max)) return { reason: `${words(setting.name)}: enter a number from ${bounds}` };
+  // The bounds as printed: 0.2 is not below a bound that a 32-bit float makes 0.20000000298.
+  const [min, max] = [plain(setting.min), plain(setting.max)];
+  const bounds = `${min} to ${max} ${setting.unit}`;
+  if (!(value >= Number(min) && value <= Number(max))) return { reason: `${words(setting.name)}: enter a number from ${bounds}` };
   return { value };
 }
 

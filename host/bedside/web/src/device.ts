@@ -17,6 +17,8 @@ export class Device {
   state: State | null = null;
   breath: Breath | null = null;
   reference: Reference | null = null;
+  /** The same lung under the other controller, PID or learned. */
+  partner: Device | null = null;
   readonly trends = new Trends();
   readonly events: Event[] = [];
   /** Whether this page wants the samples. */

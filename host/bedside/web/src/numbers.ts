@@ -1,8 +1,9 @@
 // The panel of numbers: the figures of the last breath, the state of the control, and the losses of the line.
 
 import type { Device } from "./device";
-import { h, setText } from "./dom";
+import { h, setText, show } from "./dom";
 import { count, fixed, plain, ratio, UNKNOWN, words } from "./format";
+import { split } from "./pairs";
 import type { Breath, Figure, State } from "./stream";
 
 interface Tile {
@@ -15,6 +16,8 @@ interface Tile {
   estimated?: boolean;
   /** Text instead of a number: smaller letters over the whole width. */
   wide?: boolean;
+  /** Whether it is shown for a device; always if left out. */
+  only?(device: Device): boolean;
 }
 
 const figure = (name: Figure, digits: number) => (breath: Breath | null) => fixed(breath?.[name] ?? null, digits);
@@ -44,6 +47,7 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Error", unit: "cmH2O", text: figure("error", 2) },
     { label: "Rise", unit: "ms", text: figure("rise_ms", 0) },
     { label: "Overshoot", unit: "cmH2O", text: figure("overshoot", 1) },
+    { label: "Error of the pair", unit: "cmH2O", text: (_, __, device) => partner(device), wide: true, only: (device) => device.partner !== null },
     { label: "Controller", unit: "", text: (_, state) => state?.controller || UNKNOWN, wide: true },
     { label: "In command", unit: "", text: (_, state) => (state?.level ? words(state.level) : UNKNOWN), wide: true },
     { label: "Adaptation", unit: "%", text: (_, state) => (state?.adaptation == null ? UNKNOWN : fixed(100 * state.adaptation, 0)), wide: true },
@@ -59,6 +63,13 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Not sent to this page", unit: "samples", text: (_, __, device) => count(device.dropped), wide: true },
   ]],
 ];
+
+/** Error of the other controller on the same lung: PID beside learned. */
+function partner({ partner: other }: Device): string {
+  if (other === null) return UNKNOWN;
+  const controller = split(other.info.name)?.controller === "pid" ? "PID" : "learned";
+  return `${controller} ${fixed(other.breath?.error ?? null, 2)}`;
+}
 
 function rate(breath: Breath | null, state: State | null): string {
   const asked = breath?.rate_set ?? state?.settings.rate;
@@ -99,6 +110,8 @@ export class Numbers {
       mark.hidden = device.breath !== null && !device.breath.estimated;
     });
     const kind = tile.wide ? "tile wide" : tile.large ? "tile large" : "tile";
-    return h("div", { class: kind }, label, h("dd", {}, value, unit, below));
+    const element = h("div", { class: kind }, label, h("dd", {}, value, unit, below));
+    if (tile.only) this.updates.push((device) => show(element, tile.only?.(device) ?? true));
+    return element;
   }
 }

@@ -21,6 +21,10 @@ test("a value outside its bounds or not a number is refused with the bounds", ()
   }
 });
 
+test("a bound itself is accepted as printed", () => {
+  assert.deepEqual(typed({ ...PIP, min: Math.fround(0.2) }, "0.2"), { value: 0.2 });
+});
+
 test("only pressures that change by more than 5 cmH2O need a confirmation", () => {
   const both = [PIP, RATE];
   assert.deepEqual(large(both, { pip: 20, rate: 20 }, { pip: 25, rate: 60 }), []);
