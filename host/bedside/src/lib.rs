@@ -12,6 +12,8 @@ pub mod guard;
 pub mod http;
 pub mod hub;
 pub mod metrics;
+pub mod record;
+pub mod replay;
 pub mod server;
 pub mod source;
 pub mod steer;

@@ -190,7 +190,9 @@ mod tests {
         metrics.drop_samples(9, 32);
         metrics.viewers(2);
         metrics.device(0, DeviceNumbers { samples: 500, alarms: [1, 0, 2], ..DeviceNumbers::default() });
-        [5, 30, 30, 4000].into_iter().for_each(|ms| metrics.latencies.add(ms));
+        for ms in [5, 30, 30, 4000] {
+            metrics.latencies.add(ms);
+        }
         let text = metrics.text();
         for line in [
             "eupnea_viewers 2",

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -38,7 +39,7 @@ pub enum ServerError {
 }
 
 /// How a server serves.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Where to listen.
     pub listen: SocketAddr,
@@ -46,6 +47,8 @@ pub struct Options {
     pub steer: bool,
     /// Whether this is the demonstration.
     pub demo: bool,
+    /// Folder for recordings.
+    pub folder: PathBuf,
 }
 
 /// A running server; ends when dropped.
@@ -74,7 +77,7 @@ impl Server {
         let listener = runtime.block_on(TcpListener::bind(options.listen)).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let (stop, stopping) = watch::channel(false);
-        let shared = Arc::new(share(watches, options, address, stopping));
+        let shared = Arc::new(share(watches, &options, address, stopping));
         let service = router(Arc::clone(&shared)).into_make_service_with_connect_info::<SocketAddr>();
         runtime.spawn(async move {
             if let Err(error) = axum::serve(listener, service).await {
@@ -121,7 +124,7 @@ impl Drop for Server {
 
 fn share(
     watches: Vec<Watch>,
-    options: Options,
+    options: &Options,
     address: SocketAddr,
     stopping: watch::Receiver<bool>,
 ) -> Shared {
@@ -134,9 +137,10 @@ fn share(
     let devices: Vec<DeviceInfo> = (0..).zip(&watches).map(info).collect();
     let metrics = Arc::new(Metrics::new(&devices));
     let viewers = Arc::new(Viewers::new(Arc::clone(&metrics)));
-    let hub = |(id, watch)| Hub::start(id, watch, Arc::clone(&viewers), Arc::clone(&metrics));
+    let hub =
+        |(id, watch)| Hub::start(id, watch, &options.folder, Arc::clone(&viewers), Arc::clone(&metrics));
     let hubs = (0..).zip(watches).map(hub).collect();
-    let Options { steer, demo, .. } = options;
+    let Options { steer, demo, .. } = *options;
     let hello = Hello { version: VERSION, steer, demo, settings: SettingInfo::all(), devices };
     Shared { guard: Guard::new(address, steer), hello, hubs, viewers, metrics, stopping }
 }

@@ -14,7 +14,7 @@ use bedside::source::Watch;
 /// Serves these devices at a free port.
 fn serve(watches: Vec<Watch>, steer: bool) -> Server {
     let listen = "127.0.0.1:0".parse().unwrap();
-    Server::start(watches, Options { listen, steer, demo: false }).unwrap()
+    Server::start(watches, Options { listen, steer, demo: false, folder: std::env::temp_dir() }).unwrap()
 }
 
 fn bench() -> Watch {
@@ -240,7 +240,9 @@ fn metrics(server: &Server) -> String {
 fn the_demonstration_breathes_and_its_faults_raise_alarms() {
     let watches = bedside::demo::start().unwrap();
     let listen = "127.0.0.1:0".parse().unwrap();
-    let server = Server::start(watches, Options { listen, steer: true, demo: true }).unwrap();
+    let server =
+        Server::start(watches, Options { listen, steer: true, demo: true, folder: std::env::temp_dir() })
+            .unwrap();
     let mut page = Page::steering(&server);
     let hello = page.next_text();
     assert_eq!((&hello["demo"], hello["devices"].as_array().unwrap().len()), (&json!(true), 18));
@@ -265,4 +267,59 @@ fn the_demonstration_breathes_and_its_faults_raise_alarms() {
     let alarmed = page.state(9, |state| state["alarms"].as_array().is_some_and(|alarms| !alarms.is_empty()));
     assert_eq!(alarmed["alarms"][0]["present"], true, "{alarmed}");
     assert_eq!(page.ask(json!({"type": "fault", "device": 9, "fault": "none"}))["ok"], true);
+}
+
+#[test]
+fn the_flight_recorder_of_a_device_is_shown_from_its_file() {
+    let mut served = Vec::new();
+    drop(rig::fast(&mut served));
+    let mut device = device::Device::connect(served[0].address()).unwrap();
+    device.apply(shared::settings::Settings::default()).unwrap();
+    device.start().unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    let blackbox = device.blackbox(&progress::Progress::silent()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fault.json");
+    std::fs::write(&path, serde_json::to_string(&blackbox).unwrap()).unwrap();
+    let server = serve(bedside::replay::blackbox(&path).unwrap(), false);
+    let mut page = Page::open(&server);
+    let hello = page.next_text();
+    let kinds: Vec<&Value> =
+        hello["devices"].as_array().unwrap().iter().map(|device| &device["kind"]).collect();
+    assert_eq!(kinds, ["recording", "recording"]);
+    assert_eq!(hello["devices"][1]["period_us"], 20_000);
+    page.state(0, |state| state["connected"] == true && state["ventilating"] == true);
+    assert!(samples(&page.next_binary()).columns[0].iter().all(|pressure| pressure.is_finite()));
+}
+
+#[test]
+fn a_page_records_and_the_file_holds_every_sample() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        listen: "127.0.0.1:0".parse().unwrap(),
+        steer: true,
+        demo: false,
+        folder: folder.path().to_owned(),
+    };
+    let server = Server::start(vec![bench()], options).unwrap();
+    let mut page = Page::steering(&server);
+    page.ventilate(0);
+    let started = page.ask(json!({"type": "record", "device": 0, "on": true}));
+    assert_eq!(started["ok"], true, "{started}");
+    page.state(0, |state| state["recording"]["samples"].as_u64().is_some_and(|samples| samples > 500));
+    assert_eq!(page.ask(json!({"type": "mark", "device": 0, "text": "here"}))["ok"], true);
+    let stopped = page.ask(json!({"type": "record", "device": 0, "on": false}));
+    let samples: usize = stopped["text"].as_str().unwrap().split(' ').next().unwrap().parse().unwrap();
+    page.state(0, |state| state["recording"] == Value::Null);
+    let mut files: Vec<_> =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    assert_eq!(files.len(), 2, "{files:?}");
+    assert_eq!(files[0].extension().unwrap(), "mcap");
+    let recording = data::recording::Recording::load(&files[1]).unwrap();
+    assert_eq!(recording.len(), samples);
+    assert!(recording.provenance.notes[0].ends_with(": here"));
+    let again = serve(vec![bedside::replay::recording("again", &recording).unwrap()], false);
+    let mut page = Page::open(&again);
+    assert_eq!(rig::samples(&page.next_binary()).tick, 0);
 }

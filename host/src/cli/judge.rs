@@ -164,7 +164,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
+pub(super) fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
     Ok(match name {
         "respiraworks" => ColumnMap::respiraworks()?,
         "kaggle" => ColumnMap::kaggle()?,
@@ -173,7 +173,7 @@ fn column_map(name: &str) -> anyhow::Result<ColumnMap> {
 }
 
 /// Reads a recording, or imports a table.
-fn load(file: &Path, map: Option<&ColumnMap>) -> anyhow::Result<Recording> {
+pub(super) fn load(file: &Path, map: Option<&ColumnMap>) -> anyhow::Result<Recording> {
     if file.extension().is_some_and(|extension| extension == "parquet") {
         return Ok(Recording::load(file)?);
     }

@@ -1,14 +1,16 @@
 //! `trainer serve`: shows devices in a browser.
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
 use anyhow::Context;
 
 use super::common::{stopped, warn_of_development_build};
+use super::judge::{column_map, load};
 use bedside::demo;
+use bedside::replay;
 use bedside::server::{Options, Server};
 use bedside::source::Watch;
 use device::port::Address;
@@ -22,6 +24,7 @@ Examples:
   trainer serve --port /dev/ttyACM0
   trainer serve --port tcp:localhost:5555 --port /dev/ttyACM1 --steer
   trainer serve --bench R20C20 --steer
+  trainer serve --recording night.parquet --blackbox fault.json
 
 Open the address that the command prints. The page shows every device at 1 kHz and never asks
 another server for anything. Ctrl-C ends the server; the devices go on as they are.
@@ -36,12 +39,24 @@ pub struct Args {
     /// A simulated device on this bench: a lung as in R20C20, or a description in TOML; repeat it for more devices
     #[arg(long, value_name = "FILE|LUNG")]
     bench: Vec<String>,
+    /// Replay a recording (*.parquet) or, with --map, a table, in the time in which it was recorded; repeat it for more
+    #[arg(long, value_name = "FILE")]
+    recording: Vec<PathBuf>,
+    /// Column map of the tables: respiraworks, kaggle or a file in TOML
+    #[arg(long, value_name = "NAME|FILE", requires = "recording")]
+    map: Option<String>,
+    /// Replay a flight recorder that `trainer blackbox --out FILE.json` has written; repeat it for more
+    #[arg(long, value_name = "FILE.json")]
+    blackbox: Vec<PathBuf>,
     /// Show the nine lungs of the paper, each with a PID and beside it with the shipped learned controller, and faults at a button
-    #[arg(long, conflicts_with_all = ["port", "bench"])]
+    #[arg(long, conflicts_with_all = ["port", "bench", "recording", "blackbox"])]
     demo: bool,
     /// Address at which the server listens
     #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
+    /// Folder into which pages with the token record
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    records: PathBuf,
     /// Allow the page with the printed token to start, stop and set the devices
     #[arg(long)]
     steer: bool,
@@ -53,7 +68,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 pub fn run(args: &Args) -> anyhow::Result<()> {
     // Nobody can be harmed by steering a simulated device.
     let steer = args.steer || args.demo;
-    let options = Options { listen: args.listen, steer, demo: args.demo };
+    let options = Options { listen: args.listen, steer, demo: args.demo, folder: args.records.clone() };
     let server = Server::start(watches(args)?, options)?;
     println!("{}", server.url());
     if server.token().is_some() {
@@ -85,6 +100,13 @@ fn watches(args: &Args) -> anyhow::Result<Vec<Watch>> {
         for (title, bench) in benches(name)? {
             watches.push(Watch::bench(title, &bench)?);
         }
+    }
+    let map = args.map.as_deref().map(column_map).transpose()?;
+    for path in &args.recording {
+        watches.push(replay::recording(&path.display().to_string(), &load(path, map.as_ref())?)?);
+    }
+    for path in &args.blackbox {
+        watches.extend(replay::blackbox(path)?);
     }
     Ok(watches)
 }

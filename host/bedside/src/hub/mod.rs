@@ -5,19 +5,21 @@ pub mod watched;
 
 use std::collections::VecDeque;
 use std::fmt::Display;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use shared::link::messages::Request;
+use shared::link::messages::{Event, Request};
 use show::monitor::News;
 
 use crate::metrics::Metrics;
+use crate::record::{Recorder, Told};
 use crate::source::{Source, Watch};
 use crate::steer::{self, Wheel};
-use crate::stream::{Answer, EventKind, FromPage, State, ToPage};
+use crate::stream::{Answer, EventKind, FromPage, RecordingInfo, State, ToPage};
 use crate::viewers::{Viewer, Viewers};
 use watched::{Out, Watched};
 
@@ -64,13 +66,20 @@ pub struct Hub {
 }
 
 impl Hub {
-    /// Watches a device for these pages.
-    pub fn start(device: u8, watch: Watch, viewers: Arc<Viewers>, metrics: Arc<Metrics>) -> Self {
+    /// Watches a device for these pages; recordings go into a folder.
+    pub fn start(
+        device: u8,
+        watch: Watch,
+        folder: &Path,
+        viewers: Arc<Viewers>,
+        metrics: Arc<Metrics>,
+    ) -> Self {
         let (commands, received) = channel();
         let (latest, stop) = (Arc::new(Mutex::default()), Arc::new(AtomicBool::new(false)));
         let mut worker = Worker {
             device,
             watched: Watched::new(device, &watch.name, watch.period_us),
+            recorder: Recorder::new(folder, device, &watch.name, watch.period_us),
             source: watch.source,
             commands: received,
             viewers,
@@ -135,6 +144,7 @@ struct Waiting {
 struct Worker {
     device: u8,
     watched: Watched,
+    recorder: Recorder,
     source: Box<dyn Source>,
     commands: Receiver<Command>,
     viewers: Arc<Viewers>,
@@ -172,7 +182,9 @@ impl Worker {
     }
 
     fn take(&mut self, news: &News) {
-        self.watched.take(news, now_ms(), &mut self.out);
+        let (now, before) = (now_ms(), self.out.len());
+        self.watched.take(news, now, &mut self.out);
+        self.record(news, before, now);
         let News::Answer { request, result } = news else { return };
         // The session also asks by itself, for other things.
         if self.waiting.front().is_some_and(|waiting| waiting.request == *request)
@@ -180,6 +192,34 @@ impl Worker {
         {
             tell(&viewer, &ToPage::Answer(steer::answer(id, result)));
         }
+    }
+
+    /// Passes news, and the messages that they have become, to the recorder.
+    fn record(&mut self, news: &News, before: usize, now: u64) {
+        let mut told: Vec<Told> = self.recorder.news(news, now).into_iter().collect();
+        if let News::Event(Event::Telemetry(batch)) = news {
+            let settings = self.watched.known().in_force;
+            for sample in &batch.samples {
+                told.extend(self.recorder.sample(&sample.unpack(), settings, now));
+            }
+        }
+        for out in &self.out[before..] {
+            told.extend(match out {
+                Out::Message(ToPage::Event { kind: EventKind::Alarm, text, .. }) => {
+                    self.recorder.alarm(text, now)
+                }
+                Out::Message(ToPage::Breath { figures, .. }) => self.recorder.breath(figures, now),
+                _ => None,
+            });
+        }
+        for Told(text) in told {
+            self.event(EventKind::Capture, text);
+        }
+    }
+
+    fn event(&mut self, kind: EventKind, text: String) {
+        let event = ToPage::Event { device: self.device, time_ms: now_ms(), kind, text };
+        self.out.push(Out::Message(event));
     }
 
     /// Sends what has been made.
@@ -199,7 +239,7 @@ impl Worker {
             return;
         }
         let now = now_ms();
-        let state = self.watched.state(now, self.wheel.who(), None);
+        let state = self.watched.state(now, self.wheel.who(), self.recorder.info());
         let unchanged = self.shown.as_ref().is_some_and(|(shown, _)| *shown == state);
         if unchanged && elapsed.is_some_and(|elapsed| elapsed < STATE_EVERY.1) {
             return;
@@ -240,8 +280,10 @@ impl Worker {
         let refused = |why: &dyn Display| Some(Answer::refused(Some(id), why.to_string()));
         match message {
             FromPage::Mark { text, .. } => return Some(self.mark(id, text)),
-            FromPage::Record { .. } | FromPage::Capture { .. } => {
-                return refused(&"this server does not record");
+            FromPage::Record { on, .. } => return Some(self.switch_recording(id, *on)),
+            FromPage::Capture { triggers, .. } => {
+                self.recorder.arm(*triggers);
+                return Some(Answer::done(id, if triggers.is_armed() { "armed" } else { "disarmed" }));
             }
             _ => {}
         }
@@ -259,9 +301,23 @@ impl Worker {
     }
 
     fn mark(&mut self, id: u32, text: &str) -> Answer {
-        let (device, kind, text) = (self.device, EventKind::Marker, text.to_owned());
-        self.out.push(Out::Message(ToPage::Event { device, time_ms: now_ms(), kind, text }));
+        self.recorder.mark(text);
+        self.event(EventKind::Marker, text.to_owned());
         Answer::done(id, "marked")
+    }
+
+    fn switch_recording(&mut self, id: u32, on: bool) -> Answer {
+        let done = if on {
+            let started = self.recorder.start(now_ms(), self.watched.known().identity);
+            started.map(|path| format!("recording to {}", path.display()))
+        } else {
+            let stopped = self.recorder.stop();
+            stopped.map(|info| match info {
+                Some(RecordingInfo { file, samples }) => format!("{samples} samples written to {file}"),
+                None => "nothing was being recorded".to_owned(),
+            })
+        };
+        done.map_or_else(|why| Answer::refused(Some(id), why.to_string()), |text| Answer::done(id, text))
     }
 
     /// Sends a request to the device, which will answer it; an answer if it cannot be sent.

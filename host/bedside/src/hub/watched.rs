@@ -12,7 +12,7 @@ use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
 use shared::weights::decode;
-use show::monitor::view::View;
+use show::monitor::view::{Known, View};
 use show::monitor::{News, words};
 
 use crate::alarms::AlarmList;
@@ -77,6 +77,11 @@ impl Watched {
             samples: 0,
             ticks: 0,
         }
+    }
+
+    /// What the device has reported.
+    pub fn known(&self) -> Known<'_> {
+        self.view.known()
     }
 
     /// Settings that apply next, if they are known.
