@@ -15,7 +15,8 @@ interface Picture {
   width: number;
 }
 
-const ROWS: [string, Column, number, number, string][] = [
+/** Name, column, factor, decimals and unit of a value. */
+const FIGURES: [string, Column, number, number, string][] = [
   ["Pressure", "pressure", 1, 1, "cmH2O"], ["Target", "target", 1, 1, "cmH2O"], ["Flow (est.)", "flow", 60, 1, "L/min"],
   ["Volume (est.)", "volume", 1, 0, "mL"], ["Insp. valve", "u_in", 1, 1, "%"], ["Learned", "learned", 1, 1, "%"],
 ];
@@ -24,6 +25,7 @@ const NAMES = ["A", "B"] as const;
 export class Cursors {
   readonly table = h("div", { class: "cursor-values", role: "group", "aria-label": "Values under the cursors" });
   private readonly lines: HTMLElement[];
+  /** Cells of A, of B and of their difference; the time is first. */
   private readonly cells: HTMLElement[][] = [];
   /** Places of the cursors, 0 to 1. */
   private readonly at = [0.35, 0.65];
@@ -73,28 +75,28 @@ export class Cursors {
   }
 
   private build(): HTMLElement {
-    const head = h("tr", {}, h("th", { scope: "col" }, "Cursor"), ...["A", "B", "B − A"].map((text) => h("th", { scope: "col" }, text)));
-    const body = ["Time before the end", ...ROWS.map(([name]) => name)].map((name, index) => {
-      const cells = [h("td"), h("td"), h("td")];
+    const quantities: [string, string][] = [["Time", "s"], ...FIGURES.map(([name, , , , unit]): [string, string] => [name, unit])];
+    const heads = quantities.map(([name, unit]) => h("th", { scope: "col" }, name, " ", h("small", {}, unit)));
+    const body = [...NAMES, "B − A"].map((name) => {
+      const cells = quantities.map(() => h("td"));
       this.cells.push(cells);
-      const unit = index === 0 ? "s" : (ROWS[index - 1]?.[4] ?? "");
-      return h("tr", {}, h("th", { scope: "row" }, name, h("small", {}, ` ${unit}`)), ...cells);
+      return h("tr", {}, h("th", { scope: "row" }, name), ...cells);
     });
-    return h("table", {}, h("thead", {}, head), h("tbody", {}, ...body));
+    return h("table", {}, h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "Cursor"), ...heads)), h("tbody", {}, ...body));
   }
 
   private fill(ring: Ring, samples: (number | null)[], sweep: Sweep): void {
-    const write = (row: number, values: (number | null)[], digits: number) => {
+    const write = (figure: number, values: (number | null)[], digits: number) => {
       const [a, b] = values;
       const difference = a == null || b == null ? null : b - a;
       for (const [index, value] of [a ?? null, b ?? null, difference].entries()) {
-        const cell = this.cells[row]?.[index];
+        const cell = this.cells[index]?.[figure];
         if (cell) setText(cell, fixed(value, digits));
       }
     };
     write(0, samples.map((sample) => sample === null ? null : (ring.tickAt(sample) - ring.newest) * sweep.tick), 3);
-    for (const [row, [, column, factor, digits]] of ROWS.entries()) {
-      write(row + 1, samples.map((sample) => sample === null ? null : factor * ring.at(column, sample)), digits);
+    for (const [index, [, column, factor, digits]] of FIGURES.entries()) {
+      write(index + 1, samples.map((sample) => sample === null ? null : factor * ring.at(column, sample)), digits);
     }
   }
 

@@ -46,6 +46,7 @@ export class Head {
   update(device: Device | null): void {
     show(this.select, device !== null);
     show(this.mode, device !== null);
+    show(this.acknowledge, device !== null);
     setAttribute(this.wall, "aria-pressed", String(device === null));
     if (device) {
       this.select.selectedIndex = this.devices.indexOf(device);

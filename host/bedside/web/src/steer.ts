@@ -120,12 +120,24 @@ export class Steer {
   private async startStop(): Promise<void> {
     const { device } = this;
     if (device === null) return;
-    const running = device.state?.ventilating ?? false;
-    const name = device.info.name;
-    const question = running ? `${name} will stop ventilating.` : `${name} will start ventilating with the applied settings.`;
-    const action = running ? "Stop ventilation" : "Start ventilation";
-    if (!(await confirm(`${action}?`, [question], action))) return;
-    this.report(await this.requests.ask(running ? "stop" : "start", device.info.id));
+    if (device.state?.ventilating) await this.stopIt(device);
+    else await this.startIt(device);
+  }
+
+  private async stopIt({ info }: Device): Promise<void> {
+    if (!(await confirm("Stop ventilation?", [`${info.name} will stop ventilating.`], "Stop ventilation"))) return;
+    this.report(await this.requests.ask("stop", info.id));
+  }
+
+  /** A device starts only with settings that were sent since it went to standby: the dialog shows them, and they go first. */
+  private async startIt({ info }: Device): Promise<void> {
+    const asked = this.asked();
+    if (asked === null) return;
+    const list = this.rows.map(({ setting: { name, unit } }) => `${words(name)} ${plain(asked[name] ?? 0)} ${unit}`).join(", ");
+    if (!(await confirm("Start ventilation?", [`${info.name} will start ventilating with these settings:`, `${list}.`], "Start ventilation"))) return;
+    const applied = await this.requests.ask("apply", info.id, { settings: asked });
+    this.report(applied, asked);
+    if (applied.ok) this.report(await this.requests.ask("start", info.id));
   }
 
   /** The typed settings; null if one is wrong, which is then in focus. */

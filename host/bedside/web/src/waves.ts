@@ -40,7 +40,7 @@ export class Waves {
     this.cursors = new Cursors(this.stack, () => ({ ring: this.ring, sweep: this.sweep, left: this.left, width: this.width }));
     this.element.append(this.cursors.table);
     show(this.shade, false);
-    new ResizeObserver(() => this.fit()).observe(this.element);
+    new ResizeObserver(() => this.fit()).observe(this.stack);
   }
 
   /** The ring that is shown. */

@@ -141,7 +141,7 @@ scene("freeze holds the picture, cursors tell the values, and the data goes on",
   await cursor.focus();
   await page.keyboard.press("End");
   assert.match(await cursor.getAttribute("aria-valuetext"), /cmH2O/);
-  const time = () => page.locator(".cursor-values tbody tr").first().locator("td").first().textContent();
+  const time = () => page.locator(".cursor-values tbody td").first().textContent();
   assert.equal(Number(await time()), 0);
   for (let press = 0; press < 3; press++) await page.keyboard.press("ArrowLeft");
   assert.ok(Math.abs(Number(await time()) + 0.03) < 0.0021);
