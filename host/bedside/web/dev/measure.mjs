@@ -1,4 +1,4 @@
-// Measures the page in headless Chromium against the fake server or another address: pictures a second, load of the page's
+// Measures the page in headless Chromium against the fake server or another address: pictures a second, processor time of the page's
 // main thread, memory after garbage collection, and the delay from the server's newest tick to the drawn one.
 //
 //     node dev/measure.mjs [seconds] [address]
@@ -20,7 +20,7 @@ async function look() {
   const { metrics } = await session.send("Performance.getMetrics");
   const value = (name) => metrics.find((one) => one.name === name).value;
   const page_ = await page.evaluate(() => ({ pictures: window.eupnea.pictures, missing: window.eupnea.devices.reduce((sum, { ring }) => sum + ring.missing, 0) }));
-  return { time: performance.now() / 1000, busy: value("TaskDuration"), heap: value("JSHeapUsedSize"), nodes: value("Nodes"), ...page_ };
+  return { time: performance.now() / 1000, busy: value("ThreadTime"), heap: value("JSHeapUsedSize"), nodes: value("Nodes"), ...page_ };
 }
 
 async function measure(name) {

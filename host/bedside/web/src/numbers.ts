@@ -3,7 +3,7 @@
 import type { Device } from "./device";
 import { h, setText, show } from "./dom";
 import { count, fixed, plain, ratio, UNKNOWN, words } from "./format";
-import { split } from "./pairs";
+import { isPid } from "./pairs";
 import type { Breath, Figure, State } from "./stream";
 
 interface Tile {
@@ -67,7 +67,7 @@ const GROUPS: [string, string, Tile[]][] = [
 /** Error of the other controller on the same lung: PID beside learned. */
 function partner({ partner: other }: Device): string {
   if (other === null) return UNKNOWN;
-  const controller = split(other.info.name)?.controller === "pid" ? "PID" : "learned";
+  const controller = isPid(other.info.name) ? "PID" : "learned";
   return `${controller} ${fixed(other.breath?.error ?? null, 2)}`;
 }
 

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { changes, large, typed } from "../src/confirm";
 import { count, fixed, plain, ratio, words } from "../src/format";
-import { group, split } from "../src/pairs";
+import { group, isPid } from "../src/pairs";
 import { end, roundUp } from "../src/scale";
 import { pause } from "../src/socket";
 import type { Setting } from "../src/stream";
@@ -41,7 +41,10 @@ test("the noise of a 32-bit float is no change", () => {
 test("devices that differ only in the controller form a pair, the PID first", () => {
   const names = ["R 5 C 20, learned", "alone", "R 50 C 20 (PID)", "R 5 C 20, PID", "R 50 C 20 (learned)"];
   assert.deepEqual(group(names, (name) => name), [["R 5 C 20, PID", "R 5 C 20, learned"], ["alone"], ["R 50 C 20 (PID)", "R 50 C 20 (learned)"]]);
-  assert.equal(split("PID and learned"), null);
+  assert.deepEqual(group(["R5C10 PID", "R5C10 adult", "R5C100 PID", "R5C100 adult"], (name) => name).length, 2);
+  assert.deepEqual(group(["R5C20", "R5C20 PID"], (name) => name), [["R5C20 PID", "R5C20"]]);
+  assert.deepEqual(group(["PID", "Bench"], (name) => name).length, 2, "a name without a lung has no pair");
+  assert.deepEqual([isPid("R5C20 PID"), isPid("R5C20 adult")], [true, false]);
   assert.deepEqual(group(["a PID", "a pid", "a learned"], (name) => name).length, 3, "an ambiguous pair is none");
 });
 
