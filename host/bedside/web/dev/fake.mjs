@@ -144,8 +144,9 @@ export class Fake {
   }
 
   answer(socket, device, message) {
-    const text = this.obey(device, message);
-    this.send(socket, { type: "answer", id: message.id, ok: true, text, settings: device.settings });
+    const ok = device.steerer === socket || ["mark", "record", "capture"].includes(message.type);
+    const text = ok ? this.obey(device, message) : "take the device first";
+    this.send(socket, { type: "answer", id: message.id, ok, text, settings: device.settings });
     this.all(device.state());
   }
 

@@ -28,7 +28,7 @@ class App {
   private readonly token = token();
   private readonly requests = new Requests((message) => this.send(message));
   private readonly audio = new Audio(this.requests);
-  private readonly demo = new Demo(this.requests);
+  private readonly demo = new Demo(this.requests, (message) => this.send(message));
   private readonly wall = new Wall((device) => this.open(device));
   private readonly head: Head;
   readonly bedside: Bedside;

@@ -6,12 +6,15 @@ import type { Requests } from "./requests";
 
 const FAULTS: [string, string][] = [["disconnect", "Disconnect"], ["cough", "Cough"], ["stick", "Stick the sensor"], ["none", "Mend all"]];
 
+/** Longest wait until the device is taken, ms. */
+const TAKE_MS = 2_000;
+
 export class Demo {
   readonly element = h("div", { class: "demo", role: "group", "aria-label": "Demo: faults" });
-  private readonly result = h("span", { class: "spoken", role: "status" });
+  private readonly result = h("span", { class: "note", role: "status" });
   private device: Device | null = null;
 
-  constructor(private readonly requests: Requests) {
+  constructor(private readonly requests: Requests, private readonly send: (message: object) => boolean) {
     this.element.append(h("span", { class: "demo-name" }, "Demo"));
     for (const [fault, text] of FAULTS) this.element.append(button(text, () => this.fault(fault), { "data-fault": fault }));
     this.element.append(this.result);
@@ -22,8 +25,16 @@ export class Demo {
   }
 
   private async fault(fault: string): Promise<void> {
-    if (this.device === null) return;
-    const answer = await this.requests.ask("fault", this.device.info.id, { fault });
+    const { device } = this;
+    if (device === null) return;
+    if (!device.yours) await this.take(device);
+    const answer = await this.requests.ask("fault", device.info.id, { fault });
     setText(this.result, answer.text || (answer.ok ? "Done." : "Refused."));
+  }
+
+  /** A server takes faults only from the page that steers the device; a visitor need not know that. */
+  private async take(device: Device): Promise<void> {
+    this.send({ type: "take", device: device.info.id });
+    for (let waited = 0; !device.yours && waited < TAKE_MS; waited += 50) await new Promise((resolve) => setTimeout(resolve, 50));
   }
 }

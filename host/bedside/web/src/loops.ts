@@ -10,7 +10,7 @@ import { end } from "./scale";
 /** Interval between two pictures, ms. */
 const EVERY = 100;
 /** Most points of a loop; more samples are thinned. */
-const POINTS = 400;
+const POINTS = 1500;
 
 type Axis = "pressure" | "flow" | "volume";
 type Value = (axis: Axis, age: number) => number;

@@ -38,6 +38,7 @@ scene("waveforms are there, as pixels and as data, and no sample is missing", {}
   assert.deepEqual([lost, malformed], [0, 0]);
   await until(page, () => document.querySelector(".tile.large .value").textContent !== "--");
   assert.match(await text(page, ".tile.large .value"), /^20\.\d$/);
+  for (let wait = 0; wait < 200 && fake.drawn.length <= 5; wait++) await sleep(50);
   assert.ok(fake.drawn.length > 5 && fake.drawn.every(({ device, tick }) => device === 0 && Number.isInteger(tick)));
 });
 
@@ -303,8 +304,7 @@ scene("the demo's buttons make faults, and mend them", { demo: true }, async (pa
   await page.getByRole("button", { name: "Open R 5 C 50, learned" }).click();
   for (const [name, fault] of [["Disconnect", "disconnect"], ["Cough", "cough"], ["Stick the sensor", "stick"], ["Mend all", "none"]]) {
     await page.getByRole("button", { name, exact: true }).click();
-    await until(page, () => true);
-    await sleep(100);
+    for (let wait = 0; wait < 200 && fake.devices[1].lung.fault !== fault; wait++) await sleep(50);
     assert.equal(fake.devices[1].lung.fault, fault);
   }
 });
