@@ -31,7 +31,7 @@ pub enum ServerError {
     #[error("cannot listen at {0}: {1}; choose another address with --listen")]
     Listen(SocketAddr, io::Error),
     /// There is nothing to show.
-    #[error("there is no device to show: name one with --port or --bench")]
+    #[error("there is nothing to show: name a device with --port or --bench or a file with --recording or --blackbox, or use --demo")]
     Nothing,
     /// There are too many devices.
     #[error("{0} devices are too many for one page: at most {DEVICES_MAX}")]
@@ -64,7 +64,7 @@ impl Server {
     ///
     /// # Errors
     /// [`ServerError`].
-    pub fn start(watches: Vec<Watch>, options: Options) -> Result<Self, ServerError> {
+    pub fn start(watches: Vec<Watch>, options: &Options) -> Result<Self, ServerError> {
         match watches.len() {
             0 => return Err(ServerError::Nothing),
             many if many > DEVICES_MAX => return Err(ServerError::TooMany(many)),
@@ -77,7 +77,7 @@ impl Server {
         let listener = runtime.block_on(TcpListener::bind(options.listen)).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let (stop, stopping) = watch::channel(false);
-        let shared = Arc::new(share(watches, &options, address, stopping));
+        let shared = Arc::new(share(watches, options, address, stopping));
         let service = router(Arc::clone(&shared)).into_make_service_with_connect_info::<SocketAddr>();
         runtime.spawn(async move {
             if let Err(error) = axum::serve(listener, service).await {

@@ -14,7 +14,7 @@ use tokio_tungstenite::tungstenite::Message;
 fn serve(listen: &str) -> Server {
     let watch = Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap();
     let listen = listen.parse().unwrap();
-    Server::start(vec![watch], Options { listen, steer: false, demo: false, folder: std::env::temp_dir() })
+    Server::start(vec![watch], &Options { listen, steer: false, demo: false, folder: std::env::temp_dir() })
         .unwrap()
 }
 

@@ -14,7 +14,7 @@ use bedside::source::Watch;
 /// Serves these devices at a free port.
 fn serve(watches: Vec<Watch>, steer: bool) -> Server {
     let listen = "127.0.0.1:0".parse().unwrap();
-    Server::start(watches, Options { listen, steer, demo: false, folder: std::env::temp_dir() }).unwrap()
+    Server::start(watches, &Options { listen, steer, demo: false, folder: std::env::temp_dir() }).unwrap()
 }
 
 fn bench() -> Watch {
@@ -241,7 +241,7 @@ fn the_demonstration_breathes_and_its_faults_raise_alarms() {
     let watches = bedside::demo::start().unwrap();
     let listen = "127.0.0.1:0".parse().unwrap();
     let server =
-        Server::start(watches, Options { listen, steer: true, demo: true, folder: std::env::temp_dir() })
+        Server::start(watches, &Options { listen, steer: true, demo: true, folder: std::env::temp_dir() })
             .unwrap();
     let mut page = Page::steering(&server);
     let hello = page.next_text();
@@ -301,7 +301,7 @@ fn a_page_records_and_the_file_holds_every_sample() {
         demo: false,
         folder: folder.path().to_owned(),
     };
-    let server = Server::start(vec![bench()], options).unwrap();
+    let server = Server::start(vec![bench()], &options).unwrap();
     let mut page = Page::steering(&server);
     page.ventilate(0);
     let started = page.ask(json!({"type": "record", "device": 0, "on": true}));

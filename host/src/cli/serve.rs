@@ -69,7 +69,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     // Nobody can be harmed by steering a simulated device.
     let steer = args.steer || args.demo;
     let options = Options { listen: args.listen, steer, demo: args.demo, folder: args.records.clone() };
-    let server = Server::start(watches(args)?, options)?;
+    let server = Server::start(watches(args)?, &options)?;
     println!("{}", server.url());
     if server.token().is_some() {
         eprintln!("the part after # is the token: whoever has it may {}", allowed(steer));

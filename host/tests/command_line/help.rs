@@ -29,6 +29,7 @@ fn every_command_explains_itself() {
         "reproduce",
         "identify",
         "monitor",
+        "serve",
         "selftest",
         "blackbox",
         "faults",

@@ -25,6 +25,8 @@ mod recordings;
 mod rivals;
 mod robust;
 mod runs;
+#[cfg(unix)]
+mod serve;
 mod shards;
 mod support;
 mod test_table;
