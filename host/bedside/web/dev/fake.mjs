@@ -65,8 +65,8 @@ function lungs(demo) {
 }
 
 export class Fake {
-  constructor({ steer = false, demo = false } = {}) {
-    Object.assign(this, { steer, demo, stalled: false, received: [], drawn: [] });
+  constructor({ steer = false, demo = false, token = null } = {}) {
+    Object.assign(this, { steer, demo, token, stalled: false, received: [], drawn: [] });
     this.devices = lungs(demo);
   }
 
@@ -135,6 +135,7 @@ export class Fake {
   take(socket, message) {
     if (message.type === "drawn") return void this.drawn.push(message);
     this.received.push(message);
+    if (message.type === "token" && this.token !== null && message.token !== this.token) return socket.close(1008, "wrong token");
     if (message.type === "watch") socket.watched = new Set(message.devices);
     const device = this.devices[message.device];
     if (device === undefined) return;

@@ -16,7 +16,7 @@ import { group } from "./pairs";
 import { Requests } from "./requests";
 import { Socket } from "./socket";
 import { type Hello, type Message, type Samples, VERSION } from "./stream";
-import { token } from "./token";
+import { forget, token } from "./token";
 import { Wall } from "./wall";
 
 const UPDATE_EVERY = 100;
@@ -25,7 +25,9 @@ const REPORT_EVERY = 110;
 
 class App {
   readonly devices: Device[] = [];
-  private readonly token = token();
+  private token = token();
+  /** Whether the server has refused the token. */
+  private tokenRefused = false;
   private readonly requests = new Requests((message) => this.send(message));
   private readonly audio = new Audio(this.requests);
   private readonly demo = new Demo(this.requests, (message) => this.send(message));
@@ -50,7 +52,7 @@ class App {
     document.body.append(h("a", { class: "skip", href: "#main" }, "Skip to the waveforms"), this.head.element, main);
     show(this.demo.element, false);
     this.socket = new Socket(address(), {
-      opened: () => this.opened(), closed: (reason) => this.closed(reason),
+      opened: () => this.opened(), closed: (reason, refused) => this.closed(reason, refused),
       message: (message) => this.take(message), samples: (samples) => this.takeSamples(samples),
     });
     setInterval(() => this.update(), UPDATE_EVERY);
@@ -65,8 +67,13 @@ class App {
     if (this.token !== null) this.send({ type: "token", token: this.token });
   }
 
-  private closed(reason: string): void {
+  private closed(reason: string, refused: boolean): void {
     this.trouble = reason;
+    if (refused && this.token !== null) {
+      forget();
+      this.token = null;
+      this.tokenRefused = true;
+    }
     this.requests.abandon();
     for (const device of this.devices) device.yours = false;
   }
@@ -148,7 +155,7 @@ class App {
   }
 
   private connection(): void {
-    if (this.socket.connected) this.head.connect(this.trouble || "Connected", this.trouble === "");
+    if (this.socket.connected) this.head.connect(this.trouble || (this.tokenRefused ? "Read-only: token refused" : "Connected"), this.trouble === "");
     else this.head.connect(`${this.trouble || "No connection"}, next attempt in ${this.socket.waits.toFixed(0)} s`, false);
   }
 

@@ -7,6 +7,9 @@ const FIRST_MS = 250;
 const LONGEST_MS = 5_000;
 /** Attempts that have not succeeded after this time are given up, ms. */
 const OPEN_MS = 4_000;
+/** Close code of a page that broke a rule, and how soon after the opening that means its first message. */
+const BROKEN_RULE = 1008;
+const SOON_MS = 3_000;
 
 /** Pause before attempt `number` (from 0), ms; `chance` from 0 to 1 spreads the attempts of many pages. */
 export function pause(number: number, chance: number): number {
@@ -15,7 +18,8 @@ export function pause(number: number, chance: number): number {
 
 export interface Listener {
   opened(): void;
-  closed(reason: string): void;
+  /** `refused` tells that the server closed it for a broken rule soon after it was opened. */
+  closed(reason: string, refused: boolean): void;
   message(message: Message): void;
   samples(samples: Samples): void;
 }
@@ -24,6 +28,7 @@ export class Socket {
   private socket: WebSocket | null = null;
   private attempts = 0;
   private nextAttempt = 0;
+  private since = 0;
   /** When anything arrived last, by performance.now(). */
   heard = performance.now();
   /** Messages that did not decode. */
@@ -59,13 +64,15 @@ export class Socket {
     socket.onopen = () => {
       clearTimeout(giveUp);
       this.heard = performance.now();
+      this.since = this.heard;
       this.opened += 1;
       this.listener.opened();
     };
     socket.onmessage = ({ data }) => this.receive(data);
-    socket.onclose = ({ reason }) => {
+    socket.onclose = ({ reason, code }) => {
       clearTimeout(giveUp);
-      if (this.socket === socket) this.retry(reason);
+      const refused = code === BROKEN_RULE && performance.now() - this.since < SOON_MS;
+      if (this.socket === socket) this.retry(reason, refused);
     };
   }
 
@@ -83,12 +90,12 @@ export class Socket {
     }
   }
 
-  private retry(reason: string): void {
+  private retry(reason: string, refused: boolean): void {
     this.socket = null;
     const wait = pause(this.attempts, Math.random());
     this.attempts = Math.min(this.attempts + 1, 10);
     this.nextAttempt = performance.now() + wait;
-    this.listener.closed(reason);
+    this.listener.closed(reason, refused);
     setTimeout(() => this.open(), wait);
   }
 }

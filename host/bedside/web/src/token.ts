@@ -3,6 +3,11 @@
 
 const KEY = "eupnea-token";
 
+/** Forgets a token that the server has refused: it belongs to an earlier start of the server. */
+export function forget(): void {
+  sessionStorage.removeItem(KEY);
+}
+
 /** The token; null if the address had none. */
 export function token(): string | null {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");

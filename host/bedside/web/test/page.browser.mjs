@@ -331,3 +331,11 @@ scene("the token of the address is sent first and leaves the address bar", {}, a
   assert.deepEqual(fake.received[0], { type: "token", token: "secret" });
   assert.equal(page.url(), url);
 });
+
+scene("a token of an earlier start of the server is forgotten, and the page goes on reading", { token: "new" }, async (page, _fake, url) => {
+  await page.goto("about:blank");
+  await page.goto(`${url}#token=old`);
+  await until(page, () => document.querySelector(".connection")?.textContent === "Read-only: token refused");
+  await until(page, () => window.eupnea.devices[0].ring.end > 500);
+  assert.equal(await page.evaluate(() => sessionStorage.length), 0);
+});
