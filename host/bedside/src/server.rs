@@ -31,7 +31,9 @@ pub enum ServerError {
     #[error("cannot listen at {0}: {1}; choose another address with --listen")]
     Listen(SocketAddr, io::Error),
     /// There is nothing to show.
-    #[error("there is nothing to show: name a device with --port or --bench or a file with --recording or --blackbox, or use --demo")]
+    #[error(
+        "there is nothing to show: name a device with --port or --bench or a file with --recording or --blackbox, or use --demo"
+    )]
     Nothing,
     /// There are too many devices.
     #[error("{0} devices are too many for one page: at most {DEVICES_MAX}")]

@@ -274,9 +274,12 @@ fn the_flight_recorder_of_a_device_is_shown_from_its_file() {
     let mut served = Vec::new();
     drop(rig::fast(&mut served));
     let mut device = device::Device::connect(served[0].address()).unwrap();
+    device.telemetry(true).unwrap();
     device.apply(shared::settings::Settings::default()).unwrap();
     device.start().unwrap();
-    std::thread::sleep(Duration::from_millis(300));
+    // Whole breaths, so that both parts of the recorder have entries.
+    let event = || device.events().recv_timeout(rig::LONG).unwrap();
+    while !matches!(event(), shared::link::messages::Event::Breath(breath) if breath.breath > 0) {}
     let blackbox = device.blackbox(&progress::Progress::silent()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fault.json");
