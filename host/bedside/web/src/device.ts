@@ -2,7 +2,7 @@
 
 import { deviceLost, noData } from "./alarms";
 import { Reference } from "./reference";
-import { Ring } from "./ring";
+import { KEPT_S, Ring } from "./ring";
 import type { Alarm, Breath, DeviceInfo, Event, Samples, State } from "./stream";
 import { Trends } from "./trends";
 
@@ -39,7 +39,7 @@ export class Device {
 
   /** The samples; memory is taken at the first use. */
   get ring(): Ring {
-    this.samples ??= new Ring();
+    this.samples ??= new Ring(Math.ceil(KEPT_S / this.tick));
     return this.samples;
   }
 

@@ -4,8 +4,8 @@
 
 import { COLUMNS, type Column, type Samples } from "./stream";
 
-/** Samples kept: more than the longest sweep of 30 s at 1 kHz. */
-export const LENGTH = 32_768;
+/** Time kept, s: more than the longest sweep. */
+export const KEPT_S = 32;
 
 export class Ring {
   readonly columns: Record<Column, Float32Array>;
@@ -20,7 +20,7 @@ export class Ring {
   missing = 0;
   private next = Number.NaN;
 
-  constructor(readonly length = LENGTH) {
+  constructor(readonly length: number) {
     this.columns = Object.fromEntries(COLUMNS.map((name) => [name, new Float32Array(length)])) as Record<Column, Float32Array>;
     this.phase = new Uint8Array(length);
     this.tick = new Float64Array(length);

@@ -128,9 +128,9 @@ export class Waves {
       const own = Math.floor(((height - BOTTOM) * row.strip.share) / shares) + extra;
       row.host.style.height = `${own}px`;
       row.frame.resize(width, own);
-      row.layer.resize(...row.frame.inner);
     }
-    this.cursors.update();
+    // uPlot has its new size only after this call; the next picture gives it to the curves and cursors.
+    this.redraw();
   }
 
   private rescale(ring: Ring, now: number): void {
@@ -147,6 +147,7 @@ export class Waves {
       row.layer.setSweep(this.sweep);
       row.layer.resize(...row.frame.inner);
     }
+    this.cursors.update();
     this.rows[0]?.frame.setMarks(pressureMarks(this.device?.state ?? null));
   }
 

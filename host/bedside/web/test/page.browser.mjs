@@ -134,6 +134,8 @@ scene("freeze holds the picture, cursors tell the values, and the data goes on",
   await until(page, () => window.eupnea.devices[0].ring.end > 4000);
   await page.keyboard.press("f");
   const picture = () => page.evaluate(() => document.querySelector(".strip-pressure .layer").toDataURL());
+  // The table of values takes a part of the height.
+  await sleep(500);
   const [before, tick] = [await picture(), await newest(page)];
   await sleep(700);
   assert.equal(await picture(), before);
