@@ -23,7 +23,7 @@ const FIGURES: [string, Column, number, number, string][] = [
 const NAMES = ["A", "B"] as const;
 
 export class Cursors {
-  readonly table = h("div", { class: "cursor-values", role: "group", "aria-label": "Values under the cursors" });
+  readonly table = h("div", { class: "cursor-values", role: "group", tabindex: "0", "aria-label": "Values under the cursors" });
   private readonly lines: HTMLElement[];
   /** Cells of A, of B and of their difference; the time is first. */
   private readonly cells: HTMLElement[][] = [];

@@ -154,7 +154,8 @@ scene("freeze holds the picture, cursors tell the values, and the data goes on",
 });
 
 scene("the reference breath is drawn behind later ones and goes again", {}, async (page) => {
-  await until(page, () => window.eupnea.devices[0].breath?.number > 1, undefined, 40_000);
+  // A complete breath of 3 s, whenever the page began to watch.
+  await until(page, () => window.eupnea.devices[0].ring.end > 6500, undefined, 60_000);
   await page.getByRole("button", { name: "Keep reference" }).click();
   assert.ok(await page.evaluate(() => window.eupnea.devices[0].reference.length > 2900));
   await page.getByRole("button", { name: "Forget reference" }).click();
