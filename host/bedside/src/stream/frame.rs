@@ -141,6 +141,32 @@ mod tests {
         assert_eq!(bytes[80..], [2, 2, 0, 0], "phases, padded");
     }
 
+    /// The page's decoder is tested on these bytes.
+    #[test]
+    fn the_page_is_tested_on_real_bytes() {
+        let rows = [
+            ([1.5, 20.0, 30.0, 0.0, 5.25, 0.5, 6.0], Phase::Inspiration),
+            ([-11.0, 12.25, 13.0, 100.0, f32::NAN, -16.0, 250.0], Phase::Fall),
+            ([21.0, 22.0, 23.0, 100.0, 25.0, 26.0, 27.0], Phase::Expiration),
+        ];
+        let points = rows.map(|([pressure, target, u_in, u_out, learned, flow, volume], phase)| Point {
+            pressure,
+            target,
+            u_in,
+            u_out,
+            learned,
+            flow,
+            volume,
+            phase,
+        });
+        let bytes = Frame::new(3, (1 << 40) + 5, 1_700_000_000_000.5, &points).bytes(9);
+        let lines: Vec<String> = bytes
+            .chunks(32)
+            .map(|line| line.iter().map(|byte| format!("{byte:02x}")).collect::<String>())
+            .collect();
+        assert_eq!(include_str!("../../web/test/samples.hex").trim(), lines.join("\n"));
+    }
+
     proptest! {
         #[test]
         fn the_length_follows_from_the_number_of_samples(count in 0_usize..300) {

@@ -34,9 +34,11 @@ export const SETTINGS = [
 
 class FakeDevice {
   constructor(id, name, lung) {
-    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true });
+    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, pausing: true, mute: false, untold: false, kind: "simulated" });
     this.settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
     this.ventilating = true;
+    this.verdict = null;
+    this.history = null;
     this.begin = Date.now() - Math.random() * 3000;
   }
 
@@ -46,11 +48,11 @@ class FakeDevice {
     const { learned } = this.lung;
     return {
       type: "state", device: this.id, connected: this.connected, lost: this.connected ? null : "the port is gone",
-      mode: this.ventilating ? "ventilating" : "standby", ventilating: this.ventilating, controller: learned ? "learned" : "PID 3,4,0",
-      level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.id), settings: this.settings, pending: null,
+      missing: this.connected ? null : "line", mode: this.mode ?? (this.ventilating ? "ventilating" : "standby"), ventilating: this.ventilating, controller: learned ? "learned" : "PID 3,4,0",
+      level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.text), settings: this.untold ? null : this.settings, pending: null,
       alarms: this.alarms, audio: { priority, pause_left: Math.max(0, Math.ceil((this.pauseEnd - Date.now()) / 1000)) },
       steered_by: this.steerer ? "a browser tab" : null, ticks: { mean_us: 14.8, worst_us: 21, missed: 0 },
-      line: { corrupt: 0, lost_batches: 0, dropped: 0 }, adaptation: learned ? 0.62 : null, recording: this.recording,
+      line: { corrupt: 0, lost_batches: 0, dropped: 0 }, lease: null, triggers: this.triggers, recording: this.recording,
     };
   }
 }
@@ -107,9 +109,13 @@ export class Fake {
 
   greet(socket) {
     socket.watched = new Set();
-    const devices = this.devices.map(({ id, name }) => ({ id, name, kind: "simulated", period_us: 1000 }));
-    this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, devices });
-    for (const device of this.devices) this.send(socket, device.state());
+    const devices = this.devices.map(({ id, name, kind }) => ({ id, name, kind, period_us: 1000 }));
+    this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120 }, devices });
+    for (const device of this.devices) {
+      this.send(socket, device.state());
+      if (device.history) this.send(socket, { type: "history", device: device.id, ...device.history });
+      if (device.verdict) this.send(socket, { type: "verdict", device: device.id, ...device.verdict });
+    }
     socket.on("message", (text) => this.take(socket, JSON.parse(text)));
     socket.on("close", () => { for (const device of this.devices) if (device.steerer === socket) this.steers(device, null); });
   }
@@ -139,29 +145,32 @@ export class Fake {
     if (message.type === "watch") socket.watched = new Set(message.devices);
     const device = this.devices[message.device];
     if (device === undefined) return;
-    if (message.type === "take") return this.steers(device, socket);
+    if (message.type === "take" && (device.steerer === null || device.steerer === socket || message.take_over)) return this.steers(device, socket);
+    if (message.type === "take") return this.send(socket, { type: "steerer", device: device.id, who: "a browser tab", yours: false });
     if (message.type === "release") return this.steers(device, null);
     if (message.id !== undefined) this.answer(socket, device, message);
   }
 
   answer(socket, device, message) {
-    const ok = device.steerer === socket || ["mark", "record", "capture"].includes(message.type);
+    const ok = device.steerer === socket || ["mark", "record", "capture", "recorder"].includes(message.type);
+    if (message.type === "pause_audio" && !device.pausing) return this.send(socket, { type: "answer", id: message.id, ok: false, text: "no sounder", settings: null });
     const text = ok ? this.obey(device, message) : "take the device first";
     this.send(socket, { type: "answer", id: message.id, ok, text, settings: device.settings });
     this.all(device.state());
   }
 
   obey(device, message) {
-    const event = (kind, text) => this.all({ type: "event", device: device.id, time_ms: Date.now(), kind, text });
+    const event = (kind, text) => this.all({ type: "event", device: device.id, time_ms: Date.now(), kind, text, tick: device.lung.tick });
     switch (message.type) {
-      case "apply": device.settings = Object.fromEntries(Object.entries(message.settings).map(([name, value]) => [name, Math.fround(value)])); return "Applied from the next breath on.";
+      case "apply": for (const [name, value] of Object.entries(message.settings)) device.settings[name] = Math.fround(value); return "Applied from the next breath on.";
       case "start": device.ventilating = true; return "Ventilation started.";
       case "stop": device.ventilating = false; return "Ventilation stopped.";
       case "acknowledge": for (const alarm of device.alarms) alarm.acknowledged = true; return "Acknowledged.";
       case "pause_audio": device.pauseEnd = Date.now() + 1000 * Math.min(message.seconds, 120); return "Paused.";
       case "mark": event("marker", message.text); return "Marker set.";
       case "record": device.recording = message.on ? { file: "bench-1.parquet", samples: 0 } : null; return message.on ? "Recording." : "Recording ended.";
-      case "capture": event("capture", "armed"); return "Capture armed.";
+      case "capture": device.triggers = Object.keys(message.triggers).length > 0 ? message.triggers : null; return device.triggers ? "Capture armed." : "Disarmed.";
+      case "recorder": this.all({ type: "log", device: device.id, events: [{ start: 3, seconds: 0.5, text: "ventilation started" }, { start: 3, seconds: 9, text: "alarm: leak" }] }); return "2 events read";
       case "fault": return this.fault(device, message.fault);
       default: return "";
     }
@@ -173,7 +182,7 @@ export class Fake {
     if (fault === "cough") lung.coughLeft = 250;
     device.alarms = [];
     if (fault === "disconnect") this.alarm(device.id, "disconnection", "high", "Patient disconnected");
-    if (fault === "stick") this.alarm(device.id, "frozen_sensor", "medium", "Pressure sensor does not change");
+    if (fault === "stick") this.alarm(device.id, "reading-frozen", "medium", "Pressure sensor does not change");
     return fault === "none" ? "Mended." : `Fault: ${fault}.`;
   }
 
@@ -186,10 +195,10 @@ export class Fake {
       while (samples.length < due) {
         const { sample, breath } = device.lung.step(device.settings);
         samples.push(sample);
-        if (breath) this.all({ type: "breath", device: device.id, ...breath });
+        if (breath) this.all({ type: "breath", device: device.id, time_ms: Date.now(), ...breath });
       }
       if (device.recording) device.recording.samples += samples.length;
-      if (samples.length > 0 && !this.stalled && device.connected) this.sendSamples(device, first, samples);
+      if (samples.length > 0 && !this.stalled && !device.mute && device.connected) this.sendSamples(device, first, samples);
     }
   }
 

@@ -1,37 +1,53 @@
 // The alarm signals on the page: the banner that flashes, the latched list, and the announcement for screen readers.
 
-import { clock, MARKS, ordered, spoken } from "./alarms";
+import { behindGone, clock, MARKS, ordered, spoken } from "./alarms";
 import { h, setAttribute, setText, show } from "./dom";
 import type { Alarm } from "./stream";
+
+const NO_ALARMS = "No alarms";
+
+/** What stands instead of alarms: a replay has no monitors. */
+export function without(kinds: readonly string[]): string {
+  return kinds.length > 0 && kinds.every((kind) => kind === "recording") ? "Replay: alarms are not evaluated" : NO_ALARMS;
+}
+
+/** An alarm's text, and whether its condition is gone. */
+export function inWords({ text, present }: Alarm): string {
+  return `${text}${present ? "" : " (gone)"}`;
+}
 
 /** The banner in the page's head: the most urgent alarm and how many more there are. */
 export class Banner {
   readonly element = h("div", { class: "banner", id: "banner" });
   private readonly mark = h("span", { class: "mark", "aria-hidden": "true" });
   private readonly text = h("span", { class: "banner-text" });
+  /** The most urgent present alarm, if the one before it is gone. */
+  private readonly behind = h("span", { class: "behind" });
   private readonly more = h("span", { class: "more" });
   /** Spoken at once by a screen reader when it changes. */
   private readonly live = h("div", { class: "spoken", role: "alert", "aria-live": "assertive", "aria-atomic": "true" });
   private said = "";
 
   constructor() {
-    this.element.append(this.mark, this.text, this.more, this.live);
+    this.element.append(this.mark, this.text, this.behind, this.more, this.live);
   }
 
-  update(alarms: readonly Alarm[], prefix = ""): void {
+  /** Shows the alarms, or the text `none`. A latched alarm flashes until it is acknowledged, as the device's lamp does. */
+  update(alarms: readonly Alarm[], none = NO_ALARMS): void {
     const [first, ...rest] = ordered(alarms);
+    const behind = behindGone(alarms);
     setAttribute(this.element, "data-priority", first?.priority ?? "none");
-    setAttribute(this.element, "data-gone", first && !first.present ? "true" : "false");
     setText(this.mark, first ? MARKS[first.priority] : "");
-    setText(this.text, first ? `${prefix}${first.text}${first.present ? "" : " (gone)"}` : "No alarms");
+    setText(this.text, first ? inWords(first) : none);
+    setText(this.behind, behind ? `Present: ${MARKS[behind.priority]} ${behind.text}` : "");
     setText(this.more, rest.length > 0 ? `+${rest.length}` : "");
-    this.say(first ? prefix + spoken(first) : "");
+    this.say([first, behind].filter((alarm) => alarm != null).map(spoken).join(". "), none);
   }
 
-  private say(text: string): void {
+  private say(text: string, none: string): void {
     if (text === this.said) return;
     this.said = text;
-    setText(this.live, text === "" ? "No alarms" : text);
+    setText(this.live, text === "" ? none : text);
   }
 }
 
@@ -39,14 +55,15 @@ export class Banner {
 export class AlarmList {
   readonly element = h("div", { class: "alarm-list" });
   private readonly list = h("ol", { "aria-label": "Alarms, the most urgent first" });
-  private readonly none = h("p", { class: "quiet" }, "No alarms.");
+  private readonly none = h("p", { class: "quiet" });
   private known = "";
 
   constructor() {
     this.element.append(this.none, this.list);
   }
 
-  update(alarms: readonly Alarm[]): void {
+  update(alarms: readonly Alarm[], none = NO_ALARMS): void {
+    setText(this.none, `${none}.`);
     const sorted = ordered(alarms);
     const now = JSON.stringify(sorted);
     if (now === this.known) return;
@@ -63,6 +80,6 @@ function item(alarm: Alarm): HTMLElement {
     "li", { class: "alarm", "data-priority": alarm.priority, "data-present": String(alarm.present) },
     h("span", { class: "mark", "aria-hidden": "true" }, MARKS[alarm.priority]),
     h("span", { class: "alarm-text" }, alarm.text),
-    h("span", { class: "alarm-note" }, `${notes.join(", ")}, since ${clock(alarm.since_ms)}`),
+    h("span", { class: "alarm-note" }, `${notes.join(", ")}, ${alarm.since_ms === null ? "since an unknown time" : `since ${clock(alarm.since_ms)}`}`),
   );
 }

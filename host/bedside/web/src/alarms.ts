@@ -2,6 +2,8 @@
 //
 // Priority is shown in three ways, as IEC 60601-1-8 asks for: colour, mark and text.
 
+import { words } from "./format";
+import type { Unacknowledged } from "./pause";
 import type { Alarm, Priority, State } from "./stream";
 import { urgency } from "./tones";
 
@@ -13,7 +15,7 @@ export const OWN = "page:";
 
 /** Sorts: urgent ones first, then present ones, then those not acknowledged, then the newest. */
 export function ordered(alarms: readonly Alarm[]): Alarm[] {
-  const rank = (alarm: Alarm) => [urgency(alarm.priority), Number(alarm.present), Number(!alarm.acknowledged), alarm.since_ms];
+  const rank = (alarm: Alarm) => [urgency(alarm.priority), Number(alarm.present), Number(!alarm.acknowledged), alarm.since_ms ?? 0];
   return [...alarms].sort((a, b) => {
     const [left, right] = [rank(a), rank(b)];
     for (let index = 0; index < left.length; index++) {
@@ -29,19 +31,43 @@ export function worst(alarms: readonly Alarm[]): Alarm | null {
   return ordered(alarms)[0] ?? null;
 }
 
-/** The alarm that the page raises when nothing arrives. It is urgent if the device may be ventilating. */
-export function noData(ventilating: boolean, since_ms: number): Alarm {
-  return {
-    id: `${OWN}no-data`, text: "No data from the server", priority: ventilating ? "high" : "medium",
-    present: true, since_ms, acknowledged: false,
-  };
+/** The most urgent alarm whose condition holds, if the most urgent of all is one whose condition is gone; else null. */
+export function behindGone(alarms: readonly Alarm[]): Alarm | null {
+  const [first, ...rest] = ordered(alarms);
+  return first && !first.present ? (rest.find(({ present }) => present) ?? null) : null;
+}
+
+/** The alarms that nobody has acknowledged, by keys that name the device too. */
+export function unacknowledged(device: number, alarms: readonly Alarm[]): Unacknowledged[] {
+  return alarms.filter(({ acknowledged }) => !acknowledged).map(({ id, priority }) => ({ key: `${device} ${id}`, priority }));
+}
+
+/** Whether the device has latched its safe state, which an acknowledgement leaves. */
+export function inSafeState(state: State | null): boolean {
+  return state !== null && /^safe state/i.test(state.mode);
+}
+
+/** The alarm that the page raises when the server or the samples are silent. It is urgent if the device may be ventilating. */
+export function noData(ventilating: boolean, since_ms: number, text = "No data from the server"): Alarm {
+  return { id: `${OWN}no-data`, text, priority: ventilating ? "high" : "medium", present: true, since_ms, acknowledged: false };
+}
+
+/** What a device that is not connected lacks, in words. */
+export function lacks({ missing }: Pick<State, "missing">): string {
+  if (missing === "samples") return "No samples from the device";
+  return missing === "answers" ? "No answers from the device" : "Device not connected";
+}
+
+function lostInWords(state: Pick<State, "missing" | "lost">): string {
+  if (state.lost === null) return lacks(state);
+  return state.missing === "samples" || state.missing === "answers" ? words(state.lost) : `${lacks(state)}: ${state.lost}`;
 }
 
 /** The alarm that the page raises when the server has lost the device. */
-export function deviceLost(reason: string | null, ventilating: boolean, since_ms: number): Alarm {
+export function deviceLost(state: Pick<State, "missing" | "lost">, ventilating: boolean, since_ms: number): Alarm {
   return {
-    id: `${OWN}device-lost`, text: reason === null ? "Device not connected" : `Device not connected: ${reason}`,
-    priority: ventilating ? "high" : "medium", present: true, since_ms, acknowledged: false,
+    id: `${OWN}device-lost`, text: lostInWords(state), priority: ventilating ? "high" : "medium",
+    present: true, since_ms, acknowledged: false,
   };
 }
 

@@ -1,14 +1,17 @@
 // The page: connects the stream with the views, and keeps time.
 //
-// Curves are drawn at the display's rate; texts, alarms and sound are updated ten times a second by a timer, because a hidden
-// page draws no pictures but must still notice that nothing arrives.
+// Curves are drawn at the display's rate. Texts, alarms and sound are updated ten times a second: with the messages, and by a timer in
+// a worker, because a hidden page draws no pictures and its timers are throttled, but it must still notice that nothing arrives.
 
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
+import { inSafeState, lacks } from "./alarms";
 import { Audio } from "./audio";
+import { every, inWorker, work } from "./beat";
 import { Bedside } from "./bedside";
 import { Demo } from "./demo";
 import { Device } from "./device";
+import { confirm, inform } from "./dialog";
 import { button, h, show } from "./dom";
 import { Head } from "./head";
 import { listen } from "./keys";
@@ -40,6 +43,7 @@ class App {
   private shown: Device | null = null;
   private trouble = "";
   private reported = 0;
+  private updated = 0;
   /** Pictures drawn so far. */
   pictures = 0;
 
@@ -55,7 +59,7 @@ class App {
       opened: () => this.opened(), closed: (reason, refused) => this.closed(reason, refused),
       message: (message) => this.take(message), samples: (samples) => this.takeSamples(samples),
     });
-    setInterval(() => this.update(), UPDATE_EVERY);
+    every(UPDATE_EVERY, () => this.update());
     requestAnimationFrame((now) => this.draw(now));
   }
 
@@ -86,12 +90,17 @@ class App {
       case "state": device?.takeState(message, performance.now()); break;
       case "breath": device?.takeBreath(message); break;
       case "event": device?.takeEvent(message); break;
+      case "history": device?.trends.load(message); break;
+      case "verdict": if (device) device.verdict = message; break;
+      case "log": if (device) device.log = message.events; break;
       case "steerer": if (device) device.yours = message.yours;
     }
+    this.updateIfDue();
   }
 
   private takeSamples(samples: Samples): void {
     this.devices.find(({ info }) => info.id === samples.device)?.takeSamples(samples, performance.now());
+    this.updateIfDue();
   }
 
   private greet(hello: Hello): void {
@@ -113,7 +122,8 @@ class App {
     }
     this.head.describe(this.devices);
     this.wall.describe(this.devices);
-    this.bedside.steer.describe(hello.settings);
+    this.bedside.steer.describe(hello.settings, hello.large_change);
+    this.audio.longest = hello.audio_pause_max;
     show(this.demo.element, hello.demo);
     const [only] = this.devices;
     if (this.shown === null || !this.devices.includes(this.shown)) this.open(this.devices.length === 1 && only ? only : null);
@@ -139,11 +149,21 @@ class App {
   }
 
   private async acknowledge(): Promise<void> {
-    if (this.shown) await this.requests.ask("acknowledge", this.shown.info.id);
+    const device = this.shown;
+    if (device === null) return;
+    const lines = [`${device.info.name} is in its ${device.state?.mode}.`, "Acknowledging the alarm leaves the safe state. Make sure first that its cause is gone."];
+    if (inSafeState(device.state) && !(await confirm("Leave the safe state?", lines, "Acknowledge, leave safe state"))) return;
+    const answer = await this.requests.ask("acknowledge", device.info.id);
+    if (!answer.ok) inform("Not acknowledged", h("p", {}, answer.text));
+  }
+
+  private updateIfDue(): void {
+    if (performance.now() - this.updated >= UPDATE_EVERY) this.update();
   }
 
   private update(): void {
     const now = performance.now();
+    this.updated = now;
     const silence = now - this.socket.heard;
     const silent = this.devices.filter((device) => device.silent(now, silence));
     this.head.update(this.shown);
@@ -179,7 +199,7 @@ class App {
       { key: "s", text: "Next length of the sweep", run: () => this.bedside.nextSweep() },
       { key: "r", text: "Keep the last breath as the reference, or forget it", run: () => this.bedside.reference() },
       { key: "w", text: "Show the wall of all devices", run: () => { if (this.devices.length > 1) this.open(null); } },
-      { key: "p", text: "Pause the alarm sound, or end the pause", run: () => { this.audio.pause(); } },
+      { key: "p", text: "Pause the alarm sound, or end the pause", run: () => { this.audio.toggle(); } },
       { key: "a", text: "Show the list of alarms", run: () => this.bedside.open("alarms") },
       { key: "t", text: "Show the settings", run: () => this.bedside.open("settings") },
       { key: "m", text: "Set a marker", run: () => { this.bedside.record.mark(); } },
@@ -190,7 +210,8 @@ class App {
 /** The text that covers the curves when nothing arrives. */
 function cover(device: Device, silent: boolean): string | null {
   if (silent) return "No data";
-  if (device.state && !device.state.connected) return "Device not connected";
+  // Samples may arrive although answers do not.
+  if (device.state?.connected === false && device.state.missing !== "answers") return lacks(device.state);
   return null;
 }
 
@@ -199,4 +220,5 @@ function address(): string {
 }
 
 // Tests and the browser's console read the page's state here.
-Object.assign(window, { eupnea: new App() });
+if (inWorker) work();
+else Object.assign(window, { eupnea: new App() });

@@ -1,60 +1,79 @@
-// The audio control: what sounds, the pause of at most 120 s, and whether the browser allows sound at all.
+// The audio control: the sound of all devices, its pause, and whether the browser allows sound at all.
 //
-// A page that steers pauses the device's sounder, and its own sound follows. Any other page can pause only its own sound.
+// A page that steers a device pauses that device's sounder, and the page's sound of it follows. All other sounds are paused by the
+// page alone.
 
-import { sounding } from "./alarms";
+import { sounding, unacknowledged } from "./alarms";
 import type { Device } from "./device";
 import { button, h, setText, show } from "./dom";
+import { Pause } from "./pause";
 import type { Requests } from "./requests";
 import { Sound } from "./sound";
 import type { Priority } from "./stream";
-import { AUDIO_PAUSE_MAX, urgency } from "./tones";
+import { urgency } from "./tones";
+
+/** Time for which a refusal is shown, ms. */
+const REFUSAL_MS = 8_000;
 
 export class Audio {
   readonly element = h("div", { class: "audio", role: "group", "aria-label": "Alarm sound" });
   private readonly sound = new Sound();
-  private readonly state = h("span", { class: "audio-state" });
-  private readonly pauseButton = button("Pause", () => this.pause(), { class: "pause" });
+  private readonly state = h("span", { class: "audio-state", role: "status" });
+  private readonly pauseButton = button("Pause", () => this.toggle(), { class: "pause" });
   private readonly unlockButton = button("Sound on", () => this.sound.unlock(), { class: "unlock" });
-  private device: Device | null = null;
-  /** End of the page's own pause, by performance.now(), and the most urgent priority that was paused. */
-  private pausedUntil = 0;
-  private paused: Priority | null = null;
+  private readonly pause = new Pause();
+  private devices: readonly Device[] = [];
+  /** Rest of the pause that this page can end, s. */
+  private left = 0;
+  private refusal = { text: "", until: 0 };
+  /** Longest pause, s. */
+  longest = 0;
 
   constructor(private readonly requests: Requests) {
     this.element.append(this.state, this.unlockButton, this.pauseButton);
     for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, () => this.sound.unlock());
   }
 
-  /** Sounds for the most urgent alarm of the shown devices. Call it several times a second. */
+  /** Sounds for the most urgent alarm of all devices. Call it several times a second. */
   update(now: number, devices: readonly Device[], shown: Device | null): void {
-    this.device = shown;
-    const priorities = devices.map((device) => sounding(device.state, device.own()));
+    this.devices = devices;
+    const own = this.pause.step(now, devices.flatMap((device) => unacknowledged(device.info.id, device.alarms())));
+    const priorities = devices.map((device) => {
+      if (own <= 0) return sounding(device.state, device.own());
+      return device.yours ? sounding(device.state, []) : null;
+    });
     const priority = priorities.reduce((worst, one) => (urgency(one) > urgency(worst) ? one : worst), null);
-    // A more urgent alarm ends the pause.
-    if (urgency(priority) > urgency(this.paused)) this.pausedUntil = 0;
-    const own = Math.max(0, (this.pausedUntil - now) / 1000);
-    this.sound.update(own > 0 ? null : priority);
-    this.describe(priority, Math.max(own, shown?.state?.audio.pause_left ?? 0));
+    this.sound.update(priority);
+    this.left = Math.max(own, ...devices.filter(({ yours }) => yours).map(rest));
+    this.describe(now, priority, Math.max(this.left, shown ? rest(shown) : 0));
   }
 
-  private describe(priority: Priority | null, left: number): void {
-    show(this.unlockButton, this.sound.blocked);
-    const blocked = this.sound.blocked ? "Sound is off" : "";
-    const text = left > 0 ? `Paused, ${Math.ceil(left)} s left` : blocked || (priority ? `Sounds: ${priority}` : "No sound");
-    setText(this.state, text);
-    setText(this.pauseButton, left > 0 ? "End pause" : `Pause ${AUDIO_PAUSE_MAX} s`);
+  private describe(now: number, priority: Priority | null, left: number): void {
+    const { blocked } = this.sound;
+    show(this.unlockButton, blocked);
+    const sound = blocked ? "Sound is off" : priority ? `Sounds: ${priority}` : "No sound";
+    const paused = left > 0 ? `Paused, ${Math.ceil(left)} s left` : "";
+    // A browser without sound is told even during a pause, and so is an alarm that sounds in spite of it.
+    const both = paused !== "" && (blocked || priority !== null) ? `${sound}. ${paused}` : paused || sound;
+    setText(this.state, now < this.refusal.until ? this.refusal.text : both);
+    setText(this.pauseButton, this.left > 0 ? "End pause" : `Pause ${this.longest} s`);
     this.element.dataset.bursts = String(this.sound.bursts);
     this.element.dataset.paused = String(left > 0);
   }
 
   /** Pauses the sound, or ends the pause. */
-  async pause(): Promise<void> {
-    const { device } = this;
-    const now = performance.now();
-    const pausing = !(this.pausedUntil > now) && !((device?.state?.audio.pause_left ?? 0) > 0);
-    this.pausedUntil = pausing ? now + AUDIO_PAUSE_MAX * 1000 : 0;
-    this.paused = pausing && device ? sounding(device.state, device.own()) : null;
-    if (device?.yours) await this.requests.ask("pause_audio", device.info.id, { seconds: pausing ? AUDIO_PAUSE_MAX : 0 });
+  async toggle(): Promise<void> {
+    const seconds = this.left > 0 ? 0 : this.longest;
+    if (seconds > 0) this.pause.begin(performance.now(), seconds);
+    else this.pause.end();
+    const steered = this.devices.filter(({ yours }) => yours);
+    const answers = await Promise.all(steered.map(({ info }) => this.requests.ask("pause_audio", info.id, { seconds })));
+    const refused = answers.find(({ ok }) => !ok);
+    if (refused) this.refusal = { text: `Pause refused: ${refused.text}`, until: performance.now() + REFUSAL_MS };
   }
+}
+
+/** Rest of the pause of a device's sounder, s. */
+function rest({ state }: Device): number {
+  return state?.audio.pause_left ?? 0;
 }

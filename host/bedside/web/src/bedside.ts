@@ -1,6 +1,6 @@
 // The view of one device: waveforms, panel, numbers, and the bar of tools below.
 
-import { AlarmList } from "./alarm_view";
+import { AlarmList, without } from "./alarm_view";
 import type { Device } from "./device";
 import { button, h, setAttribute, setText } from "./dom";
 import { Loops } from "./loops";
@@ -11,6 +11,7 @@ import { Steer } from "./steer";
 import { SWEEPS } from "./sweep";
 import { type Tab, Tabs } from "./tabs";
 import { TrendCharts } from "./trends_view";
+import { VerdictPanel } from "./verdict_view";
 import { Waves } from "./waves";
 
 export class Bedside {
@@ -22,6 +23,7 @@ export class Bedside {
   private readonly loops = new Loops();
   private readonly trends = new TrendCharts();
   private readonly alarms = new AlarmList();
+  private readonly verdict = new VerdictPanel();
   private readonly tabs: Tabs;
   private readonly tools: HTMLElement;
   private readonly freezeButton = button("Freeze", () => this.freeze(), { "aria-pressed": "false", class: "freeze" });
@@ -52,14 +54,16 @@ export class Bedside {
     const { device } = this;
     if (device === null) return;
     this.numbers.update(device);
-    this.alarms.update(device.alarms());
+    this.alarms.update(device.alarms(), without([device.info.kind]));
     this.steer.update(device, mayEver);
     this.record.update(device);
+    this.verdict.update(device);
+    this.tabs.offer("verdict", device.verdict !== null);
     this.waves.cover(cover);
     this.element.classList.toggle("stale", cover !== null);
   }
 
-  /** Draws curves; the newest tick drawn, or null. */
+  /** Draws curves; the oldest tick that is new in the picture, or null. */
   draw(now: number): number | null {
     if (this.device === null) return null;
     const drawn = this.waves.draw(now);
@@ -115,6 +119,7 @@ export class Bedside {
       { id: "alarms", text: "Alarms", content: this.alarms.element },
       { id: "settings", text: "Settings", content: this.steer.element },
       { id: "record", text: "Record", content: this.record.element },
+      { id: "verdict", text: "Verdict", content: this.verdict.element },
     ];
   }
 }

@@ -3,9 +3,6 @@
 import { plain, words } from "./format";
 import type { Setting, Values } from "./stream";
 
-/** A change of a pressure by more than this needs a confirmation, cmH2O. */
-export const LARGE_CHANGE = 5;
-
 /** A typed value: a number within the bounds, or the reason why not. */
 export type Typed = { value: number } | { reason: string };
 
@@ -28,9 +25,9 @@ export function changes(settings: readonly Setting[], applied: Values, asked: Va
   });
 }
 
-/** The large changes of a pressure, one sentence each; none means that no confirmation is needed. */
-export function large(settings: readonly Setting[], applied: Values, asked: Values): string[] {
+/** The changes of a pressure by more than `limit` cmH2O, one sentence each; none means that no confirmation is needed. */
+export function large(settings: readonly Setting[], applied: Values, asked: Values, limit: number): string[] {
   return changes(settings, applied, asked)
-    .filter(({ name, unit }) => unit === "cmH2O" && !(Math.abs((asked[name] ?? 0) - (applied[name] ?? Number.NaN)) <= LARGE_CHANGE))
+    .filter(({ name, unit }) => unit === "cmH2O" && !(Math.abs((asked[name] ?? 0) - (applied[name] ?? Number.NaN)) <= limit))
     .map(({ name, unit }) => `${words(name)} from ${plain(applied[name] ?? Number.NaN)} to ${plain(asked[name] ?? 0)} ${unit}`);
 }

@@ -47,7 +47,7 @@ export class Cursors {
     if (on) this.update();
   }
 
-  /** Places lines and values anew. */
+  /** Updates the places of the lines and the values under them. */
   update(): void {
     if (this.table.hidden) return;
     const { left, width, ring, sweep } = this.picture();

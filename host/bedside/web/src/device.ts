@@ -1,13 +1,17 @@
-// What the page knows of one device: its newest state and breath, its samples, its trends, and when it was last heard.
+// One device: its newest state and breath, its samples, its trends, and the times at which it was last heard.
 
 import { deviceLost, noData } from "./alarms";
 import { Reference } from "./reference";
 import { KEPT_S, Ring } from "./ring";
-import type { Alarm, Breath, DeviceInfo, Event, Samples, State } from "./stream";
+import { type Marker, MARKERS } from "./markers";
+import type { Alarm, Breath, DeviceInfo, Event, LogLine, Samples, State, Verdict } from "./stream";
 import { Trends } from "./trends";
 
-/** Longest silence of a device whose samples are watched, or of the whole connection, ms. */
-export const SILENCE_MS = 950;
+/**
+ * Longest silence of a device whose samples are watched, or of the whole connection, ms. It is checked every 100 ms, so that the page
+ * reports it within a second.
+ */
+export const SILENCE_MS = 800;
 /** Longest silence of a device of which only states come, ms: one late heartbeat is no alarm. */
 export const SILENCE_OF_STATES_MS = 2_500;
 /** Events kept. */
@@ -21,6 +25,12 @@ export class Device {
   partner: Device | null = null;
   readonly trends = new Trends();
   readonly events: Event[] = [];
+  /** Markers by their ticks, the newest last. */
+  readonly markers: Marker[] = [];
+  /** The verdict on a recording. */
+  verdict: Verdict | null = null;
+  /** The event log of a flight recorder, oldest event first. */
+  log: LogLine[] | null = null;
   /** Whether this page wants the samples. */
   watched = false;
   /** Whether this page steers it. */
@@ -29,10 +39,14 @@ export class Device {
   dropped = 0;
   /** Time of the server at the last sample, Unix ms. */
   time_ms = 0;
-  private heard = performance.now();
+  /** When its samples and its states came last, by performance.now(); the samples also when they became due. */
+  private samplesHeard = performance.now();
+  private stateHeard = performance.now();
   private samples: Ring | null = null;
   /** When the page's own alarms began, Unix ms. */
   private silentSince: number | null = null;
+  /** Whether only its samples are missing. */
+  private statesArrive = false;
   private lostSince: number | null = null;
 
   constructor(public info: DeviceInfo) {}
@@ -49,8 +63,10 @@ export class Device {
   }
 
   takeState(state: State, now: number): void {
+    const due = this.samplesDue;
     this.state = state;
-    this.heard = now;
+    this.stateHeard = now;
+    if (this.samplesDue && !due) this.samplesHeard = now;
     this.lostSince = state.connected ? null : (this.lostSince ?? Date.now());
   }
 
@@ -58,24 +74,32 @@ export class Device {
     this.ring.push(samples);
     this.dropped = samples.dropped;
     this.time_ms = samples.time_ms;
-    this.heard = now;
+    this.samplesHeard = now;
   }
 
   takeBreath(breath: Breath): void {
     this.breath = breath;
-    this.trends.add(this.time_ms || Date.now(), breath);
+    // The times of samples are those of a watched device alone.
+    this.trends.add(breath.time_ms ?? (this.watched && this.time_ms > 0 ? this.time_ms : Date.now()), breath);
   }
 
   takeEvent(event: Event): void {
+    // After a reconnection the server tells the newest events again.
+    const known = (one: Event) => one.time_ms === event.time_ms && one.kind === event.kind && one.text === event.text;
+    if (this.events.some(known)) return;
     this.events.unshift(event);
     this.events.length = Math.min(this.events.length, EVENTS);
+    if (event.kind !== "marker") return;
+    const tick = event.tick ?? this.samples?.newest ?? Number.NaN;
+    if (!Number.isNaN(tick)) this.markers.push({ tick, text: event.text });
+    if (this.markers.length > MARKERS) this.markers.shift();
   }
 
   /** Begins or ends watching the samples; those that pass meanwhile do not count as missing. */
   watch(on: boolean): void {
     if (on && !this.watched) this.samples?.resume();
     // Samples that are asked for only now are not late yet.
-    if (on && !this.watched) this.heard = Math.max(this.heard, performance.now() - SILENCE_MS / 2);
+    if (on && !this.watched) this.samplesHeard = performance.now();
     this.watched = on;
   }
 
@@ -85,25 +109,41 @@ export class Device {
     return this.reference !== null;
   }
 
-  /** Time since anything was heard of it, ms. */
+  /** Whether it is a replay, which pauses before it starts again and whose silence endangers nobody. */
+  get replay(): boolean {
+    return this.info.kind === "recording";
+  }
+
+  /** Whether it ventilates and its line is not lost, so that its samples must come. */
+  private get samplesDue(): boolean {
+    return this.state?.ventilating === true && (this.state.connected || this.state.missing === "answers");
+  }
+
+  /** Whether it may be ventilating: a device whose mode is not known may. */
+  private get mayVentilate(): boolean {
+    return !this.replay && (this.state === null || this.state.mode === "" || this.state.ventilating);
+  }
+
+  /** Time since it was heard, ms. States do not hide that samples are missing. */
   silence(now: number): number {
-    return now - this.heard;
+    const samplesAlone = this.watched && !this.replay && this.samplesDue;
+    return now - (samplesAlone ? this.samplesHeard : Math.max(this.samplesHeard, this.stateHeard));
   }
 
   /** Whether nothing has arrived for too long; `connectionSilence` is the silence of the whole connection, ms. */
   silent(now: number, connectionSilence: number): boolean {
-    const limit = this.watched ? SILENCE_MS : SILENCE_OF_STATES_MS;
+    const limit = this.watched && !this.replay ? SILENCE_MS : SILENCE_OF_STATES_MS;
     const silent = this.silence(now) > limit || connectionSilence > SILENCE_MS;
     this.silentSince = silent ? (this.silentSince ?? Date.now()) : null;
+    this.statesArrive = connectionSilence <= SILENCE_MS && now - this.stateHeard <= SILENCE_OF_STATES_MS;
     return silent;
   }
 
   /** The alarms that the page raises itself. Call `silent` before. */
   own(): Alarm[] {
-    const ventilating = this.state?.ventilating ?? false;
-    if (this.silentSince !== null) return [noData(ventilating, this.silentSince)];
+    if (this.silentSince !== null) return [noData(this.mayVentilate, this.silentSince, this.statesArrive ? "No samples from the device" : undefined)];
     if (this.state === null || this.state.connected) return [];
-    return [deviceLost(this.state.lost, ventilating, this.lostSince ?? Date.now())];
+    return [deviceLost(this.state, this.mayVentilate, this.lostSince ?? Date.now())];
   }
 
   /** The device's alarms and those of the page. */

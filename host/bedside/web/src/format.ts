@@ -21,10 +21,16 @@ export function ratio(ie: number | null): string {
   return ie >= 1 ? `1:${ie.toFixed(1)}` : `${(1 / ie).toFixed(1)}:1`;
 }
 
-/** A name of the code in words: `inspiratory_time` is "inspiratory time"; PIP and PEEP are abbreviations. */
+/** A name of the code in words: `inspiratory_time` is "Inspiratory time"; PIP and PEEP are abbreviations. A text with blanks keeps its signs. */
 export function words(name: string): string {
-  const text = name.replaceAll("_", " ").replace(/\b(pip|peep|pid)\b/g, (word) => word.toUpperCase());
+  const text = (name.includes(" ") ? name : name.replace(/[_-]/g, " ")).replace(/\b(pip|peep|pid)\b/g, (word) => word.toUpperCase());
   return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
+/** The mark of a device that is not a board: a replay must not look live. Empty for a board. */
+export function origin(kind: string): string {
+  if (kind === "recording") return "REPLAY";
+  return kind === "simulated" ? "SIMULATED" : "";
 }
 
 /** A count with a blank between thousands. */

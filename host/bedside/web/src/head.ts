@@ -1,7 +1,7 @@
 // The page's head: which device is shown, its state, the alarm banner, the sound, and the connection.
 
-import { clock, worst } from "./alarms";
-import { Banner } from "./alarm_view";
+import { clock, inSafeState, worst } from "./alarms";
+import { Banner, without } from "./alarm_view";
 import type { Device } from "./device";
 import { button, h, setAttribute, setText, show } from "./dom";
 import { words } from "./format";
@@ -52,10 +52,11 @@ export class Head {
       this.select.selectedIndex = this.devices.indexOf(device);
       const { state } = device;
       setText(this.mode, state ? `${words(state.mode)} · ${device.info.kind}` : "waiting for the device");
-      this.banner.update(device.alarms());
+      setText(this.acknowledge, inSafeState(state) ? "Acknowledge, leave safe state" : "Acknowledge");
+      this.banner.update(device.alarms(), without([device.info.kind]));
     } else {
       const rated = this.devices.flatMap((one) => one.alarms().map((alarm) => ({ ...alarm, text: `${one.info.name}: ${alarm.text}` })));
-      this.banner.update(rated);
+      this.banner.update(rated, without(this.devices.map(({ info }) => info.kind)));
     }
     this.others(device);
     setText(this.time, clock(Date.now()));

@@ -50,16 +50,15 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Error of the pair", unit: "cmH2O", text: (_, __, device) => partner(device), wide: true, only: (device) => device.partner !== null },
     { label: "Controller", unit: "", text: (_, state) => state?.controller || UNKNOWN, wide: true },
     { label: "In command", unit: "", text: (_, state) => (state?.level ? words(state.level) : UNKNOWN), wide: true },
-    { label: "Adaptation", unit: "%", text: (_, state) => (state?.adaptation == null ? UNKNOWN : fixed(100 * state.adaptation, 0)), wide: true },
     { label: "Distrusted", unit: "", text: (_, state) => distrust(state), wide: true },
   ]],
   ["Tick and line", "line", [
-    { label: "Tick, mean", unit: "us", text: (_, state) => fixed(state?.ticks.mean_us || null, 1) },
-    { label: "Tick, worst", unit: "us", text: (_, state) => fixed(state?.ticks.worst_us || null, 0) },
+    { label: "Tick, mean", unit: "us", text: (_, state) => fixed(state?.ticks.mean_us ?? null, 1) },
+    { label: "Tick, worst", unit: "us", text: (_, state) => fixed(state?.ticks.worst_us ?? null, 0) },
     { label: "Missed", unit: "ticks", text: (_, state) => (state?.ticks.missed == null ? UNKNOWN : count(state.ticks.missed)) },
     { label: "Damaged", unit: "frames", text: (_, state) => (state ? count(state.line.corrupt) : UNKNOWN) },
     { label: "Lost", unit: "batches", text: (_, state) => (state ? count(state.line.lost_batches) : UNKNOWN) },
-    { label: "Dropped", unit: "samples", text: (_, state) => (state ? count(state.line.dropped) : UNKNOWN) },
+    { label: "Dropped", unit: "reports", text: (_, state) => (state ? count(state.line.dropped) : UNKNOWN) },
     { label: "Not sent to this page", unit: "samples", text: (_, __, device) => count(device.dropped), wide: true },
   ]],
 ];
@@ -79,7 +78,9 @@ function rate(breath: Breath | null, state: State | null): string {
 
 function distrust(state: State | null): string {
   if (state === null) return UNKNOWN;
-  return state.distrust.length === 0 ? "nothing" : state.distrust.map(words).join(", ");
+  // A server may name an alarm by its id.
+  const text = (alarm: string) => state.alarms.find(({ id }) => id === alarm)?.text ?? words(alarm);
+  return state.distrust.length === 0 ? "nothing" : state.distrust.map(text).join(", ");
 }
 
 export class Numbers {

@@ -65,11 +65,11 @@ export class Ring {
   /** Continues after a time without samples, which are not missing. */
   resume(): void {
     this.next = Number.NaN;
-    // A device that restarted meanwhile counts its ticks from zero again: begin afresh.
+    // A device that restarted meanwhile counts its ticks from zero again, so older samples are forgotten.
     this.start = this.end;
   }
 
-  /** The first index at or after `from` whose tick is not below `tick`, by bisection. */
+  /** The first index whose tick is not below `tick`, by bisection; `end` if there is none. */
   find(tick: number): number {
     let [low, high] = [this.oldest, this.end];
     while (low < high) {

@@ -33,8 +33,6 @@ export class Socket {
   heard = performance.now();
   /** Messages that did not decode. */
   malformed = 0;
-  /** How often the connection has been opened. */
-  opened = 0;
 
   constructor(private readonly url: string, private readonly listener: Listener) {
     this.open();
@@ -65,7 +63,6 @@ export class Socket {
       clearTimeout(giveUp);
       this.heard = performance.now();
       this.since = this.heard;
-      this.opened += 1;
       this.listener.opened();
     };
     socket.onmessage = ({ data }) => this.receive(data);

@@ -4,7 +4,7 @@ import { changes, large, typed } from "./confirm";
 import type { Device } from "./device";
 import { confirm } from "./dialog";
 import { button, h, setAttribute, setText, show } from "./dom";
-import { plain, words } from "./format";
+import { plain, UNKNOWN, words } from "./format";
 import type { Requests } from "./requests";
 import type { Answer, Setting, Values } from "./stream";
 
@@ -13,6 +13,8 @@ interface Row {
   input: HTMLInputElement;
   applied: HTMLElement;
   pending: HTMLElement;
+  /** Whether its value was typed and is not applied yet; otherwise it follows the device. */
+  edited: boolean;
 }
 
 export class Steer {
@@ -22,23 +24,27 @@ export class Steer {
   private readonly body = h("tbody");
   private rows: Row[] = [];
   private device: Device | null = null;
+  /** A change of a pressure by more than this needs a confirmation, cmH2O. */
+  private largeChange = 0;
   private readonly take = button("Take control", () => this.toggle());
   private readonly start = button("Start ventilation", () => this.startStop(), { class: "start" });
   /** Submits the form, as Enter in a field does. */
   private readonly apply = h("button", { type: "submit", class: "apply" }, "Apply");
-  private readonly reset = button("Undo typing", () => this.copyApplied());
+  private readonly reset = button("Undo typing", () => this.undo());
 
   constructor(private readonly requests: Requests, private readonly send: (message: object) => boolean) {
     const heads = ["Setting", "Asked", "Applied", "Bounds, unit"].map((text) => h("th", { scope: "col" }, text));
     const table = h("table", { class: "settings" }, h("thead", {}, h("tr", {}, ...heads)), this.body);
-    const form = h("form", { onsubmit: (event) => { event.preventDefault(); this.applyAll(); }, novalidate: true }, table,
+    const form = h("form", { onsubmit: (event) => { event.preventDefault(); this.applyEdited(); }, novalidate: true }, table,
       h("div", { class: "row" }, this.apply, this.reset));
     this.element.append(h("div", { class: "row" }, this.take, this.start), this.who, this.result, form);
   }
 
   /** Makes the rows of the settings of the server's greeting. */
-  describe(settings: readonly Setting[]): void {
+  describe(settings: readonly Setting[], largeChange: number): void {
+    this.body.replaceChildren();
     this.rows = settings.map((setting) => this.row(setting));
+    this.largeChange = largeChange;
     this.device = null;
   }
 
@@ -46,40 +52,47 @@ export class Steer {
     if (this.device !== device) {
       this.device = device;
       setText(this.result, "");
-      this.copyApplied();
+      this.undo();
     }
-    const may = device.yours && (device.state?.connected ?? false);
+    const may = device.yours && device.state?.connected === true && this.rows.every(({ setting }) => device.state?.settings[setting.name] !== undefined);
+    if (!may) this.undo();
     setText(this.who, who(device, mayEver));
     show(this.take, mayEver);
     show(this.start, mayEver);
-    setText(this.take, device.yours ? "Release control" : "Take control");
+    setText(this.take, device.yours ? "Release control" : device.state?.steered_by ? "Take over control" : "Take control");
     setText(this.start, device.state?.ventilating ? "Stop ventilation" : "Start ventilation");
     setAttribute(this.start, "data-stops", String(device.state?.ventilating ?? false));
-    for (const control of [this.start, this.apply, this.reset, ...this.rows.map(({ input }) => input)]) control.disabled = !may;
-    for (const row of this.rows) this.values(row, device, may);
+    // To stop, the settings need not be known; a device that cannot be reached is the server's to tell.
+    this.start.disabled = device.state?.ventilating ? !device.yours : !may;
+    for (const control of [this.apply, this.reset, ...this.rows.map(({ input }) => input)]) control.disabled = !may;
+    for (const row of this.rows) this.values(row, device);
   }
 
   private row(setting: Setting): Row {
     const id = `setting-${setting.name}`;
     const input = h("input", {
       id, type: "text", inputmode: "decimal", autocomplete: "off", "aria-describedby": `${id}-bounds`,
-      onkeydown: (event) => this.stepBy(event as KeyboardEvent, row), oninput: () => this.mark(row),
+      onkeydown: (event) => this.stepBy(event as KeyboardEvent, row), oninput: () => this.edit(row),
     });
     const [applied, pending] = [h("span", { class: "applied" }), h("span", { class: "pending" })];
-    const row: Row = { setting, input, applied, pending };
+    const row: Row = { setting, input, applied, pending, edited: false };
     const bounds = h("td", { class: "bounds", id: `${id}-bounds` }, `${plain(setting.min)} to ${plain(setting.max)} ${setting.unit}`);
     const label = h("label", { for: id, title: setting.description }, words(setting.name));
     this.body.append(h("tr", {}, h("th", { scope: "row" }, label), h("td", {}, input), h("td", {}, applied, pending), bounds));
     return row;
   }
 
-  private values(row: Row, { state }: Device, may: boolean): void {
+  private edit(row: Row): void {
+    row.edited = true;
+    this.mark(row);
+  }
+
+  private values(row: Row, { state }: Device): void {
     const { name } = row.setting;
     const [now, next] = [state?.settings[name], state?.pending?.[name]];
-    setText(row.applied, now === undefined ? "--" : plain(now));
+    setText(row.applied, now === undefined ? UNKNOWN : plain(now));
     setText(row.pending, next === undefined || (now !== undefined && plain(next) === plain(now)) ? "" : ` → ${plain(next)}`);
-    // A viewer sees the applied values in both columns.
-    if (!may && now !== undefined) row.input.value = plain(now);
+    if (!row.edited) this.follow(row);
     this.mark(row);
   }
 
@@ -99,22 +112,39 @@ export class Steer {
     const { min, max } = row.setting;
     const step = max - min > 20 ? 1 : max - min > 5 ? 0.1 : 0.05;
     row.input.value = plain(Math.min(Math.max(now.value + direction * step, min), max));
-    this.mark(row);
+    this.edit(row);
   }
 
-  private copyApplied(): void {
+  /** Writes the value that applies next into a field. */
+  private follow({ setting: { name }, input }: Row): void {
+    const state = this.device?.state;
+    const value = state?.pending?.[name] ?? state?.settings[name];
+    const text = value === undefined ? "" : plain(value);
+    // Setting an equal value would move the caret.
+    if (input.value !== text) input.value = text;
+  }
+
+  /** Forgets what was typed. */
+  private undo(): void {
     for (const row of this.rows) {
-      const value = this.device?.state?.settings[row.setting.name];
-      row.input.value = value === undefined ? "" : plain(value);
+      row.edited = false;
+      this.follow(row);
       this.mark(row);
     }
   }
 
-  private toggle(): void {
+  private async toggle(): Promise<void> {
     const { device } = this;
     if (device === null) return;
-    if (!this.send({ type: device.yours ? "release" : "take", device: device.info.id })) setText(this.result, "No connection: nothing was sent.");
-    if (!device.yours) this.copyApplied();
+    const [id, holder] = [device.info.id, device.state?.steered_by ?? null];
+    if (device.yours) return this.tell({ type: "release", device: id });
+    if (holder === null) return this.tell({ type: "take", device: id });
+    const lines = [`${holder} steers ${device.info.name} now and will lose control.`];
+    if (await confirm("Take over control?", lines, "Take over")) this.tell({ type: "take", device: id, take_over: true });
+  }
+
+  private tell(message: object): void {
+    setText(this.result, this.send(message) ? "" : "No connection: nothing was sent.");
   }
 
   private async startStop(): Promise<void> {
@@ -131,7 +161,7 @@ export class Steer {
 
   /** A device starts only with settings that were sent since it went to standby: the dialog shows them, and they go first. */
   private async startIt({ info }: Device): Promise<void> {
-    const asked = this.asked();
+    const asked = this.asked(this.rows);
     if (asked === null) return;
     const list = this.rows.map(({ setting: { name, unit } }) => `${words(name)} ${plain(asked[name] ?? 0)} ${unit}`).join(", ");
     if (!(await confirm("Start ventilation?", [`${info.name} will start ventilating with these settings:`, `${list}.`], "Start ventilation"))) return;
@@ -140,10 +170,10 @@ export class Steer {
     if (applied.ok) this.report(await this.requests.ask("start", info.id));
   }
 
-  /** The typed settings; null if one is wrong, which is then in focus. */
-  private asked(): Values | null {
+  /** The settings in these rows; null if one is wrong, which is then in focus. */
+  private asked(rows: readonly Row[]): Values | null {
     const asked: Values = {};
-    for (const { setting, input } of this.rows) {
+    for (const { setting, input } of rows) {
       const value = typed(setting, input.value);
       if ("reason" in value) {
         setText(this.result, value.reason);
@@ -155,22 +185,25 @@ export class Steer {
     return asked;
   }
 
-  private async applyAll(): Promise<void> {
+  /** Sends the edited settings alone, so that a change from elsewhere meanwhile stays. */
+  private async applyEdited(): Promise<void> {
     const { device } = this;
-    const asked = this.asked();
-    const applied = device?.state?.settings;
-    if (device === null || asked === null || applied === undefined) return;
-    const settings = this.rows.map(({ setting }) => setting);
-    if (changes(settings, applied, asked).length === 0) {
+    const edited = this.rows.filter((row) => row.edited);
+    const asked = this.asked(edited);
+    const state = device?.state;
+    if (device === null || asked === null || state == null) return;
+    const settings = edited.map(({ setting }) => setting);
+    if (changes(settings, { ...state.settings, ...state.pending }, asked).length === 0) {
+      this.undo();
       setText(this.result, "Nothing to change: the values are applied already.");
       return;
     }
-    const steps = large(settings, applied, asked);
+    const steps = large(settings, state.settings, asked, this.largeChange);
     if (steps.length > 0 && !(await confirm("Apply a large change of pressure?", steps, "Apply"))) return;
     this.report(await this.requests.ask("apply", device.info.id, { settings: asked }), asked);
   }
 
-  /** Shows the answer; the values as applied replace the typed ones, and a difference is named. */
+  /** Shows the answer. Fields that still hold what was asked for follow the device again, and a difference is named. */
   private report(answer: Answer, asked?: Values): void {
     const applied = answer.settings;
     let text = answer.ok ? answer.text || "Accepted." : `Refused: ${answer.text}`;
@@ -179,15 +212,27 @@ export class Steer {
       const settings = this.rows.map(({ setting }) => setting);
       const differing = changes(settings, asked, applied).map(({ name }) => `${words(name)} ${plain(applied[name] ?? Number.NaN)}`);
       if (differing.length > 0) text += ` Applied instead: ${differing.join(", ")}.`;
-      for (const { setting, input } of this.rows) input.value = plain(applied[setting.name] ?? asked[setting.name] ?? 0);
+    }
+    if (answer.ok && asked !== undefined) {
+      for (const row of this.rows) {
+        const value = asked[row.setting.name];
+        if (value !== undefined && typedAs(row, value)) row.edited = false;
+      }
     }
     setText(this.result, text);
   }
 }
 
+/** Whether a field holds a value. */
+function typedAs({ setting, input }: Row, value: number): boolean {
+  const now = typed(setting, input.value);
+  return "value" in now && now.value === value;
+}
+
 function who(device: Device, mayEver: boolean): string {
-  const holder = device.state?.steered_by ?? null;
-  if (device.yours) return "This page steers the device.";
-  const steers = holder === null ? "No one steers the device." : `${holder} steers the device.`;
-  return mayEver ? steers : `${steers} This page is read-only: start the server with --steer to change settings.`;
+  const [holder, lease] = [device.state?.steered_by ?? null, device.state?.lease ?? null];
+  const page = device.yours ? "This page steers the device." : holder === null ? "No page steers the device." : `${holder} steers the device.`;
+  const past = lease === null || lease === holder ? "" : ` The device is under control of another program: ${lease}.`;
+  const reads = mayEver ? "" : " This page is read-only: start the server with --steer to change settings.";
+  return page + past + reads;
 }

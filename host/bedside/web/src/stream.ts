@@ -38,6 +38,10 @@ export interface Hello {
   demo: boolean;
   settings: Setting[];
   devices: DeviceInfo[];
+  /** Longest audio pause, s. */
+  audio_pause_max: number;
+  /** A change of a pressure by more than this needs a confirmation, cmH2O. */
+  large_change: number;
 }
 
 export interface Alarm {
@@ -45,7 +49,8 @@ export interface Alarm {
   text: string;
   priority: Priority;
   present: boolean;
-  since_ms: number;
+  /** Null if it began before the server knew the device. */
+  since_ms: number | null;
   acknowledged: boolean;
 }
 
@@ -53,12 +58,15 @@ export interface State {
   type: "state";
   device: number;
   connected: boolean;
+  /** What makes it not connected. */
+  missing: "line" | "answers" | "samples" | null;
   lost: string | null;
   mode: string;
   ventilating: boolean;
   controller: string;
   level: string;
   distrust: string[];
+  /** Settings in force; empty if they are not known. */
   settings: Values;
   pending: Values | null;
   alarms: Alarm[];
@@ -66,9 +74,16 @@ export interface State {
   steered_by: string | null;
   ticks: { mean_us: number | null; worst_us: number | null; missed: number | null };
   line: { corrupt: number; lost_batches: number; dropped: number };
-  adaptation: number | null;
-  recording: { file: string; samples: number } | null;
+  /** `by` is the page that started it. */
+  recording: { file: string; samples: number; by: string | null } | null;
+  /** The program that steers the device past this server, in words. */
+  lease: string | null;
+  /** The armed triggers of a capture; null if none is armed or the server does not tell. */
+  triggers: Triggers | null;
 }
+
+/** What starts a capture: an alarm, or an overshoot or a pressure above a level in cmH2O. */
+export interface Triggers { alarm: boolean; overshoot: number | null; pressure: number | null }
 
 /** Names of a breath's figures. */
 export const FIGURES = [
@@ -77,12 +92,33 @@ export const FIGURES = [
 ] as const;
 export type Figure = (typeof FIGURES)[number];
 
-export type Breath = { type: "breath"; device: number; estimated: boolean; triggered: boolean } & Record<Figure, number | null>;
+export type Breath = { type: "breath"; device: number; time_ms: number | null; estimated: boolean; triggered: boolean } & Record<Figure, number | null>;
 
 export interface Steerer { type: "steerer"; device: number; who: string | null; yours: boolean }
 export interface Answer { type: "answer"; id: number; ok: boolean; text: string; settings: Values | null }
-export interface Event { type: "event"; device: number; time_ms: number; kind: string; text: string }
-export type Message = Hello | State | Breath | Steerer | Answer | Event;
+export interface Event { type: "event"; device: number; time_ms: number; kind: string; text: string; tick: number | null }
+
+/** Lowest, mean and highest value of a figure in each minute; null where it is not known. */
+export interface Course { low: (number | null)[]; mean: (number | null)[]; high: (number | null)[] }
+/** The trends before this page was opened: minutes since 1970 that had breaths. */
+export interface History { type: "history"; device: number; minutes: number[]; breaths: number[]; figures: Record<string, Course> }
+
+/** A tolerance: a fixed part, and percent of the set pressure. */
+export interface Tolerance { fixed: number; percent: number }
+export interface LimitCheck {
+  name: string; unit: string; limit: Tolerance; checked: number; violations: number; worst: number | null; worst_breath: number | null;
+}
+/** The verdict on a recording. */
+export interface Verdict {
+  type: "verdict"; device: number; refused: string | null; breaths: number; unjudged: number; violating: number;
+  error: number | null; explored: number; inspiration: Tolerance | null; expiration: Tolerance | null;
+  limits: LimitCheck[]; sore_spots: string[];
+}
+
+export interface LogLine { start: number; seconds: number; text: string }
+/** The event log of a flight recorder, oldest event first. */
+export interface Log { type: "log"; device: number; events: LogLine[] }
+export type Message = Hello | State | Breath | Steerer | Answer | Event | History | Verdict | Log;
 
 /** Samples of one device, columns of equal length. */
 export interface Samples {
@@ -149,7 +185,13 @@ export function decodeText(text: string): Message | null {
     };
     case "event": return {
       type: "event", device: number(value.device) ?? 0, time_ms: number(value.time_ms) ?? Date.now(),
-      kind: string(value.kind), text: string(value.text),
+      kind: string(value.kind), text: string(value.text), tick: number(value.tick),
+    };
+    case "history": return history(value);
+    case "verdict": return verdict(value);
+    case "log": return {
+      type: "log", device: number(value.device) ?? 0,
+      events: list(value.events).map((one) => ({ start: number(one.start) ?? 0, seconds: number(one.seconds) ?? 0, text: string(one.text) })),
     };
     default: return null;
   }
@@ -190,6 +232,7 @@ function priority(value: unknown): Priority | null {
 }
 
 function hello(value: Loose): Hello {
+  const limits = object(value.limits);
   return {
     type: "hello",
     version: number(value.version) ?? 0,
@@ -202,6 +245,8 @@ function hello(value: Loose): Hello {
     devices: list(value.devices).map((one) => ({
       id: number(one.id) ?? 0, name: string(one.name), kind: string(one.kind), period_us: number(one.period_us) ?? 1000,
     })),
+    audio_pause_max: number(limits.audio_pause_s) ?? 120,
+    large_change: number(limits.large_change) ?? 5,
   };
 }
 
@@ -210,7 +255,7 @@ function alarm(value: Loose): Alarm {
     id: string(value.id), text: string(value.text),
     // An unknown priority is treated as the most urgent one.
     priority: priority(value.priority) ?? "high",
-    present: value.present === true, since_ms: number(value.since_ms) ?? 0, acknowledged: value.acknowledged === true,
+    present: value.present === true, since_ms: number(value.since_ms), acknowledged: value.acknowledged === true,
   };
 }
 
@@ -223,6 +268,7 @@ function state(value: Loose): State | null {
     type: "state",
     device,
     connected: value.connected === true,
+    missing: value.missing === "line" || value.missing === "answers" || value.missing === "samples" ? value.missing : null,
     lost: textOrNull(value.lost),
     mode: string(value.mode),
     ventilating: value.ventilating === true,
@@ -236,8 +282,52 @@ function state(value: Loose): State | null {
     steered_by: textOrNull(value.steered_by),
     ticks: { mean_us: number(ticks.mean_us), worst_us: number(ticks.worst_us), missed: number(ticks.missed) },
     line: { corrupt: number(line.corrupt) ?? 0, lost_batches: number(line.lost_batches) ?? 0, dropped: number(line.dropped) ?? 0 },
-    adaptation: number(value.adaptation),
-    recording: recording ? { file: string(recording.file), samples: number(recording.samples) ?? 0 } : null,
+    recording: recording ? { file: string(recording.file), samples: number(recording.samples) ?? 0, by: textOrNull(recording.by) } : null,
+    lease: textOrNull(value.lease),
+    triggers: triggers(value.triggers),
+  };
+}
+
+function triggers(value: unknown): Triggers | null {
+  if (!isObject(value)) return null;
+  const found = { alarm: value.alarm === true, overshoot: number(value.overshoot), pressure: number(value.pressure) };
+  return found.alarm || found.overshoot !== null || found.pressure !== null ? found : null;
+}
+
+/** Columns of unequal length do not decode. */
+function history(value: Loose): History | null {
+  const [minutes, breaths] = [numbers(value.minutes), numbers(value.breaths)];
+  if (minutes.length !== breaths.length || minutes.includes(null) || breaths.includes(null)) return null;
+  const figures: Record<string, Course> = {};
+  for (const [name, one] of Object.entries(object(value.figures))) {
+    const { low, mean, high } = object(one);
+    const course = { low: numbers(low), mean: numbers(mean), high: numbers(high) };
+    if (Object.values(course).some((column) => column.length !== minutes.length)) return null;
+    figures[name] = course;
+  }
+  return { type: "history", device: number(value.device) ?? 0, minutes: minutes as number[], breaths: breaths as number[], figures };
+}
+
+function numbers(value: unknown): (number | null)[] {
+  return Array.isArray(value) ? value.map(number) : [];
+}
+
+function tolerance(value: unknown): Tolerance | null {
+  return isObject(value) ? { fixed: number(value.fixed) ?? 0, percent: number(value.percent) ?? 0 } : null;
+}
+
+function verdict(value: Loose): Verdict {
+  return {
+    type: "verdict", device: number(value.device) ?? 0, refused: textOrNull(value.refused),
+    breaths: number(value.breaths) ?? 0, unjudged: number(value.unjudged) ?? 0, violating: number(value.violating) ?? 0,
+    error: number(value.error), explored: number(value.explored) ?? 0,
+    inspiration: tolerance(value.inspiration), expiration: tolerance(value.expiration),
+    limits: list(value.limits).map((one) => ({
+      name: string(one.name), unit: string(one.unit), limit: tolerance(one.limit) ?? { fixed: 0, percent: 0 },
+      checked: number(one.checked) ?? 0, violations: number(one.violations) ?? 0,
+      worst: number(one.worst), worst_breath: number(one.worst_breath),
+    })),
+    sore_spots: Array.isArray(value.sore_spots) ? value.sore_spots.map(string) : [],
   };
 }
 
@@ -245,5 +335,5 @@ function breath(value: Loose): Breath | null {
   const device = number(value.device);
   if (device === null) return null;
   const figures = Object.fromEntries(FIGURES.map((name) => [name, number(value[name])])) as Record<Figure, number | null>;
-  return { type: "breath", device, estimated: value.estimated !== false, triggered: value.triggered === true, ...figures };
+  return { type: "breath", device, time_ms: number(value.time_ms), estimated: value.estimated !== false, triggered: value.triggered === true, ...figures };
 }

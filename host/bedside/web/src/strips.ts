@@ -47,9 +47,9 @@ export function strips(): Strip[] {
       legend: [["Valves: inspiratory", valve], ["expiratory open", colour("--exhale-text")]],
     },
     {
-      id: "learned", label: "%", name: "Learned share of the command", share: 1.2, estimated: false, scale: "share",
+      id: "learned", label: "%", name: "Learned part, % of valve", share: 1.2, estimated: false, scale: "share",
       traces: [{ column: "learned", colour: learned, width: 1.5 }],
-      legend: [["Learned share of the command", learned]],
+      legend: [["Learned part, % of valve", learned]],
     },
   ];
 }

@@ -9,9 +9,6 @@
 
 import type { Priority } from "./stream";
 
-/** Longest audio pause, s. */
-export const AUDIO_PAUSE_MAX = 120;
-
 interface Pattern {
   /** Length of a pulse, s. */
   pulse: number;

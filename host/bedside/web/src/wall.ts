@@ -1,9 +1,10 @@
 // The wall: all devices on one page, those with the worst alarm first; a click or Enter opens one.
 
+import { inWords, without } from "./alarm_view";
 import { MARKS, ordered, worst } from "./alarms";
 import type { Device } from "./device";
 import { colour, h, setAttribute, setText } from "./dom";
-import { fixed, words } from "./format";
+import { fixed, origin, words } from "./format";
 import { Layer } from "./layer";
 import { group } from "./pairs";
 import { end } from "./scale";
@@ -31,7 +32,7 @@ class Card {
       { column: "target", colour: colour("--target"), width: 1 },
       { column: "pressure", colour: colour("--pressure"), width: 1.5 },
     ]);
-    this.graph.append(this.layer.canvas);
+    this.graph.append(this.layer.canvas, h("span", { class: "origin" }, origin(device.info.kind)));
     this.alarm.append(this.mark, this.text);
     const opener = h("button", { type: "button", class: "card-open", onclick: open, "aria-label": `Open ${name}` }, h("span", { class: "card-name" }, name));
     const list = h("dl", {}, ...FIGURES.map(([label], index) => h("div", {}, h("dt", {}, label), this.figures[index] ?? "")));
@@ -44,9 +45,8 @@ class Card {
     const alarm = worst(this.device.alarms());
     const others = ordered(this.device.alarms()).length - 1;
     setAttribute(this.alarm, "data-priority", alarm?.priority ?? "none");
-    setAttribute(this.alarm, "data-gone", alarm && !alarm.present ? "true" : "false");
     setText(this.mark, alarm ? MARKS[alarm.priority] : "");
-    setText(this.text, alarm ? `${alarm.text}${others > 0 ? ` +${others}` : ""}` : "No alarms");
+    setText(this.text, alarm ? `${inWords(alarm)}${others > 0 ? ` +${others}` : ""}` : without([this.device.info.kind]));
     setText(this.status, state ? `${words(state.mode)} · ${words(state.level)}` : "waiting");
     for (const [index, [, figure, digits]] of FIGURES.entries()) {
       const cell = this.figures[index];

@@ -3,8 +3,10 @@
 import { Cursors } from "./cursors";
 import type { Device } from "./device";
 import { h, setText, show } from "./dom";
+import { origin } from "./format";
 import { BOTTOM, Frame } from "./frame";
 import { Layer } from "./layer";
+import { MarkerLines } from "./markers";
 import type { Ring } from "./ring";
 import { end, extremes } from "./scale";
 import { pressureMarks, type Strip, strips } from "./strips";
@@ -25,19 +27,24 @@ export class Waves {
   readonly element = h("section", { class: "waves", "aria-label": "Waveforms" });
   private readonly stack = h("div", { class: "stack" });
   private readonly shade = h("div", { class: "shade" });
+  private readonly origin = h("span", { class: "origin" });
   private readonly rows: Row[];
   private readonly cursors: Cursors;
+  private readonly markers: MarkerLines;
   private device: Device | null = null;
   private frozen: Ring | null = null;
   private sweep: Sweep = { seconds: 12, tick: 0.001 };
   private scaled = 0;
   private pass = 0;
+  /** The ring of the last picture, and the index of the first sample after it. */
+  private drawn: { ring: Ring; next: number } | null = null;
 
   constructor() {
-    this.element.append(this.stack, this.shade);
+    this.element.append(this.stack, this.origin, this.shade);
     const all = strips();
     this.rows = all.map((strip, index) => this.row(strip, index === all.length - 1));
     this.cursors = new Cursors(this.stack, () => ({ ring: this.ring, sweep: this.sweep, left: this.left, width: this.width }));
+    this.markers = new MarkerLines(this.stack);
     this.element.append(this.cursors.table);
     show(this.shade, false);
     new ResizeObserver(() => this.fit()).observe(this.stack);
@@ -63,6 +70,7 @@ export class Waves {
   setDevice(device: Device): void {
     if (this.device === device) return;
     this.device = device;
+    setText(this.origin, origin(device.info.kind));
     this.freeze(false);
     this.sweep = { ...this.sweep, tick: device.tick };
     for (const row of this.rows) row.ends = [0, 0];
@@ -94,13 +102,18 @@ export class Waves {
     for (const { layer } of this.rows) layer.invalidate();
   }
 
-  /** Draws what came since the last picture; the newest tick drawn, or null. */
+  /** Draws what came since the last picture; the oldest tick that is new in it, or null if none is. */
   draw(now: number): number | null {
     const { ring, device } = this;
     if (ring === null || device === null || this.element.offsetParent === null) return null;
     if (now - this.scaled > SCALE_EVERY) this.rescale(ring, now);
     for (const { layer } of this.rows) layer.update(ring, device.reference);
-    return this.isFrozen || Number.isNaN(ring.newest) ? null : ring.newest;
+    this.markers.draw(device.markers, ring, this.sweep, this.left, this.width);
+    const known = this.drawn;
+    this.drawn = { ring, next: ring.end };
+    // A first picture has no new samples: the age of those that came before it is not the page's delay.
+    if (this.isFrozen || known?.ring !== ring || known.next < ring.oldest || known.next >= ring.end) return null;
+    return ring.tickAt(known.next);
   }
 
   private row(strip: Strip, last: boolean): Row {

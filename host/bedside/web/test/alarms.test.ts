@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { noData, ordered, sounding, spoken, worst } from "../src/alarms";
+import { behindGone, inSafeState, noData, ordered, sounding, spoken, worst } from "../src/alarms";
 import { type Alarm, decodeText, type State } from "../src/stream";
 import { HARMONICS, PATTERNS, pulses, repeat } from "../src/tones";
 
@@ -29,6 +29,18 @@ test("an audio pause silences the device's alarms, not those of the page", () =>
   assert.equal(sounding(state("high", 60), []), null);
   assert.equal(sounding(state("high", 60), [noData(false, 0)]), "medium");
   assert.equal(sounding(null, [noData(true, 0)]), "high");
+});
+
+test("a present alarm is shown behind a more urgent one that is gone", () => {
+  const [gone, leak, rate] = [alarm("gone", "high", { present: false }), alarm("leak", "low"), alarm("rate", "medium")];
+  assert.equal(behindGone([leak, gone, rate])?.id, "rate");
+  assert.equal(behindGone([gone]), null);
+  assert.equal(behindGone([alarm("pressure", "high"), rate]), null);
+});
+
+test("the safe state is known by its mode", () => {
+  const mode = (text: string) => ({ ...state(null), mode: text });
+  assert.deepEqual([inSafeState(mode("safe state: high pressure")), inSafeState(mode("standby")), inSafeState(null)], [true, false, false]);
 });
 
 test("an alarm is spoken with its priority and whether its condition is gone", () => {

@@ -27,10 +27,10 @@ test("a bound itself is accepted as printed", () => {
 
 test("only pressures that change by more than 5 cmH2O need a confirmation", () => {
   const both = [PIP, RATE];
-  assert.deepEqual(large(both, { pip: 20, rate: 20 }, { pip: 25, rate: 60 }), []);
-  assert.deepEqual(large(both, { pip: 20, rate: 20 }, { pip: 25.1, rate: 20 }), ["PIP from 20 to 25.1 cmH2O"]);
-  assert.equal(large(both, { pip: 20, rate: 20 }, { pip: 14, rate: 20 }).length, 1);
-  assert.equal(large(both, {}, { pip: 20 }).length, 1, "an unknown pressure counts as a large change");
+  assert.deepEqual(large(both, { pip: 20, rate: 20 }, { pip: 25, rate: 60 }, 5), []);
+  assert.deepEqual(large(both, { pip: 20, rate: 20 }, { pip: 25.1, rate: 20 }, 5), ["PIP from 20 to 25.1 cmH2O"]);
+  assert.equal(large(both, { pip: 20, rate: 20 }, { pip: 14, rate: 20 }, 5).length, 1);
+  assert.equal(large(both, {}, { pip: 20 }, 5).length, 1, "an unknown pressure counts as a large change");
 });
 
 test("the noise of a 32-bit float is no change", () => {
@@ -51,7 +51,7 @@ test("devices that differ only in the controller form a pair, the PID first", ()
 test("numbers are written as the field writes them", () => {
   assert.deepEqual([fixed(null, 1), fixed(Number.NaN, 1), fixed(-0.01, 1), fixed(123.4, 1)], ["--", "--", "0.0", "123"]);
   assert.deepEqual([ratio(2), ratio(0.5), ratio(null), ratio(0)], ["1:2.0", "2.0:1", "--", "--"]);
-  assert.deepEqual([words("inspiratory_time"), words("pip"), words("PID alone"), count(1_234_567)], ["Inspiratory time", "PIP", "PID alone", "1 234 567"]);
+  assert.deepEqual([words("inspiratory_time"), words("pip"), words("PID alone"), words("reading-frozen"), count(1_234_567)], ["Inspiratory time", "PIP", "PID alone", "Reading frozen", "1 234 567"]);
 });
 
 test("a scale grows at once and shrinks only when it may", () => {

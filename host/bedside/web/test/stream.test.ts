@@ -1,10 +1,31 @@
 // The wire format: samples and texts decode, and malformed messages are refused.
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { decodeSamples, decodeText, HEADER } from "../src/stream";
 // @ts-expect-error The encoder is plain JavaScript.
 import { encode } from "../dev/encode.mjs";
+
+/** Bytes of the server: a test of ../../src/stream/frame.rs writes the same. */
+const BYTES = Buffer.from(readFileSync(new URL("../test/samples.hex", import.meta.url), "utf8").replace(/\s/g, ""), "hex");
+
+test("the bytes of the server decode", () => {
+  const samples = decodeSamples(new Uint8Array(BYTES).buffer);
+  assert.ok(samples);
+  const { device, count, dropped, tick, time_ms, columns, phase } = samples;
+  assert.deepEqual([device, count, dropped, tick, time_ms], [3, 3, 9, 2 ** 40 + 5, 1_700_000_000_000.5]);
+  assert.deepEqual(Object.values(columns).map((column) => [...column]), [
+    [1.5, -11, 21], [20, 12.25, 22], [30, 13, 23], [0, 100, 100], [5.25, Number.NaN, 25], [0.5, -16, 26], [6, 250, 27],
+  ]);
+  assert.deepEqual([...phase], [0, 1, 2]);
+});
+
+test("the fake server's encoder gives the server's bytes", () => {
+  const rows = [[1.5, 20, 30, 0, 5.25, 0.5, 6, 0], [-11, 12.25, 13, 100, Number.NaN, -16, 250, 1], [21, 22, 23, 100, 25, 26, 27, 2]];
+  const bytes = encode(3, 2 ** 40 + 5, rows, 9, 1_700_000_000_000.5) as Uint8Array;
+  assert.deepEqual([...bytes], [...BYTES]);
+});
 
 const SAMPLES = [[1, 2, 3, 4, 5, 6, 7, 0], [11, 12, 13, 14, Number.NaN, 16, 17, 2], [21, 22, 23, 24, 25, 26, 27, 1]];
 const message = () => (encode(3, 2 ** 40 + 5, SAMPLES, 9) as Uint8Array).buffer as ArrayBuffer;
@@ -40,6 +61,15 @@ test("a state without its parts decodes to unknown values", () => {
   assert.equal(state.connected, false);
   assert.deepEqual(state.audio, { priority: null, pause_left: 0 });
   assert.equal(state.alarms[0]?.priority, "high");
+});
+
+test("a history with columns of unequal length is refused", () => {
+  const course = { low: [1, 2], mean: [1, null], high: [1, 2] };
+  const text = (change: object) => JSON.stringify({ type: "history", device: 0, minutes: [5, 6], breaths: [1, 1], figures: { pip: course }, ...change });
+  assert.equal(decodeText(text({}))?.type, "history");
+  for (const change of [{ minutes: [5] }, { breaths: [1, "x"] }, { figures: { pip: { ...course, low: [1] } } }, { figures: { pip: 7 } }]) {
+    assert.equal(decodeText(text(change)), null);
+  }
 });
 
 test("a breath's unknown figures are null", () => {

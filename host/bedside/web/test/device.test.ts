@@ -1,0 +1,67 @@
+// Silence of a device: samples and states are judged apart.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Device, SILENCE_MS } from "../src/device";
+import { decodeText, type State } from "../src/stream";
+
+function state(content: object): State {
+  const decoded = decodeText(JSON.stringify({ type: "state", device: 0, connected: true, mode: "ventilating", ventilating: true, ...content }));
+  assert.ok(decoded?.type === "state");
+  return decoded;
+}
+
+const info = { id: 0, name: "Bench", kind: "board", period_us: 1000 };
+
+/** A watched device at a time from which on only these states come, every 100 ms; its own alarms after a second. */
+function afterASecond(device: Device, content: object): { silent: boolean; texts: string[]; priorities: string[] } {
+  const begin = performance.now();
+  device.watch(true);
+  let silent = false;
+  for (let at = 0; at <= SILENCE_MS + 200; at += 100) {
+    device.takeState(state(content), begin + at);
+    silent = device.silent(begin + at, 0);
+  }
+  const own = device.own();
+  return { silent, texts: own.map(({ text }) => text), priorities: own.map(({ priority }) => priority) };
+}
+
+test("states do not hide missing samples of a device that ventilates", () => {
+  assert.deepEqual(afterASecond(new Device(info), {}), { silent: true, texts: ["No samples from the device"], priorities: ["high"] });
+  assert.equal(afterASecond(new Device(info), { connected: false, missing: "answers", lost: "x" }).silent, true);
+});
+
+test("in standby, without a device, and in the pause of a replay there are no samples", () => {
+  assert.equal(afterASecond(new Device(info), { mode: "standby", ventilating: false }).silent, false);
+  assert.deepEqual(afterASecond(new Device(info), { connected: false, missing: "line", lost: "the port is gone" }), {
+    silent: false, texts: ["Device not connected: the port is gone"], priorities: ["high"],
+  });
+  assert.equal(afterASecond(new Device({ ...info, kind: "recording" }), {}).silent, false);
+});
+
+test("a device whose mode is not known may be ventilating", () => {
+  const lost = { connected: false, missing: "answers", lost: "waiting for the device's first answer", ventilating: false };
+  assert.deepEqual(afterASecond(new Device(info), { ...lost, mode: "" }).priorities, ["high"]);
+  assert.deepEqual(afterASecond(new Device(info), { ...lost, mode: "standby" }).priorities, ["medium"]);
+});
+
+test("samples are not late as soon as ventilation starts", () => {
+  const device = new Device(info);
+  const begin = performance.now();
+  device.watch(true);
+  device.takeState(state({ mode: "standby", ventilating: false }), begin + 60_000);
+  device.takeState(state({}), begin + 60_500);
+  assert.equal(device.silent(begin + 61_200, 0), false);
+  assert.equal(device.silent(begin + 61_400, 0), true);
+});
+
+test("a breath is in the trends at its own time", () => {
+  const device = new Device(info);
+  const minute = 29_000_000;
+  for (const at of [0, 1, 2]) {
+    const breath = decodeText(JSON.stringify({ type: "breath", device: 0, pip: 20 + at, time_ms: (minute + at) * 60_000 }));
+    assert.ok(breath?.type === "breath");
+    device.takeBreath(breath);
+  }
+  assert.deepEqual(device.trends.series("pip", 1).mean, [20, 21, 22]);
+});
