@@ -36,6 +36,14 @@ export class Tabs {
     }
   }
 
+  /** Offers a tab, or hides it; if it was chosen, the first one is. */
+  offer(id: string, on: boolean): void {
+    const part = this.parts.find((one) => one.id === id);
+    if (part === undefined || part.tab.hidden === !on) return;
+    show(part.tab, on);
+    if (!on && part.tab.tabIndex === 0) this.choose(this.parts[0]?.id ?? "");
+  }
+
   /** Chooses a tab and moves the focus to it. */
   focus(id: string): void {
     this.choose(id);
@@ -43,9 +51,10 @@ export class Tabs {
   }
 
   private key(event: KeyboardEvent, index: number): void {
-    const count = this.parts.length;
-    const next: Record<string, number> = { ArrowRight: (index + 1) % count, ArrowLeft: (index + count - 1) % count, Home: 0, End: count - 1 };
-    const part = this.parts[next[event.key] ?? -1];
+    const offered = this.parts.filter(({ tab }) => !tab.hidden);
+    const [count, own] = [offered.length, offered.findIndex(({ id }) => id === this.parts[index]?.id)];
+    const next: Record<string, number> = { ArrowRight: (own + 1) % count, ArrowLeft: (own + count - 1) % count, Home: 0, End: count - 1 };
+    const part = offered[next[event.key] ?? -1];
     if (part === undefined) return;
     event.preventDefault();
     this.focus(part.id);

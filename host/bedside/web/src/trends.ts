@@ -1,9 +1,9 @@
-// Figures of the breaths over 72 hours in buckets of 30 s: lowest, mean and highest. Pure; memory is fixed.
+// Figures of the breaths over 72 hours in buckets of a minute: lowest, mean and highest. Pure; memory is fixed.
 
-import type { Breath, Figure } from "./stream";
+import type { Breath, Figure, History } from "./stream";
 
-/** Length of a bucket, ms. */
-export const BUCKET_MS = 30_000;
+/** Length of a bucket, ms: a minute, as the server's. */
+export const BUCKET_MS = 60_000;
 /** Number of buckets: 72 hours. */
 export const BUCKETS = (72 * 3_600_000) / BUCKET_MS;
 /** Figures with a trend. */
@@ -27,6 +27,14 @@ interface Column {
   count: Uint16Array;
 }
 
+/** Values of one figure in one bucket. */
+interface Values {
+  low: number;
+  mean: number;
+  high: number;
+  count: number;
+}
+
 export class Trends {
   private readonly columns: Record<Trended, Column>;
   /** Number of the newest bucket since 1970; 0 before the first breath. */
@@ -44,11 +52,29 @@ export class Trends {
   /** Adds the figures of a breath. A time that lies before the newest bucket is counted to the newest. */
   add(time_ms: number, breath: Breath): void {
     const bucket = Math.max(Math.floor(time_ms / BUCKET_MS), this.newest);
+    this.reach(bucket);
+    for (const name of TRENDED) put(this.columns[name], bucket % BUCKETS, breath[name]);
+  }
+
+  /** Takes what the server knows of the time before; a bucket with more breaths here is kept, as after the server's restart. */
+  load(history: History): void {
+    for (const [index, bucket] of history.minutes.entries()) {
+      if (this.newest === 0 || bucket > this.newest) this.reach(bucket);
+      if (bucket <= this.newest - BUCKETS) continue;
+      this.oldest = Math.min(this.oldest, bucket);
+      for (const name of TRENDED) {
+        const values = entry(history, name, index);
+        if (values) replace(this.columns[name], bucket % BUCKETS, values);
+      }
+    }
+  }
+
+  /** Goes on to a bucket. Those on the way are emptied, at most once round. */
+  private reach(bucket: number): void {
     if (this.newest === 0) this.oldest = bucket;
-    // Buckets without breaths are emptied, at most once round.
     for (let empty = Math.max(this.newest + 1, bucket - BUCKETS + 1); empty <= bucket; empty++) this.clear(empty % BUCKETS);
     this.newest = bucket;
-    for (const name of TRENDED) put(this.columns[name], bucket % BUCKETS, breath[name]);
+    this.oldest = Math.max(this.oldest, bucket - BUCKETS + 1);
   }
 
   private clear(place: number): void {
@@ -81,6 +107,21 @@ function put(column: Column, place: number, value: number | null): void {
   column.high[place] = known === 0 ? value : Math.max(column.high[place] ?? value, value);
   column.sum[place] = known === 0 ? value : (column.sum[place] ?? 0) + value;
   column.count[place] = known + 1;
+}
+
+/** One figure in one minute of the server's history; null where it is not known. */
+function entry({ figures, breaths }: History, name: Trended, index: number): Values | null {
+  const course = figures[name];
+  const [low, mean, high] = [course?.low[index] ?? null, course?.mean[index] ?? null, course?.high[index] ?? null];
+  return low === null || mean === null || high === null ? null : { low, mean, high, count: breaths[index] ?? 1 };
+}
+
+function replace(column: Column, place: number, { low, mean, high, count }: Values): void {
+  if ((column.count[place] ?? 0) > count) return;
+  column.low[place] = low;
+  column.high[place] = high;
+  column.sum[place] = mean * count;
+  column.count[place] = count;
 }
 
 function merge(column: Column, first: number, last: number): { low: number; mean: number; high: number } | null {
