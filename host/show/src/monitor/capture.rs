@@ -70,6 +70,18 @@ impl Message for Alarm {
     ];
 }
 
+/// A moment that a user has marked.
+#[derive(Debug, Serialize)]
+struct Marker<'a> {
+    text: &'a str,
+}
+
+impl Message for Marker<'_> {
+    const TOPIC: &'static str = "/markers";
+    const SCHEMA: &'static str = "eupnea.Marker";
+    const FIELDS: &'static [Field] = &[("text", "string", "what the user has written")];
+}
+
 /// State of the device, once a second and when the connection is lost.
 #[derive(Debug, Default, Serialize)]
 struct Status {
@@ -187,6 +199,16 @@ impl Capture {
             self.writer.flush()
         });
         self.failed = written.err();
+        self.failed.is_some()
+    }
+
+    /// Writes a user's marker at this time, ns since 1970. The first failure ends the capture; the return value is true then,
+    /// once.
+    pub fn mark(&mut self, text: &str, now_ns: u64) -> bool {
+        if self.failed.is_some() {
+            return false;
+        }
+        self.failed = self.writer.write(self.clock.now(now_ns), &Marker { text }).err();
         self.failed.is_some()
     }
 

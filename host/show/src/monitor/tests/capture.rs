@@ -83,6 +83,18 @@ fn an_alarm_is_written_once_at_the_time_of_its_tick() {
 }
 
 #[test]
+fn a_marker_is_written_at_the_time_of_the_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut capture = started(folder.path());
+    assert!(!capture.take(&telemetry(1000, &[5.0; 4]), NOON + 4 * MS));
+    assert!(!capture.mark("suction", NOON + 10 * MS));
+    assert_eq!(capture.finish().unwrap()["/markers"], 1);
+    let found = messages(&fs::read(folder.path().join("a.mcap")).unwrap());
+    let [(time, marker)] = of("/markers", &found)[..] else { panic!("{found:?}") };
+    assert_eq!((time, &marker["text"]), (NOON + 10 * MS, &"suction".into()));
+}
+
+#[test]
 fn alarms_of_every_start_of_the_device_are_written_though_their_ticks_are_equal() {
     let alarm = |tick| News::Event(Event::Alarm { fault: Fault::Restarted, tick });
     let again = |tick| News::Event(Event::Unacknowledged { fault: Fault::Restarted, tick });
