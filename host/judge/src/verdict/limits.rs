@@ -162,6 +162,15 @@ impl Limits {
         self
     }
 
+    /// All tolerances of the sore spots, as declared limits.
+    pub(super) fn tolerated() -> Self {
+        let mut declared = [None; KINDS];
+        for kind in Kind::ALL {
+            declared[kind as usize] = kind.tolerated();
+        }
+        Self { declared }
+    }
+
     /// The declared limits.
     pub(super) fn declared(&self) -> impl Iterator<Item = (Kind, Band)> {
         Kind::ALL.into_iter().filter_map(|kind| Some((kind, self.declared[kind as usize]?)))

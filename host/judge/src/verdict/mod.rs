@@ -168,6 +168,13 @@ impl Verdict {
             self.limits.iter().flat_map(|limit| &limit.violations).map(|violation| violation.breath);
         breaths.collect::<BTreeSet<_>>().len()
     }
+
+    /// Results of the tolerances that the sore spots have without declared limits, as far as a breath has the figure.
+    pub fn tolerated(&self) -> Vec<LimitResult> {
+        let mut results = limits::check(&Limits::tolerated(), &self.breaths);
+        results.retain(|result| result.checked > 0);
+        results
+    }
 }
 
 /// Name of a lung: its test run, else R and C, else `all`.
