@@ -29,7 +29,7 @@ export class Banner {
   private said = "";
 
   constructor() {
-    this.element.append(this.mark, this.text, this.behind, this.more, this.live);
+    this.element.append(this.mark, h("div", { class: "banner-texts" }, this.text, this.behind), this.more, this.live);
   }
 
   /** Shows the alarms, or the text `none`. A latched alarm flashes until it is acknowledged, as the device's lamp does. */
