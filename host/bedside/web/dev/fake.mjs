@@ -34,7 +34,7 @@ export const SETTINGS = [
 
 class FakeDevice {
   constructor(id, name, lung) {
-    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, pausing: true, mute: false, untold: false, kind: "simulated" });
+    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, pausing: true, mute: false, untold: false, testing: false, kind: "simulated" });
     this.settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
     this.ventilating = true;
     this.verdict = null;
@@ -153,6 +153,7 @@ export class Fake {
 
   answer(socket, device, message) {
     const ok = device.steerer === socket || ["mark", "record", "capture", "recorder"].includes(message.type);
+    if (message.type === "start" && device.testing) return;
     if (message.type === "pause_audio" && !device.pausing) return this.send(socket, { type: "answer", id: message.id, ok: false, text: "no sounder", settings: null });
     const text = ok ? this.obey(device, message) : "take the device first";
     this.send(socket, { type: "answer", id: message.id, ok, text, settings: device.settings });

@@ -26,6 +26,8 @@ export class Steer {
   private device: Device | null = null;
   /** A change of a pressure by more than this needs a confirmation, cmH2O. */
   private largeChange = 0;
+  /** The device whose start is under way: it can take some seconds, and then it can be cancelled. */
+  private starting: Device | null = null;
   private readonly take = button("Take control", () => this.toggle());
   private readonly start = button("Start ventilation", () => this.startStop(), { class: "start" });
   /** Submits the form, as Enter in a field does. */
@@ -60,10 +62,11 @@ export class Steer {
     show(this.take, mayEver);
     show(this.start, mayEver);
     setText(this.take, device.yours ? "Release control" : device.state?.steered_by ? "Take over control" : "Take control");
-    setText(this.start, device.state?.ventilating ? "Stop ventilation" : "Start ventilation");
-    setAttribute(this.start, "data-stops", String(device.state?.ventilating ?? false));
+    const [starts, ventilates] = [this.starting === device, device.state?.ventilating ?? false];
+    setText(this.start, ventilates ? "Stop ventilation" : starts ? "Cancel the start" : "Start ventilation");
+    setAttribute(this.start, "data-stops", String(ventilates || starts));
     // To stop, the settings need not be known; a device that cannot be reached is the server's to tell.
-    this.start.disabled = device.state?.ventilating ? !device.yours : !may;
+    this.start.disabled = ventilates || starts ? !device.yours : !may;
     for (const control of [this.apply, this.reset, ...this.rows.map(({ input }) => input)]) control.disabled = !may;
     for (const row of this.rows) this.values(row, device);
   }
@@ -151,23 +154,36 @@ export class Steer {
     const { device } = this;
     if (device === null) return;
     if (device.state?.ventilating) await this.stopIt(device);
+    else if (this.starting === device) await this.cancel(device);
     else await this.startIt(device);
   }
 
-  private async stopIt({ info }: Device): Promise<void> {
-    if (!(await confirm("Stop ventilation?", [`${info.name} will stop ventilating.`], "Stop ventilation"))) return;
-    this.report(await this.requests.ask("stop", info.id));
+  private async stopIt(device: Device): Promise<void> {
+    if (!(await confirm("Stop ventilation?", [`${device.info.name} will stop ventilating.`], "Stop ventilation"))) return;
+    this.report(device, await this.requests.ask("stop", device.info.id));
+  }
+
+  /** Stops a device that has not started yet. */
+  private async cancel(device: Device): Promise<void> {
+    this.starting = null;
+    this.report(device, await this.requests.ask("stop", device.info.id));
   }
 
   /** A device starts only with settings that were sent since it went to standby: the dialog shows them, and they go first. */
-  private async startIt({ info }: Device): Promise<void> {
+  private async startIt(device: Device): Promise<void> {
+    const { info } = device;
     const asked = this.asked(this.rows);
     if (asked === null) return;
     const list = this.rows.map(({ setting: { name, unit } }) => `${words(name)} ${plain(asked[name] ?? 0)} ${unit}`).join(", ");
     if (!(await confirm("Start ventilation?", [`${info.name} will start ventilating with these settings:`, `${list}.`], "Start ventilation"))) return;
+    this.starting = device;
     const applied = await this.requests.ask("apply", info.id, { settings: asked });
-    this.report(applied, asked);
-    if (applied.ok) this.report(await this.requests.ask("start", info.id));
+    this.report(device, applied, asked);
+    // It may be cancelled meanwhile.
+    const started = applied.ok && this.starting === device ? await this.requests.ask("start", info.id) : null;
+    if (this.starting !== device) return;
+    this.starting = null;
+    if (started !== null) this.report(device, started);
   }
 
   /** The settings in these rows; null if one is wrong, which is then in focus. */
@@ -200,11 +216,13 @@ export class Steer {
     }
     const steps = large(settings, state.settings, asked, this.largeChange);
     if (steps.length > 0 && !(await confirm("Apply a large change of pressure?", steps, "Apply"))) return;
-    this.report(await this.requests.ask("apply", device.info.id, { settings: asked }), asked);
+    this.report(device, await this.requests.ask("apply", device.info.id, { settings: asked }), asked);
   }
 
   /** Shows the answer. Fields that still hold what was asked for follow the device again, and a difference is named. */
-  private report(answer: Answer, asked?: Values): void {
+  private report(device: Device, answer: Answer, asked?: Values): void {
+    // Another device may be shown meanwhile.
+    if (this.device !== device) return;
     const applied = answer.settings;
     let text = answer.ok ? answer.text || "Accepted." : `Refused: ${answer.text}`;
     setAttribute(this.result, "data-ok", String(answer.ok));

@@ -301,6 +301,14 @@ scene("start and stop ask for a confirmation", { steer: true }, async (page, fak
   await page.locator("dialog .agree").click();
   await page.getByRole("button", { name: "Start ventilation" }).waitFor();
   assert.equal(fake.devices[0].ventilating, false);
+  // A start that waits for the device can be cancelled.
+  fake.devices[0].testing = true;
+  await page.getByRole("button", { name: "Start ventilation" }).click();
+  await page.locator("dialog .agree").click();
+  await eventually(() => fake.received.at(-1).type === "start", "the start is asked for");
+  await page.getByRole("button", { name: "Cancel the start" }).click();
+  await page.getByRole("button", { name: "Start ventilation" }).waitFor();
+  assert.equal(fake.received.at(-1).type, "stop");
 });
 
 scene("one page steers; another sees who, and a read-only server offers nothing", { steer: true }, async (page, _fake, url) => {
