@@ -21,6 +21,9 @@ const LUNGS: [&str; 4] = ["R5C50", "R20C20", "R20C50", "R50C10"];
 /// Time without a message after which the soak fails.
 const SILENCE: Duration = Duration::from_secs(10);
 
+/// Longest time of a device's self-test.
+const SELF_TEST: Duration = Duration::from_secs(30);
+
 /// A server that ends with this.
 struct Served(Child);
 
@@ -91,6 +94,7 @@ impl Tally {
 struct Page {
     socket: WebSocketStream<TcpStream>,
     tallies: [Tally; LUNGS.len()],
+    requests: u32,
 }
 
 impl Page {
@@ -99,7 +103,7 @@ impl Page {
         let host = address.strip_prefix("http://").ok_or("the server prints no address")?;
         let stream = TcpStream::connect(host).await?;
         let (socket, _) = client_async(format!("ws://{host}/api/stream"), stream).await?;
-        let mut page = Self { socket, tallies: [Tally::default(); LUNGS.len()] };
+        let mut page = Self { socket, tallies: [Tally::default(); LUNGS.len()], requests: 0 };
         page.send(&json!({"type": "token", "token": token})).await?;
         Ok(page)
     }
@@ -147,20 +151,29 @@ impl Page {
             message["type"] == "state" && message["device"] == device && message["settings"].is_object()
         })
         .await?;
-        let requests = [
-            json!({"type": "apply", "device": device, "settings": {}}),
-            json!({"type": "start", "device": device}),
-        ];
-        for (number, mut request) in requests.into_iter().enumerate() {
-            let id = 10 * device + number;
-            request["id"] = json!(id);
-            self.send(&request).await?;
-            let answer = self.wait(|message| message["type"] == "answer" && message["id"] == id).await?;
-            if answer["ok"] != true {
-                return Err(answer["text"].to_string().into());
+        self.ask(json!({"type": "apply", "device": device, "settings": {}})).await?;
+        let deadline = Instant::now() + SELF_TEST;
+        while let Err(refused) = self.ask(json!({"type": "start", "device": device})).await {
+            if Instant::now() > deadline {
+                return Err(refused);
+            }
+            // The self-test of its start takes some seconds.
+            let retry = Instant::now() + Duration::from_millis(500);
+            while Instant::now() < retry {
+                self.next().await?;
             }
         }
         Ok(())
+    }
+
+    /// Sends a request, and waits for its answer; an error if it is refused.
+    async fn ask(&mut self, mut request: Value) -> Result<(), Box<dyn Error>> {
+        self.requests += 1;
+        let id = self.requests;
+        request["id"] = json!(id);
+        self.send(&request).await?;
+        let answer = self.wait(|message| message["type"] == "answer" && message["id"] == id).await?;
+        if answer["ok"] == true { Ok(()) } else { Err(answer["text"].to_string().into()) }
     }
 
     fn sum(&self, of: impl Fn(&Tally) -> u64) -> u64 {

@@ -38,11 +38,13 @@ async function start() {
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Take control" }).click();
   await until(page, () => !document.querySelector("#setting-pip").disabled);
-  if (await page.getByRole("button", { name: "Start ventilation" }).count()) {
+  // The self-test of its start takes some seconds, in which a start is refused.
+  for (let attempt = 0; attempt < 20 && (await page.getByRole("button", { name: "Start ventilation" }).count()); attempt++) {
     await page.getByRole("button", { name: "Start ventilation" }).click();
     await page.locator("dialog .agree").click();
-    await page.getByRole("button", { name: "Stop ventilation" }).waitFor({ timeout: 60_000 });
+    await sleep(3000);
   }
+  await page.getByRole("button", { name: "Stop ventilation" }).waitFor();
   await page.getByRole("tab", { name: "Loops" }).click();
 }
 

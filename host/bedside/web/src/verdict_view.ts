@@ -57,7 +57,7 @@ function table(limits: readonly LimitCheck[]): HTMLElement {
     h("th", { scope: "row" }, one.name, h("small", {}, tolerance(one.limit, one.unit))),
     h("td", {}, `${count(one.violations)} of ${count(one.checked)}`),
     h("td", {}, percent(one.violations, one.checked)),
-    h("td", {}, one.worst === null ? "" : `${fixed(one.worst, 1)}, breath ${one.worst_breath}`),
+    h("td", {}, ...(one.worst === null ? [] : [fixed(one.worst, 1), h("small", {}, `breath ${one.worst_breath}`)])),
   ));
   return h("table", { class: "limits" }, h("thead", {}, h("tr", {}, ...head)), h("tbody", {}, ...rows));
 }

@@ -63,5 +63,5 @@ scene("the verdict on a recording has a panel of its own", {}, async (page, fake
   await page.reload();
   await page.getByRole("tab", { name: "Verdict" }).click();
   assert.equal(await text(page, ".verdict-share"), "10 of 40 judged breaths (25 %) violate a limit.");
-  assert.equal(await text(page, ".limits tbody tr"), "overshoot2 cmH2O10 of 4025 %6.3, breath 7");
+  assert.equal(await text(page, ".limits tbody tr"), "overshoot2 cmH2O10 of 4025 %6.3breath 7");
 });
