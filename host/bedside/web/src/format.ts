@@ -27,6 +27,11 @@ export function words(name: string): string {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
+/** A text as a sentence: a capital letter before it and a full stop after it. */
+export function sentence(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : ".");
+}
+
 /** The mark of a device that is not a board: a replay must not look live. Empty for a board. */
 export function origin(kind: string): string {
   if (kind === "recording") return "REPLAY";

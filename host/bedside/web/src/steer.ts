@@ -4,7 +4,7 @@ import { changes, large, typed } from "./confirm";
 import type { Device } from "./device";
 import { confirm } from "./dialog";
 import { button, h, setAttribute, setText, show } from "./dom";
-import { plain, UNKNOWN, words } from "./format";
+import { plain, sentence, UNKNOWN, words } from "./format";
 import type { Requests } from "./requests";
 import type { Answer, Setting, Values } from "./stream";
 
@@ -224,10 +224,10 @@ export class Steer {
     // Another device may be shown meanwhile.
     if (this.device !== device) return;
     const applied = answer.settings;
-    let text = answer.ok ? answer.text || "Accepted." : `Refused: ${answer.text}`;
+    let text = answer.ok ? sentence(answer.text || "accepted") : sentence(`refused: ${answer.text}`);
     setAttribute(this.result, "data-ok", String(answer.ok));
     if (answer.ok && applied !== null && asked !== undefined) {
-      const settings = this.rows.map(({ setting }) => setting);
+      const settings = this.rows.map(({ setting }) => setting).filter(({ name }) => asked[name] !== undefined);
       const differing = changes(settings, asked, applied).map(({ name }) => `${words(name)} ${plain(applied[name] ?? Number.NaN)}`);
       if (differing.length > 0) text += ` Applied instead: ${differing.join(", ")}.`;
     }
@@ -250,7 +250,8 @@ function typedAs({ setting, input }: Row, value: number): boolean {
 function who(device: Device, mayEver: boolean): string {
   const [holder, lease] = [device.state?.steered_by ?? null, device.state?.lease ?? null];
   const page = device.yours ? "This page steers the device." : holder === null ? "No page steers the device." : `${holder} steers the device.`;
-  const past = lease === null || lease === holder ? "" : ` The device is under control of another program: ${lease}.`;
+  // Another program may hold the device's lease, past all pages.
+  const obeys = lease === null ? "" : ` The device obeys ${lease}.`;
   const reads = mayEver ? "" : " This page is read-only: start the server with --steer to change settings.";
-  return page + past + reads;
+  return page + obeys + reads;
 }

@@ -210,6 +210,7 @@ scene("settings go round: asked, confirmed, applied; by the keyboard alone", { s
   await page.keyboard.type("24.5");
   await page.keyboard.press("Enter");
   await until(page, () => document.querySelector("#setting-pip").closest("tr").querySelector(".applied").textContent === "24.5");
+  await until(page, () => document.querySelector(".steer .result").textContent === "Applied from the next breath on.");
   assert.equal(fake.devices[0].settings.pip, 24.5);
   await page.keyboard.press("Control+a");
   await page.keyboard.type("35");

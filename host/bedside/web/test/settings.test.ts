@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { changes, large, typed } from "../src/confirm";
-import { count, fixed, plain, ratio, words } from "../src/format";
+import { count, fixed, origin, plain, ratio, sentence, words } from "../src/format";
 import { group, isPid } from "../src/pairs";
 import { end, roundUp } from "../src/scale";
 import { pause } from "../src/socket";
@@ -52,6 +52,11 @@ test("numbers are written as the field writes them", () => {
   assert.deepEqual([fixed(null, 1), fixed(Number.NaN, 1), fixed(-0.01, 1), fixed(123.4, 1)], ["--", "--", "0.0", "123"]);
   assert.deepEqual([ratio(2), ratio(0.5), ratio(null), ratio(0)], ["1:2.0", "2.0:1", "--", "--"]);
   assert.deepEqual([words("inspiratory_time"), words("pip"), words("PID alone"), words("reading-frozen"), count(1_234_567)], ["Inspiratory time", "PIP", "PID alone", "Reading frozen", "1 234 567"]);
+});
+
+test("an answer is a sentence, and a device that is not live has a mark", () => {
+  assert.deepEqual([sentence("from the next breath on"), sentence("Applied.")], ["From the next breath on.", "Applied."]);
+  assert.deepEqual(["recording", "simulated", "board", "hil"].map(origin), ["REPLAY", "SIMULATED", "", ""]);
 });
 
 test("a scale grows at once and shrinks only when it may", () => {
