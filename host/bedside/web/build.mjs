@@ -1,7 +1,7 @@
 // Builds the page into dist/ with esbuild, or with --tests the unit tests into out/.
 //
 // The output depends on the sources and the pinned packages alone, so that CI can compare it with the committed files.
-// With --check, builds into memory and fails if dist/ differs.
+// With --check, builds into memory and fails if dist/ differs or is too large.
 
 import { readFile, writeFile, mkdir, rm, readdir } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
@@ -62,11 +62,13 @@ async function buildPage() {
 }
 
 async function checkPage() {
-  for (const [name, contents] of await page()) {
+  const files = await page();
+  for (const [name, contents] of files) {
     const committed = await readFile(join(DIST, name)).catch(() => Buffer.alloc(0));
     if (!committed.equals(contents)) throw new Error(`dist/${name} is not what the sources give: run npm run build`);
   }
   console.log("dist/ is what the sources give");
+  weigh(files);
 }
 
 async function buildTests() {

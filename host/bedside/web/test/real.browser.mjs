@@ -1,62 +1,108 @@
-// The page against the real server: `trainer serve`, named by the environment's TRAINER, on a simulated device.
+// The page against the real server: `trainer serve`, named by the environment's TRAINER, on a simulated device, and on the real image in
+// QEMU, whose images are in the environment's IMAGES.
 
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
+import { mkdtemp, readFile, rm } from "node:fs/promises";
+import { createServer } from "node:http";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { launch, missing, open, painted, SHOTS, sleep, until } from "./browser.mjs";
+import { eventually, launch, missing, open, painted, SHOTS, skips, until, WHOLE } from "./browser.mjs";
 
-const { TRAINER } = process.env;
-const skip = missing || (TRAINER ? false : "no TRAINER: name the trainer binary");
-const PORT = 8471;
+const { TRAINER, IMAGES } = process.env;
+const skip = missing || skips(TRAINER ? "" : "no TRAINER: name the trainer binary");
+const skipBoard = skip || skips(IMAGES ? "" : "no IMAGES: name the folder of the firmware's images");
+/** The policy that the server must send, from its source. */
+const POLICY = /CONTENT_SECURITY_POLICY: &str = "(.*)";/.exec(await readFile(new URL("../../src/guard.rs", import.meta.url), "utf8"))[1];
 
 let browser;
-before(async () => { if (!skip) browser = await launch(); });
-after(async () => { await browser?.close(); });
+let folder;
+before(async () => {
+  if (skip) return;
+  browser = await launch();
+  folder = await mkdtemp(join(tmpdir(), "bedside-"));
+});
+after(async () => {
+  await browser?.close();
+  if (folder) await rm(folder, { recursive: true });
+});
 
-/** Starts the server and waits for the address that it prints. */
-function serve(...args) {
-  const child = spawn(TRAINER, ["serve", ...args, "--listen", `127.0.0.1:${PORT}`], { stdio: ["ignore", "pipe", "pipe"] });
-  child.stderr.resume();
-  return new Promise((resolve, reject) => {
-    child.stdout.on("data", (text) => resolve({ child, url: String(text).trim() }));
-    child.on("exit", (code) => reject(new Error(`trainer serve ended with ${code}`)));
-  });
+/** Runs the trainer until a line on its output matches; what it matched, and a function that kills the process. */
+async function run(args, pattern) {
+  const child = spawn(TRAINER, args, { stdio: ["ignore", "pipe", "pipe"] });
+  const ended = new Promise((resolve) => child.on("exit", resolve));
+  let [text, said] = ["", ""];
+  child.stderr.on("data", (data) => { said = (said + data).slice(-2000); });
+  const kill = () => { child.kill("SIGKILL"); return ended; };
+  const found = await Promise.race([
+    ended,
+    new Promise((resolve) => child.stdout.on("data", (data) => {
+      text += data;
+      const match = pattern.exec(text);
+      if (match) resolve(match);
+    })),
+  ]);
+  if (!Array.isArray(found)) throw new Error(`trainer ${args.join(" ")} ended with ${found}: ${said}`);
+  return { found, kill };
 }
 
-async function scene(args, run) {
-  const server = await serve(...args);
+/** A server on a free port or on this one. */
+async function serve(args, port = 0) {
+  const { found: [url, own], kill } = await run(["serve", ...args, "--records", folder, "--listen", `127.0.0.1:${port}`], /http:\/\/127\.0\.0\.1:(\d+)\S*(?=\n)/);
+  return { url, port: Number(own), kill };
+}
+
+/** The real image in QEMU. A port of a board that has just died may be taken for some time. */
+async function board(port = 0) {
+  let started = null;
+  await eventually(async () => {
+    started = await run(["qemu", "--listen", String(port), "--images", IMAGES], /tcp:127\.0\.0\.1:(\d+)\n/).catch((error) => {
+      if (port === 0) throw error;
+      return null;
+    });
+    return started;
+  }, "the board starts");
+  return { port: Number(started.found[1]), kill: started.kill };
+}
+
+/** Runs a test on a page of a server; scripts must not fail, and nothing outside may be asked for. */
+async function scene(args, run_) {
+  const server = await serve(args);
   const page = await open(browser, server.url);
   try {
     await until(page, () => window.eupnea?.devices.length > 0);
-    await run(page, server);
+    await run_(page, server);
     assert.deepEqual(page.errors, []);
     assert.deepEqual(page.outside, []);
   } finally {
     await page.context().close();
-    server.child.kill("SIGKILL");
+    await server.kill();
   }
 }
 
-const startVentilation = async (page) => {
+async function startVentilation(page) {
   await page.getByRole("tab", { name: "Settings" }).click();
-  await page.getByRole("button", { name: "Take control" }).click();
-  await until(page, () => !document.querySelector("#setting-pip").disabled);
-  if (await page.getByRole("button", { name: "Stop ventilation" }).count()) return;
+  const take = page.getByRole("button", { name: "Take control" });
+  if (await take.isVisible()) await take.click();
   await page.getByRole("button", { name: "Start ventilation" }).click();
   await page.locator("dialog .agree").click();
-  await page.getByRole("button", { name: "Stop ventilation" }).waitFor({ timeout: 60_000 });
+  await page.getByRole("button", { name: "Stop ventilation" }).waitFor();
+}
+
+const breathes = async (page) => {
+  await until(page, () => window.eupnea.devices[0].breath?.number > 0 && window.eupnea.devices[0].ring.end > 4000);
+  for (const strip of ["pressure", "flow", "volume", "valves"]) assert.ok((await painted(page, strip)) > 300, strip);
 };
 
-test("a simulated device: start, waveforms, settings round trip, marker, stop", { skip, timeout: 240_000 }, () => scene(["--bench", "R20C20", "--steer"], async (page) => {
+test("a simulated device: start, waveforms, settings round trip, marker, stop", { skip, timeout: WHOLE }, () => scene(["--bench", "R20C20", "--steer"], async (page) => {
   await startVentilation(page);
-  await until(page, () => window.eupnea.devices[0].breath?.number > 1, undefined, 60_000);
-  for (const strip of ["pressure", "flow", "volume", "valves"]) assert.ok((await painted(page, strip)) > 300, strip);
+  await breathes(page);
   await page.locator("#setting-pip").fill("24");
   await page.locator("#setting-pip").press("Enter");
-  await until(page, () => window.eupnea.devices[0].state.settings.pip === 24, undefined, 60_000);
+  await until(page, () => window.eupnea.devices[0].state.settings.pip === 24);
   await until(page, () => document.querySelector("#setting-pip").closest("tr").querySelector(".applied").textContent === "24");
-  await until(page, () => Math.abs(window.eupnea.devices[0].breath.pip - 24) < 3, undefined, 60_000);
+  await until(page, () => Math.abs(window.eupnea.devices[0].breath.pip - 24) < 3);
   await page.getByRole("tab", { name: "Record" }).click();
   await page.getByRole("button", { name: "Set marker" }).click();
   await until(page, () => /marker/i.test(document.querySelector(".log li")?.textContent ?? ""));
@@ -66,26 +112,85 @@ test("a simulated device: start, waveforms, settings round trip, marker, stop", 
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Stop ventilation" }).click();
   await page.locator("dialog .agree").click();
-  await page.getByRole("button", { name: "Start ventilation" }).waitFor({ timeout: 60_000 });
+  await page.getByRole("button", { name: "Start ventilation" }).waitFor();
 }));
 
-test("the page finds a server that died", { skip, timeout: 120_000 }, () => scene(["--bench", "R20C20"], async (page, server) => {
+test("the page finds a server that died", { skip, timeout: WHOLE }, () => scene(["--bench", "R20C20"], async (page, server) => {
   await until(page, () => window.eupnea.devices[0].state?.connected === true);
-  server.child.kill("SIGKILL");
+  await server.kill();
   await until(page, () => !document.querySelector(".shade").hidden && /No data/.test(document.querySelector("#banner").textContent));
-  await sleep(1000);
-  server.child = (await serve("--bench", "R20C20")).child;
+  await until(page, () => window.eupnea.socket.attempts > 1);
+  server.kill = (await serve(["--bench", "R20C20"], server.port)).kill;
   await until(page, () => document.querySelector(".connection").textContent === "Connected" && document.querySelector(".shade").hidden);
   await until(page, () => document.querySelector("#banner").dataset.priority === "none");
 }));
 
-test("the demo: a fault raises an alarm on the wall", { skip, timeout: 240_000 }, () => scene(["--demo"], async (page) => {
-  await until(page, () => window.eupnea.devices.filter(({ breath }) => breath).length > 8, undefined, 90_000);
+test("a board that dies is told, and ventilates again after its return", { skip: skipBoard, timeout: WHOLE }, async () => {
+  let device = await board();
+  try {
+    await scene(["--port", `tcp:127.0.0.1:${device.port}`, "--steer"], async (page) => {
+      await startVentilation(page);
+      await breathes(page);
+      await device.kill();
+      await until(page, () => document.querySelector(".shade").textContent === "Device not connected" && !document.querySelector(".shade").hidden);
+      await until(page, () => document.querySelector("#banner").dataset.priority === "high" && /not connected/.test(document.querySelector("#banner").textContent));
+      device = await board(device.port);
+      await until(page, () => window.eupnea.devices[0].state.connected && document.querySelector(".shade").hidden);
+      const before = await page.evaluate(() => window.eupnea.devices[0].ring.end);
+      await startVentilation(page);
+      await until(page, (known) => window.eupnea.devices[0].ring.end > known + 1000 && window.eupnea.devices[0].ring.newest < 60_000, before);
+    });
+  } finally {
+    await device.kill();
+  }
+});
+
+test("the policy comes with every file, and forbids the page to reach anything else", { skip, timeout: WHOLE }, async () => {
+  let asked = 0;
+  const stranger = createServer((_, response) => { asked += 1; response.end(); });
+  await new Promise((resolve) => stranger.listen(0, "127.0.0.1", resolve));
+  try {
+    await scene(["--bench", "R20C20"], async (page) => {
+      assert.equal(page.response.headers()["content-security-policy"], POLICY);
+      for (const path of ["app.js", "app.css", "api/state", "metrics", "nothing"]) {
+        const { headers } = await page.evaluate(async (address) => ({ headers: [...(await fetch(address)).headers] }), `/${path}`);
+        assert.equal(Object.fromEntries(headers)["content-security-policy"], POLICY, path);
+      }
+      const directives = await page.evaluate(async (address) => {
+        const seen = [];
+        document.addEventListener("securitypolicyviolation", ({ effectiveDirective }) => seen.push(effectiveDirective));
+        const insert = (tag, properties) => document.body.append(Object.assign(document.createElement(tag), properties));
+        await fetch(address).catch(() => {});
+        try { new WebSocket(address.replace("http", "ws")); } catch { /* Some browsers throw. */ }
+        navigator.sendBeacon(address, "x");
+        insert("img", { src: `${address}i.png` });
+        insert("script", { src: `${address}s.js` });
+        insert("script", { textContent: "window.foreign = true" });
+        insert("link", { rel: "stylesheet", href: `${address}s.css` });
+        insert("iframe", { src: address });
+        insert("video", { src: address });
+        for (const begin = performance.now(); seen.length < 9 && performance.now() - begin < 10_000;) await new Promise((resolve) => setTimeout(resolve, 20));
+        return [seen, window.foreign];
+      }, `http://127.0.0.1:${stranger.address().port}/`);
+      assert.deepEqual(directives[0].sort(), ["connect-src", "connect-src", "connect-src", "frame-src", "img-src", "media-src", "script-src-elem", "script-src-elem", "style-src-elem"]);
+      assert.equal(directives[1], undefined, "the script did not run");
+      assert.equal(asked, 0, "no request reached the other server");
+      // These were the attempts of the test.
+      page.errors.length = 0;
+      page.outside.length = 0;
+    });
+  } finally {
+    stranger.close();
+  }
+});
+
+test("the demo: a fault raises an alarm on the wall", { skip, timeout: WHOLE }, () => scene(["--demo"], async (page) => {
+  await until(page, () => window.eupnea.devices.filter(({ breath }) => breath).length > 8);
   assert.equal(await page.locator(".pair").count(), 9);
   await page.screenshot({ path: join(SHOTS, "real-wall.png") });
   await page.locator(".card-open").last().click();
   await page.getByRole("button", { name: "Disconnect" }).click();
-  await until(page, () => document.querySelector("#banner").dataset.priority === "high", undefined, 60_000);
+  await until(page, () => document.querySelector("#banner").dataset.priority === "high");
   await page.screenshot({ path: join(SHOTS, "real-alarm.png") });
   await page.getByRole("button", { name: "Wall" }).click();
   await until(page, () => document.querySelector(".card .banner").closest(".group-of-cards").querySelector('[data-priority="high"]') !== null);
