@@ -6,7 +6,7 @@ import type { Alarm } from "./stream";
 
 const NO_ALARMS = "No alarms";
 
-/** What stands instead of alarms: a replay has no monitors. */
+/** The text that stands for an empty list of alarms: a replay has no monitors. */
 export function without(kinds: readonly string[]): string {
   return kinds.length > 0 && kinds.every((kind) => kind === "recording") ? "Replay: alarms are not evaluated" : NO_ALARMS;
 }

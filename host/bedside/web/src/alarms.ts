@@ -37,7 +37,7 @@ export function behindGone(alarms: readonly Alarm[]): Alarm | null {
   return first && !first.present ? (rest.find(({ present }) => present) ?? null) : null;
 }
 
-/** The alarms that nobody has acknowledged, by keys that name the device too. */
+/** The alarms without an acknowledgement, by keys that name the device too. */
 export function unacknowledged(device: number, alarms: readonly Alarm[]): Unacknowledged[] {
   return alarms.filter(({ acknowledged }) => !acknowledged).map(({ id, priority }) => ({ key: `${device} ${id}`, priority }));
 }
@@ -52,7 +52,7 @@ export function noData(ventilating: boolean, since_ms: number, text = "No data f
   return { id: `${OWN}no-data`, text, priority: ventilating ? "high" : "medium", present: true, since_ms, acknowledged: false };
 }
 
-/** What a device that is not connected lacks, in words. */
+/** The reason why a device counts as not connected, in words. */
 export function lacks({ missing }: Pick<State, "missing">): string {
   if (missing === "samples") return "No samples from the device";
   return missing === "answers" ? "No answers from the device" : "Device not connected";

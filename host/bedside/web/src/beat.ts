@@ -2,7 +2,7 @@
 //
 // The worker runs the page's own script, which begins with `work` where there is no document; so the server needs no other file.
 
-/** What of a worker's global scope is used; TypeScript knows only that of a page. */
+/** The used part of a worker's global scope; TypeScript knows only that of a page. */
 interface Scope {
   onmessage: ((event: MessageEvent<number>) => void) | null;
   postMessage(message: null): void;

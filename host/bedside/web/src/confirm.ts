@@ -1,4 +1,4 @@
-// Which changes of the settings need a confirmation, and whether a typed value is within its bounds. Pure.
+// Rules for changes of the settings: the bounds of typed values, and large changes, which need a confirmation. Pure.
 
 import { plain, words } from "./format";
 import type { Setting, Values } from "./stream";
@@ -6,7 +6,7 @@ import type { Setting, Values } from "./stream";
 /** A typed value: a number within the bounds, or the reason why not. */
 export type Typed = { value: number } | { reason: string };
 
-/** Reads what was typed for a setting. */
+/** Reads the text that was typed for a setting. */
 export function typed(setting: Setting, text: string): Typed {
   const trimmed = text.trim().replace(",", ".");
   const value = trimmed === "" ? Number.NaN : Number(trimmed);

@@ -6,7 +6,7 @@ import type { Ring } from "./ring";
 import type { Column } from "./stream";
 import { place, type Sweep, sampleAt } from "./sweep";
 
-/** What is under the cursors. */
+/** The picture under the cursors. */
 interface Picture {
   ring: Ring | null;
   sweep: Sweep;

@@ -109,7 +109,7 @@ export class Device {
     return this.reference !== null;
   }
 
-  /** Whether it is a replay, which pauses before it starts again and whose silence endangers nobody. */
+  /** Whether it is a replay, which pauses before it starts again and has no patient. */
   get replay(): boolean {
     return this.info.kind === "recording";
   }

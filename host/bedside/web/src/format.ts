@@ -1,6 +1,6 @@
 // Numbers and times as text. Pure.
 
-/** What stands for an unknown number. */
+/** Text for an unknown number. */
 export const UNKNOWN = "--";
 
 /** A number with a fixed count of decimals; a large one has fewer. */

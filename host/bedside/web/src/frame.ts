@@ -14,7 +14,7 @@ export interface Mark {
 export interface FrameOptions {
   /** Text of the vertical axis. */
   label: string;
-  /** What follows the numbers of the horizontal axis; none hides the axis. */
+  /** Text after each number of the horizontal axis; none hides the axis. */
   bottom?: string;
   /** Least distance of two lines of the grid, pixels. */
   space?: number;

@@ -1,6 +1,6 @@
 // Finds pairs of devices that differ only in their controller: "R20C20 PID" beside "R20C20 learned" or "R20C20 adult". Pure.
 
-/** What a name tells: the words of the lung, and whether the controller is a PID. */
+/** The parts of a name: the words of the lung, and whether the controller is a PID. */
 interface Parts {
   lung: string;
   pid: boolean;

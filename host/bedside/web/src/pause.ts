@@ -3,7 +3,7 @@
 import type { Priority } from "./stream";
 import { urgency } from "./tones";
 
-/** An alarm that nobody has acknowledged: `key` names its device and the alarm. */
+/** An alarm without an acknowledgement: `key` names its device and the alarm. */
 export interface Unacknowledged {
   key: string;
   priority: Priority;

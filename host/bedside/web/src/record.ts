@@ -1,4 +1,4 @@
-// The panel for recordings, markers and triggered captures, and the log of what happened.
+// The panel for recordings, markers and triggered captures, and the log of events.
 
 import { clock } from "./alarms";
 import type { Device } from "./device";

@@ -127,7 +127,7 @@ export class Steer {
     if (input.value !== text) input.value = text;
   }
 
-  /** Forgets what was typed. */
+  /** Forgets the typed values. */
   private undo(): void {
     for (const row of this.rows) {
       row.edited = false;
@@ -219,7 +219,7 @@ export class Steer {
     this.report(device, await this.requests.ask("apply", device.info.id, { settings: asked }), asked);
   }
 
-  /** Shows the answer. Fields that still hold what was asked for follow the device again, and a difference is named. */
+  /** Shows the answer. Fields that still hold the sent value follow the device again, and a difference is named. */
   private report(device: Device, answer: Answer, asked?: Values): void {
     // Another device may be shown meanwhile.
     if (this.device !== device) return;

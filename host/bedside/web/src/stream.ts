@@ -58,7 +58,7 @@ export interface State {
   type: "state";
   device: number;
   connected: boolean;
-  /** What makes it not connected. */
+  /** The missing part of a device that is not connected. */
   missing: "line" | "answers" | "samples" | null;
   lost: string | null;
   mode: string;
@@ -82,7 +82,7 @@ export interface State {
   triggers: Triggers | null;
 }
 
-/** What starts a capture: an alarm, or an overshoot or a pressure above a level in cmH2O. */
+/** Triggers of a capture: an alarm, or an overshoot or a pressure above a level in cmH2O. */
 export interface Triggers { alarm: boolean; overshoot: number | null; pressure: number | null }
 
 /** Names of a breath's figures. */

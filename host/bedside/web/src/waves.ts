@@ -102,7 +102,7 @@ export class Waves {
     for (const { layer } of this.rows) layer.invalidate();
   }
 
-  /** Draws what came since the last picture; the oldest tick that is new in it, or null if none is. */
+  /** Draws the samples since the last picture; returns the oldest tick that is new in it, or null if none is. */
   draw(now: number): number | null {
     const { ring, device } = this;
     if (ring === null || device === null || this.element.offsetParent === null) return null;
