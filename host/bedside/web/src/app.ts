@@ -186,7 +186,7 @@ class App {
     else this.wall.draw();
   }
 
-  /** Tells the server what has been drawn, so that it can measure the time from a tick to its picture. */
+  /** Reports the oldest tick that is new in a picture, so that the server can measure the longest time from a tick to its picture. */
   private report(now: number, device: Device, tick: number | null): void {
     if (tick === null || now - this.reported < REPORT_EVERY || !this.socket.connected) return;
     this.reported = now;
