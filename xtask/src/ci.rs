@@ -41,6 +41,8 @@ const HOST: &[Step] = &[
     )
     .after("setup"),
     step("cost", &["xtask cost"]).after("firmware"),
+    // On the lane that ends first. It needs the firmware's images, and what the set-up before them installs.
+    step("web", &["xtask web"]).after("firmware"),
 ];
 
 /// Checks of the chip's code, then steps that use the trainer, which the other lane builds, and the tests in QEMU.

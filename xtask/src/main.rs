@@ -13,6 +13,7 @@ mod python;
 mod qemu_test;
 mod setup;
 mod trainer;
+mod web;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -36,7 +37,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Prepare the toolchain to build for the chip, and install QEMU; skips what is present
+    /// Prepare the toolchain to build for the chip, and install QEMU, node and Chromium; skips what is present
     Setup(setup::Arguments),
     /// Build the firmware's images and show how much flash and RAM they use
     Firmware,
@@ -59,6 +60,8 @@ enum Command {
     Package,
     /// Build a wheel of the Python package that runs on any Linux with glibc 2.28 or newer
     Wheel,
+    /// Check the bedside page, that its bundle is what the sources give, and test it in Chromium
+    Web(web::Arguments),
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -89,6 +92,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Python => python::run(&shell),
         Command::Package => package::run(&shell),
         Command::Wheel => package::wheel(&shell),
+        Command::Web(arguments) => web::run(&shell, arguments),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

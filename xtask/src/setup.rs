@@ -1,5 +1,5 @@
-//! `cargo xtask setup`: prepares the toolchain to build for the chip, and installs QEMU for the virtual board and the engines for the
-//! tests of sharded commands.
+//! `cargo xtask setup`: prepares the toolchain to build for the chip, and installs QEMU for the virtual board, the engines for the
+//! tests of sharded commands, and node and Chromium for those of the bedside page.
 //!
 //! Scripts in `.ci/setup` do this, since they change the machine and not the project.
 
@@ -11,7 +11,7 @@ use crate::{CHIP_TARGET, mutants};
 /// Arguments of `cargo xtask setup`.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Omit QEMU and the engines, which building the firmware does not need
+    /// Omit QEMU, the engines, node and Chromium, which building the firmware does not need
     #[arg(long)]
     target_only: bool,
     /// Install cargo-mutants too, for `cargo xtask mutants`
@@ -23,8 +23,9 @@ pub struct Arguments {
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     cmd!(shell, "bash .ci/setup/chip-target {CHIP_TARGET}").quiet().run()?;
     if !arguments.target_only {
-        cmd!(shell, "bash .ci/setup/qemu").quiet().run()?;
-        cmd!(shell, "bash .ci/setup/engines").quiet().run()?;
+        for tool in ["qemu", "engines", "node", "chromium"] {
+            cmd!(shell, "bash .ci/setup/{tool}").quiet().run()?;
+        }
     }
     if arguments.mutants {
         mutants::install(shell)?;

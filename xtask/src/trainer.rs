@@ -1,7 +1,7 @@
 //! The trainer, built with the same packages and profile as the tests: another selection of packages would build its
 //! dependencies again, and another profile everything.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use xshell::{Shell, cmd};
@@ -21,6 +21,11 @@ impl<'a> Trainer<'a> {
             .quiet()
             .run()?;
         Ok(Self { shell, program: cargo_folder(shell).join("debug/trainer") })
+    }
+
+    /// Its path.
+    pub fn program(&self) -> &Path {
+        &self.program
     }
 
     /// Runs a command line, split at spaces; `words` replaces placeholders by arguments that contain spaces.

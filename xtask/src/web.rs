@@ -1,0 +1,129 @@
+//! `cargo xtask web`: checks the bedside page and tests it in Chromium, on a fake server and on the real one, which shows a simulated
+//! device and the real image in QEMU.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use xshell::{Shell, cmd};
+
+use crate::firmware;
+use crate::trainer::Trainer;
+
+/// Folder of the page.
+const PAGE: &str = "host/bedside/web";
+/// Test files that run at the same time: most of their time they wait for breaths and flashes.
+const AT_ONCE: usize = 3;
+/// The lock file, and a copy of it beside the packages that were installed by it.
+const LOCK: [&str; 2] = ["package-lock.json", "node_modules/.installed.json"];
+
+/// Arguments of `cargo xtask web`.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Only take the pictures of the documents again: docs/figures/bedside-*.png; needs pngquant
+    #[arg(long)]
+    screenshots: bool,
+    /// Run only the browser tests whose names contain one of these texts, which are regular expressions
+    filters: Vec<String>,
+}
+
+/// Checks and tests the page, or takes its pictures.
+pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
+    let mut needed = vec!["node", "npm"];
+    needed.extend(arguments.screenshots.then_some("pngquant"));
+    find(shell, &needed)?;
+    let trainer = Trainer::build(shell)?;
+    let images = firmware::build_unsigned(shell)?;
+    let _folder = shell.push_dir(PAGE);
+    install(shell)?;
+    if arguments.screenshots {
+        return Ok(cmd!(shell, "node dev/screenshots.mjs")
+            .env("TRAINER", trainer.program())
+            .quiet()
+            .run()?);
+    }
+    if arguments.filters.is_empty() {
+        cmd!(shell, "npm run --silent check").quiet().run()?;
+        cmd!(shell, "npm test --silent").quiet().run()?;
+        cmd!(shell, "node build.mjs --check").quiet().run()?;
+    }
+    browse(shell, trainer.program(), images.folder(), &arguments.filters)
+}
+
+/// Fails unless these programs are present.
+fn find(shell: &Shell, programs: &[&str]) -> Result<()> {
+    for program in programs {
+        let probe = cmd!(shell, "{program} --version").quiet().ignore_stdout().ignore_stderr();
+        if probe.run().is_err() {
+            bail!("{program} is missing: {}", remedy(program));
+        }
+    }
+    Ok(())
+}
+
+/// How to install a program.
+fn remedy(program: &str) -> &'static str {
+    match program {
+        "pngquant" => "install it, on Debian with: apt-get install pngquant",
+        _ => {
+            "run cargo xtask setup, which installs node and npm on Debian, or install node 20 or newer with npm"
+        }
+    }
+}
+
+/// Installs the packages of the lock file, unless they are the ones that are installed.
+fn install(shell: &Shell) -> Result<()> {
+    let [wanted, installed] = LOCK.map(|path| shell.read_file(path).ok());
+    if wanted.is_some() && wanted == installed {
+        return Ok(());
+    }
+    println!("npm packages: installing them into {PAGE}/node_modules");
+    cmd!(shell, "npm ci --no-audit --no-fund --loglevel=error").quiet().run().context(
+        "cannot install the page's packages: check the connection and npm's configuration, then repeat this",
+    )?;
+    shell.copy_file(LOCK[0], LOCK[1])?;
+    Ok(())
+}
+
+/// Runs the browser tests. None may be left out, as they are elsewhere if a program is missing.
+fn browse(shell: &Shell, trainer: &Path, images: &Path, filters: &[String]) -> Result<()> {
+    let mut files = shell.read_dir("test")?;
+    files.retain(|file| file.to_string_lossy().ends_with(".browser.mjs"));
+    let only = filters.iter().map(|filter| format!("--test-name-pattern={filter}"));
+    let at_once = AT_ONCE.to_string();
+    cmd!(shell, "node --test --test-reporter=spec --test-concurrency={at_once} {only...} {files...}")
+        .env("TRAINER", trainer)
+        .env("IMAGES", images)
+        .env("SKIP_NOTHING", "1")
+        .quiet()
+        .run()?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_program_is_named_with_its_remedy() {
+        let shell = Shell::new().unwrap();
+        let missing = find(&shell, &["cargo", "eupnea-has-no-such-program"]).unwrap_err().to_string();
+        assert_eq!(
+            missing,
+            "eupnea-has-no-such-program is missing: run cargo xtask setup, which installs node and npm on Debian, or install \
+             node 20 or newer with npm"
+        );
+        find(&shell, &["cargo"]).unwrap();
+    }
+
+    #[test]
+    fn packages_of_the_same_lock_file_are_not_installed_again() {
+        let shell = Shell::new().unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        shell.change_dir(folder.path());
+        for path in LOCK {
+            shell.write_file(path, "{}").unwrap();
+        }
+        install(&shell).unwrap();
+        assert!(!shell.path_exists("node_modules/.package-lock.json"), "npm was not called");
+    }
+}
