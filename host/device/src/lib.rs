@@ -16,6 +16,7 @@ pub mod port;
 pub mod simulated;
 pub mod upload;
 
+use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -41,6 +42,8 @@ use port::{Address, Port, PortError};
 
 /// Longest time for an answer before the request is repeated.
 const ANSWER_TIME: Duration = Duration::from_millis(1500);
+/// Interval at which events are passed on meanwhile.
+const PASS_EVERY: Duration = Duration::from_millis(10);
 /// Number of times that a request is sent.
 const ATTEMPTS: usize = 4;
 /// Longest wait for the self-test before a start.
@@ -82,6 +85,8 @@ pub enum DeviceError {
 pub struct Device {
     address: Address,
     line: Line,
+    /// Events that arrived while an answer was awaited, and may be younger than it.
+    held: VecDeque<Event>,
     sequence: u16,
     /// Identifies this connection, for the lease.
     token: u32,
@@ -95,8 +100,16 @@ impl Device {
     /// # Errors
     /// [`DeviceError::Port`].
     pub fn connect(address: &Address) -> Result<Self, DeviceError> {
-        let line = Line::start(Port::open(address)?);
-        Ok(Self { address: address.clone(), line, sequence: 0, token: host::token(), steers: false })
+        let mut device = Self::at(address);
+        device.line = Line::start(Port::open(address)?);
+        Ok(device)
+    }
+
+    /// A device at a port that is not open yet: [`Self::reconnect`] opens it.
+    pub fn at(address: &Address) -> Self {
+        let line = Line::closed();
+        let (held, token) = (VecDeque::new(), host::token());
+        Self { address: address.clone(), line, held, sequence: 0, token, steers: false }
     }
 
     /// The device's address.
@@ -111,6 +124,7 @@ impl Device {
     pub fn reconnect(&mut self) -> Result<(), DeviceError> {
         // Close the old line first: a serial port can be open only once.
         self.line.end();
+        self.held.clear();
         self.line = Line::start(Port::open(&self.address)?);
         Ok(())
     }
@@ -118,6 +132,11 @@ impl Device {
     /// Counters of the line so far.
     pub fn counters(&self) -> LineCounters {
         self.line.counters()
+    }
+
+    /// The next event that the device has sent on its own, if one has arrived.
+    pub fn next_event(&mut self) -> Option<Event> {
+        self.held.pop_front().or_else(|| self.line.events.try_recv().ok())
     }
 
     /// Events that the device sends on its own.
@@ -147,24 +166,45 @@ impl Device {
     /// # Errors
     /// [`DeviceError`]; a refusal is [`DeviceError::Refused`].
     pub fn request(&mut self, request: &Request) -> Result<Response, DeviceError> {
-        let mut answer = self.exchange(request);
+        self.ask(request, None)
+    }
+
+    /// The same; passes events on while it waits, which may take seconds on a line that loses frames. Events that may be younger
+    /// than the answer are left for [`Self::next_event`].
+    ///
+    /// # Errors
+    /// [`DeviceError`]; a refusal is [`DeviceError::Refused`].
+    pub fn request_passing(
+        &mut self,
+        request: &Request,
+        pass: &mut dyn FnMut(Event),
+    ) -> Result<Response, DeviceError> {
+        self.ask(request, Some(pass))
+    }
+
+    fn ask(&mut self, request: &Request, mut pass: Pass<'_>) -> Result<Response, DeviceError> {
+        let mut answer = self.exchange_passing(request, &mut pass);
         // On a line that damages bytes the lease can lapse again before the request gets through.
         for _ in 1..ATTEMPTS {
             if !(request.changes() && matches!(answer, Err(DeviceError::Refused(Refusal::NoLease)))) {
                 break;
             }
             self.acquire_lease(false)?;
-            answer = self.exchange(request);
+            answer = self.exchange_passing(request, &mut pass);
         }
         answer
     }
 
     /// Sends a request and waits for the answer.
     fn exchange(&mut self, request: &Request) -> Result<Response, DeviceError> {
+        self.exchange_passing(request, &mut None)
+    }
+
+    fn exchange_passing(&mut self, request: &Request, pass: &mut Pass<'_>) -> Result<Response, DeviceError> {
         let message = self.message(request);
         for _ in 0..ATTEMPTS {
             self.line.send(&message).map_err(|_| DeviceError::Gone(self.address.clone()))?;
-            match self.answer(ANSWER_TIME)? {
+            match self.answer(ANSWER_TIME, pass)? {
                 Some(Response::Refused(refusal)) => return Err(refusal.into()),
                 Some(response) => {
                     if let Response::Lease(status) = &response {
@@ -185,23 +225,37 @@ impl Device {
     }
 
     /// The answer to the last request; `None` if it does not arrive in time.
-    fn answer(&self, patience: Duration) -> Result<Option<Response>, DeviceError> {
+    fn answer(&mut self, patience: Duration, pass: &mut Pass<'_>) -> Result<Option<Response>, DeviceError> {
         let deadline = Instant::now() + patience;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
-            match self.line.answers.recv_timeout(left) {
+            let turn = if pass.is_some() { left.min(PASS_EVERY) } else { left };
+            let mut found = self.line.answers.recv_timeout(turn);
+            if let (Some(pass), Err(RecvTimeoutError::Timeout)) = (pass.as_mut(), &found) {
+                self.held.extend(self.line.events.try_iter());
+                // An answer that has arrived meanwhile may be older than these events.
+                found = self.line.answers.recv_timeout(Duration::ZERO);
+                if matches!(found, Err(RecvTimeoutError::Timeout)) {
+                    self.held.drain(..).for_each(|event| pass(event));
+                }
+            }
+            match found {
                 Ok(Answer::Response { sequence, response }) if sequence == self.sequence => {
                     return Ok(Some(*response));
                 }
                 // A late answer to an abandoned request.
                 Ok(Answer::Response { .. }) => {}
                 Ok(Answer::OtherProtocol(device)) => return Err(DeviceError::Protocol(device)),
+                Err(RecvTimeoutError::Timeout) if turn < left => {}
                 Err(RecvTimeoutError::Timeout) => return Ok(None),
                 Err(RecvTimeoutError::Disconnected) => return Err(DeviceError::Gone(self.address.clone())),
             }
         }
     }
 }
+
+/// Takes the events that arrive while an answer is awaited.
+type Pass<'a> = Option<&'a mut dyn FnMut(Event)>;
 
 /// The requests of a device. Each fails like [`Device::request`], or with [`DeviceError::Unexpected`].
 #[expect(clippy::missing_errors_doc, reason = "documented once for all of them")]
@@ -421,7 +475,7 @@ impl Drop for Device {
             let message = self.message(&Request::ReleaseLease);
             // A device that does not answer lets the lease lapse.
             if self.line.send(&message).is_ok() {
-                let _ = self.answer(RELEASE_TIME);
+                let _ = self.answer(RELEASE_TIME, &mut None);
             }
         }
     }

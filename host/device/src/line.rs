@@ -73,6 +73,19 @@ impl Line {
         Self { writer: port.writer, answers: answered, events: happened, broken, counters, closing, thread }
     }
 
+    /// A line that is not open.
+    pub(super) fn closed() -> Self {
+        Self {
+            writer: Box::new(io::sink()),
+            answers: channel().1,
+            events: channel().1,
+            broken: Arc::new(AtomicBool::new(true)),
+            counters: Arc::default(),
+            closing: Arc::default(),
+            thread: None,
+        }
+    }
+
     pub(super) fn send(&mut self, message: &ToDevice) -> io::Result<()> {
         let mut buffer = [0; FRAME_BYTES];
         let frame = encode_frame(message, &mut buffer).map_err(io::Error::other)?;

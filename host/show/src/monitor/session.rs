@@ -3,13 +3,16 @@
 //!
 //! By itself it only reads (which also renews the lease if a key has acquired it), and repeatedly switches telemetry on, because a restarted device has it off. If the line
 //! breaks, the thread reopens it; requests meanwhile are answered as not sent, so that none reaches a device late.
+//! Events are forwarded also while an answer is awaited, so that a lost frame delays no waveform and no alarm. A stop overtakes
+//! the requests that wait, and cancels a start among them.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use shared::link::messages::{Request, Response};
+use shared::link::messages::Request;
 
 use super::News;
 use device::{Device, DeviceError};
@@ -24,6 +27,10 @@ const TRY_EVERY: Duration = Duration::from_millis(500);
 const LEAVE_TIME: Duration = Duration::from_secs(1);
 /// Largest number of events forwarded between two checks for requests.
 const EVENTS_AT_ONCE: usize = 1000;
+/// Why there are no news if the thread has ended by itself.
+const ENDED: &str = "the session with the device has failed; start this program again";
+/// Answer to a start that a stop has overtaken.
+const CANCELLED: &str = "not started: a stop was requested after it";
 /// Requests of a poll. Their answers also reveal restarts; the greeting comes first and gives the cause.
 const POLLED: [Request; 7] = [
     Request::Identify,
@@ -47,7 +54,7 @@ impl Session {
     pub fn start(device: Device) -> Self {
         let (requests, requested) = channel();
         let (told, news) = channel();
-        thread::spawn(move || Watcher { device, requested, told }.run());
+        thread::spawn(move || Watcher { device, requested, queue: VecDeque::new(), told }.run());
         Self { requests, news }
     }
 
@@ -62,9 +69,17 @@ impl Session {
         self.news.try_iter()
     }
 
-    /// Waits for the next piece of news.
+    /// Waits for the next piece of news; says so if the session has failed.
     pub fn next(&self, patience: Duration) -> Option<News> {
-        self.news.recv_timeout(patience).ok()
+        match self.news.recv_timeout(patience) {
+            Ok(news) => Some(news),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => {
+                // A panic has ended the thread; whoever waits for news must neither spin nor believe that all is well.
+                thread::sleep(patience);
+                (!patience.is_zero()).then(|| News::Lost(ENDED.to_owned()))
+            }
+        }
     }
 
     /// Switches the telemetry off, if the device answers immediately, and changes nothing else.
@@ -88,6 +103,8 @@ enum End {
 struct Watcher {
     device: Device,
     requested: Receiver<Request>,
+    /// Requests that wait for their turn.
+    queue: VecDeque<Request>,
     told: Sender<News>,
 }
 
@@ -107,7 +124,8 @@ impl Watcher {
     /// Refuses waiting requests, because a key pressed before the reconnection referred to the state at that time, and
     /// tries until the line is open again.
     fn reopen(&mut self, reason: &DeviceError) -> Result<(), End> {
-        while let Ok(request) = self.requested.try_recv() {
+        self.queue.extend(self.requested.try_iter());
+        for request in std::mem::take(&mut self.queue) {
             self.refuse(request)?;
         }
         self.tell(News::Lost(reason.to_string()))?;
@@ -141,25 +159,43 @@ impl Watcher {
         loop {
             if Instant::now() >= next_poll {
                 next_poll = Instant::now() + POLL_EVERY;
-                POLLED.into_iter().try_for_each(|request| self.ask(request))?;
+                for request in POLLED {
+                    self.ask(request)?;
+                    // A line that loses frames makes a poll slow.
+                    self.ask_queued()?;
+                }
                 self.tell(News::Traffic(self.device.counters()))?;
             }
             self.pass_events()?;
             match self.requested.recv_timeout(PASS_EVERY) {
-                Ok(request) => self.ask(request)?,
+                Ok(request) => {
+                    self.queue.push_back(request);
+                    self.ask_queued()?;
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Err(End::Gone),
             }
         }
     }
 
-    /// Sends a request and forwards the answer.
+    /// Sends the requests that wait.
+    fn ask_queued(&mut self) -> Result<(), End> {
+        loop {
+            self.queue.extend(self.requested.try_iter());
+            let (next, cancelled) = next_request(&mut self.queue);
+            for request in cancelled {
+                self.tell(News::Answer { request, result: Err(CANCELLED.to_owned()) })?;
+            }
+            let Some(request) = next else { return Ok(()) };
+            self.ask(request)?;
+        }
+    }
+
+    /// Sends a request, once, and forwards the answer.
     fn ask(&mut self, request: Request) -> Result<(), End> {
-        let answer = match request {
-            // A key pressed soon after the device's start waits for its self-test.
-            Request::Start => self.device.start().map(Response::Mode),
-            _ => self.device.request(&request),
-        };
+        let told = &self.told;
+        // A monitor that has ended is noticed with the answer.
+        let answer = self.device.request_passing(&request, &mut |event| _ = told.send(News::Event(event)));
         let result = answer.as_ref().cloned().map_err(ToString::to_string);
         self.tell(News::Answer { request, result })?;
         // After the answer, which may be older than an alarm that arrived in the meantime.
@@ -170,15 +206,56 @@ impl Watcher {
         }
     }
 
-    fn pass_events(&self) -> Result<(), End> {
-        self.device
-            .events()
-            .try_iter()
-            .take(EVENTS_AT_ONCE)
-            .try_for_each(|event| self.tell(News::Event(event)))
+    fn pass_events(&mut self) -> Result<(), End> {
+        for _ in 0..EVENTS_AT_ONCE {
+            let Some(event) = self.device.next_event() else { break };
+            self.tell(News::Event(event))?;
+        }
+        Ok(())
     }
 
     fn tell(&self, news: News) -> Result<(), End> {
         self.told.send(news).map_err(|_| End::Gone)
+    }
+}
+
+/// The next request, and the starts that it cancels: a stop overtakes all others.
+fn next_request(queue: &mut VecDeque<Request>) -> (Option<Request>, Vec<Request>) {
+    let Some(stop) = queue.iter().position(|request| *request == Request::Stop) else {
+        return (queue.pop_front(), Vec::new());
+    };
+    let (cancelled, earlier): (Vec<_>, Vec<_>) =
+        queue.drain(..stop).partition(|request| *request == Request::Start);
+    let next = queue.pop_front();
+    earlier.into_iter().rev().for_each(|request| queue.push_front(request));
+    (next, cancelled)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn queue(requests: &[Request]) -> VecDeque<Request> {
+        requests.iter().cloned().collect()
+    }
+
+    #[test]
+    fn a_stop_overtakes_the_requests_that_wait_and_cancels_the_starts_before_it() {
+        let mut waiting =
+            queue(&[Request::Start, Request::GetAlarms, Request::Stop, Request::Start, Request::GetAudio]);
+        assert_eq!(next_request(&mut waiting), (Some(Request::Stop), vec![Request::Start]));
+        assert_eq!(waiting, queue(&[Request::GetAlarms, Request::Start, Request::GetAudio]));
+        assert_eq!(next_request(&mut waiting), (Some(Request::GetAlarms), vec![]));
+    }
+
+    #[test]
+    fn a_session_whose_thread_has_ended_tells_it_and_does_not_spin() {
+        let (told, news) = channel();
+        drop(told);
+        let session = Session { requests: channel().0, news };
+        let (patience, before) = (Duration::from_millis(20), Instant::now());
+        assert_eq!(session.next(patience), Some(News::Lost(ENDED.to_owned())));
+        assert!(before.elapsed() >= patience);
+        assert_eq!(session.next(Duration::ZERO), None);
     }
 }

@@ -306,9 +306,11 @@ mod keys {
         assert_eq!(view.press(Key::StartStop), None);
         assert_eq!(view.press(Key::PipUp), None);
         view.take(&greeting(Mode::Ventilating));
+        assert_eq!(view.press(Key::PipUp), None, "the device may have other settings now");
+        view.take(&in_force(Settings { pip: 30.0, ..Settings::default() }));
         assert!(
-            (applied(view.press(Key::PipUp)).pip - 21.0).abs() < 1e-6,
-            "the key from before is forgotten"
+            (applied(view.press(Key::PipUp)).pip - 31.0).abs() < 1e-6,
+            "the key and the settings from before are forgotten"
         );
     }
 

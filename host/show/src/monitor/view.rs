@@ -168,10 +168,17 @@ impl View {
             News::Answer { request, result } => self.answered(request, result),
             News::Traffic(traffic) => self.traffic = *traffic,
             News::Lost(reason) => {
-                (self.asked, self.under_way) = (None, 0);
+                self.forget_what_steers();
                 self.lost = Some(reason.clone());
             }
         }
+    }
+
+    /// After a lost line or a restart the device may have other settings: a change of the old ones must not reach it.
+    fn forget_what_steers(&mut self) {
+        (self.asked, self.under_way) = (None, 0);
+        (self.in_force, self.pending) = (None, None);
+        (self.audio, self.lease) = (None, None);
     }
 
     fn happened(&mut self, event: &Event) {
@@ -264,6 +271,7 @@ impl View {
     fn restarted(&mut self) {
         let cause = self.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
         self.message = Some(Notice::Warning(format!("the device restarted: {cause}")));
+        self.forget_what_steers();
         self.window =
             TelemetryWindow::new(SECONDS, self.identity.as_ref().map_or(0, |identity| identity.period_us));
         self.breaths.clear();
