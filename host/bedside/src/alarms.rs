@@ -14,7 +14,8 @@ use crate::stream::AlarmInfo;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Entry {
     present: bool,
-    since_ms: u64,
+    /// None if it was there before the first report.
+    since_ms: Option<u64>,
     acknowledged: bool,
 }
 
@@ -22,28 +23,43 @@ struct Entry {
 #[derive(Clone, Debug, Default)]
 pub struct AlarmList {
     entries: BTreeMap<Fault, Entry>,
+    /// Whether the device has reported.
+    reported: bool,
 }
 
 impl AlarmList {
     /// An alarm has begun, at a time in ms since 1970; true if it is new.
     pub fn began(&mut self, fault: Fault, now_ms: u64) -> bool {
         let new = !self.entries.get(&fault).is_some_and(|entry| entry.present);
-        let since_ms =
-            self.entries.get(&fault).filter(|entry| entry.present).map_or(now_ms, |entry| entry.since_ms);
+        let before = self.entries.get(&fault).filter(|entry| entry.present);
+        let since_ms = before.map_or(Some(now_ms), |entry| entry.since_ms);
         self.entries.insert(fault, Entry { present: true, since_ms, acknowledged: false });
         new
+    }
+
+    /// The device repeats an alarm that is not acknowledged yet, also one whose condition has ended; true if it was not listed.
+    pub fn repeated(&mut self, fault: Fault, now_ms: u64) -> bool {
+        match self.entries.get_mut(&fault) {
+            Some(entry) => {
+                entry.acknowledged = false;
+                false
+            }
+            // Its beginning was lost on the line. The next report tells whether its condition still holds.
+            None => self.began(fault, now_ms),
+        }
     }
 
     /// Takes the device's report; alarms that it names no more have ended.
     pub fn report(&mut self, status: &AlarmStatus, now_ms: u64) {
         self.entries.retain(|fault, _| status.indicated.has(*fault) || status.present.has(*fault));
+        let begun = std::mem::replace(&mut self.reported, true).then_some(now_ms);
         for fault in status.indicated.faults().chain(status.present.faults()) {
             let present = status.present.has(fault);
             let entry =
-                self.entries.entry(fault).or_insert(Entry { present, since_ms: now_ms, acknowledged: false });
+                self.entries.entry(fault).or_insert(Entry { present, since_ms: begun, acknowledged: false });
             if present && !entry.present {
                 // It comes back: that is a new alarm.
-                (entry.since_ms, entry.acknowledged) = (now_ms, false);
+                (entry.since_ms, entry.acknowledged) = (Some(now_ms), false);
             }
             entry.present = present;
         }
@@ -64,7 +80,7 @@ impl AlarmList {
         self.entries.values_mut().for_each(|entry| entry.acknowledged = true);
     }
 
-    /// The device has restarted: it reports its alarms again.
+    /// The device has restarted and raises its alarms again.
     pub fn clear(&mut self) {
         self.entries.clear();
     }
@@ -90,11 +106,11 @@ impl AlarmList {
         self.entries.keys().filter(|fault| fault.alarm().priority == priority).count()
     }
 
-    /// Present alarms because of which the ventilator does not trust a controller or a reading.
+    /// Present alarms because of which the ventilator does not trust a controller or a reading, in words.
     pub fn distrust(&self) -> Vec<&'static str> {
         let present = self.entries.iter().filter(|(_, entry)| entry.present);
         let distrusts = present.filter(|(fault, _)| fault.alarm().action != Action::Tell);
-        distrusts.map(|(fault, _)| fault.alarm().id).collect()
+        distrusts.map(|(fault, _)| words::fault(*fault)).collect()
     }
 }
 
@@ -124,7 +140,7 @@ mod tests {
         list.report(&status(&[Fault::Disconnection], &[Fault::Disconnection]), 2000);
         list.report(&status(&[], &[Fault::Disconnection]), 3000);
         let alarm = &list.list()[0];
-        assert_eq!((alarm.since_ms, alarm.present, alarm.acknowledged), (1000, false, false));
+        assert_eq!((alarm.since_ms, alarm.present, alarm.acknowledged), (Some(1000), false, false));
         list.report(&status(&[], &[]), 4000);
         assert_eq!(ids(&list), [""; 0]);
     }
@@ -155,14 +171,39 @@ mod tests {
         list.acknowledge();
         assert!(list.list()[0].acknowledged);
         list.report(&status(&leak, &leak), 2);
-        assert!(list.list()[0].acknowledged && list.list()[0].since_ms == 1);
+        assert!(list.list()[0].acknowledged && list.list()[0].since_ms.is_none());
         list.report(&status(&[], &leak), 3);
         list.report(&status(&leak, &leak), 4);
-        assert!(!list.list()[0].acknowledged && list.list()[0].since_ms == 4);
+        assert!(!list.list()[0].acknowledged && list.list()[0].since_ms == Some(4));
     }
 
     #[test]
-    fn the_sounder_shows_what_somebody_else_has_acknowledged() {
+    fn a_repetition_of_an_alarm_that_has_ended_does_not_raise_it_again() {
+        let mut list = AlarmList::default();
+        assert!(list.began(Fault::Disconnection, 1000));
+        list.report(&status(&[], &[Fault::Disconnection]), 2000);
+        let before = list.clone();
+        assert!(!list.repeated(Fault::Disconnection, 6000));
+        assert_eq!(list.list(), before.list(), "neither present nor since changes");
+        assert!(list.repeated(Fault::Leak, 6000), "its beginning was lost");
+        assert_eq!(list.list().iter().filter(|alarm| alarm.present).count(), 1);
+    }
+
+    #[test]
+    fn the_beginning_of_an_alarm_that_was_there_before_the_first_report_is_unknown() {
+        let mut list = AlarmList::default();
+        list.report(&status(&[Fault::Leak], &[Fault::Leak]), 7);
+        let both = [Fault::Leak, Fault::HighPressure];
+        list.report(&status(&both, &both), 8);
+        let since: Vec<_> = list.list().iter().map(|alarm| alarm.since_ms).collect();
+        assert_eq!(since, [Some(8), None]);
+        list.clear();
+        list.report(&status(&both, &both), 9);
+        assert!(list.list().iter().all(|alarm| alarm.since_ms == Some(9)), "a restart raises them again");
+    }
+
+    #[test]
+    fn the_sounder_shows_what_another_operator_has_acknowledged() {
         let mut list = AlarmList::default();
         let both = [Fault::HighPressure, Fault::Leak];
         list.report(&status(&both, &both), 1);
@@ -177,7 +218,7 @@ mod tests {
         let mut list = AlarmList::default();
         let faults = [Fault::Leak, Fault::ReadingFrozen, Fault::LearnedDistrusted];
         list.report(&status(&faults, &faults), 1);
-        let mut expected = [Fault::ReadingFrozen, Fault::LearnedDistrusted].map(|fault| fault.alarm().id);
+        let mut expected = [Fault::ReadingFrozen, Fault::LearnedDistrusted].map(words::fault);
         let mut found = list.distrust();
         expected.sort_unstable();
         found.sort_unstable();

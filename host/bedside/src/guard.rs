@@ -3,6 +3,7 @@
 //! A page of another site can make a browser send requests here, but not with this server's Origin; and a name that it points
 //! at this computer (DNS rebinding) appears as Host. Only the address itself and `localhost` are accepted.
 
+use std::fmt;
 use std::hint::black_box;
 use std::net::{IpAddr, SocketAddr};
 
@@ -29,21 +30,35 @@ pub enum Refusal {
         "refused: the token is missing or wrong; open the address that `trainer serve` prints, with its token"
     )]
     Token,
+    /// A request that a page of another site has made.
+    #[error("refused: another site asks; open this page by typing its address")]
+    CrossSite,
     /// More messages than allowed.
     #[error("refused: more messages in a second than a page sends")]
     Flood,
     /// A message that cannot be read.
     #[error("refused: the message cannot be read")]
     Malformed,
-    /// More pages than the server feeds.
+    /// More pages or connections than the server feeds.
     #[error("refused: as many pages are open as the server feeds; close one")]
     Crowded,
+    /// A page that must start again, because it was too slow or another device is there.
+    #[error("the page is out of date: it starts again")]
+    Outdated,
 }
 
 impl Refusal {
     /// All reasons.
-    pub const ALL: [Self; 6] =
-        [Self::Host, Self::Origin, Self::Token, Self::Flood, Self::Malformed, Self::Crowded];
+    pub const ALL: [Self; 8] = [
+        Self::Host,
+        Self::Origin,
+        Self::Token,
+        Self::CrossSite,
+        Self::Flood,
+        Self::Malformed,
+        Self::Crowded,
+        Self::Outdated,
+    ];
 
     /// Its name in the metrics.
     pub fn name(self) -> &'static str {
@@ -51,19 +66,30 @@ impl Refusal {
             Self::Host => "host",
             Self::Origin => "origin",
             Self::Token => "token",
+            Self::CrossSite => "cross_site",
             Self::Flood => "flood",
             Self::Malformed => "malformed",
             Self::Crowded => "crowded",
+            Self::Outdated => "outdated",
         }
     }
 }
 
 /// The rules of a server.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Guard {
     bound: SocketAddr,
     token: Option<String>,
     steer: bool,
+}
+
+impl fmt::Debug for Guard {
+    /// Without the token, which must not reach a log.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { bound, token, steer } = self;
+        let token = token.as_ref().map(|_| "(hidden)");
+        f.debug_struct("Guard").field("bound", bound).field("token", &token).field("steer", steer).finish()
+    }
 }
 
 impl Guard {
@@ -101,6 +127,19 @@ impl Guard {
         }
     }
 
+    /// Checks the headers with which a browser tells where a request comes from, which a page cannot change. Another site may only
+    /// link to the page itself, at `/`.
+    ///
+    /// # Errors
+    /// [`Refusal::CrossSite`].
+    pub fn check_site(&self, path: &str, site: Option<&str>, mode: Option<&str>) -> Result<(), Refusal> {
+        match site {
+            None | Some("same-origin" | "none") => Ok(()),
+            _ if path == "/" && mode == Some("navigate") => Ok(()),
+            Some(_) => Err(Refusal::CrossSite),
+        }
+    }
+
     /// Whether a token is the right one. Takes the same time for each wrong token of the same length.
     ///
     /// # Errors
@@ -117,7 +156,10 @@ impl Guard {
     /// Whether a Host header names this server.
     fn is_own(&self, host: &str) -> bool {
         let (name, port) = match host.rsplit_once(':') {
-            Some((name, port)) if !port.ends_with(']') => (name, port.parse().ok()),
+            // No sign and no leading zero: a browser sends neither.
+            Some((name, port)) if !port.ends_with(']') => {
+                (name, port.parse().ok().filter(|number: &u16| number.to_string() == port))
+            }
             _ => (host, Some(DEFAULT_PORT)),
         };
         port == Some(self.bound.port()) && self.is_own_name(name)
@@ -142,6 +184,7 @@ fn new_token() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stream::{FromPage, Secret};
     use proptest::prelude::*;
 
     fn guard(bound: &str) -> Guard {
@@ -218,12 +261,48 @@ mod tests {
         assert_eq!(guard("127.0.0.1:8080").check_token(""), Err(Refusal::Token));
     }
 
+    #[test]
+    fn another_site_may_only_link_to_the_page() {
+        let guard = guard("127.0.0.1:8080");
+        let check = |path, site, mode| guard.check_site(path, site, mode).is_ok();
+        assert!(check("/metrics", None, None), "no browser, or an old one");
+        assert!(check("/metrics", Some("none"), Some("navigate")), "typed");
+        assert!(check("/app.js", Some("same-origin"), Some("no-cors")));
+        assert!(check("/", Some("cross-site"), Some("navigate")), "a link");
+        assert!(!check("/", Some("cross-site"), Some("no-cors")));
+        assert!(!check("/metrics", Some("cross-site"), Some("navigate")));
+        assert!(!check("/app.js", Some("same-site"), Some("no-cors")), "another port of this computer");
+        assert!(!check("/api/stream", Some("cross-site"), Some("websocket")));
+    }
+
+    #[test]
+    fn no_log_contains_the_token() {
+        let guard = Guard::new("127.0.0.1:8080".parse().unwrap(), true);
+        let message = FromPage::Token { token: Secret(guard.token().unwrap().to_owned()) };
+        for text in [format!("{guard:?}"), format!("{message:?}")] {
+            assert!(!text.contains(guard.token().unwrap()), "{text}");
+        }
+    }
+
     proptest! {
         #[test]
         fn no_header_of_a_stranger_passes(host in ".{0,40}") {
-            prop_assume!(!host.to_ascii_lowercase().starts_with("localhost:"));
-            prop_assume!(!host.starts_with("127.0.0.1:"));
+            prop_assume!(host != "localhost:8080" && host != "127.0.0.1:8080");
             prop_assert_eq!(guard("127.0.0.1:8080").check(Some(&host), None), Err(Refusal::Host));
+        }
+
+        #[test]
+        fn a_right_host_with_any_change_does_not_pass(
+            own in prop::sample::select(vec!["localhost:8080", "127.0.0.1:8080"]),
+            place in 0_usize..15,
+            change in prop_oneof![Just(String::new()), "[ -~]{1,3}", any::<char>().prop_map(String::from)],
+            replace in any::<bool>(),
+        ) {
+            let place = place.min(own.len());
+            let rest = if replace { own.get(place + 1..).unwrap_or_default() } else { &own[place..] };
+            let host = format!("{}{change}{rest}", &own[..place]);
+            prop_assume!(!host.eq_ignore_ascii_case(own));
+            prop_assert_eq!(guard("127.0.0.1:8080").check(Some(&host), None), Err(Refusal::Host), "{}", host);
         }
     }
 }

@@ -77,7 +77,7 @@ impl Metrics {
     /// Zeros for these devices.
     pub fn new(devices: &[DeviceInfo]) -> Self {
         Self {
-            names: devices.iter().map(|device| label(&device.name)).collect(),
+            names: labels(devices),
             devices: devices.iter().map(|_| Mutex::default()).collect(),
             dropped: devices.iter().map(|_| AtomicU64::default()).collect(),
             refused: Default::default(),
@@ -171,6 +171,17 @@ fn header(text: &mut String, name: &str, kind: &str, help: &str) {
     let _ = writeln!(text, "# HELP {name} {help}\n# TYPE {name} {kind}");
 }
 
+/// The devices' labels: their names, and for equal ones a number, since Prometheus refuses two series of one label.
+fn labels(devices: &[DeviceInfo]) -> Vec<String> {
+    let mut labels: Vec<String> = Vec::new();
+    for DeviceInfo { name, .. } in devices {
+        let numbered = (2..).map(|number| label(&format!("{name} ({number})")));
+        let free = std::iter::once(label(name)).chain(numbered).find(|label| !labels.contains(label));
+        labels.extend(free);
+    }
+    labels
+}
+
 /// A text as the value of a label.
 fn label(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
@@ -180,6 +191,13 @@ fn label(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::stream::Kind;
+
+    #[test]
+    fn devices_of_one_name_have_a_series_each() {
+        let device = |name: &str| DeviceInfo { id: 0, name: name.into(), kind: Kind::Board, period_us: 1000 };
+        let names = ["lung", "lung (2)", "lung", "lung"].map(device);
+        assert_eq!(labels(&names), ["lung", "lung (2)", "lung (3)", "lung (4)"]);
+    }
 
     #[test]
     fn all_numbers_are_in_the_text() {

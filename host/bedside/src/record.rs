@@ -35,19 +35,40 @@ pub enum RecordError {
 /// A file that is being written.
 struct Tape {
     path: PathBuf,
+    /// The page that has started it, in words.
+    by: String,
     writer: RecordingWriter,
     samples: u64,
+    /// Samples that a recording cannot hold, and those whose settings were not known.
+    left_out: u64,
+    unset: u64,
 }
 
 impl Tape {
-    fn create(path: PathBuf, provenance: Provenance) -> Result<Self, RecordError> {
+    fn create(path: PathBuf, by: &str, provenance: Provenance) -> Result<Self, RecordError> {
         let writer = RecordingWriter::create(&path, provenance, &[])?;
-        Ok(Self { path, writer, samples: 0 })
+        Ok(Self { path, by: by.to_owned(), writer, samples: 0, left_out: 0, unset: 0 })
     }
 
-    fn push(&mut self, row: Row) -> Result<(), RecordError> {
+    fn push(&mut self, Reading { row, set }: Reading) -> Result<(), RecordError> {
         self.samples += 1;
+        self.unset += u64::from(!set);
         Ok(self.writer.push(row)?)
+    }
+
+    /// Finishes the file, with a note of what in it is not measured.
+    fn finish(mut self) -> Result<(), RecordError> {
+        let notes = &mut self.writer.provenance().notes;
+        if self.left_out > 0 {
+            notes.push(format!("left out: {} samples with a value that is no number", self.left_out));
+        }
+        if self.unset > 0 {
+            notes.push(format!(
+                "pip and peep of {} samples are defaults: the device had not reported them",
+                self.unset
+            ));
+        }
+        Ok(self.writer.finish()?)
     }
 }
 
@@ -55,6 +76,13 @@ impl Tape {
 struct Running {
     tape: Tape,
     left: u64,
+}
+
+/// A row, and whether its settings were known.
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    row: Row,
+    set: bool,
 }
 
 /// Something to tell the pages.
@@ -68,7 +96,7 @@ pub struct Recorder {
     name: String,
     period_us: u32,
     /// The last rows, as long as a capture looks back.
-    before: VecDeque<Row>,
+    before: VecDeque<Reading>,
     numbers: Numbers,
     tape: Option<Tape>,
     mcap: Option<Capture>,
@@ -95,9 +123,25 @@ impl Recorder {
 
     /// The recording that is being written.
     pub fn info(&self) -> Option<RecordingInfo> {
-        let file =
-            |tape: &Tape| RecordingInfo { file: tape.path.display().to_string(), samples: tape.samples };
+        let file = |tape: &Tape| {
+            let Tape { path, samples, by, .. } = tape;
+            RecordingInfo { file: path.display().to_string(), samples: *samples, by: by.clone() }
+        };
         self.tape.as_ref().map(file)
+    }
+
+    /// The armed triggers.
+    pub fn triggers(&self) -> Option<Triggers> {
+        self.triggers.is_armed().then_some(self.triggers)
+    }
+
+    /// Another device is there, with this control period, microseconds: a file cannot hold both.
+    pub fn set_period(&mut self, period_us: u32) {
+        if let Err(error) = self.stop() {
+            tracing::error!(%error, "a recording could not be finished");
+        }
+        self.before.clear();
+        self.period_us = period_us;
     }
 
     /// Starts a recording, at a time in ms since 1970, of a device with this identity, if it is known; returns the file. One that
@@ -105,34 +149,50 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordError`].
-    pub fn start(&mut self, now_ms: u64, identity: Option<&DeviceIdentity>) -> Result<PathBuf, RecordError> {
+    pub fn start(
+        &mut self,
+        now_ms: u64,
+        identity: Option<&DeviceIdentity>,
+        by: &str,
+    ) -> Result<PathBuf, RecordError> {
         if let Some(tape) = &self.tape {
             return Ok(tape.path.clone());
         }
         let path = self.path("recording", now_ms);
-        let tape = Tape::create(path.clone(), self.provenance(identity))?;
-        if let Some(identity) = identity {
-            let mcap = path.with_extension("mcap");
-            self.mcap = Some(Capture::create(&mcap, &self.name, identity, now_ms * 1_000_000)?);
+        let tape = Tape::create(path.clone(), by, self.provenance(identity))?;
+        let mcap = identity.map(|identity| {
+            Capture::create(&path.with_extension("mcap"), &self.name, identity, now_ms * 1_000_000)
+        });
+        match mcap.transpose() {
+            Ok(mcap) => {
+                (self.tape, self.mcap) = (Some(tape), mcap);
+                Ok(path)
+            }
+            Err(error) => {
+                // Half a recording would look like a whole one.
+                drop(tape);
+                let _ = std::fs::remove_file(&path);
+                Err(error.into())
+            }
         }
-        self.tape = Some(tape);
-        Ok(path)
     }
 
-    /// Ends the recording; returns the file and its number of samples, if one was running.
+    /// Whether the recording that runs has an MCAP file.
+    pub fn has_mcap(&self) -> bool {
+        self.mcap.is_some()
+    }
+
+    /// Ends the recording; returns the file and its number of samples, if one was running. Finishes both files, whatever happens
+    /// to one of them.
     ///
     /// # Errors
     /// [`RecordError`].
     pub fn stop(&mut self) -> Result<Option<RecordingInfo>, RecordError> {
         let info = self.info();
         let (tape, mcap) = (self.tape.take(), self.mcap.take());
-        if let Some(tape) = tape {
-            tape.writer.finish()?;
-        }
-        if let Some(mcap) = mcap {
-            mcap.finish()?;
-        }
-        Ok(info)
+        let tape = tape.map_or(Ok(()), Tape::finish);
+        let mcap = mcap.map_or(Ok(()), |mcap| mcap.finish().map(drop).map_err(RecordError::from));
+        tape.and(mcap).map(|()| info)
     }
 
     /// Arms the triggered capture, or disarms it.
@@ -140,41 +200,49 @@ impl Recorder {
         self.triggers = triggers;
     }
 
-    /// A page has marked the moment.
-    pub fn mark(&mut self, text: &str) {
-        let Some(tape) = &mut self.tape else { return };
-        let place = self
-            .before
-            .back()
-            .map_or_else(String::new, |row| format!(" after breath {} tick {}", row.breath, row.tick));
+    /// A page has marked the moment; tells the reason if the MCAP file ends with it.
+    pub fn mark(&mut self, text: &str, now_ms: u64) -> Option<Told> {
+        let tape = self.tape.as_mut()?;
+        let place = self.before.back().map_or_else(String::new, |Reading { row, .. }| {
+            format!(" after breath {} tick {}", row.breath, row.tick)
+        });
         tape.writer.provenance().notes.push(format!("marker{place}: {text}"));
+        let failed = self.mcap.as_mut().is_some_and(|mcap| mcap.mark(text, now_ms * 1_000_000));
+        failed.then(|| self.end_mcap()).flatten()
     }
 
     /// Takes a piece of news for the MCAP file; tells the reason if it ends there.
     pub fn news(&mut self, news: &News, now_ms: u64) -> Option<Told> {
         let failed = self.mcap.as_mut().is_some_and(|mcap| mcap.take(news, now_ms * 1_000_000));
-        if !failed {
-            return None;
-        }
+        failed.then(|| self.end_mcap()).flatten()
+    }
+
+    /// Gives up the MCAP file; tells its first failure.
+    fn end_mcap(&mut self) -> Option<Told> {
         let reason = self.mcap.take()?.finish().err()?;
         Some(Told(format!("the MCAP file ends here: {reason}")))
     }
 
     /// Takes a sample, with the settings in force.
     pub fn sample(&mut self, sample: &Sample, settings: Option<&Settings>, now_ms: u64) -> Vec<Told> {
-        let Some(row) = self.numbers.row(sample, settings) else { return Vec::new() };
-        self.before.push_back(row);
+        let Some(row) = self.numbers.row(sample, settings) else {
+            let running = self.running.as_mut().map(|running| &mut running.tape);
+            self.tape.iter_mut().chain(running).for_each(|tape| tape.left_out += 1);
+            return Vec::new();
+        };
+        let reading = Reading { row, set: settings.is_some() };
+        self.before.push_back(reading);
         if self.before.len() > self.ticks(AROUND_S.0) {
             self.before.pop_front();
         }
         let mut told = Vec::new();
         if let Some(tape) = &mut self.tape
-            && let Err(error) = tape.push(row)
+            && let Err(error) = tape.push(reading)
         {
             self.tape = None;
             told.push(Told(format!("the recording ends here: {error}")));
         }
-        told.extend(self.go_on(row));
+        told.extend(self.go_on(reading));
         if self.triggers.pressure.is_some_and(|limit| row.pressure > limit) {
             told.extend(self.trigger("pressure above the threshold", now_ms));
         }
@@ -200,8 +268,10 @@ impl Recorder {
         }
         let mut provenance = self.provenance(None);
         provenance.notes.push(format!("triggered capture: {why}"));
-        let started = Tape::create(self.path("capture", now_ms), provenance).and_then(|mut tape| {
-            self.before.iter().try_for_each(|row| tape.push(*row))?;
+        // One shot: on a sick lung each capture would be followed by the next one, until the disk is full.
+        self.triggers = Triggers::default();
+        let started = Tape::create(self.path("capture", now_ms), "", provenance).and_then(|mut tape| {
+            self.before.iter().try_for_each(|reading| tape.push(*reading))?;
             Ok(tape)
         });
         match started {
@@ -214,9 +284,9 @@ impl Recorder {
     }
 
     /// Adds a row to the capture that runs, and finishes it when it is long enough.
-    fn go_on(&mut self, row: Row) -> Option<Told> {
+    fn go_on(&mut self, reading: Reading) -> Option<Told> {
         let mut running = self.running.take()?;
-        if let Err(error) = running.tape.push(row) {
+        if let Err(error) = running.tape.push(reading) {
             return Some(Told(format!("a capture could not be written: {error}")));
         }
         running.left -= 1;
@@ -225,8 +295,8 @@ impl Recorder {
             return None;
         }
         let path = running.tape.path.display().to_string();
-        Some(Told(match running.tape.writer.finish() {
-            Ok(()) => format!("capture written to {path}"),
+        Some(Told(match running.tape.finish() {
+            Ok(()) => format!("capture written to {path}; the triggers are disarmed"),
             Err(error) => format!("a capture could not be written: {error}"),
         }))
     }
@@ -255,7 +325,7 @@ impl Drop for Recorder {
             tracing::error!(%error, "a recording could not be finished");
         }
         if let Some(Running { tape, .. }) = self.running.take()
-            && let Err(error) = tape.writer.finish()
+            && let Err(error) = tape.finish()
         {
             tracing::error!(%error, "a capture could not be finished");
         }

@@ -8,16 +8,19 @@ use std::time::{Duration, Instant};
 
 use data::recording::{EXPIRATION, FALL, Recording};
 use serde::Deserialize;
-use shared::breath::Phase;
+use shared::breath::{DEFAULT_PERIOD_US, Phase};
 use shared::link::messages::{Event, Request, Response};
 use shared::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample, TelemetryBatch};
+use shared::recorder::LogEntry;
 use shared::settings::Settings;
 use shared::ventilator::{Mode, Sample};
 use show::monitor::News;
 use thiserror::Error;
 
+use crate::log::log;
 use crate::source::{Source, Unable, Watch};
 use crate::stream::Kind;
+use crate::verdict::verdict;
 use device::LineCounters;
 
 /// Pause before a replay starts again, s.
@@ -57,17 +60,18 @@ pub enum ReplayError {
 /// Samples with their ticks, which ascend.
 type Ticks = Vec<(u64, Sample)>;
 
-/// Watches a recording.
+/// Watches a recording, and judges it.
 ///
 /// # Errors
 /// [`ReplayError::Empty`].
 pub fn recording(name: &str, recording: &Recording) -> Result<Watch, ReplayError> {
     let settings = serde_json::from_value(recording.provenance.settings.clone()).ok();
-    watch(name.to_owned(), recording.provenance.period_us, ticks(recording), settings)
+    let watch = watch(name.to_owned(), recording.provenance.period_us, ticks(recording), settings)?;
+    Ok(Watch { verdict: Some(verdict(recording)), ..watch })
 }
 
 /// Watches a flight recorder that `trainer blackbox --out FILE.json` has written: its last seconds tick by tick and, if it has them,
-/// its last minute at a twentieth of the rate.
+/// its last minute at a twentieth of the rate, both with its event log.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -77,10 +81,12 @@ pub fn blackbox(path: &Path) -> Result<Vec<Watch>, ReplayError> {
     let found: Blackbox = serde_json::from_str(&text)
         .map_err(|source| ReplayError::Blackbox { path: path.to_owned(), source })?;
     let name = path.display();
+    let log = log(&found.log, found.period_us.unwrap_or(DEFAULT_PERIOD_US));
     let parts = [(format!("{name}, last seconds"), found.fast), (format!("{name}, last minute"), found.slow)];
     let watches: Vec<Watch> = parts
         .into_iter()
         .filter_map(|(name, part)| watch(name, (part.step_s * 1e6).round() as u32, part.ticks(), None).ok())
+        .map(|watch| Watch { log: Some(log.clone()), ..watch })
         .collect();
     if watches.is_empty() { Err(ReplayError::Empty(name.to_string())) } else { Ok(watches) }
 }
@@ -95,7 +101,7 @@ fn watch(
         return Err(ReplayError::Empty(name));
     }
     let source = Box::new(Replay::new(period_us, ticks, settings));
-    Ok(Watch { name, kind: Kind::Recording, period_us, source })
+    Ok(Watch { name, kind: Kind::Recording, period_us, source, verdict: None, log: None })
 }
 
 /// The rows of a recording, with breaths one after the other.
@@ -132,8 +138,11 @@ fn phase(number: u8) -> Phase {
 /// The part of a flight recorder's file that is shown.
 #[derive(Debug, Deserialize)]
 struct Blackbox {
+    period_us: Option<u32>,
     fast: Part,
     slow: Part,
+    #[serde(default)]
+    log: Vec<LogEntry>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -12,11 +12,11 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::watch;
 
 use crate::guard::Guard;
-use crate::http::{Shared, router};
+use crate::http::{Shared, serve};
 use crate::hub::Hub;
 use crate::metrics::Metrics;
 use crate::source::Watch;
-use crate::stream::{DeviceInfo, Hello, SettingInfo, VERSION};
+use crate::stream::{DeviceInfo, Hello, Limits, SettingInfo, VERSION};
 use crate::viewers::Viewers;
 
 /// Most devices: their number has one byte, and each takes threads.
@@ -80,12 +80,7 @@ impl Server {
         let address = listener.local_addr().map_err(failed)?;
         let (stop, stopping) = watch::channel(false);
         let shared = Arc::new(share(watches, options, address, stopping));
-        let service = router(Arc::clone(&shared)).into_make_service_with_connect_info::<SocketAddr>();
-        runtime.spawn(async move {
-            if let Err(error) = axum::serve(listener, service).await {
-                tracing::error!(%error, "the server has ended");
-            }
-        });
+        runtime.spawn(serve(listener, Arc::clone(&shared)));
         Ok(Self { address, shared, stop, runtime: Some(runtime) })
     }
 
@@ -143,6 +138,7 @@ fn share(
         |(id, watch)| Hub::start(id, watch, &options.folder, Arc::clone(&viewers), Arc::clone(&metrics));
     let hubs = (0..).zip(watches).map(hub).collect();
     let Options { steer, demo, .. } = *options;
-    let hello = Hello { version: VERSION, steer, demo, settings: SettingInfo::all(), devices };
-    Shared { guard: Guard::new(address, steer), hello, hubs, viewers, metrics, stopping }
+    let (settings, limits) = (SettingInfo::all(), Limits::default());
+    let greeting = Hello { version: VERSION, steer, demo, settings, limits, devices };
+    Shared { guard: Guard::new(address, steer), greeting, hubs, viewers, metrics, stopping }
 }

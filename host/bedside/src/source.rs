@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::link::messages::{DeviceIdentity, DeviceKind, Request};
+use shared::link::messages::{DeviceIdentity, Request};
 use show::monitor::News;
 use show::monitor::session::Session;
 use thiserror::Error;
 
-use crate::stream::{DemoFault, Kind};
+use crate::stream::{DemoFault, Kind, Log, Verdict};
 use device::port::Address;
 use device::simulated::{PlantFault, ServeError, Served, ServedConfig};
 use device::{Device, DeviceError};
@@ -72,23 +72,29 @@ pub struct Watch {
     pub period_us: u32,
     /// The source.
     pub source: Box<dyn Source>,
+    /// The verdict on a recording.
+    pub verdict: Option<Verdict>,
+    /// The event log of a flight recorder.
+    pub log: Option<Log>,
 }
 
 impl Watch {
-    /// Watches the device at a port, which must answer now; also returns its identity. If it is lost later, it is tried again.
-    ///
-    /// # Errors
-    /// [`SourceError::Device`].
-    pub fn port(address: &Address) -> Result<(Self, DeviceIdentity), SourceError> {
-        let mut device = Device::connect(address)?;
-        let identity = device.identify()?;
+    /// Watches the device at a port; also returns its identity, or why it does not answer now. One that does not, or that is lost
+    /// later, is tried again: the other devices on the page do not wait for it.
+    pub fn port(address: &Address) -> (Self, Result<DeviceIdentity, DeviceError>) {
+        let mut device = Device::at(address);
+        let identity = device.reconnect().and_then(|()| device.identify());
+        let known = identity.as_ref().ok();
         let watch = Self {
             name: address.to_string(),
-            kind: kind(identity.device),
-            period_us: identity.period_us,
+            // A device that answers later says what it is.
+            kind: known.map_or(Kind::Board, |identity| Kind::of(identity.device)),
+            period_us: known.map_or(DEFAULT_PERIOD_US, |identity| identity.period_us),
             source: Box::new(Connected(Session::start(device))),
+            verdict: None,
+            log: None,
         };
-        Ok((watch, identity))
+        (watch, identity)
     }
 
     /// Watches a simulated device on this bench, which runs as fast as a chip.
@@ -105,15 +111,8 @@ impl Watch {
     /// Watches a simulated device that is connected.
     pub(crate) fn simulated(name: impl Into<String>, served: Served, device: Device) -> Self {
         let source = Box::new(Simulated { session: Session::start(device), served });
-        Self { name: name.into(), kind: Kind::Simulated, period_us: DEFAULT_PERIOD_US, source }
-    }
-}
-
-fn kind(device: DeviceKind) -> Kind {
-    match device {
-        DeviceKind::Ventilator => Kind::Board,
-        DeviceKind::HardwareInTheLoop => Kind::Hil,
-        DeviceKind::Simulated => Kind::Simulated,
+        let (kind, period_us) = (Kind::Simulated, DEFAULT_PERIOD_US);
+        Self { name: name.into(), kind, period_us, source, verdict: None, log: None }
     }
 }
 

@@ -45,17 +45,16 @@ pub struct Wheel {
 }
 
 impl Wheel {
-    /// Gives it to a page, by number and name; true if it was free.
+    /// Gives it to a page, by number and name; takes it from another page only if `take_over`.
     ///
     /// # Errors
     /// [`SteerError::Other`].
-    pub fn take(&mut self, viewer: u64, who: &str) -> Result<bool, SteerError> {
+    pub fn take(&mut self, viewer: u64, who: &str, take_over: bool) -> Result<(), SteerError> {
         match &self.holder {
-            Some((holder, who)) if *holder != viewer => Err(SteerError::Other(who.clone())),
-            Some(_) => Ok(false),
-            None => {
+            Some((holder, who)) if *holder != viewer && !take_over => Err(SteerError::Other(who.clone())),
+            _ => {
                 self.holder = Some((viewer, who.to_owned()));
-                Ok(true)
+                Ok(())
             }
         }
     }
@@ -63,6 +62,11 @@ impl Wheel {
     /// Takes it back from a page; whether that page had it.
     pub fn release(&mut self, viewer: u64) -> bool {
         self.holder.take_if(|(holder, _)| *holder == viewer).is_some()
+    }
+
+    /// Takes it back from whichever page has it; whether one had it.
+    pub fn free(&mut self) -> bool {
+        self.holder.take().is_some()
     }
 
     /// Whether a page has it.
@@ -155,13 +159,16 @@ mod tests {
     fn one_page_steers_and_others_are_told_which() {
         let mut wheel = Wheel::default();
         assert_eq!(wheel.check(1), Err(SteerError::NotTaken));
-        assert_eq!((wheel.take(1, "page 1"), wheel.take(1, "page 1")), (Ok(true), Ok(false)));
+        assert_eq!((wheel.take(1, "page 1", false), wheel.take(1, "page 1", false)), (Ok(()), Ok(())));
         let other = SteerError::Other("page 1".into());
-        assert_eq!((wheel.take(2, "page 2"), wheel.check(2)), (Err(other.clone()), Err(other)));
+        assert_eq!((wheel.take(2, "page 2", false), wheel.check(2)), (Err(other.clone()), Err(other)));
         assert_eq!((wheel.check(1), wheel.who()), (Ok(()), Some("page 1")));
         assert!(!wheel.release(2) && wheel.release(1));
         assert_eq!(wheel.who(), None);
-        assert_eq!(wheel.take(2, "page 2"), Ok(true));
+        assert_eq!(wheel.take(2, "page 2", false), Ok(()));
+        assert_eq!(wheel.take(1, "page 1", true), Ok(()), "taken over");
+        assert_eq!((wheel.who(), wheel.is_with(2)), (Some("page 1"), false));
+        assert!(wheel.free() && !wheel.free());
     }
 
     #[test]

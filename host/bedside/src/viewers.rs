@@ -16,8 +16,8 @@ pub const VIEWERS_MAX: usize = 32;
 const FRAMES_MAX: usize = 256;
 /// Most waiting sample messages for each watched device.
 const FRAMES_PER_DEVICE: usize = 32;
-/// Most waiting texts that are not states.
-const TEXTS_MAX: usize = 256;
+/// Most waiting texts that are not states: what a new page is told of as many devices as a server has fits.
+const TEXTS_MAX: usize = 4096;
 
 /// A message to a page.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,6 +38,8 @@ struct Queue {
     /// Samples that were lost, device by device.
     dropped: BTreeMap<u8, u32>,
     watched: BTreeSet<u8>,
+    /// Whether the page must start again: it has taken nothing for so long that a text was lost, or its greeting is out of date.
+    outdated: bool,
 }
 
 impl Queue {
@@ -89,24 +91,29 @@ impl Viewer {
         frames.retain(|frame| watched.contains(&frame.device()));
     }
 
-    /// Queues a text. If it does not fit, the page takes nothing at all, and the oldest one is lost.
+    /// Queues a text. If it does not fit, the page takes nothing at all: it must start again, and learns everything then.
     pub fn tell(&self, text: Arc<str>) {
         let mut queue = self.queue();
-        if queue.texts.len() >= TEXTS_MAX {
-            queue.texts.pop_front();
+        if queue.texts.len() < TEXTS_MAX {
+            queue.texts.push_back(text);
+        } else {
+            queue.outdated = true;
         }
-        queue.texts.push_back(text);
         drop(queue);
         self.ready.notify_one();
     }
 
-    /// The next message to the page.
-    pub async fn next(&self) -> Outgoing {
+    /// The next message to the page; none if it must start again.
+    pub async fn next(&self) -> Option<Outgoing> {
         loop {
             let ready = self.ready.notified();
-            let next = self.queue().next();
+            let (next, outdated) = {
+                let mut queue = self.queue();
+                (queue.next(), queue.outdated)
+            };
             match next {
-                Some(message) => return message,
+                _ if outdated => return None,
+                Some(message) => return Some(message),
                 None => ready.await,
             }
         }
@@ -134,6 +141,19 @@ impl Viewers {
     /// Whether no further page is fed.
     pub fn is_full(&self) -> bool {
         self.list().len() >= VIEWERS_MAX
+    }
+
+    /// Whether this page is open.
+    pub fn is_open(&self, number: u64) -> bool {
+        self.list().iter().any(|viewer| viewer.number == number)
+    }
+
+    /// Makes all pages start again, because their greeting is out of date.
+    pub fn restart(&self) {
+        for viewer in self.list().iter() {
+            viewer.queue().outdated = true;
+            viewer.ready.notify_one();
+        }
     }
 
     /// Whether no page is open.
@@ -280,6 +300,24 @@ mod tests {
         viewers.samples(&frame(1, 30));
         assert_eq!(waiting(&viewer), []);
         assert!(metrics.text().contains("eupnea_viewers 0"));
+    }
+
+    #[test]
+    fn a_page_that_loses_a_text_or_has_an_old_greeting_starts_again() {
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let (_, viewers) = viewers();
+        let viewer = viewers.add("here", 2).unwrap();
+        (0..TEXTS_MAX).for_each(|_| viewers.tell(&Arc::from("text")));
+        assert!(runtime.block_on(viewer.next()).is_some(), "all of them fit");
+        viewers.tell(&Arc::from("it fits again"));
+        viewers.tell(&Arc::from("one too many"));
+        assert_eq!(runtime.block_on(viewer.next()), None);
+        let other = viewers.add("there", 2).unwrap();
+        viewers.restart();
+        assert_eq!(runtime.block_on(other.next()), None);
+        assert!(viewers.is_open(other.number));
+        viewers.remove(other.number);
+        assert!(!viewers.is_open(other.number));
     }
 
     #[test]

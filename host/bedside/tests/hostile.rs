@@ -2,14 +2,19 @@
 
 mod rig;
 
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use bedside::server::{Options, Server};
+use bedside::server::{Options, Server, ServerError};
 use bedside::source::Watch;
 use plant::bench::BenchConfig;
 use rig::{LONG, Page, get};
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
+
+/// The line that counts refused connections.
+const CROWDED: &str = "eupnea_refused_total{reason=\"crowded\"} ";
 
 fn serve(listen: &str) -> Server {
     let watch = Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap();
@@ -73,11 +78,20 @@ fn a_flood_closes_its_page_and_no_other() {
     }
     flood.closed();
     refused(&server, "flood", 1);
-    other.state(0, |state| state["connected"] == true);
+    // Not one of the states from before.
+    let after = Instant::now();
+    while after.elapsed() < Duration::from_secs(1) {
+        other.state(0, |state| state["connected"] == true);
+    }
+    assert_eq!(
+        other.ask(json!({"type": "mark", "device": 0, "text": "here"}))["ok"],
+        false,
+        "it is answered"
+    );
 }
 
 #[test]
-fn what_cannot_be_read_is_answered_and_in_the_end_closed() {
+fn unreadable_messages_are_answered_and_ten_of_them_close_the_page() {
     let server = local();
     let mut page = Page::open(&server);
     let malformed = |text: &str| Message::text(text.to_owned());
@@ -152,4 +166,106 @@ fn there_are_not_more_pages_than_the_server_feeds() {
     while Page::with_headers(&server, &[]).is_err() {
         assert!(Instant::now() < deadline, "closed pages make room");
     }
+}
+
+/// Sends bytes and reads until the server closes the connection.
+fn talk(server: &Server, text: &str) -> String {
+    let mut stream = TcpStream::connect(server.address()).unwrap();
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    stream.write_all(text.as_bytes()).unwrap();
+    let mut response = String::new();
+    let _ = stream.read_to_string(&mut response);
+    response
+}
+
+#[test]
+fn a_request_that_never_ends_is_cut_off() {
+    let server = local();
+    let before = Instant::now();
+    let response = talk(&server, "GET / HTTP/1.1\r\nhost: ");
+    assert!(!response.contains("200 OK"), "{response}");
+    assert!(before.elapsed() < LONG, "the server has closed it, not the test");
+}
+
+#[test]
+fn there_are_not_more_connections_than_the_server_holds() {
+    let server = local();
+    // They send nothing, and would otherwise take one file each.
+    let idle: Vec<TcpStream> = (0..2 * bedside::http::CONNECTIONS_MAX)
+        .map(|_| TcpStream::connect(server.address()).unwrap())
+        .collect();
+    let closed = |stream: &TcpStream| {
+        stream.set_nonblocking(true).unwrap();
+        matches!((&*stream).read(&mut [0]), Ok(0) | Err(_))
+            && !matches!((&*stream).read(&mut [0]), Err(error) if error.kind() == ErrorKind::WouldBlock)
+    };
+    let deadline = Instant::now() + LONG;
+    while idle.iter().filter(|stream| closed(stream)).count() < bedside::http::CONNECTIONS_MAX {
+        assert!(Instant::now() < deadline, "too many connections stay open");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(idle);
+    let own = server.address().to_string();
+    let request = format!("GET /metrics HTTP/1.1\r\nhost: {own}\r\nconnection: close\r\n\r\n");
+    let counted = |text: &str| {
+        text.lines().any(|line| {
+            line.strip_prefix(CROWDED)
+                .is_some_and(|count| count.parse::<u32>().unwrap() >= bedside::http::CONNECTIONS_MAX as u32)
+        })
+    };
+    while !counted(&talk(&server, &request)) {
+        assert!(Instant::now() < deadline, "there is room again, and the refusals are counted");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn another_site_cannot_load_anything_from_here() {
+    let server = local();
+    for path in ["/metrics", "/api/state", "/app.js", "/"] {
+        let (status, headers, _) =
+            get(&server, path, &[("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "no-cors")]);
+        assert_eq!(status, 403, "{path}");
+        assert!(headers.contains("cross-origin-resource-policy: same-origin"), "{headers}");
+    }
+    refused(&server, "cross_site", 4);
+    let link = [("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "navigate")];
+    assert_eq!(get(&server, "/", &link).0, 200, "a link to the page");
+}
+
+#[test]
+fn the_server_listens_at_an_address_of_ipv6() {
+    let listen = "[::1]:0".parse().unwrap();
+    let options = Options { listen, steer: false, demo: false, folder: std::env::temp_dir() };
+    let watch = Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap();
+    let server = match Server::start(vec![watch], &options) {
+        Ok(server) => server,
+        Err(ServerError::Listen(_, reason)) if reason.kind() == ErrorKind::AddrNotAvailable => {
+            eprintln!("skipped: this computer has no IPv6");
+            return;
+        }
+        Err(other) => panic!("{other}"),
+    };
+    assert!(server.url().starts_with("http://[::1]:"), "{}", server.url());
+    assert_eq!(get(&server, "/", &[]).0, 200);
+    let evil = format!("[::2]:{}", server.address().port());
+    assert_eq!(get(&server, "/", &[("host", &evil)]).0, 403);
+    let mut page = Page::open(&server);
+    assert_eq!(page.next_text()["type"], "hello");
+}
+
+#[test]
+fn a_page_that_vanishes_gives_the_wheel_back() {
+    let watch = Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap();
+    let listen = "127.0.0.1:0".parse().unwrap();
+    let options = Options { listen, steer: true, demo: false, folder: std::env::temp_dir() };
+    let server = Server::start(vec![watch], &options).unwrap();
+    let mut gone = Page::steering(&server);
+    gone.send(&json!({"type": "take", "device": 0}));
+    gone.text(|message| message["type"] == "steerer" && message["yours"] == true);
+    let mut other = Page::steering(&server);
+    // From here on nobody reads the first page's socket, as if its computer were asleep: it answers no ping.
+    other.text(|message| message["type"] == "steerer" && message["who"].is_string());
+    other.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
+    drop(gone);
 }

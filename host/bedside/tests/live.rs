@@ -86,6 +86,31 @@ fn a_breath_has_its_figures() {
 }
 
 #[test]
+fn a_page_that_opens_later_gets_the_trends_of_the_earlier_breaths() {
+    let mut served = Vec::new();
+    let server = serve(vec![rig::fast(&mut served)], true);
+    let mut page = Page::steering(&server);
+    page.ventilate(0);
+    page.text(|message| message["type"] == "breath" && message["number"].as_u64() >= Some(2));
+    let history = Page::open(&server).text(|message| message["type"] == "history");
+    assert_eq!(history["device"], 0);
+    let columns = ["low", "mean", "high"].map(|column| &history["figures"]["pip"][column][0]);
+    let [low, mean, high] = columns.map(|value| value.as_f64().unwrap());
+    assert!(low <= mean && mean <= high && (15.0..30.0).contains(&mean), "{history}");
+    assert!(history["breaths"][0].as_u64() >= Some(1), "{history}");
+}
+
+#[test]
+fn a_page_reads_the_flight_recorder_of_a_device() {
+    let (_server, mut page) = ventilating();
+    page.send(&json!({"type": "recorder", "device": 0, "id": 99}));
+    let log = page.text(|message| message["type"] == "log");
+    assert!(log["events"].to_string().contains("ventilation started"), "{log}");
+    let answer = page.text(|message| message["type"] == "answer");
+    assert_eq!((&answer["id"], &answer["ok"]), (&json!(99), &json!(true)), "{answer}");
+}
+
+#[test]
 fn settings_are_shown_as_asked_and_as_applied() {
     let (_server, mut page) = ventilating();
     let answer = page.ask(json!({"type": "apply", "device": 0, "settings": {"pip": 26, "rate": 15}}));
@@ -103,6 +128,63 @@ fn settings_are_shown_as_asked_and_as_applied() {
 }
 
 #[test]
+fn quick_changes_do_not_undo_each_other() {
+    let (_server, mut page) = ventilating();
+    page.send(&json!({"type": "apply", "device": 0, "id": 101, "settings": {"pip": 26}}));
+    page.send(&json!({"type": "apply", "device": 0, "id": 102, "settings": {"rate": 15}}));
+    let answer = page.text(|message| message["type"] == "answer" && message["id"] == 102);
+    assert_eq!((&answer["settings"]["pip"], &answer["settings"]["rate"]), (&json!(26.0), &json!(15.0)));
+}
+
+#[test]
+fn a_lost_line_releases_the_wheel_and_empties_the_settings() {
+    let (cable, watch) = Cable::with_watch();
+    let server = serve(vec![watch], true);
+    let mut page = Page::steering(&server);
+    page.send(&json!({"type": "take", "device": 0}));
+    page.text(|message| message["type"] == "steerer" && message["yours"] == true);
+    page.state(0, |state| state["settings"].is_object());
+    let cable = cable.cut();
+    page.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
+    page.state(0, |state| state["missing"] == "line" && state["settings"] == Value::Null);
+    let _cable = cable.plug_in();
+    page.state(0, |state| state["connected"] == true && state["settings"].is_object());
+}
+
+#[test]
+fn a_device_that_is_not_there_at_the_start_stops_no_other_and_is_shown_when_it_comes() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = device::port::Address::Tcp(listener.local_addr().unwrap().to_string());
+    drop(listener);
+    let (watch, identity) = Watch::port(&address);
+    assert!(identity.is_err());
+    let server = serve(vec![bench(), watch], false);
+    let mut page = Page::open(&server);
+    assert_eq!(page.next_text()["devices"][1]["kind"], "board", "not known yet");
+    page.state(0, |state| state["connected"] == true);
+    page.state(1, |state| state["missing"] == "line");
+    let _cable = Cable::at(&address);
+    assert_eq!(page.closed(), Some(1013), "the page starts again, since the device is another one");
+    let mut page = Page::open(&server);
+    assert_eq!(page.next_text()["devices"][1]["kind"], "simulated");
+    page.state(1, |state| state["connected"] == true);
+}
+
+#[test]
+fn a_capture_that_is_armed_is_shown_and_one_that_cannot_trigger_is_refused() {
+    let (_server, mut page) = ventilating();
+    let armed = page.ask(json!({"type": "capture", "device": 0, "triggers": {"pressure": 40}}));
+    assert_eq!(armed["ok"], true);
+    page.state(0, |state| state["triggers"]["pressure"] == 40.0);
+    let refused = page.ask(json!({"type": "capture", "device": 0, "triggers": {"overshoot": 0}}));
+    assert_eq!(refused["ok"], false);
+    assert!(refused["text"].as_str().unwrap().contains("overshoot"), "{refused}");
+    page.state(0, |state| state["triggers"]["pressure"] == 40.0);
+    assert_eq!(page.ask(json!({"type": "capture", "device": 0, "triggers": {}}))["ok"], true);
+    page.state(0, |state| state["triggers"] == Value::Null);
+}
+
+#[test]
 fn one_page_steers_and_the_others_see_who() {
     let (server, mut page) = ventilating();
     let mut other = Page::steering(&server);
@@ -114,6 +196,16 @@ fn one_page_steers_and_the_others_see_who() {
     page.send(&json!({"type": "release", "device": 0}));
     other.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
     assert_eq!(other.ask(json!({"type": "stop", "device": 0}))["text"], "take the device first");
+    other.send(&json!({"type": "take", "device": 0}));
+    other.text(|message| message["type"] == "steerer" && message["yours"] == true);
+    page.send(&json!({"type": "take", "device": 0}));
+    page.text(|message| {
+        message["type"] == "steerer" && message["who"].is_string() && message["yours"] == false
+    });
+    page.send(&json!({"type": "take", "device": 0, "take_over": true}));
+    other.text(|message| message["type"] == "steerer" && message["yours"] == false);
+    page.send(&json!({"type": "release", "device": 0}));
+    other.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
     other.send(&json!({"type": "take", "device": 0}));
     other.text(|message| message["type"] == "steerer" && message["yours"] == true);
     drop(other);
@@ -142,9 +234,14 @@ fn a_page_without_the_token_only_reads() {
 fn a_marker_reaches_every_page() {
     let (server, mut page) = ventilating();
     let mut other = Page::open(&server);
+    // A marker has the tick of the newest sample.
+    page.next_binary();
     assert_eq!(page.ask(json!({"type": "mark", "device": 0, "text": "suction"}))["ok"], true);
     let event = other.text(|message| message["type"] == "event" && message["kind"] == "marker");
     assert_eq!(event["text"], "suction");
+    assert!(event["tick"].is_u64(), "{event}");
+    let later = Page::open(&server).text(|message| message["type"] == "event" && message["kind"] == "marker");
+    assert_eq!(later, event, "also one that opens later");
 }
 
 #[test]
@@ -155,6 +252,8 @@ fn a_slow_page_loses_samples_and_slows_nobody() {
     let mut page = Page::steering(&server);
     let mut slow = Page::sluggish(&server);
     page.ventilate(0);
+    // A page that neither takes nor sends anything would be closed.
+    let mut alive = Instant::now();
     let deadline = Instant::now() + rig::LONG;
     let (mut next, mut quick_dropped) = (None, 0);
     while !metrics(&server).lines().any(|line| {
@@ -166,6 +265,11 @@ fn a_slow_page_loses_samples_and_slows_nobody() {
             quick_dropped = frame.dropped;
             assert!(next.is_none_or(|next| next == frame.tick) || frame.dropped > 0);
             next = Some(frame.tick + frame.columns[0].len() as u64);
+        }
+        slow.next();
+        if alive.elapsed() > Duration::from_secs(1) {
+            alive = Instant::now();
+            slow.send(&json!({"type": "watch", "devices": [0]}));
         }
     }
     assert_eq!(quick_dropped, 0, "the other page gets everything");
@@ -199,12 +303,15 @@ fn the_state_is_also_a_file_and_every_response_has_the_policy() {
     let state: Value = serde_json::from_str(&body).unwrap();
     assert_eq!((status, &state["states"][0]["device"]), (200, &json!(0)));
     assert_eq!(state["hello"]["devices"][0]["name"], "R20C20");
-    assert!(headers.contains("content-security-policy: default-src 'none'; script-src 'self'"));
     for path in ["/", "/app.js", "/app.css", "/metrics", "/nothing"] {
         let (status, headers, _) = get(&server, path, &[]);
         assert_eq!(status, if path == "/nothing" { 404 } else { 200 }, "{path}");
-        for header in ["content-security-policy: default-src 'none'", "x-content-type-options: nosniff"] {
-            assert!(headers.contains(header), "{path}: {headers}");
+        // The whole policy: a directive that is missing allows what it names.
+        let policy = "content-security-policy: default-src 'none'; script-src 'self'; style-src 'self'; \
+            img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+        for header in [policy, "x-content-type-options: nosniff", "cross-origin-resource-policy: same-origin"]
+        {
+            assert!(headers.lines().any(|line| line.trim_end() == header), "{path}: {headers}");
         }
     }
 }
@@ -280,6 +387,10 @@ fn the_flight_recorder_of_a_device_is_shown_from_its_file() {
     // Whole breaths, so that both parts of the recorder have entries.
     let event = || device.events().recv_timeout(rig::LONG).unwrap();
     while !matches!(event(), shared::link::messages::Event::Breath(breath) if breath.breath > 0) {}
+    // A recorder that goes on could overwrite what is being read.
+    device.stop().unwrap();
+    // At its pace a running recorder would overwrite what is being read.
+    device.stop().unwrap();
     let blackbox = device.blackbox(&progress::Progress::silent()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fault.json");
@@ -291,6 +402,8 @@ fn the_flight_recorder_of_a_device_is_shown_from_its_file() {
         hello["devices"].as_array().unwrap().iter().map(|device| &device["kind"]).collect();
     assert_eq!(kinds, ["recording", "recording"]);
     assert_eq!(hello["devices"][1]["period_us"], 20_000);
+    let log = page.text(|message| message["type"] == "log");
+    assert!(log["events"].to_string().contains("ventilation started"), "{log}");
     page.state(0, |state| state["connected"] == true && state["ventilating"] == true);
     assert!(samples(&page.next_binary()).columns[0].iter().all(|pressure| pressure.is_finite()));
 }
@@ -309,6 +422,9 @@ fn a_page_records_and_the_file_holds_every_sample() {
     page.ventilate(0);
     let started = page.ask(json!({"type": "record", "device": 0, "on": true}));
     assert_eq!(started["ok"], true, "{started}");
+    let mut other = Page::steering(&server);
+    let refused = other.ask(json!({"type": "record", "device": 0, "on": false}));
+    assert_eq!(refused["ok"], false, "another page has started it");
     page.state(0, |state| state["recording"]["samples"].as_u64().is_some_and(|samples| samples > 500));
     assert_eq!(page.ask(json!({"type": "mark", "device": 0, "text": "here"}))["ok"], true);
     let stopped = page.ask(json!({"type": "record", "device": 0, "on": false}));
@@ -319,10 +435,14 @@ fn a_page_records_and_the_file_holds_every_sample() {
     files.sort();
     assert_eq!(files.len(), 2, "{files:?}");
     assert_eq!(files[0].extension().unwrap(), "mcap");
+    let mcap = std::fs::read(&files[0]).unwrap();
+    assert!(String::from_utf8_lossy(&mcap).contains("/markers"), "the marker is in this file, too");
     let recording = data::recording::Recording::load(&files[1]).unwrap();
     assert_eq!(recording.len(), samples);
     assert!(recording.provenance.notes[0].ends_with(": here"));
     let again = serve(vec![bedside::replay::recording("again", &recording).unwrap()], false);
     let mut page = Page::open(&again);
     assert_eq!(rig::samples(&page.next_binary()).tick, 0);
+    let verdict = Page::open(&again).text(|message| message["type"] == "verdict");
+    assert!(verdict["breaths"].is_u64() && verdict["limits"].is_array(), "{verdict}");
 }

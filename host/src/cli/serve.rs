@@ -92,8 +92,11 @@ fn watches(args: &Args) -> anyhow::Result<Vec<Watch>> {
     }
     let mut watches = Vec::new();
     for address in &args.port {
-        let (watch, identity) = Watch::port(address)?;
-        warn_of_development_build(&identity);
+        let (watch, identity) = Watch::port(address);
+        match identity {
+            Ok(identity) => warn_of_development_build(&identity),
+            Err(reason) => eprintln!("warning: {reason}; it is tried again while the page is served"),
+        }
         watches.push(watch);
     }
     for name in &args.bench {

@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 
 use judge::evaluate::score_breath;
 use shared::breath::{Phase, period_s};
+use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Sample;
 
@@ -22,7 +23,7 @@ use shared::control::pid::PidGains;
 /// Time at the end of a phase over which the pressure is averaged, s.
 const END_S: f32 = 0.05;
 /// Time over which the minute volume is averaged, s.
-const MINUTE_S: f32 = 30.0;
+const AVERAGED_S: f32 = 30.0;
 /// Ticks by which a breath may be shorter than set before an effort must have ended it.
 const EARLY_TICKS: u32 = 2;
 /// Seconds in a minute.
@@ -43,7 +44,7 @@ pub struct BreathMeter {
     ended_early: bool,
     /// PEEP of the last breath's target, cmH2O.
     peep: Option<f32>,
-    /// Tidal volumes, mL, and lengths, s, of the last breaths, at most about [`MINUTE_S`].
+    /// Tidal volumes, mL, and lengths, s, of the last breaths, at most about [`AVERAGED_S`].
     volumes: VecDeque<(f32, f32)>,
 }
 
@@ -86,6 +87,11 @@ impl BreathMeter {
     /// Sets the gains of the PID in the device's controller, if they are known.
     pub fn gains(&mut self, gains: Option<PidGains>) {
         self.share.gains(gains);
+    }
+
+    /// Sets the level of the ladder that commands the valve, if it is known ([`LearnedShare::level`]).
+    pub fn level(&mut self, level: Option<Level>) {
+        self.share.level(level);
     }
 
     /// Takes the sample of a control tick; returns it with flow and volume and, at the start of a breath, the figures of the one
@@ -188,7 +194,7 @@ impl BreathMeter {
     fn minute_volume(&mut self, tidal_volume: f32, length: f32) -> f32 {
         self.volumes.push_back((tidal_volume, length));
         let covered = |volumes: &VecDeque<(f32, f32)>| volumes.iter().map(|(_, length)| length).sum::<f32>();
-        while self.volumes.len() > 1 && covered(&self.volumes) > MINUTE_S {
+        while self.volumes.len() > 1 && covered(&self.volumes) > AVERAGED_S {
             self.volumes.pop_front();
         }
         let volume: f32 = self.volumes.iter().map(|(volume, _)| volume).sum();

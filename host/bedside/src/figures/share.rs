@@ -7,12 +7,15 @@
 use shared::breath::Phase;
 use shared::control::Observation;
 use shared::control::pid::{Pid, PidGains, PidState};
+use shared::safety::ladder::Level;
 use shared::ventilator::Sample;
 
 /// Follows the PID inside a device.
 #[derive(Clone, Debug)]
 pub struct LearnedShare {
     pid: Option<Pid>,
+    /// Level of the ladder that commands, if it is known.
+    level: Option<Level>,
     state: PidState,
     /// Whether the running breath was seen from its start.
     whole: bool,
@@ -22,10 +25,10 @@ pub struct LearnedShare {
 impl LearnedShare {
     /// For a device with this control period, microseconds, whose gains are not known yet.
     pub fn new(period_us: u32) -> Self {
-        Self { pid: None, state: PidState::new(), whole: false, period_us }
+        Self { pid: None, level: None, state: PidState::new(), whole: false, period_us }
     }
 
-    /// Sets the gains of the device's PID, if they are known. A running breath goes on with others.
+    /// Sets the gains of the device's PID, if they are known. The running breath then stays unknown.
     pub fn gains(&mut self, gains: Option<PidGains>) {
         if self.pid.map(|pid| pid.gains()) != gains {
             self.pid = gains.and_then(|gains| Pid::new(gains, self.period_us).ok());
@@ -33,12 +36,18 @@ impl LearnedShare {
         }
     }
 
+    /// Sets the level that commands the valve, if it is known. [`Level::Pid`] also stands for a controller that is a PID.
+    pub fn level(&mut self, level: Option<Level>) {
+        self.level = level;
+    }
+
     /// Samples are missing.
     pub fn interrupted(&mut self) {
         self.whole = false;
     }
 
-    /// The learned part of the command of a sample, percent; NaN if it is not known.
+    /// The learned part of the command of a sample, percent. NaN if it is not known, or if neither the learned controller nor its
+    /// PID commands: then the command has no learned part, and what it differs by from the PID means nothing.
     pub fn take(&mut self, sample: &Sample, peep: f32) -> f32 {
         if sample.tick == 0 {
             (self.state, self.whole) = (PidState::new(), true);
@@ -52,7 +61,11 @@ impl LearnedShare {
         let base = pid.step(&mut self.state.clone(), &seen, 0.0).base;
         let learned = sample.u_in - sample.explore - base;
         pid.step(&mut self.state, &seen, learned);
-        learned
+        match self.level {
+            Some(Level::Learned) => learned,
+            Some(Level::Pid) => 0.0,
+            Some(Level::CappedPid | Level::Backup) | None => f32::NAN,
+        }
     }
 }
 
@@ -82,6 +95,7 @@ mod tests {
     fn known() -> LearnedShare {
         let mut share = LearnedShare::new(1000);
         share.gains(Some(GAINS));
+        share.level(Some(Level::Learned));
         share
     }
 
@@ -97,6 +111,20 @@ mod tests {
     #[test]
     fn a_pid_alone_has_no_learned_share() {
         assert!(shares(&mut known(), |_| 0.0).iter().all(|share| share.abs() < 1e-3));
+    }
+
+    #[test]
+    fn only_the_learned_controller_has_a_learned_part() {
+        let inspiration = |level| {
+            let mut share = known();
+            share.level(level);
+            shares(&mut share, |_| 7.0)[..1000].to_vec()
+        };
+        assert!(inspiration(Some(Level::Learned)).iter().all(|share| (share - 7.0).abs() < 1e-3));
+        assert!(inspiration(Some(Level::Pid)).iter().all(|share| *share == 0.0));
+        for level in [Some(Level::CappedPid), Some(Level::Backup), None] {
+            assert!(inspiration(level).iter().all(|share| share.is_nan()), "{level:?}");
+        }
     }
 
     #[test]

@@ -1,14 +1,13 @@
 //! The HTTP side: static files, `/api/state`, `/api/stream`, `/metrics`. Every request passes the guard.
 
+mod connections;
 mod page;
 mod socket;
 
-use std::net::SocketAddr;
 use std::sync::Arc;
 
-use axum::Router;
 use axum::body::Body;
-use axum::extract::{ConnectInfo, Request, State, WebSocketUpgrade};
+use axum::extract::{Request, State, WebSocketUpgrade};
 use axum::http::header::{
     AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderName, ORIGIN,
     REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
@@ -17,6 +16,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use axum::{Extension, Router};
 use serde_json::json;
 use tokio::sync::watch;
 
@@ -26,13 +26,20 @@ use crate::metrics::Metrics;
 use crate::stream::{Hello, REQUEST_BYTES};
 use crate::viewers::Viewers;
 
+use connections::Place;
+pub use connections::{CONNECTIONS_MAX, serve};
+
 /// Headers of every response.
-const HEADERS: [(HeaderName, &str); 4] = [
+const HEADERS: [(HeaderName, &str); 5] = [
     (CONTENT_SECURITY_POLICY, guard::CONTENT_SECURITY_POLICY),
+    (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     (X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (REFERRER_POLICY, "no-referrer"),
     (CACHE_CONTROL, "no-store"),
 ];
+/// From where a browser's request comes, and for what.
+const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
 /// Prefix of a token in the header Authorization.
 const BEARER: &str = "Bearer ";
 
@@ -40,8 +47,8 @@ const BEARER: &str = "Bearer ";
 pub struct Shared {
     /// The rules.
     pub guard: Guard,
-    /// The greeting of every page.
-    pub hello: Hello,
+    /// The greeting of every page, with the devices as they were at the start.
+    pub greeting: Hello,
     /// The devices' hubs, in order.
     pub hubs: Vec<Hub>,
     /// The open pages.
@@ -50,6 +57,19 @@ pub struct Shared {
     pub metrics: Arc<Metrics>,
     /// True when the server ends.
     pub stopping: watch::Receiver<bool>,
+}
+
+impl Shared {
+    /// The greeting of a page that opens now.
+    pub fn hello(&self) -> Hello {
+        let mut hello = self.greeting.clone();
+        for (info, hub) in hello.devices.iter_mut().zip(&self.hubs) {
+            if let Some((kind, period_us)) = hub.latest().device {
+                (info.kind, info.period_us) = (kind, period_us);
+            }
+        }
+        hello
+    }
 }
 
 /// The routes.
@@ -68,7 +88,7 @@ pub fn router(shared: Arc<Shared>) -> Router {
 
 /// Checks Host and Origin, and adds the headers to every response, also to a refusal.
 async fn guarded(State(shared): State<Arc<Shared>>, request: Request<Body>, next: Next) -> Response {
-    let mut response = match check(&shared, request.headers()) {
+    let mut response = match check(&shared, request.uri().path(), request.headers()) {
         Ok(()) => next.run(request).await,
         Err(refusal) => refuse(&shared, refusal),
     };
@@ -78,10 +98,11 @@ async fn guarded(State(shared): State<Arc<Shared>>, request: Request<Body>, next
     response
 }
 
-fn check(shared: &Shared, headers: &HeaderMap) -> Result<(), Refusal> {
-    let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or_default());
+fn check(shared: &Shared, path: &str, headers: &HeaderMap) -> Result<(), Refusal> {
+    let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default());
     // An Origin that is no text is not ours.
-    shared.guard.check(text(HOST), text(ORIGIN))
+    shared.guard.check(text(HOST), text(ORIGIN))?;
+    shared.guard.check_site(path, text(FETCH_SITE), text(FETCH_MODE))
 }
 
 fn refuse(shared: &Shared, refusal: Refusal) -> Response {
@@ -107,7 +128,7 @@ async fn state(State(shared): State<Arc<Shared>>, headers: HeaderMap) -> Respons
     let states = shared.hubs.iter().filter_map(|hub| hub.latest().state);
     let states: Vec<serde_json::Value> =
         states.filter_map(|state| serde_json::from_str(&state).ok()).collect();
-    let text = json!({ "hello": shared.hello, "states": states }).to_string();
+    let text = json!({ "hello": shared.hello(), "states": states }).to_string();
     ([(CONTENT_TYPE, "application/json")], text).into_response()
 }
 
@@ -120,7 +141,7 @@ async fn metrics(State(shared): State<Arc<Shared>>, headers: HeaderMap) -> Respo
 
 async fn stream(
     State(shared): State<Arc<Shared>>,
-    ConnectInfo(from): ConnectInfo<SocketAddr>,
+    Extension(place): Extension<Place>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
     if shared.viewers.is_full() {
@@ -129,5 +150,5 @@ async fn stream(
     upgrade
         .max_message_size(REQUEST_BYTES)
         .max_frame_size(REQUEST_BYTES)
-        .on_upgrade(move |socket| socket::serve(shared, socket, from))
+        .on_upgrade(move |socket| socket::serve(shared, socket, place))
 }

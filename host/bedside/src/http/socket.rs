@@ -2,23 +2,28 @@
 //! read, is closed; one that takes nothing for long is closed, too.
 
 use std::error::Error;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket, close_code};
-use tokio::time::timeout;
+use tokio::time::{MissedTickBehavior, timeout};
 use tokio_tungstenite::tungstenite;
 
 use super::Shared;
+use super::connections::Place;
 use crate::guard::Refusal;
 use crate::hub::Command;
 use crate::steer::SteerError;
 use crate::stream::{Answer, FromPage, REQUESTS_PER_SECOND, ToPage};
 use crate::viewers::{Outgoing, Viewer};
 
-/// Longest time for the token, if it is needed, and for a message to be taken.
+/// Longest time for the token, if it is needed.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Interval of the pings, which a browser answers by itself.
+const PING_EVERY: Duration = Duration::from_secs(2);
+/// Longest time that a page is silent, or takes no message: then its computer is gone, and it must not keep a device.
+const SILENCE_MAX: Duration = Duration::from_secs(6);
 /// Most messages of a page that cannot be read.
 const MALFORMED_MAX: u32 = 10;
 
@@ -28,12 +33,14 @@ enum End {
     Gone,
     /// The server ends.
     Stopping,
+    /// The page must start again.
+    Outdated,
     /// The page broke a rule.
     Refused(Refusal),
 }
 
 /// Serves a page until it is closed.
-pub async fn serve(shared: Arc<Shared>, mut socket: WebSocket, from: SocketAddr) {
+pub async fn serve(shared: Arc<Shared>, mut socket: WebSocket, place: Place) {
     if shared.guard.reading_needs_token()
         && let Err(refusal) = wait_for_token(&shared, &mut socket).await
     {
@@ -41,9 +48,9 @@ pub async fn serve(shared: Arc<Shared>, mut socket: WebSocket, from: SocketAddr)
         close(&mut socket, close_code::POLICY, &refusal.to_string()).await;
         return;
     }
-    let hello = ToPage::Hello(shared.hello.clone()).to_json();
+    let hello = ToPage::Hello(shared.hello()).to_json();
     let Ok(()) = send(&mut socket, Message::Text(hello.into())).await else { return };
-    let Some(viewer) = shared.viewers.add(&from.ip().to_string(), shared.hubs.len() as u8) else {
+    let Some(viewer) = shared.viewers.add(&place.from.ip().to_string(), shared.hubs.len() as u8) else {
         shared.metrics.refuse(Refusal::Crowded);
         close(&mut socket, close_code::AGAIN, &Refusal::Crowded.to_string()).await;
         return;
@@ -55,6 +62,10 @@ pub async fn serve(shared: Arc<Shared>, mut socket: WebSocket, from: SocketAddr)
     shared.hubs.iter().for_each(|hub| hub.tell(Command::Gone { viewer: viewer.number }));
     match end {
         End::Gone => {}
+        End::Outdated => {
+            shared.metrics.refuse(Refusal::Outdated);
+            close(&mut socket, close_code::AGAIN, &Refusal::Outdated.to_string()).await;
+        }
         End::Stopping => close(&mut socket, close_code::AWAY, "the server ends").await,
         End::Refused(refusal) => {
             shared.metrics.refuse(refusal);
@@ -69,13 +80,13 @@ async fn wait_for_token(shared: &Shared, socket: &mut WebSocket) -> Result<(), R
         return Err(Refusal::Token);
     };
     match FromPage::parse(&text) {
-        Ok(FromPage::Token { token }) => shared.guard.check_token(&token),
+        Ok(FromPage::Token { token }) => shared.guard.check_token(&token.0),
         _ => Err(Refusal::Token),
     }
 }
 
 /// Queues what is known about all devices.
-fn greet(shared: &Shared, viewer: &Viewer) {
+fn greet(shared: &Shared, viewer: &Arc<Viewer>) {
     for (device, hub) in (0..).zip(&shared.hubs) {
         let latest = hub.latest();
         if let Some(state) = latest.state {
@@ -84,6 +95,7 @@ fn greet(shared: &Shared, viewer: &Viewer) {
         if let Some((_, who)) = latest.steerer {
             viewer.tell(ToPage::Steerer { device, who: Some(who), yours: false }.to_json().into());
         }
+        hub.tell(Command::Opened { viewer: Arc::clone(viewer) });
     }
 }
 
@@ -109,15 +121,26 @@ impl Page {
         let mut stopping = self.shared.stopping.clone();
         let stop = async move { _ = stopping.wait_for(|stopping| *stopping).await };
         tokio::pin!(stop);
+        let (mut pings, mut heard) = (tokio::time::interval(PING_EVERY), Instant::now());
+        pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
-                received = socket.recv() => if let Err(end) = self.received(received) {
-                    return end;
-                },
+                received = socket.recv() => {
+                    heard = Instant::now();
+                    if let Err(end) = self.received(received) {
+                        return end;
+                    }
+                }
+                _ = pings.tick() => {
+                    if heard.elapsed() > SILENCE_MAX || send(socket, Message::Ping(Bytes::new())).await.is_err() {
+                        return End::Gone;
+                    }
+                }
                 outgoing = self.viewer.next() => {
                     let message = match outgoing {
-                        Outgoing::Text(text) => Message::Text(Utf8Bytes::from(text.as_ref())),
-                        Outgoing::Binary(bytes) => Message::Binary(bytes.into()),
+                        Some(Outgoing::Text(text)) => Message::Text(Utf8Bytes::from(text.as_ref())),
+                        Some(Outgoing::Binary(bytes)) => Message::Binary(bytes.into()),
+                        None => return End::Outdated,
                     };
                     if send(socket, message).await.is_err() {
                         return End::Gone;
@@ -172,7 +195,7 @@ impl Page {
 
     fn obey(&mut self, message: FromPage) -> Result<(), End> {
         match &message {
-            FromPage::Token { token } => return self.token(token),
+            FromPage::Token { token } => return self.token(&token.0),
             FromPage::Watch { devices } => {
                 self.viewer.watch(devices.iter().copied());
                 return Ok(());
@@ -213,7 +236,7 @@ fn is_malformed(error: &axum::Error) -> bool {
 
 /// Sends a message; an error if the page does not take it.
 async fn send(socket: &mut WebSocket, message: Message) -> Result<(), End> {
-    match timeout(PATIENCE, socket.send(message)).await {
+    match timeout(SILENCE_MAX, socket.send(message)).await {
         Ok(Ok(())) => Ok(()),
         _ => Err(End::Gone),
     }

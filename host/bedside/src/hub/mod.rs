@@ -1,6 +1,7 @@
 //! One thread for each watched device: takes its news, sends messages to the pages, and pages' requests to the device. It never
 //! waits for a page.
 
+mod reader;
 pub mod watched;
 
 use std::collections::VecDeque;
@@ -12,15 +13,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use shared::link::messages::{Event, Request};
+use shared::link::messages::{Event, Request, Response};
 use show::monitor::News;
 
+use crate::log::log;
 use crate::metrics::Metrics;
 use crate::record::{Recorder, Told};
 use crate::source::{Source, Watch};
 use crate::steer::{self, Wheel};
-use crate::stream::{Answer, EventKind, FromPage, RecordingInfo, State, ToPage};
+use crate::stream::{Answer, EventKind, FromPage, Kind, RecordingInfo, State, ToPage};
+use crate::trends::Trends;
 use crate::viewers::{Viewer, Viewers};
+use reader::{LogReader, Next};
 use watched::{Out, Watched};
 
 /// Longest wait for news.
@@ -32,6 +36,9 @@ const FRAME_EVERY: Duration = Duration::from_millis(20);
 /// Shortest interval between states, and longest one, well below the second after which a page shows that it has no data.
 const STATE_EVERY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(500));
 
+/// Most events that a new page is told.
+const EVENTS_MAX: usize = 50;
+
 /// A message to a hub.
 pub enum Command {
     /// A page's message about its device.
@@ -40,6 +47,11 @@ pub enum Command {
         viewer: Arc<Viewer>,
         /// Its message.
         message: FromPage,
+    },
+    /// A page is open.
+    Opened {
+        /// The page.
+        viewer: Arc<Viewer>,
     },
     /// A page is closed.
     Gone {
@@ -55,6 +67,8 @@ pub struct Latest {
     pub state: Option<Arc<str>>,
     /// The page that steers: number and name.
     pub steerer: Option<(u64, String)>,
+    /// The kind of the device and its control period, microseconds, once it has answered.
+    pub device: Option<(Kind, u32)>,
 }
 
 /// A running hub; ends when dropped.
@@ -76,16 +90,26 @@ impl Hub {
     ) -> Self {
         let (commands, received) = channel();
         let (latest, stop) = (Arc::new(Mutex::default()), Arc::new(AtomicBool::new(false)));
+        let Watch { name, period_us, source, verdict, log, kind } = watch;
+        let verdict = verdict.map(|verdict| ToPage::Verdict { device, verdict });
+        let log = log.map(|log| ToPage::Log { device, log });
         let mut worker = Worker {
             device,
-            watched: Watched::new(device, &watch.name, watch.period_us),
-            recorder: Recorder::new(folder, device, &watch.name, watch.period_us),
-            source: watch.source,
+            period_us,
+            kind,
+            watched: Watched::new(device, &name, period_us).replaying(kind == Kind::Recording),
+            recorder: Recorder::new(folder, device, &name, period_us),
+            trends: Trends::default(),
+            enclosed: verdict.iter().chain(&log).map(|message| message.to_json().into()).collect(),
+            events: VecDeque::new(),
+            reading: None,
+            source,
             commands: received,
             viewers,
             metrics,
             latest: Arc::clone(&latest),
             wheel: Wheel::default(),
+            records: None,
             waiting: VecDeque::new(),
             out: Vec::new(),
             framed: Instant::now(),
@@ -143,14 +167,25 @@ struct Waiting {
 
 struct Worker {
     device: u8,
+    /// As the pages were told.
+    kind: Kind,
+    period_us: u32,
     watched: Watched,
     recorder: Recorder,
+    trends: Trends,
+    /// What every new page gets, and after it the newest events.
+    enclosed: Vec<Arc<str>>,
+    events: VecDeque<Arc<str>>,
+    /// The flight recorder that is being read.
+    reading: Option<LogReader>,
     source: Box<dyn Source>,
     commands: Receiver<Command>,
     viewers: Arc<Viewers>,
     metrics: Arc<Metrics>,
     latest: Arc<Mutex<Latest>>,
     wheel: Wheel,
+    /// The page that has started the recording.
+    records: Option<u64>,
     /// In the order in which they were sent.
     waiting: VecDeque<Waiting>,
     out: Vec<Out>,
@@ -170,6 +205,7 @@ impl Worker {
         while let Ok(command) = self.commands.try_recv() {
             match command {
                 Command::Message { viewer, message } => self.obey(&viewer, &message),
+                Command::Opened { viewer } => self.welcome(&viewer),
                 Command::Gone { viewer } => self.release(viewer),
             }
         }
@@ -185,13 +221,45 @@ impl Worker {
         let (now, before) = (now_ms(), self.out.len());
         self.watched.take(news, now, &mut self.out);
         self.record(news, before, now);
+        let gone = |out: &Out| {
+            matches!(out, Out::Message(ToPage::Event { kind: EventKind::Lost | EventKind::Restarted, .. }))
+        };
+        if self.out[before..].iter().any(gone) && self.wheel.free() {
+            // Its form shows what was before.
+            self.give_lease_back();
+        }
         let News::Answer { request, result } = news else { return };
-        // The session also asks by itself, for other things.
-        if self.waiting.front().is_some_and(|waiting| waiting.request == *request)
-            && let Some(Waiting { viewer, id, .. }) = self.waiting.pop_front()
+        self.meet();
+        self.read_on(request, result);
+        if let (Request::GetLease, Ok(Response::Lease(lease))) = (request, result)
+            && lease.yours
+            && self.wheel.who().is_none()
+        {
+            // An earlier release was lost with the line.
+            let _ = self.source.ask(Request::ReleaseLease);
+        }
+        // The session also asks by itself, for other things; and a stop overtakes other requests.
+        if let Some(place) = self.waiting.iter().position(|waiting| waiting.request == *request)
+            && let Some(Waiting { viewer, id, .. }) = self.waiting.remove(place)
         {
             tell(&viewer, &ToPage::Answer(steer::answer(id, result)));
         }
+    }
+
+    /// Looks whether another kind of device is there than the pages were told; then they start again.
+    fn meet(&mut self) {
+        let kind = match self.watched.known().identity {
+            Some(identity) if self.kind != Kind::Recording => Kind::of(identity.device),
+            _ => self.kind,
+        };
+        let period_us = self.watched.period_us();
+        if (kind, period_us) == (self.kind, self.period_us) {
+            return;
+        }
+        self.recorder.set_period(period_us);
+        (self.kind, self.period_us) = (kind, period_us);
+        self.latest.lock().unwrap_or_else(PoisonError::into_inner).device = Some((kind, period_us));
+        self.viewers.restart();
     }
 
     /// Passes news, and the messages that they have become, to the recorder.
@@ -208,7 +276,10 @@ impl Worker {
                 Out::Message(ToPage::Event { kind: EventKind::Alarm, text, .. }) => {
                     self.recorder.alarm(text, now)
                 }
-                Out::Message(ToPage::Breath { figures, .. }) => self.recorder.breath(figures, now),
+                Out::Message(ToPage::Breath { figures, .. }) => {
+                    self.trends.add(now, figures);
+                    self.recorder.breath(figures, now)
+                }
                 _ => None,
             });
         }
@@ -218,8 +289,19 @@ impl Worker {
     }
 
     fn event(&mut self, kind: EventKind, text: String) {
-        let event = ToPage::Event { device: self.device, time_ms: now_ms(), kind, text };
+        let tick = self.watched.newest_tick();
+        let event = ToPage::Event { device: self.device, time_ms: now_ms(), kind, text, tick };
         self.out.push(Out::Message(event));
+    }
+
+    /// Tells a new page what was before it.
+    fn welcome(&mut self, viewer: &Viewer) {
+        // The breaths that are in the trends must not come after them.
+        self.send();
+        if let Some(history) = self.trends.history() {
+            tell(viewer, &ToPage::History { device: self.device, history });
+        }
+        self.enclosed.iter().chain(&self.events).for_each(|message| viewer.tell(Arc::clone(message)));
     }
 
     /// Sends what has been made.
@@ -227,7 +309,16 @@ impl Worker {
         for out in self.out.drain(..) {
             match out {
                 Out::Frame(frame) => self.viewers.samples(&Arc::new(frame)),
-                Out::Message(message) => self.viewers.tell(&message.to_json().into()),
+                Out::Message(message) => {
+                    let text: Arc<str> = message.to_json().into();
+                    self.viewers.tell(&text);
+                    if matches!(message, ToPage::Event { .. }) {
+                        self.events.push_back(text);
+                    }
+                    if self.events.len() > EVENTS_MAX {
+                        self.events.pop_front();
+                    }
+                }
             }
         }
     }
@@ -239,7 +330,7 @@ impl Worker {
             return;
         }
         let now = now_ms();
-        let state = self.watched.state(now, self.wheel.who(), self.recorder.info());
+        let state = self.watched.state(now, self.wheel.who(), self.recorder.info(), self.recorder.triggers());
         let unchanged = self.shown.as_ref().is_some_and(|(shown, _)| *shown == state);
         if unchanged && elapsed.is_some_and(|elapsed| elapsed < STATE_EVERY.1) {
             return;
@@ -254,8 +345,9 @@ impl Worker {
     /// Does what a page asks for.
     fn obey(&mut self, viewer: &Arc<Viewer>, message: &FromPage) {
         match message {
-            FromPage::Take { .. } => match self.wheel.take(viewer.number, &viewer.who) {
-                Ok(_) => self.tell_steerer(),
+            FromPage::Take { take_over, .. } => match self.wheel.take(viewer.number, &viewer.who, *take_over)
+            {
+                Ok(()) => self.tell_steerer(),
                 // It is told who steers.
                 Err(_) => tell(viewer, &self.steerer(viewer)),
             },
@@ -280,8 +372,12 @@ impl Worker {
         let refused = |why: &dyn Display| Some(Answer::refused(Some(id), why.to_string()));
         match message {
             FromPage::Mark { text, .. } => return Some(self.mark(id, text)),
-            FromPage::Record { on, .. } => return Some(self.switch_recording(id, *on)),
+            FromPage::Record { on, .. } => return Some(self.switch_recording(viewer, id, *on)),
+            FromPage::Recorder { .. } => return self.read_recorder(viewer, id),
             FromPage::Capture { triggers, .. } => {
+                if let Err(why) = triggers.check() {
+                    return refused(&why);
+                }
                 self.recorder.arm(*triggers);
                 return Some(Answer::done(id, if triggers.is_armed() { "armed" } else { "disarmed" }));
             }
@@ -294,26 +390,85 @@ impl Worker {
             let done = self.source.fault(*fault);
             return done.map_or_else(|why| refused(&why), |()| Some(Answer::done(id, "done")));
         }
-        match steer::request(message, self.watched.settings()) {
+        // A change that waits for its answer must not be undone by the next one.
+        let asked = self.waiting.iter().rev().find_map(|waiting| match &waiting.request {
+            Request::ApplySettings(settings) => Some(settings),
+            _ => None,
+        });
+        match steer::request(message, asked.or(self.watched.settings())) {
             Ok(request) => request.and_then(|request| self.ask(viewer, id, request)),
             Err(why) => refused(&why),
         }
     }
 
     fn mark(&mut self, id: u32, text: &str) -> Answer {
-        self.recorder.mark(text);
         self.event(EventKind::Marker, text.to_owned());
+        if let Some(Told(text)) = self.recorder.mark(text, now_ms()) {
+            self.event(EventKind::Capture, text);
+        }
         Answer::done(id, "marked")
     }
 
-    fn switch_recording(&mut self, id: u32, on: bool) -> Answer {
+    /// Begins to read the flight recorder; an answer if that is not possible.
+    fn read_recorder(&mut self, viewer: &Arc<Viewer>, id: u32) -> Option<Answer> {
+        if self.reading.is_some() {
+            return Some(Answer::refused(Some(id), "the flight recorder is being read: try again soon"));
+        }
+        match self.source.ask(LogReader::FIRST) {
+            Ok(()) => {
+                self.reading = Some(LogReader::new(Arc::clone(viewer), id));
+                None
+            }
+            Err(why) => Some(Answer::refused(Some(id), why.to_string())),
+        }
+    }
+
+    /// Goes on reading the flight recorder with an answer of the device.
+    fn read_on(&mut self, request: &Request, result: &Result<Response, String>) {
+        let Some(next) = self.reading.as_mut().and_then(|reading| reading.take(request, result)) else {
+            return;
+        };
+        let failed = match next {
+            Next::Ask(request) => self.source.ask(request).err().map(|why| why.to_string()),
+            Next::Failed(reason) => Some(reason),
+            Next::Done(entries) => {
+                let Some(LogReader { viewer, id, .. }) = self.reading.take() else { return };
+                let log = log(&entries, self.period_us);
+                tell(&viewer, &ToPage::Log { device: self.device, log });
+                tell(&viewer, &ToPage::Answer(Answer::done(id, format!("{} events read", entries.len()))));
+                return;
+            }
+        };
+        if let Some(reason) = failed
+            && let Some(LogReader { viewer, id, .. }) = self.reading.take()
+        {
+            tell(&viewer, &ToPage::Answer(Answer::refused(Some(id), reason)));
+        }
+    }
+
+    fn switch_recording(&mut self, viewer: &Viewer, id: u32, on: bool) -> Answer {
+        let running = self.recorder.info();
         let done = if on {
-            let started = self.recorder.start(now_ms(), self.watched.known().identity);
-            started.map(|path| format!("recording to {}", path.display()))
+            let started = self.recorder.start(now_ms(), self.watched.known().identity, &viewer.who);
+            if running.is_none() && started.is_ok() {
+                self.records = Some(viewer.number);
+            }
+            let alone = if self.recorder.has_mcap() { "" } else { ", without MCAP: the device is not known" };
+            started.map(|path| format!("recording to {}{alone}", path.display()))
         } else {
+            let others = self.records.is_some_and(|page| page != viewer.number && self.viewers.is_open(page));
+            if let Some(RecordingInfo { by, .. }) = running
+                && others
+                && !self.wheel.is_with(viewer.number)
+            {
+                return Answer::refused(
+                    Some(id),
+                    format!("{by} records this device: end it there, or steer the device"),
+                );
+            }
             let stopped = self.recorder.stop();
             stopped.map(|info| match info {
-                Some(RecordingInfo { file, samples }) => format!("{samples} samples written to {file}"),
+                Some(RecordingInfo { file, samples, .. }) => format!("{samples} samples written to {file}"),
                 None => "nothing was being recorded".to_owned(),
             })
         };
@@ -332,9 +487,13 @@ impl Worker {
     /// A page steers no longer; the device may be steered by another program then.
     fn release(&mut self, viewer: u64) {
         if self.wheel.release(viewer) {
-            let _ = self.source.ask(Request::ReleaseLease);
-            self.tell_steerer();
+            self.give_lease_back();
         }
+    }
+
+    fn give_lease_back(&mut self) {
+        let _ = self.source.ask(Request::ReleaseLease);
+        self.tell_steerer();
     }
 
     fn tell_steerer(&mut self) {

@@ -7,7 +7,7 @@ use learn::controller::shipped;
 use shared::control::pid::PidGains;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response};
 use shared::link::telemetry::TelemetryBatch;
-use shared::safety::alarms::{Fault, Priority};
+use shared::safety::alarms::{Action, Fault, Priority};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
@@ -19,10 +19,13 @@ use crate::alarms::AlarmList;
 use crate::figures::BreathMeter;
 use crate::metrics::DeviceNumbers;
 use crate::stream::frame::{Frame, Point, SAMPLES_MAX};
-use crate::stream::{Audio, EventKind, LineInfo, RecordingInfo, State, Ticks, ToPage};
+use crate::stream::{Audio, EventKind, LineInfo, Missing, RecordingInfo, State, Ticks, ToPage, Triggers};
 
-/// Time without news after which a device counts as lost, ms: it is asked once a second, and sends samples while it ventilates.
-const SILENT_MS: (u64, u64) = (1500, 800);
+/// Time without answers after which a device counts as lost, ms: it is asked once a second, and again 1.5 s after a request that the
+/// line has lost.
+const UNANSWERED_MS: u64 = 3000;
+/// Time without samples after which a device that ventilates counts as lost, ms.
+const UNSAMPLED_MS: u64 = 800;
 /// Arrivals that are remembered for the latencies: ten seconds of a chip's batches.
 const ARRIVALS: usize = 640;
 
@@ -51,8 +54,15 @@ pub struct Watched {
     came_ms: u64,
     /// When batches came: their ticks, and the time.
     arrivals: VecDeque<(Range<u64>, u64)>,
-    /// When the device was last heard; none before.
-    heard_ms: Option<u64>,
+    /// When the device last answered; none before.
+    answered_ms: Option<u64>,
+    /// When the last samples came, or when they became due.
+    sampled_ms: Option<u64>,
+    /// Whether it is a replay, whose samples have gaps.
+    replays: bool,
+    /// Losses on all lines so far, and on those before the one that is open.
+    line: LineInfo,
+    before: LineInfo,
     samples: u64,
     /// Number of the ticks' statistics, which a restart sets back.
     ticks: u32,
@@ -73,10 +83,25 @@ impl Watched {
             first_tick: 0,
             came_ms: 0,
             arrivals: VecDeque::new(),
-            heard_ms: None,
+            answered_ms: None,
+            sampled_ms: None,
+            replays: false,
+            line: LineInfo::default(),
+            before: LineInfo::default(),
             samples: 0,
             ticks: 0,
         }
+    }
+
+    /// The same, of a replay if `replays`.
+    #[must_use]
+    pub fn replaying(self, replays: bool) -> Self {
+        Self { replays, ..self }
+    }
+
+    /// Control period, microseconds.
+    pub fn period_us(&self) -> u32 {
+        self.period_us
     }
 
     /// What the device has reported.
@@ -92,23 +117,42 @@ impl Watched {
 
     /// Takes a piece of news; samples wait for [`Self::flush`].
     pub fn take(&mut self, news: &News, now_ms: u64, out: &mut Vec<Out>) {
-        let connected = self.view.known().lost.is_none();
+        let (connected, sampled) = (self.is_connected(), self.is_sampled());
         self.view.take(news);
+        if self.is_sampled() && !sampled {
+            self.sampled_ms = Some(now_ms);
+        }
         match news {
-            News::Event(event) => {
-                self.heard_ms = Some(now_ms);
-                self.happened(event, now_ms, out);
-            }
+            News::Event(event) => self.happened(event, now_ms, out),
             News::Answer { result: Ok(response), request } => {
-                self.heard_ms = Some(now_ms);
+                self.answered_ms = Some(now_ms);
                 self.answered(request, response, now_ms, out);
             }
             News::Lost(reason) if connected => {
-                self.heard_ms = None;
+                self.answered_ms = None;
+                self.meter.level(None);
+                // The next line counts from zero.
+                self.before = self.line;
                 out.push(self.event(now_ms, EventKind::Lost, reason));
             }
-            News::Answer { .. } | News::Traffic(_) | News::Lost(_) => {}
+            News::Traffic(traffic) => {
+                self.line = LineInfo {
+                    corrupt: self.before.corrupt + traffic.corrupt,
+                    lost_batches: self.before.lost_batches + traffic.lost_batches,
+                    dropped: traffic.device.dropped,
+                };
+            }
+            News::Answer { .. } | News::Lost(_) => {}
         }
+    }
+
+    fn is_connected(&self) -> bool {
+        self.view.known().lost.is_none()
+    }
+
+    /// Whether it should send samples.
+    fn is_sampled(&self) -> bool {
+        self.is_connected() && self.view.known().mode == Some(Mode::Ventilating)
     }
 
     fn happened(&mut self, event: &Event, now_ms: u64, out: &mut Vec<Out>) {
@@ -116,14 +160,23 @@ impl Watched {
             Event::Telemetry(batch) => self.samples(batch, now_ms, out),
             // The meter makes better figures of the samples.
             Event::Breath(_) => {}
-            Event::Alarm { fault, .. } | Event::Unacknowledged { fault, .. } => {
-                self.alarm(*fault, now_ms, out);
+            Event::Alarm { fault, .. } => {
+                if fault.alarm().action != Action::Tell {
+                    // The next report tells what commands the valve now.
+                    self.meter.level(None);
+                }
+                let new = self.alarms.began(*fault, now_ms);
+                self.alarm(*fault, new, now_ms, out);
+            }
+            Event::Unacknowledged { fault, .. } => {
+                let new = self.alarms.repeated(*fault, now_ms);
+                self.alarm(*fault, new, now_ms, out);
             }
         }
     }
 
-    fn alarm(&mut self, fault: Fault, now_ms: u64, out: &mut Vec<Out>) {
-        if self.alarms.began(fault, now_ms) {
+    fn alarm(&self, fault: Fault, new: bool, now_ms: u64, out: &mut Vec<Out>) {
+        if new {
             out.push(self.event(now_ms, EventKind::Alarm, words::fault(fault)));
         }
     }
@@ -140,10 +193,13 @@ impl Watched {
             let (point, figures) = self.meter.take(tick, &packed.unpack(), self.view.known().in_force);
             self.points.push(point);
             let device = self.device;
-            out.extend(figures.map(|figures| Out::Message(ToPage::Breath { device, figures })));
+            out.extend(
+                figures.map(|figures| Out::Message(ToPage::Breath { device, time_ms: now_ms, figures })),
+            );
         }
         self.samples += batch.samples.len() as u64;
         self.came_ms = now_ms;
+        self.sampled_ms = Some(now_ms);
         let past = batch.first_tick + batch.samples.len() as u64;
         self.arrivals.push_back((batch.first_tick..past, now_ms));
         if self.arrivals.len() > ARRIVALS {
@@ -162,8 +218,15 @@ impl Watched {
 
     fn answered(&mut self, request: &Request, response: &Response, now_ms: u64, out: &mut Vec<Out>) {
         match response {
-            Response::Identity(_) | Response::Controller(_) => self.know_controller(),
-            Response::Alarms(status) => self.alarms.report(status, now_ms),
+            Response::Identity(identity) => {
+                self.know_period(identity.period_us, out);
+                self.know_controller();
+            }
+            Response::Controller(_) => self.know_controller(),
+            Response::Alarms(status) => {
+                self.alarms.report(status, now_ms);
+                self.meter.level(self.level());
+            }
             Response::Audio(audio) => self.alarms.heard(audio),
             Response::Timing(times) => {
                 let restarted = times.ticks < self.ticks;
@@ -178,13 +241,41 @@ impl Watched {
     }
 
     fn restarted(&mut self, now_ms: u64, out: &mut Vec<Out>) {
-        self.flush(out);
-        self.meter = BreathMeter::new(self.period_us);
-        self.meter.gains(self.gains);
-        self.arrivals.clear();
+        self.start_afresh(out);
+        self.alarms.clear();
+        if let Some(status) = self.view.known().status {
+            // The report of the same poll, from after the restart.
+            self.alarms.report(status, now_ms);
+        }
         let cause =
             self.view.known().identity.map_or("unknown cause", |identity| words::reset(identity.reset));
         out.push(self.event(now_ms, EventKind::Restarted, &format!("the device restarted: {cause}")));
+    }
+
+    /// Forgets the running breath.
+    fn start_afresh(&mut self, out: &mut Vec<Out>) {
+        self.flush(out);
+        self.meter = BreathMeter::new(self.period_us);
+        self.meter.gains(self.gains);
+        self.meter.level(self.level());
+        self.arrivals.clear();
+    }
+
+    /// Takes the control period, which is another one if another device is plugged in.
+    fn know_period(&mut self, period_us: u32, out: &mut Vec<Out>) {
+        if period_us > 0 && period_us != self.period_us {
+            self.period_us = period_us;
+            self.start_afresh(out);
+        }
+    }
+
+    /// The level that commands the valve, as the meter needs it.
+    fn level(&self) -> Option<Level> {
+        let known = self.view.known();
+        match (known.status?.level, known.controller?) {
+            (Level::Learned, ControllerChoice::Pid(_)) => Some(Level::Pid),
+            (level, _) => Some(level),
+        }
     }
 
     /// Looks the controller's gains up, if it is another one: decoding an image takes time.
@@ -195,6 +286,7 @@ impl Watched {
             self.controller = controller;
             self.gains = self.find_gains();
             self.meter.gains(self.gains);
+            self.meter.level(self.level());
         }
     }
 
@@ -212,7 +304,13 @@ impl Watched {
     }
 
     fn event(&self, time_ms: u64, kind: EventKind, text: &str) -> Out {
-        Out::Message(ToPage::Event { device: self.device, time_ms, kind, text: text.to_owned() })
+        let tick = self.newest_tick();
+        Out::Message(ToPage::Event { device: self.device, time_ms, kind, text: text.to_owned(), tick })
+    }
+
+    /// The tick of the newest sample; none before the first one.
+    pub fn newest_tick(&self) -> Option<u64> {
+        (self.samples > 0).then(|| (self.first_tick + self.points.len() as u64).saturating_sub(1))
     }
 
     /// Time from the arrival of a tick until now, ms; none if that is not remembered.
@@ -221,64 +319,73 @@ impl Watched {
         Some(now_ms.saturating_sub(*came))
     }
 
-    /// Why the device is not heard, if it is not.
-    fn lost(&self, now_ms: u64) -> Option<String> {
-        let known = self.view.known();
-        if let Some(lost) = known.lost {
-            return Some(lost.to_owned());
+    /// What is missing from the device, if anything is, and why in words, which stay the same while it is missing.
+    fn lost(&self, now_ms: u64) -> Option<(Missing, String)> {
+        let silent = |since_ms: u64, limit_ms: u64| now_ms.saturating_sub(since_ms) > limit_ms;
+        let told = |missing, why: &str| Some((missing, why.to_owned()));
+        if let Some(lost) = self.view.known().lost {
+            return told(Missing::Line, lost);
         }
-        let Some(heard) = self.heard_ms else { return Some("waiting for the device's first answer".into()) };
-        let silent = now_ms.saturating_sub(heard);
-        let limit = if known.mode == Some(Mode::Ventilating) { SILENT_MS.1 } else { SILENT_MS.0 };
-        (silent > limit).then(|| format!("the device has been silent for {:.1} s", silent as f64 * 1e-3))
+        match self.answered_ms {
+            None => return told(Missing::Answers, "waiting for the device's first answer"),
+            Some(answered) if silent(answered, UNANSWERED_MS) => {
+                return told(Missing::Answers, "the device does not answer");
+            }
+            Some(_) => {}
+        }
+        let unsampled = !self.replays && self.is_sampled();
+        if unsampled && self.sampled_ms.is_none_or(|sampled| silent(sampled, UNSAMPLED_MS)) {
+            return told(Missing::Samples, "the device ventilates, but no samples arrive");
+        }
+        None
     }
 
-    /// The state to show. `page` is the page that steers, `recording` the recording that is being written.
-    pub fn state(&self, now_ms: u64, page: Option<&str>, recording: Option<RecordingInfo>) -> State {
+    /// The state to show. `page` is the page that steers, `recording` the recording that is being written, `triggers` are armed.
+    pub fn state(
+        &self,
+        now_ms: u64,
+        page: Option<&str>,
+        recording: Option<RecordingInfo>,
+        triggers: Option<Triggers>,
+    ) -> State {
         let known = self.view.known();
-        let lost = self.lost(now_ms);
+        let (missing, lost) = self.lost(now_ms).unzip();
         let audio = known.audio.unwrap_or_default();
         State {
             device: self.device,
             connected: lost.is_none(),
             lost,
+            missing,
             mode: known.mode.map(words::mode).unwrap_or_default(),
             ventilating: known.mode == Some(Mode::Ventilating),
             controller: known.controller.map(words::controller).unwrap_or_default(),
-            level: known.status.map_or("", |status| level(status.level, known.controller)),
+            level: known.status.map_or("", |status| in_command(status.level, known.controller)),
             distrust: self.alarms.distrust(),
             settings: known.in_force.copied(),
             pending: known.pending.copied(),
             alarms: self.alarms.list(),
             audio: Audio { priority: audio.priority.map(words::priority), pause_left: audio.pause_left },
-            steered_by: page.map(str::to_owned).or_else(|| known.lease.and_then(holder)),
+            steered_by: page.map(str::to_owned),
+            lease: known.lease.and_then(holder),
             ticks: self.ticks(),
-            line: self.line(),
-            adaptation: None,
+            line: self.line,
             recording,
+            triggers,
         }
     }
 
     fn ticks(&self) -> Ticks {
-        self.view.known().times.map_or_else(Ticks::default, |times| Ticks {
-            mean_us: times.microseconds(times.work.mean),
-            worst_us: times.microseconds(times.work.longest as f32),
-            missed: times.missed,
+        self.view.known().times.map_or_else(Ticks::default, |times| {
+            // A simulated device has no core clock: all its times are zero.
+            let us = |cycles: f32| (times.work.longest > 0).then(|| times.microseconds(cycles));
+            let (mean_us, worst_us) = (us(times.work.mean), us(times.work.longest as f32));
+            Ticks { mean_us, worst_us, missed: times.missed }
         })
-    }
-
-    fn line(&self) -> LineInfo {
-        let traffic = self.view.known().traffic;
-        LineInfo {
-            corrupt: traffic.corrupt,
-            lost_batches: traffic.lost_batches,
-            dropped: traffic.device.dropped,
-        }
     }
 
     /// The numbers for the metrics.
     pub fn numbers(&self, now_ms: u64) -> DeviceNumbers {
-        let LineInfo { corrupt, lost_batches, dropped } = self.line();
+        let LineInfo { corrupt, lost_batches, dropped } = self.line;
         DeviceNumbers {
             samples: self.samples,
             lost_batches,
@@ -292,8 +399,8 @@ impl Watched {
     }
 }
 
-/// What commands the inspiratory valve.
-fn level(level: Level, controller: Option<ControllerChoice>) -> &'static str {
+/// What commands the inspiratory valve, as a word of the stream.
+fn in_command(level: Level, controller: Option<ControllerChoice>) -> &'static str {
     match (level, controller) {
         (Level::Learned, Some(ControllerChoice::Learned)) => "learned",
         (Level::Learned | Level::Pid, _) => "pid",
@@ -302,9 +409,12 @@ fn level(level: Level, controller: Option<ControllerChoice>) -> &'static str {
     }
 }
 
-/// The program that steers; none if it is nobody.
+/// The program that holds the lease; none if none does.
 fn holder(lease: &LeaseStatus) -> Option<String> {
-    lease.holder.map(|_| words::lease(lease))
+    lease
+        .holder
+        .as_ref()
+        .map(|holder| if lease.yours { "this server".to_owned() } else { holder.to_string() })
 }
 
 #[cfg(test)]

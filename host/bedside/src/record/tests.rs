@@ -33,10 +33,10 @@ fn a_recording_holds_every_sample_from_its_start_to_its_end_and_the_markers() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
     breathe(&mut recorder, 0..2, 20.0);
-    let path = recorder.start(5, None).unwrap();
-    assert_eq!(recorder.start(6, None).unwrap(), path, "it goes on");
+    let path = recorder.start(5, None, "a page").unwrap();
+    assert_eq!(recorder.start(6, None, "another").unwrap(), path, "it goes on");
     breathe(&mut recorder, 2..4, 20.0);
-    recorder.mark("suction");
+    assert_eq!(recorder.mark("suction", 9), None);
     // Ventilation starts again, from breath 0.
     breathe(&mut recorder, 0..1, 20.0);
     assert_eq!(recorder.info().unwrap().samples, 300);
@@ -58,6 +58,9 @@ fn a_capture_has_ten_seconds_before_its_trigger_and_ten_after_it() {
     breathe(&mut recorder, 20..21, 31.0);
     let told = breathe(&mut recorder, 21..40, 20.0);
     assert!(told.len() == 1 && told[0].0.starts_with("capture written to "), "{told:?}");
+    assert_eq!(recorder.triggers(), None, "one shot");
+    assert_eq!(breathe(&mut recorder, 40..41, 31.0), []);
+    assert_eq!(files(folder.path()).len(), 1);
     let recording = Recording::load(&files(folder.path())[0]).unwrap();
     let above = recording.pressure.iter().position(|pressure| *pressure > 30.0).unwrap();
     assert_eq!((above, recording.len()), (999, 2000));
@@ -87,17 +90,32 @@ fn alarms_and_overshoots_trigger_only_if_they_are_armed() {
 fn a_recording_is_whole_when_the_server_ends() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
-    let path = recorder.start(5, None).unwrap();
+    let path = recorder.start(5, None, "a page").unwrap();
     breathe(&mut recorder, 0..1, 20.0);
     recorder.sample(&sample(1, 0, f32::NAN), None, 5);
     drop(recorder);
-    assert_eq!(Recording::load(path).unwrap().len(), 100, "a reading that is no number is left out");
+    let recording = Recording::load(path).unwrap();
+    assert_eq!(recording.len(), 100, "a reading that is no number is left out");
+    assert_eq!(recording.provenance.notes, ["left out: 1 samples with a value that is no number"]);
 }
 
 #[test]
 fn a_folder_that_cannot_be_written_is_an_error_and_nothing_else() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let mut recorder = recorder(file.path());
-    assert!(recorder.start(5, None).is_err());
+    assert!(recorder.start(5, None, "a page").is_err());
     assert_eq!((recorder.info(), breathe(&mut recorder, 0..1, 20.0)), (None, vec![]));
+}
+
+#[test]
+fn settings_that_were_not_known_are_noted() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = recorder(folder.path());
+    let path = recorder.start(5, None, "a page").unwrap();
+    breathe(&mut recorder, 0..1, 20.0);
+    (0..5).for_each(|tick| _ = recorder.sample(&sample(1, tick, 20.0), None, 7));
+    assert_eq!(recorder.info().unwrap().by, "a page");
+    recorder.stop().unwrap();
+    let notes = Recording::load(path).unwrap().provenance.notes;
+    assert_eq!(notes, ["pip and peep of 5 samples are defaults: the device had not reported them"]);
 }

@@ -4,8 +4,11 @@
 pub mod frame;
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use shared::device::annunciator::AUDIO_PAUSE_MAX;
+use shared::link::messages::DeviceKind;
 use shared::settings::{FIELDS, Settings};
 
 /// Version of the format.
@@ -21,12 +24,14 @@ pub const REQUESTS_PER_SECOND: u32 = 50;
 pub enum ToPage {
     /// The first message.
     Hello(Hello),
-    /// The state of a device, at each change and at least once a second.
+    /// The state of a device, at each change and at least twice a second.
     State(Box<State>),
     /// The figures of a breath that has ended.
     Breath {
         /// The device.
         device: u8,
+        /// When it ended, ms since 1970.
+        time_ms: u64,
         /// Its figures.
         #[serde(flatten)]
         figures: BreathFigures,
@@ -52,6 +57,32 @@ pub enum ToPage {
         kind: EventKind,
         /// In words.
         text: String,
+        /// The device's newest tick then; null before its first sample.
+        tick: Option<u64>,
+    },
+    /// The trends so far, when a page opens.
+    History {
+        /// The device.
+        device: u8,
+        /// Its trends.
+        #[serde(flatten)]
+        history: History,
+    },
+    /// The verdict on a recording, when a page opens.
+    Verdict {
+        /// The device.
+        device: u8,
+        /// The verdict.
+        #[serde(flatten)]
+        verdict: Verdict,
+    },
+    /// The event log of a flight recorder, when a page opens or asks for it.
+    Log {
+        /// The device.
+        device: u8,
+        /// The log.
+        #[serde(flatten)]
+        log: Log,
     },
 }
 
@@ -63,7 +94,7 @@ impl ToPage {
     }
 }
 
-/// What a page must know before anything else.
+/// The greeting of a page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hello {
     /// [`VERSION`].
@@ -74,8 +105,23 @@ pub struct Hello {
     pub demo: bool,
     /// All settings with units and bounds.
     pub settings: Vec<SettingInfo>,
+    /// Limits of requests.
+    pub limits: Limits,
     /// The devices.
     pub devices: Vec<DeviceInfo>,
+}
+
+/// Limits of requests, as `shared` defines them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Limits {
+    /// Longest audio pause, s.
+    pub audio_pause_s: u16,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { audio_pause_s: AUDIO_PAUSE_MAX }
+    }
 }
 
 /// A setting, as `shared` defines it.
@@ -133,6 +179,17 @@ pub enum Kind {
     Recording,
 }
 
+impl Kind {
+    /// The kind of a connected device.
+    pub fn of(device: DeviceKind) -> Self {
+        match device {
+            DeviceKind::Ventilator => Self::Board,
+            DeviceKind::HardwareInTheLoop => Self::Hil,
+            DeviceKind::Simulated => Self::Simulated,
+        }
+    }
+}
+
 /// The state of a device.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct State {
@@ -142,6 +199,8 @@ pub struct State {
     pub connected: bool,
     /// Why it does not.
     pub lost: Option<String>,
+    /// What is missing then.
+    pub missing: Option<Missing>,
     /// Mode in words.
     pub mode: String,
     /// Whether it ventilates.
@@ -150,7 +209,7 @@ pub struct State {
     pub controller: String,
     /// What commands the inspiratory valve: learned, pid, capped, backup; empty if unknown.
     pub level: &'static str,
-    /// Names of the present alarms because of which the ventilator does not trust a controller or a reading.
+    /// Present alarms because of which the ventilator does not trust a controller or a reading, in words.
     pub distrust: Vec<&'static str>,
     /// Settings in force; null before the first answer.
     pub settings: Option<Settings>,
@@ -160,16 +219,30 @@ pub struct State {
     pub alarms: Vec<AlarmInfo>,
     /// The sounder.
     pub audio: Audio,
-    /// Who steers, in words.
+    /// The page that steers, in words.
     pub steered_by: Option<String>,
+    /// The program that holds the device's lease, in words; null if none does, or if that is unknown.
+    pub lease: Option<String>,
     /// Control ticks.
     pub ticks: Ticks,
     /// Losses on the way to the server.
     pub line: LineInfo,
-    /// Progress of the adaptation, 0 to 1; null if unknown.
-    pub adaptation: Option<f32>,
     /// The recording that is being written.
     pub recording: Option<RecordingInfo>,
+    /// The armed triggers of a capture; null if there are none.
+    pub triggers: Option<Triggers>,
+}
+
+/// What is missing from a device that counts as lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Missing {
+    /// The line to it.
+    Line,
+    /// Answers.
+    Answers,
+    /// Samples, although it ventilates.
+    Samples,
 }
 
 /// An alarm that is present or not yet acknowledged.
@@ -183,8 +256,8 @@ pub struct AlarmInfo {
     pub priority: &'static str,
     /// Whether its condition holds.
     pub present: bool,
-    /// Since when, ms since 1970.
-    pub since_ms: u64,
+    /// Since when, ms since 1970; null if it was there before the server saw the device.
+    pub since_ms: Option<u64>,
     /// Whether an operator has acknowledged it.
     pub acknowledged: bool,
 }
@@ -201,10 +274,10 @@ pub struct Audio {
 /// Control ticks since the device's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Ticks {
-    /// Mean duration, us.
-    pub mean_us: f32,
-    /// Longest duration, us.
-    pub worst_us: f32,
+    /// Mean duration, us; null for a device that does not measure it.
+    pub mean_us: Option<f32>,
+    /// Longest duration, us; null for a device that does not measure it.
+    pub worst_us: Option<f32>,
     /// Ticks that did not run.
     pub missed: u32,
 }
@@ -227,6 +300,8 @@ pub struct RecordingInfo {
     pub file: String,
     /// Samples so far.
     pub samples: u64,
+    /// The page that started it, in words.
+    pub by: String,
 }
 
 /// Figures of a breath; null where unknown. Pressures in cmH2O.
@@ -266,6 +341,99 @@ pub struct BreathFigures {
     pub estimated: bool,
     /// Whether an effort of the patient has started the breath.
     pub triggered: bool,
+}
+
+/// Figures of the breaths in the last 72 hours, minute by minute; minutes without a breath are left out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct History {
+    /// Numbers of the minutes since 1970, ascending.
+    pub minutes: Vec<u64>,
+    /// Breaths in each.
+    pub breaths: Vec<u16>,
+    /// The figures by name, in the units of [`BreathFigures`].
+    pub figures: BTreeMap<&'static str, Course>,
+}
+
+/// One figure, minute by minute; null where it is not known.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Course {
+    /// Lowest value of the minute.
+    pub low: Vec<f32>,
+    /// Mean value.
+    pub mean: Vec<f32>,
+    /// Highest value.
+    pub high: Vec<f32>,
+}
+
+/// The verdict on a recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Verdict {
+    /// Why there is none.
+    pub refused: Option<String>,
+    /// Judged breaths.
+    pub breaths: usize,
+    /// Breaths that cannot be judged.
+    pub unjudged: usize,
+    /// Breaths that violate a limit.
+    pub violating: usize,
+    /// Mean absolute error over the inspirations, cmH2O.
+    pub error: Option<f64>,
+    /// Share of the inspiratory ticks with a random perturbation, 0 to 1.
+    pub explored: f64,
+    /// Accuracy at the end of the inspiration.
+    pub inspiration: Option<Tolerance>,
+    /// Accuracy at the end of the expiration.
+    pub expiration: Option<Tolerance>,
+    /// Each limit.
+    pub limits: Vec<LimitCheck>,
+    /// What is wrong most, in words, the most severe first.
+    pub sore_spots: Vec<String>,
+}
+
+/// A tolerance: fixed, plus a percentage of the set pressure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Tolerance {
+    /// Fixed part, in the unit of what it limits.
+    pub fixed: f64,
+    /// Percent of the set pressure.
+    pub percent: f64,
+}
+
+/// One limit on all breaths of a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LimitCheck {
+    /// What is limited.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The limit.
+    pub limit: Tolerance,
+    /// Breaths whose value is known.
+    pub checked: usize,
+    /// Breaths that violate it.
+    pub violations: usize,
+    /// The largest value that violates it, and its breath.
+    pub worst: Option<f64>,
+    /// Number of that breath in the recording.
+    pub worst_breath: Option<u32>,
+}
+
+/// The event log of a flight recorder.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Log {
+    /// Its events, the oldest first.
+    pub events: Vec<LogLine>,
+}
+
+/// An event of a flight recorder.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LogLine {
+    /// Number of the start from which its time counts.
+    pub start: u16,
+    /// Time since that start, s.
+    pub seconds: f64,
+    /// In words.
+    pub text: String,
 }
 
 /// The answer to a request.
@@ -309,6 +477,17 @@ pub enum EventKind {
     Restarted,
 }
 
+/// A text that must not reach a log.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[serde(transparent)]
+pub struct Secret(pub String);
+
+impl fmt::Debug for Secret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("(hidden)")
+    }
+}
+
 /// A message of a page.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
@@ -316,7 +495,7 @@ pub enum FromPage {
     /// The token of the address, as the first message.
     Token {
         /// The token.
-        token: String,
+        token: Secret,
     },
     /// The devices whose samples the page wants.
     Watch {
@@ -327,13 +506,16 @@ pub enum FromPage {
     Take {
         /// The device.
         device: u8,
+        /// Whether to take it from another page, which only a person may decide.
+        #[serde(default)]
+        take_over: bool,
     },
     /// Stop steering it.
     Release {
         /// The device.
         device: u8,
     },
-    /// The newest tick that the page has drawn, for the latency.
+    /// The first tick that the page has newly drawn since its last report, for the latency: the one that waited longest.
     Drawn {
         /// The device.
         device: u8,
@@ -406,6 +588,13 @@ pub enum FromPage {
         /// What triggers it; nothing disarms it.
         triggers: Triggers,
     },
+    /// Read the event log of the device's flight recorder.
+    Recorder {
+        /// For the answer.
+        id: u32,
+        /// The device.
+        device: u8,
+    },
     /// Inject a fault into a device of the demonstration.
     Fault {
         /// For the answer.
@@ -429,6 +618,7 @@ impl FromPage {
             | Self::Mark { id, .. }
             | Self::Record { id, .. }
             | Self::Capture { id, .. }
+            | Self::Recorder { id, .. }
             | Self::Fault { id, .. } => Some(*id),
             Self::Token { .. }
             | Self::Watch { .. }
@@ -449,8 +639,9 @@ impl FromPage {
             | Self::Mark { device, .. }
             | Self::Record { device, .. }
             | Self::Capture { device, .. }
+            | Self::Recorder { device, .. }
             | Self::Fault { device, .. }
-            | Self::Take { device }
+            | Self::Take { device, .. }
             | Self::Release { device }
             | Self::Drawn { device, .. } => Some(*device),
             Self::Token { .. } | Self::Watch { .. } => None,
@@ -467,7 +658,7 @@ impl FromPage {
 }
 
 /// What triggers a capture.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Triggers {
     /// Any alarm that begins.
@@ -482,6 +673,19 @@ impl Triggers {
     /// Whether anything can trigger it.
     pub fn is_armed(&self) -> bool {
         self.alarm || self.overshoot.is_some() || self.pressure.is_some()
+    }
+
+    /// Checks the thresholds.
+    ///
+    /// # Errors
+    /// A text that names the threshold that cannot trigger anything.
+    pub fn check(&self) -> Result<(), String> {
+        let wrong = [("overshoot", self.overshoot), ("pressure", self.pressure)]
+            .into_iter()
+            .find(|(_, limit)| limit.is_some_and(|limit| !(limit.is_finite() && limit > 0.0)));
+        wrong.map_or(Ok(()), |(name, _)| {
+            Err(format!("the threshold of the {name} must be a number above 0 cmH2O"))
+        })
     }
 }
 
@@ -520,11 +724,12 @@ mod tests {
     #[test]
     fn a_figure_that_is_not_known_or_not_finite_is_null() {
         let figures = BreathFigures { number: 3, pip: Some(f32::NAN), ..BreathFigures::default() };
-        let breath = value(&ToPage::Breath { device: 0, figures });
+        let breath = value(&ToPage::Breath { device: 0, time_ms: 5, figures });
         assert_eq!(
             (&breath["number"], &breath["pip"], &breath["leak"]),
             (&json!(3), &Value::Null, &Value::Null)
         );
+        assert_eq!(breath["time_ms"], 5, "also for devices whose samples a page does not watch");
     }
 
     #[test]
@@ -534,12 +739,31 @@ mod tests {
             steer: true,
             demo: false,
             settings: SettingInfo::all(),
+            limits: Limits::default(),
             devices: vec![],
         };
         let hello = value(&ToPage::Hello(hello));
         assert_eq!(hello["settings"].as_array().unwrap().len(), FIELDS.len());
         assert_eq!(hello["settings"][0]["name"], "pip");
         assert_eq!(hello["settings"][0]["unit"], "cmH2O");
+        assert_eq!(hello["limits"]["audio_pause_s"], AUDIO_PAUSE_MAX);
+    }
+
+    #[test]
+    fn a_threshold_that_nothing_can_exceed_or_that_all_exceed_is_wrong() {
+        let with = |pressure| Triggers { pressure: Some(pressure), ..Triggers::default() };
+        assert_eq!(with(30.0).check(), Ok(()));
+        for wrong in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert!(with(wrong).check().unwrap_err().contains("pressure"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_page_takes_over_only_if_it_says_so() {
+        let take = |text| FromPage::parse(text).unwrap();
+        let plain = FromPage::Take { device: 1, take_over: false };
+        assert_eq!(take(r#"{"type":"take","device":1}"#), plain);
+        assert_ne!(take(r#"{"type":"take","device":1,"take_over":true}"#), plain);
     }
 
     #[test]

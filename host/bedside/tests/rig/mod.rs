@@ -61,7 +61,7 @@ impl Page {
             request.headers_mut().insert(*name, value.parse().unwrap());
         }
         let socket = runtime.block_on(async {
-            let socket = TcpSocket::new_v4().unwrap();
+            let socket = if to.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }.unwrap();
             if let Some(bytes) = buffer {
                 socket.set_recv_buffer_size(bytes).unwrap();
             }
@@ -93,23 +93,23 @@ impl Page {
         self.text(|_| true)
     }
 
-    /// The next text that is wished for.
-    pub fn text(&mut self, wished: impl Fn(&Value) -> bool) -> Value {
+    /// The next text that a test waits for.
+    pub fn text(&mut self, expected: impl Fn(&Value) -> bool) -> Value {
         let deadline = std::time::Instant::now() + LONG;
         loop {
             assert!(std::time::Instant::now() < deadline, "the message did not come");
             if let Message::Text(text) = self.next().expect("the page is open") {
                 let message = serde_json::from_str(&text).unwrap();
-                if wished(&message) {
+                if expected(&message) {
                     return message;
                 }
             }
         }
     }
 
-    /// The next state of a device that is wished for.
-    pub fn state(&mut self, device: u8, wished: impl Fn(&Value) -> bool) -> Value {
-        self.text(|message| message["type"] == "state" && message["device"] == device && wished(message))
+    /// The next state of a device that a test waits for.
+    pub fn state(&mut self, device: u8, expected: impl Fn(&Value) -> bool) -> Value {
+        self.text(|message| message["type"] == "state" && message["device"] == device && expected(message))
     }
 
     pub fn next_binary(&mut self) -> Vec<u8> {
@@ -136,8 +136,17 @@ impl Page {
         self.state(device, |state| state["settings"].is_object());
         let applied = self.ask(json!({"type": "apply", "device": device, "settings": {}}));
         assert_eq!(applied["ok"], true, "{applied}");
-        let started = self.ask(json!({"type": "start", "device": device}));
-        assert_eq!(started["ok"], true, "{started}");
+        let deadline = std::time::Instant::now() + LONG;
+        loop {
+            let started = self.ask(json!({"type": "start", "device": device}));
+            if started["ok"] == true {
+                return;
+            }
+            // A start does not wait for the self-test.
+            assert!(started["text"].as_str().unwrap().contains("self-test"), "{started}");
+            assert!(std::time::Instant::now() < deadline, "the self-test does not end");
+            std::thread::sleep(Duration::from_millis(50));
+        }
     }
 
     /// Waits until the server closes the page; returns its code.
@@ -196,7 +205,8 @@ pub fn get(server: &Server, path: &str, headers: &[(&str, &str)]) -> (u16, Strin
 /// A simulated device that runs as fast as it can; it ends with the list.
 pub fn fast(served: &mut Vec<Served>) -> Watch {
     let device = Served::start(&BenchConfig::paper(20.0, 20.0), MOST_PACE).unwrap();
-    let (watch, _) = Watch::port(device.address()).unwrap();
+    let (watch, identity) = Watch::port(device.address());
+    identity.unwrap();
     served.push(device);
     watch
 }
@@ -213,8 +223,18 @@ impl Cable {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = Address::Tcp(listener.local_addr().unwrap().to_string());
         let accepting = std::thread::spawn(move || Self { listener, plugged: None }.plug_in());
-        let (watch, _) = Watch::port(&address).unwrap();
+        let (watch, identity) = Watch::port(&address);
+        identity.unwrap();
         (accepting.join().unwrap(), watch)
+    }
+
+    /// A device that is plugged in at this address, where a server tries to connect.
+    pub fn at(address: &Address) -> Self {
+        Self {
+            listener: TcpListener::bind(address.to_string().trim_start_matches("tcp:")).unwrap(),
+            plugged: None,
+        }
+        .plug_in()
     }
 
     /// Plugs a new device in.

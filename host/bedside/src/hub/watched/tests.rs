@@ -3,8 +3,11 @@
 use super::*;
 use device::LineCounters;
 use shared::breath::Phase;
+use shared::device::annunciator::AudioStatus;
+use shared::link::messages::AlarmStatus;
 use shared::link::telemetry::{Counters, PackedSample};
-use shared::timing::TickTimes;
+use shared::safety::indications::FaultSet;
+use shared::timing::{CycleStats, TickTimes};
 use shared::ventilator::Sample;
 
 fn watched() -> Watched {
@@ -30,6 +33,30 @@ fn batch(first_tick: u64, count: usize) -> News {
 fn timing(ticks: u32) -> News {
     let times = TickTimes { ticks, ..TickTimes::default() };
     News::Answer { request: Request::GetTiming { clear: false }, result: Ok(Response::Timing(times)) }
+}
+
+#[test]
+fn a_device_without_a_clock_of_its_own_has_no_tick_times() {
+    let mut watched = watched();
+    take(&mut watched, &timing(10), 1);
+    let ticks = watched.state(1, None, None, None).ticks;
+    assert_eq!((ticks.mean_us, ticks.worst_us, ticks.missed), (None, None, 0));
+    let work = CycleStats { shortest: 100, mean: 200.0, longest: 400 };
+    let times = TickTimes { core_hz: 100_000_000, ticks: 20, work, ..TickTimes::default() };
+    let result = Ok(Response::Timing(times));
+    take(&mut watched, &News::Answer { request: Request::GetTiming { clear: false }, result }, 2);
+    let ticks = watched.state(2, None, None, None).ticks;
+    assert_eq!((ticks.mean_us, ticks.worst_us), (Some(2.0), Some(4.0)));
+}
+
+#[test]
+fn the_newest_tick_is_that_of_the_last_sample_also_after_it_was_sent() {
+    let mut watched = watched();
+    assert_eq!(watched.newest_tick(), None);
+    take(&mut watched, &batch(100, 16), 1);
+    assert_eq!(watched.newest_tick(), Some(115));
+    flushed(&mut watched);
+    assert_eq!(watched.newest_tick(), Some(115));
 }
 
 fn take(watched: &mut Watched, news: &News, now_ms: u64) -> Vec<Out> {
@@ -84,21 +111,124 @@ fn many_samples_become_several_messages() {
     assert_eq!(flushed(&mut watched), [(512, 128)]);
 }
 
+fn answer(request: Request, response: Response) -> News {
+    News::Answer { request, result: Ok(response) }
+}
+
+fn report(present: &[Fault], indicated: &[Fault], level: Level) -> News {
+    let set = |faults: &[Fault]| {
+        FaultSet::from_bits(faults.iter().fold(0, |bits, fault| bits | 1 << *fault as u32))
+    };
+    let status = AlarmStatus { present: set(present), indicated: set(indicated), level };
+    answer(Request::GetAlarms, Response::Alarms(status))
+}
+
 #[test]
-fn a_device_is_lost_when_it_is_silent_and_back_when_it_answers() {
+fn a_device_is_lost_when_it_does_not_answer_and_back_when_it_does() {
     let mut watched = watched();
-    assert!(!watched.state(0, None, None).connected, "not heard yet");
+    assert!(!watched.state(0, None, None, None).connected, "not heard yet");
     take(&mut watched, &timing(10), 1000);
-    assert!(watched.state(2400, None, None).connected);
-    let state = watched.state(2600, None, None);
-    assert_eq!(
-        (state.connected, state.lost.as_deref()),
-        (false, Some("the device has been silent for 1.6 s"))
-    );
-    take(&mut watched, &News::Traffic(LineCounters::default()), 2700);
-    assert!(!watched.state(2700, None, None).connected, "counters are not from the device");
-    take(&mut watched, &timing(20), 3000);
-    assert!(watched.state(3000, None, None).connected);
+    assert!(watched.state(3900, None, None, None).connected, "one lost frame delays an answer by 2.5 s");
+    let lost = |at| watched.state(at, None, None, None);
+    assert_eq!((lost(4100).connected, lost(4100).missing), (false, Some(Missing::Answers)));
+    assert_eq!(lost(4100).lost, lost(9000).lost, "the text stays the same");
+    take(&mut watched, &News::Traffic(LineCounters::default()), 9100);
+    assert!(!watched.state(9100, None, None, None).connected, "counters are not from the device");
+    take(&mut watched, &timing(20), 9200);
+    assert!(watched.state(9200, None, None, None).connected);
+}
+
+#[test]
+fn a_device_that_ventilates_without_samples_is_lost_although_it_answers() {
+    let mut watched = watched();
+    take(&mut watched, &answer(Request::Start, Response::Mode(Mode::Ventilating)), 1000);
+    let missing = |watched: &Watched, at| watched.state(at, None, None, None).missing;
+    assert_eq!(missing(&watched, 1700), None, "the first ones are not due yet");
+    assert_eq!(missing(&watched, 1900), Some(Missing::Samples));
+    take(&mut watched, &batch(0, 16), 2000);
+    take(&mut watched, &timing(10), 2700);
+    assert_eq!((missing(&watched, 2700), missing(&watched, 2900)), (None, Some(Missing::Samples)));
+    take(&mut watched, &batch(16, 16), 4000);
+    assert_eq!(missing(&watched, 4400), None, "a late answer alone is no loss");
+    let mut replay = Watched::new(2, "a lung", 1000).replaying(true);
+    take(&mut replay, &answer(Request::Start, Response::Mode(Mode::Ventilating)), 1000);
+    assert_eq!(missing(&replay, 3000), None, "a replay has gaps");
+}
+
+#[test]
+fn an_alarm_that_has_ended_stays_so_while_the_device_repeats_it() {
+    let mut watched = watched();
+    let alarm = News::Event(Event::Alarm { fault: Fault::Disconnection, tick: 7 });
+    assert_eq!(events(&take(&mut watched, &alarm, 9)), [EventKind::Alarm]);
+    take(&mut watched, &report(&[], &[Fault::Disconnection], Level::Learned), 1000);
+    let repeated = News::Event(Event::Unacknowledged { fault: Fault::Disconnection, tick: 7 });
+    assert_eq!(events(&take(&mut watched, &repeated, 5000)), []);
+    let alarms = watched.state(5000, None, None, None).alarms;
+    assert_eq!((alarms[0].present, alarms[0].since_ms), (false, Some(9)));
+}
+
+#[test]
+fn after_a_lost_line_and_after_a_restart_nothing_can_be_steered_by_what_was_known() {
+    let settings =
+        || Response::Settings { in_force: Settings::default(), pending: Some(Settings::default()) };
+    let known = |watched: &Watched| {
+        let state = watched.state(9, None, None, None);
+        (state.settings.is_some(), state.pending.is_some(), state.lease.is_some(), state.audio.pause_left)
+    };
+    for gone in [News::Lost("unplugged".into()), timing(3)] {
+        let mut watched = watched();
+        take(&mut watched, &timing(5000), 1);
+        take(&mut watched, &answer(Request::GetSettings, settings()), 2);
+        let audio = AudioStatus { priority: None, pause_left: 60 };
+        take(&mut watched, &answer(Request::GetAudio, Response::Audio(audio)), 2);
+        let lease = LeaseStatus { holder: Some(device::host_name()), yours: false };
+        take(&mut watched, &answer(Request::GetLease, Response::Lease(lease)), 2);
+        assert_eq!(known(&watched), (true, true, true, 60));
+        take(&mut watched, &gone, 3);
+        assert_eq!((known(&watched), watched.settings()), ((false, false, false, 0), None), "{gone:?}");
+    }
+}
+
+#[test]
+fn losses_count_on_when_a_line_is_opened_again() {
+    let mut watched = watched();
+    let traffic = |corrupt| News::Traffic(LineCounters { corrupt, ..LineCounters::default() });
+    take(&mut watched, &traffic(5), 1);
+    take(&mut watched, &News::Lost("unplugged".into()), 2);
+    take(&mut watched, &News::Lost("still unplugged".into()), 3);
+    take(&mut watched, &traffic(6), 4);
+    take(&mut watched, &traffic(7), 5);
+    assert_eq!(watched.state(6, None, None, None).line.corrupt, 12);
+}
+
+#[test]
+fn the_learned_part_is_unknown_from_an_alarm_until_the_level_is_reported() {
+    let mut watched = watched();
+    let gains = shared::control::pid::KNOWN_GOOD;
+    take(&mut watched, &answer(Request::Identify, Response::Controller(ControllerChoice::Pid(gains))), 1);
+    take(&mut watched, &report(&[], &[], Level::Learned), 2);
+    assert_eq!(watched.level(), Some(Level::Pid), "a PID has no learned part");
+    let known = |watched: &mut Watched, tick: u64| {
+        let sample = Sample {
+            breath: 0,
+            tick: tick as u32,
+            phase: Phase::Inspiration,
+            target: 20.0,
+            pressure: 15.0,
+            u_in: 30.0,
+            u_out: false,
+            explore: 0.0,
+        };
+        !watched.meter.take(tick, &sample, None).0.learned.is_nan()
+    };
+    assert!(known(&mut watched, 0));
+    let alarm = News::Event(Event::Alarm { fault: Fault::ReadingFrozen, tick: 1 });
+    take(&mut watched, &alarm, 3);
+    assert!(!known(&mut watched, 1), "it may command by another level now");
+    take(&mut watched, &report(&[], &[], Level::Backup), 4);
+    assert!(!known(&mut watched, 2));
+    take(&mut watched, &report(&[], &[], Level::Pid), 5);
+    assert!(known(&mut watched, 3));
 }
 
 #[test]
@@ -108,7 +238,7 @@ fn a_broken_line_is_told_once() {
     let lost = News::Lost("unplugged".into());
     assert_eq!(events(&take(&mut watched, &lost, 1100)), [EventKind::Lost]);
     assert_eq!(events(&take(&mut watched, &lost, 1600)), []);
-    assert_eq!(watched.state(1600, None, None).lost.as_deref(), Some("unplugged"));
+    assert_eq!(watched.state(1600, None, None, None).lost.as_deref(), Some("unplugged"));
 }
 
 #[test]
@@ -126,8 +256,8 @@ fn an_alarm_is_told_once_and_listed() {
     let alarm = News::Event(Event::Alarm { fault: Fault::Disconnection, tick: 7 });
     assert_eq!(events(&take(&mut watched, &alarm, 9)), [EventKind::Alarm]);
     assert_eq!(events(&take(&mut watched, &alarm, 10)), []);
-    let state = watched.state(10, Some("page 1"), None);
-    assert_eq!((state.alarms[0].id, state.alarms[0].since_ms), (Fault::Disconnection.alarm().id, 9));
+    let state = watched.state(10, Some("page 1"), None, None);
+    assert_eq!((state.alarms[0].id, state.alarms[0].since_ms), (Fault::Disconnection.alarm().id, Some(9)));
     assert_eq!(state.steered_by.as_deref(), Some("page 1"));
     let counted: u64 = watched.numbers(10).alarms.iter().sum();
     assert_eq!(counted, 1);
@@ -148,11 +278,11 @@ fn a_latency_counts_from_the_arrival_of_the_ticks_batch() {
 fn the_level_names_the_controller_that_commands() {
     let pid = Some(ControllerChoice::Pid(shared::control::pid::KNOWN_GOOD));
     let found = [
-        level(Level::Learned, Some(ControllerChoice::Learned)),
-        level(Level::Learned, pid),
-        level(Level::Pid, Some(ControllerChoice::Learned)),
-        level(Level::CappedPid, pid),
-        level(Level::Backup, None),
+        in_command(Level::Learned, Some(ControllerChoice::Learned)),
+        in_command(Level::Learned, pid),
+        in_command(Level::Pid, Some(ControllerChoice::Learned)),
+        in_command(Level::CappedPid, pid),
+        in_command(Level::Backup, None),
     ];
     assert_eq!(found, ["learned", "pid", "pid", "capped", "backup"]);
 }
