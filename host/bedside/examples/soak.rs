@@ -40,7 +40,9 @@ impl Served {
     fn start(trainer: &str) -> Result<(Self, String), Box<dyn Error>> {
         let mut command = Command::new(trainer);
         command.args(["serve", "--steer", "--listen", "127.0.0.1:0"]);
-        LUNGS.iter().for_each(|lung| _ = command.args(["--bench", lung]));
+        for lung in LUNGS {
+            command.args(["--bench", lung]);
+        }
         let mut child = command.stdout(Stdio::piped()).spawn()?;
         let stdout = child.stdout.take().ok_or("the server has no output")?;
         let served = Self(child);

@@ -11,8 +11,10 @@ const MINUTE_MS: u64 = 60_000;
 pub const MINUTES: u64 = 72 * 60;
 /// Number of figures with a trend.
 const COUNT: usize = 10;
+/// Takes one figure.
+type Figure = fn(&BreathFigures) -> Option<f32>;
 /// Figures with a trend: their names in the stream, and where they are.
-const TRENDED: [(&str, fn(&BreathFigures) -> Option<f32>); COUNT] = [
+const TRENDED: [(&str, Figure); COUNT] = [
     ("pip", |figures| figures.pip),
     ("plateau", |figures| figures.plateau),
     ("peep", |figures| figures.peep),

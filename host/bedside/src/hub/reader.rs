@@ -88,53 +88,46 @@ mod tests {
         LogReader::new(viewer, 7)
     }
 
-    fn status(first: u32, next: u32) -> Result<Response, String> {
+    fn status(first: u32, next: u32) -> Response {
         let log = Held { first, next, origin: 0 };
         let none = Held::default();
         let (recording, boot, tick, tick_boot) = (RecordingState::Nothing, 1, 0, 1);
-        Ok(Response::Recorder(RecorderStatus {
-            recording,
-            boot,
-            tick,
-            tick_boot,
-            fast: none,
-            slow: none,
-            log,
-        }))
+        Response::Recorder(RecorderStatus { recording, boot, tick, tick_boot, fast: none, slow: none, log })
     }
 
-    fn page(first: u32, entries: usize) -> Result<Response, String> {
+    fn page(first: u32, entries: usize) -> Response {
         let bytes = (0..entries * EVENT_BYTES).map(|_| 0).collect();
-        Ok(Response::Recorded(Page { part: RecorderPart::Log, first, bytes }))
+        Response::Recorded(Page { part: RecorderPart::Log, first, bytes })
     }
 
     fn read(from: u32) -> Request {
         Request::ReadRecorder { part: RecorderPart::Log, from }
     }
 
-    fn asks(next: Option<Next>, from: u32) {
-        assert!(matches!(&next, Some(Next::Ask(request)) if *request == read(from)), "{next:?}");
+    fn asks(next: Option<&Next>, from: u32) {
+        assert!(matches!(next, Some(Next::Ask(request)) if *request == read(from)), "{next:?}");
     }
 
     #[test]
     fn pages_are_read_one_after_the_other_up_to_the_end_at_the_start() {
         let mut reader = reader();
-        asks(reader.take(&LogReader::FIRST, &status(5, 30)), 5);
-        assert!(reader.take(&Request::Identify, &page(5, 18)).is_none(), "not asked by it");
-        asks(reader.take(&read(5), &page(5, 18)), 23);
-        assert!(matches!(reader.take(&read(23), &page(23, 18)), Some(Next::Done(_))));
+        asks(reader.take(&LogReader::FIRST, &Ok(status(5, 30))).as_ref(), 5);
+        assert!(reader.take(&Request::Identify, &Ok(page(5, 18))).is_none(), "not asked by it");
+        asks(reader.take(&read(5), &Ok(page(5, 18))).as_ref(), 23);
+        assert!(matches!(reader.take(&read(23), &Ok(page(23, 18))), Some(Next::Done(_))));
     }
 
     #[test]
     fn whatever_a_device_answers_a_reading_ends() {
-        let first = |answer| {
+        let first = |answer: Result<Response, &str>| {
             let mut reader = reader();
-            asks(reader.take(&LogReader::FIRST, &status(0, u32::MAX)), u32::MAX - LOG_ENTRIES as u32);
-            reader.take(&read(0), &answer)
+            let oldest = u32::MAX - LOG_ENTRIES as u32;
+            asks(reader.take(&LogReader::FIRST, &Ok(status(0, u32::MAX))).as_ref(), oldest);
+            reader.take(&read(oldest), &answer.map_err(str::to_owned))
         };
-        assert!(matches!(first(page(u32::MAX - 1024, 0)), Some(Next::Done(_))), "an empty page");
-        assert!(matches!(first(page(3, 18)), Some(Next::Failed(_))), "a page from before");
+        assert!(matches!(first(Ok(page(u32::MAX - 1024, 0))), Some(Next::Done(_))), "an empty page");
+        assert!(matches!(first(Ok(page(3, 18))), Some(Next::Failed(_))), "a page from before");
         assert!(matches!(first(Ok(Response::Done)), Some(Next::Failed(_))), "another answer");
-        assert!(matches!(first(Err("unplugged".to_owned())), Some(Next::Failed(_))));
+        assert!(matches!(first(Err("unplugged")), Some(Next::Failed(_))));
     }
 }
