@@ -47,6 +47,7 @@ try {
   await page.getByRole("button", { name: "Disconnect" }).click();
   await until(page, () => document.querySelector("#banner").dataset.priority === "high");
   await page.keyboard.press("w");
+  await page.mouse.move(0, 0);
   await full(page, 6000);
   await shoot(page, "bedside-wall", folder);
   await page.setViewportSize(SCREENS["1280x800"].viewport);
@@ -55,6 +56,7 @@ try {
   await shoot(page, "bedside-device", folder);
   const phone = await open(browser, url, SCREENS.phone);
   await phone.getByRole("button", { name: `Open ${DEVICE}` }).click();
+  await phone.evaluate(() => document.querySelector("main").scrollTo(0, 0));
   await full(phone, 12_000);
   await shoot(phone, "bedside-phone", folder);
 } finally {
