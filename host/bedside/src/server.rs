@@ -1,7 +1,7 @@
 //! A running server: its hubs, its sockets and its end.
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -89,10 +89,21 @@ impl Server {
         self.address
     }
 
-    /// The address for a browser, with the token if there is one. A browser never sends the part after `#`.
+    /// The address for a browser on this computer, with the token if there is one. A browser never sends the part after `#`.
     pub fn url(&self) -> String {
         let token = self.token().map_or_else(String::new, |token| format!("#token={token}"));
-        format!("http://{}/{token}", self.address)
+        // A server on all interfaces has no address of its own.
+        let ip = match self.address.ip() {
+            IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
+            IpAddr::V6(ip) if ip.is_unspecified() => Ipv6Addr::LOCALHOST.into(),
+            ip => ip,
+        };
+        format!("http://{}/{token}", SocketAddr::new(ip, self.address.port()))
+    }
+
+    /// Whether other computers can reach it, over a network on which nothing is encrypted.
+    pub fn is_reachable(&self) -> bool {
+        self.shared.guard.reading_needs_token()
     }
 
     /// The token, if there is one.

@@ -134,6 +134,11 @@ fn a_device_that_does_not_exist_is_refused() {
 #[test]
 fn from_other_computers_even_reading_needs_the_token() {
     let server = serve("0.0.0.0:0");
+    assert!(
+        server.url().starts_with("http://127.0.0.1:"),
+        "an address that a browser can open: {}",
+        server.url()
+    );
     let address = format!("127.0.0.1:{}", server.address().port());
     let host = [("host", address.as_str())];
     assert_eq!((get(&server, "/", &host).0, get(&server, "/app.js", &host).0), (200, 200));

@@ -299,7 +299,7 @@ fn the_state_is_also_a_file_and_every_response_has_the_policy() {
     let server = serve(vec![bench()], false);
     let mut page = Page::open(&server);
     page.state(0, |state| state["connected"] == true);
-    let (status, headers, body) = get(&server, "/api/state", &[]);
+    let (status, _, body) = get(&server, "/api/state", &[]);
     let state: Value = serde_json::from_str(&body).unwrap();
     assert_eq!((status, &state["states"][0]["device"]), (200, &json!(0)));
     assert_eq!(state["hello"]["devices"][0]["name"], "R20C20");

@@ -236,7 +236,7 @@ impl Device {
                 // An answer that has arrived meanwhile may be older than these events.
                 found = self.line.answers.recv_timeout(Duration::ZERO);
                 if matches!(found, Err(RecvTimeoutError::Timeout)) {
-                    self.held.drain(..).for_each(|event| pass(event));
+                    self.held.drain(..).for_each(&mut **pass);
                 }
             }
             match found {

@@ -27,11 +27,13 @@ Examples:
   trainer serve --recording night.parquet --blackbox fault.json
 
 Open the address that the command prints. The page shows every device at 1 kHz and never asks
-another server for anything. Ctrl-C ends the server; the devices go on as they are.
+another server for anything. Ctrl-C ends the server; devices at a port go on as they are, simulated
+ones (--bench, --demo) end with it.
 
 Without --steer pages only read. With it, the printed address contains a token, without which
 nothing is changed; one page at a time steers a device. The server listens on this computer only,
-unless --listen names another address: then even reading needs the token.")]
+unless --listen names another address: then even reading needs the token, which crosses the network
+unencrypted. To watch from another computer, an SSH tunnel is safer: ssh -L 8080:localhost:8080 HOST")]
 pub struct Args {
     /// A device's address: /dev/ttyACM0, COM3, serial:NAME?baud=N or tcp:HOST:PORT; repeat it for more devices
     #[arg(long, value_name = "PORT")]
@@ -74,7 +76,17 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if server.token().is_some() {
         eprintln!("the part after # is the token: whoever has it may {}", allowed(steer));
     }
-    eprintln!("open this address in a browser; Ctrl-C ends the server, the devices go on");
+    if server.is_reachable() {
+        let port = server.address().port();
+        eprintln!(
+            "warning: other computers reach this server, and nothing is encrypted: whoever can read the network can read the token. \
+             Safer: leave --listen out, and on the other computer use `ssh -L {port}:localhost:{port} THIS-COMPUTER`. \
+             Without that, put this computer's address into the one above"
+        );
+    }
+    eprintln!(
+        "open this address in a browser; Ctrl-C ends the server; devices at a port go on, simulated ones end"
+    );
     while !stopped() {
         sleep(LOOK_EVERY);
     }

@@ -30,7 +30,7 @@ pub struct Place {
     _permit: Arc<OwnedSemaphorePermit>,
 }
 
-/// Accepts connections for ever.
+/// Accepts connections until the server ends.
 pub async fn serve(listener: TcpListener, shared: Arc<Shared>) -> Infallible {
     let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     let service = router(Arc::clone(&shared));
@@ -43,12 +43,12 @@ pub async fn serve(listener: TcpListener, shared: Arc<Shared>) -> Infallible {
                 continue;
             }
         };
-        // One that is too many is closed at once.
-        match Arc::clone(&places).try_acquire_owned() {
-            Ok(permit) => {
-                _ = tokio::spawn(talk(stream, Place { from, _permit: Arc::new(permit) }, service.clone()))
-            }
-            Err(_) => shared.metrics.refuse(Refusal::Crowded),
+        if let Ok(permit) = Arc::clone(&places).try_acquire_owned() {
+            let place = Place { from, _permit: Arc::new(permit) };
+            tokio::spawn(talk(stream, place, service.clone()));
+        } else {
+            // One that is too many is closed at once.
+            shared.metrics.refuse(Refusal::Crowded);
         }
     }
 }
