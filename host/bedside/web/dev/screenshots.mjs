@@ -22,14 +22,18 @@ function demonstrate() {
   });
 }
 
-/** Waits until the sweep of `length` ticks is drawn almost to its end, for the second time. */
-const full = (page, length) => until(page, ([name, ticks]) => {
-  const shown = window.eupnea.devices.find(({ info }) => info.name === name);
-  return shown.ring.end > ticks && shown.ring.newest % ticks > 0.9 * ticks;
-}, [DEVICE, length], 2 * LONG);
+const ring = (page) => page.evaluate((name) => window.eupnea.devices.find(({ info }) => info.name === name).ring.end, DEVICE);
+
+/** Waits for a whole sweep of `length` ticks from now on, which is then almost at its end. */
+const full = async (page, length) => until(page, ([name, ticks, from]) => {
+  const shown = window.eupnea.devices.find(({ info }) => info.name === name).ring;
+  return shown.end > from + ticks && shown.newest % ticks > 0.9 * ticks;
+}, [DEVICE, length, await ring(page)], 2 * LONG);
 
 async function shoot(page, name, folder) {
   const [raw, packed] = [join(folder, `${name}.png`), join(FIGURES, `${name}.png`)];
+  // In the bright half of a flash.
+  await page.evaluate(() => { for (const animation of document.getAnimations()) animation.currentTime = 0; });
   await page.screenshot({ path: raw });
   const { status, stderr } = spawnSync("pngquant", ["--force", "--strip", "--speed", "1", "--quality", "50-90", "--output", packed, raw]);
   if (status !== 0) throw new Error(`pngquant: ${stderr}`);
