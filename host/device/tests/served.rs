@@ -22,10 +22,10 @@ fn ventilating() -> (Served, Device) {
     (served, device)
 }
 
-/// Waits for an event that is wished for.
-fn wait(device: &Device, mut wished: impl FnMut(&Event) -> bool) {
+/// Waits for an event that a test expects.
+fn wait(device: &Device, mut expected: impl FnMut(&Event) -> bool) {
     let deadline = Instant::now() + LONG;
-    while !wished(&device.events().recv_timeout(LONG).unwrap()) {
+    while !expected(&device.events().recv_timeout(LONG).unwrap()) {
         assert!(Instant::now() < deadline, "the event did not come");
     }
 }

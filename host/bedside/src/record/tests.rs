@@ -2,6 +2,10 @@
 
 use super::*;
 use data::recording::Recording;
+use shared::link::messages::{ControllerChoice, DeviceKind};
+use shared::reset::ResetCause;
+use shared::ventilator::Mode;
+use shared::weights::slots::SlotState;
 
 fn sample(breath: u32, tick: u32, pressure: f32) -> Sample {
     let phase = if tick < 50 { Phase::Inspiration } else { Phase::Expiration };
@@ -118,4 +122,31 @@ fn settings_that_were_not_known_are_noted() {
     recorder.stop().unwrap();
     let notes = Recording::load(path).unwrap().provenance.notes;
     assert_eq!(notes, ["pip and peep of 5 samples are defaults: the device had not reported them"]);
+}
+
+#[test]
+fn a_recording_whose_mcap_file_cannot_be_created_does_not_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = recorder(folder.path());
+    let identity = DeviceIdentity {
+        protocol: shared::link::PROTOCOL,
+        firmware: [0, 1, 0],
+        device: DeviceKind::Ventilator,
+        period_us: 10_000,
+        mode: Mode::Standby,
+        controller: ControllerChoice::Learned,
+        exploration: None,
+        slots: [SlotState::Empty, SlotState::Empty],
+        running: None,
+        reset: ResetCause::PowerOn,
+        failure: None,
+        weights_key: None,
+    };
+    // A folder is in its place.
+    let mcap = folder.path().join("recording-3-5.mcap");
+    std::fs::create_dir(&mcap).unwrap();
+    assert!(recorder.start(5, Some(&identity), "a page").is_err());
+    assert_eq!((recorder.info(), files(folder.path())), (None, vec![mcap]), "nor is half of it left");
+    recorder.start(6, Some(&identity), "a page").unwrap();
+    assert!(recorder.has_mcap());
 }

@@ -162,7 +162,7 @@ mod tests {
         let bytes = Frame::new(3, (1 << 40) + 5, 1_700_000_000_000.5, &points).bytes(9);
         let lines: Vec<String> = bytes
             .chunks(32)
-            .map(|line| line.iter().map(|byte| format!("{byte:02x}")).collect::<String>())
+            .map(|line| line.iter().fold(String::new(), |text, byte| format!("{text}{byte:02x}")))
             .collect();
         assert_eq!(include_str!("../../web/test/samples.hex").trim(), lines.join("\n"));
     }
