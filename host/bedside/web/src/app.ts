@@ -36,6 +36,7 @@ class App {
   private readonly demo = new Demo(this.requests, (message) => this.send(message));
   private readonly wall = new Wall((device) => this.open(device));
   private readonly head: Head;
+  private readonly main: HTMLElement;
   readonly bedside: Bedside;
   readonly socket: Socket;
   private hello: Hello | null = null;
@@ -52,8 +53,8 @@ class App {
     const extra = h("div", { class: "extra" }, this.demo.element, button("Keys", help, { class: "help" }));
     this.bedside = new Bedside(this.requests, (message) => this.send(message), extra);
     this.head = new Head({ wall: () => this.open(null), choose: (device) => this.open(device), acknowledge: () => this.acknowledge() }, this.audio.element);
-    const main = h("main", { id: "main", tabindex: "-1" }, this.wall.element, this.bedside.element);
-    document.body.append(h("a", { class: "skip", href: "#main" }, "Skip to the waveforms"), this.head.element, main);
+    this.main = h("main", { id: "main", tabindex: "-1" }, this.wall.element, this.bedside.element);
+    document.body.append(h("a", { class: "skip", href: "#main" }, "Skip to the waveforms"), this.head.element, this.main);
     show(this.demo.element, false);
     this.socket = new Socket(address(), {
       opened: () => this.opened(), closed: (reason, refused) => this.closed(reason, refused),
@@ -134,6 +135,8 @@ class App {
     this.shown = device;
     show(this.wall.element, device === null);
     show(this.bedside.element, device !== null);
+    // On a phone the wall may have been scrolled; the waveforms are at the top.
+    this.main.scrollTop = 0;
     if (device) {
       this.bedside.setDevice(device);
       this.demo.update(device);
