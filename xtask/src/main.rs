@@ -14,6 +14,7 @@ mod qemu_test;
 mod setup;
 mod trainer;
 mod web;
+mod web_demo;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -62,6 +63,8 @@ enum Command {
     Wheel,
     /// Check the bedside page, that its bundle is what the sources give, and test it in Chromium
     Web(web::Arguments),
+    /// Compile the demonstration of the bedside page to WebAssembly and build docs/demo, then test them; needs Chromium
+    WebDemo,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -93,6 +96,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Package => package::run(&shell),
         Command::Wheel => package::wheel(&shell),
         Command::Web(arguments) => web::run(&shell, arguments),
+        Command::WebDemo => web_demo::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

@@ -71,7 +71,7 @@ fn remedy(program: &str) -> &'static str {
 }
 
 /// Installs the packages of the lock file, unless they are the ones that are installed.
-fn install(shell: &Shell) -> Result<()> {
+pub fn install(shell: &Shell) -> Result<()> {
     let [wanted, installed] = LOCK.map(|path| shell.read_file(path).ok());
     if wanted.is_some() && wanted == installed {
         return Ok(());

@@ -3,10 +3,10 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
+use monitoring::words;
 use shared::device::annunciator::AudioStatus;
 use shared::link::messages::AlarmStatus;
 use shared::safety::alarms::{Action, Fault, Priority};
-use show::monitor::words;
 
 use crate::stream::AlarmInfo;
 

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::guard::Refusal;
 use crate::stream::DeviceInfo;
+use crate::watched::DeviceNumbers;
 
 /// Upper bounds of the latencies' classes, ms.
 const BOUNDS_MS: [u64; 10] = [10, 20, 35, 50, 75, 100, 150, 250, 500, 1000];
@@ -39,25 +40,6 @@ impl Latencies {
         let _ = writeln!(text, "{name}_bucket{{le=\"+Inf\"}} {count}");
         let _ = writeln!(text, "{name}_sum {}\n{name}_count {count}", get(&self.sum_ms) as f64 * 1e-3);
     }
-}
-
-/// Numbers of a device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DeviceNumbers {
-    /// Samples received.
-    pub samples: u64,
-    /// Batches of samples lost on the line.
-    pub lost_batches: u64,
-    /// Damaged frames.
-    pub corrupt: u64,
-    /// Reports that the device dropped.
-    pub reports_dropped: u64,
-    /// Whether it answers, and whether it ventilates.
-    pub connected: bool,
-    /// Whether it ventilates.
-    pub ventilating: bool,
-    /// Indicated alarms of high, medium and low priority.
-    pub alarms: [u64; 3],
 }
 
 /// All numbers of a server.

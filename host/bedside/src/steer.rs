@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use monitoring::words;
 use shared::device::annunciator::AUDIO_PAUSE_MAX;
 use shared::link::messages::{Request, Response};
 use shared::settings::{FIELDS, Settings, SettingsError};
-use show::monitor::words;
 use thiserror::Error;
 
 use crate::stream::{Answer, FromPage};

@@ -36,8 +36,8 @@ use shared::ventilator::Mode;
 use thiserror::Error;
 
 pub use host::name as host_name;
-pub use line::LineCounters;
 use line::{Answer, Line};
+pub use monitoring::LineCounters;
 use port::{Address, Port, PortError};
 
 /// Longest time for an answer before the request is repeated.

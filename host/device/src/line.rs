@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use serde::Serialize;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
 use shared::link::messages::{Event, Response, ToDevice, ToHost, greeted_protocol, read_reply};
-use shared::link::telemetry::{Counters, LossCounter};
+use shared::link::telemetry::LossCounter;
 
 use crate::port::Port;
+use monitoring::LineCounters;
 
 /// Number of bytes read at once.
 const CHUNK: usize = 4096;
@@ -23,19 +23,6 @@ const LULL: Duration = Duration::from_millis(1);
 pub(super) enum Answer {
     Response { sequence: u16, response: Box<Response> },
     OtherProtocol(u16),
-}
-
-/// Counters of a line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct LineCounters {
-    /// Valid frames received.
-    pub frames: u64,
-    /// Received frames that were damaged.
-    pub corrupt: u64,
-    /// Number of missing telemetry batches.
-    pub lost_batches: u64,
-    /// The device's counters.
-    pub device: Counters,
 }
 
 /// A line with its reading thread.

@@ -1,38 +1,24 @@
-//! A device without a chip: both halves of [`shared::device`] on the virtual bench, at the end of any line. It replaces
-//! the firmware where there is no emulator, and lets tests examine the line's effect on a device.
+//! A [`virtual_chip`] at the end of any line, at the pace of a clock: it replaces the firmware where there is no emulator, and lets
+//! tests examine the line's effect on a device.
 
-mod flash;
 mod served;
 
 use std::io::{ErrorKind, Read, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::calibration::SensorCorrection;
-use shared::calibration::stored::StoredCalibrations;
-use shared::device::control::Control;
-use shared::device::self_test::BootFindings;
-use shared::device::server::{DeviceFacts, NextStep, Server};
-use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
-use shared::link::messages::{DeviceKind, ToDevice, ToHost, read_request};
-use shared::link::refusal::Refusal;
-use shared::recorder::{Boot, Recorder, RecorderMemory};
-use shared::reset::ResetCause;
-use shared::safety::filter::ValveCommand;
-use shared::timing::TickTime;
+use shared::recorder::RecorderMemory;
 use shared::ventilator::Mode;
-use shared::weights::slots::{Slot, SlotState};
-use shared::weights::{IMAGE_BYTES, decode};
 
 use crate::port::Port;
-use flash::{Flash, SECTOR_BYTES};
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
-use plant::{Plant, TickTruth, locked};
-pub use served::{PlantFault, ServeError, Served, ServedConfig};
+pub use served::{ServeError, Served, ServedConfig};
+use virtual_chip::Chip;
+pub use virtual_chip::PlantFault;
 
 /// Number of control ticks between two checks of the line.
 const TICKS_AT_ONCE: usize = 16;
@@ -41,8 +27,6 @@ const STANDBY_PAUSE: Duration = Duration::from_millis(1);
 /// Largest factor by which a simulated device is faster than a chip: its flight recorder must not overwrite entries faster than a
 /// host can read them.
 pub const MOST_PACE: u32 = 100;
-/// Clock rate that a simulated device reports, Hz; its ticks take no time.
-const CORE_HZ: u32 = 1_000_000;
 
 /// A running simulated device; ends when dropped.
 pub struct Simulated {
@@ -63,14 +47,11 @@ impl Simulated {
         let thread = thread::spawn(move || {
             // It survives the device's resets, like the chip's memory.
             let memory = Box::new(RecorderMemory::new());
-            Chip::new(bench, &memory, MOST_PACE).run(port, &stopped);
+            Paced::new(Chip::new(bench, &memory), MOST_PACE).run(port, &stopped);
         });
         Ok(Self { stop, thread: Some(thread) })
     }
 }
-
-/// The true states of a plant since it last restarted: entry `n` belongs to its `n`-th reading.
-type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
 
 impl Drop for Simulated {
     fn drop(&mut self) {
@@ -82,70 +63,20 @@ impl Drop for Simulated {
     }
 }
 
-/// The state of a simulated chip.
-struct Chip<'a> {
-    memory: &'a RecorderMemory,
-    recorder: Recorder<'a>,
-    bench: BenchPlant,
-    peep: f32,
-    control: Control,
-    server: Server<'a>,
-    decoder: FrameDecoder<DECODER_BYTES>,
-    ticks: u32,
-    reading: f32,
-    command: ValveCommand,
-    /// The sector of the calibrations.
-    flash: Flash,
-    calibrations: StoredCalibrations,
-    /// The weight slots.
-    slots: [Option<[u8; IMAGE_BYTES]>; 2],
-    newest: Option<Slot>,
-    out: Vec<u8>,
+/// A chip that runs at the pace of a clock.
+struct Paced<'a> {
+    chip: Chip<'a>,
     /// Shortest time of [`TICKS_AT_ONCE`] ticks while it ventilates.
     ticks_time: Duration,
-    /// True states of the ticks, if they are kept.
-    truths: Option<TruthLog>,
     /// Faults to inject, if the device is served.
     injected: Option<Receiver<PlantFault>>,
-    /// The reading at which the sensor sticks.
-    stuck: Option<f32>,
 }
 
-impl<'a> Chip<'a> {
-    /// A chip on a bench that runs at most `pace` times as fast as a real one.
-    fn new(bench: BenchPlant, memory: &'a RecorderMemory, pace: u32) -> Self {
-        let (control, server, recorder) = boot(memory, ResetCause::PowerOn, &[None; 2], None);
-        let mut flash = Flash::new();
-        let calibrations = StoredCalibrations::open(&mut flash, 0, SECTOR_BYTES);
-        let peep = shared::settings::Settings::default().peep;
-        Self {
-            memory,
-            recorder,
-            bench,
-            peep,
-            control,
-            server,
-            decoder: FrameDecoder::new(),
-            ticks: 0,
-            reading: peep,
-            command: ValveCommand::SAFE,
-            flash,
-            calibrations,
-            slots: [None; 2],
-            newest: None,
-            out: Vec::new(),
-            ticks_time: Duration::from_micros(u64::from(DEFAULT_PERIOD_US)) * TICKS_AT_ONCE as u32 / pace,
-            truths: None,
-            injected: None,
-            stuck: None,
-        }
-    }
-
-    /// Starts again with these weights in the first slot.
-    fn boot_with(&mut self, image: &[u8; IMAGE_BYTES]) {
-        (self.slots[Slot::A as usize], self.newest) = (Some(*image), Some(Slot::A));
-        (self.control, self.server, self.recorder) =
-            boot(self.memory, ResetCause::PowerOn, &self.slots, self.newest);
+impl<'a> Paced<'a> {
+    /// A chip that runs at most `pace` times as fast as a real one.
+    fn new(chip: Chip<'a>, pace: u32) -> Self {
+        let period = Duration::from_micros(u64::from(DEFAULT_PERIOD_US));
+        Self { chip, ticks_time: period * TICKS_AT_ONCE as u32 / pace, injected: None }
     }
 
     /// Runs ticks and handles the line until it ends.
@@ -153,14 +84,14 @@ impl<'a> Chip<'a> {
         let (mut writer, heard) = (port.writer, listen(port.reader, Arc::clone(stop)));
         while !stop.load(Ordering::Relaxed) {
             match heard.recv_timeout(self.ticks()) {
-                Ok(bytes) => bytes.iter().for_each(|byte| self.hear(*byte)),
+                Ok(bytes) => bytes.iter().for_each(|byte| self.chip.hear(*byte)),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-            if writer.write_all(&self.out).is_err() {
+            if writer.write_all(self.chip.out()).is_err() {
                 return;
             }
-            self.out.clear();
+            self.chip.out().clear();
         }
     }
 
@@ -169,122 +100,12 @@ impl<'a> Chip<'a> {
         let begun = Instant::now();
         self.take_faults();
         for _ in 0..TICKS_AT_ONCE {
-            self.tick();
+            self.chip.tick();
         }
         // Nothing is measured in standby, so there is no hurry.
-        match self.control.mode() {
+        match self.chip.mode() {
             Mode::Ventilating => self.ticks_time.saturating_sub(begun.elapsed()),
             _ => STANDBY_PAUSE,
-        }
-    }
-
-    /// One control tick, as the firmware's control task runs it.
-    fn tick(&mut self) {
-        let change = self.control.plant_change();
-        self.peep = change.peep.unwrap_or(self.peep);
-        let reading = match change.reset {
-            Some(seed) => self.bench.reset(DEFAULT_PERIOD_US, seed, self.peep),
-            None => self.bench.step(self.command.u_in(), self.command.u_out()),
-        };
-        if let (Ok(reading), Some(truths)) = (&reading, &self.truths) {
-            let mut truths = locked(truths);
-            if change.reset.is_some() {
-                truths.clear();
-            }
-            // Nobody asks for the truth of a standby.
-            truths.extend(reading.truth.filter(|_| self.control.mode() == Mode::Ventilating));
-        }
-        // A bench of this configuration was built before, so this never fails.
-        self.reading = self.stuck.unwrap_or_else(|| reading.map_or(f32::NAN, |reading| reading.pressure));
-        if let Some(peep) = change.peep {
-            let _ = self.bench.set_peep(peep);
-        }
-        let output = self.control.step(self.reading);
-        self.ticks = self.ticks.wrapping_add(1);
-        self.command = output.command;
-        self.control.record(&TickTime { latency: 0, work: 0, period: Some(DEFAULT_PERIOD_US), missed: 0 });
-        self.recorder.record(&self.control.moment(self.reading, &output, 0));
-        let mut reports = Vec::new();
-        self.control.report(&output, &mut |report| {
-            reports.push(report);
-            true
-        });
-        for report in reports {
-            for event in self.server.report(&report) {
-                self.say(&event);
-            }
-        }
-    }
-
-    fn hear(&mut self, byte: u8) {
-        let request = match self.decoder.push(byte) {
-            Poll::Frame(content) => read_request(content),
-            Poll::Pending | Poll::Corrupt(_) => return,
-        };
-        match request {
-            Ok(request) => self.serve(&request),
-            Err(unreadable) => {
-                if let Some(refusal) = unreadable.refusal() {
-                    self.say(&refusal);
-                }
-            }
-        }
-        self.server.corrupt_frames(self.decoder.counters().corrupt());
-    }
-
-    fn serve(&mut self, request: &ToDevice) {
-        let mut step = self.server.receive(request, self.ticks);
-        loop {
-            step = match step {
-                NextStep::Send(answer) => return self.say(&answer),
-                NextStep::Control(request) => self.server.control_replied(self.control.execute(&request)),
-                NextStep::Store => {
-                    let slot = self.store();
-                    self.server.stored(Ok(slot), states(&self.slots))
-                }
-                NextStep::StoreCalibration(calibration) => {
-                    let stored = self.calibrations.store(&mut self.flash, &calibration);
-                    let stored =
-                        stored.map(|()| self.calibrations.count()).map_err(|_| Refusal::CalibrationStorage);
-                    self.server.calibration_stored(&calibration, stored)
-                }
-                NextStep::ReadCalibration { back } => {
-                    let calibration = self.calibrations.get(&mut self.flash, back);
-                    self.server.calibration_read(self.calibrations.count(), calibration)
-                }
-                NextStep::Restart(answer) => {
-                    self.say(&answer);
-                    let cause = ResetCause::Software;
-                    (self.control, self.server, self.recorder) =
-                        boot(self.memory, cause, &self.slots, self.newest);
-                    self.recall();
-                    self.command = ValveCommand::SAFE;
-                    return;
-                }
-            };
-        }
-    }
-
-    /// Puts the newest calibration in force, as the firmware does at its start.
-    fn recall(&mut self) {
-        self.calibrations = StoredCalibrations::open(&mut self.flash, 0, SECTOR_BYTES);
-        let newest = self.calibrations.get(&mut self.flash, 0);
-        if let Some(correction) = newest.and_then(|newest| SensorCorrection::new(&newest).ok()) {
-            self.control.calibrate(correction);
-        }
-    }
-
-    fn store(&mut self) -> Slot {
-        let slot = if self.newest == Some(Slot::A) { Slot::B } else { Slot::A };
-        self.slots[slot as usize] = Some(*self.server.image());
-        self.newest = Some(slot);
-        slot
-    }
-
-    fn say(&mut self, message: &ToHost) {
-        let mut buffer = [0; FRAME_BYTES];
-        if let Ok(frame) = encode_frame(message, &mut buffer) {
-            self.out.extend_from_slice(frame);
         }
     }
 }
@@ -305,37 +126,4 @@ fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<V
         }
     });
     heard
-}
-
-/// The states of the slots.
-fn states(slots: &[Option<[u8; IMAGE_BYTES]>; 2]) -> [SlotState; 2] {
-    slots.map(|bytes| match bytes.and_then(|bytes| decode(&bytes).ok()) {
-        Some(image) => SlotState::Valid { generation: 0, id: image.id },
-        None => SlotState::Empty,
-    })
-}
-
-/// Both halves and the flight recorder after a start.
-fn boot<'a>(
-    memory: &'a RecorderMemory,
-    reset: ResetCause,
-    images: &[Option<[u8; IMAGE_BYTES]>; 2],
-    newest: Option<Slot>,
-) -> (Control, Server<'a>, Recorder<'a>) {
-    let slots = states(images);
-    let weights = newest.and_then(|slot| slots[slot as usize].id());
-    let recorder = Recorder::attach(memory, Boot { cause: reset, failed: false, weights, restored: false });
-    let image = newest.and_then(|slot| images[slot as usize]).and_then(|bytes| decode(&bytes).ok());
-    let learned = image.map(|image| image.residual);
-    let running = newest.filter(|_| learned.is_some());
-    let device = DeviceKind::Simulated;
-    let facts = DeviceFacts { slots, running, reset, ..DeviceFacts::blank(device) };
-    let control: Result<Control, Refusal> = Control::new(device, DEFAULT_PERIOD_US, CORE_HZ);
-    let mut control = control.expect("the default control period is in bounds");
-    if let Some(learned) = &learned {
-        control.learn(learned);
-    }
-    control.require_self_test(&BootFindings { program: None, memory: None, slots });
-    control.report_boot(reset, recorder.interrupted(), &slots);
-    (control, Server::new(facts, memory), recorder)
 }

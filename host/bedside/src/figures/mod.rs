@@ -8,7 +8,7 @@ pub mod share;
 
 use std::collections::VecDeque;
 
-use judge::evaluate::score_breath;
+use monitoring::curve::Tracking;
 use shared::breath::{Phase, period_s};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
@@ -182,12 +182,12 @@ impl BreathMeter {
     /// Fills in error, rise and overshoot, as `trainer evaluate` scores them.
     fn score(&self, breath: &Running, figures: &mut BreathFigures) {
         let pip = breath.targets.iter().copied().fold(f64::MIN, f64::max) as f32;
-        let settings = Settings { pip, peep: breath.target, ..Settings::default() };
+        let way = (f64::from(breath.target), f64::from(pip));
         let period = f64::from(self.period_us) * 1e-6;
-        let score = score_breath(&settings, period, &breath.pressures, &breath.targets);
-        figures.error = Some(score.score as f32);
-        figures.rise_ms = Some(score.rise_ms as f32);
-        figures.overshoot = Some(score.overshoot as f32);
+        let tracking = Tracking::of(way, period, &breath.pressures, &breath.targets);
+        figures.error = Some(tracking.error as f32);
+        figures.rise_ms = Some(tracking.rise_ms as f32);
+        figures.overshoot = Some(tracking.overshoot as f32);
     }
 
     /// The minute volume after a breath of this volume, mL, and length, s; L/min.

@@ -2,7 +2,6 @@
 //! waits for a page.
 
 mod reader;
-pub mod watched;
 
 use std::collections::VecDeque;
 use std::fmt::Display;
@@ -19,13 +18,14 @@ use show::monitor::News;
 use crate::log::log;
 use crate::metrics::Metrics;
 use crate::record::{Recorder, Told};
+use crate::shipped;
 use crate::source::{Source, Watch};
 use crate::steer::{self, Wheel};
 use crate::stream::{Answer, EventKind, FromPage, Kind, RecordingInfo, State, ToPage};
 use crate::trends::Trends;
 use crate::viewers::{Viewer, Viewers};
+use crate::watched::{Out, Watched};
 use reader::{LogReader, Next};
-use watched::{Out, Watched};
 
 /// Longest wait for news.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -97,7 +97,7 @@ impl Hub {
             device,
             period_us,
             kind,
-            watched: Watched::new(device, &name, period_us).replaying(kind == Kind::Recording),
+            watched: Watched::new(device, period_us, shipped::gains).replaying(kind == Kind::Recording),
             recorder: Recorder::new(folder, device, &name, period_us),
             trends: Trends::default(),
             enclosed: verdict.iter().chain(&log).map(|message| message.to_json().into()).collect(),

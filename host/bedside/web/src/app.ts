@@ -17,9 +17,9 @@ import { Head } from "./head";
 import { listen } from "./keys";
 import { group } from "./pairs";
 import { Requests } from "./requests";
-import { Socket } from "./socket";
 import { type Hello, type Message, type Samples, VERSION } from "./stream";
 import { forget, token } from "./token";
+import type { Connect, Transport } from "./transport";
 import { Wall } from "./wall";
 
 const UPDATE_EVERY = 100;
@@ -38,7 +38,7 @@ class App {
   private readonly head: Head;
   private readonly main: HTMLElement;
   readonly bedside: Bedside;
-  readonly socket: Socket;
+  readonly socket: Transport;
   private hello: Hello | null = null;
   /** The shown device; null shows the wall. */
   private shown: Device | null = null;
@@ -48,7 +48,7 @@ class App {
   /** Pictures drawn so far. */
   pictures = 0;
 
-  constructor() {
+  constructor(connect: Connect) {
     const help = listen(this.shortcuts());
     const extra = h("div", { class: "extra" }, this.demo.element, button("Keys", help, { class: "help" }));
     this.bedside = new Bedside(this.requests, (message) => this.send(message), extra);
@@ -56,7 +56,7 @@ class App {
     this.main = h("main", { id: "main", tabindex: "-1" }, this.wall.element, this.bedside.element);
     document.body.append(h("a", { class: "skip", href: "#main" }, "Skip to the waveforms"), this.head.element, this.main);
     show(this.demo.element, false);
-    this.socket = new Socket(address(), {
+    this.socket = connect({
       opened: () => this.opened(), closed: (reason, refused) => this.closed(reason, refused),
       message: (message) => this.take(message), samples: (samples) => this.takeSamples(samples),
     });
@@ -218,10 +218,9 @@ function cover(device: Device, silent: boolean): string | null {
   return null;
 }
 
-function address(): string {
-  return `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/stream`;
+/** Opens the page; in a worker of the page, its part. */
+export function run(connect: Connect): void {
+  // Tests and the browser's console read the page's state here.
+  if (inWorker) work();
+  else Object.assign(window, { eupnea: new App(connect) });
 }
-
-// Tests and the browser's console read the page's state here.
-if (inWorker) work();
-else Object.assign(window, { eupnea: new App() });

@@ -1,6 +1,6 @@
 // The connection to the server: opens it, and opens it again with growing pauses after it broke.
 
-import { decodeSamples, decodeText, type Message, type Samples } from "./stream";
+import { deliver, type Listener, type Transport } from "./transport";
 
 /** First and longest pause between two attempts, ms. */
 const FIRST_MS = 250;
@@ -16,22 +16,12 @@ export function pause(number: number, chance: number): number {
   return Math.min(FIRST_MS * 2 ** number, LONGEST_MS) * (0.8 + 0.4 * chance);
 }
 
-export interface Listener {
-  opened(): void;
-  /** `refused` tells that the server closed it for a broken rule soon after it was opened. */
-  closed(reason: string, refused: boolean): void;
-  message(message: Message): void;
-  samples(samples: Samples): void;
-}
-
-export class Socket {
+export class Socket implements Transport {
   private socket: WebSocket | null = null;
   private attempts = 0;
   private nextAttempt = 0;
   private since = 0;
-  /** When anything arrived last, by performance.now(). */
   heard = performance.now();
-  /** Messages that did not decode. */
   malformed = 0;
 
   constructor(private readonly url: string, private readonly listener: Listener) {
@@ -42,12 +32,10 @@ export class Socket {
     return this.socket?.readyState === WebSocket.OPEN;
   }
 
-  /** Seconds until the next attempt. */
   get waits(): number {
     return Math.max(0, (this.nextAttempt - performance.now()) / 1000);
   }
 
-  /** Sends an object; false if there is no connection, and then nothing is sent later either. */
   send(message: object): boolean {
     if (!this.connected || this.socket === null) return false;
     this.socket.send(JSON.stringify(message));
@@ -76,15 +64,7 @@ export class Socket {
   private receive(data: string | ArrayBuffer): void {
     this.heard = performance.now();
     this.attempts = 0;
-    if (typeof data === "string") {
-      const message = decodeText(data);
-      if (message) this.listener.message(message);
-      else this.malformed += 1;
-    } else {
-      const samples = decodeSamples(data);
-      if (samples) this.listener.samples(samples);
-      else this.malformed += 1;
-    }
+    if (!deliver(data, this.listener)) this.malformed += 1;
   }
 
   private retry(reason: string, refused: boolean): void {

@@ -13,10 +13,11 @@ use shared::recorder::RecorderMemory;
 use shared::weights::IMAGE_BYTES;
 use thiserror::Error;
 
-use super::{Chip, Simulated, TruthLog};
+use super::{Paced, PlantFault, Simulated};
 use crate::port::{Address, Port};
-use plant::bench::{BenchConfig, BenchError, BenchPlant, Failure};
+use plant::bench::{BenchConfig, BenchError, BenchPlant};
 use plant::{TickTruth, locked};
+use virtual_chip::{Chip, TruthLog};
 
 /// Longest wait for bytes from the host.
 const PATIENCE: Duration = Duration::from_millis(50);
@@ -41,19 +42,6 @@ pub struct ServedConfig {
     pub weights: Option<Box<[u8; IMAGE_BYTES]>>,
     /// Whether it keeps the true state of each tick for [`Served::truth`], which takes memory for as long as it ventilates.
     pub keeps_truth: bool,
-}
-
-/// A fault of a simulated device, in its plant or its sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum PlantFault {
-    /// A part fails.
-    Part(Failure),
-    /// The patient coughs once, with this peak, cmH2O.
-    Cough(f64),
-    /// The reading of the pressure sensor stays at its last value.
-    ReadingSticks,
-    /// All faults end.
-    None,
 }
 
 /// A device that is served; ends when dropped.
@@ -87,13 +75,16 @@ impl Served {
         let (faults, injected) = channel();
         let thread = thread::spawn(move || {
             let memory = Box::new(RecorderMemory::new());
-            let mut chip = Chip::new(bench, &memory, config.pace);
-            chip.truths = config.keeps_truth.then_some(log);
-            chip.injected = Some(injected);
+            let mut chip = Chip::new(bench, &memory);
+            if config.keeps_truth {
+                chip.keep_truths(log);
+            }
             if let Some(weights) = config.weights {
                 chip.boot_with(&weights);
             }
-            chip.attend(&listener, &stopped);
+            let mut paced = Paced::new(chip, config.pace);
+            paced.injected = Some(injected);
+            paced.attend(&listener, &stopped);
         });
         Ok(Self { address, truths, faults, _device: Simulated { stop, thread: Some(thread) } })
     }
@@ -116,20 +107,12 @@ impl Served {
     }
 }
 
-impl Chip<'_> {
+impl Paced<'_> {
     /// Does what was injected since the last call.
     pub(super) fn take_faults(&mut self) {
         let Some(injected) = &self.injected else { return };
         while let Ok(fault) = injected.try_recv() {
-            match fault {
-                PlantFault::Part(failure) => self.bench.fail(failure),
-                PlantFault::Cough(peak) => self.bench.cough(peak),
-                PlantFault::ReadingSticks => self.stuck = Some(self.reading),
-                PlantFault::None => {
-                    self.bench.restore();
-                    self.stuck = None;
-                }
-            }
+            self.chip.inject(fault);
         }
     }
 
@@ -140,14 +123,14 @@ impl Chip<'_> {
                 Ok(port) => {
                     self.run(port, stop);
                     // Nobody asks any more for the truth of that connection.
-                    if let Some(truths) = &self.truths {
+                    if let Some(truths) = self.chip.truths() {
                         locked(truths).clear();
                     }
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {
                     let pause = self.ticks();
                     // Nobody hears it.
-                    self.out.clear();
+                    self.chip.out().clear();
                     thread::sleep(pause);
                 }
                 Err(error) => {

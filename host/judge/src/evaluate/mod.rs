@@ -16,7 +16,7 @@ pub use comparison::{CompareError, Comparison, Pair, WaveformPair, compare};
 pub use effort::ValveEffort;
 pub use ground::{Ground, SourceGround};
 pub use score::{InspirationRecord, Score, plateau_tolerance, score_breath};
-pub(crate) use score::{PLATEAU_S, RISE, mean_over_time, rise, valve_effort};
+pub(crate) use score::{PLATEAU_S, valve_effort};
 pub use trace::{BreathTrace, trace, trace_after, trace_source, trace_source_after};
 
 use rayon::prelude::*;

@@ -5,6 +5,7 @@ use shared::breath::{Breath, Phase, period_s};
 use shared::settings::Settings;
 
 use super::ValveEffort;
+use monitoring::curve::{Tracking, mean_over_time};
 use ventilator::Tick;
 
 /// Start of the late part of the inspiration, s; by then a good controller has finished the rise.
@@ -13,8 +14,6 @@ const LATE_FROM_S: f64 = 0.15;
 pub(crate) const PLATEAU_S: f64 = 0.3;
 /// Distance from PIP that the plateau may have: cmH2O, plus this share of PIP (ISO 80601-2-12, as makers of ventilators declare it).
 const PLATEAU_TOLERANCE: (f64, f64) = (2.0, 0.04);
-/// Shares of the way from PEEP to PIP between which the rise is timed.
-pub(crate) const RISE: (f64, f64) = (0.1, 0.9);
 
 /// How well an inspiration followed its target; for several breaths, the mean of every value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -150,42 +149,15 @@ pub fn score_breath(breath: &Settings, period_s: f64, pressure: &[f64], target: 
     let errors: Vec<f64> = pressure.iter().zip(target).map(|(p, target)| (p - target).abs()).collect();
     let from_pip: Vec<f64> = pressure.iter().map(|p| (p - pip).abs()).collect();
     let late = ticks(LATE_FROM_S, period_s).min(errors.len().saturating_sub(1));
-    let whole = pressure.len() as f64 * period_s;
+    let tracking = Tracking::of((peep, pip), period_s, pressure, target);
     Score {
-        score: mean_over_time(&errors),
-        rise_ms: 1e3 * rise(pressure, (peep, pip), period_s).map_or(whole, |(start, end)| end - start),
-        overshoot: pressure.iter().fold(0.0, |most: f64, p| most.max(p - pip)),
+        score: tracking.error,
+        rise_ms: tracking.rise_ms,
+        overshoot: tracking.overshoot,
         plateau_error: mean_over_time(plateau(&from_pip, period_s)),
         late_error: mean_over_time(&errors[late..]),
         effort: ValveEffort::default(),
         cut: 0.0,
-    }
-}
-
-/// Times at which the pressure first reaches 10 and 90 % of the way between two pressures, s; `None` if it does not.
-pub(crate) fn rise(pressure: &[f64], (from, to): (f64, f64), period_s: f64) -> Option<(f64, f64)> {
-    let reached = |part: f64| Some(reached_at(pressure, from + part * (to - from))? * period_s);
-    Some((reached(RISE.0)?, reached(RISE.1)?))
-}
-
-/// Mean of a quantity between its first and last sample.
-pub(crate) fn mean_over_time(samples: &[f64]) -> f64 {
-    match samples {
-        [] => 0.0,
-        [only] => *only,
-        [first, .., last] => {
-            let sum: f64 = samples.iter().sum();
-            (sum - 0.5 * (first + last)) / (samples.len() - 1) as f64
-        }
-    }
-}
-
-/// Index at which `level` is first reached, linearly interpolated between samples.
-fn reached_at(pressure: &[f64], level: f64) -> Option<f64> {
-    let index = pressure.iter().position(|p| *p >= level)?;
-    match index.checked_sub(1).map(|before| pressure[before]) {
-        Some(before) => Some(index as f64 - (pressure[index] - level) / (pressure[index] - before)),
-        None => Some(0.0),
     }
 }
 

@@ -6,8 +6,9 @@ use serde::Serialize;
 
 use super::curve::{BreathCurve, SMALLEST_STEP};
 use super::swings::{Swings, Turns};
-use crate::evaluate::{PLATEAU_S, RISE, mean_over_time, rise, score_breath};
+use crate::evaluate::{PLATEAU_S, score_breath};
 use engine::least_squares::solve;
+use monitoring::curve::{RISE, mean_over_time, rise};
 use shared::settings::Settings;
 
 /// Time at the end of a phase over which the pressure is averaged, s.

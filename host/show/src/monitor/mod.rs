@@ -15,24 +15,4 @@ pub mod words;
 #[cfg(test)]
 mod tests;
 
-use shared::link::messages::{Event, Request, Response};
-
-use device::LineCounters;
-
-/// Information from the device for a monitor.
-#[derive(Clone, Debug, PartialEq)]
-pub enum News {
-    /// An event that the device sent on its own.
-    Event(Event),
-    /// The answer to a request; a refusal or failure is text.
-    Answer {
-        /// The request.
-        request: Request,
-        /// Its result.
-        result: Result<Response, String>,
-    },
-    /// State of the line's counters.
-    Traffic(LineCounters),
-    /// The connection was lost, with the reason; it is retried.
-    Lost(String),
-}
+pub use monitoring::News;

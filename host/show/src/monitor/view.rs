@@ -21,6 +21,7 @@ use super::News;
 use super::window::TelemetryWindow;
 use super::words;
 use device::LineCounters;
+pub use monitoring::known::Known;
 
 /// Length of the charts, s.
 pub const SECONDS: f64 = 9.0;
@@ -103,33 +104,6 @@ pub struct View {
     /// Requested settings that are not answered yet, and the number of such requests in progress.
     asked: Option<Settings>,
     under_way: usize,
-}
-
-/// What the device has reported, for other ways to show it; none of it before the first answers.
-#[derive(Clone, Copy, Debug)]
-pub struct Known<'a> {
-    /// Why the connection is lost, if it is.
-    pub lost: Option<&'a str>,
-    /// The greeting.
-    pub identity: Option<&'a DeviceIdentity>,
-    /// The mode now.
-    pub mode: Option<Mode>,
-    /// The chosen controller.
-    pub controller: Option<ControllerChoice>,
-    /// Settings of the running breath.
-    pub in_force: Option<&'a Settings>,
-    /// Settings that wait for the next breath.
-    pub pending: Option<&'a Settings>,
-    /// Statistics of the control ticks.
-    pub times: Option<&'a TickTimes>,
-    /// Alarms, and the level of the ladder.
-    pub status: Option<&'a AlarmStatus>,
-    /// State of the sounder.
-    pub audio: Option<AudioStatus>,
-    /// Who steers the device.
-    pub lease: Option<&'a LeaseStatus>,
-    /// Counters of the line.
-    pub traffic: LineCounters,
 }
 
 impl View {

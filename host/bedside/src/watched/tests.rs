@@ -1,7 +1,7 @@
 //! Tests of what a device's news become.
 
 use super::*;
-use device::LineCounters;
+use monitoring::LineCounters;
 use shared::breath::Phase;
 use shared::device::annunciator::AudioStatus;
 use shared::link::messages::AlarmStatus;
@@ -11,7 +11,7 @@ use shared::timing::{CycleStats, TickTimes};
 use shared::ventilator::Sample;
 
 fn watched() -> Watched {
-    Watched::new(2, "a lung", 1000)
+    Watched::new(2, 1000, |_| None)
 }
 
 fn batch(first_tick: u64, count: usize) -> News {
@@ -150,7 +150,7 @@ fn a_device_that_ventilates_without_samples_is_lost_although_it_answers() {
     assert_eq!((missing(&watched, 2700), missing(&watched, 2900)), (None, Some(Missing::Samples)));
     take(&mut watched, &batch(16, 16), 4000);
     assert_eq!(missing(&watched, 4400), None, "a late answer alone is no loss");
-    let mut replay = Watched::new(2, "a lung", 1000).replaying(true);
+    let mut replay = Watched::new(2, 1000, |_| None).replaying(true);
     take(&mut replay, &answer(Request::Start, Response::Mode(Mode::Ventilating)), 1000);
     assert_eq!(missing(&replay, 3000), None, "a replay has gaps");
 }

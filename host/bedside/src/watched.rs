@@ -3,7 +3,8 @@
 use std::collections::VecDeque;
 use std::ops::Range;
 
-use learn::controller::shipped;
+use monitoring::known::{Known, Reported};
+use monitoring::{News, words};
 use shared::control::pid::PidGains;
 use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response};
 use shared::link::telemetry::TelemetryBatch;
@@ -11,13 +12,9 @@ use shared::safety::alarms::{Action, Fault, Priority};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
-use shared::weights::decode;
-use show::monitor::view::{Known, View};
-use show::monitor::{News, words};
 
 use crate::alarms::AlarmList;
 use crate::figures::BreathMeter;
-use crate::metrics::DeviceNumbers;
 use crate::stream::frame::{Frame, Point, SAMPLES_MAX};
 use crate::stream::{Audio, EventKind, LineInfo, Missing, RecordingInfo, State, Ticks, ToPage, Triggers};
 
@@ -28,6 +25,28 @@ const UNANSWERED_MS: u64 = 3000;
 const UNSAMPLED_MS: u64 = 800;
 /// Arrivals that are remembered for the latencies: ten seconds of a chip's batches.
 const ARRIVALS: usize = 640;
+
+/// Numbers of a device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DeviceNumbers {
+    /// Samples received.
+    pub samples: u64,
+    /// Batches of samples lost on the line.
+    pub lost_batches: u64,
+    /// Damaged frames.
+    pub corrupt: u64,
+    /// Reports that the device dropped.
+    pub reports_dropped: u64,
+    /// Whether it answers, and whether it ventilates.
+    pub connected: bool,
+    /// Whether it ventilates.
+    pub ventilating: bool,
+    /// Indicated alarms of high, medium and low priority.
+    pub alarms: [u64; 3],
+}
+
+/// Gains of the PID in the controller that comes with this program and whose weights have this id.
+pub type ShippedGains = fn(u32) -> Option<PidGains>;
 
 /// A message that a piece of news becomes.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,11 +61,12 @@ pub enum Out {
 pub struct Watched {
     device: u8,
     period_us: u32,
-    view: View,
+    view: Reported,
     meter: BreathMeter,
     /// The controller and the id of the weights, and the gains of the PID in it, if they are known.
     controller: (Option<ControllerChoice>, Option<u32>),
     gains: Option<PidGains>,
+    shipped: ShippedGains,
     alarms: AlarmList,
     /// Samples that are not sent yet, and the tick of the first one.
     points: Vec<Point>,
@@ -70,14 +90,15 @@ pub struct Watched {
 
 impl Watched {
     /// A device of which nothing is known.
-    pub fn new(device: u8, name: &str, period_us: u32) -> Self {
+    pub fn new(device: u8, period_us: u32, shipped: ShippedGains) -> Self {
         Self {
             device,
             period_us,
-            view: View::new(name, shared::control::pid::KNOWN_GOOD),
+            view: Reported::default(),
             meter: BreathMeter::new(period_us),
             controller: (None, None),
             gains: None,
+            shipped,
             alarms: AlarmList::default(),
             points: Vec::new(),
             first_tick: 0,
@@ -295,11 +316,7 @@ impl Watched {
         let known = self.view.known();
         match known.controller? {
             ControllerChoice::Pid(gains) => Some(gains),
-            ControllerChoice::Learned => {
-                let running = known.identity?.running_id()?;
-                let images = shipped::names().filter_map(|name| decode(shipped::image(name)?).ok());
-                images.filter(|image| image.id == running).map(|image| image.residual.pid().gains()).next()
-            }
+            ControllerChoice::Learned => (self.shipped)(known.identity?.running_id()?),
         }
     }
 

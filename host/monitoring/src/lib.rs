@@ -1,0 +1,43 @@
+//! What a device tells, for every display of it: news, what is [`known`] from them, [`words`], and the [`curve`] of an inspiration.
+//!
+//! Neither clock nor port nor thread: it compiles for a browser, too.
+#![forbid(unsafe_code)]
+
+pub mod curve;
+pub mod known;
+pub mod words;
+
+use serde::Serialize;
+use shared::link::messages::{Event, Request, Response};
+use shared::link::telemetry::Counters;
+
+/// Counters of a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LineCounters {
+    /// Valid frames received.
+    pub frames: u64,
+    /// Received frames that were damaged.
+    pub corrupt: u64,
+    /// Number of missing telemetry batches.
+    pub lost_batches: u64,
+    /// The device's counters.
+    pub device: Counters,
+}
+
+/// Information from the device for a monitor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum News {
+    /// An event that the device sent on its own.
+    Event(Event),
+    /// The answer to a request; a refusal or failure is text.
+    Answer {
+        /// The request.
+        request: Request,
+        /// Its result.
+        result: Result<Response, String>,
+    },
+    /// State of the line's counters.
+    Traffic(LineCounters),
+    /// The connection was lost, with the reason; it is retried.
+    Lost(String),
+}

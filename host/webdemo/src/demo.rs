@@ -1,0 +1,250 @@
+//! All devices of the demonstration, and their stream to the page.
+
+use std::collections::VecDeque;
+
+use bedside::steer;
+use bedside::stream::{
+    Answer, DemoFault, DeviceInfo, EventKind, FromPage, Hello, Kind, Limits, SettingInfo, State, ToPage,
+    VERSION,
+};
+use bedside::watched::Out;
+use plant::bench::{BenchConfig, Failure};
+use shared::breath::DEFAULT_PERIOD_US;
+use shared::control::pid::PidGains;
+use shared::link::messages::Request;
+use shared::weights::{IMAGE_BYTES, WeightsError, decode};
+use thiserror::Error;
+use virtual_chip::PlantFault;
+
+use crate::patient::{PAGE, Patient, PatientError};
+
+/// The learned controller: its name and its weights.
+const CONTROLLER: (&str, &[u8; IMAGE_BYTES]) = ("adult", include_bytes!("../../learn/controllers/adult.bin"));
+/// The page's number, for the wheels.
+const VIEWER: u64 = 0;
+/// Peak of a cough, cmH2O.
+const COUGH: f64 = 40.0;
+/// Ticks between two messages of samples.
+const FRAME_TICKS: u32 = 20;
+/// Most ticks to catch up at once. A page that slept for longer goes on from where it was, so that it does not freeze.
+const MOST_TICKS: u32 = 2000;
+/// Shortest interval between two states of a device, and longest one, ms.
+const STATE_MS: (u64, u64) = (100, 500);
+/// Why there are no recordings.
+const NO_FILES: &str = "a page without a server writes no files: run `cargo trainer serve --demo` to record";
+
+/// Why the demonstration does not start.
+#[derive(Debug, Error)]
+pub enum DemoError {
+    /// The shipped controller is damaged.
+    #[error("the learned controller of this page is damaged: {0}; build the page again")]
+    Weights(#[from] WeightsError),
+    /// A device does not start.
+    #[error(transparent)]
+    Patient(#[from] PatientError),
+}
+
+/// A message to the page.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// JSON.
+    Text(String),
+    /// Samples, in the stream's format.
+    Samples(Vec<u8>),
+}
+
+/// A device with what the page has been told and wants to be told.
+struct Bed {
+    patient: Patient,
+    wanted: bool,
+    /// The state that was shown last, and when.
+    shown: Option<(State, u64)>,
+}
+
+/// The running demonstration.
+pub struct Demo {
+    beds: Vec<Bed>,
+    out: VecDeque<Message>,
+    /// Time of the first tick, ms since 1970, and ticks so far.
+    origin_ms: f64,
+    ticks: f64,
+}
+
+impl Demo {
+    /// Starts all devices at a time in ms since 1970: for each lung the PID, then the learned controller.
+    ///
+    /// # Errors
+    /// [`DemoError`].
+    pub fn start(now_ms: f64) -> Result<Self, DemoError> {
+        let gains = decode(CONTROLLER.1)?.residual.pid().gains();
+        let mut beds = Vec::new();
+        for bench in BenchConfig::paper_lungs() {
+            for (title, controller) in [("PID", Ok(gains)), (CONTROLLER.0, Err(CONTROLLER.1))] {
+                let number = beds.len() as u8;
+                let patient = Patient::start(number, title, &bench, controller, shipped_gains)?;
+                beds.push(Bed { patient, wanted: true, shown: None });
+            }
+        }
+        let mut demo = Self { beds, out: VecDeque::new(), origin_ms: now_ms, ticks: 0.0 };
+        demo.tell(&ToPage::Hello(demo.hello()));
+        Ok(demo)
+    }
+
+    fn hello(&self) -> Hello {
+        let info = |(id, bed): (u8, &Bed)| DeviceInfo {
+            id,
+            name: bed.patient.name.clone(),
+            kind: Kind::Simulated,
+            period_us: DEFAULT_PERIOD_US,
+        };
+        Hello {
+            version: VERSION,
+            steer: true,
+            demo: true,
+            settings: SettingInfo::all(),
+            limits: Limits::default(),
+            devices: (0..).zip(&self.beds).map(info).collect(),
+        }
+    }
+
+    /// Runs all devices until a time in ms since 1970.
+    pub fn advance(&mut self, now_ms: f64) {
+        let due = now_ms - self.origin_ms - self.ticks;
+        if !due.is_finite() || due > f64::from(MOST_TICKS) {
+            self.origin_ms = now_ms - self.ticks - f64::from(FRAME_TICKS);
+        }
+        let mut due = (now_ms - self.origin_ms - self.ticks).max(0.0) as u32;
+        self.ticks += f64::from(due);
+        while due > 0 {
+            let ticks = due.min(FRAME_TICKS);
+            due -= ticks;
+            for bed in &mut self.beds {
+                bed.patient.run(ticks, now_ms as u64);
+                bed.patient.watched.flush(&mut bed.patient.out);
+            }
+        }
+        self.send(now_ms as u64);
+    }
+
+    /// The next message to the page.
+    pub fn take(&mut self) -> Option<Message> {
+        self.out.pop_front()
+    }
+
+    /// Takes a message of the page, at a time in ms since 1970.
+    pub fn receive(&mut self, text: &str, now_ms: f64) {
+        match FromPage::parse(text) {
+            Err(why) => self.tell(&ToPage::Answer(Answer::refused(None, why.to_string()))),
+            Ok(FromPage::Watch { devices }) => {
+                for (number, bed) in (0..).zip(&mut self.beds) {
+                    bed.wanted = devices.contains(&number);
+                }
+            }
+            Ok(message) => {
+                if let Some(device) = message.device().filter(|device| usize::from(*device) < self.beds.len())
+                {
+                    self.obey(device, &message, now_ms as u64);
+                }
+            }
+        }
+        self.send(now_ms as u64);
+    }
+
+    /// Does what the page asks of a device.
+    fn obey(&mut self, device: u8, message: &FromPage, now_ms: u64) {
+        let bed = &mut self.beds[usize::from(device)];
+        match message {
+            FromPage::Take { .. } => {
+                // There is no other page.
+                let _ = bed.patient.wheel.take(VIEWER, PAGE, false);
+                bed.shown = None;
+                self.tell(&ToPage::Steerer { device, who: Some(PAGE.to_owned()), yours: true });
+            }
+            FromPage::Release { .. } => {
+                bed.patient.wheel.release(VIEWER);
+                let _ = bed.patient.ask(Request::ReleaseLease, now_ms);
+                bed.shown = None;
+                self.tell(&ToPage::Steerer { device, who: None, yours: false });
+            }
+            _ => {
+                if let Some(id) = message.id() {
+                    let answer = carry_out(bed, device, id, message, now_ms);
+                    self.tell(&ToPage::Answer(answer));
+                }
+            }
+        }
+    }
+
+    fn tell(&mut self, message: &ToPage) {
+        self.out.push_back(Message::Text(message.to_json()));
+    }
+
+    /// Queues what the devices have for the page, and the states that have changed or are due.
+    fn send(&mut self, now_ms: u64) {
+        for bed in &mut self.beds {
+            for out in bed.patient.out.drain(..) {
+                match out {
+                    Out::Frame(frame) if bed.wanted => self.out.push_back(Message::Samples(frame.bytes(0))),
+                    Out::Frame(_) => {}
+                    Out::Message(message) => self.out.push_back(Message::Text(message.to_json())),
+                }
+            }
+            if let Some(state) = due_state(bed, now_ms) {
+                self.out.push_back(Message::Text(ToPage::State(Box::new(state)).to_json()));
+            }
+        }
+    }
+}
+
+/// The state of a device, if it must be shown now.
+fn due_state(bed: &mut Bed, now_ms: u64) -> Option<State> {
+    let age = bed.shown.as_ref().map(|(_, at)| now_ms.saturating_sub(*at));
+    if age.is_some_and(|age| age < STATE_MS.0) {
+        return None;
+    }
+    let state = bed.patient.watched.state(now_ms, bed.patient.wheel.who(), None, None);
+    let unchanged = bed.shown.as_ref().is_some_and(|(shown, _)| *shown == state);
+    if unchanged && age.is_some_and(|age| age < STATE_MS.1) {
+        return None;
+    }
+    bed.shown = Some((state.clone(), now_ms));
+    Some(state)
+}
+
+/// Carries out a request.
+fn carry_out(bed: &mut Bed, device: u8, id: u32, message: &FromPage, now_ms: u64) -> Answer {
+    let patient = &mut bed.patient;
+    match message {
+        FromPage::Mark { text, .. } => {
+            let (kind, tick) = (EventKind::Marker, patient.watched.newest_tick());
+            let event = ToPage::Event { device, time_ms: now_ms, kind, text: text.clone(), tick };
+            patient.out.push(Out::Message(event));
+            return Answer::done(id, "marked");
+        }
+        FromPage::Record { .. } | FromPage::Capture { .. } => return Answer::refused(Some(id), NO_FILES),
+        _ => {}
+    }
+    if let Err(why) = patient.wheel.check(VIEWER) {
+        return Answer::refused(Some(id), why.to_string());
+    }
+    if let FromPage::Fault { fault, .. } = message {
+        patient.inject(match fault {
+            DemoFault::Disconnect => PlantFault::Part(Failure::Disconnected),
+            DemoFault::Cough => PlantFault::Cough(COUGH),
+            DemoFault::Stick => PlantFault::ReadingSticks,
+            DemoFault::None => PlantFault::None,
+        });
+        return Answer::done(id, "done");
+    }
+    match steer::request(message, patient.watched.settings()) {
+        Ok(Some(request)) => steer::answer(id, &patient.ask(request, now_ms)),
+        Ok(None) => Answer::refused(Some(id), NO_FILES),
+        Err(why) => Answer::refused(Some(id), why.to_string()),
+    }
+}
+
+/// Gains of the PID in the shipped controller, if its weights have this id.
+fn shipped_gains(id: u32) -> Option<PidGains> {
+    let image = decode(CONTROLLER.1).ok().filter(|image| image.id == id)?;
+    Some(image.residual.pid().gains())
+}
