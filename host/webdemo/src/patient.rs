@@ -169,7 +169,9 @@ impl Patient {
         let message = ToDevice { sequence: self.sequence, request, host: Some(HOST) };
         let mut buffer = [0; FRAME_BYTES];
         let frame = encode_frame(&message, &mut buffer).ok()?;
-        frame.iter().for_each(|byte| self.chip.hear(*byte));
+        for byte in frame {
+            self.chip.hear(*byte);
+        }
         self.listen(now_ms)
     }
 
