@@ -63,8 +63,6 @@ enum Command {
     Wheel,
     /// Check the bedside page, that its bundle is what the sources give, and test it in Chromium
     Web(web::Arguments),
-    /// Compile the demonstration of the bedside page to WebAssembly and build docs/demo, then test them; needs Chromium
-    WebDemo,
     /// Run every check that a change must pass
     Ci(ci::Arguments),
 }
@@ -96,7 +94,6 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Package => package::run(&shell),
         Command::Wheel => package::wheel(&shell),
         Command::Web(arguments) => web::run(&shell, arguments),
-        Command::WebDemo => web_demo::run(&shell),
         Command::Ci(arguments) => ci::run(&shell, arguments),
     }
 }

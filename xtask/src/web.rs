@@ -1,5 +1,5 @@
 //! `cargo xtask web`: checks the bedside page and tests it in Chromium, on a fake server and on the real one, which shows a simulated
-//! device and the real image in QEMU.
+//! device and the real image in QEMU. With `--demo`, it builds the page without a server.
 
 use std::path::Path;
 
@@ -8,6 +8,7 @@ use xshell::{Shell, cmd};
 
 use crate::firmware;
 use crate::trainer::Trainer;
+use crate::web_demo;
 
 /// Folder of the page.
 const PAGE: &str = "host/bedside/web";
@@ -22,6 +23,9 @@ pub struct Arguments {
     /// Only take the pictures of the documents again: docs/figures/bedside-*.png; needs pngquant
     #[arg(long)]
     screenshots: bool,
+    /// Only compile the demonstration to WebAssembly, build its page into docs/demo, and test both
+    #[arg(long, conflicts_with_all = ["screenshots", "filters"])]
+    demo: bool,
     /// Run only the browser tests whose names contain one of these texts, which are regular expressions
     filters: Vec<String>,
 }
@@ -31,6 +35,9 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     let mut needed = vec!["node", "npm"];
     needed.extend(arguments.screenshots.then_some("pngquant"));
     find(shell, &needed)?;
+    if arguments.demo {
+        return web_demo::run(shell);
+    }
     let trainer = Trainer::build(shell)?;
     let images = firmware::build_unsigned(shell)?;
     let _folder = shell.push_dir(PAGE);

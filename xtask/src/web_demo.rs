@@ -1,4 +1,4 @@
-//! `cargo xtask web-demo`: compiles the demonstration to WebAssembly, builds its page into `docs/demo` and tests both.
+//! `cargo xtask web --demo`: compiles the demonstration to WebAssembly, builds its page into `docs/demo` and tests both.
 
 use anyhow::{Context, Result};
 use xshell::{Shell, cmd};

@@ -1,8 +1,8 @@
-//! The demonstration: the nine lungs of the paper on simulated devices, each lung with a PID and beside it with the shipped learned
-//! controller, which contains the same PID.
+//! The demonstration: the nine lungs of the paper on simulated devices, each lung with the best single PID of the adult family and
+//! beside it with the shipped learned controller of that family.
 
 use learn::controller::shipped;
-use shared::control::pid::PidGains;
+use shared::control::pid::{KNOWN_GOOD, PidGains};
 use shared::link::messages::ControllerChoice;
 use shared::settings::Settings;
 use shared::weights::{IMAGE_BYTES, WeightsError, decode};
@@ -12,8 +12,9 @@ use crate::source::{SourceError, Watch};
 use device::simulated::{Served, ServedConfig};
 use device::{Device, DeviceError};
 use plant::bench::BenchConfig;
+use plant::bench::family::{Family, FamilyError};
 
-/// The learned controller.
+/// The learned controller, and the family for which it was trained and its rival searched.
 const CONTROLLER: &str = "adult";
 
 /// Why the demonstration does not start.
@@ -25,6 +26,9 @@ pub enum DemoError {
     /// A device does not start.
     #[error(transparent)]
     Source(#[from] SourceError),
+    /// There is no such family.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
 }
 
 impl From<DeviceError> for DemoError {
@@ -39,7 +43,8 @@ impl From<DeviceError> for DemoError {
 /// [`DemoError`].
 pub fn start() -> Result<Vec<Watch>, DemoError> {
     let image = shipped::image(CONTROLLER).unwrap_or_default();
-    let gains = decode(image)?.residual.pid().gains();
+    decode(image)?;
+    let gains = Family::find(CONTROLLER)?.pid.unwrap_or(KNOWN_GOOD);
     let mut watches = Vec::new();
     for bench in BenchConfig::paper_lungs() {
         watches.push(pid(&bench, gains)?);

@@ -1,7 +1,7 @@
 // Builds the page into dist/ and the one without a server into docs/demo/ with esbuild, or with --tests the unit tests into out/.
 //
 // The output depends on the sources and the pinned packages alone, so that CI can compare it with the committed files.
-// With --check, builds into memory and fails if they differ or are too large. `cargo xtask web-demo` compiles the module of the page
+// With --check, builds into memory and fails if they differ or are too large. `cargo xtask web --demo` compiles the module of the page
 // without a server.
 
 import { readFile, writeFile, mkdir, rm, readdir } from "node:fs/promises";

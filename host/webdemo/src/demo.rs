@@ -8,17 +8,18 @@ use bedside::stream::{
     VERSION,
 };
 use bedside::watched::Out;
+use plant::bench::family::{Family, FamilyError};
 use plant::bench::{BenchConfig, Failure};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::control::pid::PidGains;
+use shared::control::pid::{KNOWN_GOOD, PidGains};
 use shared::link::messages::Request;
-use shared::weights::{IMAGE_BYTES, WeightsError, decode};
+use shared::weights::{IMAGE_BYTES, decode};
 use thiserror::Error;
 use virtual_chip::PlantFault;
 
 use crate::patient::{PAGE, Patient, PatientError};
 
-/// The learned controller: its name and its weights.
+/// The learned controller: its name, which is also that of the family for which it was trained and its rival searched, and its weights.
 const CONTROLLER: (&str, &[u8; IMAGE_BYTES]) = ("adult", include_bytes!("../../learn/controllers/adult.bin"));
 /// The page's number, for the wheels.
 const VIEWER: u64 = 0;
@@ -36,12 +37,12 @@ const NO_FILES: &str = "a page without a server writes no files: run `cargo trai
 /// Why the demonstration does not start.
 #[derive(Debug, Error)]
 pub enum DemoError {
-    /// The shipped controller is damaged.
-    #[error("the learned controller of this page is damaged: {0}; build the page again")]
-    Weights(#[from] WeightsError),
     /// A device does not start.
     #[error(transparent)]
     Patient(#[from] PatientError),
+    /// There is no such family.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
 }
 
 /// A message to the page.
@@ -76,7 +77,7 @@ impl Demo {
     /// # Errors
     /// [`DemoError`].
     pub fn start(now_ms: f64) -> Result<Self, DemoError> {
-        let gains = decode(CONTROLLER.1)?.residual.pid().gains();
+        let gains = Family::find(CONTROLLER.0)?.pid.unwrap_or(KNOWN_GOOD);
         let mut beds = Vec::new();
         for bench in BenchConfig::paper_lungs() {
             for (title, controller) in [("PID", Ok(gains)), (CONTROLLER.0, Err(CONTROLLER.1))] {

@@ -1,5 +1,5 @@
 //! The demonstration of the bedside page without a server: nine lungs, each with a PID and beside it with the shipped learned
-//! controller, run in the browser. `cargo xtask web-demo` compiles it to WebAssembly.
+//! controller, run in the browser. `cargo xtask web --demo` compiles it to WebAssembly.
 //!
 //! A [`patient`] is a simulated chip, [`virtual_chip`], with the host's end of its link. The [`demo`] runs all of them at the pace of
 //! the page's clock, and speaks the server's stream with the page. [`exports`] is what the page calls.

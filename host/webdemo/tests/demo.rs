@@ -100,7 +100,7 @@ fn the_samples_are_those_of_the_golden_file() {
         fs::write(&path, &found).unwrap();
     }
     let golden = fs::read_to_string(&path).unwrap();
-    assert_eq!(found, golden, "bless with EUPNEA_BLESS=1, then run cargo xtask web-demo");
+    assert_eq!(found, golden, "bless with EUPNEA_BLESS=1, then run cargo xtask web --demo");
 }
 
 #[test]
