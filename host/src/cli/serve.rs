@@ -74,12 +74,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let server = Server::start(watches(args)?, &options)?;
     println!("{}", server.url());
     if server.token().is_some() {
-        eprintln!("the part after # is the token: whoever has it may {}", allowed(steer));
+        eprintln!("the part after # is the token: anyone who has it may {}", allowed(steer));
     }
     if server.is_reachable() {
         let port = server.address().port();
         eprintln!(
-            "warning: other computers reach this server, and nothing is encrypted: whoever can read the network can read the token. \
+            "warning: other computers reach this server, and nothing is encrypted: anyone who can read the network can read the token. \
              Safer: leave --listen out, and on the other computer use `ssh -L {port}:localhost:{port} THIS-COMPUTER`. \
              Without that, put this computer's address into the one above"
         );

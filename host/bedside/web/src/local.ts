@@ -95,7 +95,7 @@ export class Local implements Transport {
     every(ADVANCE_EVERY, () => this.attempt((running) => running.advance(now())));
   }
 
-  /** Runs something on the devices. What they say is handed on later, as from a server: whoever sends must be able to wait for it. */
+  /** Runs something on the devices. Their messages are handed on later, as from a server, so that the sender can wait for them. */
   private attempt(run: (devices: Devices) => void): void {
     if (this.devices === null) return;
     try {

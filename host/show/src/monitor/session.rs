@@ -75,7 +75,7 @@ impl Session {
             Ok(news) => Some(news),
             Err(RecvTimeoutError::Timeout) => None,
             Err(RecvTimeoutError::Disconnected) => {
-                // A panic has ended the thread; whoever waits for news must neither spin nor believe that all is well.
+                // A panic has ended the thread; a reader that waits for news must neither spin nor believe that all is well.
                 thread::sleep(patience);
                 (!patience.is_zero()).then(|| News::Lost(ENDED.to_owned()))
             }
