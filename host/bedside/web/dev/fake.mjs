@@ -34,7 +34,7 @@ export const SETTINGS = [
 
 class FakeDevice {
   constructor(id, name, lung) {
-    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, pausing: true, mute: false, untold: false, testing: false, kind: "simulated" });
+    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, pausing: true, mute: false, adaptation: lung.learned ? { breaths: 2, of: 4, last: "adopted" } : null, untold: false, testing: false, kind: "simulated" });
     this.settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
     this.ventilating = true;
     this.verdict = null;
@@ -49,7 +49,7 @@ class FakeDevice {
     return {
       type: "state", device: this.id, connected: this.connected, lost: this.connected ? null : "the port is gone",
       missing: this.connected ? null : "line", mode: this.mode ?? (this.ventilating ? "ventilating" : "standby"), ventilating: this.ventilating, controller: learned ? "learned" : "PID 3,4,0",
-      level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.text), settings: this.untold ? null : this.settings, pending: null,
+      level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.text), adaptation: this.adaptation, settings: this.untold ? null : this.settings, pending: null,
       alarms: this.alarms, audio: { priority, pause_left: Math.max(0, Math.ceil((this.pauseEnd - Date.now()) / 1000)) },
       steered_by: this.steerer ? "a browser tab" : null, ticks: { mean_us: 14.8, worst_us: 21, missed: 0 },
       line: { corrupt: 0, lost_batches: 0, dropped: 0 }, lease: null, triggers: this.triggers, recording: this.recording,

@@ -17,6 +17,8 @@ export class Lung {
     this.fault = "none";
     this.number = 0;
     this.coughLeft = 0;
+    /** Whether a flow sensor measures flow and volume. */
+    this.measured = false;
     /** A single sample with this pressure comes next. */
     this.spike = null;
     this.restart();
@@ -79,8 +81,8 @@ export class Lung {
     return {
       number: this.number, pip: this.peak, plateau: this.plateau, peep: this.pressure, tidal_volume: this.tidal,
       minute_volume: (this.tidal * rate) / 1000, rate, rate_set: rate, ie: expiration / inspiration,
-      resistance: this.resistance, compliance: this.compliance, leak: 0.2, error: this.error / this.errors,
-      rise_ms: this.learned ? 66 : 130, overshoot: Math.max(0, this.peak - pip), estimated: true, triggered: false,
+      resistance: this.resistance, compliance: this.compliance, leak: this.measured ? 4.2 : null, error: this.error / this.errors,
+      rise_ms: this.learned ? 66 : 130, overshoot: Math.max(0, this.peak - pip), estimated: !this.measured, triggered: false,
     };
   }
 }

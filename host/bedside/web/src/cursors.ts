@@ -15,10 +15,10 @@ interface Picture {
   width: number;
 }
 
-/** Name, column, factor, decimals and unit of a value. */
-const FIGURES: [string, Column, number, number, string][] = [
-  ["Pressure", "pressure", 1, 1, "cmH2O"], ["Target", "target", 1, 1, "cmH2O"], ["Flow (est.)", "flow", 60, 1, "L/min"],
-  ["Volume (est.)", "volume", 1, 0, "mL"], ["Insp. valve", "u_in", 1, 1, "%"], ["Learned", "learned", 1, 1, "%"],
+/** Name, column, factor, decimals and unit of a value, and whether it is estimated without a flow sensor. */
+const FIGURES: [string, Column, number, number, string, boolean?][] = [
+  ["Pressure", "pressure", 1, 1, "cmH2O"], ["Target", "target", 1, 1, "cmH2O"], ["Flow", "flow", 60, 1, "L/min", true],
+  ["Volume", "volume", 1, 0, "mL", true], ["Insp. valve", "u_in", 1, 1, "%"], ["Learned", "learned", 1, 1, "%"],
 ];
 const NAMES = ["A", "B"] as const;
 
@@ -75,8 +75,11 @@ export class Cursors {
   }
 
   private build(): HTMLElement {
-    const quantities: [string, string][] = [["Time", "s"], ...FIGURES.map(([name, , , , unit]): [string, string] => [name, unit])];
-    const heads = quantities.map(([name, unit]) => h("th", { scope: "col" }, name, " ", h("small", {}, unit)));
+    const quantities: [string, string, boolean?][] = [["Time", "s"], ...FIGURES.map(([name, , , , unit, estimated]): [string, string, boolean?] => [name, unit, estimated])];
+    const heads = quantities.map(([name, unit, estimated]) => {
+      const mark = estimated ? [h("small", { class: "estimated" }, "est."), " "] : [];
+      return h("th", { scope: "col" }, name, " ", ...mark, h("small", {}, unit));
+    });
     const body = [...NAMES, "B − A"].map((name) => {
       const cells = quantities.map(() => h("td"));
       this.cells.push(cells);

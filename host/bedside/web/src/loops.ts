@@ -114,6 +114,7 @@ export class Loops {
   draw(now: number, ring: Ring | null, device: Device): void {
     if (ring === null || now - this.drawn < EVERY || this.element.offsetParent === null) return;
     this.drawn = now;
+    this.element.classList.toggle("measured", device.breath?.estimated === false);
     const current = ring.breathBefore(ring.end);
     if (current === null) return;
     const before = ring.breathBefore(current);

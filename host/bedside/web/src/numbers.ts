@@ -38,10 +38,10 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Rate", unit: "1/min", text: figure("rate", 0), below: rate, large: true },
     { label: "I:E", unit: "", text: (breath) => ratio(breath?.ie ?? null) },
   ]],
-  ["Lung, estimated", "lung", [
-    { label: "Resistance", unit: "cmH2O/(L/s)", text: figure("resistance", 0) },
-    { label: "Compliance", unit: "mL/cmH2O", text: figure("compliance", 0) },
-    { label: "Leak", unit: "L/min", text: figure("leak", 1) },
+  ["Lung", "lung", [
+    { label: "Resistance", unit: "cmH2O/(L/s)", text: figure("resistance", 0), estimated: true },
+    { label: "Compliance", unit: "mL/cmH2O", text: figure("compliance", 0), estimated: true },
+    { label: "Leak", unit: "L/min", text: figure("leak", 1), below: (breath) => (breath?.estimated && breath.leak === null ? "no flow sensor" : "") },
   ]],
   ["Control", "control", [
     { label: "Error", unit: "cmH2O", text: figure("error", 2) },
@@ -50,6 +50,7 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Error of the pair", unit: "cmH2O", text: (_, __, device) => partner(device), wide: true, only: (device) => device.partner !== null },
     { label: "Controller", unit: "", text: (_, state) => state?.controller || UNKNOWN, wide: true },
     { label: "In command", unit: "", text: (_, state) => (state?.level ? words(state.level) : UNKNOWN), wide: true },
+    { label: "Adaptation", unit: "", text: (_, state) => adaptation(state), below: (_, state) => (state?.adaptation ? `last breath: ${state.adaptation.last}` : ""), wide: true },
     { label: "Distrusted", unit: "", text: (_, state) => distrust(state), wide: true },
   ]],
   ["Tick and line", "line", [
@@ -74,6 +75,13 @@ function rate(breath: Breath | null, state: State | null): string {
   const asked = breath?.rate_set ?? state?.settings.rate;
   const trigger = breath?.triggered ? ", patient" : "";
   return asked == null ? "" : `set ${plain(asked)}${trigger}`;
+}
+
+/** How far the learned controller has adapted to the patient. */
+function adaptation(state: State | null): string {
+  if (state?.adaptation == null) return UNKNOWN;
+  const { breaths, of } = state.adaptation;
+  return breaths < of ? `learning, ${breaths} of ${of} breaths` : "adapted";
 }
 
 function distrust(state: State | null): string {

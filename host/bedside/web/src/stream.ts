@@ -66,6 +66,8 @@ export interface State {
   controller: string;
   level: string;
   distrust: string[];
+  /** How far the learned controller has adapted to the patient; null if another one is chosen, or if it is not known. */
+  adaptation: Adaptation | null;
   /** Settings in force; empty if they are not known. */
   settings: Values;
   pending: Values | null;
@@ -81,6 +83,9 @@ export interface State {
   /** The armed triggers of a capture; null if none is armed or the server does not tell. */
   triggers: Triggers | null;
 }
+
+/** The breaths that the learned controller remembers, the number after which it has adapted, and what became of the last one. */
+export interface Adaptation { breaths: number; of: number; last: string }
 
 /** Triggers of a capture: an alarm, or an overshoot or a pressure above a level in cmH2O. */
 export interface Triggers { alarm: boolean; overshoot: number | null; pressure: number | null }
@@ -275,6 +280,7 @@ function state(value: Loose): State | null {
     controller: string(value.controller),
     level: string(value.level),
     distrust: Array.isArray(value.distrust) ? value.distrust.map(string) : [],
+    adaptation: adaptation(value.adaptation),
     settings: values(object(value.settings)),
     pending: isObject(value.pending) ? values(value.pending) : null,
     alarms: list(value.alarms).map(alarm),
@@ -286,6 +292,12 @@ function state(value: Loose): State | null {
     lease: textOrNull(value.lease),
     triggers: triggers(value.triggers),
   };
+}
+
+function adaptation(value: unknown): Adaptation | null {
+  if (!isObject(value)) return null;
+  const [breaths, of] = [number(value.breaths), number(value.of)];
+  return breaths === null || of === null ? null : { breaths, of, last: string(value.last) };
 }
 
 function triggers(value: unknown): Triggers | null {

@@ -13,7 +13,7 @@ export interface Strip {
   name: string;
   /** Part of the height. */
   share: number;
-  /** Whether it is marked as estimated. */
+  /** Whether it is estimated without a flow sensor. */
   estimated: boolean;
   traces: Trace[];
   /** Names and colours of the curves. */
@@ -32,12 +32,12 @@ export function strips(): Strip[] {
       legend: [["Pressure", pressure], ["target", target]],
     },
     {
-      id: "flow", label: "L/min", name: "Flow, estimated", share: 2, estimated: true, scale: "around",
+      id: "flow", label: "L/min", name: "Flow", share: 2, estimated: true, scale: "around",
       traces: [{ column: "flow", colour: flow, width: 1.75, factor: 60, reference }],
       legend: [["Flow", flow]],
     },
     {
-      id: "volume", label: "mL", name: "Volume, estimated", share: 2, estimated: true, scale: "up",
+      id: "volume", label: "mL", name: "Volume", share: 2, estimated: true, scale: "up",
       traces: [{ column: "volume", colour: volume, width: 1.75, reference }],
       legend: [["Volume", volume]],
     },

@@ -2,7 +2,7 @@
 
 import { Cursors } from "./cursors";
 import type { Device } from "./device";
-import { h, setText, show } from "./dom";
+import { h, setAttribute, setText, show } from "./dom";
 import { origin } from "./format";
 import { BOTTOM, Frame } from "./frame";
 import { Layer } from "./layer";
@@ -161,6 +161,7 @@ export class Waves {
       row.layer.resize(...row.frame.inner);
     }
     this.cursors.update();
+    this.mark(this.device?.breath?.estimated ?? true);
     this.rows[0]?.frame.setMarks(pressureMarks(this.device?.state ?? null));
   }
 
@@ -179,6 +180,12 @@ export class Waves {
       case "pressure": return [low < -1 ? -end(-ends[0], -low, mayShrink) : 0, end(ends[1], Math.max(high * 1.02, this.highest()), mayShrink)];
       default: return [low < -0.1 * high ? -end(-ends[0], -low, mayShrink) : 0, end(ends[1], Math.max(1.1 * high, 10), mayShrink)];
     }
+  }
+
+  /** Marks flow and volume as estimated, unless a flow sensor measures them. */
+  private mark(estimated: boolean): void {
+    this.element.classList.toggle("measured", !estimated);
+    for (const { strip, host } of this.rows) setAttribute(host, "aria-label", strip.estimated && estimated ? `${strip.name}, estimated` : strip.name);
   }
 
   /** The pressure that the scale must hold: PIP with room above it. */

@@ -42,6 +42,24 @@ scene("waveforms are there, as pixels and as data, and no sample is missing", {}
   assert.ok(fake.drawn.every(({ device, tick }) => device === 0 && Number.isInteger(tick)));
 });
 
+scene("with a flow sensor nothing is marked as estimated, and the leak and the adaptation are shown", {}, async (page, fake) => {
+  const tile = (name) => page.locator(".tile").filter({ has: page.getByText(name, { exact: true }) }).locator("dd").textContent();
+  const marks = () => page.locator(".estimated").filter({ visible: true }).count();
+  const label = () => page.locator(".strip-flow").getAttribute("aria-label");
+  await eventually(async () => (await tile("Leak")).includes("no flow sensor"), "without a sensor a leak is unknown");
+  assert.match(await tile("Leak"), /^--/);
+  assert.ok((await marks()) >= 6, "flow, volume, two volumes and the lung");
+  assert.equal(await label(), "Flow, estimated");
+  assert.match(await tile("Adaptation"), /^learning, 2 of 4 breaths.*last breath: adopted$/);
+  fake.devices[0].lung.measured = true;
+  fake.devices[0].adaptation = { breaths: 4, of: 4, last: "discarded" };
+  await eventually(async () => (await tile("Leak")).startsWith("4.2L/min"), "the leak is known");
+  await eventually(async () => (await marks()) === 0 && (await label()) === "Flow", "nothing is estimated");
+  assert.match(await tile("Adaptation"), /^adapted.*last breath: discarded$/);
+  fake.devices[0].adaptation = null;
+  await eventually(async () => (await tile("Adaptation")) === "--", "a PID does not adapt");
+});
+
 scene("a spike of a single sample is drawn", {}, async (page, fake) => {
   const spike = () => {
     const canvas = document.querySelector(".strip-pressure .layer");

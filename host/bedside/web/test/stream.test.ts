@@ -61,6 +61,16 @@ test("a state without its parts decodes to unknown values", () => {
   assert.equal(state.connected, false);
   assert.deepEqual(state.audio, { priority: null, pause_left: 0 });
   assert.equal(state.alarms[0]?.priority, "high");
+  assert.equal(state.adaptation, null);
+});
+
+test("an adaptation is whole or unknown", () => {
+  const adaptation = (value: unknown) => {
+    const state = decodeText(JSON.stringify({ type: "state", device: 1, adaptation: value }));
+    return state?.type === "state" ? state.adaptation : undefined;
+  };
+  assert.deepEqual(adaptation({ breaths: 2, of: 4, last: "adopted" }), { breaths: 2, of: 4, last: "adopted" });
+  for (const wrong of [null, 3, { breaths: 2 }, { of: 4, last: "adopted" }]) assert.equal(adaptation(wrong), null);
 });
 
 test("a history with columns of unequal length is refused", () => {
