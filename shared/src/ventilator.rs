@@ -66,6 +66,25 @@ pub struct Sample {
     pub u_out: bool,
     /// Perturbation that exploration added to the controller's output, percent.
     pub explore: f32,
+    /// Learned part of the controller's command before the safety filter, percent; 0 unless the learned controller commands.
+    pub learned: f32,
+    /// Flow towards the patient as the flow sensor reads it, L/s; none without a reading.
+    pub flow: Option<f32>,
+}
+
+/// What commands a tick, before the safety filter.
+struct Wanted {
+    output: ControlOutput,
+    /// Parts of it as in [`Sample`], percent.
+    explore: f32,
+    learned: f32,
+}
+
+impl Wanted {
+    /// A command without a learned part and a perturbation, percent.
+    const fn plain(command: f32) -> Self {
+        Self { output: ControlOutput::plain(command), explore: 0.0, learned: 0.0 }
+    }
 }
 
 /// Output of a tick.
@@ -250,15 +269,16 @@ impl<C: ControlLaw> Ventilator<C> {
         };
         let seen = state.supervisor.pressure_of_effort(pressure);
         let effort = self.trigger.check(&mut state.trigger, &state.breath, state.tick, seen, readings.flow);
-        let mut output = self.breathe(state, state.supervisor.reading(&readings, pressure), pressure);
+        let mut output = self.breathe(state, &readings, pressure);
         self.end_tick(state, effort);
         output.alarm = state.supervisor.take_begun();
         output
     }
 
     /// Runs one tick of a breath; `pressure` is the reading, or for a few milliseconds the last good one.
-    fn breathe(&self, state: &mut VentilatorState<C::State>, reading: f32, pressure: f32) -> Output {
+    fn breathe(&self, state: &mut VentilatorState<C::State>, readings: &Readings, pressure: f32) -> Output {
         let (tick, breath) = (state.tick, state.breath);
+        let reading = state.supervisor.reading(readings, pressure);
         let settings = breath.settings();
         let (phase, target) = match breath.phase(tick) {
             // An inspiration that has reached the pressure limit has ended.
@@ -268,15 +288,14 @@ impl<C: ControlLaw> Ventilator<C> {
             }
             phase => (phase, breath.target(tick)),
         };
-        let (wanted, explore) = match phase {
+        let Wanted { output, explore, learned } = match phase {
             Phase::Inspiration => self.inspire(state, pressure, target),
-            Phase::Fall => (ControlOutput::plain(state.supervisor.leak_compensation()), 0.0),
+            Phase::Fall => Wanted::plain(state.supervisor.leak_compensation()),
             Phase::Expiration => {
-                let bias = settings.expiratory_bias + state.supervisor.leak_compensation();
-                (ControlOutput::plain(bias), 0.0)
+                Wanted::plain(settings.expiratory_bias + state.supervisor.leak_compensation())
             }
         };
-        let command = self.supervisor.command(&mut state.supervisor, wanted, phase != Phase::Inspiration);
+        let command = self.supervisor.command(&mut state.supervisor, output, phase != Phase::Inspiration);
         self.learn(state, phase, explore);
         if phase == Phase::Inspiration {
             self.controller.applied(&mut state.controller, command.u_in());
@@ -292,6 +311,8 @@ impl<C: ControlLaw> Ventilator<C> {
             u_in: command.u_in(),
             u_out: command.u_out(),
             explore,
+            learned,
+            flow: (!readings.flow.is_nan()).then_some(readings.flow),
         };
         Output { command, mode: state.mode, sample: Some(sample), alarm: None }
     }
@@ -325,28 +346,25 @@ impl<C: ControlLaw> Ventilator<C> {
         }
     }
 
-    /// The output of the level of the ladder that commands an inspiration, and the perturbation in it, percent.
-    fn inspire(
-        &self,
-        state: &mut VentilatorState<C::State>,
-        pressure: f32,
-        target: f32,
-    ) -> (ControlOutput, f32) {
+    /// The output of the level of the ladder that commands an inspiration.
+    fn inspire(&self, state: &mut VentilatorState<C::State>, pressure: f32, target: f32) -> Wanted {
         let (tick, breath) = (state.tick, state.breath);
         let pip = breath.settings().pip + state.supervisor.pip_shift(&breath);
         let seen = Observation { pressure, target, pip, peep: breath.settings().peep, tick };
         // In every tick, so that it has no start of its own when its turn comes.
         let spare = self.spare.step(&mut state.spare, &seen, 0.0);
         match self.supervisor.level(&state.supervisor) {
-            Level::Backup => {
-                let command = self.supervisor.backup_command(&state.supervisor, &breath, tick);
-                (ControlOutput::plain(command), 0.0)
+            Level::Backup => Wanted::plain(self.supervisor.backup_command(&state.supervisor, &breath, tick)),
+            Level::CappedPid => Wanted::plain(spare.base),
+            // The supervisor applies the base alone.
+            Level::Pid => {
+                let output = self.controller.step(&mut state.controller, &seen);
+                Wanted { output, explore: 0.0, learned: 0.0 }
             }
-            Level::CappedPid => (ControlOutput::plain(spare.base), 0.0),
-            Level::Pid => (self.controller.step(&mut state.controller, &seen), 0.0),
             Level::Learned => {
                 let explore = state.perturbation.at(tick, self.period_us);
-                (self.controller.step(&mut state.controller, &seen).plus(explore), explore)
+                let output = self.controller.step(&mut state.controller, &seen);
+                Wanted { output: output.plus(explore), explore, learned: output.command - output.base }
             }
         }
     }
@@ -461,6 +479,18 @@ impl<S> VentilatorState<S> {
     /// Whether a pressure sensor is sound.
     pub fn has_sensor(&self) -> bool {
         self.supervisor.has_sensor()
+    }
+
+    /// Leak that the breaths so far have shown, L/s at 1 cmH2O; none unless the flow of the last breath was measured.
+    pub fn leak(&self) -> Option<f32> {
+        self.supervisor.leak()
+    }
+}
+
+impl VentilatorState {
+    /// Breaths that the learned controller remembers since it last forgot, at most [`crate::control::memory::LEARNING`].
+    pub fn adopted(&self) -> u8 {
+        self.controller.adopted()
     }
 }
 

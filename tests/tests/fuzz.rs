@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use shared::breath::paper_settings;
+use shared::control::memory::Lesson;
 use shared::device::self_test::Check;
 use shared::explore::Exploration;
 use shared::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, Poll, encode_frame};
@@ -171,8 +172,15 @@ fn framed<M: Serialize>(message: &M) -> Vec<u8> {
 
 /// The device's replies to these frames, and the events that take longer.
 fn replies(frames: &[u8]) -> Vec<ToHost> {
-    let breath =
-        BreathSummary { breath: 7, mean_absolute_error: 1.5, peak_pressure: 21.0, end_pressure: 5.0 };
+    let breath = BreathSummary {
+        breath: 7,
+        mean_absolute_error: 1.5,
+        peak_pressure: 21.0,
+        end_pressure: 5.0,
+        leak: Some(0.01),
+        lesson: Lesson::Discard,
+        adopted: 2,
+    };
     let alarm = Event::Alarm { fault: Fault::HighPressure, tick: 1 << 33 };
     let again = Event::Unacknowledged { fault: Fault::HighPressure, tick: 1 << 33 };
     let events = [Event::Breath(breath), alarm, again].map(ToHost::Event);

@@ -342,7 +342,7 @@ struct Numbers {
 impl Numbers {
     /// The row of a sample; none for one that a recording cannot hold.
     fn row(&mut self, sample: &Sample, settings: Option<&Settings>) -> Option<Row> {
-        let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore } = *sample;
+        let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, .. } = *sample;
         if ![target, pressure, u_in, explore].iter().all(|value| value.is_finite()) {
             return None;
         }

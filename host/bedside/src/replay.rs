@@ -121,6 +121,8 @@ fn ticks(recording: &Recording) -> Ticks {
             u_in: row.u_in,
             u_out: row.u_out > 50.0,
             explore: row.explore,
+            learned: 0.0,
+            flow: None,
         };
         ticks.push((start + u64::from(row.tick), sample));
     }
@@ -184,6 +186,8 @@ impl Part {
                 u_in: entry.u_in,
                 u_out: entry.u_out,
                 explore: 0.0,
+                learned: 0.0,
+                flow: None,
             };
             ticks.push((tick, sample));
             place += 1;

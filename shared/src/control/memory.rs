@@ -129,6 +129,11 @@ impl BreathMemory {
         learned
     }
 
+    /// Breaths adopted since all was forgotten, at most [`LEARNING`].
+    pub fn adopted(&self) -> u8 {
+        self.adopted
+    }
+
     /// Records a tick of the running inspiration: error and command in scaled units.
     #[inline]
     pub fn record(&mut self, bin_ticks: u32, error: f32, command: f32) {

@@ -154,6 +154,11 @@ impl ControllerState {
         self.memory.learn(lesson)
     }
 
+    /// Breaths that are remembered, at most [`memory::LEARNING`].
+    pub(crate) fn adopted(&self) -> u8 {
+        self.memory.adopted()
+    }
+
     /// State before the first breath, with the valve closed.
     pub const fn new() -> Self {
         Self { pid: PidState::new(), features: FeatureState::new(), memory: BreathMemory::new() }

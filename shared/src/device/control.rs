@@ -19,7 +19,7 @@ use crate::control::residual::Residual;
 use crate::explore::Exploration;
 use crate::link::messages::{AlarmStatus, ControllerChoice, DeviceKind, Response};
 use crate::link::refusal::Refusal;
-use crate::link::telemetry::{BreathMeter, Counters};
+use crate::link::telemetry::{BreathMeter, Counters, Findings};
 use crate::recorder::Moment;
 use crate::recorder::keeper::Leave;
 use crate::reset::ResetCause;
@@ -316,7 +316,7 @@ impl Control {
             }
         };
         if let Some(sample) = output.sample {
-            if let Some(summary) = self.meter.take(&sample) {
+            if let Some(summary) = self.meter.take(&sample, || findings(&self.state)) {
                 send(ControlReport::Breath(summary));
             }
             send(ControlReport::Sample { tick, sample });
@@ -521,4 +521,9 @@ impl Control {
         self.seed = Some(seed);
         Ok(Response::Done)
     }
+}
+
+/// What the ventilator has found out by the end of a breath.
+fn findings(state: &VentilatorState) -> Findings {
+    Findings { leak: state.leak(), lesson: state.lesson(), adopted: state.adopted() }
 }

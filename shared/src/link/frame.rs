@@ -11,7 +11,7 @@ use thiserror::Error;
 use crate::checksum::{CHECKSUM_BYTES, CRC_32, verified};
 
 /// Longest message, bytes.
-pub const MESSAGE_BYTES: usize = 512;
+pub const MESSAGE_BYTES: usize = 672;
 /// Buffer size of the decoder for any message, bytes.
 pub const DECODER_BYTES: usize = MESSAGE_BYTES + CHECKSUM_BYTES;
 /// Buffer size of [`encode_frame`] for any message, bytes: COBS adds 1 byte, and 1 per 254; there are two delimiters.

@@ -20,4 +20,4 @@ pub mod self_test;
 pub mod telemetry;
 
 /// Version of the protocol; it changes whenever the bytes of an existing message change.
-pub const PROTOCOL: u16 = 3;
+pub const PROTOCOL: u16 = 4;

@@ -7,12 +7,14 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::breath::Phase;
+use crate::control::memory::Lesson;
 use crate::ventilator::Sample;
 
 /// Most samples in a batch.
 pub const BATCH_SAMPLES: usize = 16;
 
-/// A [`Sample`] in the link's encoding: about 18 bytes, 22 while exploring; lossless to the last bit.
+/// A [`Sample`] in the link's encoding, lossless to the last bit: about 20 bytes, and 4 more for each of a perturbation, a learned
+/// part and a flow.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PackedSample {
     breath: u32,
@@ -24,20 +26,24 @@ pub struct PackedSample {
     u_in: f32,
     /// None for exactly +0.0, the most common value.
     explore: Option<f32>,
+    /// The same.
+    learned: Option<f32>,
+    flow: Option<f32>,
 }
 
 impl PackedSample {
     /// Packs a sample.
     pub fn pack(sample: &Sample) -> Self {
-        let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore } = *sample;
-        let explore = (explore.to_bits() != 0).then_some(explore);
-        Self { breath, tick, phase, u_out, target, pressure, u_in, explore }
+        let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, learned, flow } = *sample;
+        let [explore, learned] = [explore, learned].map(|part| (part.to_bits() != 0).then_some(part));
+        Self { breath, tick, phase, u_out, target, pressure, u_in, explore, learned, flow }
     }
 
     /// Unpacks the sample.
     pub fn unpack(&self) -> Sample {
-        let Self { breath, tick, phase, u_out, target, pressure, u_in, explore } = *self;
-        Sample { breath, tick, phase, target, pressure, u_in, u_out, explore: explore.unwrap_or(0.0) }
+        let Self { breath, tick, phase, u_out, target, pressure, u_in, explore, learned, flow } = *self;
+        let [explore, learned] = [explore, learned].map(|part| part.unwrap_or(0.0));
+        Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, learned, flow }
     }
 }
 
@@ -148,6 +154,24 @@ pub struct BreathSummary {
     pub peak_pressure: f32,
     /// Last pressure of the breath, cmH2O.
     pub end_pressure: f32,
+    /// Leak of the circuit as known when the breath ended, L/s at 1 cmH2O: that of the breaths before it. None before it is
+    /// measured, and without a flow sensor.
+    pub leak: Option<f32>,
+    /// What the controller made of the breath; [`Lesson::Forget`] too if it forgets because the next breath has other settings.
+    pub lesson: Lesson,
+    /// Breaths that the learned controller then remembers, at most [`crate::control::memory::LEARNING`]; 0 for a PID.
+    pub adopted: u8,
+}
+
+/// What the ventilator has found out by the end of a breath, beyond its samples; the fields are those of [`BreathSummary`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Findings {
+    /// Leak of the circuit, L/s at 1 cmH2O.
+    pub leak: Option<f32>,
+    /// What the controller made of the breath.
+    pub lesson: Lesson,
+    /// Breaths that the learned controller remembers.
+    pub adopted: u8,
 }
 
 /// Computes breath summaries from samples.
@@ -162,10 +186,10 @@ pub struct BreathMeter {
 }
 
 impl BreathMeter {
-    /// Adds a sample; at the first one of a breath returns the summary of the previous breath, unless that was stopped
-    /// during its inspiration.
-    pub fn take(&mut self, sample: &Sample) -> Option<BreathSummary> {
-        let summary = if sample.tick == 0 { self.restart(sample) } else { None };
+    /// Adds a sample; at the first one of a breath returns the summary of the previous breath with these findings, unless that
+    /// was stopped during its inspiration.
+    pub fn take(&mut self, sample: &Sample, findings: impl FnOnce() -> Findings) -> Option<BreathSummary> {
+        let summary = if sample.tick == 0 { self.restart(sample, findings) } else { None };
         if sample.phase == Phase::Inspiration {
             self.inspiration += 1;
             self.error_sum += (sample.pressure - sample.target).abs();
@@ -179,16 +203,22 @@ impl BreathMeter {
         summary
     }
 
-    fn restart(&mut self, sample: &Sample) -> Option<BreathSummary> {
+    fn restart(&mut self, sample: &Sample, findings: impl FnOnce() -> Findings) -> Option<BreathSummary> {
         let ended = core::mem::replace(
             self,
             Self { breath: sample.breath, peak: f32::NEG_INFINITY, ..Self::default() },
         );
-        (ended.expired && ended.inspiration > 0).then(|| BreathSummary {
-            breath: ended.breath,
-            mean_absolute_error: ended.error_sum / ended.inspiration as f32,
-            peak_pressure: ended.peak,
-            end_pressure: ended.last,
+        (ended.expired && ended.inspiration > 0).then(|| {
+            let Findings { leak, lesson, adopted } = findings();
+            BreathSummary {
+                breath: ended.breath,
+                mean_absolute_error: ended.error_sum / ended.inspiration as f32,
+                peak_pressure: ended.peak,
+                end_pressure: ended.last,
+                leak,
+                lesson,
+                adopted,
+            }
         })
     }
 }
@@ -208,6 +238,8 @@ mod tests {
             u_in: 30.0,
             u_out: phase != Phase::Inspiration,
             explore: 0.0,
+            learned: 0.0,
+            flow: None,
         }
     }
 
@@ -216,10 +248,15 @@ mod tests {
     }
 
     #[test]
-    fn a_usual_sample_takes_eighteen_bytes() {
-        let mut buffer = [0; 64];
-        let packed = PackedSample::pack(&quiet(700));
-        assert_eq!(postcard::to_slice(&packed, &mut buffer).unwrap().len(), 18);
+    fn a_usual_sample_takes_twenty_bytes_and_four_more_for_each_further_value() {
+        let bytes =
+            |sample: &Sample| postcard::to_slice(&PackedSample::pack(sample), &mut [0; 64]).unwrap().len();
+        let quiet = quiet(700);
+        assert_eq!(bytes(&quiet), 20);
+        let with_flow = Sample { flow: Some(0.5), ..quiet };
+        let learned = Sample { learned: 1.5, ..with_flow };
+        let exploring = Sample { explore: 8.0, ..learned };
+        assert_eq!([with_flow, learned, exploring].map(|sample| bytes(&sample)), [24, 28, 32]);
     }
 
     #[test]
@@ -251,6 +288,7 @@ mod tests {
     #[test]
     fn a_summary_holds_score_peak_and_end() {
         let mut meter = BreathMeter::default();
+        let none = Findings::default;
         let breath = |number| {
             [
                 sample(number, 0, Phase::Inspiration, 16.0),
@@ -259,34 +297,46 @@ mod tests {
                 sample(number, 3, Phase::Expiration, 5.5),
             ]
         };
-        assert!(breath(0).iter().all(|s| meter.take(s).is_none()));
-        let expected =
-            BreathSummary { breath: 0, mean_absolute_error: 3.0, peak_pressure: 22.0, end_pressure: 5.5 };
-        assert_eq!(meter.take(&breath(1)[0]), Some(expected));
+        assert!(breath(0).iter().all(|s| meter.take(s, || unreachable!("no breath has ended")).is_none()));
+        let (leak, lesson, adopted) = (Some(0.02), Lesson::Discard, 3);
+        let (mean_absolute_error, peak_pressure, end_pressure) = (3.0, 22.0, 5.5);
+        let expected = BreathSummary {
+            breath: 0,
+            mean_absolute_error,
+            peak_pressure,
+            end_pressure,
+            leak,
+            lesson,
+            adopted,
+        };
+        assert_eq!(meter.take(&breath(1)[0], || Findings { leak, lesson, adopted }), Some(expected));
         let mut below_zero = BreathMeter::default();
         for s in breath(7) {
-            below_zero.take(&Sample { pressure: s.pressure - 30.0, ..s });
+            below_zero.take(&Sample { pressure: s.pressure - 30.0, ..s }, none);
         }
-        let summary = below_zero.take(&breath(8)[0]).unwrap();
+        let summary = below_zero.take(&breath(8)[0], none).unwrap();
         assert_eq!((summary.breath, summary.peak_pressure as i32), (7, -8));
-        assert_eq!(meter.take(&breath(0)[0]), None, "broken off and restarted");
+        assert_eq!(meter.take(&breath(0)[0], none), None, "broken off and restarted");
         let mut late = BreathMeter::default();
-        assert_eq!(late.take(&breath(0)[3]), None);
-        assert_eq!(late.take(&breath(1)[0]), None, "no inspiration was seen");
+        assert_eq!(late.take(&breath(0)[3], none), None);
+        assert_eq!(late.take(&breath(1)[0], none), None, "no inspiration was seen");
     }
 
     proptest! {
         #[test]
         fn packing_loses_no_bit(
-            breath: u32, tick: u32, u_out: bool, bits: [u32; 4],
+            breath: u32, tick: u32, u_out: bool, bits: [u32; 5], flow: Option<u32>,
             phase in prop_oneof![Just(Phase::Inspiration), Just(Phase::Fall), Just(Phase::Expiration)],
         ) {
-            let [target, pressure, u_in, explore] = bits.map(f32::from_bits);
-            let sample = Sample { breath, tick, phase, target, pressure, u_in, u_out, explore };
+            let [target, pressure, u_in, explore, learned] = bits.map(f32::from_bits);
+            let flow = flow.map(f32::from_bits);
+            let sample = Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, learned, flow };
             let mut buffer = [0; 64];
             let bytes = postcard::to_slice(&PackedSample::pack(&sample), &mut buffer).unwrap();
             let back = postcard::from_bytes::<PackedSample>(bytes).unwrap().unpack();
-            prop_assert_eq!([back.target, back.pressure, back.u_in, back.explore].map(f32::to_bits), bits);
+            let values = [back.target, back.pressure, back.u_in, back.explore, back.learned];
+            prop_assert_eq!(values.map(f32::to_bits), bits);
+            prop_assert_eq!(back.flow.map(f32::to_bits), flow.map(f32::to_bits));
             prop_assert_eq!((back.breath, back.tick, back.phase, back.u_out), (breath, tick, phase, u_out));
         }
     }

@@ -25,7 +25,18 @@ pub const RESET: Boot = Boot { cause: ResetCause::Watchdog, ..POWER_ON };
 fn sample(breath: u32, tick: u32) -> Sample {
     let pressure = f32::NAN;
     let (phase, target) = (Phase::Inspiration, 20.0);
-    Sample { breath, tick, phase, target, pressure, u_in: 0.0, u_out: true, explore: 0.0 }
+    Sample {
+        breath,
+        tick,
+        phase,
+        target,
+        pressure,
+        u_in: 0.0,
+        u_out: true,
+        explore: 0.0,
+        learned: 0.0,
+        flow: None,
+    }
 }
 
 /// Records a tick with safe valves, since only the safety filter can make other commands.

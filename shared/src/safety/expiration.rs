@@ -238,9 +238,14 @@ impl ExpirationState {
         if self.high { 0.0 } else { (self.advance + self.compensation).min(BOUND) }
     }
 
-    /// Leak of the last breaths, L/s at 1 cmH2O.
+    /// Leak of the last breaths, L/s at 1 cmH2O; 0 before it is measured.
     pub fn leak(&self) -> f32 {
         self.leak.leak()
+    }
+
+    /// The same; none before it is measured.
+    pub fn known_leak(&self) -> Option<f32> {
+        self.leak.known()
     }
 
     /// Rise of PIP with a constant baseline, cmH2O.

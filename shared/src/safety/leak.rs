@@ -74,9 +74,14 @@ impl Leak {
         same && unexplained.iter().sum::<f32>().abs() > UNEXPLAINED * moved
     }
 
-    /// The leak, L/s at 1 cmH2O.
+    /// The leak, L/s at 1 cmH2O; 0 before the first breath.
     pub fn leak(&self) -> f32 {
         per_root(self.gas, self.root).max(0.0)
+    }
+
+    /// The leak, L/s at 1 cmH2O; none before the first breath.
+    pub fn known(&self) -> Option<f32> {
+        (self.root > 0.0).then(|| self.leak())
     }
 }
 

@@ -77,7 +77,18 @@ mod tests {
 
     fn sample(tick: u32, pressure: f32, u_in: f32) -> Sample {
         let phase = if tick < 1000 { Phase::Inspiration } else { Phase::Expiration };
-        Sample { breath: 0, tick, phase, target: 20.0, pressure, u_in, u_out: tick >= 1000, explore: 0.0 }
+        Sample {
+            breath: 0,
+            tick,
+            phase,
+            target: 20.0,
+            pressure,
+            u_in,
+            u_out: tick >= 1000,
+            explore: 0.0,
+            learned: 0.0,
+            flow: None,
+        }
     }
 
     /// Shares of a breath with the command of a PID and this learned part.

@@ -25,6 +25,8 @@ fn sample(breath: u32, tick: u32) -> Sample {
         u_in: if inspires { 30.0 } else { 5.0 },
         u_out: !inspires,
         explore: 0.0,
+        learned: 0.0,
+        flow: None,
     }
 }
 

@@ -9,7 +9,18 @@ use shared::weights::slots::SlotState;
 
 fn sample(breath: u32, tick: u32, pressure: f32) -> Sample {
     let phase = if tick < 50 { Phase::Inspiration } else { Phase::Expiration };
-    Sample { breath, tick, phase, target: 20.0, pressure, u_in: 30.0, u_out: tick >= 50, explore: 0.0 }
+    Sample {
+        breath,
+        tick,
+        phase,
+        target: 20.0,
+        pressure,
+        u_in: 30.0,
+        u_out: tick >= 50,
+        explore: 0.0,
+        learned: 0.0,
+        flow: None,
+    }
 }
 
 fn recorder(folder: &Path) -> Recorder {

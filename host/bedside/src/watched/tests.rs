@@ -24,6 +24,8 @@ fn batch(first_tick: u64, count: usize) -> News {
         u_in: 5.0,
         u_out: true,
         explore: 0.0,
+        learned: 0.0,
+        flow: None,
     };
     let samples = (first_tick..).take(count).map(|tick| PackedSample::pack(&sample(tick))).collect();
     let counters = Counters::default();
@@ -218,6 +220,8 @@ fn the_learned_part_is_unknown_from_an_alarm_until_the_level_is_reported() {
             u_in: 30.0,
             u_out: false,
             explore: 0.0,
+            learned: 0.0,
+            flow: None,
         };
         !watched.meter.take(tick, &sample, None).0.learned.is_nan()
     };

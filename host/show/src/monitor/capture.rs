@@ -228,8 +228,9 @@ impl Capture {
         match news {
             News::Event(Event::Telemetry(batch)) => self.samples(batch, now_ns),
             News::Event(Event::Breath(breath)) => {
-                let BreathSummary { breath: number, mean_absolute_error, peak_pressure, end_pressure } =
-                    *breath;
+                let BreathSummary {
+                    breath: number, mean_absolute_error, peak_pressure, end_pressure, ..
+                } = *breath;
                 let (mean_error, peak, end) = (mean_absolute_error, peak_pressure, end_pressure);
                 self.writer.write(time_ns, &Breath { number, mean_error, peak, end })
             }

@@ -6,6 +6,7 @@ use ratatui::backend::TestBackend;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::style::Color;
 use shared::breath::Phase;
+use shared::control::memory::Lesson;
 use shared::control::pid::PidGains;
 use shared::device::KNOWN_GOOD;
 use shared::device::annunciator::AudioStatus;
@@ -106,6 +107,8 @@ fn batch(first_tick: u64, pressures: &[f32]) -> TelemetryBatch {
             u_in,
             u_out,
             explore: 0.0,
+            learned: 0.0,
+            flow: None,
         })
     };
     let samples = (first_tick..).zip(pressures).map(sample).collect();
@@ -146,6 +149,9 @@ fn breath(number: u32) -> News {
         mean_absolute_error: 1.25,
         peak_pressure: 21.5,
         end_pressure: 5.1,
+        leak: Some(0.01),
+        lesson: Lesson::Adopt,
+        adopted: 2,
     }))
 }
 

@@ -146,6 +146,6 @@ proptest! {
 
 #[test]
 fn the_buffers_hold_the_longest_message_and_hardly_more() {
-    // 512 bytes and a CRC of 4; COBS adds 1 byte and 1 per 254; two delimiters.
-    assert_eq!((DECODER_BYTES, FRAME_BYTES), (516, 521));
+    // 672 bytes and a CRC of 4; COBS adds 1 byte and 1 per 254; two delimiters.
+    assert_eq!((DECODER_BYTES, FRAME_BYTES), (676, 681));
 }

@@ -8,6 +8,7 @@ use super::*;
 use crate::breath::Phase;
 use crate::calibration::tests::SOUND;
 use crate::calibration::{CalibrationError, Quantity};
+use crate::control::memory::Lesson;
 use crate::link::frame::{DECODER_BYTES, FRAME_BYTES, FrameDecoder, MESSAGE_BYTES, Poll, encode_frame};
 use crate::link::self_test::{Finding, Outcome, REPORT_STEPS, Step, StepResult};
 use crate::link::telemetry::{BATCH_SAMPLES, Counters, PackedSample};
@@ -222,8 +223,8 @@ const STATUS: RecorderStatus = RecorderStatus {
     log: Held { first: 0, next: 4, origin: 0 },
 };
 
-fn sample(breath: u32, tick: u32, values: [f32; 4]) -> PackedSample {
-    let [target, pressure, u_in, explore] = values;
+fn sample(breath: u32, tick: u32, values: [f32; 5], flow: Option<f32>) -> PackedSample {
+    let [target, pressure, u_in, explore, learned] = values;
     PackedSample::pack(&Sample {
         breath,
         tick,
@@ -233,6 +234,8 @@ fn sample(breath: u32, tick: u32, values: [f32; 4]) -> PackedSample {
         u_in,
         u_out: true,
         explore,
+        learned,
+        flow,
     })
 }
 
@@ -246,8 +249,9 @@ fn batch(sequence: u32, first_tick: u64, counters: Counters, samples: &[PackedSa
 }
 
 fn event() -> impl Strategy<Value = Event> {
-    let samples = (any::<u32>(), any::<u32>(), prop::array::uniform4(-100.0f32..100.0));
-    let samples = samples.prop_map(|(breath, tick, values)| sample(breath, tick, values));
+    let flow = prop::option::of(-2.0f32..2.0);
+    let samples = (any::<u32>(), any::<u32>(), prop::array::uniform5(-100.0f32..100.0), flow);
+    let samples = samples.prop_map(|(breath, tick, values, flow)| sample(breath, tick, values, flow));
     let samples = prop::collection::vec(samples, 0..=BATCH_SAMPLES);
     prop_oneof![
         (any::<u32>(), any::<u64>(), any::<u32>(), samples).prop_map(
@@ -256,12 +260,17 @@ fn event() -> impl Strategy<Value = Event> {
                 batch(sequence, first, counters, &samples)
             }
         ),
-        (any::<u32>(), 0.0f32..50.0).prop_map(|(breath, peak_pressure)| Event::Breath(BreathSummary {
-            breath,
-            mean_absolute_error: 1.5,
-            peak_pressure,
-            end_pressure: 5.0,
-        })),
+        (any::<u32>(), 0.0f32..50.0, prop::option::of(0.0f32..0.3), any::<u8>()).prop_map(
+            |(breath, peak_pressure, leak, adopted)| Event::Breath(BreathSummary {
+                breath,
+                mean_absolute_error: 1.5,
+                peak_pressure,
+                end_pressure: 5.0,
+                leak,
+                lesson: Lesson::Forget,
+                adopted,
+            })
+        ),
         any::<u64>().prop_map(|tick| Event::Alarm { fault: Fault::HighPressure, tick }),
         any::<u64>().prop_map(|tick| Event::Unacknowledged { fault: Fault::HighPressure, tick }),
     ]
@@ -372,7 +381,7 @@ fn the_bytes_of_every_response_are_pinned() {
     let responses = [
         (
             Response::Identity(identity),
-            "000500030001c80101e807020201000301070101000301026e6f010908070605040302",
+            "000500040001c80101e807020201000301070101000301026e6f010908070605040302",
         ),
         (
             Response::Settings { in_force, pending: None },
@@ -502,15 +511,29 @@ fn the_bytes_of_every_refusal_are_pinned() {
 fn the_bytes_of_every_event_are_pinned() {
     let counters =
         Counters { dropped: 1, corrupt_frames: 2, missed_ticks: 3, worst_tick_us: 400, mean_tick_us: 55.5 };
-    let samples = [sample(1, 700, [20.0, 19.5, 30.0, 0.0]), sample(1, 701, [20.0, 19.5, 30.0, -0.0])];
-    let summary =
-        BreathSummary { breath: 9, mean_absolute_error: 1.25, peak_pressure: 21.0, end_pressure: 5.0 };
+    let samples = [
+        sample(1, 700, [20.0, 19.5, 30.0, 0.0, 0.0], None),
+        sample(1, 701, [20.0, 19.5, 30.0, -0.0, 1.5], Some(-0.25)),
+    ];
+    let summary = |leak, lesson, adopted| {
+        Event::Breath(BreathSummary {
+            breath: 9,
+            mean_absolute_error: 1.25,
+            peak_pressure: 21.0,
+            end_pressure: 5.0,
+            leak,
+            lesson,
+            adopted,
+        })
+    };
     let events = [
         (
             batch(2, 1000, counters, &samples),
-            "010002e807010203900300005e420201bc0501010000a04100009c410000f0410001bd0501010000a04100009c410000f0410100000080",
+            "010002e807010203900300005e420201bc0501010000a04100009c410000f04100000001bd0501010000a04100009c410000f0410100000080010000c03f01000080be",
         ),
-        (Event::Breath(summary), "0101090000a03f0000a8410000a040"),
+        (summary(None, Lesson::Adopt, 4), "0101090000a03f0000a8410000a040000004"),
+        (summary(Some(0.5), Lesson::Discard, 3), "0101090000a03f0000a8410000a040010000003f0103"),
+        (summary(Some(0.0), Lesson::Forget, 0), "0101090000a03f0000a8410000a04001000000000200"),
         (Event::Alarm { fault: Fault::ReadingNotANumber, tick: 1 }, "01020001"),
         (Event::Alarm { fault: Fault::ReadingOutOfRange, tick: 1 }, "01020101"),
         (Event::Alarm { fault: Fault::HighPressure, tick: 1 }, "01020201"),
@@ -530,7 +553,7 @@ fn the_longest_messages_fit_into_a_frame() {
         worst_tick_us: u32::MAX,
         mean_tick_us: 1.0,
     };
-    let samples = [sample(u32::MAX, u32::MAX, [1.0; 4]); BATCH_SAMPLES];
+    let samples = [sample(u32::MAX, u32::MAX, [1.0; 5], Some(1.0)); BATCH_SAMPLES];
     let event = ToHost::Event(batch(u32::MAX, u64::MAX, largest, &samples));
     assert_eq!(read_reply(&through(&event)), Ok(event));
     let chunk =

@@ -64,6 +64,11 @@ impl SupervisorState {
         self.expiration.compensation()
     }
 
+    /// Leak that the breaths so far have shown, L/s at 1 cmH2O; none unless the flow of the last breath was measured.
+    pub fn leak(&self) -> Option<f32> {
+        self.volumes.breath().and(self.expiration.known_leak())
+    }
+
     /// Rise of PIP with a baseline that stays above PEEP, cmH2O.
     pub fn pip_shift(&self, breath: &Breath) -> f32 {
         self.expiration.shift(breath)

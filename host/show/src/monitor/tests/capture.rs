@@ -156,7 +156,15 @@ fn each_schema_describes_the_fields_that_are_written() {
 #[test]
 fn figures_that_are_no_numbers_are_left_out() {
     let figures = |mean_absolute_error, peak_pressure, end_pressure| {
-        let summary = BreathSummary { breath: 4, mean_absolute_error, peak_pressure, end_pressure };
+        let summary = BreathSummary {
+            breath: 4,
+            mean_absolute_error,
+            peak_pressure,
+            end_pressure,
+            leak: None,
+            lesson: Lesson::Discard,
+            adopted: 0,
+        };
         News::Event(Event::Breath(summary))
     };
     let news = [figures(f32::NAN, f32::NEG_INFINITY, 5.5), figures(0.5, 20.0, f32::NAN)];
