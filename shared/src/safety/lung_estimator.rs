@@ -42,7 +42,7 @@ const HIGHEST_OF: usize = 2;
 /// Ticks over which the change is predicted, to detect a reading that freezes in the middle of an inspiration.
 pub const WINDOW: usize = 64;
 /// Smallest delivered volume from which the lung is estimated, mL.
-const TELLING_VOLUME: f32 = 20.0;
+pub const TELLING_VOLUME: f32 = 20.0;
 /// Pressure above PEEP at the start of an inspiration from which it tells nothing of the lung, cmH2O: gas of the breath before is
 /// still in it.
 const TRAPPED: f32 = 3.0;
@@ -57,7 +57,7 @@ const STANDING: f32 = 0.02;
 
 /// Sums of the least-squares fit over the ticks of an inspiration: volume `v`, flow `q` and pressure rise `y`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Sums {
+pub struct LungFit {
     vv: f32,
     vq: f32,
     qq: f32,
@@ -66,8 +66,9 @@ struct Sums {
     yy: f32,
 }
 
-impl Sums {
-    fn add(&mut self, v: f32, q: f32, y: f32) {
+impl LungFit {
+    /// Adds a tick: volume since the start of the inspiration, mL, flow, L/s, and rise of the pressure since then, cmH2O.
+    pub fn add(&mut self, v: f32, q: f32, y: f32) {
         self.vv += v * v;
         self.vq += v * q;
         self.qq += q * q;
@@ -77,7 +78,7 @@ impl Sums {
     }
 
     /// The estimate, limited to its bounds, if it explains the rise.
-    fn solve(&self) -> Option<LungEstimate> {
+    pub fn solve(&self) -> Option<LungEstimate> {
         let Self { vv, vq, qq, vy, qy, yy } = *self;
         let determinant = vv * qq - vq * vq;
         if determinant <= 1e-3 * vv * qq {
@@ -148,7 +149,7 @@ pub struct LungState {
     /// Pressure at the start of the inspiration, cmH2O, and whether trapped gas had raised it.
     start: f32,
     trapped: bool,
-    sums: Sums,
+    sums: LungFit,
     /// Estimates from the last inspirations that allowed one, the newest first, and then the last one from a breath that the clock
     /// has started: efforts falsify all others in the same way.
     lungs: [Option<LungEstimate>; ESTIMATES + 1],
@@ -259,7 +260,7 @@ impl LungState {
     pub fn start_inspiration(&mut self, pressure: f32, peep: f32) {
         self.trapped = pressure > peep + TRAPPED;
         let pressure = pressure.min(peep);
-        (self.start, self.volume, self.sums) = (pressure, 0.0, Sums::default());
+        (self.start, self.volume, self.sums) = (pressure, 0.0, LungFit::default());
         (self.unanswered, self.standing, self.ticks, self.growth) = (0, 0, 0, 0.0);
     }
 
@@ -334,7 +335,7 @@ impl Default for LungState {
             volume: 0.0,
             start: 0.0,
             trapped: false,
-            sums: Sums::default(),
+            sums: LungFit::default(),
             lungs: [None; ESTIMATES + 1],
             unanswered: 0,
             standing: 0,
