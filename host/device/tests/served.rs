@@ -13,7 +13,7 @@ use shared::settings::Settings;
 const LONG: Duration = Duration::from_mins(1);
 
 fn ventilating() -> (Served, Device) {
-    let config = ServedConfig { pace: MOST_PACE, weights: None, keeps_truth: false };
+    let config = ServedConfig { pace: MOST_PACE, weights: None, all_sensors: false, keeps_truth: false };
     let served = Served::with(&BenchConfig::paper(20.0, 20.0), config).unwrap();
     let mut device = Device::connect(served.address()).unwrap();
     device.telemetry(true).unwrap();

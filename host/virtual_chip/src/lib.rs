@@ -18,6 +18,7 @@ use shared::link::refusal::Refusal;
 use shared::recorder::{Boot, Recorder, RecorderMemory};
 use shared::reset::ResetCause;
 use shared::safety::filter::ValveCommand;
+use shared::sensor::Readings;
 use shared::timing::TickTime;
 use shared::ventilator::Mode;
 use shared::weights::slots::{Slot, SlotState};
@@ -25,10 +26,13 @@ use shared::weights::{IMAGE_BYTES, decode};
 
 use flash::{Flash, SECTOR_BYTES};
 use plant::bench::{BenchPlant, Failure};
-use plant::{Plant, TickTruth, locked};
+use plant::{Plant, Reading, TickTruth, locked};
 
 /// Clock rate that a simulated device reports, Hz; its ticks take no time.
 const CORE_HZ: u32 = 1_000_000;
+
+/// The reading of a bench that fails.
+const NO_READING: Reading = Reading { pressure: f32::NAN, outlet: f32::NAN, flow: f32::NAN, truth: None };
 
 /// The true states of a plant since it last restarted: entry `n` belongs to its `n`-th reading.
 pub type TruthLog = Arc<Mutex<Vec<TickTruth>>>;
@@ -67,6 +71,8 @@ pub struct Chip<'a> {
     out: Vec<u8>,
     /// True states of the ticks, if they are kept.
     truths: Option<TruthLog>,
+    /// Whether it reads all sensors of the bench, not only the one at the airway.
+    all_sensors: bool,
     /// The reading at which the sensor sticks.
     stuck: Option<f32>,
 }
@@ -95,6 +101,7 @@ impl<'a> Chip<'a> {
             newest: None,
             out: Vec::new(),
             truths: None,
+            all_sensors: false,
             stuck: None,
         }
     }
@@ -104,6 +111,12 @@ impl<'a> Chip<'a> {
         (self.slots[Slot::A as usize], self.newest) = (Some(*image), Some(Slot::A));
         (self.control, self.server, self.recorder) =
             boot(self.memory, ResetCause::PowerOn, &self.slots, self.newest);
+    }
+
+    /// Reads all sensors that the bench has from now on: the one at the outlet and the flow sensor too. A chip on the plant link has the
+    /// airway sensor alone.
+    pub fn read_all_sensors(&mut self) {
+        self.all_sensors = true;
     }
 
     /// Keeps the true states from now on.
@@ -156,11 +169,16 @@ impl<'a> Chip<'a> {
             truths.extend(reading.truth.filter(|_| self.control.mode() == Mode::Ventilating));
         }
         // A bench of this configuration was built before, so this never fails.
-        self.reading = self.stuck.unwrap_or_else(|| reading.map_or(f32::NAN, |reading| reading.pressure));
+        let reading = reading.unwrap_or(NO_READING);
+        self.reading = self.stuck.unwrap_or(reading.pressure);
         if let Some(peep) = change.peep {
             let _ = self.bench.set_peep(peep);
         }
-        let output = self.control.step(self.reading);
+        let mut readings = Readings::from(self.reading);
+        if self.all_sensors {
+            (readings.outlet, readings.flow) = (reading.outlet, reading.flow);
+        }
+        let output = self.control.step(readings);
         self.ticks = self.ticks.wrapping_add(1);
         self.command = output.command;
         self.control.record(&TickTime { latency: 0, work: 0, period: Some(DEFAULT_PERIOD_US), missed: 0 });

@@ -40,6 +40,8 @@ pub struct ServedConfig {
     pub pace: u32,
     /// Weights in its first slot when it starts.
     pub weights: Option<Box<[u8; IMAGE_BYTES]>>,
+    /// Whether it reads all sensors of the bench; otherwise the airway sensor alone, as a board on the plant link does.
+    pub all_sensors: bool,
     /// Whether it keeps the true state of each tick for [`Served::truth`], which takes memory for as long as it ventilates.
     pub keeps_truth: bool,
 }
@@ -58,7 +60,7 @@ impl Served {
     /// # Errors
     /// [`ServeError`].
     pub fn start(bench: &BenchConfig, pace: u32) -> Result<Self, ServeError> {
-        Self::with(bench, ServedConfig { pace, weights: None, keeps_truth: true })
+        Self::with(bench, ServedConfig { pace, weights: None, all_sensors: false, keeps_truth: true })
     }
 
     /// Serves a device on a bench at a free port.
@@ -78,6 +80,9 @@ impl Served {
             let mut chip = Chip::new(bench, &memory);
             if config.keeps_truth {
                 chip.keep_truths(log);
+            }
+            if config.all_sensors {
+                chip.read_all_sensors();
             }
             if let Some(weights) = config.weights {
                 chip.boot_with(&weights);
