@@ -49,20 +49,30 @@ impl AlarmList {
         }
     }
 
-    /// Takes the device's report; alarms that it names no more have ended.
-    pub fn report(&mut self, status: &AlarmStatus, now_ms: u64) {
+    /// Takes the device's report; alarms that it names no more have ended. Returns those that have begun since the last report; none at
+    /// the first one.
+    pub fn report(&mut self, status: &AlarmStatus, now_ms: u64) -> Vec<Fault> {
         self.entries.retain(|fault, _| status.indicated.has(*fault) || status.present.has(*fault));
         let begun = std::mem::replace(&mut self.reported, true).then_some(now_ms);
+        let mut new = Vec::new();
         for fault in status.indicated.faults().chain(status.present.faults()) {
             let present = status.present.has(fault);
-            let entry =
-                self.entries.entry(fault).or_insert(Entry { present, since_ms: begun, acknowledged: false });
-            if present && !entry.present {
+            let known = self.entries.get(&fault).copied();
+            let entry = match known {
                 // It comes back: that is a new alarm.
-                (entry.since_ms, entry.acknowledged) = (Some(now_ms), false);
-            }
-            entry.present = present;
+                Some(known) if present && !known.present => {
+                    new.push(fault);
+                    Entry { present, since_ms: Some(now_ms), acknowledged: false }
+                }
+                Some(known) => Entry { present, ..known },
+                None => {
+                    new.extend(begun.map(|_| fault));
+                    Entry { present, since_ms: begun, acknowledged: false }
+                }
+            };
+            self.entries.insert(fault, entry);
         }
+        new
     }
 
     /// Takes the state of the sounder: whatever is more urgent than the alarm for which it sounds was acknowledged.
@@ -187,6 +197,18 @@ mod tests {
         assert_eq!(list.list(), before.list(), "neither present nor since changes");
         assert!(list.repeated(Fault::Leak, 6000), "its beginning was lost");
         assert_eq!(list.list().iter().filter(|alarm| alarm.present).count(), 1);
+    }
+
+    #[test]
+    fn a_report_tells_the_alarms_whose_own_message_was_lost() {
+        let mut list = AlarmList::default();
+        let [leak, both] = [&[Fault::Leak][..], &[Fault::Leak, Fault::HighPressure]];
+        assert_eq!(list.report(&status(leak, leak), 1), [], "it was there before");
+        assert_eq!(list.report(&status(both, both), 2), [Fault::HighPressure]);
+        assert_eq!(list.report(&status(both, both), 3), []);
+        assert!(!list.repeated(Fault::HighPressure, 4) && !list.began(Fault::HighPressure, 5), "it is known");
+        assert_eq!(list.report(&status(leak, both), 6), []);
+        assert_eq!(list.report(&status(both, both), 7), [Fault::HighPressure], "it is back");
     }
 
     #[test]

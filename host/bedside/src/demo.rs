@@ -69,7 +69,8 @@ fn ventilate(
     weights: Option<Box<[u8; IMAGE_BYTES]>>,
     controller: ControllerChoice,
 ) -> Result<Watch, DemoError> {
-    let served = Served::with(bench, ServedConfig { pace: 1, weights, keeps_truth: false });
+    let served =
+        Served::with(bench, ServedConfig { pace: 1, weights, all_sensors: true, keeps_truth: false });
     let served = served.map_err(SourceError::from)?;
     let mut device = Device::connect(served.address())?;
     device.choose(controller)?;

@@ -28,8 +28,6 @@ pub mod replay;
 #[cfg(feature = "server")]
 pub mod server;
 #[cfg(feature = "server")]
-pub mod shipped;
-#[cfg(feature = "server")]
 pub mod source;
 pub mod steer;
 pub mod stream;

@@ -121,7 +121,8 @@ fn ticks(recording: &Recording) -> Ticks {
             u_in: row.u_in,
             u_out: row.u_out > 50.0,
             explore: row.explore,
-            learned: 0.0,
+            // A recording does not hold it.
+            learned: f32::NAN,
             flow: None,
         };
         ticks.push((start + u64::from(row.tick), sample));
@@ -186,7 +187,7 @@ impl Part {
                 u_in: entry.u_in,
                 u_out: entry.u_out,
                 explore: 0.0,
-                learned: 0.0,
+                learned: f32::NAN,
                 flow: None,
             };
             ticks.push((tick, sample));

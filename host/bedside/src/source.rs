@@ -102,7 +102,7 @@ impl Watch {
     /// # Errors
     /// [`SourceError`].
     pub fn bench(name: impl Into<String>, bench: &BenchConfig) -> Result<Self, SourceError> {
-        let config = ServedConfig { pace: 1, weights: None, keeps_truth: false };
+        let config = ServedConfig { pace: 1, weights: None, all_sensors: true, keeps_truth: false };
         let served = Served::with(bench, config)?;
         let device = Device::connect(served.address())?;
         Ok(Self::simulated(name, served, device))

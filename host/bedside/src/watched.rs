@@ -5,10 +5,10 @@ use std::ops::Range;
 
 use monitoring::known::{Known, Reported};
 use monitoring::{News, words};
-use shared::control::pid::PidGains;
-use shared::link::messages::{ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response};
-use shared::link::telemetry::TelemetryBatch;
-use shared::safety::alarms::{Action, Fault, Priority};
+use shared::control::memory::{LEARNING, Lesson};
+use shared::link::messages::{ControllerChoice, Event, LeaseStatus, Request, Response};
+use shared::link::telemetry::{BreathSummary, TelemetryBatch};
+use shared::safety::alarms::{Fault, Priority};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Mode;
@@ -16,7 +16,9 @@ use shared::ventilator::Mode;
 use crate::alarms::AlarmList;
 use crate::figures::BreathMeter;
 use crate::stream::frame::{Frame, Point, SAMPLES_MAX};
-use crate::stream::{Audio, EventKind, LineInfo, Missing, RecordingInfo, State, Ticks, ToPage, Triggers};
+use crate::stream::{
+    Adaptation, Audio, EventKind, LineInfo, Missing, RecordingInfo, State, Ticks, ToPage, Triggers,
+};
 
 /// Time without answers after which a device counts as lost, ms: it is asked once a second, and again 1.5 s after a request that the
 /// line has lost.
@@ -37,16 +39,13 @@ pub struct DeviceNumbers {
     pub corrupt: u64,
     /// Reports that the device dropped.
     pub reports_dropped: u64,
-    /// Whether it answers, and whether it ventilates.
+    /// Whether it answers.
     pub connected: bool,
-    /// Whether it ventilates.
+    /// Whether it ventilates, as far as its line is there.
     pub ventilating: bool,
     /// Indicated alarms of high, medium and low priority.
     pub alarms: [u64; 3],
 }
-
-/// Gains of the PID in the controller that comes with this program and whose weights have this id.
-pub type ShippedGains = fn(u32) -> Option<PidGains>;
 
 /// A message that a piece of news becomes.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,10 +62,8 @@ pub struct Watched {
     period_us: u32,
     view: Reported,
     meter: BreathMeter,
-    /// The controller and the id of the weights, and the gains of the PID in it, if they are known.
-    controller: (Option<ControllerChoice>, Option<u32>),
-    gains: Option<PidGains>,
-    shipped: ShippedGains,
+    /// What the device has told of its last breath.
+    summary: Option<BreathSummary>,
     alarms: AlarmList,
     /// Samples that are not sent yet, and the tick of the first one.
     points: Vec<Point>,
@@ -90,15 +87,13 @@ pub struct Watched {
 
 impl Watched {
     /// A device of which nothing is known.
-    pub fn new(device: u8, period_us: u32, shipped: ShippedGains) -> Self {
+    pub fn new(device: u8, period_us: u32) -> Self {
         Self {
             device,
             period_us,
             view: Reported::default(),
             meter: BreathMeter::new(period_us),
-            controller: (None, None),
-            gains: None,
-            shipped,
+            summary: None,
             alarms: AlarmList::default(),
             points: Vec::new(),
             first_tick: 0,
@@ -151,7 +146,7 @@ impl Watched {
             }
             News::Lost(reason) if connected => {
                 self.answered_ms = None;
-                self.meter.level(None);
+                self.summary = None;
                 // The next line counts from zero.
                 self.before = self.line;
                 out.push(self.event(now_ms, EventKind::Lost, reason));
@@ -179,13 +174,12 @@ impl Watched {
     fn happened(&mut self, event: &Event, now_ms: u64, out: &mut Vec<Out>) {
         match event {
             Event::Telemetry(batch) => self.samples(batch, now_ms, out),
-            // The meter makes better figures of the samples.
-            Event::Breath(_) => {}
+            // The meter makes the other figures of the samples.
+            Event::Breath(summary) => {
+                self.meter.leak(summary.leak);
+                self.summary = Some(*summary);
+            }
             Event::Alarm { fault, .. } => {
-                if fault.alarm().action != Action::Tell {
-                    // The next report tells what commands the valve now.
-                    self.meter.level(None);
-                }
                 let new = self.alarms.began(*fault, now_ms);
                 self.alarm(*fault, new, now_ms, out);
             }
@@ -239,14 +233,12 @@ impl Watched {
 
     fn answered(&mut self, request: &Request, response: &Response, now_ms: u64, out: &mut Vec<Out>) {
         match response {
-            Response::Identity(identity) => {
-                self.know_period(identity.period_us, out);
-                self.know_controller();
-            }
-            Response::Controller(_) => self.know_controller(),
+            Response::Identity(identity) => self.know_period(identity.period_us, out),
             Response::Alarms(status) => {
-                self.alarms.report(status, now_ms);
-                self.meter.level(self.level());
+                // Those whose own message was lost.
+                for fault in self.alarms.report(status, now_ms) {
+                    self.alarm(fault, true, now_ms, out);
+                }
             }
             Response::Audio(audio) => self.alarms.heard(audio),
             Response::Timing(times) => {
@@ -277,8 +269,7 @@ impl Watched {
     fn start_afresh(&mut self, out: &mut Vec<Out>) {
         self.flush(out);
         self.meter = BreathMeter::new(self.period_us);
-        self.meter.gains(self.gains);
-        self.meter.level(self.level());
+        self.summary = None;
         self.arrivals.clear();
     }
 
@@ -290,34 +281,16 @@ impl Watched {
         }
     }
 
-    /// The level that commands the valve, as the meter needs it.
-    fn level(&self) -> Option<Level> {
-        let known = self.view.known();
-        match (known.status?.level, known.controller?) {
-            (Level::Learned, ControllerChoice::Pid(_)) => Some(Level::Pid),
-            (level, _) => Some(level),
-        }
-    }
-
-    /// Looks the controller's gains up, if it is another one: decoding an image takes time.
-    fn know_controller(&mut self) {
-        let known = self.view.known();
-        let controller = (known.controller, known.identity.and_then(DeviceIdentity::running_id));
-        if self.controller != controller {
-            self.controller = controller;
-            self.gains = self.find_gains();
-            self.meter.gains(self.gains);
-            self.meter.level(self.level());
-        }
-    }
-
-    /// Gains of the PID in the device's controller, as it has reported them or as its weights have them, if those are shipped ones.
-    fn find_gains(&self) -> Option<PidGains> {
-        let known = self.view.known();
-        match known.controller? {
-            ControllerChoice::Pid(gains) => Some(gains),
-            ControllerChoice::Learned => (self.shipped)(known.identity?.running_id()?),
-        }
+    /// How far the learned controller has adapted to the patient; none if another one is chosen, or before its first breath.
+    fn adaptation(&self) -> Option<Adaptation> {
+        let summary =
+            self.summary.filter(|_| self.view.known().controller == Some(ControllerChoice::Learned))?;
+        let last = match summary.lesson {
+            Lesson::Adopt => "adopted",
+            Lesson::Discard => "discarded",
+            Lesson::Forget => "all forgotten",
+        };
+        Some(Adaptation { breaths: summary.adopted, of: LEARNING, last })
     }
 
     fn event(&self, time_ms: u64, kind: EventKind, text: &str) -> Out {
@@ -378,6 +351,7 @@ impl Watched {
             controller: known.controller.map(words::controller).unwrap_or_default(),
             level: known.status.map_or("", |status| in_command(status.level, known.controller)),
             distrust: self.alarms.distrust(),
+            adaptation: self.adaptation(),
             settings: known.in_force.copied(),
             pending: known.pending.copied(),
             alarms: self.alarms.list(),
@@ -409,7 +383,7 @@ impl Watched {
             corrupt,
             reports_dropped: dropped.into(),
             connected: self.lost(now_ms).is_none(),
-            ventilating: self.view.known().mode == Some(Mode::Ventilating),
+            ventilating: self.is_sampled(),
             alarms: [Priority::High, Priority::Medium, Priority::Low]
                 .map(|priority| self.alarms.count(priority) as u64),
         }

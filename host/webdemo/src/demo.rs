@@ -11,9 +11,9 @@ use bedside::watched::Out;
 use plant::bench::family::{Family, FamilyError};
 use plant::bench::{BenchConfig, Failure};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::control::pid::{KNOWN_GOOD, PidGains};
+use shared::control::pid::KNOWN_GOOD;
 use shared::link::messages::Request;
-use shared::weights::{IMAGE_BYTES, decode};
+use shared::weights::IMAGE_BYTES;
 use thiserror::Error;
 use virtual_chip::PlantFault;
 
@@ -82,7 +82,7 @@ impl Demo {
         for bench in BenchConfig::paper_lungs() {
             for (title, controller) in [("PID", Ok(gains)), (CONTROLLER.0, Err(CONTROLLER.1))] {
                 let number = beds.len() as u8;
-                let patient = Patient::start(number, title, &bench, controller, shipped_gains)?;
+                let patient = Patient::start(number, title, &bench, controller)?;
                 beds.push(Bed { patient, wanted: true, shown: None });
             }
         }
@@ -101,6 +101,7 @@ impl Demo {
         Hello {
             version: VERSION,
             steer: true,
+            record: false,
             demo: true,
             settings: SettingInfo::all(),
             limits: Limits::default(),
@@ -242,10 +243,4 @@ fn carry_out(bed: &mut Bed, device: u8, id: u32, message: &FromPage, now_ms: u64
         Ok(None) => Answer::refused(Some(id), NO_FILES),
         Err(why) => Answer::refused(Some(id), why.to_string()),
     }
-}
-
-/// Gains of the PID in the shipped controller, if its weights have this id.
-fn shipped_gains(id: u32) -> Option<PidGains> {
-    let image = decode(CONTROLLER.1).ok().filter(|image| image.id == id)?;
-    Some(image.residual.pid().gains())
 }

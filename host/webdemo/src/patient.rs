@@ -1,7 +1,7 @@
 //! One simulated device, and the host's end of its link.
 
 use bedside::steer::Wheel;
-use bedside::watched::{Out, ShippedGains, Watched};
+use bedside::watched::{Out, Watched};
 use monitoring::{LineCounters, News};
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 use shared::breath::DEFAULT_PERIOD_US;
@@ -76,11 +76,11 @@ impl Patient {
         title: &str,
         bench: &BenchConfig,
         controller: Result<PidGains, &[u8; IMAGE_BYTES]>,
-        shipped: ShippedGains,
     ) -> Result<Self, PatientError> {
         // The page's devices live as long as the page.
         let memory: &'static RecorderMemory = Box::leak(Box::new(RecorderMemory::new()));
         let mut chip = Chip::new(BenchPlant::new(bench)?, memory);
+        chip.read_all_sensors();
         let choice = match controller {
             Ok(gains) => ControllerChoice::Pid(gains),
             Err(image) => {
@@ -90,7 +90,7 @@ impl Patient {
         };
         let mut patient = Self {
             name: format!("{} {title}", bench.name),
-            watched: Watched::new(number, DEFAULT_PERIOD_US, shipped),
+            watched: Watched::new(number, DEFAULT_PERIOD_US),
             wheel: Wheel::default(),
             out: Vec::new(),
             chip,

@@ -1,24 +1,23 @@
 //! The figures of a breath, computed from its samples while they come.
 //!
-//! Flow and volumes are estimated ([`flow`]); a device does not report a flow sensor. A breath with missing samples, or whose
-//! start was not seen, has no figures. A leak is never known: without a flow sensor it looks like a softer lung.
+//! Flow and volumes are those of the device's flow sensor ([`measured`]); without one they are estimated ([`flow`]). A breath with
+//! missing samples, or whose start was not seen, has no figures. A leak is what the device reports: without a flow sensor it looks
+//! like a softer lung.
 
 pub mod flow;
-pub mod share;
+pub mod measured;
 
 use std::collections::VecDeque;
 
 use monitoring::curve::Tracking;
 use shared::breath::{Phase, period_s};
-use shared::safety::ladder::Level;
 use shared::settings::Settings;
 use shared::ventilator::Sample;
 
 use crate::stream::BreathFigures;
 use crate::stream::frame::Point;
 use flow::FlowModel;
-use share::LearnedShare;
-use shared::control::pid::PidGains;
+use measured::MeasuredFlow;
 
 /// Time at the end of a phase over which the pressure is averaged, s.
 const END_S: f32 = 0.05;
@@ -37,7 +36,9 @@ pub struct BreathMeter {
     period_us: u32,
     period_s: f32,
     flow: FlowModel,
-    share: LearnedShare,
+    measured: MeasuredFlow,
+    /// Leak as the device knows it, L/s at 1 cmH2O.
+    leak: Option<f32>,
     next_tick: u64,
     breath: Option<Running>,
     /// Whether an effort has ended the last breath, if its length is known.
@@ -66,6 +67,8 @@ struct Running {
     target: f32,
     /// Inspired volume, mL.
     tidal_volume: f32,
+    /// Sum of the roots of the pressures, cmH2O^0.5, to which the flow of a leak is proportional.
+    roots: f32,
 }
 
 impl BreathMeter {
@@ -75,7 +78,8 @@ impl BreathMeter {
             period_us,
             period_s: period_s(period_us),
             flow: FlowModel::new(period_us),
-            share: LearnedShare::new(period_us),
+            measured: MeasuredFlow::new(period_us),
+            leak: None,
             next_tick: 0,
             breath: None,
             ended_early: false,
@@ -84,14 +88,10 @@ impl BreathMeter {
         }
     }
 
-    /// Sets the gains of the PID in the device's controller, if they are known.
-    pub fn gains(&mut self, gains: Option<PidGains>) {
-        self.share.gains(gains);
-    }
-
-    /// Sets the level of the ladder that commands the valve, if it is known ([`LearnedShare::level`]).
-    pub fn level(&mut self, level: Option<Level>) {
-        self.share.level(level);
+    /// Sets the leak as the device knows it, L/s at 1 cmH2O; none without a flow sensor.
+    pub fn leak(&mut self, leak: Option<f32>) {
+        self.leak = leak;
+        self.measured.leak(leak);
     }
 
     /// Takes the sample of a control tick; returns it with flow and volume and, at the start of a breath, the figures of the one
@@ -108,7 +108,9 @@ impl BreathMeter {
         self.next_tick = tick + 1;
         let figures = if sample.tick == 0 { self.start_breath(sample, settings) } else { None };
         let peep = self.peep.or(settings.map(|settings| settings.peep)).unwrap_or(sample.pressure);
-        let (flow, volume) = self.flow.take(sample, peep, self.ended_early);
+        // The model follows every tick, so that it is ready when the sensor fails.
+        let estimated = self.flow.take(sample, peep, self.ended_early);
+        let (flow, volume) = self.measured.take(sample, peep).unwrap_or(estimated);
         let tail = ((END_S / self.period_s) as usize).max(1);
         if let Some(breath) = &mut self.breath {
             breath.take(sample, volume, tail);
@@ -118,7 +120,7 @@ impl BreathMeter {
             target: sample.target,
             u_in: sample.u_in,
             u_out: if sample.u_out { 100.0 } else { 0.0 },
-            learned: self.share.take(sample, peep),
+            learned: sample.learned,
             flow,
             volume,
             phase: sample.phase,
@@ -131,7 +133,7 @@ impl BreathMeter {
         self.breath = None;
         self.ended_early = false;
         self.flow.interrupted();
-        self.share.interrupted();
+        self.measured.interrupted();
         self.volumes.clear();
     }
 
@@ -157,21 +159,24 @@ impl BreathMeter {
         // Stopped during its inspiration, or started in the middle of nowhere.
         let (plateau, expiration) = (breath.plateau?, breath.ticks.checked_sub(inspiration)?);
         let length = breath.ticks as f32 * self.period_s;
-        let minute_volume = self.minute_volume(breath.tidal_volume, length);
-        let lung = self.flow.lung();
+        let measured = self.measured.is_measured();
+        // Of a breath with many missing readings no volume is known.
+        let tidal_volume = (measured != Some(false)).then_some(breath.tidal_volume);
+        let lung = if measured.is_some() { self.measured.lung() } else { self.flow.lung() };
         let mut figures = BreathFigures {
             number: breath.number,
             pip: Some(breath.peak),
             plateau: Some(plateau),
             peep: breath.tail_mean(),
-            tidal_volume: Some(breath.tidal_volume),
-            minute_volume: Some(minute_volume),
+            tidal_volume,
+            minute_volume: tidal_volume.map(|volume| self.minute_volume(volume, length)),
             rate: Some(MINUTE / length),
             rate_set: settings.map(|settings| settings.rate),
             ie: (inspiration > 0).then(|| expiration as f32 / inspiration as f32),
             resistance: lung.map(|lung| lung.resistance),
             compliance: lung.map(|lung| 1.0 / lung.elastance),
-            estimated: true,
+            leak: self.leak.map(|leak| leak * breath.mean_root() * MINUTE),
+            estimated: measured.is_none(),
             triggered: breath.triggered,
             ..BreathFigures::default()
         };
@@ -215,6 +220,7 @@ impl Running {
             peak: f32::NEG_INFINITY,
             target: 0.0,
             tidal_volume: 0.0,
+            roots: 0.0,
         }
     }
 
@@ -222,6 +228,7 @@ impl Running {
     fn take(&mut self, sample: &Sample, volume: f32, tail: usize) {
         self.ticks += 1;
         self.target = sample.target;
+        self.roots += sample.pressure.max(0.0).sqrt();
         self.peak = self.peak.max(sample.pressure);
         if sample.phase == Phase::Inspiration {
             self.pressures.push(sample.pressure.into());
@@ -234,6 +241,11 @@ impl Running {
         while self.tail.len() > tail {
             self.tail.pop_front();
         }
+    }
+
+    /// Mean root of the pressure, cmH2O^0.5.
+    fn mean_root(&self) -> f32 {
+        self.roots / self.ticks as f32
     }
 
     /// Mean of the last pressures, cmH2O.

@@ -10,7 +10,7 @@ mod verdict;
 
 pub use figures::{BreathFigures, Course, History};
 pub use from_page::{DemoFault, FromPage, Secret, Triggers};
-pub use state::{AlarmInfo, Audio, LineInfo, Missing, RecordingInfo, State, Ticks};
+pub use state::{Adaptation, AlarmInfo, Audio, LineInfo, Missing, RecordingInfo, State, Ticks};
 pub use to_page::{Answer, DeviceInfo, EventKind, Hello, Kind, Limits, Log, LogLine, SettingInfo, ToPage};
 pub use verdict::{LimitCheck, Tolerance, Verdict};
 

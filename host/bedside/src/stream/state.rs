@@ -26,6 +26,8 @@ pub struct State {
     pub level: &'static str,
     /// Present alarms because of which the ventilator does not trust a controller or a reading, in words.
     pub distrust: Vec<&'static str>,
+    /// How far the learned controller has adapted to the patient; null if another one is chosen, or before its first breath.
+    pub adaptation: Option<Adaptation>,
     /// Settings in force; null before the first answer.
     pub settings: Option<Settings>,
     /// Settings that wait for the next breath.
@@ -58,6 +60,17 @@ pub enum Missing {
     Answers,
     /// Samples, although it ventilates.
     Samples,
+}
+
+/// How far the learned controller has adapted to the patient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Adaptation {
+    /// Breaths that it has adopted since it last forgot all, at most `of`.
+    pub breaths: u8,
+    /// Breaths after which it has adapted.
+    pub of: u8,
+    /// What has become of the last breath, in words.
+    pub last: &'static str,
 }
 
 /// An alarm that is present or not yet acknowledged.

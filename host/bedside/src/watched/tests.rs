@@ -1,6 +1,7 @@
 //! Tests of what a device's news become.
 
 use super::*;
+use crate::stream::BreathFigures;
 use monitoring::LineCounters;
 use shared::breath::Phase;
 use shared::device::annunciator::AudioStatus;
@@ -11,11 +12,11 @@ use shared::timing::{CycleStats, TickTimes};
 use shared::ventilator::Sample;
 
 fn watched() -> Watched {
-    Watched::new(2, 1000, |_| None)
+    Watched::new(2, 1000)
 }
 
-fn batch(first_tick: u64, count: usize) -> News {
-    let sample = |tick: u64| Sample {
+fn sample(tick: u64) -> Sample {
+    Sample {
         breath: 0,
         tick: tick as u32 + 1,
         phase: Phase::Expiration,
@@ -26,8 +27,16 @@ fn batch(first_tick: u64, count: usize) -> News {
         explore: 0.0,
         learned: 0.0,
         flow: None,
-    };
-    let samples = (first_tick..).take(count).map(|tick| PackedSample::pack(&sample(tick))).collect();
+    }
+}
+
+fn batch(first_tick: u64, count: usize) -> News {
+    let samples: Vec<_> = (first_tick..).take(count).map(sample).collect();
+    batch_of(first_tick, &samples)
+}
+
+fn batch_of(first_tick: u64, samples: &[Sample]) -> News {
+    let samples = samples.iter().map(PackedSample::pack).collect();
     let counters = Counters::default();
     News::Event(Event::Telemetry(TelemetryBatch { sequence: 0, first_tick, counters, samples }))
 }
@@ -152,9 +161,20 @@ fn a_device_that_ventilates_without_samples_is_lost_although_it_answers() {
     assert_eq!((missing(&watched, 2700), missing(&watched, 2900)), (None, Some(Missing::Samples)));
     take(&mut watched, &batch(16, 16), 4000);
     assert_eq!(missing(&watched, 4400), None, "a late answer alone is no loss");
-    let mut replay = Watched::new(2, 1000, |_| None).replaying(true);
+    let mut replay = Watched::new(2, 1000).replaying(true);
     take(&mut replay, &answer(Request::Start, Response::Mode(Mode::Ventilating)), 1000);
     assert_eq!(missing(&replay, 3000), None, "a replay has gaps");
+}
+
+#[test]
+fn an_alarm_whose_message_was_lost_is_told_with_the_next_report() {
+    let mut watched = watched();
+    assert_eq!(events(&take(&mut watched, &report(&[], &[], Level::Learned), 1)), []);
+    let faults = [Fault::Disconnection];
+    let told = |watched: &mut Watched| events(&take(watched, &report(&faults, &faults, Level::Learned), 2));
+    assert_eq!((told(&mut watched), told(&mut watched)), (vec![EventKind::Alarm], vec![]));
+    let repeated = News::Event(Event::Unacknowledged { fault: Fault::Disconnection, tick: 7 });
+    assert_eq!(events(&take(&mut watched, &repeated, 5000)), []);
 }
 
 #[test]
@@ -203,36 +223,75 @@ fn losses_count_on_when_a_line_is_opened_again() {
     assert_eq!(watched.state(6, None, None, None).line.corrupt, 12);
 }
 
-#[test]
-fn the_learned_part_is_unknown_from_an_alarm_until_the_level_is_reported() {
-    let mut watched = watched();
-    let gains = shared::control::pid::KNOWN_GOOD;
-    take(&mut watched, &answer(Request::Identify, Response::Controller(ControllerChoice::Pid(gains))), 1);
-    take(&mut watched, &report(&[], &[], Level::Learned), 2);
-    assert_eq!(watched.level(), Some(Level::Pid), "a PID has no learned part");
-    let known = |watched: &mut Watched, tick: u64| {
-        let sample = Sample {
-            breath: 0,
-            tick: tick as u32,
-            phase: Phase::Inspiration,
-            target: 20.0,
-            pressure: 15.0,
-            u_in: 30.0,
-            u_out: false,
-            explore: 0.0,
-            learned: 0.0,
-            flow: None,
-        };
-        !watched.meter.take(tick, &sample, None).0.learned.is_nan()
+/// What a device tells of a breath.
+fn summary(lesson: Lesson, adopted: u8, leak: Option<f32>) -> News {
+    let summary = BreathSummary {
+        breath: 3,
+        mean_absolute_error: 1.0,
+        peak_pressure: 20.0,
+        end_pressure: 5.0,
+        leak,
+        lesson,
+        adopted,
     };
-    assert!(known(&mut watched, 0));
-    let alarm = News::Event(Event::Alarm { fault: Fault::ReadingFrozen, tick: 1 });
-    take(&mut watched, &alarm, 3);
-    assert!(!known(&mut watched, 1), "it may command by another level now");
-    take(&mut watched, &report(&[], &[], Level::Backup), 4);
-    assert!(!known(&mut watched, 2));
-    take(&mut watched, &report(&[], &[], Level::Pid), 5);
-    assert!(known(&mut watched, 3));
+    News::Event(Event::Breath(summary))
+}
+
+#[test]
+fn the_adaptation_of_a_learned_controller_is_shown_until_the_line_is_lost() {
+    let mut watched = watched();
+    let adaptation = |watched: &Watched| watched.state(9, None, None, None).adaptation;
+    take(&mut watched, &timing(5000), 1);
+    take(&mut watched, &summary(Lesson::Adopt, 2, None), 1);
+    assert_eq!(adaptation(&watched), None, "the controller is not known");
+    let choose = |choice| answer(Request::SetController(choice), Response::Controller(choice));
+    take(&mut watched, &choose(ControllerChoice::Pid(shared::control::pid::KNOWN_GOOD)), 2);
+    assert_eq!(adaptation(&watched), None, "a PID does not learn");
+    take(&mut watched, &choose(ControllerChoice::Learned), 2);
+    let shown = |breaths, last| Some(Adaptation { breaths, of: LEARNING, last });
+    assert_eq!(adaptation(&watched), shown(2, "adopted"));
+    take(&mut watched, &summary(Lesson::Discard, 2, None), 3);
+    assert_eq!(adaptation(&watched), shown(2, "discarded"));
+    take(&mut watched, &summary(Lesson::Forget, 0, None), 4);
+    assert_eq!(adaptation(&watched), shown(0, "all forgotten"));
+    let mut restarted = watched;
+    take(&mut restarted, &timing(3), 5);
+    assert_eq!(adaptation(&restarted), None);
+    take(&mut restarted, &summary(Lesson::Adopt, 1, None), 6);
+    take(&mut restarted, &News::Lost("unplugged".into()), 7);
+    assert_eq!(adaptation(&restarted), None);
+}
+
+#[test]
+fn a_breath_has_the_leak_that_the_device_reported() {
+    let mut watched = watched();
+    let mut tick = 0;
+    let mut breathe = |watched: &mut Watched| {
+        let mut leak = None;
+        for place in 0..3000 {
+            let phase = if place < 1000 { Phase::Inspiration } else { Phase::Expiration };
+            let sample = Sample { breath: 0, tick: place, phase, pressure: 9.0, ..sample(tick) };
+            let out = take(watched, &batch_of(tick, &[sample]), 1);
+            tick += 1;
+            leak = out.iter().find_map(figures).map(|figures| figures.leak).or(leak);
+        }
+        leak.flatten()
+    };
+    breathe(&mut watched);
+    assert_eq!(breathe(&mut watched), None);
+    take(&mut watched, &summary(Lesson::Adopt, 1, Some(0.01)), 1);
+    let leak = breathe(&mut watched).unwrap();
+    assert!((leak - 0.01 * 3.0 * 60.0).abs() < 1e-3, "{leak} L/min");
+    take(&mut watched, &summary(Lesson::Adopt, 1, None), 1);
+    assert_eq!(breathe(&mut watched), None, "the flow sensor is lost");
+}
+
+/// The figures of a breath in a message.
+fn figures(out: &Out) -> Option<&BreathFigures> {
+    match out {
+        Out::Message(ToPage::Breath { figures, .. }) => Some(figures),
+        _ => None,
+    }
 }
 
 #[test]
