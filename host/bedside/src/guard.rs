@@ -31,16 +31,16 @@ pub enum Refusal {
     )]
     Token,
     /// A request that a page of another site has made.
-    #[error("refused: another site asks; open this page by typing its address")]
+    #[error("refused: the request came from another site; open this page by typing its address")]
     CrossSite,
     /// More messages than allowed.
-    #[error("refused: more messages in a second than a page sends")]
+    #[error("refused: too many messages per second")]
     Flood,
     /// A message that cannot be read.
     #[error("refused: the message cannot be read")]
     Malformed,
     /// More pages or connections than the server feeds.
-    #[error("refused: as many pages are open as the server feeds; close one")]
+    #[error("refused: the maximum number of pages is open; close one")]
     Crowded,
     /// A page that must start again, because it was too slow or another device is there.
     #[error("the page is out of date: it starts again")]

@@ -150,6 +150,8 @@ fn share(
     let hubs = (0..).zip(watches).map(hub).collect();
     let Options { steer, demo, .. } = *options;
     let (settings, limits) = (SettingInfo::all(), Limits::default());
-    let greeting = Hello { version: VERSION, steer, demo, settings, limits, devices };
-    Shared { guard: Guard::new(address, steer), greeting, hubs, viewers, metrics, stopping }
+    let guard = Guard::new(address, steer);
+    let greeting =
+        Hello { version: VERSION, steer, record: guard.token().is_some(), demo, settings, limits, devices };
+    Shared { guard, greeting, hubs, viewers, metrics, stopping }
 }

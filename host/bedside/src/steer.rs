@@ -22,7 +22,7 @@ pub enum SteerError {
     #[error("{0} steers this device")]
     Other(String),
     /// No page steers.
-    #[error("take the device first")]
+    #[error("take control of the device first")]
     NotTaken,
     /// The settings in force are not known yet.
     #[error("the device's settings are not known yet")]

@@ -9,7 +9,9 @@ use rig::{Cable, Page, get, samples};
 use serde_json::{Value, json};
 
 use bedside::server::{Options, Server};
-use bedside::source::Watch;
+use bedside::source::{Source, Unable, Watch};
+use shared::link::messages::{Request, Response};
+use show::monitor::News;
 
 /// Serves these devices at a free port.
 fn serve(watches: Vec<Watch>, steer: bool) -> Server {
@@ -82,7 +84,34 @@ fn a_breath_has_its_figures() {
     close("compliance", 20.0, 4.0);
     close("resistance", 20.0, 6.0);
     close("tidal_volume", 300.0, 60.0);
+    assert_eq!(breath["estimated"], false, "its flow sensor measures");
+}
+
+#[test]
+fn a_device_with_a_flow_sensor_reports_its_leak() {
+    let mut bench = BenchConfig::paper(20.0, 20.0);
+    bench.circuit.leak_l_per_s_at_30_cmh2o = 0.1;
+    let mut served = Vec::new();
+    let server = serve(vec![rig::fast_on(&bench, true, &mut served)], true);
+    let mut page = Page::steering(&server);
+    page.ventilate(0);
+    let breath = page.text(|message| message["type"] == "breath" && message["number"] == 8);
+    // 18 mL/s at 1 cmH2O, by a mean root of the pressure of about 3.
+    let leak = breath["leak"].as_f64().unwrap();
+    assert!((leak - 3.3).abs() < 0.6, "{leak} L/min: {breath}");
+    let volume = breath["tidal_volume"].as_f64().unwrap();
+    assert!((volume - 285.0).abs() < 40.0, "without the leak's gas, about 90 mL: {volume} mL");
+}
+
+#[test]
+fn without_a_flow_sensor_flow_and_volume_are_estimated_and_no_leak_is_known() {
+    let mut served = Vec::new();
+    let server = serve(vec![rig::fast(&mut served)], true);
+    let mut page = Page::steering(&server);
+    page.ventilate(0);
+    let breath = page.text(|message| message["type"] == "breath" && message["number"] == 4);
     assert_eq!((&breath["leak"], &breath["estimated"]), (&Value::Null, &json!(true)));
+    assert!(breath["tidal_volume"].is_number() && breath["compliance"].is_number(), "{breath}");
 }
 
 #[test]
@@ -170,6 +199,40 @@ fn a_device_that_is_not_there_at_the_start_stops_no_other_and_is_shown_when_it_c
     page.state(1, |state| state["connected"] == true);
 }
 
+/// A device whose session fails after its first words.
+struct Failing(u32);
+
+impl Source for Failing {
+    fn next(&mut self, _patience: Duration) -> Option<News> {
+        self.0 += 1;
+        assert!(self.0 < 100, "the session fails");
+        std::thread::sleep(Duration::from_millis(2));
+        let (request, result) = (Request::Identify, Ok(Response::Done));
+        Some(News::Answer { request, result })
+    }
+
+    fn ask(&mut self, _request: Request) -> Result<(), Unable> {
+        Ok(())
+    }
+
+    fn leave(self: Box<Self>) {}
+}
+
+#[test]
+fn a_device_whose_part_of_the_server_fails_is_shown_as_lost_and_the_others_go_on() {
+    let failing = Watch { name: "failing".to_owned(), source: Box::new(Failing(0)), ..bench() };
+    let server = serve(vec![failing, bench()], true);
+    let mut page = Page::steering(&server);
+    page.ventilate(1);
+    let lost = page.state(0, |state| state["connected"] == false && state["lost"].is_string());
+    assert!(lost["lost"].as_str().unwrap().contains("start the server again"), "{lost}");
+    let refused = page.ask(json!({"type": "mark", "device": 0, "text": "x"}));
+    assert_eq!(refused["ok"], false, "{refused}");
+    assert!(metrics(&server).contains("eupnea_connected{device=\"failing\"} 0"), "{}", metrics(&server));
+    assert!(get(&server, "/api/state", &[]).2.contains("start the server again"));
+    page.state(1, |state| state["connected"] == true && state["ventilating"] == true);
+}
+
 #[test]
 fn a_capture_that_is_armed_is_shown_and_one_that_cannot_trigger_is_refused() {
     let (_server, mut page) = ventilating();
@@ -195,7 +258,7 @@ fn one_page_steers_and_the_others_see_who() {
     assert_eq!(refused["text"], format!("{} steers this device", steerer["who"].as_str().unwrap()));
     page.send(&json!({"type": "release", "device": 0}));
     other.text(|message| message["type"] == "steerer" && message["who"] == Value::Null);
-    assert_eq!(other.ask(json!({"type": "stop", "device": 0}))["text"], "take the device first");
+    assert_eq!(other.ask(json!({"type": "stop", "device": 0}))["text"], "take control of the device first");
     other.send(&json!({"type": "take", "device": 0}));
     other.text(|message| message["type"] == "steerer" && message["yours"] == true);
     page.send(&json!({"type": "take", "device": 0}));
@@ -358,7 +421,9 @@ fn the_demonstration_breathes_and_its_faults_raise_alarms() {
         let level = if device % 2 == 0 { "pid" } else { "learned" };
         page.state(device, |state| state["ventilating"] == true && state["level"] == level);
     }
+    let deadline = Instant::now() + rig::LONG;
     let share = |page: &mut Page, device: u8| loop {
+        assert!(Instant::now() < deadline, "no inspiration of device {device} arrives");
         page.send(&json!({"type": "watch", "devices": [device]}));
         let frame = samples(&page.next_binary());
         let known = frame.columns[4].iter().all(|share| share.is_finite()) && frame.phases.contains(&0);
@@ -367,8 +432,11 @@ fn the_demonstration_breathes_and_its_faults_raise_alarms() {
         }
         std::thread::sleep(Duration::from_millis(40));
     };
-    assert!(share(&mut page, 8) < 0.5, "a PID has no learned share");
-    share(&mut page, 9);
+    assert!(share(&mut page, 8).abs() < f32::EPSILON, "a PID has no learned part");
+    assert!(share(&mut page, 9) > 0.5, "a learned controller has one");
+    let adapted = page.state(9, |state| state["adaptation"]["breaths"].as_u64() >= Some(1));
+    assert_eq!(adapted["adaptation"]["last"], "adopted", "{adapted}");
+    assert_eq!(page.state(8, |_| true)["adaptation"], Value::Null, "a PID does not adapt");
     page.send(&json!({"type": "take", "device": 9}));
     assert_eq!(page.ask(json!({"type": "fault", "device": 9, "fault": "disconnect"}))["ok"], true);
     let alarmed = page.state(9, |state| state["alarms"].as_array().is_some_and(|alarms| !alarms.is_empty()));
@@ -387,8 +455,6 @@ fn the_flight_recorder_of_a_device_is_shown_from_its_file() {
     // Whole breaths, so that both parts of the recorder have entries.
     let event = || device.events().recv_timeout(rig::LONG).unwrap();
     while !matches!(event(), shared::link::messages::Event::Breath(breath) if breath.breath > 0) {}
-    // A recorder that goes on could overwrite what is being read.
-    device.stop().unwrap();
     // At its pace a running recorder would overwrite what is being read.
     device.stop().unwrap();
     let blackbox = device.blackbox(&progress::Progress::silent()).unwrap();

@@ -27,7 +27,7 @@ Examples:
   trainer serve --recording night.parquet --blackbox fault.json
 
 Open the address that the command prints. The page shows every device at 1 kHz and never asks
-another server for anything. Ctrl-C ends the server; devices at a port go on as they are, simulated
+another server for anything. Ctrl-C ends the server; devices at a port keep running, simulated
 ones (--bench, --demo) end with it.
 
 Without --steer pages only read. With it, the printed address contains a token, without which
@@ -50,7 +50,7 @@ pub struct Args {
     /// Replay a flight recorder that `trainer blackbox --out FILE.json` has written; repeat it for more
     #[arg(long, value_name = "FILE.json")]
     blackbox: Vec<PathBuf>,
-    /// Show the nine lungs of the paper, each with a PID and beside it with the shipped learned controller, and faults at a button
+    /// Show the nine lungs of the paper, each with a PID and beside it with the shipped learned controller, with buttons that inject faults
     #[arg(long, conflicts_with_all = ["port", "bench", "recording", "blackbox"])]
     demo: bool,
     /// Address at which the server listens
@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
     }
     eprintln!(
-        "open this address in a browser; Ctrl-C ends the server; devices at a port go on, simulated ones end"
+        "open this address in a browser; Ctrl-C ends the server; devices at a port keep running, simulated ones end"
     );
     while !stopped() {
         sleep(LOOK_EVERY);

@@ -30,7 +30,7 @@ fn interrupt(child: Child) -> Option<i32> {
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let output = child.wait_with_output().unwrap();
     assert!(
-        text(&output.stderr).contains("devices at a port go on, simulated ones end"),
+        text(&output.stderr).contains("devices at a port keep running, simulated ones end"),
         "{}",
         text(&output.stderr)
     );

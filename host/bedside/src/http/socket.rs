@@ -103,7 +103,8 @@ fn greet(shared: &Shared, viewer: &Arc<Viewer>) {
 struct Page {
     shared: Arc<Shared>,
     viewer: Arc<Viewer>,
-    may_steer: bool,
+    /// Whether it has shown the token: then it may record, and steer if the server allows that.
+    trusted: bool,
     malformed: u32,
     /// Start of the running second, and messages in it.
     second: Instant,
@@ -112,9 +113,8 @@ struct Page {
 
 impl Page {
     fn new(shared: Arc<Shared>, viewer: Arc<Viewer>) -> Self {
-        // It has shown the token already.
-        let may_steer = shared.guard.steer() && shared.guard.reading_needs_token();
-        Self { shared, viewer, may_steer, malformed: 0, second: Instant::now(), messages: 0 }
+        let trusted = shared.guard.reading_needs_token();
+        Self { shared, viewer, trusted, malformed: 0, second: Instant::now(), messages: 0 }
     }
 
     async fn run(&mut self, socket: &mut WebSocket) -> End {
@@ -124,7 +124,10 @@ impl Page {
         let (mut pings, mut heard) = (tokio::time::interval(PING_EVERY), Instant::now());
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
+            // In this order: a pong that waits must be seen before the silence is judged. A page that floods is closed.
             tokio::select! {
+                biased;
+                () = &mut stop => return End::Stopping,
                 received = socket.recv() => {
                     heard = Instant::now();
                     if let Err(end) = self.received(received) {
@@ -146,7 +149,6 @@ impl Page {
                         return End::Gone;
                     }
                 }
-                () = &mut stop => return End::Stopping,
             }
         }
     }
@@ -207,7 +209,7 @@ impl Page {
             self.answer(Answer::refused(message.id(), "there is no such device"));
             return Ok(());
         };
-        if !self.may_steer && !matches!(message, FromPage::Drawn { .. }) {
+        if !self.may(&message) {
             self.answer(Answer::refused(message.id(), SteerError::ReadOnly.to_string()));
             return Ok(());
         }
@@ -215,9 +217,22 @@ impl Page {
         Ok(())
     }
 
+    /// Whether a page like this may ask for that.
+    fn may(&self, message: &FromPage) -> bool {
+        match message {
+            FromPage::Drawn { .. } => true,
+            // The device does not notice.
+            FromPage::Mark { .. }
+            | FromPage::Record { .. }
+            | FromPage::Capture { .. }
+            | FromPage::Recorder { .. } => self.trusted,
+            _ => self.trusted && self.shared.guard.steer(),
+        }
+    }
+
     fn token(&mut self, token: &str) -> Result<(), End> {
         self.shared.guard.check_token(token).map_err(End::Refused)?;
-        self.may_steer = self.shared.guard.steer();
+        self.trusted = true;
         Ok(())
     }
 

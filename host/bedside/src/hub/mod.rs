@@ -5,10 +5,11 @@ mod reader;
 
 use std::collections::VecDeque;
 use std::fmt::Display;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::mpsc::{Receiver, SendError, Sender, channel};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -18,13 +19,12 @@ use show::monitor::News;
 use crate::log::log;
 use crate::metrics::Metrics;
 use crate::record::{Recorder, Told};
-use crate::shipped;
 use crate::source::{Source, Watch};
 use crate::steer::{self, Wheel};
-use crate::stream::{Answer, EventKind, FromPage, Kind, RecordingInfo, State, ToPage};
+use crate::stream::{Answer, EventKind, FromPage, Kind, Missing, RecordingInfo, State, ToPage};
 use crate::trends::Trends;
 use crate::viewers::{Viewer, Viewers};
-use crate::watched::{Out, Watched};
+use crate::watched::{DeviceNumbers, Out, Watched};
 use reader::{LogReader, Next};
 
 /// Longest wait for news.
@@ -34,7 +34,10 @@ const NEWS_AT_ONCE: usize = 1000;
 /// Interval between messages of samples.
 const FRAME_EVERY: Duration = Duration::from_millis(20);
 /// Shortest interval between states, and longest one, well below the second after which a page shows that it has no data.
-const STATE_EVERY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(500));
+const STATE_EVERY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(250));
+
+/// Why a device is not watched any more.
+const FAILED: &str = "the server's part for this device has failed: start the server again";
 
 /// Most events that a new page is told.
 const EVENTS_MAX: usize = 50;
@@ -97,7 +100,7 @@ impl Hub {
             device,
             period_us,
             kind,
-            watched: Watched::new(device, period_us, shipped::gains).replaying(kind == Kind::Recording),
+            watched: Watched::new(device, period_us).replaying(kind == Kind::Recording),
             recorder: Recorder::new(folder, device, &name, period_us),
             trends: Trends::default(),
             enclosed: verdict.iter().chain(&log).map(|message| message.to_json().into()).collect(),
@@ -117,8 +120,14 @@ impl Hub {
         };
         let stopped = Arc::clone(&stop);
         let thread = thread::spawn(move || {
-            while !stopped.load(Ordering::Relaxed) {
-                worker.turn();
+            let watching = catch_unwind(AssertUnwindSafe(|| {
+                while !stopped.load(Ordering::Relaxed) {
+                    worker.turn();
+                }
+            }));
+            if watching.is_err() {
+                // Nobody may take the last state for that of a device which is watched.
+                worker.fail();
             }
             worker.source.leave();
         });
@@ -127,8 +136,12 @@ impl Hub {
 
     /// Sends a message to the hub.
     pub fn tell(&self, command: Command) {
-        // The thread ends only with this.
-        let _ = self.commands.send(command);
+        // A thread that has failed takes nothing any more.
+        if let Err(SendError(Command::Message { viewer, message })) = self.commands.send(command)
+            && let Some(id) = message.id()
+        {
+            tell(&viewer, &ToPage::Answer(Answer::refused(Some(id), FAILED)));
+        }
     }
 
     /// Makes it end soon, without waiting for that.
@@ -152,10 +165,13 @@ impl Drop for Hub {
     }
 }
 
-/// Now, ms since 1970.
+/// Now, ms since 1970, by the clock of the computer when this was first called, and from then on by one that nobody sets: a step of the
+/// clock would hide that a device is silent, or claim it.
 pub fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    since.as_millis().try_into().unwrap_or(u64::MAX)
+    static START: OnceLock<(Duration, Instant)> = OnceLock::new();
+    let (since, start) = START
+        .get_or_init(|| (SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default(), Instant::now()));
+    (*since + start.elapsed()).as_millis().try_into().unwrap_or(u64::MAX)
 }
 
 /// A page's request that the device has not answered yet.
@@ -195,6 +211,18 @@ struct Worker {
 }
 
 impl Worker {
+    /// Shows that the device is not watched any more.
+    fn fail(&mut self) {
+        let state = State {
+            device: self.device,
+            lost: Some(FAILED.to_owned()),
+            missing: Some(Missing::Line),
+            ..State::default()
+        };
+        self.metrics.device(self.device, DeviceNumbers::default());
+        self.publish(state);
+    }
+
     fn turn(&mut self) {
         let mut next = self.source.next(PATIENCE);
         for _ in 0..NEWS_AT_ONCE {
@@ -225,7 +253,7 @@ impl Worker {
             matches!(out, Out::Message(ToPage::Event { kind: EventKind::Lost | EventKind::Restarted, .. }))
         };
         if self.out[before..].iter().any(gone) && self.wheel.free() {
-            // Its form shows what was before.
+            // The form on that page shows settings from before: an apply would restore them.
             self.give_lease_back();
         }
         let News::Answer { request, result } = news else { return };
@@ -336,6 +364,10 @@ impl Worker {
             return;
         }
         self.metrics.device(self.device, self.watched.numbers(now));
+        self.publish(state);
+    }
+
+    fn publish(&mut self, state: State) {
         let text: Arc<str> = ToPage::State(Box::new(state.clone())).to_json().into();
         self.viewers.state(self.device, &text);
         self.latest.lock().unwrap_or_else(PoisonError::into_inner).state = Some(text);

@@ -62,7 +62,7 @@ impl LogReader {
                 self.entries.extend(read.filter_map(|entry| LogEntry::read(*entry)));
                 self.go_on()
             }
-            Ok(_) => Next::Failed("the device has given an unexpected answer".to_owned()),
+            Ok(_) => Next::Failed("unexpected answer from the device".to_owned()),
             Err(reason) => Next::Failed(reason.clone()),
         })
     }

@@ -13,7 +13,7 @@ use super::{BreathFigures, History, State, Verdict};
 pub enum ToPage {
     /// The first message.
     Hello(Hello),
-    /// The state of a device, at each change and at least twice a second.
+    /// The state of a device, at each change and at least four times a second.
     State(Box<State>),
     /// The figures of a breath that has ended.
     Breath {
@@ -90,6 +90,8 @@ pub struct Hello {
     pub version: u32,
     /// Whether pages may steer.
     pub steer: bool,
+    /// Whether pages with the token may record.
+    pub record: bool,
     /// Whether this is the demonstration, with faults at a button.
     pub demo: bool,
     /// All settings with units and bounds.
@@ -273,6 +275,7 @@ mod tests {
         let hello = Hello {
             version: VERSION,
             steer: true,
+            record: true,
             demo: false,
             settings: SettingInfo::all(),
             limits: Limits::default(),

@@ -10,7 +10,7 @@ use std::time::Duration;
 use bedside::server::Server;
 use bedside::source::Watch;
 use device::port::{Address, Port};
-use device::simulated::{MOST_PACE, Served, Simulated};
+use device::simulated::{MOST_PACE, Served, ServedConfig, Simulated};
 use futures_util::{SinkExt, StreamExt};
 use plant::bench::BenchConfig;
 use serde_json::{Value, json};
@@ -202,9 +202,15 @@ pub fn get(server: &Server, path: &str, headers: &[(&str, &str)]) -> (u16, Strin
     (status, head.to_lowercase(), body.to_owned())
 }
 
-/// A simulated device that runs as fast as it can; it ends with the list.
+/// A simulated device with an airway sensor alone that runs as fast as it can; it ends with the list.
 pub fn fast(served: &mut Vec<Served>) -> Watch {
-    let device = Served::start(&BenchConfig::paper(20.0, 20.0), MOST_PACE).unwrap();
+    fast_on(&BenchConfig::paper(20.0, 20.0), false, served)
+}
+
+/// The same on another bench, with all of its sensors if `all_sensors`.
+pub fn fast_on(bench: &BenchConfig, all_sensors: bool, served: &mut Vec<Served>) -> Watch {
+    let config = ServedConfig { pace: MOST_PACE, weights: None, all_sensors, keeps_truth: false };
+    let device = Served::with(bench, config).unwrap();
     let (watch, identity) = Watch::port(device.address());
     identity.unwrap();
     served.push(device);
