@@ -223,9 +223,11 @@ fn a_device_whose_part_of_the_server_fails_is_shown_as_lost_and_the_others_go_on
     let failing = Watch { name: "failing".to_owned(), source: Box::new(Failing(0)), ..bench() };
     let server = serve(vec![failing, bench()], true);
     let mut page = Page::steering(&server);
+    let failed =
+        |state: &Value| state["lost"].as_str().is_some_and(|lost| lost.contains("start the server again"));
+    assert_eq!(page.state(0, failed)["connected"], false);
+    assert_eq!(Page::open(&server).state(0, failed)["connected"], false, "also for a page that opens later");
     page.ventilate(1);
-    let lost = page.state(0, |state| state["connected"] == false && state["lost"].is_string());
-    assert!(lost["lost"].as_str().unwrap().contains("start the server again"), "{lost}");
     let refused = page.ask(json!({"type": "mark", "device": 0, "text": "x"}));
     assert_eq!(refused["ok"], false, "{refused}");
     assert!(metrics(&server).contains("eupnea_connected{device=\"failing\"} 0"), "{}", metrics(&server));
