@@ -39,7 +39,7 @@ struct Tape {
     by: String,
     writer: RecordingWriter,
     samples: u64,
-    /// Samples that a recording cannot hold, and those whose settings were not known.
+    /// Samples with a value that is no number, and those from before the device reported its settings.
     left_out: u64,
     unset: u64,
 }
@@ -50,23 +50,19 @@ impl Tape {
         Ok(Self { path, by: by.to_owned(), writer, samples: 0, left_out: 0, unset: 0 })
     }
 
-    fn push(&mut self, Reading { row, set }: Reading) -> Result<(), RecordError> {
+    fn push(&mut self, row: Row) -> Result<(), RecordError> {
         self.samples += 1;
-        self.unset += u64::from(!set);
         Ok(self.writer.push(row)?)
     }
 
-    /// Finishes the file, with a note of what in it is not measured.
+    /// Finishes the file, with a note of what is not in it.
     fn finish(mut self) -> Result<(), RecordError> {
         let notes = &mut self.writer.provenance().notes;
         if self.left_out > 0 {
             notes.push(format!("left out: {} samples with a value that is no number", self.left_out));
         }
         if self.unset > 0 {
-            notes.push(format!(
-                "pip and peep of {} samples are defaults: the device had not reported them",
-                self.unset
-            ));
+            notes.push(format!("left out: {} samples before the device reported its settings", self.unset));
         }
         Ok(self.writer.finish()?)
     }
@@ -76,13 +72,6 @@ impl Tape {
 struct Running {
     tape: Tape,
     left: u64,
-}
-
-/// A row, and whether its settings were known.
-#[derive(Clone, Copy, Debug)]
-struct Reading {
-    row: Row,
-    set: bool,
 }
 
 /// Something to tell the pages.
@@ -96,7 +85,7 @@ pub struct Recorder {
     name: String,
     period_us: u32,
     /// The last rows, as long as a capture looks back.
-    before: VecDeque<Reading>,
+    before: VecDeque<Row>,
     numbers: Numbers,
     tape: Option<Tape>,
     mcap: Option<Capture>,
@@ -203,9 +192,10 @@ impl Recorder {
     /// A page has marked the moment; tells the reason if the MCAP file ends with it.
     pub fn mark(&mut self, text: &str, now_ms: u64) -> Option<Told> {
         let tape = self.tape.as_mut()?;
-        let place = self.before.back().map_or_else(String::new, |Reading { row, .. }| {
-            format!(" after breath {} tick {}", row.breath, row.tick)
-        });
+        let place = self
+            .before
+            .back()
+            .map_or_else(String::new, |row| format!(" after breath {} tick {}", row.breath, row.tick));
         tape.writer.provenance().notes.push(format!("marker{place}: {text}"));
         let failed = self.mcap.as_mut().is_some_and(|mcap| mcap.mark(text, now_ms * 1_000_000));
         failed.then(|| self.end_mcap()).flatten()
@@ -223,26 +213,30 @@ impl Recorder {
         Some(Told(format!("the MCAP file ends here: {reason}")))
     }
 
-    /// Takes a sample, with the settings in force.
+    /// Takes a sample, with the settings in force. A recording has them in each row: a sample without them is left out.
     pub fn sample(&mut self, sample: &Sample, settings: Option<&Settings>, now_ms: u64) -> Vec<Told> {
-        let Some(row) = self.numbers.row(sample, settings) else {
-            let running = self.running.as_mut().map(|running| &mut running.tape);
-            self.tape.iter_mut().chain(running).for_each(|tape| tape.left_out += 1);
+        let running = self.running.as_mut().map(|running| &mut running.tape);
+        let tapes = self.tape.iter_mut().chain(running);
+        let Some(settings) = settings else {
+            tapes.for_each(|tape| tape.unset += 1);
             return Vec::new();
         };
-        let reading = Reading { row, set: settings.is_some() };
-        self.before.push_back(reading);
+        let Some(row) = self.numbers.row(sample, settings) else {
+            tapes.for_each(|tape| tape.left_out += 1);
+            return Vec::new();
+        };
+        self.before.push_back(row);
         if self.before.len() > self.ticks(AROUND_S.0) {
             self.before.pop_front();
         }
         let mut told = Vec::new();
         if let Some(tape) = &mut self.tape
-            && let Err(error) = tape.push(reading)
+            && let Err(error) = tape.push(row)
         {
             self.tape = None;
             told.push(Told(format!("the recording ends here: {error}")));
         }
-        told.extend(self.go_on(reading));
+        told.extend(self.go_on(row));
         if self.triggers.pressure.is_some_and(|limit| row.pressure > limit) {
             told.extend(self.trigger("pressure above the threshold", now_ms));
         }
@@ -271,7 +265,7 @@ impl Recorder {
         // One shot: on a sick lung each capture would be followed by the next one, until the disk is full.
         self.triggers = Triggers::default();
         let started = Tape::create(self.path("capture", now_ms), "", provenance).and_then(|mut tape| {
-            self.before.iter().try_for_each(|reading| tape.push(*reading))?;
+            self.before.iter().try_for_each(|row| tape.push(*row))?;
             Ok(tape)
         });
         match started {
@@ -284,9 +278,9 @@ impl Recorder {
     }
 
     /// Adds a row to the capture that runs, and finishes it when it is long enough.
-    fn go_on(&mut self, reading: Reading) -> Option<Told> {
+    fn go_on(&mut self, row: Row) -> Option<Told> {
         let mut running = self.running.take()?;
-        if let Err(error) = running.tape.push(reading) {
+        if let Err(error) = running.tape.push(row) {
             return Some(Told(format!("a capture could not be written: {error}")));
         }
         running.left -= 1;
@@ -341,7 +335,7 @@ struct Numbers {
 
 impl Numbers {
     /// The row of a sample; none for one that a recording cannot hold.
-    fn row(&mut self, sample: &Sample, settings: Option<&Settings>) -> Option<Row> {
+    fn row(&mut self, sample: &Sample, settings: &Settings) -> Option<Row> {
         let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, .. } = *sample;
         if ![target, pressure, u_in, explore].iter().all(|value| value.is_finite()) {
             return None;
@@ -357,7 +351,6 @@ impl Numbers {
             Phase::Fall => FALL,
             Phase::Expiration => EXPIRATION,
         };
-        let settings = settings.copied().unwrap_or_default();
         let u_out = if u_out { 100.0 } else { 0.0 };
         let (pip, peep) = (settings.pip, settings.peep);
         Some(Row { breath, tick, phase, target, pressure, u_in, u_out, explore, pip, peep, ..Row::default() })

@@ -107,7 +107,7 @@ fn a_recording_is_whole_when_the_server_ends() {
     let mut recorder = recorder(folder.path());
     let path = recorder.start(5, None, "a page").unwrap();
     breathe(&mut recorder, 0..1, 20.0);
-    recorder.sample(&sample(1, 0, f32::NAN), None, 5);
+    recorder.sample(&sample(1, 0, f32::NAN), Some(&Settings::default()), 5);
     drop(recorder);
     let recording = Recording::load(path).unwrap();
     assert_eq!(recording.len(), 100, "a reading that is no number is left out");
@@ -123,16 +123,22 @@ fn a_folder_that_cannot_be_written_is_an_error_and_nothing_else() {
 }
 
 #[test]
-fn settings_that_were_not_known_are_noted() {
+fn samples_from_before_the_settings_are_left_out_and_no_settings_are_invented() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
     let path = recorder.start(5, None, "a page").unwrap();
-    breathe(&mut recorder, 0..1, 20.0);
-    (0..5).for_each(|tick| _ = recorder.sample(&sample(1, tick, 20.0), None, 7));
-    assert_eq!(recorder.info().unwrap().by, "a page");
+    (0..5).for_each(|tick| _ = recorder.sample(&sample(0, tick, 20.0), None, 7));
+    let settings = Settings { pip: 31.0, peep: 8.0, ..Settings::default() };
+    (5..9).for_each(|tick| _ = recorder.sample(&sample(0, tick, 20.0), Some(&settings), 7));
+    assert_eq!(recorder.info().unwrap().samples, 4);
     recorder.stop().unwrap();
-    let notes = Recording::load(path).unwrap().provenance.notes;
-    assert_eq!(notes, ["pip and peep of 5 samples are defaults: the device had not reported them"]);
+    let recording = Recording::load(path).unwrap();
+    assert_eq!(
+        (recording.tick, recording.pip, recording.peep),
+        (vec![5, 6, 7, 8], vec![31.0; 4], vec![8.0; 4])
+    );
+    let notes = recording.provenance.notes;
+    assert_eq!(notes, ["left out: 5 samples before the device reported its settings"]);
 }
 
 #[test]
