@@ -1,82 +1,45 @@
 //! Recording from the page: a Parquet recording of a device and the same as MCAP, and captures that an event triggers, with the time
 //! before it. A failure ends the recording with its reason; nothing else is affected.
+//!
+//! Here is what goes into which file; a thread of its own writes it ([`writer`]), so that a slow disk delays nothing. What it
+//! has no room for is lost, and counted.
+
+mod numbers;
+mod tape;
+mod writer;
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
-use data::export::ExportError;
 use data::provenance::Provenance;
-use data::recording::{DatasetError, EXPIRATION, FALL, INSPIRATION, RecordingWriter, Row};
+use data::recording::Row;
 use serde_json::Value;
-use shared::breath::Phase;
-use shared::link::messages::DeviceIdentity;
+use shared::link::messages::{DeviceIdentity, Event};
+use shared::link::telemetry::PackedSample;
 use shared::settings::Settings;
 use shared::ventilator::Sample;
 use show::monitor::News;
-use show::monitor::capture::Capture;
-use thiserror::Error;
 
 use crate::stream::{BreathFigures, RecordingInfo, Triggers};
+use numbers::Numbers;
+use tape::{Gap, Stage, Tape};
+#[cfg(test)]
+pub use writer::WAITING_MAX;
+use writer::{Job, McapHead, RecordError, Report, Which, Writer};
 
 /// Time before the trigger that a capture contains, and time after it, s.
 const AROUND_S: (f64, f64) = (10.0, 10.0);
 
-/// Why a recording is not written.
-#[derive(Debug, Error)]
-pub enum RecordError {
-    /// The Parquet file.
-    #[error(transparent)]
-    Parquet(#[from] DatasetError),
-    /// The MCAP file.
-    #[error(transparent)]
-    Mcap(#[from] ExportError),
-}
-
-/// A file that is being written.
-struct Tape {
-    path: PathBuf,
-    /// The page that has started it, in words.
-    by: String,
-    writer: RecordingWriter,
-    samples: u64,
-    /// Samples with a value that is no number, and those from before the device reported its settings.
-    left_out: u64,
-    unset: u64,
-}
-
-impl Tape {
-    fn create(path: PathBuf, by: &str, provenance: Provenance) -> Result<Self, RecordError> {
-        let writer = RecordingWriter::create(&path, provenance, &[])?;
-        Ok(Self { path, by: by.to_owned(), writer, samples: 0, left_out: 0, unset: 0 })
-    }
-
-    fn push(&mut self, row: Row) -> Result<(), RecordError> {
-        self.samples += 1;
-        Ok(self.writer.push(row)?)
-    }
-
-    /// Finishes the file, with a note of what is not in it.
-    fn finish(mut self) -> Result<(), RecordError> {
-        let notes = &mut self.writer.provenance().notes;
-        if self.left_out > 0 {
-            notes.push(format!("left out: {} samples with a value that is no number", self.left_out));
-        }
-        if self.unset > 0 {
-            notes.push(format!("left out: {} samples before the device reported its settings", self.unset));
-        }
-        Ok(self.writer.finish()?)
-    }
-}
-
-/// A capture that runs: its file, and the ticks that are still to come.
-struct Running {
-    tape: Tape,
-    left: u64,
-}
-
 /// Something to tell the pages.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Told(pub String);
+pub enum Told {
+    /// Something that happened.
+    Event(String),
+    /// What has become of the request to record, or why nothing.
+    Started(Result<String, String>),
+    /// What has become of the request to end the recording.
+    Stopped(Result<String, String>),
+}
 
 /// Records one device.
 pub struct Recorder {
@@ -84,13 +47,18 @@ pub struct Recorder {
     device: u8,
     name: String,
     period_us: u32,
+    writer: Writer,
     /// The last rows, as long as a capture looks back.
     before: VecDeque<Row>,
     numbers: Numbers,
     tape: Option<Tape>,
-    mcap: Option<Capture>,
+    /// Whether the recording has an MCAP file.
+    mcap: bool,
     triggers: Triggers,
-    running: Option<Running>,
+    /// The capture that runs, and the ticks that are still to come.
+    capture: Option<Tape>,
+    left: u64,
+    told: Vec<Told>,
 }
 
 impl Recorder {
@@ -101,22 +69,31 @@ impl Recorder {
             device,
             name: name.to_owned(),
             period_us,
+            writer: Writer::start(),
             before: VecDeque::new(),
             numbers: Numbers::default(),
             tape: None,
-            mcap: None,
+            mcap: false,
             triggers: Triggers::default(),
-            running: None,
+            capture: None,
+            left: 0,
+            told: Vec::new(),
         }
     }
 
-    /// The recording that is being written.
+    /// Makes the writer hang, like a disk, until what is returned is dropped.
+    #[cfg(test)]
+    pub fn hang(&self) -> std::sync::mpsc::Sender<()> {
+        let (goes_on, until) = std::sync::mpsc::channel();
+        self.writer.give(Job::Pause(until));
+        goes_on
+    }
+
+    /// The recording that takes samples.
     pub fn info(&self) -> Option<RecordingInfo> {
-        let file = |tape: &Tape| {
-            let Tape { path, samples, by, .. } = tape;
-            RecordingInfo { file: path.display().to_string(), samples: *samples, by: by.clone() }
-        };
-        self.tape.as_ref().map(file)
+        let Tape { path, samples, lost, by, .. } = self.tape.as_ref().filter(|tape| tape.takes())?;
+        let file = path.display().to_string();
+        Some(RecordingInfo { file, samples: *samples, lost: *lost, by: by.clone() })
     }
 
     /// The armed triggers.
@@ -126,62 +103,62 @@ impl Recorder {
 
     /// Another device is there, with this control period, microseconds: a file cannot hold both.
     pub fn set_period(&mut self, period_us: u32) {
-        if let Err(error) = self.stop() {
-            tracing::error!(%error, "a recording could not be finished");
-        }
+        self.close(Which::Recording);
+        self.close(Which::Capture);
         self.before.clear();
         self.period_us = period_us;
     }
 
-    /// Starts a recording, at a time in ms since 1970, of a device with this identity, if it is known; returns the file. One that
-    /// runs goes on.
+    /// Starts a recording, at a time in ms since 1970, of a device with this identity, if it is known. One that runs goes on.
+    /// [`Told::Started`] follows.
     ///
     /// # Errors
-    /// [`RecordError`].
+    /// The last one is not finished.
     pub fn start(
         &mut self,
         now_ms: u64,
         identity: Option<&DeviceIdentity>,
         by: &str,
-    ) -> Result<PathBuf, RecordError> {
-        if let Some(tape) = &self.tape {
-            return Ok(tape.path.clone());
+    ) -> Result<(), &'static str> {
+        match self.tape.as_ref().map(|tape| tape.stage) {
+            Some(Stage::Opening) => return Ok(()),
+            Some(Stage::Open) => {
+                self.told.push(self.started());
+                return Ok(());
+            }
+            Some(Stage::Closing) => return Err("the last recording is still being written: try again soon"),
+            None => {}
         }
         let path = self.path("recording", now_ms);
-        let tape = Tape::create(path.clone(), by, self.provenance(identity))?;
+        self.mcap = identity.is_some();
         let mcap = identity.map(|identity| {
-            Capture::create(&path.with_extension("mcap"), &self.name, identity, now_ms * 1_000_000)
+            Box::new(McapHead { name: self.name.clone(), identity: identity.clone(), now_ms })
         });
-        match mcap.transpose() {
-            Ok(mcap) => {
-                (self.tape, self.mcap) = (Some(tape), mcap);
-                Ok(path)
-            }
-            Err(error) => {
-                // Half a recording would look like a whole one.
-                drop(tape);
-                let _ = std::fs::remove_file(&path);
-                Err(error.into())
-            }
+        let provenance = Box::new(self.provenance(identity));
+        self.writer.give(Job::Open { which: Which::Recording, path: path.clone(), provenance, mcap });
+        self.tape = Some(Tape::new(path, by));
+        Ok(())
+    }
+
+    fn started(&self) -> Told {
+        let path = self.tape.as_ref().map_or_else(String::new, |tape| tape.path.display().to_string());
+        let alone = if self.mcap { "" } else { ", without MCAP: the device is not known" };
+        Told::Started(Ok(format!("recording to {path}{alone}")))
+    }
+
+    /// Ends the recording; [`Told::Stopped`] follows, if one was running.
+    pub fn stop(&mut self) -> bool {
+        self.close(Which::Recording);
+        self.tape.is_some()
+    }
+
+    /// Finishes a file.
+    fn close(&mut self, which: Which) {
+        if let Some(tape) = self.slot(which).as_mut().filter(|tape| tape.takes()) {
+            tape.stage = Stage::Closing;
+            let notes = tape.gaps();
+            self.writer.give(Job::Close { which, notes });
         }
-    }
-
-    /// Whether the recording that runs has an MCAP file.
-    pub fn has_mcap(&self) -> bool {
-        self.mcap.is_some()
-    }
-
-    /// Ends the recording; returns the file and its number of samples, if one was running. Finishes both files, whatever happens
-    /// to one of them.
-    ///
-    /// # Errors
-    /// [`RecordError`].
-    pub fn stop(&mut self) -> Result<Option<RecordingInfo>, RecordError> {
-        let info = self.info();
-        let (tape, mcap) = (self.tape.take(), self.mcap.take());
-        let tape = tape.map_or(Ok(()), Tape::finish);
-        let mcap = mcap.map_or(Ok(()), |mcap| mcap.finish().map(drop).map_err(RecordError::from));
-        tape.and(mcap).map(|()| info)
     }
 
     /// Arms the triggered capture, or disarms it.
@@ -189,110 +166,202 @@ impl Recorder {
         self.triggers = triggers;
     }
 
-    /// A page has marked the moment; tells the reason if the MCAP file ends with it.
-    pub fn mark(&mut self, text: &str, now_ms: u64) -> Option<Told> {
-        let tape = self.tape.as_mut()?;
+    /// A page has marked the moment; false if the recording that runs lacks the marker.
+    pub fn mark(&mut self, text: &str, now_ms: u64) -> bool {
+        if self.info().is_none() {
+            return true;
+        }
+        let room = self.writer.has_room();
+        if room {
+            self.note(text, now_ms);
+        }
+        room
+    }
+
+    /// Notes something in the recording, at the place where it is.
+    fn note(&mut self, text: &str, now_ms: u64) {
         let place = self
             .before
             .back()
             .map_or_else(String::new, |row| format!(" after breath {} tick {}", row.breath, row.tick));
-        tape.writer.provenance().notes.push(format!("marker{place}: {text}"));
-        let failed = self.mcap.as_mut().is_some_and(|mcap| mcap.mark(text, now_ms * 1_000_000));
-        failed.then(|| self.end_mcap()).flatten()
+        let (note, text) = (format!("marker{place}: {text}"), text.to_owned());
+        self.writer.give(Job::Mark { note, text, now_ms });
     }
 
-    /// Takes a piece of news for the MCAP file; tells the reason if it ends there.
-    pub fn news(&mut self, news: &News, now_ms: u64) -> Option<Told> {
-        let failed = self.mcap.as_mut().is_some_and(|mcap| mcap.take(news, now_ms * 1_000_000));
-        failed.then(|| self.end_mcap()).flatten()
+    /// Takes a piece of news, with the settings in force.
+    pub fn take(&mut self, news: &News, settings: Option<&Settings>, now_ms: u64) {
+        let room = self.writer.has_room();
+        if room && self.mcap && self.info().is_some() {
+            self.writer.give(Job::News(Box::new(news.clone()), now_ms));
+        }
+        if let News::Event(Event::Telemetry(batch)) = news {
+            self.samples(batch.samples.iter().map(PackedSample::unpack), settings, room, now_ms);
+        }
     }
 
-    /// Gives up the MCAP file; tells its first failure.
-    fn end_mcap(&mut self) -> Option<Told> {
-        let reason = self.mcap.take()?.finish().err()?;
-        Some(Told(format!("the MCAP file ends here: {reason}")))
+    /// Takes samples. A recording has the settings in each row: a sample without them is left out.
+    fn samples(
+        &mut self,
+        samples: impl IntoIterator<Item = Sample>,
+        settings: Option<&Settings>,
+        room: bool,
+        now_ms: u64,
+    ) {
+        let (mut recorded, mut captured) = (Vec::new(), Vec::new());
+        for sample in samples {
+            let row = settings.ok_or(Gap::Unset).and_then(|settings| self.numbers.row(&sample, settings));
+            let row = match row {
+                Ok(row) => row,
+                Err(gap) => {
+                    let tapes = self.tape.iter_mut().chain(&mut self.capture).filter(|tape| tape.takes());
+                    tapes.for_each(|tape| tape.leave_out(gap));
+                    continue;
+                }
+            };
+            self.before.push_back(row);
+            if self.before.len() > self.ticks(AROUND_S.0) {
+                self.before.pop_front();
+            }
+            recorded.push(row);
+            if self.capture.as_ref().is_some_and(Tape::takes) {
+                captured.push(row);
+                self.left = self.left.saturating_sub(1);
+                if self.left == 0 {
+                    self.add(Which::Capture, std::mem::take(&mut captured), room, now_ms);
+                    self.close(Which::Capture);
+                }
+            }
+            if self.triggers.pressure.is_some_and(|limit| row.pressure > limit) {
+                self.trigger("pressure above the threshold", now_ms);
+            }
+        }
+        self.add(Which::Recording, recorded, room, now_ms);
+        self.add(Which::Capture, captured, room, now_ms);
     }
 
-    /// Takes a sample, with the settings in force. A recording has them in each row: a sample without them is left out.
-    pub fn sample(&mut self, sample: &Sample, settings: Option<&Settings>, now_ms: u64) -> Vec<Told> {
-        let running = self.running.as_mut().map(|running| &mut running.tape);
-        let tapes = self.tape.iter_mut().chain(running);
-        let Some(settings) = settings else {
-            tapes.for_each(|tape| tape.unset += 1);
-            return Vec::new();
-        };
-        let Some(row) = self.numbers.row(sample, settings) else {
-            tapes.for_each(|tape| tape.left_out += 1);
-            return Vec::new();
-        };
-        self.before.push_back(row);
-        if self.before.len() > self.ticks(AROUND_S.0) {
-            self.before.pop_front();
+    /// Adds rows to a file that takes some, if there is room.
+    fn add(&mut self, which: Which, rows: Vec<Row>, room: bool, now_ms: u64) {
+        let count = rows.len() as u64;
+        let Some(tape) = self.slot(which).as_mut().filter(|tape| tape.takes() && count > 0) else { return };
+        if room {
+            tape.samples += count;
+            self.writer.give(Job::Rows { which, rows });
+            return;
         }
-        let mut told = Vec::new();
-        if let Some(tape) = &mut self.tape
-            && let Err(error) = tape.push(row)
-        {
-            self.tape = None;
-            told.push(Told(format!("the recording ends here: {error}")));
+        let first = tape.lost == 0;
+        tape.lost += count;
+        if first {
+            let what = match which {
+                Which::Recording => "recording",
+                Which::Capture => "capture",
+            };
+            self.told.push(Told::Event(format!("the disk is too slow: the {what} loses samples")));
         }
-        told.extend(self.go_on(row));
-        if self.triggers.pressure.is_some_and(|limit| row.pressure > limit) {
-            told.extend(self.trigger("pressure above the threshold", now_ms));
+        if first && which == Which::Recording {
+            // The only way to tell it in the MCAP file.
+            self.note("the disk is too slow: samples are lost from here on", now_ms);
         }
-        told
     }
 
     /// An alarm has begun.
-    pub fn alarm(&mut self, text: &str, now_ms: u64) -> Option<Told> {
-        self.triggers.alarm.then(|| self.trigger(text, now_ms)).flatten()
+    pub fn alarm(&mut self, text: &str, now_ms: u64) {
+        if self.triggers.alarm {
+            self.trigger(text, now_ms);
+        }
     }
 
     /// A breath has ended.
-    pub fn breath(&mut self, figures: &BreathFigures, now_ms: u64) -> Option<Told> {
-        let exceeds =
-            self.triggers.overshoot.zip(figures.overshoot).is_some_and(|(limit, found)| found > limit);
-        exceeds.then(|| self.trigger("overshoot above the threshold", now_ms)).flatten()
+    pub fn breath(&mut self, figures: &BreathFigures, now_ms: u64) {
+        let limit = self.triggers.overshoot.zip(figures.overshoot);
+        if limit.is_some_and(|(limit, found)| found > limit) {
+            self.trigger("overshoot above the threshold", now_ms);
+        }
     }
 
     /// Starts a capture with the rows before, unless one runs.
-    fn trigger(&mut self, why: &str, now_ms: u64) -> Option<Told> {
-        if self.running.is_some() {
-            return None;
+    fn trigger(&mut self, why: &str, now_ms: u64) {
+        if self.capture.is_some() {
+            return;
         }
-        let mut provenance = self.provenance(None);
+        let mut provenance = Box::new(self.provenance(None));
         provenance.notes.push(format!("triggered capture: {why}"));
         // One shot: on a sick lung each capture would be followed by the next one, until the disk is full.
         self.triggers = Triggers::default();
-        let started = Tape::create(self.path("capture", now_ms), "", provenance).and_then(|mut tape| {
-            self.before.iter().try_for_each(|row| tape.push(*row))?;
-            Ok(tape)
-        });
-        match started {
-            Ok(tape) => {
-                self.running = Some(Running { tape, left: self.ticks(AROUND_S.1) as u64 });
-                None
+        let (which, path) = (Which::Capture, self.path("capture", now_ms));
+        let (tape, room) = (Tape::new(path.clone(), why), self.writer.has_room());
+        self.writer.give(Job::Open { which, path, provenance, mcap: None });
+        (self.capture, self.left) = (Some(tape), self.ticks(AROUND_S.1) as u64);
+        self.add(which, self.before.iter().copied().collect(), room, now_ms);
+    }
+
+    /// What has happened since the last call; never waits.
+    pub fn told(&mut self) -> Vec<Told> {
+        loop {
+            match self.writer.report() {
+                Ok(Some(report)) => self.reported(report),
+                Ok(None) => break,
+                Err(error) => {
+                    self.failed(Which::Recording, &error);
+                    self.failed(Which::Capture, &error);
+                    break;
+                }
             }
-            Err(error) => Some(Told(format!("a capture ({why}) could not be written: {error}"))),
+        }
+        std::mem::take(&mut self.told)
+    }
+
+    fn reported(&mut self, report: Report) {
+        match report {
+            Report::Opened(which) => {
+                if let Some(tape) = self.slot(which).as_mut().filter(|tape| tape.takes()) {
+                    tape.stage = Stage::Open;
+                }
+                if which == Which::Recording {
+                    self.told.push(self.started());
+                }
+            }
+            Report::NotOpened(Which::Recording, error) => {
+                self.told.push(Told::Started(Err(error.to_string())));
+                if self.tape.take().is_some_and(|tape| !tape.takes()) {
+                    self.told.push(Told::Stopped(Err(error.to_string())));
+                }
+            }
+            Report::NotOpened(Which::Capture, error) | Report::Failed(Which::Capture, error) => {
+                self.failed(Which::Capture, &error);
+            }
+            Report::Failed(Which::Recording, error) => self.failed(Which::Recording, &error),
+            Report::Closed(Which::Recording) => {
+                let content = self.tape.take().map(|tape| tape.content());
+                self.told.extend(content.map(|content| Told::Stopped(Ok(content))));
+            }
+            Report::Closed(Which::Capture) => {
+                let content = self.capture.take().map(|tape| tape.content());
+                let told = content
+                    .map(|content| Told::Event(format!("capture: {content}; the triggers are disarmed")));
+                self.told.extend(told);
+            }
+            Report::McapFailed(error) => {
+                self.mcap = false;
+                self.told.push(Told::Event(format!("the MCAP file ends here: {error}")));
+            }
         }
     }
 
-    /// Adds a row to the capture that runs, and finishes it when it is long enough.
-    fn go_on(&mut self, row: Row) -> Option<Told> {
-        let mut running = self.running.take()?;
-        if let Err(error) = running.tape.push(row) {
-            return Some(Told(format!("a capture could not be written: {error}")));
+    /// A file is given up.
+    fn failed(&mut self, which: Which, error: &RecordError) {
+        let Some(tape) = self.slot(which).take() else { return };
+        self.told.push(match which {
+            Which::Recording if tape.takes() => Told::Event(format!("the recording ends here: {error}")),
+            Which::Recording => Told::Stopped(Err(error.to_string())),
+            Which::Capture => Told::Event(format!("a capture ({}) could not be written: {error}", tape.by)),
+        });
+    }
+
+    fn slot(&mut self, which: Which) -> &mut Option<Tape> {
+        match which {
+            Which::Recording => &mut self.tape,
+            Which::Capture => &mut self.capture,
         }
-        running.left -= 1;
-        if running.left > 0 {
-            self.running = Some(running);
-            return None;
-        }
-        let path = running.tape.path.display().to_string();
-        Some(Told(match running.tape.finish() {
-            Ok(()) => format!("capture written to {path}; the triggers are disarmed"),
-            Err(error) => format!("a capture could not be written: {error}"),
-        }))
     }
 
     fn ticks(&self, seconds: f64) -> usize {
@@ -313,47 +382,16 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// Finishes what is being written.
+    /// Finishes what is being written, all that waits included.
     fn drop(&mut self) {
-        if let Err(error) = self.stop() {
-            tracing::error!(%error, "a recording could not be finished");
+        self.close(Which::Recording);
+        self.close(Which::Capture);
+        for report in self.writer.end() {
+            if let Report::NotOpened(_, error) | Report::Failed(_, error) | Report::McapFailed(error) = report
+            {
+                tracing::error!(%error, "a recording could not be finished");
+            }
         }
-        if let Some(Running { tape, .. }) = self.running.take()
-            && let Err(error) = tape.finish()
-        {
-            tracing::error!(%error, "a capture could not be finished");
-        }
-    }
-}
-
-/// Numbers the breaths so that they ascend, also when a ventilation starts again.
-#[derive(Debug, Default)]
-struct Numbers {
-    offset: u32,
-    last: Option<(u32, u32)>,
-}
-
-impl Numbers {
-    /// The row of a sample; none for one that a recording cannot hold.
-    fn row(&mut self, sample: &Sample, settings: &Settings) -> Option<Row> {
-        let Sample { breath, tick, phase, target, pressure, u_in, u_out, explore, .. } = *sample;
-        if ![target, pressure, u_in, explore].iter().all(|value| value.is_finite()) {
-            return None;
-        }
-        let number = |offset: u32| breath.saturating_add(offset);
-        if self.last.is_some_and(|last| (number(self.offset), tick) <= last) {
-            self.offset = self.last.map_or(0, |(last, _)| last + 1).saturating_sub(breath);
-        }
-        let breath = number(self.offset);
-        self.last = Some((breath, tick));
-        let phase = match phase {
-            Phase::Inspiration => INSPIRATION,
-            Phase::Fall => FALL,
-            Phase::Expiration => EXPIRATION,
-        };
-        let u_out = if u_out { 100.0 } else { 0.0 };
-        let (pip, peep) = (settings.pip, settings.peep);
-        Some(Row { breath, tick, phase, target, pressure, u_in, u_out, explore, pip, peep, ..Row::default() })
     }
 }
 

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use shared::link::messages::{Event, Request, Response};
+use shared::link::messages::{Request, Response};
 use show::monitor::News;
 
 use crate::log::log;
@@ -92,32 +92,9 @@ impl Hub {
         metrics: Arc<Metrics>,
     ) -> Self {
         let (commands, received) = channel();
-        let (latest, stop) = (Arc::new(Mutex::default()), Arc::new(AtomicBool::new(false)));
-        let Watch { name, period_us, source, verdict, log, kind } = watch;
-        let verdict = verdict.map(|verdict| ToPage::Verdict { device, verdict });
-        let log = log.map(|log| ToPage::Log { device, log });
-        let mut worker = Worker {
-            device,
-            period_us,
-            kind,
-            watched: Watched::new(device, period_us).replaying(kind == Kind::Recording),
-            recorder: Recorder::new(folder, device, &name, period_us),
-            trends: Trends::default(),
-            enclosed: verdict.iter().chain(&log).map(|message| message.to_json().into()).collect(),
-            events: VecDeque::new(),
-            reading: None,
-            source,
-            commands: received,
-            viewers,
-            metrics,
-            latest: Arc::clone(&latest),
-            wheel: Wheel::default(),
-            records: None,
-            waiting: VecDeque::new(),
-            out: Vec::new(),
-            framed: Instant::now(),
-            shown: None,
-        };
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut worker = Worker::new(device, watch, folder, received, viewers, metrics);
+        let latest = Arc::clone(&worker.latest);
         let stopped = Arc::clone(&stop);
         let thread = thread::spawn(move || {
             let watching = catch_unwind(AssertUnwindSafe(|| {
@@ -202,6 +179,9 @@ struct Worker {
     wheel: Wheel,
     /// The page that has started the recording.
     records: Option<u64>,
+    /// The requests to start a recording, and those to end it, that the writer has not answered yet.
+    starting: Vec<(Arc<Viewer>, u32)>,
+    stopping: Vec<(Arc<Viewer>, u32)>,
     /// In the order in which they were sent.
     waiting: VecDeque<Waiting>,
     out: Vec<Out>,
@@ -211,6 +191,43 @@ struct Worker {
 }
 
 impl Worker {
+    fn new(
+        device: u8,
+        watch: Watch,
+        folder: &Path,
+        commands: Receiver<Command>,
+        viewers: Arc<Viewers>,
+        metrics: Arc<Metrics>,
+    ) -> Self {
+        let Watch { name, period_us, source, verdict, log, kind } = watch;
+        let verdict = verdict.map(|verdict| ToPage::Verdict { device, verdict });
+        let log = log.map(|log| ToPage::Log { device, log });
+        Self {
+            device,
+            period_us,
+            kind,
+            watched: Watched::new(device, period_us).replaying(kind == Kind::Recording),
+            recorder: Recorder::new(folder, device, &name, period_us),
+            trends: Trends::default(),
+            enclosed: verdict.iter().chain(&log).map(|message| message.to_json().into()).collect(),
+            events: VecDeque::new(),
+            reading: None,
+            source,
+            commands,
+            viewers,
+            metrics,
+            latest: Arc::default(),
+            wheel: Wheel::default(),
+            records: None,
+            starting: Vec::new(),
+            stopping: Vec::new(),
+            waiting: VecDeque::new(),
+            out: Vec::new(),
+            framed: Instant::now(),
+            shown: None,
+        }
+    }
+
     /// Shows that the device is not watched any more.
     fn fail(&mut self) {
         let state = State {
@@ -237,6 +254,7 @@ impl Worker {
                 Command::Gone { viewer } => self.release(viewer),
             }
         }
+        self.tell_recorded();
         if self.framed.elapsed() >= FRAME_EVERY {
             self.framed = Instant::now();
             self.watched.flush(&mut self.out);
@@ -292,27 +310,32 @@ impl Worker {
 
     /// Passes news, and the messages that they have become, to the recorder.
     fn record(&mut self, news: &News, before: usize, now: u64) {
-        let mut told: Vec<Told> = self.recorder.news(news, now).into_iter().collect();
-        if let News::Event(Event::Telemetry(batch)) = news {
-            let settings = self.watched.known().in_force;
-            for sample in &batch.samples {
-                told.extend(self.recorder.sample(&sample.unpack(), settings, now));
-            }
-        }
+        self.recorder.take(news, self.watched.known().in_force, now);
         for out in &self.out[before..] {
-            told.extend(match out {
+            match out {
                 Out::Message(ToPage::Event { kind: EventKind::Alarm, text, .. }) => {
-                    self.recorder.alarm(text, now)
+                    self.recorder.alarm(text, now);
                 }
                 Out::Message(ToPage::Breath { figures, .. }) => {
                     self.trends.add(now, figures);
-                    self.recorder.breath(figures, now)
+                    self.recorder.breath(figures, now);
                 }
-                _ => None,
-            });
+                _ => {}
+            }
         }
-        for Told(text) in told {
-            self.event(EventKind::Capture, text);
+    }
+
+    /// Tells the pages what the recorder has to tell.
+    fn tell_recorded(&mut self) {
+        for told in self.recorder.told() {
+            match told {
+                Told::Event(text) => self.event(EventKind::Capture, text),
+                Told::Started(result) => answer_all(&mut self.starting, &result),
+                Told::Stopped(Err(why)) if self.stopping.is_empty() => {
+                    self.event(EventKind::Capture, format!("the recording could not be finished: {why}"));
+                }
+                Told::Stopped(result) => answer_all(&mut self.stopping, &result),
+            }
         }
     }
 
@@ -404,7 +427,7 @@ impl Worker {
         let refused = |why: &dyn Display| Some(Answer::refused(Some(id), why.to_string()));
         match message {
             FromPage::Mark { text, .. } => return Some(self.mark(id, text)),
-            FromPage::Record { on, .. } => return Some(self.switch_recording(viewer, id, *on)),
+            FromPage::Record { on, .. } => return self.switch_recording(viewer, id, *on),
             FromPage::Recorder { .. } => return self.read_recorder(viewer, id),
             FromPage::Capture { triggers, .. } => {
                 if let Err(why) = triggers.check() {
@@ -435,10 +458,11 @@ impl Worker {
 
     fn mark(&mut self, id: u32, text: &str) -> Answer {
         self.event(EventKind::Marker, text.to_owned());
-        if let Some(Told(text)) = self.recorder.mark(text, now_ms()) {
-            self.event(EventKind::Capture, text);
-        }
-        Answer::done(id, "marked")
+        let recorded = self.recorder.mark(text, now_ms());
+        Answer::done(
+            id,
+            if recorded { "marked" } else { "marked, but not in the recording: the disk is too slow" },
+        )
     }
 
     /// Begins to read the flight recorder; an answer if that is not possible.
@@ -478,33 +502,32 @@ impl Worker {
         }
     }
 
-    fn switch_recording(&mut self, viewer: &Viewer, id: u32, on: bool) -> Answer {
+    /// Starts or ends a recording; an answer if that is not possible. The writer's report answers otherwise.
+    fn switch_recording(&mut self, viewer: &Arc<Viewer>, id: u32, on: bool) -> Option<Answer> {
         let running = self.recorder.info();
-        let done = if on {
-            let started = self.recorder.start(now_ms(), self.watched.known().identity, &viewer.who);
-            if running.is_none() && started.is_ok() {
+        if on {
+            if let Err(why) = self.recorder.start(now_ms(), self.watched.known().identity, &viewer.who) {
+                return Some(Answer::refused(Some(id), why));
+            }
+            if running.is_none() {
                 self.records = Some(viewer.number);
             }
-            let alone = if self.recorder.has_mcap() { "" } else { ", without MCAP: the device is not known" };
-            started.map(|path| format!("recording to {}{alone}", path.display()))
-        } else {
-            let others = self.records.is_some_and(|page| page != viewer.number && self.viewers.is_open(page));
-            if let Some(RecordingInfo { by, .. }) = running
-                && others
-                && !self.wheel.is_with(viewer.number)
-            {
-                return Answer::refused(
-                    Some(id),
-                    format!("{by} records this device: end it there, or steer the device"),
-                );
-            }
-            let stopped = self.recorder.stop();
-            stopped.map(|info| match info {
-                Some(RecordingInfo { file, samples, .. }) => format!("{samples} samples written to {file}"),
-                None => "nothing was being recorded".to_owned(),
-            })
-        };
-        done.map_or_else(|why| Answer::refused(Some(id), why.to_string()), |text| Answer::done(id, text))
+            self.starting.push((Arc::clone(viewer), id));
+            return None;
+        }
+        let others = self.records.is_some_and(|page| page != viewer.number && self.viewers.is_open(page));
+        if let Some(RecordingInfo { by, .. }) = running
+            && others
+            && !self.wheel.is_with(viewer.number)
+        {
+            let why = format!("{by} records this device: end it there, or steer the device");
+            return Some(Answer::refused(Some(id), why));
+        }
+        if !self.recorder.stop() {
+            return Some(Answer::done(id, "nothing was being recorded"));
+        }
+        self.stopping.push((Arc::clone(viewer), id));
+        None
     }
 
     /// Sends a request to the device, which will answer it; an answer if it cannot be sent.
@@ -544,3 +567,17 @@ impl Worker {
 fn tell(viewer: &Viewer, message: &ToPage) {
     viewer.tell(message.to_json().into());
 }
+
+/// Answers requests that have waited.
+fn answer_all(waiting: &mut Vec<(Arc<Viewer>, u32)>, result: &Result<String, String>) {
+    for (viewer, id) in waiting.drain(..) {
+        let answer = match result {
+            Ok(text) => Answer::done(id, text),
+            Err(why) => Answer::refused(Some(id), why),
+        };
+        tell(&viewer, &ToPage::Answer(answer));
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -128,6 +128,8 @@ pub struct RecordingInfo {
     pub file: String,
     /// Samples so far.
     pub samples: u64,
+    /// Samples that are not in it because the disk was too slow.
+    pub lost: u64,
     /// The page that started it, in words.
     pub by: String,
 }

@@ -5,7 +5,7 @@ import type { Device } from "./device";
 import { button, h, setAttribute, setText, show } from "./dom";
 import { count, plain, words } from "./format";
 import type { Requests } from "./requests";
-import type { LogLine, Triggers } from "./stream";
+import type { LogLine, State, Triggers } from "./stream";
 
 export class Record {
   readonly element = h("div", { class: "record" });
@@ -47,7 +47,7 @@ export class Record {
     if (this.device !== device) setText(this.result, "");
     this.device = device;
     const recording = device.state?.recording ?? null;
-    setText(this.status, recording ? `Recording to ${recording.file}: ${count(recording.samples)} samples${recording.by === null ? "" : `, started by ${recording.by}`}` : "Not recording.");
+    setText(this.status, recording ? recordingInWords(recording) : "Not recording.");
     setText(this.toggle, recording ? "Stop recording" : "Start recording");
     const capture = device.state?.triggers ?? null;
     setText(this.armed, capture ? `Armed: ${triggersInWords(capture)}.` : "Not armed.");
@@ -118,6 +118,12 @@ export class Record {
     setAttribute(this.result, "data-ok", String(answer.ok));
     return answer.ok;
   }
+}
+
+/** The recording in words. */
+export function recordingInWords({ file, samples, lost, by }: NonNullable<State["recording"]>): string {
+  const losses = lost > 0 ? `, ${count(lost)} lost because the disk is too slow` : "";
+  return `Recording to ${file}: ${count(samples)} samples${losses}${by === null ? "" : `, started by ${by}`}`;
 }
 
 /** The armed triggers in words. */

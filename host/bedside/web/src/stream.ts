@@ -76,8 +76,8 @@ export interface State {
   steered_by: string | null;
   ticks: { mean_us: number | null; worst_us: number | null; missed: number | null };
   line: { corrupt: number; lost_batches: number; dropped: number };
-  /** `by` is the page that started it. */
-  recording: { file: string; samples: number; by: string | null } | null;
+  /** `by` is the page that started it; `lost` are samples for which the disk was too slow. */
+  recording: { file: string; samples: number; lost: number; by: string | null } | null;
   /** The program that steers the device past this server, in words. */
   lease: string | null;
   /** The armed triggers of a capture; null if none is armed or the server does not tell. */
@@ -288,7 +288,7 @@ function state(value: Loose): State | null {
     steered_by: textOrNull(value.steered_by),
     ticks: { mean_us: number(ticks.mean_us), worst_us: number(ticks.worst_us), missed: number(ticks.missed) },
     line: { corrupt: number(line.corrupt) ?? 0, lost_batches: number(line.lost_batches) ?? 0, dropped: number(line.dropped) ?? 0 },
-    recording: recording ? { file: string(recording.file), samples: number(recording.samples) ?? 0, by: textOrNull(recording.by) } : null,
+    recording: recording ? { file: string(recording.file), samples: number(recording.samples) ?? 0, lost: number(recording.lost) ?? 0, by: textOrNull(recording.by) } : null,
     lease: textOrNull(value.lease),
     triggers: triggers(value.triggers),
   };

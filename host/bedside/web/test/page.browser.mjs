@@ -458,6 +458,8 @@ scene("markers, recording and a triggered capture are asked for and told", { ste
   await until(page, () => document.querySelector(".log li")?.textContent.includes("lung changed <b>"));
   await page.getByRole("button", { name: "Start recording" }).click();
   await until(page, () => /Recording to bench-1.parquet/.test(document.querySelector(".record [role=status]").textContent));
+  fake.devices[0].recording.lost = 1234;
+  await until(page, () => /samples, 1.234 lost because the disk is too slow/.test(document.querySelector(".record [role=status]").textContent));
   await until(page, () => document.querySelector(".armed").textContent === "Not armed.");
   for (const [wrong, reason] of [["", /choose a trigger/], ["2x", /enter a number above 0/], ["-1", /enter a number above 0/]]) {
     await page.locator("#capture-overshoot").fill(wrong);
