@@ -6,10 +6,11 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
+use bedside::hub::now_ms;
 use bedside::server::{Options, Server, ServerError};
 use bedside::source::Watch;
 use plant::bench::BenchConfig;
-use rig::{LONG, Page, get};
+use rig::{LONG, Page, get, samples};
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::Message;
 
@@ -66,28 +67,48 @@ fn a_name_that_was_pointed_at_this_computer_is_refused() {
     assert_eq!(get(&server, "/", &[("host", &own)]).0, 200);
 }
 
-#[test]
-fn a_flood_closes_its_page_and_no_other() {
-    let server = local();
-    let mut other = Page::open(&server);
-    let mut flood = Page::open(&server);
-    for _ in 0..500 {
-        if flood.send_raw(Message::text(r#"{"type":"watch","devices":[0]}"#)).is_err() {
-            break;
+/// Reads a page's samples until some have come to the server after this time, ms since 1970; none may be missing after `next`.
+fn samples_after(page: &mut Page, time_ms: u64, next: &mut Option<u64>) {
+    let deadline = Instant::now() + LONG;
+    loop {
+        let frame = samples(&page.next_binary());
+        assert!(next.is_none_or(|next| next == frame.tick) && frame.dropped == 0, "samples are missing");
+        *next = Some(frame.tick + frame.phases.len() as u64);
+        if frame.time_ms > time_ms {
+            return;
         }
+        assert!(Instant::now() < deadline, "the device no longer ventilates");
     }
-    flood.closed();
+}
+
+#[test]
+fn a_flood_closes_its_page_and_no_other_and_ventilation_goes_on() {
+    let watch = Watch::bench("R20C20", &BenchConfig::paper(20.0, 20.0)).unwrap();
+    let listen = "127.0.0.1:0".parse().unwrap();
+    let options = Options { listen, steer: true, demo: false, folder: std::env::temp_dir() };
+    let server = Server::start(vec![watch], &options).unwrap();
+    let mut other = Page::steering(&server);
+    other.ventilate(0);
+    let (mut flood, mut next) = (Page::open(&server), None);
+    let began = now_ms();
+    let flooding = std::thread::spawn(move || {
+        let deadline = Instant::now() + LONG;
+        while flood.send_raw(Message::text(r#"{"type":"watch","devices":[0]}"#)).is_ok() {
+            assert!(Instant::now() < deadline, "the server reads all of it");
+        }
+        flood.closed();
+        now_ms()
+    });
+    samples_after(&mut other, began, &mut next);
+    let closed = flooding.join().unwrap();
     refused(&server, "flood", 1);
-    // Not one of the states from before.
-    let after = Instant::now();
-    while after.elapsed() < Duration::from_secs(1) {
-        other.state(0, |state| state["connected"] == true);
-    }
-    assert_eq!(
-        other.ask(json!({"type": "mark", "device": 0, "text": "here"}))["ok"],
-        false,
-        "it is answered"
-    );
+    // Not what came before: that waits in the socket.
+    samples_after(&mut other, closed, &mut next);
+    other.send(&json!({"type": "mark", "id": 99, "device": 0, "text": "here"}));
+    let marked = other.text(|message| message["type"] == "event" && message["kind"] == "marker");
+    assert!(marked["time_ms"].as_u64().unwrap() >= closed, "{marked}");
+    samples_after(&mut other, marked["time_ms"].as_u64().unwrap(), &mut None);
+    other.state(0, |state| state["ventilating"] == true);
 }
 
 #[test]

@@ -151,7 +151,9 @@ impl Page {
 
     /// Waits until the server closes the page; returns its code.
     pub fn closed(&mut self) -> Option<u16> {
+        let deadline = std::time::Instant::now() + LONG;
         loop {
+            assert!(std::time::Instant::now() < deadline, "the page is not closed");
             match self.next() {
                 Some(Message::Close(frame)) => return frame.map(|frame| frame.code.into()),
                 Some(_) => {}
@@ -166,6 +168,8 @@ pub struct Samples {
     pub device: u8,
     pub dropped: u32,
     pub tick: u64,
+    /// When the last one came to the server, ms since 1970.
+    pub time_ms: u64,
     pub columns: Vec<Vec<f32>>,
     pub phases: Vec<u8>,
 }
@@ -179,6 +183,7 @@ pub fn samples(bytes: &[u8]) -> Samples {
         device: bytes[1],
         dropped: u32::from_le_bytes(bytes[4..8].try_into().unwrap()),
         tick: f64::from_le_bytes(bytes[8..16].try_into().unwrap()) as u64,
+        time_ms: f64::from_le_bytes(bytes[16..24].try_into().unwrap()) as u64,
         columns: (0..7).map(|column| (0..count).map(|row| number(column * count + row)).collect()).collect(),
         phases: bytes[24 + 28 * count..][..count].to_vec(),
     }
