@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use data::recording::{EXPIRATION, FALL, Recording};
+use data::recording::{Recording, numbered_phase};
 use serde::Deserialize;
 use shared::breath::{DEFAULT_PERIOD_US, Phase};
 use shared::link::messages::{Event, Request, Response};
@@ -115,7 +115,8 @@ fn ticks(recording: &Recording) -> Ticks {
         let sample = Sample {
             breath: row.breath,
             tick: row.tick,
-            phase: phase(row.phase),
+            // A file has no other numbers.
+            phase: numbered_phase(row.phase).unwrap_or(Phase::Inspiration),
             target: row.target,
             pressure: row.pressure,
             u_in: row.u_in,
@@ -128,14 +129,6 @@ fn ticks(recording: &Recording) -> Ticks {
         ticks.push((start + u64::from(row.tick), sample));
     }
     ticks
-}
-
-fn phase(number: u8) -> Phase {
-    match number {
-        FALL => Phase::Fall,
-        EXPIRATION => Phase::Expiration,
-        _ => Phase::Inspiration,
-    }
 }
 
 /// The part of a flight recorder's file that is shown.

@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
-use shared::breath::{PAPER_PIPS, Phase};
+use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, ExplorationError};
 use shared::safety::alarms::Fault;
 use shared::settings::{LIMIT_MARGIN, Settings};
@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use crate::{Source, SourceError, Tick};
 use data::provenance::Provenance;
-use data::recording::{DatasetError, EXPIRATION, Extra, FALL, INSPIRATION, Recording, Row};
+use data::recording::{DatasetError, Extra, Recording, Row, phase_number};
 use progress::{Progress, Stage};
 
 /// Columns that only a bench fills; unused ones are removed at the end.
@@ -283,11 +283,7 @@ fn row(tick: &Tick, breath: u32, settings: &Settings) -> Row {
     Row {
         breath,
         tick: sample.tick,
-        phase: match sample.phase {
-            Phase::Inspiration => INSPIRATION,
-            Phase::Fall => FALL,
-            Phase::Expiration => EXPIRATION,
-        },
+        phase: phase_number(sample.phase),
         target: sample.target,
         pressure: sample.pressure,
         u_in: sample.u_in,

@@ -1,7 +1,6 @@
 //! The rows of a recording, with numbers of breaths that ascend.
 
-use data::recording::{EXPIRATION, FALL, INSPIRATION, Row};
-use shared::breath::Phase;
+use data::recording::{Row, phase_number};
 use shared::settings::Settings;
 use shared::ventilator::Sample;
 
@@ -30,11 +29,7 @@ impl Numbers {
         }
         let breath = number(self.offset);
         self.last = Some((breath, tick));
-        let phase = match phase {
-            Phase::Inspiration => INSPIRATION,
-            Phase::Fall => FALL,
-            Phase::Expiration => EXPIRATION,
-        };
+        let phase = phase_number(phase);
         let u_out = if u_out { 100.0 } else { 0.0 };
         let (pip, peep) = (settings.pip, settings.peep);
         Ok(Row { breath, tick, phase, target, pressure, u_in, u_out, explore, pip, peep, ..Row::default() })

@@ -2,6 +2,7 @@
 
 use super::*;
 use data::provenance::Provenance;
+use data::recording::EXPIRATION;
 use data::recording::Row;
 
 /// A recording of breaths of 40 ticks of 1 ms, of which some ticks are missing.

@@ -17,5 +17,7 @@ mod writer;
 pub use columns::Extra;
 pub use error::DatasetError;
 pub use parquet_file::PROVENANCE_KEY;
-pub use table::{EXPIRATION, FALL, INSPIRATION, PHASE_NAMES, Recording, Row, range};
+pub use table::{
+    EXPIRATION, FALL, INSPIRATION, PHASE_NAMES, Recording, Row, numbered_phase, phase_number, range,
+};
 pub use writer::RecordingWriter;

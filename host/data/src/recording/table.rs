@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use shared::breath::Phase;
+
 use super::columns::{Extra, Values, ValuesMut};
 use super::error::DatasetError;
 use crate::identity::{LungParameters, TestRun};
@@ -13,6 +15,25 @@ pub const INSPIRATION: u8 = 0;
 pub const FALL: u8 = 1;
 /// Phase of the rows at PEEP.
 pub const EXPIRATION: u8 = 2;
+/// The number of a phase.
+pub const fn phase_number(phase: Phase) -> u8 {
+    match phase {
+        Phase::Inspiration => INSPIRATION,
+        Phase::Fall => FALL,
+        Phase::Expiration => EXPIRATION,
+    }
+}
+
+/// The phase with this number, if there is one.
+pub const fn numbered_phase(number: u8) -> Option<Phase> {
+    match number {
+        INSPIRATION => Some(Phase::Inspiration),
+        FALL => Some(Phase::Fall),
+        EXPIRATION => Some(Phase::Expiration),
+        _ => None,
+    }
+}
+
 /// Names of the phases, by their number.
 pub const PHASE_NAMES: [&str; 3] = ["inspiration", "fall", "expiration"];
 

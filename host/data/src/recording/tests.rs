@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
+use shared::breath::Phase;
 use tempfile::TempDir;
 
 use super::*;
@@ -377,4 +378,13 @@ mod foreign_files {
         let error = load(&good_columns(), Some(&newer)).unwrap_err();
         assert!(matches!(error, DatasetError::Format { found: 2, expected: 1, .. }));
     }
+}
+
+#[test]
+fn every_phase_has_its_number_and_every_other_number_has_none() {
+    for phase in [Phase::Inspiration, Phase::Fall, Phase::Expiration] {
+        assert_eq!(numbered_phase(phase_number(phase)), Some(phase));
+    }
+    assert_eq!(phase_number(Phase::Fall), FALL);
+    assert!((EXPIRATION + 1..=u8::MAX).all(|number| numbered_phase(number).is_none()));
 }

@@ -11,10 +11,9 @@ use std::path::Path;
 use data::export::ExportError;
 use data::export::mcap::{BreathPosition, Counts, Field, McapWriter, Message, Pressure, Valves, is_unknown};
 use data::provenance::git_revision;
-use data::recording::{EXPIRATION, FALL, INSPIRATION};
+use data::recording::phase_number;
 use serde::Serialize;
 use serde_json::json;
-use shared::breath::Phase;
 use shared::link::messages::{DeviceIdentity, Event, Response};
 use shared::link::telemetry::{BreathSummary, TelemetryBatch};
 use shared::safety::alarms::Fault;
@@ -274,7 +273,7 @@ impl Capture {
             let (u_in, explore) = (sample.u_in, sample.explore);
             self.writer.write(time, &Valves { u_in, u_out, explore })?;
             self.writer
-                .write(time, &BreathPosition::new(sample.breath, number(sample.phase), sample.tick))?;
+                .write(time, &BreathPosition::new(sample.breath, phase_number(sample.phase), sample.tick))?;
         }
         Ok(())
     }
@@ -360,14 +359,5 @@ impl Clock {
     /// Forgets the ticks: while the connection is lost, the device can restart.
     fn lost(&mut self) {
         self.origin_ns = None;
-    }
-}
-
-/// A phase as a recording numbers it.
-fn number(phase: Phase) -> u8 {
-    match phase {
-        Phase::Inspiration => INSPIRATION,
-        Phase::Fall => FALL,
-        Phase::Expiration => EXPIRATION,
     }
 }
