@@ -11,6 +11,18 @@ use serde::Serialize;
 use shared::link::messages::{Event, Request, Response};
 use shared::link::telemetry::Counters;
 
+/// Requests of a poll, which a display makes once a second. Their answers also reveal restarts; the greeting comes first and gives the
+/// cause.
+pub const POLLED: [Request; 7] = [
+    Request::Identify,
+    Request::Telemetry { on: true },
+    Request::GetSettings,
+    Request::GetAlarms,
+    Request::GetAudio,
+    Request::GetLease,
+    Request::GetTiming { clear: false },
+];
+
 /// Counters of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LineCounters {

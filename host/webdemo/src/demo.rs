@@ -8,19 +8,19 @@ use bedside::stream::{
     VERSION,
 };
 use bedside::watched::Out;
-use plant::bench::family::{Family, FamilyError};
 use plant::bench::{BenchConfig, Failure};
 use shared::breath::DEFAULT_PERIOD_US;
-use shared::control::pid::KNOWN_GOOD;
+use shared::control::pid::PidGains;
 use shared::link::messages::Request;
 use shared::weights::IMAGE_BYTES;
-use thiserror::Error;
 use virtual_chip::PlantFault;
 
 use crate::patient::{PAGE, Patient, PatientError};
 
-/// The learned controller: its name, which is also that of the family for which it was trained and its rival searched, and its weights.
+/// The learned controller: its name, which is also that of the family for which it was trained, and its weights.
 const CONTROLLER: (&str, &[u8; IMAGE_BYTES]) = ("adult", include_bytes!("../../learn/controllers/adult.bin"));
+/// The best single PID of that family.
+pub const RIVAL: PidGains = include!(concat!(env!("OUT_DIR"), "/rival.rs"));
 /// The page's number, for the wheels.
 const VIEWER: u64 = 0;
 /// Peak of a cough, cmH2O.
@@ -33,17 +33,6 @@ const MOST_TICKS: u32 = 2000;
 const STATE_MS: (u64, u64) = (100, 500);
 /// Why there are no recordings.
 const NO_FILES: &str = "a page without a server writes no files: run `cargo trainer serve --demo` to record";
-
-/// Why the demonstration does not start.
-#[derive(Debug, Error)]
-pub enum DemoError {
-    /// A device does not start.
-    #[error(transparent)]
-    Patient(#[from] PatientError),
-    /// There is no such family.
-    #[error(transparent)]
-    Family(#[from] FamilyError),
-}
 
 /// A message to the page.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,12 +64,11 @@ impl Demo {
     /// Starts all devices at a time in ms since 1970: for each lung the PID, then the learned controller.
     ///
     /// # Errors
-    /// [`DemoError`].
-    pub fn start(now_ms: f64) -> Result<Self, DemoError> {
-        let gains = Family::find(CONTROLLER.0)?.pid.unwrap_or(KNOWN_GOOD);
+    /// [`PatientError`], if a device does not start.
+    pub fn start(now_ms: f64) -> Result<Self, PatientError> {
         let mut beds = Vec::new();
         for bench in BenchConfig::paper_lungs() {
-            for (title, controller) in [("PID", Ok(gains)), (CONTROLLER.0, Err(CONTROLLER.1))] {
+            for (title, controller) in [("PID", Ok(RIVAL)), (CONTROLLER.0, Err(CONTROLLER.1))] {
                 let number = beds.len() as u8;
                 let patient = Patient::start(number, title, &bench, controller)?;
                 beds.push(Bed { patient, wanted: true, shown: None });

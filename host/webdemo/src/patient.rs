@@ -2,7 +2,7 @@
 
 use bedside::steer::Wheel;
 use bedside::watched::{Out, Watched};
-use monitoring::{LineCounters, News};
+use monitoring::{LineCounters, News, POLLED};
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::pid::PidGains;
@@ -25,17 +25,6 @@ const HOST: u32 = 1;
 const POLL_TICKS: u32 = 1000;
 /// Ticks between two attempts to start while the self-test runs, and most attempts.
 const START: (u32, u32) = (20, 1500);
-/// Requests of a poll, as a monitor's.
-const POLLED: [Request; 7] = [
-    Request::Identify,
-    Request::Telemetry { on: true },
-    Request::GetSettings,
-    Request::GetAlarms,
-    Request::GetAudio,
-    Request::GetLease,
-    Request::GetTiming { clear: false },
-];
-
 /// Why a device does not start.
 #[derive(Debug, Error)]
 pub enum PatientError {

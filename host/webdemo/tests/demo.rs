@@ -5,8 +5,9 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
+use plant::bench::family::Family;
 use serde_json::Value;
-use webdemo::demo::{Demo, Message};
+use webdemo::demo::{Demo, Message, RIVAL};
 
 /// Samples of each device that are compared.
 const SAMPLES: usize = 1000;
@@ -101,6 +102,11 @@ fn the_samples_are_those_of_the_golden_file() {
     }
     let golden = fs::read_to_string(&path).unwrap();
     assert_eq!(found, golden, "bless with EUPNEA_BLESS=1, then run cargo xtask web --demo");
+}
+
+#[test]
+fn the_rival_is_the_best_single_pid_of_the_family() {
+    assert_eq!(Family::find("adult").unwrap().pid, Some(RIVAL));
 }
 
 #[test]

@@ -12,6 +12,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use monitoring::POLLED;
 use shared::link::messages::Request;
 
 use super::News;
@@ -31,17 +32,6 @@ const EVENTS_AT_ONCE: usize = 1000;
 const ENDED: &str = "the session with the device has failed; start this program again";
 /// Answer to a start that a stop has overtaken.
 const CANCELLED: &str = "not started: a stop was requested after it";
-/// Requests of a poll. Their answers also reveal restarts; the greeting comes first and gives the cause.
-const POLLED: [Request; 7] = [
-    Request::Identify,
-    Request::Telemetry { on: true },
-    Request::GetSettings,
-    Request::GetAlarms,
-    Request::GetAudio,
-    Request::GetLease,
-    Request::GetTiming { clear: false },
-];
-
 /// The monitor's end of a session.
 #[derive(Debug)]
 pub struct Session {
