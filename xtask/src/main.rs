@@ -25,6 +25,8 @@ use xshell::Shell;
 
 /// The chip's instruction set: Cortex-M4 with a hardware unit for f32.
 const CHIP_TARGET: &str = "thumbv7em-none-eabihf";
+/// What the demonstration in a browser is compiled for.
+const WEB_TARGET: &str = "wasm32-unknown-unknown";
 /// The profile of the chip's programs, and of tests that need the same optimisation.
 const CHIP_PROFILE: &str = "chip";
 

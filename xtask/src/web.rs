@@ -1,6 +1,8 @@
 //! `cargo xtask web`: checks the bedside page and tests it in Chromium, on a fake server and on the real one, which shows a simulated
 //! device and the real image in QEMU. With `--demo`, it builds the page without a server.
 
+use std::ffi::OsString;
+use std::iter;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
@@ -14,6 +16,8 @@ use crate::web_demo;
 const PAGE: &str = "host/bedside/web";
 /// Test files that run at the same time: most of their time they wait for breaths and flashes.
 const AT_ONCE: usize = 3;
+/// Where the set-up puts node and npm if the machine's are too old.
+const NODE: &str = "target/node/bin";
 /// The lock file, and a copy of it beside the packages that were installed by it.
 const LOCK: [&str; 2] = ["package-lock.json", "node_modules/.installed.json"];
 
@@ -32,6 +36,7 @@ pub struct Arguments {
 
 /// Checks and tests the page, or takes its pictures.
 pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
+    let _path = shell.push_env("PATH", path(shell)?);
     let mut needed = vec!["node", "npm"];
     needed.extend(arguments.screenshots.then_some("pngquant"));
     find(shell, &needed)?;
@@ -40,6 +45,7 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
     }
     let trainer = Trainer::build(shell)?;
     let images = firmware::build_unsigned(shell)?;
+    let root = shell.current_dir();
     let _folder = shell.push_dir(PAGE);
     install(shell)?;
     if arguments.screenshots {
@@ -52,8 +58,17 @@ pub fn run(shell: &Shell, arguments: &Arguments) -> Result<()> {
         cmd!(shell, "npm run --silent check").quiet().run()?;
         cmd!(shell, "npm test --silent").quiet().run()?;
         cmd!(shell, "node build.mjs --check").quiet().run()?;
+        let _root = shell.push_dir(&root);
+        web_demo::check(shell)?;
     }
     browse(shell, trainer.program(), images.folder(), &arguments.filters)
+}
+
+/// The folders of programs: first the one of a node that the set-up has installed.
+fn path(shell: &Shell) -> Result<OsString> {
+    let machine = std::env::var_os("PATH").unwrap_or_default();
+    let own = shell.current_dir().join(NODE);
+    Ok(std::env::join_paths(iter::once(own).chain(std::env::split_paths(&machine)))?)
 }
 
 /// Fails unless these programs are present.
@@ -71,9 +86,7 @@ fn find(shell: &Shell, programs: &[&str]) -> Result<()> {
 fn remedy(program: &str) -> &'static str {
     match program {
         "pngquant" => "install it, on Debian with: apt-get install pngquant",
-        _ => {
-            "run cargo xtask setup, which installs node and npm on Debian, or install node 20 or newer with npm"
-        }
+        _ => "run cargo xtask setup, which installs node and npm, or install node 20 or newer with npm",
     }
 }
 
@@ -116,7 +129,7 @@ mod tests {
         let missing = find(&shell, &["cargo", "eupnea-has-no-such-program"]).unwrap_err().to_string();
         assert_eq!(
             missing,
-            "eupnea-has-no-such-program is missing: run cargo xtask setup, which installs node and npm on Debian, or install \
+            "eupnea-has-no-such-program is missing: run cargo xtask setup, which installs node and npm, or install \
              node 20 or newer with npm"
         );
         find(&shell, &["cargo"]).unwrap();
