@@ -102,16 +102,21 @@ pub struct Hello {
     pub devices: Vec<DeviceInfo>,
 }
 
-/// Limits of requests, as `shared` defines them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// Change of a pressure above which a page asks the operator to confirm it, cmH2O.
+const LARGE_CHANGE: f32 = 5.0;
+
+/// Limits of requests.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Limits {
-    /// Longest audio pause, s.
+    /// Longest audio pause, s, as `shared` defines it.
     pub audio_pause_s: u16,
+    /// Change of a pressure above which a page asks for a confirmation, cmH2O.
+    pub large_change: f32,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { audio_pause_s: AUDIO_PAUSE_MAX }
+        Self { audio_pause_s: AUDIO_PAUSE_MAX, large_change: LARGE_CHANGE }
     }
 }
 

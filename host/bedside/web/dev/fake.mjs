@@ -110,7 +110,7 @@ export class Fake {
   greet(socket) {
     socket.watched = new Set();
     const devices = this.devices.map(({ id, name, kind }) => ({ id, name, kind, period_us: 1000 }));
-    this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120 }, devices });
+    this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120, large_change: 5 }, devices });
     for (const device of this.devices) {
       this.send(socket, device.state());
       if (device.history) this.send(socket, { type: "history", device: device.id, ...device.history });

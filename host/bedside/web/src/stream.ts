@@ -250,8 +250,9 @@ function hello(value: Loose): Hello {
     devices: list(value.devices).map((one) => ({
       id: number(one.id) ?? 0, name: string(one.name), kind: string(one.kind), period_us: number(one.period_us) ?? 1000,
     })),
-    audio_pause_max: number(limits.audio_pause_s) ?? 120,
-    large_change: number(limits.large_change) ?? 5,
+    // Without a limit there is no pause, and each change is confirmed.
+    audio_pause_max: number(limits.audio_pause_s) ?? 0,
+    large_change: number(limits.large_change) ?? 0,
   };
 }
 
