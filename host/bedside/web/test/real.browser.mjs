@@ -5,10 +5,10 @@ import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtemp, readFile, rm } from "node:fs/promises";
 import { createServer } from "node:http";
-import { tmpdir } from "node:os";
+import { networkInterfaces, tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { eventually, launch, missing, open, painted, SHOTS, skips, until, WHOLE } from "./browser.mjs";
+import { eventually, launch, missing, open, painted, SHOTS, skips, sleep, until, WHOLE } from "./browser.mjs";
 
 const { TRAINER, IMAGES } = process.env;
 const skip = missing || skips(TRAINER ? "" : "no TRAINER: name the trainer binary");
@@ -47,9 +47,9 @@ async function run(args, pattern) {
   return { found, kill };
 }
 
-/** A server on a free port or on this one. */
-async function serve(args, port = 0) {
-  const { found: [url, own], kill } = await run(["serve", ...args, "--records", folder, "--listen", `127.0.0.1:${port}`], /http:\/\/127\.0\.0\.1:(\d+)\S*(?=\n)/);
+/** A server on a free port or on this one, of this computer alone or of the network with this address. */
+async function serve(args, port = 0, host = "127.0.0.1") {
+  const { found: [url, own], kill } = await run(["serve", ...args, "--records", folder, "--listen", `${host}:${port}`], /http:\/\/[\d.]+:(\d+)\S*(?=\n)/);
   return { url, port: Number(own), kill };
 }
 
@@ -67,8 +67,8 @@ async function board(port = 0) {
 }
 
 /** Runs a test on a page of a server; scripts must not fail, and nothing outside may be asked for. */
-async function scene(args, run_) {
-  const server = await serve(args);
+async function scene(args, run_, host = undefined) {
+  const server = await serve(args, 0, host);
   const page = await open(browser, server.url);
   try {
     await until(page, () => window.eupnea?.devices.length > 0);
@@ -114,6 +114,24 @@ test("a simulated device: start, waveforms, settings round trip, marker, stop", 
   await page.locator("dialog .agree").click();
   await page.getByRole("button", { name: "Start ventilation" }).waitFor();
 }));
+
+/** An address at which other computers reach this one; undefined if it has none. */
+const reachable = Object.values(networkInterfaces()).flat().find(({ family, internal }) => family === "IPv4" && !internal)?.address;
+
+// Such a page is no secure context: the browser withholds functions that it offers at a loopback address.
+test("at an address of the network the page works, and even reading needs the token", { skip: skip || (reachable ? false : "this computer has no network"), timeout: WHOLE }, () => scene(["--bench", "R20C20", "--steer"], async (page, { url }) => {
+  assert.equal(new URL(url).hostname, reachable);
+  assert.equal(await page.evaluate(() => isSecureContext), false);
+  await startVentilation(page);
+  await breathes(page);
+  const { origin } = new URL(url);
+  for (const path of ["/api/state", "/metrics"]) assert.equal((await fetch(origin + path)).status, 403, path);
+  const stranger = await open(browser, origin);
+  // Several attempts of the page to open the stream.
+  await sleep(3000);
+  assert.equal(await stranger.evaluate(() => window.eupnea.devices.length), 0);
+  await stranger.context().close();
+}, reachable));
 
 test("the page finds a server that died", { skip, timeout: WHOLE }, () => scene(["--bench", "R20C20"], async (page, server) => {
   await until(page, () => window.eupnea.devices[0].state?.connected === true);
