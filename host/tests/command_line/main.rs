@@ -7,8 +7,7 @@ mod bedside;
 mod blackbox;
 mod commission;
 mod endure;
-// As ignored tests and not by a feature, with which the command line and all that use it would be built again.
-#[cfg(target_os = "linux")]
+#[cfg(feature = "engines")]
 mod engines;
 mod export;
 mod farm;

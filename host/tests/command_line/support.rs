@@ -27,7 +27,7 @@ impl Place {
     }
 
     /// The same folder, in which programs see a variable with the path of a file.
-    #[cfg(target_os = "linux")]
+    #[cfg(feature = "engines")]
     pub fn with(self, name: &'static str, file: &str) -> Self {
         Self { variable: Some((name, self.path(file))), ..self }
     }

@@ -22,7 +22,6 @@ fn shard_in(mount: &str) -> (String, String) {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn a_full_disk_is_an_error_of_the_shard_and_leaves_nothing_half_written() {
     // The run and the record of the task fit, and no more.
     let (refused, left) = shard_in("size=8k");
@@ -31,7 +30,6 @@ fn a_full_disk_is_an_error_of_the_shard_and_leaves_nothing_half_written() {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn a_folder_that_cannot_be_written_is_an_error_of_the_shard() {
     let (refused, left) = shard_in("ro");
     assert!(refused.contains("small/") && refused.contains("Read-only file system"), "{refused}");

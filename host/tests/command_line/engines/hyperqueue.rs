@@ -12,7 +12,6 @@ const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/engines/ven
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/command_line/engines/cluster.py");
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn tasks_of_hyperqueue_equal_the_whole_run_once_they_are_merged() {
     assert!(Path::new(PYTHON).exists(), "there is no {PYTHON}: run .ci/setup/engines");
     let place = Place::new();

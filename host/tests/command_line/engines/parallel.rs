@@ -8,7 +8,6 @@ use super::{COMMAND, merged, record, submitted, whole};
 use crate::support::{Place, text};
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn tasks_of_gnu_parallel_and_their_merge_equal_the_whole_run() {
     let place = Place::new();
     let submitted = submitted(&place);
@@ -24,7 +23,6 @@ fn tasks_of_gnu_parallel_and_their_merge_equal_the_whole_run() {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn a_task_uses_its_share_of_the_cores_or_the_number_of_threads_that_the_user_has_set() {
     let cores = std::thread::available_parallelism().unwrap().get();
     for (own, expected) in [(None, (cores / 2).max(1)), (Some("3"), 3)] {
@@ -38,7 +36,6 @@ fn a_task_uses_its_share_of_the_cores_or_the_number_of_threads_that_the_user_has
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn a_shard_that_cannot_succeed_is_named() {
     let place = Place::new();
     place.ok("torture --breaths 60 --seed 6 --shard 0/2 --out run");
@@ -51,7 +48,6 @@ fn a_shard_that_cannot_succeed_is_named() {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn ctrl_c_ends_the_tasks_once_they_have_saved_and_the_same_command_continues() {
     let place = Place::new();
     let long = COMMAND.replace("1200", "12000");

@@ -109,7 +109,6 @@ fn configuration(place: &Place) -> String {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn an_array_job_and_its_merge_equal_the_whole_run() {
     let cluster = Cluster::start();
     let place = &cluster.place;
@@ -123,7 +122,6 @@ fn an_array_job_and_its_merge_equal_the_whole_run() {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn tasks_that_slurm_requeues_or_someone_kills_are_run_again_and_change_nothing() {
     let cluster = Cluster::start();
     let place = &cluster.place;
@@ -146,7 +144,6 @@ fn tasks_that_slurm_requeues_or_someone_kills_are_run_again_and_change_nothing()
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn a_shard_that_cannot_succeed_is_named_and_nothing_is_merged() {
     let cluster = Cluster::start();
     let place = &cluster.place;
@@ -166,7 +163,6 @@ fn a_shard_that_cannot_succeed_is_named_and_nothing_is_merged() {
 }
 
 #[test]
-#[ignore = "needs the engines of `cargo xtask setup`"]
 fn the_same_command_watches_jobs_that_are_still_in_the_queue() {
     let cluster = Cluster::start();
     let place = &cluster.place;
