@@ -45,7 +45,7 @@ pub fn draw(frame: &mut Frame, view: &View) {
 
 fn headline(view: &View) -> Line<'static> {
     let mut line = Line::from(vec![Span::from(view.address.clone()).bold(), "  ".into(), state(view)]);
-    if let Some(identity) = &view.identity {
+    if let Some(identity) = view.known().identity {
         line.push_span(format!("  {}", words::identity(identity)));
     }
     line
@@ -53,9 +53,9 @@ fn headline(view: &View) -> Line<'static> {
 
 /// The device's mode, highlighted according to its urgency.
 fn state(view: &View) -> Span<'static> {
-    let known = view.mode.map_or_else(|| "waiting for the device".to_owned(), words::mode);
+    let known = view.known().mode.map_or_else(|| "waiting for the device".to_owned(), words::mode);
     let loud = Style::new().fg(Color::White).bg(Color::Red).add_modifier(Modifier::BOLD);
-    match (&view.lost, view.mode) {
+    match (view.known().lost, view.known().mode) {
         (Some(_), _) => Span::styled(format!(" no connection; last mode: {known} "), loud),
         (None, Some(Mode::Fault(_))) => Span::styled(format!(" {known} "), loud),
         (None, mode) => match (urgent(view), mode) {
@@ -68,14 +68,14 @@ fn state(view: &View) -> Span<'static> {
 
 /// The first indicated alarm of high priority.
 fn urgent(view: &View) -> Option<Fault> {
-    let faults = words::indicated(view.status.as_ref()?);
+    let faults = words::indicated(view.known().status?);
     faults.into_iter().find(|fault| fault.alarm().priority == Priority::High)
 }
 
 fn message_line(view: &View) -> Paragraph<'static> {
-    let text = match (&view.lost, &view.message) {
+    let text = match (view.known().lost, &view.message) {
         (_, Some(Notice::Warning(text))) => Line::from(text.clone()).red().bold(),
-        (Some(reason), _) => Line::from(reason.clone()).red(),
+        (Some(reason), _) => Line::from(reason.to_owned()).red(),
         (None, Some(Notice::Note(text))) => Line::from(text.clone()),
         (None, None) => Line::default(),
     };
@@ -175,22 +175,22 @@ fn settings(view: &View) -> Vec<Line<'static>> {
         let Settings { pip, peep, rate, .. } = settings;
         Line::from(format!("{name:<5} PIP {pip}, PEEP {peep} cmH2O, {rate} /min"))
     };
-    let mut lines: Vec<Line<'static>> = vec![match view.controller {
+    let mut lines: Vec<Line<'static>> = vec![match view.known().controller {
         Some(choice) => Line::from(words::controller(choice)),
         None => Line::from("not reported yet"),
     }];
-    lines.extend(view.in_force.as_ref().map(|settings| line("now", settings)));
-    lines.extend(view.pending.as_ref().map(|settings| line("next", settings).yellow()));
-    let lease = view.lease.filter(|lease| lease.holder.is_some());
+    lines.extend(view.known().in_force.map(|settings| line("now", settings)));
+    lines.extend(view.known().pending.map(|settings| line("next", settings).yellow()));
+    let lease = view.known().lease.filter(|lease| lease.holder.is_some());
     lines.extend(lease.map(|lease| {
-        let line = Line::from(format!("steered by {}", words::lease(&lease)));
+        let line = Line::from(format!("steered by {}", words::lease(lease)));
         if lease.yours { line } else { line.yellow() }
     }));
     lines
 }
 
 fn ticks(view: &View) -> Vec<Line<'static>> {
-    let Some(times) = &view.times else {
+    let Some(times) = view.known().times else {
         return vec![Line::from("not reported yet")];
     };
     let us = |cycles: f32| times.microseconds(cycles);
@@ -209,7 +209,7 @@ fn ticks(view: &View) -> Vec<Line<'static>> {
 }
 
 fn losses(view: &View) -> Vec<Line<'static>> {
-    let traffic = &view.traffic;
+    let traffic = view.known().traffic;
     let counters = &traffic.device;
     let line = |name: &str, count: u64| {
         let line = Line::from(format!("{name:<26}{count:>10}"));
@@ -228,12 +228,12 @@ fn losses(view: &View) -> Vec<Line<'static>> {
 const INDICATED_LINES: usize = 4;
 
 fn indicated(view: &View) -> Vec<Line<'static>> {
-    let Some(alarms) = &view.status else {
+    let Some(alarms) = view.known().status else {
         return vec![Line::from("not reported yet")];
     };
     let faults = words::indicated(alarms);
     let mut lines = vec![ladder(alarms.level)];
-    if let Some(audio) = view.audio.filter(|audio| audio.pause_left > 0) {
+    if let Some(audio) = view.known().audio.filter(|audio| audio.pause_left > 0) {
         lines.push(Line::from(format!("sounder: {}", words::audio(&audio))).yellow());
     }
     let line = |fault: &Fault| {
@@ -264,7 +264,7 @@ fn ladder(level: Level) -> Line<'static> {
 const ALARM_LINES: usize = 3;
 
 fn alarms(view: &View) -> Vec<Line<'static>> {
-    let period_us = view.identity.as_ref().map_or(0, |identity| identity.period_us);
+    let period_us = view.known().identity.map_or(0, |identity| identity.period_us);
     let line = |alarm: &super::view::AlarmEntry| {
         let text = format!("{}: {}", words::moment(alarm.tick, period_us), words::fault(alarm.fault));
         Line::from(text).red()

@@ -204,7 +204,7 @@ mod keys {
     fn after_an_alarm_space_never_stops_or_acknowledges_by_itself() {
         let mut view = ventilating();
         view.take(&alarm(Fault::HardLimit));
-        assert_eq!(view.mode, Some(Mode::Fault(Fault::HardLimit)));
+        assert_eq!(view.known().mode, Some(Mode::Fault(Fault::HardLimit)));
         assert_eq!(
             view.press(Key::StartStop),
             Some(Request::Start),
@@ -218,7 +218,7 @@ mod keys {
         let mut view = ventilating();
         view.take(&alarms(&[], &[Fault::Restarted], Level::Pid));
         assert_eq!(
-            (view.press(Key::Acknowledge), view.mode),
+            (view.press(Key::Acknowledge), view.known().mode),
             (Some(Request::Acknowledge), Some(Mode::Ventilating))
         );
     }
@@ -395,7 +395,7 @@ mod state {
         let view = view_after([alarm(Fault::Leak), again(4321), again(4321), again(9000), again(4321)]);
         assert_eq!(view.alarms.iter().map(|alarm| alarm.tick).collect::<Vec<_>>(), [9000, 4321]);
         let missed = view_after([News::Event(Event::Unacknowledged { fault: Fault::HardLimit, tick: 1 })]);
-        assert_eq!(missed.mode, Some(Mode::Fault(Fault::HardLimit)));
+        assert_eq!(missed.known().mode, Some(Mode::Fault(Fault::HardLimit)));
     }
 
     #[test]

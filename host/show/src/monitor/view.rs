@@ -7,21 +7,18 @@
 use std::collections::VecDeque;
 
 use shared::control::pid::PidGains;
-use shared::device::annunciator::{AUDIO_PAUSE_MAX, AudioStatus};
-use shared::link::messages::{
-    AlarmStatus, ControllerChoice, DeviceIdentity, Event, LeaseStatus, Request, Response,
-};
+use shared::device::annunciator::AUDIO_PAUSE_MAX;
+use shared::link::messages::{ControllerChoice, Event, LeaseStatus, Request, Response};
 use shared::link::telemetry::BreathSummary;
-use shared::safety::alarms::{Action, Fault};
+use shared::safety::alarms::Fault;
 use shared::settings::Settings;
-use shared::timing::TickTimes;
 use shared::ventilator::Mode;
 
 use super::News;
 use super::window::TelemetryWindow;
 use super::words;
-use device::LineCounters;
 pub use monitoring::known::Known;
+use monitoring::known::Reported;
 
 /// Length of the charts, s.
 pub const SECONDS: f64 = 9.0;
@@ -75,24 +72,19 @@ pub enum Notice {
     Warning(String),
 }
 
+/// What was known before a piece of news.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    lost: bool,
+    period_us: Option<u32>,
+    ticks: Option<u32>,
+}
+
 /// The known state of a device.
 #[derive(Clone, Debug, Default)]
 pub struct View {
     pub(super) address: String,
-    pub(super) lost: Option<String>,
-    pub(super) identity: Option<DeviceIdentity>,
-    pub(super) mode: Option<Mode>,
-    pub(super) controller: Option<ControllerChoice>,
-    pub(super) in_force: Option<Settings>,
-    pub(super) pending: Option<Settings>,
-    pub(super) times: Option<TickTimes>,
-    /// Alarms as the device reported them last, and the level of the ladder.
-    pub(super) status: Option<AlarmStatus>,
-    /// State of the sounder.
-    pub(super) audio: Option<AudioStatus>,
-    /// Who steers the device.
-    pub(super) lease: Option<LeaseStatus>,
-    pub(super) traffic: LineCounters,
+    reported: Reported,
     pub(super) window: TelemetryWindow,
     /// Breaths, newest first.
     pub(super) breaths: VecDeque<BreathSummary>,
@@ -109,19 +101,7 @@ pub struct View {
 impl View {
     /// What the device has reported.
     pub fn known(&self) -> Known<'_> {
-        Known {
-            lost: self.lost.as_deref(),
-            identity: self.identity.as_ref(),
-            mode: self.mode,
-            controller: self.controller,
-            in_force: self.in_force.as_ref(),
-            pending: self.pending.as_ref(),
-            times: self.times.as_ref(),
-            status: self.status.as_ref(),
-            audio: self.audio,
-            lease: self.lease.as_ref(),
-            traffic: self.traffic,
-        }
+        self.reported.known()
     }
 
     /// An empty view of the device at `address`; `gains` are those of the PID that replaces a learned controller,
@@ -137,22 +117,24 @@ impl View {
 
     /// Processes a piece of news.
     pub fn take(&mut self, news: &News) {
+        let known = self.known();
+        let before = Before {
+            lost: known.lost.is_some(),
+            period_us: known.identity.map(|identity| identity.period_us),
+            ticks: known.times.map(|times| times.ticks),
+        };
+        self.reported.take(news);
         match news {
             News::Event(event) => self.happened(event),
-            News::Answer { request, result } => self.answered(request, result),
-            News::Traffic(traffic) => self.traffic = *traffic,
-            News::Lost(reason) => {
-                self.forget_what_steers();
-                self.lost = Some(reason.clone());
-            }
+            News::Answer { request, result } => self.answered(request, result, before),
+            News::Traffic(_) => {}
+            News::Lost(_) => self.forget_requests(),
         }
     }
 
     /// After a lost line or a restart the device may have other settings: a change of the old ones must not reach it.
-    fn forget_what_steers(&mut self) {
+    fn forget_requests(&mut self) {
         (self.asked, self.under_way) = (None, 0);
-        (self.in_force, self.pending) = (None, None);
-        (self.audio, self.lease) = (None, None);
     }
 
     fn happened(&mut self, event: &Event) {
@@ -165,24 +147,20 @@ impl View {
                 }
                 remember(&mut self.breaths, *breath);
             }
-            Event::Alarm { fault, tick } => self.alarmed(AlarmEntry { fault: *fault, tick: *tick }),
+            Event::Alarm { fault, tick } => {
+                remember(&mut self.alarms, AlarmEntry { fault: *fault, tick: *tick });
+            }
             Event::Unacknowledged { fault, tick } => {
-                let alarm = AlarmEntry { fault: *fault, tick: *tick };
-                if !self.alarms.contains(&alarm) {
-                    self.alarmed(alarm);
+                let (fault, tick) = (*fault, *tick);
+                if !self.alarms.contains(&AlarmEntry { fault, tick }) {
+                    // Its first report was missed.
+                    self.take(&News::Event(Event::Alarm { fault, tick }));
                 }
             }
         }
     }
 
-    fn alarmed(&mut self, alarm: AlarmEntry) {
-        remember(&mut self.alarms, alarm);
-        if alarm.fault.alarm().action == Action::Vent {
-            self.mode = Some(Mode::Fault(alarm.fault));
-        }
-    }
-
-    fn answered(&mut self, request: &Request, result: &Result<Response, String>) {
+    fn answered(&mut self, request: &Request, result: &Result<Response, String>, before: Before) {
         if let Request::ApplySettings(_) = request {
             self.under_way = self.under_way.saturating_sub(1);
             if self.under_way == 0 {
@@ -192,7 +170,7 @@ impl View {
         match result {
             Err(reason) => self.message = Some(Notice::Warning(reason.clone())),
             Ok(response) => {
-                self.learn(response);
+                self.learn(response, before);
                 if !asked_by_itself(request) {
                     self.message = note(response);
                 }
@@ -200,60 +178,47 @@ impl View {
         }
     }
 
-    /// Records the state that the device reports as in force.
-    fn learn(&mut self, response: &Response) {
+    /// Takes what a report says about the charts, the lists and the message.
+    fn learn(&mut self, response: &Response, before: Before) {
         match response {
-            Response::Identity(identity) => self.greeted(identity),
-            Response::Settings { in_force, pending } => {
-                (self.in_force, self.pending) = (Some(*in_force), *pending);
-            }
-            Response::Mode(mode) => self.mode = Some(*mode),
-            Response::Controller(choice) => self.chosen(*choice),
-            Response::Alarms(alarms) => self.status = Some(*alarms),
-            Response::Audio(audio) => self.audio = Some(*audio),
-            Response::Lease(status) => self.lease = Some(*status),
-            Response::Timing(times) => {
-                if self.times.is_some_and(|before| times.ticks < before.ticks) {
-                    self.restarted();
+            Response::Identity(identity) => {
+                if before.lost {
+                    let again = "connected again; nothing was changed on the device";
+                    self.message = Some(Notice::Note(again.into()));
                 }
-                self.times = Some(*times);
+                if before.period_us != Some(identity.period_us) {
+                    self.window = TelemetryWindow::new(SECONDS, identity.period_us);
+                }
+                self.chosen(identity.controller);
+            }
+            Response::Controller(choice) => self.chosen(*choice),
+            Response::Timing(times) if before.ticks.is_some_and(|ticks| times.ticks < ticks) => {
+                self.restarted();
             }
             _ => {}
         }
-    }
-
-    fn greeted(&mut self, identity: &DeviceIdentity) {
-        if self.lost.take().is_some() {
-            self.message = Some(Notice::Note("connected again; nothing was changed on the device".into()));
-        }
-        if self.identity.as_ref().map(|before| before.period_us) != Some(identity.period_us) {
-            self.window = TelemetryWindow::new(SECONDS, identity.period_us);
-        }
-        self.mode = Some(identity.mode);
-        self.chosen(identity.controller);
-        self.identity = Some(identity.clone());
     }
 
     fn chosen(&mut self, choice: ControllerChoice) {
         if let ControllerChoice::Pid(gains) = choice {
             self.gains = gains;
         }
-        self.controller = Some(choice);
     }
 
     /// Handles a restart of the device between two polls, seen by its tick counter.
     fn restarted(&mut self) {
-        let cause = self.identity.as_ref().map_or("unknown cause", |identity| words::reset(identity.reset));
+        let identity = self.known().identity;
+        let cause = identity.map_or("unknown cause", |identity| words::reset(identity.reset));
+        let period_us = identity.map_or(0, |identity| identity.period_us);
         self.message = Some(Notice::Warning(format!("the device restarted: {cause}")));
-        self.forget_what_steers();
-        self.window =
-            TelemetryWindow::new(SECONDS, self.identity.as_ref().map_or(0, |identity| identity.period_us));
+        self.forget_requests();
+        self.window = TelemetryWindow::new(SECONDS, period_us);
         self.breaths.clear();
     }
 
     /// The request of a key; `None`, with a message, if nothing can be requested now.
     pub fn press(&mut self, key: Key) -> Option<Request> {
-        let request = match (&self.lost, self.request(key)) {
+        let request = match (self.known().lost, self.request(key)) {
             (None, Some(request)) => request,
             (Some(_), _) => return self.hold_back("no connection: nothing was sent"),
             (None, None) => return self.hold_back("the device's state is not known yet: nothing was sent"),
@@ -271,25 +236,26 @@ impl View {
     }
 
     fn request(&self, key: Key) -> Option<Request> {
+        let Known { mode, audio, controller, .. } = self.known();
         match key {
-            Key::StartStop => self.mode.map(|mode| match mode {
+            Key::StartStop => mode.map(|mode| match mode {
                 Mode::Ventilating => Request::Stop,
                 // The device refuses to start with a latched fault and reports what to do.
                 Mode::Standby | Mode::Fault(_) => Request::Start,
             }),
-            Key::Acknowledge => self.mode.map(|_| Request::Acknowledge),
-            Key::PauseAudio => self.audio.map(|audio| Request::PauseAudio {
+            Key::Acknowledge => mode.map(|_| Request::Acknowledge),
+            Key::PauseAudio => audio.map(|audio| Request::PauseAudio {
                 seconds: if audio.pause_left > 0 { 0 } else { AUDIO_PAUSE_MAX },
             }),
             Key::Confirm => self.changed(|_| ()),
             Key::TakeOver => {
-                self.mode.map(|_| Request::AcquireLease { name: device::host_name(), take_over: true })
+                mode.map(|_| Request::AcquireLease { name: device::host_name(), take_over: true })
             }
             Key::PipUp => self.changed(|settings| settings.pip += PIP_STEP),
             Key::PipDown => self.changed(|settings| settings.pip -= PIP_STEP),
             Key::RateUp => self.changed(|settings| settings.rate += RATE_STEP),
             Key::RateDown => self.changed(|settings| settings.rate -= RATE_STEP),
-            Key::Controller => self.controller.map(|choice| {
+            Key::Controller => controller.map(|choice| {
                 Request::SetController(match choice {
                     ControllerChoice::Pid(_) => ControllerChoice::Learned,
                     ControllerChoice::Learned => ControllerChoice::Pid(self.gains),
@@ -300,7 +266,8 @@ impl View {
 
     /// The settings that apply next, with a change; the device checks them.
     fn changed(&self, change: impl Fn(&mut Settings)) -> Option<Request> {
-        let mut settings = self.asked.or(self.pending).or(self.in_force)?;
+        let Known { pending, in_force, .. } = self.known();
+        let mut settings = self.asked.or(pending.or(in_force).copied())?;
         change(&mut settings);
         Some(Request::ApplySettings(settings))
     }
@@ -308,7 +275,8 @@ impl View {
     /// A message for an operator who quits.
     pub fn farewell(&self) -> String {
         let Self { address, .. } = self;
-        match (self.mode, &self.lost) {
+        let Known { mode, lost, .. } = self.known();
+        match (mode, lost) {
             (None, _) => format!("{address} never reported its state"),
             (Some(Mode::Ventilating), None) => {
                 format!(

@@ -43,7 +43,7 @@ impl Socket {
 fn watch(session: &Session, view: &mut View, what: &str, expected: impl Fn(&View) -> bool) {
     let deadline = Instant::now() + LONG;
     while !expected(view) {
-        assert!(Instant::now() < deadline, "{what} did not come: {:?} {:?}", view.mode, view.message);
+        assert!(Instant::now() < deadline, "{what} did not come: {:?} {:?}", view.known().mode, view.message);
         session.next(Duration::from_millis(100)).iter().for_each(|news| view.take(news));
     }
 }
@@ -55,12 +55,12 @@ fn press(session: &Session, view: &mut View, key: Key) {
 /// Presses start until the self-test has ended: a start does not wait for it, because it could act long after the key.
 fn start(session: &Session, view: &mut View) {
     let deadline = Instant::now() + LONG;
-    while view.mode != Some(Mode::Ventilating) {
+    while view.known().mode != Some(Mode::Ventilating) {
         assert!(Instant::now() < deadline, "it did not start: {:?}", view.message);
         view.message = None;
         press(session, view, Key::StartStop);
         watch(session, view, "an answer", |view| {
-            view.mode == Some(Mode::Ventilating) || matches!(view.message, Some(Notice::Warning(_)))
+            view.known().mode == Some(Mode::Ventilating) || matches!(view.message, Some(Notice::Warning(_)))
         });
     }
 }
@@ -71,14 +71,14 @@ fn watched() -> (Socket, Simulated, TcpStream, Session, View) {
     let (simulated, cable) = socket.plug_in();
     let mut view = View::new(address.to_string(), KNOWN_GOOD);
     let session = Session::start(device);
-    watch(&session, &mut view, "the first look", |view| view.times.is_some());
+    watch(&session, &mut view, "the first look", |view| view.known().times.is_some());
     (socket, simulated, cable, session, view)
 }
 
 #[test]
 fn an_operator_starts_sets_and_stops_a_device() {
     let (_socket, _simulated, _cable, session, mut view) = watched();
-    assert_eq!(view.mode, Some(Mode::Standby), "looking at a device does not start it");
+    assert_eq!(view.known().mode, Some(Mode::Standby), "looking at a device does not start it");
     press(&session, &mut view, Key::StartStop);
     watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
     // The device may still test itself; then this is its first reason.
@@ -91,16 +91,17 @@ fn an_operator_starts_sets_and_stops_a_device() {
     press(&session, &mut view, Key::Confirm);
     start(&session, &mut view);
     watch(&session, &mut view, "breaths", |view| view.breaths.len() >= 2 && view.window.last().is_some());
-    assert_eq!(view.mode, Some(Mode::Ventilating));
+    assert_eq!(view.known().mode, Some(Mode::Ventilating));
     press(&session, &mut view, Key::PipUp);
     watch(&session, &mut view, "the new PIP", |view| {
-        view.in_force.is_some_and(|settings| (settings.pip - 21.0).abs() < 1e-6) && view.pending.is_none()
+        view.known().in_force.is_some_and(|settings| (settings.pip - 21.0).abs() < 1e-6)
+            && view.known().pending.is_none()
     });
     press(&session, &mut view, Key::Controller);
     watch(&session, &mut view, "a refusal", |view| matches!(view.message, Some(Notice::Warning(_))));
     assert!(warning(&view).contains("no valid weights"), "{}", warning(&view));
     press(&session, &mut view, Key::StartStop);
-    watch(&session, &mut view, "standby", |view| view.mode == Some(Mode::Standby));
+    watch(&session, &mut view, "standby", |view| view.known().mode == Some(Mode::Standby));
     session.leave();
 }
 
@@ -116,7 +117,7 @@ fn samples_go_on_while_an_answer_is_awaited_that_the_line_has_lost() {
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), port).unwrap();
     let mut view = View::new(address.to_string(), KNOWN_GOOD);
     let session = Session::start(device);
-    watch(&session, &mut view, "the first look", |view| view.times.is_some());
+    watch(&session, &mut view, "the first look", |view| view.known().times.is_some());
     press(&session, &mut view, Key::Confirm);
     start(&session, &mut view);
     watch(&session, &mut view, "samples", |view| view.window.last().is_some());
@@ -156,10 +157,10 @@ impl Read for LossyReader {
 fn a_broken_line_is_told_and_opened_again_and_nothing_is_pushed() {
     let (socket, simulated, cable, session, mut view) = watched();
     press(&session, &mut view, Key::PipUp);
-    watch(&session, &mut view, "the answer", |view| view.pending.is_some());
+    watch(&session, &mut view, "the answer", |view| view.known().pending.is_some());
     cable.shutdown(std::net::Shutdown::Both).unwrap();
     drop(simulated);
-    watch(&session, &mut view, "the loss", |view| view.lost.is_some());
+    watch(&session, &mut view, "the loss", |view| view.known().lost.is_some());
     session.ask(Request::Start);
     watch(
         &session,
@@ -168,10 +169,12 @@ fn a_broken_line_is_told_and_opened_again_and_nothing_is_pushed() {
         |view| matches!(&view.message, Some(Notice::Warning(text)) if text.contains("nothing was sent")),
     );
     let (_another, _cable) = socket.plug_in();
-    watch(&session, &mut view, "the greeting", |view| view.lost.is_none() && view.in_force.is_some());
-    assert_eq!(view.pending, None);
-    assert_eq!(view.mode, Some(Mode::Standby), "the start from before never reached it");
-    assert_eq!(view.in_force, Some(Settings::default()), "nor did the settings");
+    watch(&session, &mut view, "the greeting", |view| {
+        view.known().lost.is_none() && view.known().in_force.is_some()
+    });
+    assert_eq!(view.known().pending, None);
+    assert_eq!(view.known().mode, Some(Mode::Standby), "the start from before never reached it");
+    assert_eq!(view.known().in_force, Some(&Settings::default()), "nor did the settings");
 }
 
 #[test]
@@ -188,7 +191,7 @@ fn a_device_goes_on_ventilating_without_telemetry_when_its_monitor_leaves() {
 
     let session = Session::start(Device::connect(&address).unwrap());
     let mut view = View::new(address.to_string(), KNOWN_GOOD);
-    watch(&session, &mut view, "the first look", |view| view.times.is_some());
+    watch(&session, &mut view, "the first look", |view| view.known().times.is_some());
     press(&session, &mut view, Key::Confirm);
     start(&session, &mut view);
     watch(&session, &mut view, "telemetry", |view| view.window.last().is_some());
