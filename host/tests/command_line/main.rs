@@ -7,8 +7,6 @@ mod bedside;
 mod blackbox;
 mod commission;
 mod endure;
-#[cfg(feature = "engines")]
-mod engines;
 mod export;
 mod farm;
 mod formats;
@@ -28,5 +26,6 @@ mod runs;
 #[cfg(unix)]
 mod serve;
 mod shards;
+#[expect(dead_code, reason = "the tests on engines use the rest")]
 mod support;
 mod test_table;

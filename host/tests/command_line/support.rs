@@ -27,7 +27,6 @@ impl Place {
     }
 
     /// The same folder, in which programs see a variable with the path of a file.
-    #[cfg(feature = "engines")]
     pub fn with(self, name: &'static str, file: &str) -> Self {
         Self { variable: Some((name, self.path(file))), ..self }
     }

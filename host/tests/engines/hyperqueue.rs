@@ -9,7 +9,7 @@ use crate::support::{Place, text};
 /// Python with the package of `HyperQueue`, as `.ci/setup/engines` installs it.
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/engines/venv/bin/python");
 /// Script that starts server and worker, and runs the shards.
-const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/command_line/engines/cluster.py");
+const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/engines/cluster.py");
 
 #[test]
 fn tasks_of_hyperqueue_equal_the_whole_run_once_they_are_merged() {

@@ -5,11 +5,14 @@ mod disk;
 mod hyperqueue;
 mod parallel;
 mod slurm;
+#[path = "../command_line/support.rs"]
+#[expect(dead_code, reason = "the tests of the command line use the rest")]
+mod support;
 
 use std::fs;
 use std::path::PathBuf;
 
-use super::support::Place;
+use support::Place;
 
 /// A command of a second or two.
 const COMMAND: &str = "torture --breaths 1200 --seed 5";
