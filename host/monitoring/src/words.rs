@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 
+use shared::control::memory::Lesson;
 use shared::device::annunciator::AudioStatus;
 use shared::link::messages::{AlarmStatus, ControllerChoice, DeviceIdentity, DeviceKind, LeaseStatus};
 use shared::reset::ResetCause;
@@ -64,6 +65,15 @@ pub fn audio(audio: &AudioStatus) -> String {
             format!("sounds for an alarm of {} priority", priority(*sounding))
         }
         AudioStatus { pause_left, .. } => format!("paused, {pause_left} s left"),
+    }
+}
+
+/// What a controller has made of a breath.
+pub fn lesson(lesson: Lesson) -> &'static str {
+    match lesson {
+        Lesson::Adopt => "adopt",
+        Lesson::Discard => "discard",
+        Lesson::Forget => "forget",
     }
 }
 

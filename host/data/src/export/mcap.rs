@@ -73,6 +73,9 @@ pub struct Valves {
     /// Part of `u_in` that exploration added.
     #[serde(skip_serializing_if = "is_unknown")]
     pub explore: f32,
+    /// Learned part of the controller's command before the safety filter, if it is known.
+    #[serde(skip_serializing_if = "is_missing")]
+    pub learned: Option<f32>,
 }
 
 impl Message for Valves {
@@ -82,6 +85,7 @@ impl Message for Valves {
         ("u_in", "number", "command of the inspiratory valve as applied, percent"),
         ("u_out", "number", "expiratory valve, percent open"),
         ("explore", "number", "part of u_in that exploration added, percent"),
+        ("learned", "number", "learned part of the controller's command before the safety filter, percent"),
     ];
 }
 
@@ -94,13 +98,19 @@ pub struct Flow {
     /// Out of the circuit.
     #[serde(rename = "out", skip_serializing_if = "is_missing")]
     pub outward: Option<f32>,
+    /// Towards the patient, as the flow sensor of the device reads it.
+    #[serde(skip_serializing_if = "is_missing")]
+    pub patient: Option<f32>,
 }
 
 impl Message for Flow {
     const TOPIC: &'static str = "/flow";
     const SCHEMA: &'static str = "eupnea.Flow";
-    const FIELDS: &'static [Field] =
-        &[("in", "number", "flow into the circuit, L/s"), ("out", "number", "flow out of the circuit, L/s")];
+    const FIELDS: &'static [Field] = &[
+        ("in", "number", "flow into the circuit, L/s"),
+        ("out", "number", "flow out of the circuit, L/s"),
+        ("patient", "number", "flow towards the patient as the flow sensor reads it, L/s"),
+    ];
 }
 
 /// The position of a tick in the sequence of breaths.
@@ -139,8 +149,9 @@ pub fn is_unknown(value: &f32) -> bool {
     !value.is_finite()
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, clippy::ref_option, reason = "serde passes a reference")]
-fn is_missing(value: &Option<f32>) -> bool {
+/// Whether a number is left out of a message because it is missing or not finite.
+#[expect(clippy::ref_option, reason = "serde passes a reference")]
+pub fn is_missing(value: &Option<f32>) -> bool {
     value.as_ref().is_none_or(is_unknown)
 }
 
@@ -301,9 +312,9 @@ fn write_row<W: Write + Seek>(
     let Row { u_in, u_out, explore, .. } = *row;
     let pressure = Pressure { measured: row.pressure, target: row.target, truth: row.pressure_true };
     writer.write(time_ns, &pressure)?;
-    writer.write(time_ns, &Valves { u_in, u_out, explore })?;
+    writer.write(time_ns, &Valves { u_in, u_out, explore, learned: None })?;
     if row.flow_in.is_some() || row.flow_out.is_some() {
-        writer.write(time_ns, &Flow { inward: row.flow_in, outward: row.flow_out })?;
+        writer.write(time_ns, &Flow { inward: row.flow_in, outward: row.flow_out, patient: None })?;
     }
     writer.write(time_ns, &BreathPosition::new(row.breath, row.phase, row.tick))
 }

@@ -184,8 +184,8 @@ fn each_schema_describes_the_fields_of_its_messages() {
         }
     }
     check(&Pressure { measured: 1.0, target: 2.0, truth: Some(3.0) });
-    check(&Valves { u_in: 1.0, u_out: 2.0, explore: 3.0 });
-    check(&Flow { inward: Some(1.0), outward: Some(2.0) });
+    check(&Valves { u_in: 1.0, u_out: 2.0, explore: 3.0, learned: Some(4.0) });
+    check(&Flow { inward: Some(1.0), outward: Some(2.0), patient: Some(3.0) });
     check(&BreathPosition::new(0, 1, 2));
 }
 

@@ -9,7 +9,9 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use data::export::ExportError;
-use data::export::mcap::{BreathPosition, Counts, Field, McapWriter, Message, Pressure, Valves, is_unknown};
+use data::export::mcap::{
+    BreathPosition, Counts, Field, Flow, McapWriter, Message, Pressure, Valves, is_missing, is_unknown,
+};
 use data::provenance::git_revision;
 use data::recording::phase_number;
 use serde::Serialize;
@@ -36,6 +38,10 @@ struct Breath {
     peak: f32,
     #[serde(skip_serializing_if = "is_unknown")]
     end: f32,
+    #[serde(skip_serializing_if = "is_missing")]
+    leak: Option<f32>,
+    lesson: &'static str,
+    adopted: u8,
 }
 
 impl Message for Breath {
@@ -46,6 +52,9 @@ impl Message for Breath {
         ("mean_error", "number", "mean of abs(pressure - target) over the inspiration, cmH2O"),
         ("peak", "number", "highest pressure, cmH2O"),
         ("end", "number", "last pressure of the breath, cmH2O"),
+        ("leak", "number", "leak of the circuit that the breaths before have shown, L/s at 1 cmH2O"),
+        ("lesson", "string", "what the controller made of the breath: adopt, discard or forget"),
+        ("adopted", "integer", "breaths that the learned controller then remembers, at most 4"),
     ];
 }
 
@@ -227,11 +236,17 @@ impl Capture {
         match news {
             News::Event(Event::Telemetry(batch)) => self.samples(batch, now_ns),
             News::Event(Event::Breath(breath)) => {
-                let BreathSummary {
-                    breath: number, mean_absolute_error, peak_pressure, end_pressure, ..
-                } = *breath;
-                let (mean_error, peak, end) = (mean_absolute_error, peak_pressure, end_pressure);
-                self.writer.write(time_ns, &Breath { number, mean_error, peak, end })
+                let BreathSummary { mean_absolute_error, peak_pressure, end_pressure, .. } = *breath;
+                let message = Breath {
+                    number: breath.breath,
+                    mean_error: mean_absolute_error,
+                    peak: peak_pressure,
+                    end: end_pressure,
+                    leak: breath.leak,
+                    lesson: words::lesson(breath.lesson),
+                    adopted: breath.adopted,
+                };
+                self.writer.write(time_ns, &message)
             }
             News::Event(Event::Alarm { fault, tick }) => self.alarm(*fault, *tick, time_ns),
             // The device repeats an alarm until it is acknowledged: it is written if its first report was missed.
@@ -270,8 +285,11 @@ impl Capture {
             let (measured, target) = (sample.pressure, sample.target);
             self.writer.write(time, &Pressure { measured, target, truth: None })?;
             let u_out = if sample.u_out { 100.0 } else { 0.0 };
-            let (u_in, explore) = (sample.u_in, sample.explore);
-            self.writer.write(time, &Valves { u_in, u_out, explore })?;
+            let (u_in, explore, learned) = (sample.u_in, sample.explore, Some(sample.learned));
+            self.writer.write(time, &Valves { u_in, u_out, explore, learned })?;
+            if sample.flow.is_some() {
+                self.writer.write(time, &Flow { inward: None, outward: None, patient: sample.flow })?;
+            }
             self.writer
                 .write(time, &BreathPosition::new(sample.breath, phase_number(sample.phase), sample.tick))?;
         }

@@ -8,6 +8,7 @@ use ratatui::style::{Color, Modifier, Style, Stylize};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Borders, Chart, Dataset, GraphType, Paragraph, Wrap};
+use shared::control::memory::LEARNING;
 use shared::safety::alarms::{Fault, Priority};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
@@ -156,7 +157,7 @@ fn draw_numbers(frame: &mut Frame, area: Rect, view: &View) {
         ("ticks", ticks(view)),
         ("losses", losses(view)),
         ("begun alarms, newest first", alarms(view)),
-        ("breaths, newest first", breaths(view)),
+        ("breaths: cmH2O, leak in L/s at 1 cmH2O", breaths(view)),
     ];
     let last = blocks.len() - 1;
     let heights = blocks.iter().enumerate().map(|(index, (_, lines))| match index {
@@ -277,11 +278,15 @@ fn alarms(view: &View) -> Vec<Line<'static>> {
 }
 
 fn breaths(view: &View) -> Vec<Line<'static>> {
-    let head =
-        Line::from(format!("{:>8}{:>12}{:>8}{:>8}  cmH2O", "breath", "mean error", "peak", "end")).dim();
+    let head = ["breath", "error", "peak", "end", "leak", "adopted"];
+    let [breath, error, peak, end, leak, adopted] = head;
+    let head = format!("{breath:>7}{error:>7}{peak:>7}{end:>6}{leak:>8}{adopted:>9}");
     let rows = view.breaths.iter().map(|breath| {
         let [error, peak, end] = [breath.mean_absolute_error, breath.peak_pressure, breath.end_pressure];
-        Line::from(format!("{:>8}{error:>12.2}{peak:>8.1}{end:>8.1}", breath.breath))
+        let leak = breath.leak.map_or_else(|| "-".to_owned(), |leak| format!("{leak:.3}"));
+        let adopted = format!("{}/{LEARNING}", breath.adopted);
+        Line::from(format!("{:>7}{error:>7.2}{peak:>7.1}{end:>6.1}{leak:>8}{adopted:>9}", breath.breath))
     });
+    let head = Line::from(head).dim();
     std::iter::once(head).chain(rows).collect()
 }

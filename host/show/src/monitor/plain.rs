@@ -4,7 +4,9 @@
 
 use std::collections::BTreeMap;
 
+use shared::control::memory::LEARNING;
 use shared::link::messages::{AlarmStatus, ControllerChoice, Event, LeaseStatus, Request, Response};
+use shared::link::telemetry::BreathSummary;
 use shared::safety::alarms::{Action, Fault};
 use shared::safety::indications::FaultSet;
 use shared::safety::ladder::Level;
@@ -53,15 +55,25 @@ impl Lines {
     fn happened(&mut self, event: &Event) -> Option<String> {
         match event {
             Event::Telemetry(_) => None,
-            Event::Breath(breath) => Some(format!(
-                "breath {}: mean error {:.2}, peak {:.1}, end {:.1} cmH2O",
-                breath.breath, breath.mean_absolute_error, breath.peak_pressure, breath.end_pressure
-            )),
+            Event::Breath(breath) => Some(self.ended(breath)),
             Event::Alarm { fault, tick } => Some(self.alarmed(*fault, *tick)),
             Event::Unacknowledged { fault, tick } => {
                 (self.alarms.get(fault) != Some(tick)).then(|| self.alarmed(*fault, *tick))
             }
         }
+    }
+
+    fn ended(&self, breath: &BreathSummary) -> String {
+        let BreathSummary { breath, mean_absolute_error, peak_pressure, end_pressure, leak, adopted, .. } =
+            *breath;
+        let leak = leak.map_or_else(String::new, |leak| format!(", leak {leak:.3} L/s at 1 cmH2O"));
+        let learns = self.controller == Some(ControllerChoice::Learned);
+        let remembers =
+            if learns { format!(", {adopted} of {LEARNING} breaths remembered") } else { String::new() };
+        format!(
+            "breath {breath}: mean error {mean_absolute_error:.2}, peak {peak_pressure:.1}, \
+             end {end_pressure:.1} cmH2O{leak}{remembers}"
+        )
     }
 
     fn alarmed(&mut self, fault: Fault, tick: u64) -> String {

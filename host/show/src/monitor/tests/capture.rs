@@ -74,6 +74,26 @@ fn samples_have_the_times_of_their_ticks_whenever_they_arrive() {
     );
 }
 
+/// A batch starting at this tick with these learned parts and flows.
+fn measured(first_tick: u64, values: &[(f32, Option<f32>)]) -> News {
+    let mut batch = batch(first_tick, &[5.0]);
+    let sample = batch.samples[0].unpack();
+    let packed = |(learned, flow): &(f32, Option<f32>)| {
+        PackedSample::pack(&Sample { learned: *learned, flow: *flow, ..sample })
+    };
+    batch.samples = values.iter().map(packed).collect();
+    News::Event(Event::Telemetry(batch))
+}
+
+#[test]
+fn the_learned_part_and_the_flow_are_written_and_a_missing_flow_is_not() {
+    let found = captured([(2, measured(1000, &[(-1.5, Some(0.25)), (0.0, None)]))]);
+    let learned: Vec<_> = of("/valves", &found).into_iter().map(|(_, valves)| &valves["learned"]).collect();
+    assert_eq!(learned, [-1.5, 0.0]);
+    let [(time, flow)] = of("/flow", &found)[..] else { panic!("{found:?}") };
+    assert_eq!((time, flow), (NOON, &serde_json::json!({ "patient": 0.25 })));
+}
+
 #[test]
 fn an_alarm_is_written_once_at_the_time_of_its_tick() {
     let repeated = News::Event(Event::Unacknowledged { fault: Fault::Leak, tick: 4321 });
@@ -119,7 +139,8 @@ fn alarms_of_every_start_of_the_device_are_written_though_their_ticks_are_equal(
 fn each_schema_describes_the_fields_that_are_written() {
     let folder = tempfile::tempdir().unwrap();
     let mut capture = started(folder.path());
-    let news = [greeting(Mode::Ventilating), telemetry(0, &[5.0]), alarm(Fault::Leak), breath(1)];
+    let measured = measured(0, &[(1.5, Some(0.25))]);
+    let news = [greeting(Mode::Ventilating), measured, alarm(Fault::Leak), breath(1)];
     for news in news.into_iter().chain([News::Traffic(LineCounters::default())]) {
         capture.take(&news, NOON);
     }
@@ -134,7 +155,7 @@ fn each_schema_describes_the_fields_that_are_written() {
         let content: Value = serde_json::from_slice(&message.data).unwrap();
         let content = content.as_object().unwrap();
         // The virtual bench alone knows the true pressure.
-        let written = |name: &str| (topic, name) != ("/pressure", "true");
+        let written = |name: &str| !matches!((topic, name), ("/pressure", "true") | ("/flow", "in" | "out"));
         let described: Vec<_> = properties.keys().filter(|name| written(name)).collect();
         assert_eq!(content.keys().collect::<Vec<_>>(), described, "{topic}");
         for (name, value) in content {
@@ -150,7 +171,7 @@ fn each_schema_describes_the_fields_that_are_written() {
         topics.push(topic.to_owned());
     }
     topics.sort_unstable();
-    assert_eq!(topics, ["/alarms", "/breath", "/breaths", "/device", "/pressure", "/valves"]);
+    assert_eq!(topics, ["/alarms", "/breath", "/breaths", "/device", "/flow", "/pressure", "/valves"]);
 }
 
 #[test]
@@ -171,8 +192,8 @@ fn figures_that_are_no_numbers_are_left_out() {
     let found = captured(news.map(|news| (0, news)));
     let breaths: Vec<_> = of("/breaths", &found).into_iter().map(|(_, breath)| breath.clone()).collect();
     let expected = [
-        serde_json::json!({ "number": 4, "end": 5.5 }),
-        serde_json::json!({ "number": 4, "mean_error": 0.5, "peak": 20.0 }),
+        serde_json::json!({ "number": 4, "end": 5.5, "lesson": "discard", "adopted": 0 }),
+        serde_json::json!({ "number": 4, "mean_error": 0.5, "peak": 20.0, "lesson": "discard", "adopted": 0 }),
     ];
     assert_eq!(breaths, expected);
 }

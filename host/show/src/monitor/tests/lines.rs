@@ -53,3 +53,13 @@ fn what_did_not_change_is_not_written_again() {
     };
     assert_eq!(written(look().chain(look()).chain(look())), written(look()));
 }
+
+#[test]
+fn a_breath_of_the_learned_controller_tells_how_many_it_remembers() {
+    let learned = answer(Request::Identify, Response::Controller(ControllerChoice::Learned));
+    let lines = written([learned, breath(7)]);
+    assert_eq!(
+        lines.last().unwrap(),
+        "breath 7: mean error 1.25, peak 21.5, end 5.1 cmH2O, leak 0.010 L/s at 1 cmH2O, 2 of 4 breaths remembered"
+    );
+}
