@@ -38,6 +38,7 @@ pub struct LineCounters {
 
 /// Information from the device for a monitor.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "an event is most often a batch of samples, the largest one")]
 pub enum News {
     /// An event that the device sent on its own.
     Event(Event),

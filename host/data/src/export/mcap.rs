@@ -150,7 +150,6 @@ pub fn is_unknown(value: &f32) -> bool {
 }
 
 /// Whether a number is left out of a message because it is missing or not finite.
-#[expect(clippy::ref_option, reason = "serde passes a reference")]
 pub fn is_missing(value: &Option<f32>) -> bool {
     value.as_ref().is_none_or(is_unknown)
 }

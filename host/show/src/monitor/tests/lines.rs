@@ -12,7 +12,7 @@ fn written(news: impl IntoIterator<Item = News>) -> Vec<String> {
 fn a_night_in_lines() {
     let device = Counters { missed_ticks: 1, ..Counters::default() };
     let losses = LineCounters { frames: 900, corrupt: 2, lost_batches: 3, device };
-    let text = written([
+    let text = written(vec![
         greeting(Mode::Standby),
         in_force(Settings::default()),
         answer(Request::Start, Response::Mode(Mode::Ventilating)),
