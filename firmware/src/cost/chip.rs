@@ -214,7 +214,8 @@ fn telemetry(counting: &Cost) {
     let mut control = control();
     begin(&mut control);
     for tick in 0..u64::from(RUNS) {
-        let Some(sample) = control.step(5.0).sample else { continue };
+        let readings = Readings { flow: 0.5, ..Readings::from(5.0) };
+        let Some(sample) = control.step(readings).sample else { continue };
         let batch = pack.of(|| batcher.push(tick, black_box(&sample), &Counters::default()));
         if let Some(batch) = batch {
             let event = ToHost::Event(Event::Telemetry(batch));

@@ -1,8 +1,12 @@
 use std::vec::Vec;
 
+use postcard::ser_flavors::crc::CrcModifier;
+use postcard::ser_flavors::{Cobs, Slice};
+
 use proptest::prelude::*;
 
 use super::*;
+use crate::checksum::CRC_32;
 
 type Decoder = FrameDecoder<DECODER_BYTES>;
 
@@ -46,6 +50,18 @@ fn a_frame_is_cobs_of_message_and_checksum_between_zeros() {
     let checksum = [0x2c, 0x62, 0x2d, 0x39]; // of 0x12, 0x00, by Python's zlib.crc32
     let expected = [&[0, 2, 0x12, 5], &checksum[..], &[0]].concat();
     assert_eq!(encode_frame(&[0x12_u8, 0], &mut buffer).unwrap(), expected);
+}
+
+#[test]
+fn full_blocks_have_the_bytes_that_postcards_cobs_gives_them() {
+    for length in [253, 254, 255, 506, 507, 508, 509, 600, MESSAGE_BYTES - 2] {
+        let content = std::vec![7; length];
+        let mut expected = [0; FRAME_BYTES];
+        let cobs = Cobs::try_new(Slice::new(&mut expected[1..])).unwrap();
+        let checked = CrcModifier::new(cobs, CRC_32.digest());
+        let written = postcard::serialize_with_flavor(&content, checked).unwrap().len();
+        assert_eq!(frame(&content), expected[..=written], "{length}");
+    }
 }
 
 #[test]
