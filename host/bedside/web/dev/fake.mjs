@@ -67,18 +67,19 @@ function lungs(demo) {
 }
 
 export class Fake {
-  constructor({ steer = false, demo = false, token = null } = {}) {
-    Object.assign(this, { steer, demo, token, stalled: false, received: [], drawn: [] });
+  /** With `listen`, a page that has not shown the token is not served. */
+  constructor({ steer = false, demo = false, token = null, listen = false } = {}) {
+    Object.assign(this, { steer, demo, token, listen, stalled: false, received: [], drawn: [] });
     this.devices = lungs(demo);
   }
 
   async start(port = 0) {
     this.http = createServer((request, response) => this.serve(request, response));
     this.sockets = new WebSocketServer({ server: this.http, path: "/api/stream" });
-    this.sockets.on("connection", (socket) => this.greet(socket));
+    this.sockets.on("connection", (socket) => this.open(socket));
     await new Promise((resolve) => this.http.listen(port, "127.0.0.1", resolve));
     this.port = this.http.address().port;
-    this.timers = [setInterval(() => this.run(), 20), setInterval(() => this.states(), 400)];
+    this.timers = [setInterval(() => this.run(), 20), setInterval(() => this.states(), 250)];
     return `http://127.0.0.1:${this.port}/`;
   }
 
@@ -107,8 +108,16 @@ export class Fake {
     response.writeHead(200, { ...headers, "Content-Type": file[1] }).end(await readFile(join(DIST, file[0])));
   }
 
-  greet(socket) {
+  open(socket) {
     socket.watched = new Set();
+    socket.served = false;
+    socket.on("message", (text) => this.take(socket, JSON.parse(text)));
+    socket.on("close", () => { for (const device of this.devices) if (device.steerer === socket) this.steers(device, null); });
+    if (!this.listen) this.greet(socket);
+  }
+
+  greet(socket) {
+    socket.served = true;
     const devices = this.devices.map(({ id, name, kind }) => ({ id, name, kind, period_us: 1000 }));
     this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120, large_change: 5 }, devices });
     for (const device of this.devices) {
@@ -116,12 +125,10 @@ export class Fake {
       if (device.history) this.send(socket, { type: "history", device: device.id, ...device.history });
       if (device.verdict) this.send(socket, { type: "verdict", device: device.id, ...device.verdict });
     }
-    socket.on("message", (text) => this.take(socket, JSON.parse(text)));
-    socket.on("close", () => { for (const device of this.devices) if (device.steerer === socket) this.steers(device, null); });
   }
 
   send(socket, message) {
-    if (!this.stalled) socket.send(JSON.stringify(message));
+    if (!this.stalled && socket.served) socket.send(JSON.stringify(message));
   }
 
   all(message) {
@@ -142,6 +149,7 @@ export class Fake {
     if (message.type === "drawn") return void this.drawn.push(message);
     this.received.push(message);
     if (message.type === "token" && this.token !== null && message.token !== this.token) return socket.close(1008, "wrong token");
+    if (message.type === "token" && this.listen && !socket.served) this.greet(socket);
     if (message.type === "watch") socket.watched = new Set(message.devices);
     const device = this.devices[message.device];
     if (device === undefined) return;

@@ -1,14 +1,17 @@
 // The alarm signals on the page: the banner that flashes, the latched list, and the announcement for screen readers.
 
 import { behindGone, clock, MARKS, ordered, spoken } from "./alarms";
+import type { Device } from "./device";
 import { h, setAttribute, setText, show } from "./dom";
 import type { Alarm } from "./stream";
 
 const NO_ALARMS = "No alarms";
 
-/** The text that stands for an empty list of alarms: a replay has no monitors. */
-export function without(kinds: readonly string[]): string {
-  return kinds.length > 0 && kinds.every((kind) => kind === "recording") ? "Replay: alarms are not evaluated" : NO_ALARMS;
+/** The text that stands for an empty list of alarms: it says that there are none only if the state of every device is known. */
+export function without(devices: readonly Pick<Device, "replay" | "state">[]): string {
+  if (devices.length === 0) return "Waiting for the server";
+  if (devices.every(({ replay }) => replay)) return "Replay: alarms are not evaluated";
+  return devices.every(({ state }) => state !== null) ? NO_ALARMS : "Waiting for the device";
 }
 
 /** An alarm's text, and whether its condition is gone. */

@@ -38,7 +38,7 @@ export function behindGone(alarms: readonly Alarm[]): Alarm | null {
 }
 
 /** The alarms without an acknowledgement, by keys that name the device too. */
-export function unacknowledged(device: number, alarms: readonly Alarm[]): Unacknowledged[] {
+export function unacknowledged(device: number | "page", alarms: readonly Alarm[]): Unacknowledged[] {
   return alarms.filter(({ acknowledged }) => !acknowledged).map(({ id, priority }) => ({ key: `${device} ${id}`, priority }));
 }
 

@@ -5,26 +5,31 @@
 
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
-import { inSafeState, lacks } from "./alarms";
+import { inSafeState, lacks, noData } from "./alarms";
 import { Audio } from "./audio";
 import { every, inWorker, work } from "./beat";
 import { Bedside } from "./bedside";
 import { Demo } from "./demo";
-import { Device } from "./device";
+import { Device, SILENCE_MS } from "./device";
 import { confirm, inform } from "./dialog";
 import { button, h, show } from "./dom";
 import { Head } from "./head";
 import { listen } from "./keys";
 import { group } from "./pairs";
 import { Requests } from "./requests";
-import { type Hello, type Message, type Samples, VERSION } from "./stream";
+import { type Alarm, type Hello, type Message, type Samples, VERSION } from "./stream";
 import { forget, token } from "./token";
 import type { Connect, Transport } from "./transport";
 import { Wall } from "./wall";
 
+/** Interval between two updates of texts, and between two looks for silence, ms. */
 const UPDATE_EVERY = 100;
+const LOOK_EVERY = 40;
 /** Least interval between two reports of what has been drawn, ms. */
 const REPORT_EVERY = 110;
+/** Shown if the server does not serve a page with this token, or without one. */
+const REFUSED = "Token refused: open the address that the server has printed";
+const NO_TOKEN = "No answer. If the server needs a token, open the address that it has printed";
 
 class App {
   readonly devices: Device[] = [];
@@ -40,11 +45,19 @@ class App {
   readonly bedside: Bedside;
   readonly socket: Transport;
   private hello: Hello | null = null;
+  /** Whether the server has greeted the page since the connection was opened: only then it serves the page. */
+  private greeted = false;
+  /** When the connection was opened, by performance.now(). */
+  private openedAt = 0;
+  /** When the page began to wait for the first greeting: by performance.now(), and Unix ms. */
+  private readonly waiting = { from: performance.now(), since_ms: Date.now() };
   /** The shown device; null shows the wall. */
   private shown: Device | null = null;
   private trouble = "";
   private reported = 0;
   private updated = 0;
+  /** Silent devices at the last update. */
+  private silentDevices = 0;
   /** Pictures drawn so far. */
   pictures = 0;
 
@@ -60,7 +73,7 @@ class App {
       opened: () => this.opened(), closed: (reason, refused) => this.closed(reason, refused),
       message: (message) => this.take(message), samples: (samples) => this.takeSamples(samples),
     });
-    every(UPDATE_EVERY, () => this.update());
+    every(LOOK_EVERY, () => this.look());
     requestAnimationFrame((now) => this.draw(now));
   }
 
@@ -69,11 +82,13 @@ class App {
   }
 
   private opened(): void {
+    this.openedAt = performance.now();
     if (this.token !== null) this.send({ type: "token", token: this.token });
   }
 
   private closed(reason: string, refused: boolean): void {
-    this.trouble = reason;
+    this.trouble = refused && !this.greeted && this.token !== null ? REFUSED : reason;
+    this.greeted = false;
     if (refused && this.token !== null) {
       forget();
       this.token = null;
@@ -108,6 +123,7 @@ class App {
     this.trouble = hello.version === VERSION ? "" : `The server speaks version ${hello.version} of the stream. Reload this page.`;
     const same = JSON.stringify(hello) === JSON.stringify(this.hello);
     this.hello = hello;
+    this.greeted = true;
     // After a reconnection the devices keep their samples and trends.
     if (!same) this.describe(hello);
     this.watch();
@@ -164,22 +180,49 @@ class App {
     if (performance.now() - this.updated >= UPDATE_EVERY) this.update();
   }
 
+  /** Updates at once when a silence begins or ends, else when it is due. */
+  private look(): void {
+    const silent = this.silent(performance.now()).length;
+    if (silent !== this.silentDevices) this.update();
+    else this.updateIfDue();
+  }
+
+  private silent(now: number): Device[] {
+    return this.devices.filter((device) => device.silent(now, now - this.socket.heard));
+  }
+
   private update(): void {
     const now = performance.now();
     this.updated = now;
-    const silence = now - this.socket.heard;
-    const silent = this.devices.filter((device) => device.silent(now, silence));
-    this.head.update(this.shown);
+    const silent = this.silent(now);
+    this.silentDevices = silent.length;
+    const own = this.own(now);
+    this.head.update(this.shown, own);
     this.head.may(this.shown?.yours ?? false);
-    this.connection();
-    this.audio.update(now, this.devices, this.shown);
+    this.connection(now);
+    this.audio.update(now, this.devices, this.shown, own);
     if (this.shown) this.bedside.update(this.hello?.steer ?? false, cover(this.shown, silent.includes(this.shown)));
     else this.wall.update();
   }
 
-  private connection(): void {
-    if (this.socket.connected) this.head.connect(this.trouble || (this.tokenRefused ? "Read-only: token refused" : "Connected"), this.trouble === "");
-    else this.head.connect(`${this.trouble || "No connection"}, next attempt in ${this.socket.waits.toFixed(0)} s`, false);
+  /** The alarm that the page raises before it knows any device: nothing is known of any patient. */
+  private own(now: number): Alarm[] {
+    const silent = this.hello === null && !this.socket.loading && now - this.waiting.from > SILENCE_MS;
+    return silent ? [noData(true, this.waiting.since_ms)] : [];
+  }
+
+  private connection(now: number): void {
+    const [text, ok] = this.connectionInWords(now);
+    this.head.connect(text, ok);
+  }
+
+  /** The state of the connection in words, and whether it serves the page. */
+  private connectionInWords(now: number): [string, boolean] {
+    if (this.socket.loading) return ["Loading", true];
+    if (!this.socket.connected) return [`${this.trouble || "No connection"}, next attempt in ${this.socket.waits.toFixed(0)} s`, false];
+    if (this.trouble !== "") return [this.trouble, false];
+    if (!this.greeted) return [this.token === null && now - this.openedAt > SILENCE_MS ? NO_TOKEN : "Waiting for the server", false];
+    return [this.tokenRefused ? "Read-only: token refused" : "Connected", true];
   }
 
   private draw(now: number): void {

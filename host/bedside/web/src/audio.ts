@@ -9,7 +9,7 @@ import { button, h, setText, show } from "./dom";
 import { Pause } from "./pause";
 import type { Requests } from "./requests";
 import { Sound } from "./sound";
-import type { Priority } from "./stream";
+import type { Alarm, Priority } from "./stream";
 import { urgency } from "./tones";
 
 /** Time for which a refusal is shown, ms. */
@@ -34,14 +34,15 @@ export class Audio {
     for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, () => this.sound.unlock());
   }
 
-  /** Sounds for the most urgent alarm of all devices. Call it several times a second. */
-  update(now: number, devices: readonly Device[], shown: Device | null): void {
+  /** Sounds for the most urgent alarm of all devices and of the page. Call it several times a second. */
+  update(now: number, devices: readonly Device[], shown: Device | null, page: readonly Alarm[]): void {
     this.devices = devices;
-    const own = this.pause.step(now, devices.flatMap((device) => unacknowledged(device.info.id, device.alarms())));
+    const own = this.pause.step(now, [...unacknowledged("page", page), ...devices.flatMap((device) => unacknowledged(device.info.id, device.alarms()))]);
     const priorities = devices.map((device) => {
       if (own <= 0) return sounding(device.state, device.own());
       return device.yours ? sounding(device.state, []) : null;
     });
+    if (own <= 0) priorities.push(sounding(null, page));
     const priority = priorities.reduce((worst, one) => (urgency(one) > urgency(worst) ? one : worst), null);
     this.sound.update(priority);
     this.left = Math.max(own, ...devices.filter(({ yours }) => yours).map(rest));

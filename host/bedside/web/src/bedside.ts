@@ -54,7 +54,7 @@ export class Bedside {
     const { device } = this;
     if (device === null) return;
     this.numbers.update(device);
-    this.alarms.update(device.alarms(), without([device.info.kind]));
+    this.alarms.update(device.alarms(), without([device]));
     this.steer.update(device, mayEver);
     this.record.update(device);
     this.verdict.update(device);

@@ -75,7 +75,7 @@ export class Cursors {
   }
 
   private build(): HTMLElement {
-    const quantities: [string, string, boolean?][] = [["Time", "s"], ...FIGURES.map(([name, , , , unit, estimated]): [string, string, boolean?] => [name, unit, estimated])];
+    const quantities: [string, string, boolean?][] = [["Time", "s"], ...FIGURES.map(([name, , , , unit, estimated]): [string, string, boolean?] => (estimated ? [name, unit, true] : [name, unit]))];
     const heads = quantities.map(([name, unit, estimated]) => {
       const mark = estimated ? [h("small", { class: "estimated" }, "est."), " "] : [];
       return h("th", { scope: "col" }, name, " ", ...mark, h("small", {}, unit));

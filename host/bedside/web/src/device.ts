@@ -8,12 +8,10 @@ import type { Alarm, Breath, DeviceInfo, Event, LogLine, Samples, State, Verdict
 import { Trends } from "./trends";
 
 /**
- * Longest silence of a device whose samples are watched, or of the whole connection, ms. It is checked every 100 ms, so that the page
- * reports it within a second.
+ * Longest silence of a device or of the whole connection, ms, so that the page reports it within a second. The server sends a state at
+ * least every 250 ms: two late ones are no alarm.
  */
-export const SILENCE_MS = 800;
-/** Longest silence of a device of which only states come, ms: one late heartbeat is no alarm. */
-export const SILENCE_OF_STATES_MS = 2_500;
+export const SILENCE_MS = 900;
 /** Events kept. */
 const EVENTS = 200;
 
@@ -39,7 +37,7 @@ export class Device {
   dropped = 0;
   /** Time of the server at the last sample, Unix ms. */
   time_ms = 0;
-  /** When its samples and its states came last, by performance.now(); the samples also when they became due. */
+  /** When its samples and its states came last, by performance.now(). Samples that became due later are counted from then. */
   private samplesHeard = performance.now();
   private stateHeard = performance.now();
   private samples: Ring | null = null;
@@ -79,12 +77,12 @@ export class Device {
 
   takeBreath(breath: Breath): void {
     this.breath = breath;
-    // The times of samples are those of a watched device alone.
+    // The time of the newest sample is current only while the device is watched.
     this.trends.add(breath.time_ms ?? (this.watched && this.time_ms > 0 ? this.time_ms : Date.now()), breath);
   }
 
   takeEvent(event: Event): void {
-    // After a reconnection the server tells the newest events again.
+    // After a reconnection the server sends the newest events again.
     const known = (one: Event) => one.time_ms === event.time_ms && one.kind === event.kind && one.text === event.text;
     if (this.events.some(known)) return;
     this.events.unshift(event);
@@ -97,9 +95,10 @@ export class Device {
 
   /** Begins or ends watching the samples; those that pass meanwhile do not count as missing. */
   watch(on: boolean): void {
-    if (on && !this.watched) this.samples?.resume();
-    // Samples that are asked for only now are not late yet.
-    if (on && !this.watched) this.samplesHeard = performance.now();
+    if (on && !this.watched) {
+      this.samples?.resume();
+      this.samplesHeard = performance.now();
+    }
     this.watched = on;
   }
 
@@ -124,18 +123,17 @@ export class Device {
     return !this.replay && (this.state === null || this.state.mode === "" || this.state.ventilating);
   }
 
-  /** Time since it was heard, ms. States do not hide that samples are missing. */
+  /** Time for which its states or samples have been missing, ms: one kind does not hide that the other is missing, and alarms are in the states. */
   silence(now: number): number {
-    const samplesAlone = this.watched && !this.replay && this.samplesDue;
-    return now - (samplesAlone ? this.samplesHeard : Math.max(this.samplesHeard, this.stateHeard));
+    const samplesNeeded = this.watched && !this.replay && this.samplesDue;
+    return now - (samplesNeeded ? Math.min(this.samplesHeard, this.stateHeard) : this.stateHeard);
   }
 
   /** Whether nothing has arrived for too long; `connectionSilence` is the silence of the whole connection, ms. */
   silent(now: number, connectionSilence: number): boolean {
-    const limit = this.watched && !this.replay ? SILENCE_MS : SILENCE_OF_STATES_MS;
-    const silent = this.silence(now) > limit || connectionSilence > SILENCE_MS;
+    const silent = Math.max(this.silence(now), connectionSilence) > SILENCE_MS;
     this.silentSince = silent ? (this.silentSince ?? Date.now()) : null;
-    this.statesArrive = connectionSilence <= SILENCE_MS && now - this.stateHeard <= SILENCE_OF_STATES_MS;
+    this.statesArrive = connectionSilence <= SILENCE_MS && now - this.stateHeard <= SILENCE_MS;
     return silent;
   }
 

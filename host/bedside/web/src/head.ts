@@ -5,6 +5,7 @@ import { Banner, without } from "./alarm_view";
 import type { Device } from "./device";
 import { button, h, setAttribute, setText, show } from "./dom";
 import { words } from "./format";
+import type { Alarm } from "./stream";
 
 export interface Actions {
   wall(): void;
@@ -42,8 +43,8 @@ export class Head {
     show(this.wall, devices.length > 1);
   }
 
-  /** Shows a device, or the wall if it is null. */
-  update(device: Device | null): void {
+  /** Shows a device, or the wall if it is null, and the page's alarms of no device. */
+  update(device: Device | null, own: readonly Alarm[]): void {
     show(this.select, device !== null);
     show(this.mode, device !== null);
     show(this.acknowledge, device !== null);
@@ -53,10 +54,10 @@ export class Head {
       const { state } = device;
       setText(this.mode, state ? `${words(state.mode)} · ${device.info.kind}` : "waiting for the device");
       setText(this.acknowledge, inSafeState(state) ? "Acknowledge, leave safe state" : "Acknowledge");
-      this.banner.update(device.alarms(), without([device.info.kind]));
+      this.banner.update(device.alarms(), without([device]));
     } else {
       const rated = this.devices.flatMap((one) => one.alarms().map((alarm) => ({ ...alarm, text: `${one.info.name}: ${alarm.text}` })));
-      this.banner.update(rated, without(this.devices.map(({ info }) => info.kind)));
+      this.banner.update([...own, ...rated], without(this.devices));
     }
     this.others(device);
     setText(this.time, clock(Date.now()));

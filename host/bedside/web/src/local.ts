@@ -70,6 +70,7 @@ export class Local implements Transport {
   heard = performance.now();
   malformed = 0;
   readonly waits = 0;
+  loading = true;
 
   constructor(url: string, private readonly listener: Listener) {
     this.load(url).catch((error: unknown) => this.fail(error));
@@ -91,6 +92,7 @@ export class Local implements Transport {
     const devices = await Devices.load(await answer.arrayBuffer());
     devices.start(now());
     this.devices = devices;
+    this.loading = false;
     this.listener.opened();
     every(ADVANCE_EVERY, () => this.attempt((running) => running.advance(now())));
   }
@@ -116,6 +118,7 @@ export class Local implements Transport {
   private fail(error: unknown): void {
     console.error(error);
     this.devices = null;
+    this.loading = false;
     this.listener.closed(`The demonstration has stopped: ${error instanceof Error ? error.message : error}. Reload this page`, false);
   }
 }

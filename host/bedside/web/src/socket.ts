@@ -21,6 +21,7 @@ export class Socket implements Transport {
   private attempts = 0;
   private nextAttempt = 0;
   private since = 0;
+  readonly loading = false;
   heard = performance.now();
   malformed = 0;
 

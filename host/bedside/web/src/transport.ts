@@ -12,6 +12,8 @@ export interface Listener {
 
 export interface Transport {
   readonly connected: boolean;
+  /** Whether the devices are still being loaded into the page, so that their silence is no alarm. */
+  readonly loading: boolean;
   /** Seconds until the next attempt to connect. */
   readonly waits: number;
   /** When anything arrived last, by performance.now(). */

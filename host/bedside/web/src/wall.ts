@@ -46,7 +46,7 @@ class Card {
     const others = ordered(this.device.alarms()).length - 1;
     setAttribute(this.alarm, "data-priority", alarm?.priority ?? "none");
     setText(this.mark, alarm ? MARKS[alarm.priority] : "");
-    setText(this.text, alarm ? `${inWords(alarm)}${others > 0 ? ` +${others}` : ""}` : without([this.device.info.kind]));
+    setText(this.text, alarm ? `${inWords(alarm)}${others > 0 ? ` +${others}` : ""}` : without([this.device]));
     setText(this.status, state ? `${words(state.mode)} · ${words(state.level)}` : "waiting");
     for (const [index, [, figure, digits]] of FIGURES.entries()) {
       const cell = this.figures[index];

@@ -3,7 +3,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Device, SILENCE_MS } from "../src/device";
-import { decodeText, type State } from "../src/stream";
+import { decodeSamples, decodeText, type Samples, type State } from "../src/stream";
+// @ts-expect-error The encoder is plain JavaScript.
+import { encode } from "../dev/encode.mjs";
 
 function state(content: object): State {
   const decoded = decodeText(JSON.stringify({ type: "state", device: 0, connected: true, mode: "ventilating", ventilating: true, ...content }));
@@ -11,9 +13,16 @@ function state(content: object): State {
   return decoded;
 }
 
+/** A sample. */
+function decoded(tick = 0): Samples {
+  const samples = decodeSamples((encode(0, tick, [[1, 2, 3, 0, 5, 6, 7, 0]]) as Uint8Array).buffer as ArrayBuffer);
+  assert.ok(samples);
+  return samples;
+}
+
 const info = { id: 0, name: "Bench", kind: "board", period_us: 1000 };
 
-/** A watched device at a time from which on only these states come, every 100 ms; its own alarms after a second. */
+/** A watched device at a time from which on only these states come, every 100 ms; its own alarms after 1.1 s. */
 function afterASecond(device: Device, content: object): { silent: boolean; texts: string[]; priorities: string[] } {
   const begin = performance.now();
   device.watch(true);
@@ -45,14 +54,31 @@ test("a device whose mode is not known may be ventilating", () => {
   assert.deepEqual(afterASecond(new Device(info), { ...lost, mode: "standby" }).priorities, ["medium"]);
 });
 
+test("there is one limit, within a second, for all devices, and samples do not hide that states are missing", () => {
+  const [standby, recording] = [state({ mode: "standby", ventilating: false }), { ...info, kind: "recording" }];
+  for (const watched of [true, false]) {
+    for (const device of [new Device(info), new Device(recording)]) {
+      for (const one of [standby, state({})]) {
+        const begin = performance.now();
+        device.watch(watched);
+        device.takeState(one, begin);
+        device.takeSamples(decoded(), begin + 800);
+        assert.deepEqual([device.silent(begin + 850, 0), device.silent(begin + 950, 0)], [false, true]);
+        assert.deepEqual(device.own().map(({ text }) => text), ["No data from the server"]);
+      }
+    }
+  }
+});
+
 test("samples are not late as soon as ventilation starts", () => {
   const device = new Device(info);
   const begin = performance.now();
   device.watch(true);
   device.takeState(state({ mode: "standby", ventilating: false }), begin + 60_000);
   device.takeState(state({}), begin + 60_500);
-  assert.equal(device.silent(begin + 61_200, 0), false);
-  assert.equal(device.silent(begin + 61_400, 0), true);
+  for (const at of [61_000, 61_500]) device.takeState(state({}), begin + at);
+  assert.equal(device.silent(begin + 61_300, 0), false);
+  assert.equal(device.silent(begin + 61_500, 0), true);
 });
 
 test("a breath is in the trends at its own time", () => {

@@ -16,7 +16,7 @@ function scene(name, options, run) {
     const url = await fake.start();
     const page = await open(browser, url, options.page);
     try {
-      await until(page, () => window.eupnea?.devices.length > 0);
+      if (!options.listen) await until(page, () => window.eupnea?.devices.length > 0);
       await run(page, fake, url);
       assert.deepEqual(page.errors, []);
       assert.deepEqual(page.outside, []);
@@ -279,6 +279,39 @@ scene("an acknowledgement that leaves the safe state says so and asks", { steer:
   await leave.click();
   await page.locator("dialog .agree").click();
   await eventually(() => device.alarms[0].acknowledged, "the alarm is acknowledged");
+});
+
+/** What a page shows that knows nothing of any patient. */
+async function knowsNothing(page) {
+  await until(page, () => document.querySelector("#banner").dataset.priority === "high");
+  assert.equal(await text(page, "#banner .banner-text"), "No data from the server");
+  assert.equal(await page.locator(".connection").getAttribute("data-ok"), "false");
+}
+
+scene("a page that the server does not serve, without its token or with a wrong one, is neither connected nor without alarms", { token: "new", listen: true }, async (page, _fake, url) => {
+  assert.equal(await text(page, "#banner .banner-text").then((shown) => /No alarms/.test(shown)), false);
+  await knowsNothing(page);
+  await until(page, () => /^No answer. If the server needs a token/.test(document.querySelector(".connection").textContent));
+  await page.keyboard.press("Shift");
+  await until(page, () => document.querySelector(".audio-state").textContent === "Sounds: high");
+  await page.goto("about:blank");
+  await page.goto(`${url}#token=old`);
+  await until(page, () => /^Token refused: open the address/.test(document.querySelector(".connection")?.textContent));
+  await knowsNothing(page);
+  await page.goto("about:blank");
+  await page.goto(`${url}#token=new`);
+  await until(page, () => document.querySelector(".connection")?.textContent === "Connected");
+  await until(page, () => document.querySelector("#banner .banner-text").textContent === "No alarms");
+});
+
+scene("there are no alarms only once the state of the device is known", {}, async (page, fake) => {
+  fake.devices[0].state = () => ({ type: "steerer", device: 0, who: null, yours: false });
+  await page.reload();
+  await until(page, () => window.eupnea?.devices.length > 0);
+  assert.notEqual(await text(page, "#banner .banner-text"), "No alarms");
+  await until(page, () => document.querySelector("#banner").dataset.priority === "high");
+  delete fake.devices[0].state;
+  await until(page, () => document.querySelector("#banner .banner-text").textContent === "No alarms");
 });
 
 /** Presses Tab until an element of this name has the focus; each one on the way shows its focus. */
