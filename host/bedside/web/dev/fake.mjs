@@ -91,6 +91,15 @@ export class Fake {
     await new Promise((resolve) => this.http.close(resolve));
   }
 
+  /** Leaves the open connections half open, as a pulled cable does: nothing comes and nothing is answered, not even a closing. */
+  unplug() {
+    for (const socket of this.sockets.clients) {
+      socket.served = false;
+      socket.watched.clear();
+      socket.pause();
+    }
+  }
+
   alarm(device, id, priority, text) {
     this.devices[device].alarms.push({ id, text, priority, present: true, since_ms: Date.now(), acknowledged: false });
     this.states();

@@ -182,7 +182,9 @@ class App {
 
   /** Updates at once when a silence begins or ends, else when it is due. */
   private look(): void {
-    const silent = this.silent(performance.now()).length;
+    const now = performance.now();
+    this.socket.keep(now);
+    const silent = this.silent(now).length;
     if (silent !== this.silentDevices) this.update();
     else this.updateIfDue();
   }
@@ -221,6 +223,7 @@ class App {
     if (this.socket.loading) return ["Loading", true];
     if (!this.socket.connected) return [`${this.trouble || "No connection"}, next attempt in ${this.socket.waits.toFixed(0)} s`, false];
     if (this.trouble !== "") return [this.trouble, false];
+    if (now - this.socket.heard > SILENCE_MS && this.greeted) return ["No data", false];
     if (!this.greeted) return [this.token === null && now - this.openedAt > SILENCE_MS ? NO_TOKEN : "Waiting for the server", false];
     return [this.tokenRefused ? "Read-only: token refused" : "Connected", true];
   }

@@ -80,6 +80,9 @@ export class Local implements Transport {
     return this.devices !== null;
   }
 
+  /** There is no connection that could break. */
+  keep(): void {}
+
   send(message: object): boolean {
     if (this.devices === null) return false;
     this.attempt((devices) => devices.receive(message, now()));

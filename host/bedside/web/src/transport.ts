@@ -20,6 +20,8 @@ export interface Transport {
   readonly heard: number;
   /** Messages that did not decode. */
   readonly malformed: number;
+  /** Keeps the connection alive: call it several times a second, also in a hidden page. */
+  keep(now: number): void;
   /** Sends an object; false if there is no connection, and then nothing is sent later either. */
   send(message: object): boolean;
 }

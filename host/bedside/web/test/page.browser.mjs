@@ -405,6 +405,19 @@ scene("a missing stream is told within a second", {}, async (page, fake) => {
   await until(page, () => document.querySelector(".shade").hidden);
 });
 
+scene("a half-open connection is given up and opened again, although the browser does not notice", {}, async (page, fake) => {
+  await until(page, () => window.eupnea.devices[0].ring.end > 500);
+  let connections = 0;
+  fake.sockets.on("connection", () => { connections += 1; });
+  fake.unplug();
+  await until(page, () => document.querySelector(".connection").textContent === "No data" && document.querySelector(".connection").dataset.ok === "false");
+  assert.equal(connections, 0, "a short silence opens nothing");
+  await until(page, () => document.querySelector(".connection").textContent === "Connected" && document.querySelector(".shade").hidden);
+  assert.equal(connections, 1);
+  const tick = await newest(page);
+  await until(page, (known) => window.eupnea.devices[0].ring.newest > known + 500, tick);
+});
+
 scene("a page without timers and pictures of its own, as a hidden one, tells it all the same", {}, async (page, fake) => {
   await page.addInitScript(() => {
     window.setInterval = () => 0;
