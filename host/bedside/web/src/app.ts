@@ -5,7 +5,7 @@
 
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
-import { inSafeState, lacks, noData } from "./alarms";
+import { inSafeState, noData } from "./alarms";
 import { Audio } from "./audio";
 import { every, inWorker, work } from "./beat";
 import { Bedside } from "./bedside";
@@ -104,7 +104,7 @@ class App {
       case "hello": this.greet(message); break;
       case "answer": this.requests.take(message); break;
       case "state": device?.takeState(message, performance.now()); break;
-      case "breath": device?.takeBreath(message); break;
+      case "breath": device?.takeBreath(message, performance.now()); break;
       case "event": device?.takeEvent(message); break;
       case "history": device?.trends.load(message); break;
       case "verdict": if (device) device.verdict = message; break;
@@ -196,15 +196,14 @@ class App {
   private update(): void {
     const now = performance.now();
     this.updated = now;
-    const silent = this.silent(now);
-    this.silentDevices = silent.length;
+    this.silentDevices = this.silent(now).length;
     const own = this.own(now);
     this.head.update(this.shown, own);
     this.head.may(this.shown?.yours ?? false);
     this.connection(now);
     this.audio.update(now, this.devices, this.shown, own);
-    if (this.shown) this.bedside.update(this.hello?.steer ?? false, cover(this.shown, silent.includes(this.shown)));
-    else this.wall.update();
+    if (this.shown) this.bedside.update(this.hello?.steer ?? false, now);
+    else this.wall.update(now);
   }
 
   /** The alarm that the page raises before it knows any device: nothing is known of any patient. */
@@ -254,14 +253,6 @@ class App {
       { key: "m", text: "Set a marker", run: () => { this.bedside.record.mark(); } },
     ];
   }
-}
-
-/** The text that covers the curves when nothing arrives. */
-function cover(device: Device, silent: boolean): string | null {
-  if (silent) return "No data";
-  // Samples may arrive although answers do not.
-  if (device.state?.connected === false && device.state.missing !== "answers") return lacks(device.state);
-  return null;
 }
 
 /** Opens the page; in a worker of the page, its part. */

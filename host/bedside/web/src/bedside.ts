@@ -50,10 +50,11 @@ export class Bedside {
   }
 
   /** Updates texts and numbers. */
-  update(mayEver: boolean, cover: string | null): void {
+  update(mayEver: boolean, now: number): void {
     const { device } = this;
     if (device === null) return;
-    this.numbers.update(device);
+    const cover = device.cover();
+    this.numbers.update(device, now);
     this.alarms.update(device.alarms(), without([device]));
     this.steer.update(device, mayEver);
     this.record.update(device);

@@ -1,6 +1,6 @@
 // One device: its newest state and breath, its samples, its trends, and the times at which it was last heard.
 
-import { deviceLost, noData } from "./alarms";
+import { deviceLost, lacks, noData } from "./alarms";
 import { Reference } from "./reference";
 import { KEPT_S, Ring } from "./ring";
 import { type Marker, MARKERS } from "./markers";
@@ -12,12 +12,19 @@ import { Trends } from "./trends";
  * least every 250 ms: two late ones are no alarm.
  */
 export const SILENCE_MS = 900;
+/** Figures of a breath are old after this many breaths at the set rate. */
+const CURRENT_BREATHS = 2;
+/** Rate if none is known, 1/min: the lowest that can be set. */
+const SLOWEST = 4;
 /** Events kept. */
 const EVENTS = 200;
 
 export class Device {
   state: State | null = null;
   breath: Breath | null = null;
+  /** When its last breath came: by performance.now(), and Unix ms. */
+  private breathHeard = 0;
+  breathTime = 0;
   reference: Reference | null = null;
   /** The same lung under the other controller, PID or learned. */
   partner: Device | null = null;
@@ -75,10 +82,12 @@ export class Device {
     this.samplesHeard = now;
   }
 
-  takeBreath(breath: Breath): void {
+  takeBreath(breath: Breath, now: number): void {
     this.breath = breath;
+    this.breathHeard = now;
     // The time of the newest sample is current only while the device is watched.
-    this.trends.add(breath.time_ms ?? (this.watched && this.time_ms > 0 ? this.time_ms : Date.now()), breath);
+    this.breathTime = breath.time_ms ?? (this.watched && this.time_ms > 0 ? this.time_ms : Date.now());
+    this.trends.add(this.breathTime, breath);
   }
 
   takeEvent(event: Event): void {
@@ -135,6 +144,23 @@ export class Device {
     this.silentSince = silent ? (this.silentSince ?? Date.now()) : null;
     this.statesArrive = connectionSilence <= SILENCE_MS && now - this.stateHeard <= SILENCE_MS;
     return silent;
+  }
+
+  /** Whether the figures of the last breath are not those of now: nothing arrives, it does not ventilate, or breaths fail to come. */
+  old(now: number): boolean {
+    if (this.breath === null) return false;
+    if (this.silentSince !== null || (!this.replay && !this.samplesDue)) return true;
+    const rates = [this.state?.settings.rate, this.breath.rate_set].filter((rate) => rate != null && rate > 0) as number[];
+    const rate = rates.length > 0 ? Math.min(...rates) : SLOWEST;
+    return now - this.breathHeard > (CURRENT_BREATHS * 60_000) / rate;
+  }
+
+  /** The text that covers its curves when they are not live, or null. Call `silent` before. */
+  cover(): string | null {
+    if (this.silentSince !== null) return "No data";
+    // Samples may arrive although answers do not.
+    if (this.state?.connected === false && this.state.missing !== "answers") return lacks(this.state);
+    return null;
   }
 
   /** The alarms that the page raises itself. Call `silent` before. */

@@ -1,5 +1,6 @@
 // The panel of numbers: the figures of the last breath, the state of the control, and the losses of the line.
 
+import { clock } from "./alarms";
 import type { Device } from "./device";
 import { h, setText, show } from "./dom";
 import { count, fixed, plain, ratio, UNKNOWN, words } from "./format";
@@ -66,7 +67,7 @@ const GROUPS: [string, string, Tile[]][] = [
 
 /** Error of the other controller on the same lung: PID beside learned. */
 function partner({ partner: other }: Device): string {
-  if (other === null) return UNKNOWN;
+  if (other === null || other.old(performance.now())) return UNKNOWN;
   const controller = isPid(other.info.name) ? "PID" : "learned";
   return `${controller} ${fixed(other.breath?.error ?? null, 2)}`;
 }
@@ -93,9 +94,12 @@ function distrust(state: State | null): string {
 
 export class Numbers {
   readonly element = h("section", { class: "numbers", "aria-label": "Numbers" });
+  /** The time of the last breath, if its figures are not those of now. */
+  private readonly age = h("p", { class: "age" });
   private readonly updates: ((device: Device) => void)[] = [];
 
   constructor() {
+    this.element.append(this.age);
     for (const [name, hue, tiles] of GROUPS) {
       const list = h("dl", { class: `tiles tiles-${hue}` });
       for (const tile of tiles) list.append(this.tile(tile));
@@ -103,7 +107,10 @@ export class Numbers {
     }
   }
 
-  update(device: Device): void {
+  update(device: Device, now: number): void {
+    const old = device.old(now);
+    this.element.classList.toggle("old", old);
+    setText(this.age, old ? `Last breath at ${clock(device.breathTime)}` : "");
     for (const update of this.updates) update(device);
   }
 

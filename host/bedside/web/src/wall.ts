@@ -23,6 +23,8 @@ class Card {
   private readonly text = h("span", { class: "banner-text" });
   private readonly figures = FIGURES.map(() => h("dd", {}, "--"));
   private readonly graph = h("div", { class: "card-graph" });
+  /** Says why the curve is not live. */
+  private readonly cover = h("div", { class: "card-cover" });
   private readonly layer: Layer;
   private top = 0;
 
@@ -32,7 +34,7 @@ class Card {
       { column: "target", colour: colour("--target"), width: 1 },
       { column: "pressure", colour: colour("--pressure"), width: 1.5 },
     ]);
-    this.graph.append(this.layer.canvas, h("span", { class: "origin" }, origin(device.info.kind)));
+    this.graph.append(this.layer.canvas, this.cover, h("span", { class: "origin" }, origin(device.info.kind)));
     this.alarm.append(this.mark, this.text);
     const opener = h("button", { type: "button", class: "card-open", onclick: open, "aria-label": `Open ${name}` }, h("span", { class: "card-name" }, name));
     const list = h("dl", {}, ...FIGURES.map(([label], index) => h("div", {}, h("dt", {}, label), this.figures[index] ?? "")));
@@ -40,8 +42,12 @@ class Card {
     this.element.addEventListener("click", (event) => { if (!(event.target as Element).closest("button")) open(); });
   }
 
-  update(): void {
+  update(now: number): void {
     const { state, breath } = this.device;
+    const cover = this.device.cover();
+    setText(this.cover, cover ?? "");
+    this.element.classList.toggle("stale", cover !== null);
+    this.element.classList.toggle("old", this.device.old(now));
     const alarm = worst(this.device.alarms());
     const others = ordered(this.device.alarms()).length - 1;
     setAttribute(this.alarm, "data-priority", alarm?.priority ?? "none");
@@ -84,8 +90,8 @@ export class Wall {
     this.sort();
   }
 
-  update(): void {
-    for (const card of this.cards) card.update();
+  update(now: number): void {
+    for (const card of this.cards) card.update(now);
     this.sort();
   }
 

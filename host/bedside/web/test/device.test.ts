@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Device, SILENCE_MS } from "../src/device";
-import { decodeSamples, decodeText, type Samples, type State } from "../src/stream";
+import { type Breath, decodeSamples, decodeText, type Samples, type State } from "../src/stream";
 // @ts-expect-error The encoder is plain JavaScript.
 import { encode } from "../dev/encode.mjs";
 
@@ -87,7 +87,27 @@ test("a breath is in the trends at its own time", () => {
   for (const at of [0, 1, 2]) {
     const breath = decodeText(JSON.stringify({ type: "breath", device: 0, pip: 20 + at, time_ms: (minute + at) * 60_000 }));
     assert.ok(breath?.type === "breath");
-    device.takeBreath(breath);
+    device.takeBreath(breath, 0);
   }
   assert.deepEqual(device.trends.series("pip", 1).mean, [20, 21, 22]);
+});
+
+test("figures are old if nothing arrives, without ventilation, and when breaths fail to come", () => {
+  const device = new Device(info);
+  const settings = { rate: 20 };
+  const begin = performance.now();
+  const old = (at: number, content: object = {}, connection = 0) => {
+    device.takeState(state({ settings, ...content }), begin + at);
+    device.silent(begin + at, connection);
+    return device.old(begin + at);
+  };
+  const breath = (at: number) => device.takeBreath({ ...(decodeText('{"type":"breath","device":0,"rate_set":20}') as Breath) }, begin + at);
+  assert.equal(old(0), false, "there is none yet");
+  breath(0);
+  assert.deepEqual([old(5_900), old(6_100)], [false, true]);
+  breath(7_000);
+  assert.deepEqual([old(7_100), old(7_200, { mode: "standby", ventilating: false }), old(7_300, { connected: false, missing: "line" })], [false, true, true]);
+  assert.equal(old(7_400, { connected: false, missing: "answers" }), false, "samples may arrive all the same");
+  assert.deepEqual([old(7_500, {}, 1_000), old(7_600)], [true, false]);
+  assert.equal(old(20_000, { settings: { rate: 5 } }), false, "the next breath may be the first one at a lower rate");
 });

@@ -63,8 +63,9 @@ for (const [screen, options] of Object.entries(SCREENS)) {
       await until(page, () => window.eupnea?.devices.length > 0 && window.eupnea.devices.every(({ breath }) => breath !== null));
       fake.alarm(4, "leak", "low", "Leak");
       fake.fault(fake.devices[3], "disconnect");
+      fake.devices[5].mute = true;
       fake.alarm(1, "rate", "medium", "Rate above the set rate");
-      await until(page, () => document.querySelectorAll('.card .banner:not([data-priority="none"])').length === 3);
+      await until(page, () => document.querySelectorAll('.card .banner:not([data-priority="none"])').length === 4 && document.querySelector(".card.stale") !== null);
       await check(page, `wall-${screen}`);
       await page.getByRole("button", { name: "Open R 5 C 50, learned" }).click();
       // Two breaths make a loop with the one before it.

@@ -459,6 +459,28 @@ scene("a device that is lost is told, with the reason", {}, async (page, fake) =
   assert.match(await text(page, "#banner .banner-text"), /the port is gone/);
 });
 
+scene("on the wall, a device that is lost or silent looks it, and figures of before a stop look old", { demo: true, steer: true }, async (page, fake) => {
+  const card = (name) => page.locator(".card").filter({ has: page.getByText(name, { exact: true }) });
+  const has = async (name, look) => (await card(name).getAttribute("class")).split(" ").includes(look);
+  await until(page, () => window.eupnea.devices.every(({ breath }) => breath !== null));
+  const [live, lost, silent, stopped] = [3, 4, 5, 6].map((index) => fake.devices[index]);
+  assert.equal(await page.locator(".card.stale, .card.old").count(), 0);
+  lost.connected = false;
+  silent.mute = true;
+  stopped.ventilating = false;
+  await eventually(async () => (await has(lost.name, "stale")) && (await has(silent.name, "stale")) && (await has(stopped.name, "old")), "they look stale");
+  assert.equal(await card(lost.name).locator(".card-cover").textContent(), "Device not connected");
+  assert.equal(await card(silent.name).locator(".card-cover").textContent(), "No data");
+  assert.equal(await card(stopped.name).locator(".card-cover").isVisible(), false);
+  assert.deepEqual([await has(live.name, "stale"), await has(live.name, "old")], [false, false]);
+  const colours = await Promise.all([live, lost, stopped].map(({ name }) => card(name).locator("dd").first().evaluate((element) => getComputedStyle(element).color)));
+  assert.ok(colours[0] !== colours[1] && colours[1] === colours[2], colours.join());
+  await page.getByRole("button", { name: `Open ${stopped.name}`, exact: true }).click();
+  await until(page, () => /^Last breath at \d\d:\d\d:\d\d$/.test(document.querySelector(".age").textContent));
+  stopped.ventilating = true;
+  await until(page, () => document.querySelector(".age").textContent === "");
+});
+
 scene("the page finds the server again after its death, and keeps what it had", { steer: true }, async (page, fake) => {
   await until(page, () => window.eupnea.devices[0].breath !== null);
   const { port } = fake;
