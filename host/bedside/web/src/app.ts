@@ -148,6 +148,7 @@ class App {
 
   /** Shows a device, or the wall. */
   private open(device: Device | null): void {
+    if (device !== this.shown) this.bedside.leave();
     this.shown = device;
     show(this.wall.element, device === null);
     show(this.bedside.element, device !== null);
@@ -242,15 +243,17 @@ class App {
   }
 
   private shortcuts() {
+    // On the wall no device is chosen: these keys would act on the one that was shown last.
+    const shown = (run: () => void) => () => { if (this.shown !== null) run(); };
     return [
-      { key: "f", text: "Freeze the picture, or let it run", run: () => this.bedside.freeze() },
-      { key: "s", text: "Next length of the sweep", run: () => this.bedside.nextSweep() },
-      { key: "r", text: "Keep the last breath as the reference, or forget it", run: () => this.bedside.reference() },
+      { key: "f", text: "Freeze the picture, or let it run", run: shown(() => this.bedside.freeze()) },
+      { key: "s", text: "Next sweep length", run: shown(() => this.bedside.nextSweep()) },
+      { key: "r", text: "Keep the last breath as the reference, or forget it", run: shown(() => this.bedside.reference()) },
       { key: "w", text: "Show the wall of all devices", run: () => { if (this.devices.length > 1) this.open(null); } },
       { key: "p", text: "Pause the alarm sound, or end the pause", run: () => { this.audio.toggle(); } },
-      { key: "a", text: "Show the list of alarms", run: () => this.bedside.open("alarms") },
-      { key: "t", text: "Show the settings", run: () => this.bedside.open("settings") },
-      { key: "m", text: "Set a marker", run: () => { this.bedside.record.mark(); } },
+      { key: "a", text: "Show the list of alarms", run: shown(() => this.bedside.open("alarms")) },
+      { key: "t", text: "Show the settings", run: shown(() => this.bedside.open("settings")) },
+      { key: "m", text: "Set a marker", run: shown(() => { this.bedside.record.mark(); }) },
     ];
   }
 }

@@ -49,6 +49,12 @@ export class Bedside {
     this.buttons();
   }
 
+  /** The view is left: when it is opened again, its picture runs. */
+  leave(): void {
+    this.waves.freeze(false);
+    this.buttons();
+  }
+
   /** Updates texts and numbers. */
   update(mayEver: boolean, now: number): void {
     const { device } = this;

@@ -1,5 +1,6 @@
 // The waveforms of one device: strips with axes, curves by an erase-bar sweep, freeze and cursors.
 
+import { clock } from "./alarms";
 import { Cursors } from "./cursors";
 import type { Device } from "./device";
 import { h, setAttribute, setText, show } from "./dom";
@@ -27,6 +28,9 @@ export class Waves {
   readonly element = h("section", { class: "waves", "aria-label": "Waveforms" });
   private readonly stack = h("div", { class: "stack" });
   private readonly shade = h("div", { class: "shade" });
+  /** Says that the picture is frozen, since when, and whether anything arrives meanwhile. */
+  private readonly held = h("p", { class: "held", role: "status" });
+  private heldSince = "";
   private readonly origin = h("span", { class: "origin" });
   private readonly rows: Row[];
   private readonly cursors: Cursors;
@@ -40,7 +44,7 @@ export class Waves {
   private drawn: { ring: Ring; next: number } | null = null;
 
   constructor() {
-    this.element.append(this.stack, this.origin, this.shade);
+    this.element.append(this.held, this.stack, this.origin, this.shade);
     const all = strips();
     this.rows = all.map((strip, index) => this.row(strip, index === all.length - 1));
     this.cursors = new Cursors(this.stack, () => ({ ring: this.ring, sweep: this.sweep, left: this.left, width: this.width }));
@@ -86,15 +90,18 @@ export class Waves {
   /** Holds the picture, or lets it run again. */
   freeze(on: boolean): void {
     this.frozen = on && this.device ? this.device.ring.copy() : null;
+    this.heldSince = `FROZEN ${clock(Date.now())}`;
+    setText(this.held, this.isFrozen ? this.heldSince : "");
     this.element.classList.toggle("frozen", on);
     this.cursors.show(on);
     this.redraw();
   }
 
-  /** Covers the curves with a text, or uncovers them. */
+  /** Covers the curves with a text, or uncovers them. A frozen picture stays visible, and the text stands above it. */
   cover(text: string | null): void {
     show(this.shade, text !== null && !this.isFrozen);
     setText(this.shade, text ?? "");
+    if (this.isFrozen) setText(this.held, text === null ? this.heldSince : `${this.heldSince}. Now: ${text}`);
   }
 
   redraw(): void {

@@ -203,6 +203,41 @@ scene("freeze holds the picture, cursors tell the values, and the data goes on",
   await eventually(async () => (await picture()) !== before, "the picture goes on");
 });
 
+scene("a frozen picture says so, does not hide that nothing arrives, and runs again when its view is left", { demo: true }, async (page, fake) => {
+  await page.getByRole("button", { name: "Open R 20 C 50" }).click();
+  await page.keyboard.press("f");
+  assert.match(await text(page, ".held"), /^FROZEN \d\d:\d\d:\d\d$/);
+  fake.devices[7].connected = false;
+  await until(page, () => /^FROZEN \d\d:\d\d:\d\d\. Now: Device not connected$/.test(document.querySelector(".held").textContent));
+  fake.devices[7].connected = true;
+  fake.stalled = true;
+  await until(page, () => /^FROZEN \d\d:\d\d:\d\d\. Now: No data$/.test(document.querySelector(".held").textContent));
+  fake.stalled = false;
+  await until(page, () => /^FROZEN \d\d:\d\d:\d\d$/.test(document.querySelector(".held").textContent));
+  await page.keyboard.press("w");
+  await page.getByRole("button", { name: "Open R 20 C 50" }).click();
+  assert.equal(await text(page, ".held"), "");
+  assert.equal(await page.evaluate(() => window.eupnea.bedside.waves.isFrozen), false);
+  assert.equal(await text(page, ".freeze"), "Freeze");
+});
+
+scene("on the wall, keys do not act on the device that was shown last", { demo: true }, async (page, fake) => {
+  await page.getByRole("button", { name: "Open R 20 C 50" }).click();
+  await until(page, () => window.eupnea.devices[7].breath !== null && window.eupnea.devices[7].ring.end > 6500);
+  const pressed = () => page.evaluate(() => [...document.querySelectorAll(".sweeps [aria-pressed=true]")].map(({ textContent }) => textContent).join());
+  await page.keyboard.press("w");
+  await page.locator(".wall").waitFor();
+  for (const key of ["m", "f", "s", "r", "a", "t"]) await page.keyboard.press(key);
+  // What comes after a marker has come after it at the server, too.
+  await page.getByRole("button", { name: "Open R 20 C 50" }).click();
+  await eventually(() => fake.received.at(-1).type === "watch" && fake.received.at(-1).devices.length === 1, "the device is shown again");
+  assert.deepEqual(fake.received.filter(({ type }) => type === "mark"), []);
+  assert.equal(await text(page, ".held"), "");
+  assert.equal(await pressed(), "12 s");
+  assert.equal(await page.evaluate(() => window.eupnea.devices[7].reference), null);
+  assert.equal(await page.getByRole("tab", { name: "Loops" }).getAttribute("aria-selected"), "true");
+});
+
 scene("the reference breath is drawn behind later ones and goes again", {}, async (page) => {
   // A complete breath of 3 s, whenever the page began to watch.
   await until(page, () => window.eupnea.devices[0].ring.end > 6500);
