@@ -76,7 +76,8 @@ export class Device {
   }
 
   takeSamples(samples: Samples, now: number): void {
-    this.ring.push(samples);
+    // A recording that begins again has the same moments at the same ticks.
+    if (this.ring.push(samples) && !this.replay) this.restarted(samples.time_ms);
     this.dropped = samples.dropped;
     this.time_ms = samples.time_ms;
     this.samplesHeard = now;
@@ -96,10 +97,18 @@ export class Device {
     if (this.events.some(known)) return;
     this.events.unshift(event);
     this.events.length = Math.min(this.events.length, EVENTS);
+    if (event.kind === "restarted") this.restarted(event.time_ms);
     if (event.kind !== "marker") return;
     const tick = event.tick ?? this.samples?.newest ?? Number.NaN;
-    if (!Number.isNaN(tick)) this.markers.push({ tick, text: event.text });
+    if (!Number.isNaN(tick)) this.markers.push({ tick, text: event.text, time_ms: event.time_ms });
     if (this.markers.length > MARKERS) this.markers.shift();
+  }
+
+  /** Forgets what was before a restart: the device counts its ticks from zero again, and its last breath is not of this start. */
+  private restarted(time_ms: number): void {
+    const kept = this.markers.filter((marker) => marker.time_ms > time_ms);
+    this.markers.splice(0, this.markers.length, ...kept);
+    if (this.breathTime <= time_ms) this.breath = null;
   }
 
   /** Begins or ends watching the samples; those that pass meanwhile do not count as missing. */

@@ -8,6 +8,8 @@ import { place, type Sweep, shown } from "./sweep";
 export interface Marker {
   tick: number;
   text: string;
+  /** Time of the server, Unix ms. */
+  time_ms: number;
 }
 
 /** Most markers kept. */

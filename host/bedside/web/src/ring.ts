@@ -48,10 +48,14 @@ export class Ring {
     return this.columns[name][index % this.length] ?? Number.NaN;
   }
 
-  /** Appends samples. A first tick that lies before the expected one means that the device or the recording has restarted. */
-  push(samples: Samples): void {
+  /**
+   * Appends samples; returns whether the device or the recording has restarted, which a first tick that lies before the expected one
+   * means.
+   */
+  push(samples: Samples): boolean {
     if (samples.tick > this.next) this.missing += samples.tick - this.next;
-    if (samples.tick < this.next) this.start = this.end;
+    const restarted = samples.tick < this.next;
+    if (restarted) this.start = this.end;
     this.next = samples.tick + samples.count;
     for (let index = 0; index < samples.count; index++) {
       const place = (this.end + index) % this.length;
@@ -60,6 +64,7 @@ export class Ring {
       this.tick[place] = samples.tick + index;
     }
     this.end += samples.count;
+    return restarted;
   }
 
   /** Continues after a time without samples, which are not missing. */

@@ -111,3 +111,31 @@ test("figures are old if nothing arrives, without ventilation, and when breaths 
   assert.deepEqual([old(7_500, {}, 1_000), old(7_600)], [true, false]);
   assert.equal(old(20_000, { settings: { rate: 5 } }), false, "the next breath may be the first one at a lower rate");
 });
+
+/** Takes an event of a kind at a time of the server, ms. */
+function event(device: Device, kind: string, time_ms: number, tick: number | null = null): void {
+  device.takeEvent({ type: "event", device: 0, time_ms, kind, text: kind, tick });
+}
+
+test("markers and the breath of before a restart are forgotten, those of after it stay", () => {
+  const device = new Device(info);
+  device.takeBreath({ ...(decodeText('{"type":"breath","device":0,"time_ms":1500}') as Breath) }, 0);
+  for (const [kind, at, tick] of [["marker", 1_000, 70_000], ["restarted", 2_000, null], ["marker", 3_000, 900]] as const) event(device, kind, at, tick);
+  assert.deepEqual(device.markers.map(({ tick }) => tick), [900]);
+  assert.equal(device.breath, null);
+  // The page may see the restart in the samples before the server tells it.
+  device.takeBreath({ ...(decodeText('{"type":"breath","device":0,"time_ms":3500}') as Breath) }, 0);
+  event(device, "restarted", 2_500);
+  assert.deepEqual(device.markers.map(({ tick }) => tick), [900]);
+  assert.notEqual(device.breath, null);
+});
+
+test("markers are forgotten when the ticks begin again, but not those of a recording", () => {
+  for (const [kind, kept] of [["board", 0], ["recording", 1]] as const) {
+    const device = new Device({ ...info, kind });
+    device.takeSamples(decoded(70_000), 0);
+    event(device, "marker", Date.now() - 1_000, 70_000);
+    device.takeSamples(decoded(0), 0);
+    assert.equal(device.markers.length, kept, kind);
+  }
+});

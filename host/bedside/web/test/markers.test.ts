@@ -7,7 +7,7 @@ import { share } from "../src/verdict_view";
 
 test("a marker is shown from its tick until the erase bar reaches it", () => {
   const sweep = { seconds: 6, tick: 0.001 };
-  const markers = [{ tick: 3000, text: "here" }];
+  const markers = [{ tick: 3000, text: "here", time_ms: 0 }];
   const shown = (newest: number, oldest = 0) => visible(markers, newest, oldest, sweep);
   assert.deepEqual(shown(2999), []);
   assert.deepEqual(shown(3000), [{ at: 0.5, text: "here" }]);
