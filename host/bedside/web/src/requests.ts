@@ -2,8 +2,8 @@
 
 import type { Answer } from "./stream";
 
-/** Requests are given up after this time, ms. */
-const PATIENCE_MS = 5_000;
+/** Requests are given up after this time, ms: the server asks a device four times, 1.5 s each, before it answers. */
+export const PATIENCE_MS = 8_000;
 
 export class Requests {
   private next = 1;
