@@ -34,7 +34,7 @@ export const SETTINGS = [
 
 class FakeDevice {
   constructor(id, name, lung) {
-    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, pausing: true, mute: false, adaptation: lung.learned ? { breaths: 2, of: 4, last: "adopted" } : null, untold: false, testing: false, kind: "simulated" });
+    Object.assign(this, { id, name, lung, alarms: [], steerer: null, recording: null, pauseEnd: 0, connected: true, triggers: null, mode: null, safeState: false, pausing: true, mute: false, adaptation: lung.learned ? { breaths: 2, of: 4, last: "adopted" } : null, untold: false, testing: false, kind: "simulated" });
     this.settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
     this.ventilating = true;
     this.verdict = null;
@@ -48,7 +48,7 @@ class FakeDevice {
     const { learned } = this.lung;
     return {
       type: "state", device: this.id, connected: this.connected, lost: this.connected ? null : "the port is gone",
-      missing: this.connected ? null : "line", mode: this.mode ?? (this.ventilating ? "ventilating" : "standby"), ventilating: this.ventilating, controller: learned ? "learned" : "PID 3,4,0",
+      missing: this.connected ? null : "line", mode: this.mode ?? (this.ventilating ? "ventilating" : "standby"), ventilating: this.ventilating, safe_state: this.safeState, controller: learned ? "learned" : "PID 3,4,0",
       level: learned ? "learned" : "pid", distrust: this.alarms.filter((alarm) => alarm.present).map((alarm) => alarm.text), adaptation: this.adaptation, settings: this.untold ? null : this.settings, pending: null,
       alarms: this.alarms, audio: { priority, pause_left: Math.max(0, Math.ceil((this.pauseEnd - Date.now()) / 1000)) },
       steered_by: this.steerer ? "a browser tab" : null, ticks: { mean_us: 14.8, worst_us: 21, missed: 0 },
@@ -68,8 +68,8 @@ function lungs(demo) {
 
 export class Fake {
   /** With `listen`, a page that has not shown the token is not served. */
-  constructor({ steer = false, demo = false, token = null, listen = false } = {}) {
-    Object.assign(this, { steer, demo, token, listen, stalled: false, received: [], drawn: [] });
+  constructor({ steer = false, demo = false, record = true, token = null, listen = false } = {}) {
+    Object.assign(this, { steer, demo, record, token, listen, stalled: false, received: [], drawn: [] });
     this.devices = lungs(demo);
   }
 
@@ -128,7 +128,7 @@ export class Fake {
   greet(socket) {
     socket.served = true;
     const devices = this.devices.map(({ id, name, kind }) => ({ id, name, kind, period_us: 1000 }));
-    this.send(socket, { type: "hello", version: 1, steer: this.steer, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120, large_change: 5 }, devices });
+    this.send(socket, { type: "hello", version: 1, steer: this.steer, record: this.record, demo: this.demo, settings: SETTINGS, limits: { audio_pause_s: 120, large_change: 5 }, devices });
     for (const device of this.devices) {
       this.send(socket, device.state());
       if (device.history) this.send(socket, { type: "history", device: device.id, ...device.history });
@@ -151,6 +151,7 @@ export class Fake {
   }
 
   states() {
+    for (const device of this.devices) device.alarms = device.alarms.filter(({ present, acknowledged }) => present || !acknowledged);
     for (const device of this.devices) this.all(device.state());
   }
 
@@ -172,7 +173,7 @@ export class Fake {
     const ok = device.steerer === socket || ["mark", "record", "capture", "recorder"].includes(message.type);
     if (message.type === "start" && device.testing) return;
     if (message.type === "pause_audio" && !device.pausing) return this.send(socket, { type: "answer", id: message.id, ok: false, text: "no sounder", settings: null });
-    const text = ok ? this.obey(device, message) : "take the device first";
+    const text = ok ? this.obey(device, message) : "take control of the device first";
     this.send(socket, { type: "answer", id: message.id, ok, text, settings: device.settings });
     this.all(device.state());
   }
@@ -183,10 +184,10 @@ export class Fake {
       case "apply": for (const [name, value] of Object.entries(message.settings)) device.settings[name] = Math.fround(value); return "Applied from the next breath on.";
       case "start": device.ventilating = true; return "Ventilation started.";
       case "stop": device.ventilating = false; return "Ventilation stopped.";
-      case "acknowledge": for (const alarm of device.alarms) alarm.acknowledged = true; return "Acknowledged.";
+      case "acknowledge": device.alarms = device.alarms.filter(({ present }) => present); for (const alarm of device.alarms) alarm.acknowledged = true; return "Acknowledged.";
       case "pause_audio": device.pauseEnd = Date.now() + 1000 * Math.min(message.seconds, 120); return "Paused.";
       case "mark": event("marker", message.text); return "Marker set.";
-      case "record": device.recording = message.on ? { file: "bench-1.parquet", samples: 0 } : null; return message.on ? "Recording." : "Recording ended.";
+      case "record": device.recording = message.on ? { file: "bench-1.parquet", samples: 0, lost: 0 } : null; return message.on ? "Recording." : "Recording ended.";
       case "capture": device.triggers = Object.keys(message.triggers).length > 0 ? message.triggers : null; return device.triggers ? "Capture armed." : "Disarmed.";
       case "recorder": this.all({ type: "log", device: device.id, events: [{ start: 3, seconds: 0.5, text: "ventilation started" }, { start: 3, seconds: 9, text: "alarm: leak" }] }); return "2 events read";
       case "fault": return this.fault(device, message.fault);
@@ -201,7 +202,7 @@ export class Fake {
     device.alarms = [];
     if (fault === "disconnect") this.alarm(device.id, "disconnection", "high", "Patient disconnected");
     if (fault === "stick") this.alarm(device.id, "reading-frozen", "medium", "Pressure sensor does not change");
-    return fault === "none" ? "Mended." : `Fault: ${fault}.`;
+    return fault === "none" ? "Faults cleared." : `Fault: ${fault}.`;
   }
 
   /** Catches up with the clock, one tick per millisecond, and sends what came. */

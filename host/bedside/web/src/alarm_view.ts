@@ -14,9 +14,10 @@ export function without(devices: readonly Pick<Device, "replay" | "state">[]): s
   return devices.every(({ state }) => state !== null) ? NO_ALARMS : "Waiting for the device";
 }
 
-/** An alarm's text, and whether its condition is gone. */
-export function inWords({ text, present }: Alarm): string {
-  return `${text}${present ? "" : " (gone)"}`;
+/** An alarm's text, whether its condition is gone, and whether it is acknowledged. */
+export function inWords({ text, present, acknowledged }: Alarm): string {
+  const notes = [...(present ? [] : ["gone"]), ...(acknowledged ? ["acknowledged"] : [])];
+  return notes.length === 0 ? text : `${text} (${notes.join(", ")})`;
 }
 
 /** The banner in the page's head: the most urgent alarm and how many more there are. */
@@ -35,14 +36,17 @@ export class Banner {
     this.element.append(this.mark, h("div", { class: "banner-texts" }, this.text, this.behind), this.more, this.live);
   }
 
-  /** Shows the alarms, or the text `none`. A latched alarm flashes until it is acknowledged, as the device's lamp does. */
+  /**
+   * Shows the alarms, or the text `none`. It flashes, as the device's lamp does, while an alarm is listed; an acknowledgement removes
+   * an alarm once its condition is gone.
+   */
   update(alarms: readonly Alarm[], none = NO_ALARMS): void {
     const [first, ...rest] = ordered(alarms);
     const behind = behindGone(alarms);
     setAttribute(this.element, "data-priority", first?.priority ?? "none");
     setText(this.mark, first ? MARKS[first.priority] : "");
     setText(this.text, first ? inWords(first) : none);
-    setText(this.behind, behind ? `Present: ${MARKS[behind.priority]} ${behind.text}` : "");
+    setText(this.behind, behind ? `Present: ${MARKS[behind.priority]} ${inWords(behind)}` : "");
     setText(this.more, rest.length > 0 ? `+${rest.length}` : "");
     this.say([first, behind].filter((alarm) => alarm != null).map(spoken).join(". "), none);
   }

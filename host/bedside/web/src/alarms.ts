@@ -44,7 +44,7 @@ export function unacknowledged(device: number | "page", alarms: readonly Alarm[]
 
 /** Whether the device has latched its safe state, which an acknowledgement leaves. */
 export function inSafeState(state: State | null): boolean {
-  return state !== null && /^safe state/i.test(state.mode);
+  return state?.safe_state === true;
 }
 
 /** The alarm that the page raises when the server or the samples are silent. It is urgent if the device may be ventilating. */
@@ -81,7 +81,8 @@ export function sounding(state: State | null, own: readonly Alarm[]): Priority |
 /** One alarm in words, for a screen reader. */
 export function spoken(alarm: Alarm): string {
   const gone = alarm.present ? "" : ", condition gone";
-  return `${alarm.priority} priority alarm: ${alarm.text}${gone}`;
+  const acknowledged = alarm.acknowledged ? ", acknowledged" : "";
+  return `${alarm.priority} priority alarm: ${alarm.text}${gone}${acknowledged}`;
 }
 
 /** Time of day of a Unix time in ms. */

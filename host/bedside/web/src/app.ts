@@ -203,8 +203,14 @@ class App {
     this.head.may(this.shown?.yours ?? false);
     this.connection(now);
     this.audio.update(now, this.devices, this.shown, own);
-    if (this.shown) this.bedside.update(this.hello?.steer ?? false, now);
+    if (this.shown) this.bedside.update(this.mayEver(), now);
     else this.wall.update(now);
+  }
+
+  /** What the server lets any page do. A page that may steer may record. */
+  private mayEver(): { steer: boolean; record: boolean } {
+    const { steer, record } = this.hello ?? { steer: false, record: false };
+    return { steer, record: record || steer };
   }
 
   /** The alarm that the page raises before it knows any device: nothing is known of any patient. */

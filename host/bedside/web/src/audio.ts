@@ -52,7 +52,7 @@ export class Audio {
   private describe(now: number, priority: Priority | null, left: number): void {
     const { blocked } = this.sound;
     show(this.unlockButton, blocked);
-    const sound = blocked ? "Sound is off" : priority ? `Sounds: ${priority}` : "No sound";
+    const sound = blocked ? "Sound is off" : priority ? `Sounding: ${priority} priority` : "No sound";
     const paused = left > 0 ? `Paused, ${Math.ceil(left)} s left` : "";
     // A browser without sound is told even during a pause, and so is an alarm that sounds in spite of it.
     const both = paused !== "" && (blocked || priority !== null) ? `${sound}. ${paused}` : paused || sound;

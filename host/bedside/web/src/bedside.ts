@@ -56,14 +56,14 @@ export class Bedside {
   }
 
   /** Updates texts and numbers. */
-  update(mayEver: boolean, now: number): void {
+  update(mayEver: { steer: boolean; record: boolean }, now: number): void {
     const { device } = this;
     if (device === null) return;
     const cover = device.cover();
     this.numbers.update(device, now);
     this.alarms.update(device.alarms(), without([device]));
-    this.steer.update(device, mayEver);
-    this.record.update(device);
+    this.steer.update(device, mayEver.steer);
+    this.record.update(device, mayEver.record);
     this.verdict.update(device);
     this.tabs.offer("verdict", device.verdict !== null);
     this.waves.cover(cover);

@@ -4,7 +4,7 @@ import type { Device } from "./device";
 import { button, h, setText } from "./dom";
 import type { Requests } from "./requests";
 
-const FAULTS: [string, string][] = [["disconnect", "Disconnect"], ["cough", "Cough"], ["stick", "Stick the sensor"], ["none", "Mend all"]];
+const FAULTS: [string, string][] = [["disconnect", "Disconnect"], ["cough", "Cough"], ["stick", "Stick the sensor"], ["none", "Clear faults"]];
 
 /** Longest wait until the device is taken, ms. */
 const TAKE_MS = 2_000;

@@ -48,7 +48,7 @@ const GROUPS: [string, string, Tile[]][] = [
     { label: "Error", unit: "cmH2O", text: figure("error", 2) },
     { label: "Rise", unit: "ms", text: figure("rise_ms", 0) },
     { label: "Overshoot", unit: "cmH2O", text: figure("overshoot", 1) },
-    { label: "Error of the pair", unit: "cmH2O", text: (_, __, device) => partner(device), wide: true, only: (device) => device.partner !== null },
+    { label: "Error, same lung", unit: "cmH2O", text: (_, __, device) => partner(device), wide: true, only: (device) => device.partner !== null },
     { label: "Controller", unit: "", text: (_, state) => state?.controller || UNKNOWN, wide: true },
     { label: "In command", unit: "", text: (_, state) => (state?.level ? words(state.level) : UNKNOWN), wide: true },
     { label: "Adaptation", unit: "", text: (_, state) => adaptation(state), below: (_, state) => (state?.adaptation ? `last breath: ${state.adaptation.last}` : ""), wide: true },

@@ -5,7 +5,7 @@ import type { Device } from "./device";
 import { button, h, setAttribute, setText, show } from "./dom";
 import { count, plain, words } from "./format";
 import type { Requests } from "./requests";
-import type { LogLine, State, Triggers } from "./stream";
+import type { LogLine, Recording, Triggers } from "./stream";
 
 export class Record {
   readonly element = h("div", { class: "record" });
@@ -24,6 +24,9 @@ export class Record {
   private readonly alarm = h("input", { id: "capture-alarm", type: "checkbox" });
   private readonly armed = h("p", { class: "armed", role: "status" });
   private readonly disarm = button("Disarm", () => this.ask("capture", { triggers: {} }));
+  private readonly readOnly = h("p", { class: "quiet" }, "This page is read-only: start the server with --steer to record.");
+  /** What asks for something; hidden if the server would refuse it. */
+  private readonly controls: HTMLElement[];
   private device: Device | null = null;
   private known = "";
 
@@ -32,22 +35,27 @@ export class Record {
     const marker = h("form", { class: "row", onsubmit: (event) => { event.preventDefault(); this.mark(); } },
       field("Text", this.text), h("button", { type: "submit" }, "Set marker"));
     const capture = h("form", { onsubmit: (event) => { event.preventDefault(); this.capture(); } },
-      field("On overshoot above", this.overshoot, "cmH2O"), field("On pressure above", this.pressure, "cmH2O"), field("On an alarm", this.alarm),
+      field("Overshoot above", this.overshoot, "cmH2O"), field("Pressure above", this.pressure, "cmH2O"), field("Any alarm", this.alarm),
       h("div", { class: "row" }, h("button", { type: "submit" }, "Arm capture"), this.disarm));
+    const [record, reader] = [h("div", { class: "row" }, this.toggle), h("div", { class: "row" }, this.read)];
+    const setMarker = h("div", {}, h("h2", {}, "Marker"), marker);
+    this.controls = [record, setMarker, capture, reader];
     this.element.append(
-      h("h2", {}, "Recording"), this.status, h("div", { class: "row" }, this.toggle), this.result,
-      h("h2", {}, "Marker"), marker,
+      h("h2", {}, "Recording"), this.status, this.readOnly, record, this.result, setMarker,
       h("h2", {}, "Capture, with the 10 s before"), this.armed, capture,
       h("h2", {}, "Events"), this.none, this.log,
-      h("h2", {}, "Flight recorder"), h("div", { class: "row" }, this.read), this.noRecorder, this.recorder,
+      h("h2", {}, "Flight recorder"), reader, this.noRecorder, this.recorder,
     );
   }
 
-  update(device: Device): void {
+  /** `mayEver` tells whether the server lets any page record. */
+  update(device: Device, mayEver: boolean): void {
     if (this.device !== device) setText(this.result, "");
     this.device = device;
     const recording = device.state?.recording ?? null;
     setText(this.status, recording ? recordingInWords(recording) : "Not recording.");
+    for (const control of this.controls) show(control, mayEver);
+    show(this.readOnly, !mayEver);
     setText(this.toggle, recording ? "Stop recording" : "Start recording");
     const capture = device.state?.triggers ?? null;
     setText(this.armed, capture ? `Armed: ${triggersInWords(capture)}.` : "Not armed.");
@@ -63,9 +71,9 @@ export class Record {
 
   private updateRecorder(device: Device): void {
     // A replay has its log from the start, or none.
-    show(this.read, device.info.kind !== "recording");
+    show(this.read, !device.replay);
     show(this.noRecorder, device.log === null);
-    setText(this.noRecorder, device.info.kind === "recording" ? "This recording has no event log." : "Not read yet.");
+    setText(this.noRecorder, device.replay ? "This recording has no event log." : "Not read yet.");
     if (device.log === this.shownLog) return;
     this.shownLog = device.log;
     const newest = [...(device.log ?? [])].reverse();
@@ -120,10 +128,10 @@ export class Record {
   }
 }
 
-/** The recording in words. */
-export function recordingInWords({ file, samples, lost, by }: NonNullable<State["recording"]>): string {
-  const losses = lost > 0 ? `, ${count(lost)} lost because the disk is too slow` : "";
-  return `Recording to ${file}: ${count(samples)} samples${losses}${by === null ? "" : `, started by ${by}`}`;
+/** The running recording in words. */
+export function recordingInWords({ file, samples, lost, by }: Recording): string {
+  const notes = [`${count(samples)} samples`, ...(lost > 0 ? [`${count(lost)} samples lost: the disk is too slow`] : []), ...(by === null ? [] : [`started by ${by}`])];
+  return `Recording to ${file}: ${notes.join(", ")}`;
 }
 
 /** The armed triggers in words. */

@@ -211,7 +211,7 @@ export class Steer {
     const settings = edited.map(({ setting }) => setting);
     if (changes(settings, { ...state.settings, ...state.pending }, asked).length === 0) {
       this.undo();
-      setText(this.result, "Nothing to change: the values are applied already.");
+      setText(this.result, "Nothing to change: the values are already in force.");
       return;
     }
     const steps = large(settings, state.settings, asked, this.largeChange);
@@ -251,7 +251,7 @@ function who(device: Device, mayEver: boolean): string {
   const [holder, lease] = [device.state?.steered_by ?? null, device.state?.lease ?? null];
   const page = device.yours ? "This page steers the device." : holder === null ? "No page steers the device." : `${holder} steers the device.`;
   // Another program may hold the device's lease, past all pages.
-  const obeys = lease === null ? "" : ` The device obeys ${lease}.`;
+  const obeys = lease === null ? "" : ` ${sentence(`${lease} holds the device's lease`)}`;
   const reads = mayEver ? "" : " This page is read-only: start the server with --steer to change settings.";
   return page + obeys + reads;
 }

@@ -35,6 +35,8 @@ export interface Hello {
   type: "hello";
   version: number;
   steer: boolean;
+  /** Whether pages with the server's token may record, set markers and read a flight recorder, also without steering. */
+  record: boolean;
   demo: boolean;
   settings: Setting[];
   devices: DeviceInfo[];
@@ -63,6 +65,8 @@ export interface State {
   lost: string | null;
   mode: string;
   ventilating: boolean;
+  /** Whether the device has latched its safe state. */
+  safe_state: boolean;
   controller: string;
   level: string;
   distrust: string[];
@@ -76,13 +80,15 @@ export interface State {
   steered_by: string | null;
   ticks: { mean_us: number | null; worst_us: number | null; missed: number | null };
   line: { corrupt: number; lost_batches: number; dropped: number };
-  /** `by` is the page that started it; `lost` are samples for which the disk was too slow. */
-  recording: { file: string; samples: number; lost: number; by: string | null } | null;
+  recording: Recording | null;
   /** The program that steers the device past this server, in words. */
   lease: string | null;
   /** The armed triggers of a capture; null if none is armed or the server does not tell. */
   triggers: Triggers | null;
 }
+
+/** A running recording: `by` is the page that started it, `lost` counts the samples for which the disk was too slow. */
+export interface Recording { file: string; samples: number; lost: number; by: string | null }
 
 /** The breaths that the learned controller remembers, the number after which it has adapted, and what became of the last one. */
 export interface Adaptation { breaths: number; of: number; last: string }
@@ -242,6 +248,7 @@ function hello(value: Loose): Hello {
     type: "hello",
     version: number(value.version) ?? 0,
     steer: value.steer === true,
+    record: value.record === true,
     demo: value.demo === true,
     settings: list(value.settings).map((one) => ({
       name: string(one.name), description: string(one.description), unit: string(one.unit),
@@ -269,7 +276,6 @@ function state(value: Loose): State | null {
   const device = number(value.device);
   if (device === null) return null;
   const [audio, ticks, line] = [object(value.audio), object(value.ticks), object(value.line)];
-  const recording = isObject(value.recording) ? value.recording : null;
   return {
     type: "state",
     device,
@@ -278,6 +284,7 @@ function state(value: Loose): State | null {
     lost: textOrNull(value.lost),
     mode: string(value.mode),
     ventilating: value.ventilating === true,
+    safe_state: value.safe_state === true,
     controller: string(value.controller),
     level: string(value.level),
     distrust: Array.isArray(value.distrust) ? value.distrust.map(string) : [],
@@ -289,10 +296,15 @@ function state(value: Loose): State | null {
     steered_by: textOrNull(value.steered_by),
     ticks: { mean_us: number(ticks.mean_us), worst_us: number(ticks.worst_us), missed: number(ticks.missed) },
     line: { corrupt: number(line.corrupt) ?? 0, lost_batches: number(line.lost_batches) ?? 0, dropped: number(line.dropped) ?? 0 },
-    recording: recording ? { file: string(recording.file), samples: number(recording.samples) ?? 0, lost: number(recording.lost) ?? 0, by: textOrNull(recording.by) } : null,
+    recording: recording(value.recording),
     lease: textOrNull(value.lease),
     triggers: triggers(value.triggers),
   };
+}
+
+function recording(value: unknown): Recording | null {
+  if (!isObject(value)) return null;
+  return { file: string(value.file), samples: number(value.samples) ?? 0, lost: number(value.lost) ?? 0, by: textOrNull(value.by) };
 }
 
 function adaptation(value: unknown): Adaptation | null {

@@ -38,12 +38,16 @@ test("a present alarm is shown behind a more urgent one that is gone", () => {
   assert.equal(behindGone([alarm("pressure", "high"), rate]), null);
 });
 
-test("the safe state is known by its mode", () => {
-  const mode = (text: string) => ({ ...state(null), mode: text });
-  assert.deepEqual([inSafeState(mode("safe state: high pressure")), inSafeState(mode("standby")), inSafeState(null)], [true, false, false]);
+test("the safe state is told by the server, whatever its words for the mode", () => {
+  const safe = (content: object) => {
+    const decoded = decodeText(JSON.stringify({ type: "state", device: 0, mode: "safe state", ...content }));
+    return decoded?.type === "state" && inSafeState(decoded);
+  };
+  assert.deepEqual([safe({ safe_state: true, mode: "vented" }), safe({ safe_state: false }), safe({}), inSafeState(null)], [true, false, false, false]);
 });
 
-test("an alarm is spoken with its priority and whether its condition is gone", () => {
+test("an alarm is spoken with its priority, whether its condition is gone and whether it is acknowledged", () => {
+  assert.equal(spoken(alarm("Leak", "low", { acknowledged: true })), "low priority alarm: Leak, acknowledged");
   assert.equal(spoken(alarm("Leak", "medium", { present: false })), "medium priority alarm: Leak, condition gone");
 });
 

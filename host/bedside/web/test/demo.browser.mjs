@@ -46,7 +46,7 @@ test("nine lungs breathe, waveforms move, and a fault raises an alarm", { skip: 
   await page.getByRole("button", { name: "Disconnect" }).click();
   await until(page, () => document.querySelector("#banner").dataset.priority === "high", undefined, 60_000);
   await page.screenshot({ path: join(SHOTS, "standalone-alarm.png") });
-  await page.getByRole("button", { name: "Mend all" }).click();
+  await page.getByRole("button", { name: "Clear faults" }).click();
   await until(page, () => window.eupnea.devices.every(({ state }) => !state.alarms.some(({ present }) => present)), undefined, 60_000);
   assert.equal(await page.evaluate(() => window.eupnea.socket.malformed), 0);
   assert.deepEqual(page.errors, []);

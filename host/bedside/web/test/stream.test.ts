@@ -64,6 +64,14 @@ test("a state without its parts decodes to unknown values", () => {
   assert.equal(state.adaptation, null);
 });
 
+test("the samples that a recording has lost are counted, none if the server does not tell", () => {
+  const lost = (recording: object) => {
+    const state = decodeText(JSON.stringify({ type: "state", device: 1, recording: { file: "a.parquet", samples: 5, ...recording } }));
+    return state?.type === "state" ? state.recording?.lost : undefined;
+  };
+  assert.deepEqual([lost({ lost: 7 }), lost({})], [7, 0]);
+});
+
 test("an adaptation is whole or unknown", () => {
   const adaptation = (value: unknown) => {
     const state = decodeText(JSON.stringify({ type: "state", device: 1, adaptation: value }));
