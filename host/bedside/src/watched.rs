@@ -347,6 +347,7 @@ impl Watched {
             lost,
             missing,
             mode: known.mode.map(words::mode).unwrap_or_default(),
+            safe_state: matches!(known.mode, Some(Mode::Fault(_))),
             ventilating: known.mode == Some(Mode::Ventilating),
             controller: known.controller.map(words::controller).unwrap_or_default(),
             level: known.status.map_or("", |status| in_command(status.level, known.controller)),

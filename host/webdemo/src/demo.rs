@@ -20,6 +20,7 @@ use crate::patient::{PAGE, Patient, PatientError};
 /// The learned controller: its name, which is also that of the family for which it was trained, and its weights.
 const CONTROLLER: (&str, &[u8; IMAGE_BYTES]) = ("adult", include_bytes!("../../learn/controllers/adult.bin"));
 /// The best single PID of that family.
+#[expect(clippy::unreadable_literal, reason = "the build writes the gains")]
 pub const RIVAL: PidGains = include!(concat!(env!("OUT_DIR"), "/rival.rs"));
 /// The page's number, for the wheels.
 const VIEWER: u64 = 0;

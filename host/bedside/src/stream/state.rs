@@ -18,6 +18,8 @@ pub struct State {
     pub missing: Option<Missing>,
     /// Mode in words.
     pub mode: String,
+    /// Whether it is in its latched safe state.
+    pub safe_state: bool,
     /// Whether it ventilates.
     pub ventilating: bool,
     /// The chosen controller in words.

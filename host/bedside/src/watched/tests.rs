@@ -178,6 +178,17 @@ fn an_alarm_whose_message_was_lost_is_told_with_the_next_report() {
 }
 
 #[test]
+fn the_safe_state_is_told() {
+    let mut watched = watched();
+    let modes = [Mode::Standby, Mode::Ventilating, Mode::Fault(Fault::HighPressure)];
+    let told = modes.map(|mode| {
+        take(&mut watched, &answer(Request::Stop, Response::Mode(mode)), 1);
+        watched.state(1, None, None, None).safe_state
+    });
+    assert_eq!(told, [false, false, true]);
+}
+
+#[test]
 fn an_alarm_that_has_ended_stays_so_while_the_device_repeats_it() {
     let mut watched = watched();
     let alarm = News::Event(Event::Alarm { fault: Fault::Disconnection, tick: 7 });
