@@ -162,8 +162,8 @@ fn without_a_reading_the_predicted_pressure_takes_flow_away() {
 }
 
 /// Ticks of an inspiration: volume, flow, and the rise that these make of it.
-fn sums(ticks: &[(f32, f32)], rise: impl Fn(f32, f32) -> [f32; 2]) -> Sums {
-    let mut sums = Sums::default();
+fn sums(ticks: &[(f32, f32)], rise: impl Fn(f32, f32) -> [f32; 2]) -> LungFit {
+    let mut sums = LungFit::default();
     for (volume, flow) in ticks {
         // Each twice, so that what is added once and taken away once is in no way explained.
         for y in rise(*volume, *flow) {
@@ -294,7 +294,7 @@ fn an_inspiration_starts_from_peep_at_most_and_knows_nothing_of_the_last() {
     state.start_inspiration(20.0, 5.0);
     assert_eq!(
         (state.start as i32, state.volume() as i32, state.sums, state.lungs),
-        (5, 0, Sums::default(), lungs)
+        (5, 0, LungFit::default(), lungs)
     );
     state.start_inspiration(3.0, 5.0);
     assert_eq!(state.start as i32, 3);
