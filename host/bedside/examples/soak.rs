@@ -215,5 +215,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     let trainer = args.next().ok_or("name the trainer binary and the minutes")?;
     let minutes = args.next().map_or(Ok(30), |minutes| minutes.parse())?;
     let (served, url) = Served::start(&trainer)?;
+    println!("process {}, to be watched in a browser, too: {url}", served.0.id());
     Builder::new_current_thread().enable_all().build()?.block_on(soak(&served, &url, minutes))
 }
