@@ -12,8 +12,10 @@ use super::support::{Place, text};
 
 /// Moments at which the farm is killed.
 const KILLS: usize = 20;
-/// Breaths of each unit: more than a session can record before it is killed.
-const BREATHS: usize = 60;
+/// Breaths of a session after which it is killed, whatever the speed of the machine.
+const SESSION: usize = 2;
+/// Breaths of each unit: more than all sessions record. A breath may end while another one is counted.
+const BREATHS: usize = 2 * KILLS * SESSION;
 
 /// The recording of a unit.
 fn recording(place: &Place, farm: &str, unit: u32) -> Recording {
@@ -37,19 +39,24 @@ fn a_farm_that_is_killed_at_twenty_moments_loses_and_doubles_no_breath() {
     let place = Place::new();
     let line =
         |out: &str| format!("farm --virtual 2 --until collect --breaths {BREATHS} --pace 40 --out {out}");
-    let recorded =
-        |unit| place.path(&format!("killed/units/{unit}/measurement-0/breaths/0000.parquet")).exists();
+    let recorded = |unit| {
+        let folder = place.path(&format!("killed/units/{unit}/measurement-0/breaths"));
+        std::fs::read_dir(folder).map_or(0, Iterator::count)
+    };
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for kill in 1..=KILLS {
+        let before = [1, 2].map(recorded);
         let mut child =
             place.command(&line("killed")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         // The measurement of the zero, 30 s of a device that is forty times as fast as a chip, is not saved in parts.
-        std::thread::sleep(Duration::from_millis(rng.random_range(100..1_600)));
+        let (begun, moment) = (Instant::now(), Duration::from_millis(rng.random_range(100..1_600)));
+        let begins = |kill| kill == KILLS && [1, 2].map(recorded).contains(&0);
         // The last kill interrupts recordings, however slow the machine is.
-        let begun = Instant::now();
-        while kill == KILLS && !(recorded(1) && recorded(2)) {
+        while (begun.elapsed() < moment || begins(kill))
+            && [1, 2].into_iter().zip(before).all(|(unit, before)| recorded(unit) < before + SESSION)
+        {
             assert!(begun.elapsed() < Duration::from_mins(2), "no recording has begun");
-            std::thread::sleep(Duration::from_millis(20));
+            std::thread::sleep(Duration::from_millis(5));
         }
         // On Unix, this is SIGKILL.
         child.kill().unwrap();
