@@ -1,7 +1,7 @@
 //! Recording from the page: a Parquet recording of a device and the same as MCAP, and captures that an event triggers, with the time
 //! before it. A failure ends the recording with its reason; nothing else is affected.
 //!
-//! Here is what goes into which file; a thread of its own writes it ([`writer`]), so that a slow disk delays nothing. What it
+//! Here is what goes into which file; a thread of its own writes it (`writer`), so that a slow disk delays nothing. What it
 //! has no room for is lost, and counted.
 
 mod numbers;

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 
 use bedside::steer;
 use bedside::stream::{
-    Answer, DemoFault, DeviceInfo, EventKind, FromPage, Hello, Kind, Limits, SettingInfo, State, ToPage,
-    VERSION,
+    Answer, DemoFault, DeviceInfo, EventKind, FromPage, Hello, Kind, Limits, STATE_EVERY_MS, SettingInfo,
+    State, ToPage, VERSION,
 };
 use bedside::watched::Out;
 use plant::bench::{BenchConfig, Failure};
@@ -30,8 +30,6 @@ const COUGH: f64 = 40.0;
 const FRAME_TICKS: u32 = 20;
 /// Most ticks to catch up at once. A page that slept for longer goes on from where it was, so that it does not freeze.
 const MOST_TICKS: u32 = 2000;
-/// Shortest interval between two states of a device, and longest one, ms.
-const STATE_MS: (u64, u64) = (100, 500);
 /// Why there are no recordings.
 const NO_FILES: &str = "a page without a server writes no files: run `cargo trainer serve --demo` to record";
 
@@ -190,12 +188,12 @@ impl Demo {
 /// The state of a device, if it must be shown now.
 fn due_state(bed: &mut Bed, now_ms: u64) -> Option<State> {
     let age = bed.shown.as_ref().map(|(_, at)| now_ms.saturating_sub(*at));
-    if age.is_some_and(|age| age < STATE_MS.0) {
+    if age.is_some_and(|age| age < STATE_EVERY_MS.0) {
         return None;
     }
     let state = bed.patient.watched.state(now_ms, bed.patient.wheel.who(), None, None);
     let unchanged = bed.shown.as_ref().is_some_and(|(shown, _)| *shown == state);
-    if unchanged && age.is_some_and(|age| age < STATE_MS.1) {
+    if unchanged && age.is_some_and(|age| age < STATE_EVERY_MS.1) {
         return None;
     }
     bed.shown = Some((state.clone(), now_ms));

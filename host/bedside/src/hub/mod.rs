@@ -21,7 +21,9 @@ use crate::metrics::Metrics;
 use crate::record::{Recorder, Told};
 use crate::source::{Source, Watch};
 use crate::steer::{self, Wheel};
-use crate::stream::{Answer, EventKind, FromPage, Kind, Missing, RecordingInfo, State, ToPage};
+use crate::stream::{
+    Answer, EventKind, FromPage, Kind, Missing, RecordingInfo, STATE_EVERY_MS, State, ToPage,
+};
 use crate::trends::Trends;
 use crate::viewers::{Viewer, Viewers};
 use crate::watched::{DeviceNumbers, Out, Watched};
@@ -33,8 +35,9 @@ const PATIENCE: Duration = Duration::from_millis(10);
 const NEWS_AT_ONCE: usize = 1000;
 /// Interval between messages of samples.
 const FRAME_EVERY: Duration = Duration::from_millis(20);
-/// Shortest interval between states, and longest one, well below the second after which a page shows that it has no data.
-const STATE_EVERY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_millis(250));
+/// [`STATE_EVERY_MS`].
+const STATE_EVERY: (Duration, Duration) =
+    (Duration::from_millis(STATE_EVERY_MS.0), Duration::from_millis(STATE_EVERY_MS.1));
 
 /// Why a device is not watched any more.
 const FAILED: &str = "the server's part for this device has failed: start the server again";

@@ -16,6 +16,8 @@ pub use verdict::{LimitCheck, Tolerance, Verdict};
 
 /// Version of the format.
 pub const VERSION: u32 = 1;
+/// Shortest interval between states of a device, and longest one, ms: well below the 900 ms after which a page shows that it has no data.
+pub const STATE_EVERY_MS: (u64, u64) = (100, 250);
 /// Longest message from a page, bytes.
 pub const REQUEST_BYTES: usize = 4096;
 /// Most messages from a page in a second.

@@ -86,7 +86,7 @@ impl ToPage {
 /// The greeting of a page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hello {
-    /// [`VERSION`].
+    /// [`VERSION`](super::VERSION).
     pub version: u32,
     /// Whether pages may steer.
     pub steer: bool,
