@@ -335,7 +335,9 @@ fn another_protocol_is_told_with_both_versions() {
 
 #[test]
 fn a_served_device_gives_the_samples_and_the_truth_of_the_bench_also_after_a_host_has_vanished() {
-    let (bench, seed) = (BenchConfig::paper(20.0, 20.0), 3);
+    let (mut bench, seed) = (BenchConfig::paper(20.0, 20.0), 3);
+    // A served device has the airway sensor alone.
+    bench.flow_sensor.present = false;
     let served = Served::start(&bench, MOST_PACE).unwrap();
     let settings = paper_settings(20.0);
     let pid = Controller::Pid(Pid::new(KNOWN_GOOD, 1000).unwrap());
