@@ -10,6 +10,7 @@
 pub mod alarms;
 #[cfg(feature = "server")]
 pub mod demo;
+mod fault;
 pub mod figures;
 #[cfg(feature = "server")]
 pub mod guard;

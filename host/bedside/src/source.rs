@@ -10,12 +10,9 @@ use thiserror::Error;
 
 use crate::stream::{DemoFault, Kind, Log, Verdict};
 use device::port::Address;
-use device::simulated::{PlantFault, ServeError, Served, ServedConfig};
+use device::simulated::{ServeError, Served, ServedConfig};
 use device::{Device, DeviceError};
-use plant::bench::{BenchConfig, Failure};
-
-/// Peak of a cough of the demonstration, cmH2O.
-const COUGH: f64 = 40.0;
+use plant::bench::BenchConfig;
 
 /// Why something cannot be watched.
 #[derive(Debug, Error)]
@@ -151,12 +148,7 @@ impl Source for Simulated {
     }
 
     fn fault(&mut self, fault: DemoFault) -> Result<(), Unable> {
-        self.served.inject(match fault {
-            DemoFault::Disconnect => PlantFault::Part(Failure::Disconnected),
-            DemoFault::Cough => PlantFault::Cough(COUGH),
-            DemoFault::Stick => PlantFault::ReadingSticks,
-            DemoFault::None => PlantFault::None,
-        });
+        self.served.inject(fault.into());
         Ok(())
     }
 

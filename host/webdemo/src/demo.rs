@@ -4,16 +4,15 @@ use std::collections::VecDeque;
 
 use bedside::steer;
 use bedside::stream::{
-    Answer, DemoFault, DeviceInfo, EventKind, FromPage, Hello, Kind, Limits, STATE_EVERY_MS, SettingInfo,
-    State, ToPage, VERSION,
+    Answer, DeviceInfo, EventKind, FromPage, Hello, Kind, Limits, STATE_EVERY_MS, SettingInfo, State, ToPage,
+    VERSION,
 };
 use bedside::watched::Out;
-use plant::bench::{BenchConfig, Failure};
+use plant::bench::BenchConfig;
 use shared::breath::DEFAULT_PERIOD_US;
 use shared::control::pid::PidGains;
 use shared::link::messages::Request;
 use shared::weights::IMAGE_BYTES;
-use virtual_chip::PlantFault;
 
 use crate::patient::{PAGE, Patient, PatientError};
 
@@ -24,8 +23,6 @@ const CONTROLLER: (&str, &[u8; IMAGE_BYTES]) = ("adult", include_bytes!("../../l
 pub const RIVAL: PidGains = include!(concat!(env!("OUT_DIR"), "/rival.rs"));
 /// The page's number, for the wheels.
 const VIEWER: u64 = 0;
-/// Peak of a cough, cmH2O.
-const COUGH: f64 = 40.0;
 /// Ticks between two messages of samples.
 const FRAME_TICKS: u32 = 20;
 /// Most ticks to catch up at once. A page that slept for longer goes on from where it was, so that it does not freeze.
@@ -217,12 +214,7 @@ fn carry_out(bed: &mut Bed, device: u8, id: u32, message: &FromPage, now_ms: u64
         return Answer::refused(Some(id), why.to_string());
     }
     if let FromPage::Fault { fault, .. } = message {
-        patient.inject(match fault {
-            DemoFault::Disconnect => PlantFault::Part(Failure::Disconnected),
-            DemoFault::Cough => PlantFault::Cough(COUGH),
-            DemoFault::Stick => PlantFault::ReadingSticks,
-            DemoFault::None => PlantFault::None,
-        });
+        patient.inject((*fault).into());
         return Answer::done(id, "done");
     }
     match steer::request(message, patient.watched.settings()) {

@@ -4,7 +4,7 @@ use super::leak::Loss;
 use crate::math;
 
 /// Share of a breath's ticks that must have a flow reading.
-const MEASURED: f32 = 0.9;
+pub const MEASURED: f32 = 0.9;
 /// Smallest inspired volume that is compared with the expired one, mL.
 const TELLING: f32 = 20.0;
 

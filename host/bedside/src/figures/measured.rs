@@ -4,17 +4,15 @@
 
 use shared::breath::{Phase, period_s};
 use shared::safety::lung_estimator::{LungEstimate, LungFit, TELLING_VOLUME};
+use shared::safety::volumes::MEASURED;
 use shared::ventilator::Sample;
-
-/// Share of a breath's ticks that must have a flow reading.
-const MEASURED: f32 = 0.9;
 
 /// Takes the flow readings of a device.
 #[derive(Debug)]
 pub struct MeasuredFlow {
     period: f32,
-    /// Leak as the device knows it, L/s at 1 cmH2O; 0 while it is unknown.
-    leak: f32,
+    /// Leak as the device knows it, L/s at 1 cmH2O.
+    leak: Option<f32>,
     breath: Option<Breath>,
     lung: Option<LungEstimate>,
 }
@@ -35,12 +33,17 @@ struct Breath {
 impl MeasuredFlow {
     /// For a device with this control period, microseconds.
     pub fn new(period_us: u32) -> Self {
-        Self { period: period_s(period_us), leak: 0.0, breath: None, lung: None }
+        Self { period: period_s(period_us), leak: None, breath: None, lung: None }
     }
 
     /// Sets the leak, L/s at 1 cmH2O, if the device knows it.
-    pub fn leak(&mut self, leak: Option<f32>) {
-        self.leak = leak.filter(|leak| leak.is_finite()).unwrap_or(0.0);
+    pub fn set_leak(&mut self, leak: Option<f32>) {
+        self.leak = leak;
+    }
+
+    /// The leak, L/s at 1 cmH2O, if the device knows it.
+    pub fn leak(&self) -> Option<f32> {
+        self.leak
     }
 
     /// Samples are missing: the volume is unknown until the next breath.
@@ -77,7 +80,7 @@ impl MeasuredFlow {
         let Some(flow) = sample.flow else { return Some((f32::NAN, breath.volume)) };
         breath.read += 1;
         // Without a pressure nothing is known about the leak's flow.
-        let leaked = self.leak * sample.pressure.max(0.0).sqrt();
+        let leaked = self.leak.unwrap_or_default() * sample.pressure.max(0.0).sqrt();
         breath.add(flow - leaked, sample.pressure, self.period);
         Some((flow, breath.volume))
     }

@@ -37,8 +37,6 @@ pub struct BreathMeter {
     period_s: f32,
     flow: FlowModel,
     measured: MeasuredFlow,
-    /// Leak as the device knows it, L/s at 1 cmH2O.
-    leak: Option<f32>,
     next_tick: u64,
     breath: Option<Running>,
     /// Whether an effort has ended the last breath, if its length is known.
@@ -79,7 +77,6 @@ impl BreathMeter {
             period_s: period_s(period_us),
             flow: FlowModel::new(period_us),
             measured: MeasuredFlow::new(period_us),
-            leak: None,
             next_tick: 0,
             breath: None,
             ended_early: false,
@@ -90,8 +87,7 @@ impl BreathMeter {
 
     /// Sets the leak as the device knows it, L/s at 1 cmH2O; none without a flow sensor.
     pub fn leak(&mut self, leak: Option<f32>) {
-        self.leak = leak;
-        self.measured.leak(leak);
+        self.measured.set_leak(leak);
     }
 
     /// Takes the sample of a control tick; returns it with flow and volume and, at the start of a breath, the figures of the one
@@ -175,7 +171,7 @@ impl BreathMeter {
             ie: (inspiration > 0).then(|| expiration as f32 / inspiration as f32),
             resistance: lung.map(|lung| lung.resistance),
             compliance: lung.map(|lung| 1.0 / lung.elastance),
-            leak: self.leak.map(|leak| leak * breath.mean_root() * MINUTE),
+            leak: self.measured.leak().map(|leak| leak * breath.mean_root() * MINUTE),
             estimated: measured.is_none(),
             triggered: breath.triggered,
             ..BreathFigures::default()

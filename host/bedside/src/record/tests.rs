@@ -61,6 +61,24 @@ fn told(recorder: &mut Recorder) -> Told {
     }
 }
 
+/// A device of which an MCAP file can be written.
+fn identity() -> DeviceIdentity {
+    DeviceIdentity {
+        protocol: shared::link::PROTOCOL,
+        firmware: [0, 1, 0],
+        device: DeviceKind::Ventilator,
+        period_us: 10_000,
+        mode: Mode::Standby,
+        controller: ControllerChoice::Learned,
+        exploration: None,
+        slots: [SlotState::Empty, SlotState::Empty],
+        running: None,
+        reset: ResetCause::PowerOn,
+        failure: None,
+        weights_key: None,
+    }
+}
+
 /// Starts a recording; returns its file.
 fn start(recorder: &mut Recorder) -> PathBuf {
     recorder.start(5, None, "a page").unwrap();
@@ -192,20 +210,7 @@ fn samples_from_before_the_settings_are_left_out_and_no_settings_are_invented() 
 fn a_recording_whose_mcap_file_cannot_be_created_does_not_start() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
-    let identity = DeviceIdentity {
-        protocol: shared::link::PROTOCOL,
-        firmware: [0, 1, 0],
-        device: DeviceKind::Ventilator,
-        period_us: 10_000,
-        mode: Mode::Standby,
-        controller: ControllerChoice::Learned,
-        exploration: None,
-        slots: [SlotState::Empty, SlotState::Empty],
-        running: None,
-        reset: ResetCause::PowerOn,
-        failure: None,
-        weights_key: None,
-    };
+    let identity = identity();
     // A folder is in its place.
     let mcap = folder.path().join("recording-3-5.mcap");
     std::fs::create_dir(&mcap).unwrap();
@@ -286,7 +291,8 @@ fn a_folder_that_is_gone_is_told_when_the_recording_ends() {
 fn a_write_that_fails_ends_the_recording_and_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = recorder(folder.path());
-    start(&mut recorder);
+    recorder.start(5, Some(&identity()), "a page").unwrap();
+    assert!(matches!(told(&mut recorder), Told::Started(Ok(_))));
     // Rows that are not in order are found as late as a full disk is: when a whole group of them is written.
     for _ in 0..2 {
         let rows = vec![Row::default(); 1 << 17];
@@ -294,6 +300,8 @@ fn a_write_that_fails_ends_the_recording_and_is_told() {
     }
     let Told::Event(text) = told(&mut recorder) else { panic!() };
     assert!(text.starts_with("the recording ends here: "), "{text}");
+    let mcap = std::fs::read(folder.path().join("recording-3-5.mcap")).unwrap();
+    assert!(mcap.ends_with(b"\x89MCAP0\r\n"), "the MCAP file is finished, too");
     assert!(!recorder.stop());
     start(&mut recorder);
 }

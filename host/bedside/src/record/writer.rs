@@ -261,6 +261,10 @@ impl Desk {
         let tape = slot.as_mut()?;
         let error = rows.into_iter().try_for_each(|row| tape.push(row)).err()?;
         *slot = None;
+        if which == Which::Recording {
+            // It ends with the recording; the failure that is told is the first one.
+            self.end_mcap();
+        }
         Some(Report::Failed(which, error.into()))
     }
 
