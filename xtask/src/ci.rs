@@ -52,7 +52,8 @@ const CHIP: &[Step] = &[
     // The test step runs these tests in debug; here the chip's optimisation must give the same bits.
     step("golden", &[OPTIMISED_TEST, "golden -- golden"]),
     step("frames", &[OPTIMISED_TEST, "fuzz -- no_damaged_frame"]),
-    step("package", &["xtask package"]),
+    // After the build, whose crates it uses.
+    step("package", &["xtask package"]).after("build"),
     step("python", &["xtask python"]).after("build"),
     step("faults", &["xtask faults"]).after("build"),
     step("monitors", &["xtask mutate-monitors"]).after("build"),
