@@ -67,6 +67,16 @@ export async function eventually(test, what) {
   throw new Error(`this did not happen: ${what}`);
 }
 
+/** Waits until the first element of a selector has this text, or one that matches. */
+export async function says(page, selector, wanted) {
+  const element = page.locator(selector).first();
+  const fits = (found) => (typeof wanted === "string" ? found === wanted : wanted.test(found));
+  await eventually(async () => fits(await element.textContent()), `${selector} says ${wanted}`);
+}
+
+/** Waits until the page knows the state of every device. */
+export const known = (page) => until(page, () => window.eupnea?.devices.length > 0 && window.eupnea.devices.every(({ state }) => state !== null));
+
 /** Counts the pixels of a strip's curves that are painted. */
 export const painted = (page, strip) => page.evaluate((name) => {
   const canvas = document.querySelector(`.strip-${name} .layer`);
@@ -97,6 +107,43 @@ export const flashes = (page, count, most) => page.evaluate(([wanted, gap]) => n
   };
   requestAnimationFrame(look);
 }), [count, 500 / most]);
+
+/** Longest time between two looks of the page in a measurement of its own times, ms: twice what it means to take. */
+const LATE = 80;
+
+/**
+ * Time from the last message to the page's telling it, ms, by the browser's own clock. If the machine held the page's timer up meanwhile,
+ * the time is not the page's, and the measurement begins again. `stall` ends the messages, or lets them go on.
+ */
+export async function silence(page, stall) {
+  await page.addInitScript(() => {
+    window.beats = [];
+    window.Worker = class extends Worker {
+      constructor(...described) {
+        super(...described);
+        this.addEventListener("message", () => window.beats.push(performance.now()));
+      }
+    };
+  });
+  await page.reload();
+  for (;;) {
+    await until(page, () => window.eupnea?.devices[0]?.ring.end > 1000 && document.querySelector(".shade").hidden);
+    const told = page.evaluate((late) => new Promise((resolve) => {
+      const shade = document.querySelector(".shade");
+      window.beats.length = 0;
+      new MutationObserver((_, observer) => {
+        if (shade.hidden) return;
+        observer.disconnect();
+        const times = [...window.beats, performance.now()];
+        resolve(times.some((time, index) => time - times[index - 1] > late) ? null : times.at(-1) - window.eupnea.socket.heard);
+      }).observe(shade, { attributes: true });
+    }), LATE);
+    stall(true);
+    const time = await told;
+    if (time !== null) return time;
+    stall(false);
+  }
+}
 
 /** Whether the banner keeps its colour for 1.5 s of the browser's pictures: longer than half a flash of any band. */
 export const steady = (page) => page.evaluate(() => new Promise((resolve) => {

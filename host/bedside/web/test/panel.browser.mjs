@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { Fake } from "../dev/fake.mjs";
-import { launch, missing, open, until } from "./browser.mjs";
+import { known, launch, missing, open, until } from "./browser.mjs";
 
 let browser;
 before(async () => { if (!missing) browser = await launch(); });
@@ -15,7 +15,7 @@ function scene(name, options, run) {
     const fake = new Fake(options);
     const page = await open(browser, await fake.start());
     try {
-      await until(page, () => window.eupnea?.devices.length > 0);
+      await known(page);
       await run(page, fake);
       assert.deepEqual(page.errors, []);
     } finally {
