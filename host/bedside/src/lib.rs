@@ -13,13 +13,13 @@ pub mod demo;
 mod fault;
 pub mod figures;
 #[cfg(feature = "server")]
+pub mod flight_recorder;
+#[cfg(feature = "server")]
 pub mod guard;
 #[cfg(feature = "server")]
 pub mod http;
 #[cfg(feature = "server")]
 pub mod hub;
-#[cfg(feature = "server")]
-pub mod log;
 #[cfg(feature = "server")]
 pub mod metrics;
 #[cfg(feature = "server")]

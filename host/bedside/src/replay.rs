@@ -17,7 +17,7 @@ use shared::ventilator::{Mode, Sample};
 use show::monitor::News;
 use thiserror::Error;
 
-use crate::log::log;
+use crate::flight_recorder::events;
 use crate::source::{Source, Unable, Watch};
 use crate::stream::Kind;
 use crate::verdict::verdict;
@@ -81,12 +81,12 @@ pub fn blackbox(path: &Path) -> Result<Vec<Watch>, ReplayError> {
     let found: Blackbox = serde_json::from_str(&text)
         .map_err(|source| ReplayError::Blackbox { path: path.to_owned(), source })?;
     let name = path.display();
-    let log = log(&found.log, found.period_us.unwrap_or(DEFAULT_PERIOD_US));
+    let recorder = events(&found.log, found.period_us.unwrap_or(DEFAULT_PERIOD_US));
     let parts = [(format!("{name}, last seconds"), found.fast), (format!("{name}, last minute"), found.slow)];
     let watches: Vec<Watch> = parts
         .into_iter()
         .filter_map(|(name, part)| watch(name, (part.step_s * 1e6).round() as u32, part.ticks(), None).ok())
-        .map(|watch| Watch { log: Some(log.clone()), ..watch })
+        .map(|watch| Watch { recorder: Some(recorder.clone()), ..watch })
         .collect();
     if watches.is_empty() { Err(ReplayError::Empty(name.to_string())) } else { Ok(watches) }
 }
@@ -101,7 +101,7 @@ fn watch(
         return Err(ReplayError::Empty(name));
     }
     let source = Box::new(Replay::new(period_us, ticks, settings));
-    Ok(Watch { name, kind: Kind::Recording, period_us, source, verdict: None, log: None })
+    Ok(Watch { name, kind: Kind::Recording, period_us, source, verdict: None, recorder: None })
 }
 
 /// The rows of a recording, with breaths one after the other.

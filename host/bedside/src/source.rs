@@ -8,7 +8,7 @@ use show::monitor::News;
 use show::monitor::session::Session;
 use thiserror::Error;
 
-use crate::stream::{DemoFault, Kind, Log, Verdict};
+use crate::stream::{DemoFault, FlightRecorder, Kind, Verdict};
 use device::port::Address;
 use device::simulated::{ServeError, Served, ServedConfig};
 use device::{Device, DeviceError};
@@ -71,8 +71,8 @@ pub struct Watch {
     pub source: Box<dyn Source>,
     /// The verdict on a recording.
     pub verdict: Option<Verdict>,
-    /// The event log of a flight recorder.
-    pub log: Option<Log>,
+    /// The content of a flight recorder.
+    pub recorder: Option<FlightRecorder>,
 }
 
 impl Watch {
@@ -89,7 +89,7 @@ impl Watch {
             period_us: known.map_or(DEFAULT_PERIOD_US, |identity| identity.period_us),
             source: Box::new(Connected(Session::start(device))),
             verdict: None,
-            log: None,
+            recorder: None,
         };
         (watch, identity)
     }
@@ -109,7 +109,7 @@ impl Watch {
     pub(crate) fn simulated(name: impl Into<String>, served: Served, device: Device) -> Self {
         let source = Box::new(Simulated { session: Session::start(device), served });
         let (kind, period_us) = (Kind::Simulated, DEFAULT_PERIOD_US);
-        Self { name: name.into(), kind, period_us, source, verdict: None, log: None }
+        Self { name: name.into(), kind, period_us, source, verdict: None, recorder: None }
     }
 }
 

@@ -132,9 +132,17 @@ fn a_page_that_opens_later_gets_the_trends_of_the_earlier_breaths() {
 #[test]
 fn a_page_reads_the_flight_recorder_of_a_device() {
     let (_server, mut page) = ventilating();
+    page.text(|message| message["type"] == "breath");
     page.send(&json!({"type": "recorder", "device": 0, "id": 99}));
-    let log = page.text(|message| message["type"] == "log");
+    let log = page.text(|message| message["type"] == "recorder");
     assert!(log["events"].to_string().contains("ventilation started"), "{log}");
+    for part in ["fast", "slow"] {
+        let columns = ["time", "pressure", "target", "u_in", "u_out"].map(|name| log[part][name].as_array());
+        let [Some(time), Some(pressure), rest @ ..] = columns else { panic!("{part}: {log}") };
+        assert!(!time.is_empty() && time.last().unwrap().as_f64() == Some(0.0), "{part}");
+        assert!(pressure.iter().any(|pressure| pressure.as_f64() > Some(1.0)), "{part}");
+        assert!(rest.iter().all(|column| column.is_some_and(|column| column.len() == time.len())), "{part}");
+    }
     let answer = page.text(|message| message["type"] == "answer");
     assert_eq!((&answer["id"], &answer["ok"]), (&json!(99), &json!(true)), "{answer}");
 }
@@ -470,7 +478,7 @@ fn the_flight_recorder_of_a_device_is_shown_from_its_file() {
         hello["devices"].as_array().unwrap().iter().map(|device| &device["kind"]).collect();
     assert_eq!(kinds, ["recording", "recording"]);
     assert_eq!(hello["devices"][1]["period_us"], 20_000);
-    let log = page.text(|message| message["type"] == "log");
+    let log = page.text(|message| message["type"] == "recorder");
     assert!(log["events"].to_string().contains("ventilation started"), "{log}");
     page.state(0, |state| state["connected"] == true && state["ventilating"] == true);
     assert!(samples(&page.next_binary()).columns[0].iter().all(|pressure| pressure.is_finite()));

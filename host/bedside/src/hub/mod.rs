@@ -16,7 +16,6 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use shared::link::messages::{Request, Response};
 use show::monitor::News;
 
-use crate::log::log;
 use crate::metrics::Metrics;
 use crate::record::{Recorder, Told};
 use crate::source::{Source, Watch};
@@ -27,7 +26,7 @@ use crate::stream::{
 use crate::trends::Trends;
 use crate::viewers::{Viewer, Viewers};
 use crate::watched::{DeviceNumbers, Out, Watched};
-use reader::{LogReader, Next};
+use reader::{Next, RecorderReader};
 
 /// Longest wait for news.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -173,7 +172,7 @@ struct Worker {
     enclosed: Vec<Arc<str>>,
     events: VecDeque<Arc<str>>,
     /// The flight recorder that is being read.
-    reading: Option<LogReader>,
+    reading: Option<RecorderReader>,
     source: Box<dyn Source>,
     commands: Receiver<Command>,
     viewers: Arc<Viewers>,
@@ -202,9 +201,9 @@ impl Worker {
         viewers: Arc<Viewers>,
         metrics: Arc<Metrics>,
     ) -> Self {
-        let Watch { name, period_us, source, verdict, log, kind } = watch;
+        let Watch { name, period_us, source, verdict, recorder, kind } = watch;
         let verdict = verdict.map(|verdict| ToPage::Verdict { device, verdict });
-        let log = log.map(|log| ToPage::Log { device, log });
+        let recorded = recorder.map(|recorder| ToPage::Recorder { device, recorder });
         Self {
             device,
             period_us,
@@ -212,7 +211,7 @@ impl Worker {
             watched: Watched::new(device, period_us).replaying(kind == Kind::Recording),
             recorder: Recorder::new(folder, device, &name, period_us),
             trends: Trends::default(),
-            enclosed: verdict.iter().chain(&log).map(|message| message.to_json().into()).collect(),
+            enclosed: verdict.iter().chain(&recorded).map(|message| message.to_json().into()).collect(),
             events: VecDeque::new(),
             reading: None,
             source,
@@ -395,8 +394,9 @@ impl Worker {
 
     fn publish(&mut self, state: State) {
         let text: Arc<str> = ToPage::State(Box::new(state.clone())).to_json().into();
+        // In this order: a page that opens between the two is told, too.
+        self.latest.lock().unwrap_or_else(PoisonError::into_inner).state = Some(Arc::clone(&text));
         self.viewers.state(self.device, &text);
-        self.latest.lock().unwrap_or_else(PoisonError::into_inner).state = Some(text);
         self.shown = Some((state, Instant::now()));
     }
 
@@ -473,9 +473,9 @@ impl Worker {
         if self.reading.is_some() {
             return Some(Answer::refused(Some(id), "the flight recorder is being read: try again soon"));
         }
-        match self.source.ask(LogReader::FIRST) {
+        match self.source.ask(RecorderReader::FIRST) {
             Ok(()) => {
-                self.reading = Some(LogReader::new(Arc::clone(viewer), id));
+                self.reading = Some(RecorderReader::new(Arc::clone(viewer), id));
                 None
             }
             Err(why) => Some(Answer::refused(Some(id), why.to_string())),
@@ -491,15 +491,20 @@ impl Worker {
             Next::Ask(request) => self.source.ask(request).err().map(|why| why.to_string()),
             Next::Failed(reason) => Some(reason),
             Next::Done(entries) => {
-                let Some(LogReader { viewer, id, .. }) = self.reading.take() else { return };
-                let log = log(&entries, self.period_us);
-                tell(&viewer, &ToPage::Log { device: self.device, log });
-                tell(&viewer, &ToPage::Answer(Answer::done(id, format!("{} events read", entries.len()))));
+                let Some(RecorderReader { viewer, id, .. }) = self.reading.take() else { return };
+                let recorder = entries.content(self.period_us);
+                let read = format!(
+                    "{} ticks and {} events read",
+                    entries.fast.len() + entries.slow.len(),
+                    entries.log.len()
+                );
+                tell(&viewer, &ToPage::Recorder { device: self.device, recorder });
+                tell(&viewer, &ToPage::Answer(Answer::done(id, read)));
                 return;
             }
         };
         if let Some(reason) = failed
-            && let Some(LogReader { viewer, id, .. }) = self.reading.take()
+            && let Some(RecorderReader { viewer, id, .. }) = self.reading.take()
         {
             tell(&viewer, &ToPage::Answer(Answer::refused(Some(id), reason)));
         }

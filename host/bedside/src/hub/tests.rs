@@ -47,7 +47,8 @@ impl Rig {
         let viewers = Arc::new(Viewers::new(Arc::clone(&metrics)));
         let (news, fed) = channel();
         let DeviceInfo { name, kind, period_us, .. } = info;
-        let watch = Watch { name, kind, period_us, source: Box::new(Fed(fed)), verdict: None, log: None };
+        let watch =
+            Watch { name, kind, period_us, source: Box::new(Fed(fed)), verdict: None, recorder: None };
         let worker = Worker::new(0, watch, folder, channel().1, viewers, metrics);
         let (in_force, pending) = (Settings::default(), None);
         let result = Ok(Response::Settings { in_force, pending });

@@ -11,7 +11,10 @@ mod verdict;
 pub use figures::{BreathFigures, Course, History};
 pub use from_page::{DemoFault, FromPage, Secret, Triggers};
 pub use state::{Adaptation, AlarmInfo, Audio, LineInfo, Missing, RecordingInfo, State, Ticks};
-pub use to_page::{Answer, DeviceInfo, EventKind, Hello, Kind, Limits, Log, LogLine, SettingInfo, ToPage};
+pub use to_page::{
+    Answer, DeviceInfo, EventKind, FlightRecorder, Hello, Kind, Limits, LogLine, Recorded, SettingInfo,
+    ToPage,
+};
 pub use verdict::{LimitCheck, Tolerance, Verdict};
 
 /// Version of the format.

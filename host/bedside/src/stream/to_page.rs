@@ -65,13 +65,13 @@ pub enum ToPage {
         #[serde(flatten)]
         verdict: Verdict,
     },
-    /// The event log of a flight recorder, when a page opens or asks for it.
-    Log {
+    /// The content of a flight recorder, when a page opens or asks for it.
+    Recorder {
         /// The device.
         device: u8,
-        /// The log.
+        /// The content.
         #[serde(flatten)]
-        log: Log,
+        recorder: FlightRecorder,
     },
 }
 
@@ -186,11 +186,30 @@ impl Kind {
     }
 }
 
-/// The event log of a flight recorder.
+/// The content of a flight recorder.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Log {
+pub struct FlightRecorder {
     /// Its events, the oldest first.
     pub events: Vec<LogLine>,
+    /// Every control tick of the last 2 s; none for a file, whose ticks are replayed.
+    pub fast: Option<Recorded>,
+    /// Every 20th tick of the last 60 s, each with the highest pressure of the 20; none for a file.
+    pub slow: Option<Recorded>,
+}
+
+/// Recorded ticks, the oldest first: columns of equal length. A row without a command is a gap, in which the recording was paused.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Recorded {
+    /// Time, s: the newest tick is at 0, and gaps take no time.
+    pub time: Vec<f64>,
+    /// Pressure as read, cmH2O; not finite if the reading was not a number.
+    pub pressure: Vec<f32>,
+    /// Target, cmH2O; not finite outside a breath.
+    pub target: Vec<f32>,
+    /// Command of the inspiratory valve, percent.
+    pub u_in: Vec<f32>,
+    /// Command of the expiratory valve, percent: 0 or 100.
+    pub u_out: Vec<f32>,
 }
 
 /// An event of a flight recorder.

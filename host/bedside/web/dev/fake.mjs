@@ -57,6 +57,21 @@ class FakeDevice {
   }
 }
 
+/** A flight recorder that holds a ventilation: 2 s with a gap before the last 400 ticks, and a minute. */
+function recorder() {
+  const settings = Object.fromEntries(SETTINGS.map((one) => [one.name, one.default]));
+  const ticks = (count, stride) => {
+    const lung = new Lung();
+    const rows = Array.from({ length: count * stride }, () => lung.step(settings).sample).filter((_, tick) => tick % stride === stride - 1);
+    const column = (place) => rows.map((sample) => sample[place]);
+    return { time: rows.map((_, row) => (row + 1 - count) * stride * 1e-3), pressure: column(0), target: column(1), u_in: column(2), u_out: column(3) };
+  };
+  const fast = ticks(2000, 1);
+  for (const [name, column] of Object.entries(fast)) column.splice(1600, 0, name === "time" ? column[1599] : null);
+  const events = [{ start: 3, seconds: 0.5, text: "ventilation started" }, { start: 3, seconds: 9, text: "alarm: leak" }];
+  return { events, fast, slow: ticks(3000, 20) };
+}
+
 function lungs(demo) {
   if (!demo) return [new FakeDevice(0, "Bench", new Lung())];
   const rows = [[5, 50], [20, 20], [50, 10]];
@@ -189,7 +204,7 @@ export class Fake {
       case "mark": event("marker", message.text); return "Marker set.";
       case "record": device.recording = message.on ? { file: "bench-1.parquet", samples: 0, lost: 0 } : null; return message.on ? "Recording." : "Recording ended.";
       case "capture": device.triggers = Object.keys(message.triggers).length > 0 ? message.triggers : null; return device.triggers ? "Capture armed." : "Disarmed.";
-      case "recorder": this.all({ type: "log", device: device.id, events: [{ start: 3, seconds: 0.5, text: "ventilation started" }, { start: 3, seconds: 9, text: "alarm: leak" }] }); return "2 events read";
+      case "recorder": this.all({ type: "recorder", device: device.id, ...recorder() }); return "5000 ticks and 2 events read";
       case "fault": return this.fault(device, message.fault);
       default: return "";
     }

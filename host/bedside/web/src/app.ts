@@ -108,7 +108,7 @@ class App {
       case "event": device?.takeEvent(message); break;
       case "history": device?.trends.load(message); break;
       case "verdict": if (device) device.verdict = message; break;
-      case "log": if (device) device.log = message.events; break;
+      case "recorder": if (device) device.recorder = message; break;
       case "steerer": if (device) device.yours = message.yours;
     }
     this.updateIfDue();

@@ -4,7 +4,7 @@ import { deviceLost, lacks, noData } from "./alarms";
 import { Reference } from "./reference";
 import { KEPT_S, Ring } from "./ring";
 import { type Marker, MARKERS } from "./markers";
-import type { Alarm, Breath, DeviceInfo, Event, LogLine, Samples, State, Verdict } from "./stream";
+import type { Alarm, Breath, DeviceInfo, Event, FlightRecorder, Samples, State, Verdict } from "./stream";
 import { Trends } from "./trends";
 
 /**
@@ -34,8 +34,8 @@ export class Device {
   readonly markers: Marker[] = [];
   /** The verdict on a recording. */
   verdict: Verdict | null = null;
-  /** The event log of a flight recorder, oldest event first. */
-  log: LogLine[] | null = null;
+  /** The content of its flight recorder, once that was read. */
+  recorder: FlightRecorder | null = null;
   /** Whether this page wants the samples. */
   watched = false;
   /** Whether this page steers it. */

@@ -4,8 +4,12 @@ import { clock } from "./alarms";
 import type { Device } from "./device";
 import { button, h, setAttribute, setText, show } from "./dom";
 import { count, plain, words } from "./format";
+import { RecorderView } from "./recorder_view";
 import type { Requests } from "./requests";
-import type { LogLine, Recording, Triggers } from "./stream";
+import type { Recording, Triggers } from "./stream";
+
+/** Longest time of reading a flight recorder, ms: some hundred requests. */
+const READING_MS = 60_000;
 
 export class Record {
   readonly element = h("div", { class: "record" });
@@ -13,10 +17,7 @@ export class Record {
   private readonly result = h("p", { class: "result", role: "status", "aria-live": "polite" });
   private readonly log = h("ol", { class: "log", "aria-label": "Events, the newest first" });
   private readonly none = h("p", { class: "quiet" }, "No events yet.");
-  private readonly recorder = h("ol", { class: "log", "aria-label": "Events of the flight recorder, the newest first" });
-  private readonly noRecorder = h("p", { class: "quiet" }, "Not read yet.");
-  private readonly read = button("Read the flight recorder", () => this.readRecorder());
-  private shownLog: readonly LogLine[] | null = null;
+  private readonly recorder = new RecorderView(() => this.ask("recorder", {}, READING_MS));
   private readonly toggle = button("Start recording", () => this.record());
   private readonly text = h("input", { id: "marker-text", type: "text", maxlength: "200", placeholder: "for example: lung changed" });
   private readonly overshoot = h("input", { id: "capture-overshoot", type: "text", inputmode: "decimal", placeholder: "off" });
@@ -37,14 +38,14 @@ export class Record {
     const capture = h("form", { onsubmit: (event) => { event.preventDefault(); this.capture(); } },
       field("Overshoot above", this.overshoot, "cmH2O"), field("Pressure above", this.pressure, "cmH2O"), field("Any alarm", this.alarm),
       h("div", { class: "row" }, h("button", { type: "submit" }, "Arm capture"), this.disarm));
-    const [record, reader] = [h("div", { class: "row" }, this.toggle), h("div", { class: "row" }, this.read)];
+    const record = h("div", { class: "row" }, this.toggle);
     const setMarker = h("div", {}, h("h2", {}, "Marker"), marker);
-    this.controls = [record, setMarker, capture, reader];
+    this.controls = [record, setMarker, capture];
     this.element.append(
       h("h2", {}, "Recording"), this.status, this.readOnly, record, this.result, setMarker,
       h("h2", {}, "Capture, with the 10 s before"), this.armed, capture,
       h("h2", {}, "Events"), this.none, this.log,
-      h("h2", {}, "Flight recorder"), reader, this.noRecorder, this.recorder,
+      h("h2", {}, "Flight recorder"), this.recorder.element,
     );
   }
 
@@ -60,29 +61,13 @@ export class Record {
     const capture = device.state?.triggers ?? null;
     setText(this.armed, capture ? `Armed: ${triggersInWords(capture)}.` : "Not armed.");
     this.disarm.disabled = capture === null;
-    this.updateRecorder(device);
+    this.recorder.update(device, mayEver);
     const now = `${device.info.id} ${device.events.length} ${device.events[0]?.time_ms} ${device.events[0]?.text}`;
     if (now === this.known) return;
     this.known = now;
     show(this.none, device.events.length === 0);
     this.log.replaceChildren(...device.events.map(({ time_ms, kind, text }) =>
       h("li", {}, h("time", {}, clock(time_ms)), " ", h("b", {}, words(kind)), ` ${text}`)));
-  }
-
-  private updateRecorder(device: Device): void {
-    // A replay has its log from the start, or none.
-    show(this.read, !device.replay);
-    show(this.noRecorder, device.log === null);
-    setText(this.noRecorder, device.replay ? "This recording has no event log." : "Not read yet.");
-    if (device.log === this.shownLog) return;
-    this.shownLog = device.log;
-    const newest = [...(device.log ?? [])].reverse();
-    this.recorder.replaceChildren(...newest.map(({ start, seconds, text }) =>
-      h("li", {}, h("time", {}, `start ${start}, ${seconds.toFixed(3)} s`), ` ${text}`)));
-  }
-
-  private async readRecorder(): Promise<void> {
-    await this.ask("recorder", {});
   }
 
   /** Sets a marker with the typed text. */
@@ -119,9 +104,9 @@ export class Record {
     input.focus();
   }
 
-  private async ask(type: string, content: object): Promise<boolean> {
+  private async ask(type: string, content: object, patience_ms?: number): Promise<boolean> {
     if (this.device === null) return false;
-    const answer = await this.requests.ask(type, this.device.info.id, content);
+    const answer = await this.requests.ask(type, this.device.info.id, content, patience_ms);
     setText(this.result, answer.ok ? answer.text || "Done." : `Refused: ${answer.text}`);
     setAttribute(this.result, "data-ok", String(answer.ok));
     return answer.ok;

@@ -11,13 +11,13 @@ export class Requests {
 
   constructor(private readonly send: (message: object) => boolean) {}
 
-  /** Sends a request for a device and waits for the answer; it never fails, a missing answer is a refusal. */
-  ask(type: string, device: number, content: object = {}): Promise<Answer> {
+  /** Sends a request for a device and waits for the answer; it never fails, a missing answer is a refusal after `patience_ms`. */
+  ask(type: string, device: number, content: object = {}, patience_ms = PATIENCE_MS): Promise<Answer> {
     const id = this.next++;
     const refusal = (text: string): Answer => ({ type: "answer", id, ok: false, text, settings: null });
     if (!this.send({ type, id, device, ...content })) return Promise.resolve(refusal("No connection: nothing was sent."));
     return new Promise((resolve) => {
-      const patience = setTimeout(() => this.take(refusal("The server has not answered. Check the values before you ask again.")), PATIENCE_MS);
+      const patience = setTimeout(() => this.take(refusal("The server has not answered. Check the values before you ask again.")), patience_ms);
       this.waiting.set(id, (answer) => {
         clearTimeout(patience);
         resolve(answer);

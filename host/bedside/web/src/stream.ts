@@ -127,9 +127,11 @@ export interface Verdict {
 }
 
 export interface LogLine { start: number; seconds: number; text: string }
-/** The event log of a flight recorder, oldest event first. */
-export interface Log { type: "log"; device: number; events: LogLine[] }
-export type Message = Hello | State | Breath | Steerer | Answer | Event | History | Verdict | Log;
+/** Recorded ticks, oldest first: time, s, and what was then; all null in a gap. */
+export interface Recorded { time: number[]; pressure: (number | null)[]; target: (number | null)[]; u_in: (number | null)[]; u_out: (number | null)[] }
+/** The content of a flight recorder: its events, oldest first, and for a connected device its ticks. */
+export interface FlightRecorder { type: "recorder"; device: number; events: LogLine[]; fast: Recorded | null; slow: Recorded | null }
+export type Message = Hello | State | Breath | Steerer | Answer | Event | History | Verdict | FlightRecorder;
 
 /** Samples of one device, columns of equal length. */
 export interface Samples {
@@ -200,8 +202,8 @@ export function decodeText(text: string): Message | null {
     };
     case "history": return history(value);
     case "verdict": return verdict(value);
-    case "log": return {
-      type: "log", device: number(value.device) ?? 0,
+    case "recorder": return {
+      type: "recorder", device: number(value.device) ?? 0, fast: recorded(value.fast), slow: recorded(value.slow),
       events: list(value.events).map((one) => ({ start: number(one.start) ?? 0, seconds: number(one.seconds) ?? 0, text: string(one.text) })),
     };
     default: return null;
@@ -335,6 +337,14 @@ function history(value: Loose): History | null {
 
 function numbers(value: unknown): (number | null)[] {
   return Array.isArray(value) ? value.map(number) : [];
+}
+
+/** Recorded ticks; null if there are none or their columns do not fit. */
+function recorded(value: unknown): Recorded | null {
+  const { time, pressure, target, u_in, u_out } = object(value);
+  const [times, ...columns] = [numbers(time), numbers(pressure), numbers(target), numbers(u_in), numbers(u_out)] as const;
+  if (times.length === 0 || times.includes(null) || columns.some(({ length }) => length !== times.length)) return null;
+  return { time: times as number[], pressure: columns[0], target: columns[1], u_in: columns[2], u_out: columns[3] };
 }
 
 function tolerance(value: unknown): Tolerance | null {

@@ -2,6 +2,7 @@
 
 import uPlot from "uplot";
 import { clock } from "./alarms";
+import { axis, axisOf, fitTo } from "./chart";
 import type { Device } from "./device";
 import { colour, h } from "./dom";
 import { fixed } from "./format";
@@ -13,7 +14,6 @@ const SPANS = [0.25, 1, 8, 24, 72] as const;
 const EVERY = 2_000;
 const HEIGHT = 122;
 const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
-const FONT = "11px system-ui, 'DejaVu Sans', sans-serif";
 
 const CHARTS: [string, [Trended, string, string][]][] = [
   ["cmH2O", [["pip", "PIP", "--pressure"], ["plateau", "Plateau", "--target"], ["peep", "PEEP", "--flow"]]],
@@ -36,7 +36,7 @@ export class TrendCharts {
     this.span = h("select", { id: "trend-span", onchange: () => { this.drawn = 0; } }, ...options);
     this.element.append(h("label", { class: "field" }, h("span", {}, "Span"), this.span), this.hosts);
     for (const [unit, lines] of CHARTS) this.chart(unit, lines);
-    new ResizeObserver(() => this.fit()).observe(this.element);
+    fitTo(this.hosts, () => this.charts.map(({ plot }) => plot));
   }
 
   draw(now: number, device: Device): void {
@@ -51,16 +51,9 @@ export class TrendCharts {
     }
   }
 
-  private fit(): void {
-    const width = this.hosts.clientWidth;
-    if (width < 100) return;
-    for (const { plot } of this.charts) if (plot.width !== width) plot.setSize({ width, height: HEIGHT });
-  }
-
   private chart(unit: string, lines: [Trended, string, string][]): void {
     const host = h("div", { class: "chart", role: "img", "aria-label": `Trend of ${lines.map(([, name]) => name).join(", ")}` });
     this.hosts.append(host);
-    const axis = { stroke: colour("--dim"), font: FONT, labelFont: FONT, grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false } };
     const plot = new uPlot({
       width: 320,
       height: HEIGHT,
@@ -70,7 +63,7 @@ export class TrendCharts {
       scales: { x: { time: true, range: () => this.range() }, y: { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max((high ?? 1) * 1.1, 1)] } },
       series: [{ label: "Time", value: (_, time) => (time === null ? "--" : this.timeOf(time)) }, ...lines.flatMap(([, name, hue]) => series(name, colour(hue)))],
       bands: lines.map(([, , hue], index) => ({ series: [3 * index + 3, 3 * index + 2] as [number, number], fill: `${colour(hue)}40` })),
-      axes: [{ ...axis, size: 20, gap: 3, space: 75, values: (_, times) => times.map((time) => this.timeOf(time)) }, { ...axis, size: 40, gap: 4, label: unit, labelSize: 15, labelGap: 0, space: 24 }],
+      axes: [{ ...axis(), size: 20, gap: 3, space: 75, values: (_, times) => times.map((time) => this.timeOf(time)) }, axisOf(unit)],
     }, [[], ...lines.flatMap(() => [[], [], []])] as uPlot.AlignedData, host);
     this.charts.push({ plot, names: lines.map(([name]) => name) });
   }

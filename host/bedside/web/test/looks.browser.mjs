@@ -77,6 +77,10 @@ for (const [screen, options] of Object.entries(SCREENS)) {
           await page.getByRole("button", { name: "Take control" }).click();
           await until(page, () => !document.querySelector("#setting-pip").disabled);
         }
+        if (tab === "Record") {
+          await page.getByRole("button", { name: "Read the flight recorder" }).click();
+          await until(page, () => document.querySelectorAll(".record .chart canvas").length === 4);
+        }
         await check(page, `${tab.toLowerCase()}-${screen}`);
       }
       await page.getByRole("button", { name: "Freeze" }).click();

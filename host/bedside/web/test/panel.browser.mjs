@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { Fake } from "../dev/fake.mjs";
-import { known, launch, missing, open, until } from "./browser.mjs";
+import { known, launch, missing, open, says, until } from "./browser.mjs";
 
 let browser;
 before(async () => { if (!missing) browser = await launch(); });
@@ -44,8 +44,26 @@ scene("a marker is a line on the curves at its tick, and the flight recorder is 
   await page.getByRole("tab", { name: "Record" }).click();
   await page.getByRole("button", { name: "Read the flight recorder" }).click();
   await until(page, () => document.querySelectorAll(".record .log")[1].children.length === 2);
+  await says(page, ".record .result", "5000 ticks and 2 events read");
   assert.equal(await page.locator(".record .log").nth(1).locator("li").first().textContent(), "start 3, 9.000 s alarm: leak");
+  // Two charts of the last seconds, and two of the last minute; a gap is no line.
+  const charts = page.locator(".record .chart canvas");
+  assert.equal(await charts.count(), 4);
+  for (let chart = 0; chart < 4; chart++) assert.ok((await charts.nth(chart).evaluate(coloured)) > 300, `chart ${chart}`);
+  const gap = await page.evaluate(() => window.eupnea.devices[0].recorder.fast.pressure.indexOf(null));
+  assert.equal(gap, 1600);
 });
+
+/** Counts the pixels of a canvas that have a colour, as curves have and grids have not. */
+function coloured(canvas) {
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let index = 0; index < data.length; index += 4) {
+    const [red, green, blue, alpha] = data.slice(index, index + 4);
+    if (alpha > 128 && Math.max(red, green, blue) - Math.min(red, green, blue) > 80) count += 1;
+  }
+  return count;
+}
 
 scene("a page that is loaded again has the trends of the server", {}, async (page, fake) => {
   const newest = Math.floor(Date.now() / 60_000);

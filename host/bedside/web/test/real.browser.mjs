@@ -95,7 +95,18 @@ const breathes = async (page) => {
   for (const strip of ["pressure", "flow", "volume", "valves"]) assert.ok((await painted(page, strip)) > 300, strip);
 };
 
-test("a simulated device: start, waveforms, settings round trip, marker, stop", { skip, timeout: WHOLE }, () => scene(["--bench", "R20C20", "--steer"], async (page) => {
+/** Reads the device's flight recorder, which holds the running ventilation. */
+async function readRecorder(page) {
+  await page.getByRole("tab", { name: "Record" }).click();
+  await page.getByRole("button", { name: "Read the flight recorder" }).click();
+  await until(page, () => document.querySelectorAll(".record .chart canvas").length === 4);
+  const { fast, slow, events } = await page.evaluate(() => window.eupnea.devices[0].recorder);
+  assert.ok(fast.time.length > 1000 && slow.time.length > 50, `${fast.time.length} and ${slow.time.length} ticks`);
+  assert.ok(Math.max(...fast.pressure) > 10 && Math.max(...fast.u_in) > 0);
+  assert.ok(events.some(({ text }) => text === "ventilation started"), JSON.stringify(events));
+}
+
+test("a simulated device: start, waveforms, settings round trip, marker, flight recorder, stop", { skip, timeout: WHOLE }, () => scene(["--bench", "R20C20", "--steer"], async (page) => {
   await startVentilation(page);
   await breathes(page);
   await page.locator("#setting-pip").fill("24");
@@ -109,6 +120,7 @@ test("a simulated device: start, waveforms, settings round trip, marker, stop", 
   const { lost, malformed } = await page.evaluate(() => ({ lost: window.eupnea.devices[0].ring.missing, malformed: window.eupnea.socket.malformed }));
   assert.deepEqual([lost, malformed], [0, 0]);
   await page.screenshot({ path: join(SHOTS, "real-bench.png") });
+  await readRecorder(page);
   await page.getByRole("tab", { name: "Settings" }).click();
   await page.getByRole("button", { name: "Stop ventilation" }).click();
   await page.locator("dialog .agree").click();
@@ -149,6 +161,7 @@ test("a board that dies is told, and ventilates again after its return", { skip:
     await scene(["--port", `tcp:127.0.0.1:${device.port}`, "--steer"], async (page) => {
       await startVentilation(page);
       await breathes(page);
+      await readRecorder(page);
       await device.kill();
       await until(page, () => document.querySelector(".shade").textContent === "Device not connected" && !document.querySelector(".shade").hidden);
       await until(page, () => document.querySelector("#banner").dataset.priority === "high" && /not connected/.test(document.querySelector("#banner").textContent));
