@@ -12,7 +12,7 @@ use crate::watched::DeviceNumbers;
 /// Upper bounds of the latencies' classes, ms.
 const BOUNDS_MS: [u64; 10] = [10, 20, 35, 50, 75, 100, 150, 250, 500, 1000];
 
-/// Latencies from a tick's arrival at the server to the page's report that it was drawn.
+/// Latencies from a control tick to the arrival of the page's report that it was drawn.
 #[derive(Debug, Default)]
 pub struct Latencies {
     /// Number in each class, and above all.
@@ -30,7 +30,7 @@ impl Latencies {
 
     fn write(&self, text: &mut String) {
         let name = "eupnea_draw_latency_seconds";
-        header(text, name, "histogram", "from a sample's arrival at the server to its picture");
+        header(text, name, "histogram", "from a control tick to its picture");
         let mut count = 0;
         for (bound, class) in BOUNDS_MS.iter().zip(&self.classes) {
             count += get(class);

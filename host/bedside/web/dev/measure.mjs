@@ -1,5 +1,5 @@
 // Measures the page in headless Chromium against the fake server or another address: pictures a second, processor time of the page's
-// main thread, memory after garbage collection, and the delay from the server's newest tick to the drawn one. With the address that
+// main thread, memory after garbage collection, and the delay from a control tick to its picture. With the address that
 // `trainer serve --steer` has printed, it starts the first device and reads the delays from /metrics; with the server's process id, on
 // Linux, it prints the server's share of a core.
 //
@@ -59,7 +59,22 @@ function percentile(before, after) {
   const counts = after.map(([bound, count], index) => [bound, count - before[index][1]]);
   const all = counts.at(-1)[1];
   const place = counts.findIndex(([, count]) => count >= 0.95 * all);
-  console.log(`${all} delays from arrival to picture; 95 % are at most ${counts[place][0].toFixed(0)} ms: ${counts.map(([bound, count]) => `${count} <= ${bound.toFixed(0)}`).join(", ")}`);
+  console.log(`${all} delays from control tick to picture; 95 % are at most ${counts[place][0].toFixed(0)} ms: ${counts.map(([bound, count]) => `${count} <= ${bound.toFixed(0)}`).join(", ")}`);
+}
+
+/** Prints the shortest time of a request from the page to the device and back: what the device's fastest batch takes is less. */
+async function roundTrip() {
+  const times = await page.evaluate(async () => {
+    const { requests, devices } = window.eupnea;
+    const took = [];
+    for (let request = 0; request < 50; request++) {
+      const begin = performance.now();
+      await requests.ask("pause_audio", devices[0].info.id, { seconds: 0 });
+      took.push(performance.now() - begin);
+    }
+    return took.sort((one, other) => one - other);
+  });
+  console.log(`a request to the device is answered after ${times[0].toFixed(0)} ms at least, ${times[25].toFixed(0)} in the median`);
 }
 
 async function measure(name) {
@@ -82,6 +97,7 @@ if (url.includes("#token=")) await start();
 const known = fake ? [] : await delays();
 await measure("one device, loops");
 if (!fake) percentile(known, await delays());
+if (url.includes("#token=")) await roundTrip();
 if (fake) {
   const last = fake.drawn.slice(-200);
   console.log(`${fake.drawn.length} reports of drawn ticks, the last for tick ${last.at(-1).tick} of ${fake.devices[last.at(-1).device].lung.tick}`);
