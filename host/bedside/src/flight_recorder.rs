@@ -58,23 +58,15 @@ mod tests {
     use super::*;
     use shared::recorder::Activity;
 
-    fn entry(pressure: f32, u_out: bool) -> Option<TickEntry> {
-        let (phase, activity) = (None, Activity::Ventilating);
-        Some(TickEntry {
-            pressure,
-            target: None,
-            u_in: 40.0,
-            u_out,
-            phase,
-            explored: false,
-            activity,
-            breath: 0,
-        })
+    fn entry(pressure: f32, u_out: bool) -> TickEntry {
+        let (target, phase, activity) = (None, None, Activity::Ventilating);
+        TickEntry { pressure, target, u_in: 40.0, u_out, phase, explored: false, activity, breath: 0 }
     }
 
     #[test]
     fn ticks_end_at_zero_and_a_gap_is_a_row_without_values_that_takes_no_time() {
-        let columns = recorded(&[entry(5.0, true), None, entry(6.0, false), entry(7.0, false)], 0.02);
+        let columns =
+            recorded(&[Some(entry(5.0, true)), None, Some(entry(6.0, false)), Some(entry(7.0, false))], 0.02);
         assert_eq!(columns.time, [-0.04, -0.04, -0.02, -0.0]);
         assert_eq!((columns.pressure[0], columns.pressure[2], columns.pressure[3]), (5.0, 6.0, 7.0));
         assert!(columns.u_in[1].is_nan() && columns.u_out[1].is_nan() && columns.pressure[1].is_nan());

@@ -215,7 +215,7 @@ impl Watched {
         self.samples += batch.samples.len() as u64;
         self.came_ms = now_ms;
         self.sampled_ms = Some(now_ms);
-        let past = batch.first_tick.saturating_add(batch.samples.len() as u64);
+        let past = batch.first_tick + batch.samples.len() as u64;
         self.arrivals.push_back((batch.first_tick..past, now_ms));
         if self.arrivals.len() > ARRIVALS {
             self.arrivals.pop_front();
@@ -303,20 +303,12 @@ impl Watched {
         (self.samples > 0).then(|| (self.first_tick + self.points.len() as u64).saturating_sub(1))
     }
 
-    /// Time from a control tick until now, ms; none if the tick is not remembered.
-    ///
-    /// Read on the device's clock, which its fastest remembered batch sets: that batch counts as sent at its last tick and as having
-    /// taken no time.
+    /// Time from a control tick until now, ms; none if the tick is not remembered. A batch counts as sent at its last tick and as having
+    /// taken no time on the line.
     pub fn latency_ms(&self, tick: u64, now_ms: u64) -> Option<u64> {
-        let remembered = self.arrivals.front()?.0.start..self.arrivals.back()?.0.end;
-        let period_us = i128::from(self.period_us);
-        // From this tick to the last one of a batch, and from the batch's arrival until now.
-        let ages_us = self.arrivals.iter().map(|(ticks, came_ms)| {
-            period_us * (i128::from(ticks.end) - 1 - i128::from(tick))
-                + 1000 * i128::from(now_ms.saturating_sub(*came_ms))
-        });
-        let age_us = ages_us.max().filter(|_| remembered.contains(&tick))?;
-        (age_us.max(0) / 1000).try_into().ok()
+        let (ticks, came_ms) = self.arrivals.iter().find(|(ticks, _)| ticks.contains(&tick))?;
+        let waited_us = (ticks.end - 1 - tick) * u64::from(self.period_us);
+        Some(now_ms.saturating_sub(*came_ms) + waited_us / 1000)
     }
 
     /// What is missing from the device, if anything is, and why in words, which stay the same while it is missing.

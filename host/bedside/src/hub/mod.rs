@@ -203,7 +203,7 @@ impl Worker {
     ) -> Self {
         let Watch { name, period_us, source, verdict, recorder, kind } = watch;
         let verdict = verdict.map(|verdict| ToPage::Verdict { device, verdict });
-        let recorded = recorder.map(|recorder| ToPage::Recorder { device, recorder });
+        let recorded = recorder.map(|recorder| ToPage::Recorder { device, recorder: Box::new(recorder) });
         Self {
             device,
             period_us,
@@ -492,7 +492,7 @@ impl Worker {
             Next::Failed(reason) => Some(reason),
             Next::Done(entries) => {
                 let Some(RecorderReader { viewer, id, .. }) = self.reading.take() else { return };
-                let recorder = entries.content(self.period_us);
+                let recorder = Box::new(entries.content(self.period_us));
                 let read = format!(
                     "{} ticks and {} events read",
                     entries.fast.len() + entries.slow.len(),

@@ -125,20 +125,20 @@ mod tests {
     }
 
     /// The state of a recorder that holds these entries of its fast ring and of its log.
-    fn status(fast: [u32; 2], log: [u32; 2]) -> Result<Response, String> {
+    fn status(fast: [u32; 2], log: [u32; 2]) -> Response {
         let held = |[first, next]: [u32; 2]| Held { first, next, origin: 0 };
         let (recording, boot, tick, tick_boot) = (RecordingState::Nothing, 1, 0, 1);
         let (fast, slow, log) = (held(fast), Held::default(), held(log));
-        Ok(Response::Recorder(RecorderStatus { recording, boot, tick, tick_boot, fast, slow, log }))
+        Response::Recorder(RecorderStatus { recording, boot, tick, tick_boot, fast, slow, log })
     }
 
     /// A page whose entries are zeros; the first byte of each tick is its number.
-    fn page(part: RecorderPart, first: u32, entries: usize) -> Result<Response, String> {
+    fn page(part: RecorderPart, first: u32, entries: usize) -> Response {
         let length = if part == RecorderPart::Log { EVENT_BYTES } else { TICK_BYTES };
         let number =
             |byte: usize| if byte.is_multiple_of(length) { first as usize + byte / length } else { 0 };
         let bytes = (0..entries * length).map(|byte| number(byte) as u8).collect();
-        Ok(Response::Recorded(Page { part, first, bytes }))
+        Response::Recorded(Page { part, first, bytes })
     }
 
     fn read(part: RecorderPart, from: u32) -> Request {
@@ -153,13 +153,13 @@ mod tests {
     fn parts_are_read_page_by_page_up_to_the_end_at_the_start() {
         use RecorderPart::{Fast, Log};
         let mut reader = reader();
-        asks(reader.take(&RecorderReader::FIRST, &status([0, 50], [5, 30])).as_ref(), Fast, 0);
-        assert!(reader.take(&Request::Identify, &page(Fast, 0, 30)).is_none(), "not asked by it");
-        asks(reader.take(&read(Fast, 0), &page(Fast, 0, 30)).as_ref(), Fast, 30);
+        asks(reader.take(&RecorderReader::FIRST, &Ok(status([0, 50], [5, 30]))).as_ref(), Fast, 0);
+        assert!(reader.take(&Request::Identify, &Ok(page(Fast, 0, 30))).is_none(), "not asked by it");
+        asks(reader.take(&read(Fast, 0), &Ok(page(Fast, 0, 30))).as_ref(), Fast, 30);
         // The slow ring is empty.
-        asks(reader.take(&read(Fast, 30), &page(Fast, 30, 30)).as_ref(), Log, 5);
-        asks(reader.take(&read(Log, 5), &page(Log, 5, 18)).as_ref(), Log, 23);
-        let Some(Next::Done(entries)) = reader.take(&read(Log, 23), &page(Log, 23, 18)) else { panic!() };
+        asks(reader.take(&read(Fast, 30), &Ok(page(Fast, 30, 30))).as_ref(), Log, 5);
+        asks(reader.take(&read(Log, 5), &Ok(page(Log, 5, 18))).as_ref(), Log, 23);
+        let Some(Next::Done(entries)) = reader.take(&read(Log, 23), &Ok(page(Log, 23, 18))) else { panic!() };
         assert_eq!((entries.fast.len(), entries.slow.len()), (50, 0));
     }
 
@@ -167,11 +167,13 @@ mod tests {
     fn what_was_read_before_entries_that_were_overwritten_is_left_out() {
         use RecorderPart::Fast;
         let mut reader = reader();
-        reader.take(&RecorderReader::FIRST, &status([0, 80], [0, 0]));
-        asks(reader.take(&read(Fast, 0), &page(Fast, 0, 30)).as_ref(), Fast, 30);
-        asks(reader.take(&read(Fast, 30), &page(Fast, 50, 20)).as_ref(), Fast, 70);
-        let Some(Next::Done(entries)) = reader.take(&read(Fast, 70), &page(Fast, 70, 30)) else { panic!() };
-        let Response::Recorded(expected) = page(Fast, 50, 30).unwrap() else { panic!() };
+        reader.take(&RecorderReader::FIRST, &Ok(status([0, 80], [0, 0])));
+        asks(reader.take(&read(Fast, 0), &Ok(page(Fast, 0, 30))).as_ref(), Fast, 30);
+        asks(reader.take(&read(Fast, 30), &Ok(page(Fast, 50, 20))).as_ref(), Fast, 70);
+        let Some(Next::Done(entries)) = reader.take(&read(Fast, 70), &Ok(page(Fast, 70, 30))) else {
+            panic!()
+        };
+        let Response::Recorded(expected) = page(Fast, 50, 30) else { panic!() };
         assert_eq!(format!("{:?}", entries.fast), format!("{:?}", ticks(&expected.bytes)));
     }
 
@@ -181,13 +183,17 @@ mod tests {
         let oldest = u32::MAX - LOG_ENTRIES as u32;
         let first = |answer| {
             let mut reader = reader();
-            asks(reader.take(&RecorderReader::FIRST, &status([9, 3], [0, u32::MAX])).as_ref(), Log, oldest);
+            asks(
+                reader.take(&RecorderReader::FIRST, &Ok(status([9, 3], [0, u32::MAX]))).as_ref(),
+                Log,
+                oldest,
+            );
             reader.take(&read(Log, oldest), &answer)
         };
-        assert!(matches!(first(page(Log, u32::MAX - 1024, 0)), Some(Next::Done(_))), "an empty page");
-        assert!(matches!(first(page(Log, 3, 18)), Some(Next::Failed(_))), "a page from before");
-        assert!(matches!(first(page(Slow, oldest, 18)), Some(Next::Failed(_))), "a page of another part");
-        assert!(matches!(first(page(Fast, u32::MAX, 1)), Some(Next::Failed(_))));
+        assert!(matches!(first(Ok(page(Log, u32::MAX - 1024, 0))), Some(Next::Done(_))), "an empty page");
+        assert!(matches!(first(Ok(page(Log, 3, 18))), Some(Next::Failed(_))), "a page from before");
+        assert!(matches!(first(Ok(page(Slow, oldest, 18))), Some(Next::Failed(_))), "a page of another part");
+        assert!(matches!(first(Ok(page(Fast, u32::MAX, 1))), Some(Next::Failed(_))));
         assert!(matches!(first(Ok(Response::Done)), Some(Next::Failed(_))), "another answer");
         assert!(matches!(first(Err("unplugged".to_owned())), Some(Next::Failed(_))));
     }

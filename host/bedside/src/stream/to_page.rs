@@ -71,7 +71,7 @@ pub enum ToPage {
         device: u8,
         /// The content.
         #[serde(flatten)]
-        recorder: FlightRecorder,
+        recorder: Box<FlightRecorder>,
     },
 }
 

@@ -338,22 +338,17 @@ fn an_alarm_is_told_once_and_listed() {
 }
 
 #[test]
-fn a_latency_counts_from_the_tick_by_the_clock_of_the_fastest_batch() {
+fn a_latency_counts_from_the_tick_so_with_the_time_for_which_its_batch_was_filled() {
     let mut watched = watched();
-    // The device started at 1000; batches take 3 to 12 ms, and are sent at their last tick.
     for number in 0..10 {
-        take(&mut watched, &batch(16 * number, 16), 1000 + 16 * number + 15 + 3 + number);
+        take(&mut watched, &batch(16 * number, 16), 1000 + 16 * number);
     }
-    let from_start = |now: u64| now - 1000 - 3;
-    assert_eq!(watched.latency_ms(40, 1200), Some(from_start(1200) - 40));
-    assert_eq!(watched.latency_ms(159, 1200), Some(from_start(1200) - 159));
-    assert_eq!(watched.latency_ms(159, 1100), Some(0), "not before the tick");
-    assert_eq!(watched.latency_ms(160, 1200), None, "it has not come");
-    for number in 10..1000 {
-        take(&mut watched, &batch(16 * number, 16), 1000 + 16 * number + 15 + 20);
-    }
-    assert_eq!(watched.latency_ms(0, 17_000), None, "it is forgotten");
-    assert_eq!(watched.latency_ms(15_999, 17_100), Some(17_100 - 1000 - 20 - 15_999), "so is the fast batch");
+    // The third batch came at 1032, with tick 47 as its last one.
+    assert_eq!(watched.latency_ms(47, 1100), Some(1100 - 1032));
+    assert_eq!(watched.latency_ms(40, 1100), Some(1100 - 1032 + 7));
+    assert_eq!(watched.latency_ms(32, 1100), Some(1100 - 1032 + 15));
+    assert_eq!(watched.latency_ms(159, 1200), Some(1200 - 1144));
+    assert_eq!((watched.latency_ms(0, 1200), watched.latency_ms(160, 1200)), (Some(215), None));
 }
 
 #[test]

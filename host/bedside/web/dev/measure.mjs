@@ -62,21 +62,6 @@ function percentile(before, after) {
   console.log(`${all} delays from control tick to picture; 95 % are at most ${counts[place][0].toFixed(0)} ms: ${counts.map(([bound, count]) => `${count} <= ${bound.toFixed(0)}`).join(", ")}`);
 }
 
-/** Prints the shortest time of a request from the page to the device and back: what the device's fastest batch takes is less. */
-async function roundTrip() {
-  const times = await page.evaluate(async () => {
-    const { requests, devices } = window.eupnea;
-    const took = [];
-    for (let request = 0; request < 50; request++) {
-      const begin = performance.now();
-      await requests.ask("pause_audio", devices[0].info.id, { seconds: 0 });
-      took.push(performance.now() - begin);
-    }
-    return took.sort((one, other) => one - other);
-  });
-  console.log(`a request to the device is answered after ${times[0].toFixed(0)} ms at least, ${times[25].toFixed(0)} in the median`);
-}
-
 async function measure(name) {
   await sleep(3000);
   const [before, busyBefore] = [await look(), server ? await busy() : 0];
@@ -97,7 +82,6 @@ if (url.includes("#token=")) await start();
 const known = fake ? [] : await delays();
 await measure("one device, loops");
 if (!fake) percentile(known, await delays());
-if (url.includes("#token=")) await roundTrip();
 if (fake) {
   const last = fake.drawn.slice(-200);
   console.log(`${fake.drawn.length} reports of drawn ticks, the last for tick ${last.at(-1).tick} of ${fake.devices[last.at(-1).device].lung.tick}`);
