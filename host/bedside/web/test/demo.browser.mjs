@@ -6,7 +6,7 @@ import { createServer } from "node:http";
 import { dirname, extname, join, normalize } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
-import { launch, missing, open, painted, SHOTS, until } from "./browser.mjs";
+import { launch, missing, open, painted, SHOTS, until, WHOLE } from "./browser.mjs";
 
 const FOLDER = process.env.DEMO ?? join(dirname(fileURLToPath(import.meta.url)), "../../../../docs/demo");
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css" };
@@ -32,11 +32,11 @@ after(async () => {
 
 const start = () => open(browser, `http://127.0.0.1:${server.address().port}/some/folder/`);
 
-test("nine lungs breathe, waveforms move, and a fault raises an alarm", { skip: missing, timeout: 180_000 }, async () => {
+test("nine lungs breathe, waveforms move, and a fault raises an alarm", { skip: missing, timeout: WHOLE }, async () => {
   const page = await start();
   await until(page, () => window.eupnea?.devices.length === 18);
   assert.equal(await page.locator(".pair").count(), 9);
-  await until(page, () => window.eupnea.devices.filter(({ breath }) => breath).length === 18, undefined, 60_000);
+  await until(page, () => window.eupnea.devices.filter(({ breath }) => breath).length === 18);
   await page.screenshot({ path: join(SHOTS, "standalone-wall.png") });
   await page.locator(".card-open").last().click();
   const newest = () => page.evaluate(() => Math.max(...window.eupnea.devices.map(({ ring }) => ring.newest ?? 0)));
@@ -44,17 +44,17 @@ test("nine lungs breathe, waveforms move, and a fault raises an alarm", { skip: 
   await until(page, (tick) => Math.max(...window.eupnea.devices.map(({ ring }) => ring.newest ?? 0)) > tick + 3000, before);
   for (const strip of ["pressure", "flow", "volume", "valves", "learned"]) assert.ok((await painted(page, strip)) > 300, strip);
   await page.getByRole("button", { name: "Disconnect" }).click();
-  await until(page, () => document.querySelector("#banner").dataset.priority === "high", undefined, 60_000);
+  await until(page, () => document.querySelector("#banner").dataset.priority === "high");
   await page.screenshot({ path: join(SHOTS, "standalone-alarm.png") });
   await page.getByRole("button", { name: "Clear faults" }).click();
-  await until(page, () => window.eupnea.devices.every(({ state }) => !state.alarms.some(({ present }) => present)), undefined, 60_000);
+  await until(page, () => window.eupnea.devices.every(({ state }) => !state.alarms.some(({ present }) => present)));
   assert.equal(await page.evaluate(() => window.eupnea.socket.malformed), 0);
   assert.deepEqual(page.errors, []);
   assert.deepEqual(page.outside, []);
   await page.context().close();
 });
 
-test("settings are applied from the next breath on", { skip: missing, timeout: 180_000 }, async () => {
+test("settings are applied from the next breath on", { skip: missing, timeout: WHOLE }, async () => {
   const page = await start();
   await until(page, () => window.eupnea?.devices.length === 18);
   await page.locator(".card-open").first().click();
@@ -63,12 +63,12 @@ test("settings are applied from the next breath on", { skip: missing, timeout: 1
   await until(page, () => !document.querySelector("#setting-pip").disabled);
   await page.locator("#setting-pip").fill("18");
   await page.locator("#setting-pip").press("Enter");
-  await until(page, () => window.eupnea.devices.some(({ state }) => state.settings.pip === 18), undefined, 60_000);
+  await until(page, () => window.eupnea.devices.some(({ state }) => state.settings.pip === 18));
   assert.deepEqual(page.errors, []);
   await page.context().close();
 });
 
-test("a module that is missing is told on the page", { skip: missing, timeout: 60_000 }, async () => {
+test("a module that is missing is told on the page", { skip: missing, timeout: WHOLE }, async () => {
   const page = await browser.newPage();
   await page.route("**/demo.wasm", (route) => route.fulfill({ status: 404 }));
   await page.goto(`http://127.0.0.1:${server.address().port}/some/folder/`);

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { Fake } from "../dev/fake.mjs";
-import { known, launch, missing, open, says, until } from "./browser.mjs";
+import { known, launch, missing, open, says, until, WHOLE } from "./browser.mjs";
 
 let browser;
 before(async () => { if (!missing) browser = await launch(); });
@@ -11,7 +11,7 @@ after(async () => { await browser?.close(); });
 
 /** Runs a test on a page of a fake server of its own; scripts must not fail. */
 function scene(name, options, run) {
-  test(name, { skip: missing, timeout: 180_000 }, async () => {
+  test(name, { skip: missing, timeout: WHOLE }, async () => {
     const fake = new Fake(options);
     const page = await open(browser, await fake.start());
     try {
