@@ -1,6 +1,7 @@
 mod alarms;
 mod calibration;
 mod lease;
+mod recorder;
 mod self_test;
 mod store;
 mod summaries;
@@ -27,7 +28,7 @@ use crate::link::host_name::HostName;
 use crate::link::messages::{AlarmStatus, CHUNK_BYTES, DeviceKind, Event, Request, ToDevice, ToHost};
 use crate::link::refusal::Refusal;
 use crate::link::telemetry::PackedSample;
-use crate::recorder::{Boot, Recorder, RecorderMemory, RecorderPart, RecorderStatus, RecordingState};
+use crate::recorder::{Boot, Recorder, RecorderMemory, RecorderPart};
 use crate::reset::ResetCause;
 use crate::safety::ladder::Level;
 use crate::safety::monitors::Monitors;
@@ -316,15 +317,6 @@ fn the_end_of_ventilation_is_reported_once() {
 }
 
 #[test]
-fn the_flight_recorder_is_told_whose_command_it_was() {
-    for learned in [Some(residual()), None] {
-        let mut control = control(DeviceKind::Simulated, learned.as_ref());
-        let output = control.step(5.0);
-        assert_eq!(control.moment(5.0, &output, 0).learned, learned.is_some());
-    }
-}
-
-#[test]
 fn the_queue_has_an_end_and_refuses_nonsense() {
     let mut rig = Rig::new(None);
     for _ in 0..QUEUE_LENGTH {
@@ -515,29 +507,6 @@ fn a_fault_is_an_alarm_after_the_last_samples_and_empties_the_queue() {
     assert_eq!(rig.ask(Request::Acknowledge), Response::Refused(Refusal::NoFault));
     let after = rig.ask(Request::GetSettings);
     assert!(matches!(after, Response::Settings { pending: Some(_), .. }), "what is asked for after it stays");
-}
-
-fn recorded(rig: &mut Rig) -> RecorderStatus {
-    match rig.ask(Request::GetRecorder) {
-        Response::Recorder(status) => status,
-        other => panic!("{other:?}"),
-    }
-}
-
-#[test]
-fn the_flight_recorder_is_read_while_ventilating_and_emptied_on_request() {
-    let mut rig = Rig::new(None);
-    rig.start();
-    rig.run(100);
-    let status = recorded(&mut rig);
-    assert_eq!((status.recording, status.fast.next - status.fast.first), (RecordingState::Running, 101));
-    let page = rig.ask(Request::ReadRecorder { part: RecorderPart::Fast, from: status.fast.next - 2 });
-    assert!(matches!(page, Response::Recorded(page) if page.first == 99 && page.bytes.len() == 12));
-    rig.run_at(800, 70.0);
-    assert_eq!(recorded(&mut rig).recording, RecordingState::Fault(Fault::HardLimit));
-    assert_eq!(rig.ask(Request::ClearRecorder), Response::Done);
-    rig.run(1);
-    assert_eq!(recorded(&mut rig).recording, RecordingState::Nothing);
 }
 
 #[test]
