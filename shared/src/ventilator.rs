@@ -72,6 +72,11 @@ pub struct Sample {
     pub flow: Option<f32>,
 }
 
+/// Opening of the expiratory valve, which only opens and closes, percent.
+pub const fn opening(u_out: bool) -> f32 {
+    if u_out { 100.0 } else { 0.0 }
+}
+
 /// What commands a tick, before the safety filter.
 struct Wanted {
     output: ControlOutput,

@@ -9,6 +9,7 @@ use shared::breath::PAPER_PIPS;
 use shared::explore::{Exploration, ExplorationError};
 use shared::safety::alarms::Fault;
 use shared::settings::{LIMIT_MARGIN, Settings};
+use shared::ventilator::opening;
 use thiserror::Error;
 
 use crate::{Source, SourceError, Tick};
@@ -287,7 +288,7 @@ fn row(tick: &Tick, breath: u32, settings: &Settings) -> Row {
         target: sample.target,
         pressure: sample.pressure,
         u_in: sample.u_in,
-        u_out: if sample.u_out { 100.0 } else { 0.0 },
+        u_out: opening(sample.u_out),
         explore: sample.explore,
         pip: settings.pip,
         peep: settings.peep,

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 use monitoring::curve::Tracking;
 use shared::breath::{Phase, period_s};
 use shared::settings::Settings;
-use shared::ventilator::Sample;
+use shared::ventilator::{Sample, opening};
 
 use crate::stream::BreathFigures;
 use crate::stream::frame::Point;
@@ -115,7 +115,7 @@ impl BreathMeter {
             pressure: sample.pressure,
             target: sample.target,
             u_in: sample.u_in,
-            u_out: if sample.u_out { 100.0 } else { 0.0 },
+            u_out: opening(sample.u_out),
             learned: sample.learned,
             flow,
             volume,

@@ -2,7 +2,7 @@
 
 use data::recording::{Row, phase_number};
 use shared::settings::Settings;
-use shared::ventilator::Sample;
+use shared::ventilator::{Sample, opening};
 
 use super::tape::Gap;
 
@@ -30,7 +30,7 @@ impl Numbers {
         let breath = number(self.offset);
         self.last = Some((breath, tick));
         let phase = phase_number(phase);
-        let u_out = if u_out { 100.0 } else { 0.0 };
+        let u_out = opening(u_out);
         let (pip, peep) = (settings.pip, settings.peep);
         Ok(Row { breath, tick, phase, target, pressure, u_in, u_out, explore, pip, peep, ..Row::default() })
     }

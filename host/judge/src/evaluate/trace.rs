@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use shared::breath::period_s;
 use shared::control::{ControlLaw, Controller};
 use shared::settings::Settings;
+use shared::ventilator::opening;
 
 use plant::bench::BenchConfig;
 use ventilator::{BenchSource, Source, SourceError};
@@ -37,7 +38,7 @@ impl BreathTrace {
 
     /// Command of the expiratory valve, percent: 0 or 100.
     pub fn u_out_percent(&self) -> Vec<f64> {
-        self.u_out.iter().map(|open| if *open { 100.0 } else { 0.0 }).collect()
+        self.u_out.iter().map(|open| opening(*open).into()).collect()
     }
 }
 

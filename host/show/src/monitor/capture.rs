@@ -20,6 +20,7 @@ use shared::link::messages::{DeviceIdentity, Event, Response};
 use shared::link::telemetry::{BreathSummary, TelemetryBatch};
 use shared::safety::alarms::Fault;
 use shared::settings::Settings;
+use shared::ventilator::opening;
 
 use super::News;
 use super::words;
@@ -284,7 +285,7 @@ impl Capture {
             let (time, sample) = (self.clock.time(tick).unwrap_or(now_ns), packed.unpack());
             let (measured, target) = (sample.pressure, sample.target);
             self.writer.write(time, &Pressure { measured, target, truth: None })?;
-            let u_out = if sample.u_out { 100.0 } else { 0.0 };
+            let u_out = opening(sample.u_out);
             let (u_in, explore, learned) = (sample.u_in, sample.explore, Some(sample.learned));
             self.writer.write(time, &Valves { u_in, u_out, explore, learned })?;
             if sample.flow.is_some() {

@@ -12,7 +12,7 @@ use shared::control::memory::LEARNING;
 use shared::safety::alarms::{Fault, Priority};
 use shared::safety::ladder::Level;
 use shared::settings::Settings;
-use shared::ventilator::Mode;
+use shared::ventilator::{Mode, opening};
 
 use super::view::{Notice, View};
 use super::window::Points;
@@ -107,7 +107,7 @@ fn draw_pressure(frame: &mut Frame, area: Rect, view: &View) {
 fn draw_valves(frame: &mut Frame, area: Rect, view: &View) {
     let dots = usize::from(area.width) * DOTS;
     let inspiratory = view.window.pieces(dots, |sample| sample.u_in);
-    let expiratory = view.window.pieces(dots, |sample| if sample.u_out { 100.0 } else { 0.0 });
+    let expiratory = view.window.pieces(dots, |sample| opening(sample.u_out));
     let title = match view.window.last() {
         Some(last) => {
             let expiratory = if last.u_out { "open" } else { "closed" };
