@@ -1,29 +1,17 @@
 //! The content of a flight recorder, as a page shows it.
 
-use shared::recorder::{LogEntry, SLOW_STRIDE, TickEntry};
+use device::blackbox::{Blackbox, RecordedTicks};
+use shared::recorder::{LogEntry, TickEntry};
+use shared::ventilator::opening;
 
 use crate::stream::{FlightRecorder, LogLine, Recorded};
 
-/// The entries of a flight recorder, oldest first, as they were read.
-#[derive(Debug, Default)]
-pub struct Entries {
-    /// Every control tick of the last seconds; none marks a gap.
-    pub fast: Vec<Option<TickEntry>>,
-    /// Every [`SLOW_STRIDE`]th tick of the last minute; none marks a gap.
-    pub slow: Vec<Option<TickEntry>>,
-    /// The events.
-    pub log: Vec<LogEntry>,
-}
-
-impl Entries {
-    /// The content for a page; a control tick lasts `period_us` microseconds.
-    pub fn content(&self, period_us: u32) -> FlightRecorder {
-        let tick_s = f64::from(period_us) * 1e-6;
-        FlightRecorder {
-            fast: Some(recorded(&self.fast, tick_s)),
-            slow: Some(recorded(&self.slow, tick_s * f64::from(SLOW_STRIDE))),
-            ..events(&self.log, period_us)
-        }
+/// The content for a page.
+pub fn content(blackbox: &Blackbox) -> FlightRecorder {
+    FlightRecorder {
+        fast: Some(columns(&blackbox.fast)),
+        slow: Some(columns(&blackbox.slow)),
+        ..events(&blackbox.log, blackbox.period_us)
     }
 }
 
@@ -37,20 +25,17 @@ pub fn events(entries: &[LogEntry], period_us: u32) -> FlightRecorder {
     FlightRecorder { events: entries.iter().map(line).collect(), fast: None, slow: None }
 }
 
-/// Ticks as columns, `step_s` seconds apart.
-fn recorded(entries: &[Option<TickEntry>], step_s: f64) -> Recorded {
-    let mut columns = Recorded::default();
-    let mut left = entries.iter().flatten().count();
-    for entry in entries {
-        left -= usize::from(entry.is_some());
-        columns.time.push(-(left as f64) * step_s);
-        let value = |read: &dyn Fn(&TickEntry) -> f32| entry.as_ref().map_or(f32::NAN, read);
-        columns.pressure.push(value(&|entry| entry.pressure));
-        columns.target.push(value(&|entry| entry.target.unwrap_or(f32::NAN)));
-        columns.u_in.push(value(&|entry| entry.u_in));
-        columns.u_out.push(value(&|entry| if entry.u_out { 100.0 } else { 0.0 }));
+fn columns(ticks: &RecordedTicks) -> Recorded {
+    let column = |read: fn(&TickEntry) -> f32| {
+        ticks.entries.iter().map(|entry| entry.as_ref().map_or(f32::NAN, read)).collect()
+    };
+    Recorded {
+        time: ticks.timed().map(|(time, _)| time).collect(),
+        pressure: column(|entry| entry.pressure),
+        target: column(|entry| entry.target.unwrap_or(f32::NAN)),
+        u_in: column(|entry| entry.u_in),
+        u_out: column(|entry| opening(entry.u_out)),
     }
-    columns
 }
 
 #[cfg(test)]
@@ -65,8 +50,9 @@ mod tests {
 
     #[test]
     fn ticks_end_at_zero_and_a_gap_is_a_row_without_values_that_takes_no_time() {
-        let columns =
-            recorded(&[Some(entry(5.0, true)), None, Some(entry(6.0, false)), Some(entry(7.0, false))], 0.02);
+        let [first, second, third] =
+            [(5.0, true), (6.0, false), (7.0, false)].map(|(p, open)| Some(entry(p, open)));
+        let columns = columns(&RecordedTicks { step_s: 0.02, entries: vec![first, None, second, third] });
         assert_eq!(columns.time, [-0.04, -0.04, -0.02, -0.0]);
         assert_eq!((columns.pressure[0], columns.pressure[2], columns.pressure[3]), (5.0, 6.0, 7.0));
         assert!(columns.u_in[1].is_nan() && columns.u_out[1].is_nan() && columns.pressure[1].is_nan());

@@ -128,6 +128,8 @@ impl Viewer {
 #[derive(Debug)]
 pub struct Viewers {
     list: Mutex<Vec<Arc<Viewer>>>,
+    /// The newest state of each device, for pages that open; changed only while the list is locked, so that no page misses one.
+    states: Mutex<BTreeMap<u8, Arc<str>>>,
     numbers: AtomicU64,
     metrics: Arc<Metrics>,
 }
@@ -135,7 +137,7 @@ pub struct Viewers {
 impl Viewers {
     /// No pages yet.
     pub fn new(metrics: Arc<Metrics>) -> Self {
-        Self { list: Mutex::default(), numbers: AtomicU64::new(1), metrics }
+        Self { list: Mutex::default(), states: Mutex::default(), numbers: AtomicU64::new(1), metrics }
     }
 
     /// Whether no further page is fed.
@@ -161,7 +163,7 @@ impl Viewers {
         self.list().is_empty()
     }
 
-    /// Adds a page at an address, which watches all of `devices` devices; none if there are too many.
+    /// Adds a page at an address, which watches all of `devices` devices and gets their states; none if there are too many.
     pub fn add(&self, address: &str, devices: u8) -> Option<Arc<Viewer>> {
         let mut list = self.list();
         if list.len() >= VIEWERS_MAX {
@@ -169,7 +171,8 @@ impl Viewers {
         }
         let number = self.numbers.fetch_add(1, Ordering::Relaxed);
         let who = format!("page {number} at {address}");
-        let (queue, ready) = (Mutex::default(), Notify::new());
+        let queue = Mutex::new(Queue { states: self.newest().clone(), ..Queue::default() });
+        let ready = Notify::new();
         let viewer = Arc::new(Viewer { number, who, queue, ready });
         viewer.watch(0..devices);
         list.push(Arc::clone(&viewer));
@@ -197,7 +200,9 @@ impl Viewers {
 
     /// Queues a state of a device, in place of an older one that still waits.
     pub fn state(&self, device: u8, text: &Arc<str>) {
-        for viewer in self.list().iter() {
+        let list = self.list();
+        self.newest().insert(device, Arc::clone(text));
+        for viewer in list.iter() {
             viewer.queue().states.insert(device, Arc::clone(text));
             viewer.ready.notify_one();
         }
@@ -211,6 +216,15 @@ impl Viewers {
     /// Queues a text that depends on the page.
     pub fn tell_each(&self, text: impl Fn(&Viewer) -> Arc<str>) {
         self.list().iter().for_each(|viewer| viewer.tell(text(viewer)));
+    }
+
+    /// The newest state of each device.
+    pub fn states(&self) -> Vec<Arc<str>> {
+        self.newest().values().cloned().collect()
+    }
+
+    fn newest(&self) -> MutexGuard<'_, BTreeMap<u8, Arc<str>>> {
+        self.states.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn list(&self) -> MutexGuard<'_, Vec<Arc<Viewer>>> {
@@ -248,6 +262,17 @@ mod tests {
     /// Everything that waits for a page.
     fn waiting(viewer: &Viewer) -> Vec<Outgoing> {
         std::iter::from_fn(|| viewer.queue().next()).collect()
+    }
+
+    #[test]
+    fn a_page_that_opens_gets_the_newest_state_of_each_device() {
+        let (_, viewers) = viewers();
+        for (device, text) in [(0, "old"), (1, "other"), (0, "new")] {
+            viewers.state(device, &text.into());
+        }
+        let states = [Outgoing::Text("new".into()), Outgoing::Text("other".into())];
+        assert_eq!(waiting(&viewers.add("here", 2).unwrap()), states);
+        assert_eq!(viewers.states(), ["new".into(), "other".into()]);
     }
 
     /// The first tick of a message, and the samples lost before it.

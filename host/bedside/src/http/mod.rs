@@ -125,9 +125,8 @@ async fn state(State(shared): State<Arc<Shared>>, headers: HeaderMap) -> Respons
     if let Err(refusal) = may_read(&shared, &headers) {
         return refuse(&shared, refusal);
     }
-    let states = shared.hubs.iter().filter_map(|hub| hub.latest().state);
     let states: Vec<serde_json::Value> =
-        states.filter_map(|state| serde_json::from_str(&state).ok()).collect();
+        shared.viewers.states().iter().filter_map(|state| serde_json::from_str(state).ok()).collect();
     let text = json!({ "hello": shared.hello(), "states": states }).to_string();
     ([(CONTENT_TYPE, "application/json")], text).into_response()
 }

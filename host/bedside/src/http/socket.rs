@@ -85,14 +85,10 @@ async fn wait_for_token(shared: &Shared, socket: &mut WebSocket) -> Result<(), R
     }
 }
 
-/// Queues what is known about all devices.
+/// Queues what is known about all devices beside their states.
 fn greet(shared: &Shared, viewer: &Arc<Viewer>) {
     for (device, hub) in (0..).zip(&shared.hubs) {
-        let latest = hub.latest();
-        if let Some(state) = latest.state {
-            viewer.tell(state);
-        }
-        if let Some((_, who)) = latest.steerer {
+        if let Some((_, who)) = hub.latest().steerer {
             viewer.tell(ToPage::Steerer { device, who: Some(who), yours: false }.to_json().into());
         }
         hub.tell(Command::Opened { viewer: Arc::clone(viewer) });

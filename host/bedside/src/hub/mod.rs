@@ -16,6 +16,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use shared::link::messages::{Request, Response};
 use show::monitor::News;
 
+use crate::flight_recorder::content;
 use crate::metrics::Metrics;
 use crate::record::{Recorder, Told};
 use crate::source::{Source, Watch};
@@ -68,8 +69,6 @@ pub enum Command {
 /// What a new page is told about a device.
 #[derive(Clone, Debug, Default)]
 pub struct Latest {
-    /// The newest state.
-    pub state: Option<Arc<str>>,
     /// The page that steers: number and name.
     pub steerer: Option<(u64, String)>,
     /// The kind of the device and its control period, microseconds, once it has answered.
@@ -394,8 +393,6 @@ impl Worker {
 
     fn publish(&mut self, state: State) {
         let text: Arc<str> = ToPage::State(Box::new(state.clone())).to_json().into();
-        // In this order: a page that opens between the two is told, too.
-        self.latest.lock().unwrap_or_else(PoisonError::into_inner).state = Some(Arc::clone(&text));
         self.viewers.state(self.device, &text);
         self.shown = Some((state, Instant::now()));
     }
@@ -490,14 +487,12 @@ impl Worker {
         let failed = match next {
             Next::Ask(request) => self.source.ask(request).err().map(|why| why.to_string()),
             Next::Failed(reason) => Some(reason),
-            Next::Done(entries) => {
+            Next::Done(reading) => {
                 let Some(RecorderReader { viewer, id, .. }) = self.reading.take() else { return };
-                let recorder = Box::new(entries.content(self.period_us));
-                let read = format!(
-                    "{} ticks and {} events read",
-                    entries.fast.len() + entries.slow.len(),
-                    entries.log.len()
-                );
+                let blackbox = reading.finish(self.period_us);
+                let ticks = blackbox.fast.ticks().count() + blackbox.slow.ticks().count();
+                let read = format!("{ticks} ticks and {} events read", blackbox.log.len());
+                let recorder = Box::new(content(&blackbox));
                 tell(&viewer, &ToPage::Recorder { device: self.device, recorder });
                 tell(&viewer, &ToPage::Answer(Answer::done(id, read)));
                 return;

@@ -5,14 +5,22 @@ import { colour } from "./dom";
 
 const FONT = "11px system-ui, 'DejaVu Sans', sans-serif";
 
-/** Look of an axis. */
-export function axis(): uPlot.Axis {
+/** Space around a chart, and its scale, which contains 0 and is at least 1 high. */
+export const PADDING: uPlot.Padding = [4, 8, 0, 0];
+export const UPWARDS: uPlot.Scale = { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max((high ?? 1) * 1.1, 1)] };
+
+function look(): uPlot.Axis {
   return { stroke: colour("--dim"), font: FONT, labelFont: FONT, grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false } };
 }
 
-/** Look of the axis at the left, with its unit. */
+/** The axis below, with at least `space` pixels from one value to the next. */
+export function axisBelow(space: number): uPlot.Axis {
+  return { ...look(), size: 20, gap: 3, space };
+}
+
+/** The axis at the left, with its unit. */
 export function axisOf(unit: string): uPlot.Axis {
-  return { ...axis(), size: 40, gap: 4, label: unit, labelSize: 15, labelGap: 0, space: 24 };
+  return { ...look(), size: 40, gap: 4, label: unit, labelSize: 15, labelGap: 0, space: 24 };
 }
 
 /** Keeps charts as wide as the element around them. */

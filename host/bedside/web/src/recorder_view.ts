@@ -1,7 +1,7 @@
 // The part of a panel with the flight recorder of a device: the curves up to its newest tick, and its events.
 
 import uPlot from "uplot";
-import { axis, axisOf, fitTo } from "./chart";
+import { axisBelow, axisOf, fitTo, PADDING, UPWARDS } from "./chart";
 import type { Device } from "./device";
 import { button, colour, h, setText, show } from "./dom";
 import { fixed } from "./format";
@@ -94,15 +94,15 @@ function options(part: string, unit: string, height: number, width: number, curv
   return {
     width,
     height,
-    padding: [4, 8, 0, 0],
+    padding: PADDING,
     cursor: { y: false, drag: { x: true, y: false }, points: { size: 6 }, sync: { key: part } },
-    scales: { x: { time: false }, y: { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max((high ?? 1) * 1.1, 1)] } },
+    scales: { x: { time: false }, y: UPWARDS },
     series: [
       { label: "s", value: value(3) },
       ...curves.map(({ name, hue, steps: inSteps }) => ({
         label: name, stroke: colour(hue), width: 1.5, value: value(1), points: { show: false }, ...(inSteps && steps ? { paths: steps } : {}),
       })),
     ],
-    axes: [{ ...axis(), size: 20, gap: 3, space: 60 }, axisOf(unit)],
+    axes: [axisBelow(60), axisOf(unit)],
   };
 }

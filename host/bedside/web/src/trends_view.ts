@@ -2,7 +2,7 @@
 
 import uPlot from "uplot";
 import { clock } from "./alarms";
-import { axis, axisOf, fitTo } from "./chart";
+import { axisBelow, axisOf, fitTo, PADDING, UPWARDS } from "./chart";
 import type { Device } from "./device";
 import { colour, h } from "./dom";
 import { fixed } from "./format";
@@ -57,13 +57,13 @@ export class TrendCharts {
     const plot = new uPlot({
       width: 320,
       height: HEIGHT,
-      padding: [4, 8, 0, 0],
+      padding: PADDING,
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
       legend: { live: true },
-      scales: { x: { time: true, range: () => this.range() }, y: { range: (_, low, high) => [Math.min(low ?? 0, 0), Math.max((high ?? 1) * 1.1, 1)] } },
+      scales: { x: { time: true, range: () => this.range() }, y: UPWARDS },
       series: [{ label: "Time", value: (_, time) => (time === null ? "--" : this.timeOf(time)) }, ...lines.flatMap(([, name, hue]) => series(name, colour(hue)))],
       bands: lines.map(([, , hue], index) => ({ series: [3 * index + 3, 3 * index + 2] as [number, number], fill: `${colour(hue)}40` })),
-      axes: [{ ...axis(), size: 20, gap: 3, space: 75, values: (_, times) => times.map((time) => this.timeOf(time)) }, axisOf(unit)],
+      axes: [{ ...axisBelow(75), values: (_, times) => times.map((time) => this.timeOf(time)) }, axisOf(unit)],
     }, [[], ...lines.flatMap(() => [[], [], []])] as uPlot.AlignedData, host);
     this.charts.push({ plot, names: lines.map(([name]) => name) });
   }
