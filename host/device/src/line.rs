@@ -176,6 +176,6 @@ impl Reader {
 }
 
 /// Whether a failed read may succeed later.
-fn patient(kind: ErrorKind) -> bool {
+pub(crate) fn patient(kind: ErrorKind) -> bool {
     matches!(kind, ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }

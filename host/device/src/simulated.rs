@@ -3,7 +3,7 @@
 
 mod served;
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -14,6 +14,7 @@ use shared::breath::DEFAULT_PERIOD_US;
 use shared::recorder::RecorderMemory;
 use shared::ventilator::Mode;
 
+use crate::line::patient;
 use crate::port::Port;
 use plant::bench::{BenchConfig, BenchError, BenchPlant};
 pub use served::{ServeError, Served, ServedConfig};
@@ -120,7 +121,7 @@ fn listen(mut reader: Box<dyn Read + Send>, stop: Arc<AtomicBool>) -> Receiver<V
                 Ok(0) => return,
                 Ok(count) if bytes.send(chunk[..count].to_vec()).is_err() => return,
                 Ok(_) => {}
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock) => {}
+                Err(error) if patient(error.kind()) => {}
                 Err(_) => return,
             }
         }

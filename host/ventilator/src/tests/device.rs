@@ -211,7 +211,9 @@ fn requests_get_through_a_line_that_damages_bytes() {
     let _simulated = Simulated::start(&BenchConfig::paper(20.0, 20.0), noisy).unwrap();
     let mut device = Device::connect(&address).unwrap();
     for pip in (10..40).map(|pip| pip as f32) {
-        assert_eq!(device.apply(paper_settings(pip)).unwrap().1, Some(paper_settings(pip)));
+        let applied = device.apply(paper_settings(pip));
+        let (_, pending) = applied.unwrap_or_else(|error| panic!("{pip}: {error}, {:?}", device.counters()));
+        assert_eq!(pending, Some(paper_settings(pip)));
     }
 }
 
